@@ -1,0 +1,1 @@
+//! Appearance Transition Consensus: extractor, proposers, calibrator, scene-global and Gaussian-local targets

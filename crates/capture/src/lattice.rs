@@ -1,0 +1,91 @@
+//! Which pixels of a camera are looked at, and the water in front of each of them.
+
+use crate::{Camera, Image, Intrinsics};
+
+/// A tensor-product subset of a camera's pixel centres: every combination of some columns and some rows.
+///
+/// A whole image is `columns = 0.5, 1.5, …`, `rows = 0.5, 1.5, …`. Stage 2 looks only at the columns and rows that the
+/// extractor's resize reads, which is a lattice too, so one renderer serves both. Coordinates ascend strictly.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Lattice {
+    columns: Vec<f32>,
+    rows: Vec<f32>,
+}
+
+impl Lattice {
+    /// Every pixel of an image.
+    pub fn full(intrinsics: &Intrinsics) -> Self {
+        Self::size(intrinsics.width, intrinsics.height)
+    }
+
+    /// Every pixel of a `width × height` image.
+    pub fn size(width: usize, height: usize) -> Self {
+        let centres = |n: usize| (0..n).map(|i| i as f32 + 0.5).collect();
+        Self { columns: centres(width), rows: centres(height) }
+    }
+
+    /// The pixels at some columns and rows (indices, strictly ascending); `None` if they do not ascend or a list is empty.
+    pub fn subset(columns: &[usize], rows: &[usize]) -> Option<Self> {
+        let centres = |indices: &[usize]| {
+            (!indices.is_empty() && indices.windows(2).all(|w| w[0] < w[1]))
+                .then(|| indices.iter().map(|&i| i as f32 + 0.5).collect())
+        };
+        Some(Self { columns: centres(columns)?, rows: centres(rows)? })
+    }
+
+    /// Columns in the subset.
+    pub fn width(&self) -> usize {
+        self.columns.len()
+    }
+
+    /// Rows in the subset.
+    pub fn height(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Pixel-centre x coordinates, ascending.
+    pub fn columns(&self) -> &[f32] {
+        &self.columns
+    }
+
+    /// Pixel-centre y coordinates, ascending.
+    pub fn rows(&self) -> &[f32] {
+        &self.rows
+    }
+}
+
+/// The water seen through each pixel of a lattice: what a medium model hands to the compositor.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MediumMaps {
+    /// `c_m`, the colour of infinitely deep water along the ray, display range, ≥ 0.
+    pub color: Image,
+    /// `β_bs`, backscatter coefficient, 1 / scene unit, ≥ 0.
+    pub backscatter: Image,
+    /// `β_attn`, attenuation coefficient, 1 / scene unit, ≥ 0.
+    pub attenuation: Image,
+}
+
+impl MediumMaps {
+    /// Zeros (no water): also the accumulator of gradients with respect to the three maps.
+    pub fn zeros(width: usize, height: usize) -> Self {
+        Self {
+            color: Image::new(width, height),
+            backscatter: Image::new(width, height),
+            attenuation: Image::new(width, height),
+        }
+    }
+
+    /// Changes the size, keeping allocations; contents are unspecified afterwards.
+    pub fn resize(&mut self, width: usize, height: usize) {
+        self.color.resize(width, height);
+        self.backscatter.resize(width, height);
+        self.attenuation.resize(width, height);
+    }
+}
+
+/// The unit world-space direction of the ray through pixel coordinates `(u, v)` (R3), f32.
+#[inline]
+pub fn world_direction(camera: &Camera, u: f64, v: f64) -> [f32; 3] {
+    let d = (camera.pose.rotation.transpose() * camera.ray(u, v)).normalize();
+    [d.x as f32, d.y as f32, d.z as f32]
+}

@@ -1,0 +1,20 @@
+//! What was photographed: images, cameras, views, sparse points, and the capture that holds them.
+//!
+//! Ground of the workspace: this crate depends on nothing of ours and knows nothing of files.
+//!
+//! Conventions (the whole workspace keeps to them):
+//!
+//! * Camera frame as in COLMAP/OpenCV: x right, y down, z forward. `x_camera = R x_world + t`.
+//! * Pixel centres at +0.5: pixel (column `j`, row `i`) has its centre at `(j + 0.5, i + 0.5)`.
+//! * Colours are display-referred, `[0, 1]`, the PNG value over 255; they are never linearised.
+//! * Lengths are in scene units (COLMAP's, or normalised by [`Frame`]); never metric.
+
+mod camera;
+mod capture;
+mod lattice;
+mod raster;
+
+pub use camera::{Camera, CameraError, Frame, Intrinsics, Pose};
+pub use capture::{Capture, CaptureError, Pixels, SparsePoint, Split, View};
+pub use lattice::{Lattice, MediumMaps, world_direction};
+pub use raster::{Image, Image8, Map, Raster};

@@ -1,0 +1,2 @@
+//! The `use3d` command: arguments, progress, error texts. Nothing else.
+fn main() {}

@@ -1,0 +1,1 @@
+//! Stage 2: objective, loop, the enhanced scene

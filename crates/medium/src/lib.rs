@@ -1,0 +1,1 @@
+//! MediumRBF and the media it is compared with

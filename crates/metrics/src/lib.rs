@@ -1,0 +1,1 @@
+//! Image quality and consistency formulas: PSNR, SSIM, MS-SSIM, UCIQE, UIQM, CIEDE2000, warping

@@ -1,0 +1,1 @@
+//! Stages, keys, cache, plans, batches, report

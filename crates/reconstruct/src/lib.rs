@@ -1,0 +1,1 @@
+//! Stage 1: losses, schedules, density control, checkpoints

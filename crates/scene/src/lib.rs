@@ -1,0 +1,1 @@
+//! The scene folder: Gaussians, medium and enhancement on disk

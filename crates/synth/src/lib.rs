@@ -1,0 +1,1 @@
+//! A synthetic underwater capture with known truth: scene, water, cameras, pairs

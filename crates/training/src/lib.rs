@@ -1,0 +1,1 @@
+//! What both training loops share: observers, checkpoints, view order, the guard against non-finite numbers.

@@ -1,0 +1,1 @@
+//! The Underwater Bilateral Appearance Field: factors, guide, decoder, medium query, transport ratios
