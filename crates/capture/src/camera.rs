@@ -164,8 +164,7 @@ impl Camera {
     }
 }
 
-/// The similarity from COLMAP's world to the normalised frame of a scene, written as the scene file writes it:
-/// `x_normalised = scale * (rotation * x_colmap) + translation`.
+/// The similarity from COLMAP's world to the scene's normalised frame (R7): `x_normalised = scale (rotation x_colmap) + translation`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Frame {
     /// Uniform scale.

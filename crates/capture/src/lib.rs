@@ -12,6 +12,7 @@
 mod camera;
 mod capture;
 mod lattice;
+pub mod path;
 mod raster;
 
 pub use camera::{Camera, CameraError, Frame, Intrinsics, Pose};

@@ -1,0 +1,102 @@
+//! The arrows of the architecture, enforced: a crate may depend only on crates below it, and only one crate may use the
+//! tensor library. Reads `cargo metadata`, so a forbidden edge fails here before anyone gets used to it.
+
+use std::collections::BTreeMap;
+use std::process::Command;
+
+use serde_json::Value;
+
+/// Who may depend on whom, directly. ARCHITECTURE.md draws the same picture.
+const ALLOWED: &[(&str, &[&str])] = &[
+    ("numerics", &[]),
+    ("capture", &[]),
+    ("golden", &[]),
+    ("io-image", &["capture"]),
+    ("io-colmap", &["capture", "io-image"]),
+    ("metrics", &["capture", "numerics"]),
+    ("nets", &["capture", "numerics"]),
+    ("synth", &["capture", "numerics", "io-image", "io-colmap"]),
+    ("splat", &["capture", "numerics"]),
+    ("medium", &["capture", "numerics"]),
+    ("ubaf", &["capture", "numerics"]),
+    ("atc", &["capture", "numerics", "splat"]),
+    ("training", &["capture", "numerics"]),
+    ("scene", &["capture", "splat", "medium", "ubaf"]),
+    ("reconstruct", &["capture", "numerics", "splat", "medium", "metrics", "training", "scene"]),
+    ("enhance", &["capture", "numerics", "splat", "medium", "ubaf", "atc", "training", "scene"]),
+];
+
+/// Crates that may use these heavy or delicate third-party crates.
+const RESERVED: &[(&str, &[&str])] = &[
+    ("candle-core", &["nets"]),
+    ("pytorch-reader", &["nets"]),
+    ("bincode", &["training"]),
+    ("clap", &["use3d"]),
+    ("indicatif", &["use3d"]),
+];
+
+fn metadata() -> Value {
+    let output = Command::new(env!("CARGO"))
+        .args(["metadata", "--format-version", "1", "--no-deps", "--offline"])
+        .current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
+        .output()
+        .expect("cargo metadata runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).expect("cargo metadata prints JSON")
+}
+
+/// Package name (without `use3d-`) to its normal and build dependencies.
+fn dependencies() -> BTreeMap<String, Vec<String>> {
+    let short = |name: &Value| {
+        let name = name.as_str().expect("a name");
+        name.strip_prefix("use3d-").unwrap_or(name).to_string()
+    };
+    metadata()["packages"]
+        .as_array()
+        .expect("packages")
+        .iter()
+        .map(|package| {
+            let deps = package["dependencies"].as_array().expect("dependencies").iter();
+            (short(&package["name"]), deps.filter(|d| d["kind"] != "dev").map(|d| short(&d["name"])).collect())
+        })
+        .collect()
+}
+
+#[test]
+fn arrows_point_down() {
+    let all = dependencies();
+    for (name, deps) in &all {
+        if ["use3d", "pipeline", "tests"].contains(&name.as_str()) {
+            continue; // the roof may use everything below it
+        }
+        let allowed = ALLOWED.iter().find(|(n, _)| n == name);
+        let (_, allowed) = allowed.unwrap_or_else(|| panic!("crate `{name}` is not in the architecture's table"));
+        for dep in deps.iter().filter(|d| all.contains_key(*d)) {
+            assert!(allowed.contains(&dep.as_str()), "`{name}` must not depend on `{dep}`");
+        }
+    }
+    for (name, _) in ALLOWED {
+        assert!(all.contains_key(*name), "the architecture's table names `{name}`, which does not exist");
+    }
+}
+
+#[test]
+fn heavy_crates_stay_where_they_belong() {
+    for (name, deps) in dependencies() {
+        for (reserved, owners) in RESERVED {
+            assert!(
+                !deps.iter().any(|d| d == reserved) || owners.contains(&name.as_str()),
+                "`{name}` must not depend on `{reserved}`; only {owners:?} may"
+            );
+        }
+    }
+}
+
+#[test]
+fn every_crate_inherits_the_workspace_lints() {
+    for package in metadata()["packages"].as_array().expect("packages") {
+        let path = package["manifest_path"].as_str().expect("a path");
+        let text = std::fs::read_to_string(path).expect("a manifest");
+        assert!(text.contains("[lints]\nworkspace = true"), "{path} does not inherit the workspace lints");
+    }
+}
