@@ -58,7 +58,7 @@ pub struct Split {
 impl Split {
     /// Every `every`-th of `count` views, starting with the first, is a test view (R8); `every = 0` holds out none.
     pub fn every(count: usize, every: usize) -> Self {
-        let is_test = |i: &usize| every != 0 && i % every == 0;
+        let is_test = |i: &usize| every != 0 && i.is_multiple_of(every);
         Self {
             train: (0..count).filter(|i| !is_test(i)).collect(),
             test: (0..count).filter(is_test).collect(),

@@ -37,19 +37,19 @@ impl Adam {
     ) {
         let scalars = self.scalars(step, learning_rate);
         const CHUNK: usize = 1 << 14;
-        let body = |((p, g), (m, v)): ((&mut [f32], &[f32]), (&mut [f32], &mut [f32]))| {
+        let body = |p: &mut [f32], g: &[f32], m: &mut [f32], v: &mut [f32]| {
             for i in 0..p.len() {
                 p[i] = scalars.apply(p[i], g[i], &mut m[i], &mut v[i]);
             }
         };
         if parameters.len() <= CHUNK {
-            body(((parameters, gradient), (m, v)));
+            body(parameters, gradient, m, v);
         } else {
             parameters
                 .par_chunks_mut(CHUNK)
                 .zip(gradient.par_chunks(CHUNK))
                 .zip(m.par_chunks_mut(CHUNK).zip(v.par_chunks_mut(CHUNK)))
-                .for_each(body);
+                .for_each(|((p, g), (m, v))| body(p, g, m, v));
         }
     }
 

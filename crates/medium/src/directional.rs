@@ -1,0 +1,251 @@
+//! Spherical harmonics of the pixel's ray, for nine quantities at once: the part that `rbf` and `global` share.
+//!
+//! Per pixel, with the unit world direction `ω` of the ray through the pixel centre (R3) and the basis `Y` of 16 bands,
+//!
+//! ```text
+//! raw[q] = Σ_b Y_b(ω) A[q][b]       q: c_m, β_bs, β_attn, each RGB
+//! c_m    = max(raw + 0.5, 0)        β = softplus(raw)                  (R6)
+//! ```
+//!
+//! The backward pass needs only the maps themselves: `c_m > 0` tells the clamp, and `softplus'(raw) = 1 - e^{-β}`. Rows are cut into
+//! strips of fixed height, each strip sums its 144 products in sixteen lanes, and strips are added in order in f64: the same bits
+//! on any number of threads.
+
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, Simd, dispatch, f32x16};
+use rayon::prelude::*;
+use use3d_capture::{Camera, Lattice, MediumMaps};
+use use3d_numerics::spherical_harmonics::bands;
+
+use crate::lanes::{self, LANES};
+
+/// Spherical-harmonic coefficients of the three quantities: `[c_m, β_bs, β_attn][band][RGB]`.
+pub type Coefficients = [[[f32; 3]; 16]; 3];
+/// Gradients with respect to [`Coefficients`], summed in f64.
+pub(crate) type CoefficientGradients = [[[f64; 3]; 16]; 3];
+
+/// Rows per strip.
+pub(crate) const STRIP: usize = 8;
+/// Pixels per block of the backward pass.
+const BLOCK: usize = 8 * LANES;
+
+/// The rays of a lattice: `d = ((u - cx)/fx, (v - cy)/fy, 1)` per column and row, and the rotation into the world.
+pub(crate) struct Rays {
+    x: Vec<f32>,
+    y: Vec<f32>,
+    /// Columns of `R_cwᵀ`.
+    to_world: [[f32; 3]; 3],
+}
+
+impl Rays {
+    pub(crate) fn new(camera: &Camera, lattice: &Lattice) -> Self {
+        let k = &camera.intrinsics;
+        let r = camera.pose.rotation.transpose().as_mat3();
+        Self {
+            x: lattice.columns().iter().map(|&u| ((f64::from(u) - k.cx) / k.fx) as f32).collect(),
+            y: lattice.rows().iter().map(|&v| ((f64::from(v) - k.cy) / k.fy) as f32).collect(),
+            to_world: [r.x_axis.to_array(), r.y_axis.to_array(), r.z_axis.to_array()],
+        }
+    }
+
+    pub(crate) fn width(&self) -> usize {
+        self.x.len()
+    }
+
+    /// Unit world directions of 16 pixels of row `j` from column `i` on.
+    #[inline(always)]
+    pub(crate) fn directions<S: Simd>(&self, simd: S, i: usize, j: usize) -> [f32x16<S>; 3] {
+        let x = lanes::load(simd, &self.x, i);
+        let y = self.y[j];
+        let norm = x.mul_add(x, y * y + 1.0).sqrt();
+        let inverse = f32x16::splat(simd, 1.0) / norm;
+        let [cx, cy, cz] = self.to_world;
+        std::array::from_fn(|k| x.mul_add(cx[k], cy[k] * y + cz[k]) * inverse)
+    }
+}
+
+/// The nine planes of three maps, cut into strips of [`STRIP`] rows.
+pub(crate) fn strips(maps: &mut MediumMaps) -> Vec<[&mut [f32]; 9]> {
+    let (width, pixels) = (maps.color.width(), maps.color.pixels());
+    let mut planes: Vec<_> = [&mut maps.color, &mut maps.backscatter, &mut maps.attenuation]
+        .into_iter()
+        .flat_map(|image| image.data_mut().chunks_mut(pixels.max(1)))
+        .map(|plane| plane.chunks_mut((STRIP * width).max(1)))
+        .collect();
+    let count = pixels.div_ceil((STRIP * width).max(1));
+    (0..count).map(|_| std::array::from_fn(|q| planes[q].next().unwrap_or_default())).collect()
+}
+
+/// The nine planes of three maps, read-only: `c_m` RGB, `β_bs` RGB, `β_attn` RGB.
+pub(crate) fn planes(maps: &MediumMaps) -> [&[f32]; 9] {
+    let (c, b, a) = (maps.color.planes(), maps.backscatter.planes(), maps.attenuation.planes());
+    [c[0], c[1], c[2], b[0], b[1], b[2], a[0], a[1], a[2]]
+}
+
+/// The maps of one view.
+pub(crate) fn forward(
+    coefficients: &Coefficients,
+    camera: &Camera,
+    lattice: &Lattice,
+    degree: usize,
+    out: &mut MediumMaps,
+) {
+    out.resize(lattice.width(), lattice.height());
+    let rays = Rays::new(camera, lattice);
+    let level = Level::new();
+    strips(out).into_par_iter().enumerate().for_each(|(s, mut strip)| {
+        dispatch!(level, simd => forward_strip(simd, coefficients, &rays, degree, s * STRIP, &mut strip));
+    });
+}
+
+#[inline(always)]
+fn forward_strip<S: Simd>(
+    simd: S,
+    coefficients: &Coefficients,
+    rays: &Rays,
+    degree: usize,
+    first_row: usize,
+    strip: &mut [&mut [f32]; 9],
+) {
+    let width = rays.width();
+    let rows = strip[0].len() / width;
+    for row in 0..rows {
+        for i in (0..width).step_by(LANES) {
+            let [x, y, z] = rays.directions(simd, i, first_row + row);
+            let basis = lanes::basis(simd, degree, x, y, z);
+            for q in 0..9 {
+                let (quantity, channel) = (q / 3, q % 3);
+                let mut raw = basis[0] * coefficients[quantity][0][channel];
+                for b in 1..bands(degree) {
+                    raw = basis[b].mul_add(coefficients[quantity][b][channel], raw);
+                }
+                let value = if quantity == 0 { (raw + 0.5).max(0.0) } else { lanes::softplus(simd, raw) };
+                lanes::store(value, &mut strip[q][row * width..][..width], i);
+            }
+        }
+    }
+}
+
+/// Pulls gradients with respect to the maps back to the coefficients. `maps` are those that [`forward`] made.
+pub(crate) fn backward(
+    camera: &Camera,
+    lattice: &Lattice,
+    degree: usize,
+    maps: &MediumMaps,
+    cotangent: &MediumMaps,
+) -> CoefficientGradients {
+    let rays = Rays::new(camera, lattice);
+    let level = Level::new();
+    let (maps, cotangent) = (planes(maps), planes(cotangent));
+    let height = lattice.height();
+    let partial: Vec<[f32; 144]> = (0..height.div_ceil(STRIP))
+        .into_par_iter()
+        .map(|s| {
+            let rows = s * STRIP..((s + 1) * STRIP).min(height);
+            dispatch!(level, simd => backward_strip(simd, &rays, degree, rows, &maps, &cotangent))
+        })
+        .collect();
+    let mut gradient = [[[0.0f64; 3]; 16]; 3];
+    for strip in &partial {
+        for q in 0..9 {
+            for b in 0..16 {
+                gradient[q / 3][b][q % 3] += f64::from(strip[q * 16 + b]);
+            }
+        }
+    }
+    gradient
+}
+
+#[inline(always)]
+fn backward_strip<S: Simd>(
+    simd: S,
+    rays: &Rays,
+    degree: usize,
+    rows: std::ops::Range<usize>,
+    maps: &[&[f32]; 9],
+    cotangent: &[&[f32]; 9],
+) -> [f32; 144] {
+    let width = rays.width();
+    let zero = f32x16::splat(simd, 0.0);
+    // A block's basis and raw gradients lie in L1; the products are summed twelve accumulators at a time.
+    let mut basis = [[0.0f32; BLOCK]; 16];
+    let mut raw = [[0.0f32; BLOCK]; 9];
+    let mut totals = [zero; 144];
+    let band_groups = bands(degree).div_ceil(4);
+    for row in rows {
+        for start in (0..width).step_by(BLOCK) {
+            let vectors = (width - start).min(BLOCK).div_ceil(LANES);
+            for v in 0..vectors {
+                let i = start + v * LANES;
+                let [x, y, z] = rays.directions(simd, i, row);
+                let at_pixels = lanes::basis(simd, degree, x, y, z);
+                for b in 0..4 * band_groups {
+                    at_pixels[b].store_slice(&mut basis[b][v * LANES..][..LANES]);
+                }
+                for q in 0..9 {
+                    let value = lanes::load(simd, &maps[q][row * width..][..width], i);
+                    let pull = lanes::load(simd, &cotangent[q][row * width..][..width], i);
+                    let gradient = if q < 3 {
+                        value.simd_gt(zero).select(pull, zero)
+                    } else {
+                        pull * lanes::softplus_slope(simd, value)
+                    };
+                    gradient.store_slice(&mut raw[q][v * LANES..][..LANES]);
+                }
+            }
+            for quantity in 0..3 {
+                for group in 0..band_groups {
+                    let mut sums = [zero; 12];
+                    for v in 0..vectors {
+                        let at = v * LANES;
+                        for b in 0..4 {
+                            let y = f32x16::from_slice(simd, &basis[group * 4 + b][at..at + LANES]);
+                            for c in 0..3 {
+                                let g = f32x16::from_slice(simd, &raw[quantity * 3 + c][at..at + LANES]);
+                                sums[b * 3 + c] = y.mul_add(g, sums[b * 3 + c]);
+                            }
+                        }
+                    }
+                    for b in 0..4 {
+                        for c in 0..3 {
+                            totals[(quantity * 3 + c) * 16 + group * 4 + b] += sums[b * 3 + c];
+                        }
+                    }
+                }
+            }
+        }
+    }
+    let mut out = [0.0; 144];
+    for (o, t) in out.iter_mut().zip(&totals) {
+        *o = t.as_slice().iter().sum();
+    }
+    out
+}
+
+/// The plain form of [`forward`]: one pixel after another, for tests.
+#[cfg(test)]
+pub(crate) fn forward_plain(
+    coefficients: &Coefficients,
+    camera: &Camera,
+    lattice: &Lattice,
+    degree: usize,
+) -> MediumMaps {
+    use use3d_numerics::spherical_harmonics::basis;
+    let mut out = MediumMaps::zeros(lattice.width(), lattice.height());
+    for (j, &v) in lattice.rows().iter().enumerate() {
+        for (i, &u) in lattice.columns().iter().enumerate() {
+            let direction = use3d_capture::world_direction(camera, f64::from(u), f64::from(v));
+            let y = basis(degree, direction);
+            let raw = |quantity: usize| -> [f64; 3] {
+                std::array::from_fn(|c| {
+                    (0..16).map(|b| f64::from(y[b]) * f64::from(coefficients[quantity][b][c])).sum()
+                })
+            };
+            let softplus = |x: f64| (x.max(0.0) + (-x.abs()).exp().ln_1p()) as f32;
+            out.color.set_pixel(i, j, raw(0).map(|x| (x + 0.5).max(0.0) as f32));
+            out.backscatter.set_pixel(i, j, raw(1).map(softplus));
+            out.attenuation.set_pixel(i, j, raw(2).map(softplus));
+        }
+    }
+    out
+}

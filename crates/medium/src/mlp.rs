@@ -1,0 +1,307 @@
+//! A small network of the viewing direction: the medium of WaterSplatting, for comparison.
+//!
+//! ```text
+//! h₁ = σ(W₁ Y(ω) + b₁)      h₂ = σ(W₂ h₁ + b₂)      raw = W₃ h₂ + b₃
+//! c_m = σ(raw)              β = softplus(raw)
+//! ```
+//!
+//! with the 16 spherical harmonics `Y` of the ray's direction, two hidden layers of 128 sigmoids and nine outputs. The same water
+//! everywhere: it knows the direction, not the place. Evaluated 64 pixels at a time, matrix times matrix; the backward pass
+//! computes the hidden layers again rather than storing 256 numbers per pixel.
+
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, Simd, dispatch, f32x16};
+use rayon::prelude::*;
+use use3d_capture::{Camera, Lattice, MediumMaps};
+use use3d_numerics::random::{Purpose, Stream};
+
+use crate::directional::{Rays, STRIP, planes, strips};
+use crate::lanes::{self, LANES};
+
+/// Inputs, hidden units, outputs (padded to a multiple of four inside the kernels).
+const INPUTS: usize = 16;
+const HIDDEN: usize = 128;
+const OUTPUTS: usize = 9;
+const PADDED: usize = 12;
+/// Pixels per block.
+const BLOCK: usize = 4 * LANES;
+/// Strips whose gradients are summed by one task: bounds the memory for partial sums.
+const STRIPS_PER_TASK: usize = 8;
+
+/// Weights of the network, row-major `[out][in]`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MediumMlp {
+    /// `[128][16]`, `[128][128]`, `[9][128]`.
+    pub weights: [Vec<f32>; 3],
+    /// `[128]`, `[128]`, `[9]`.
+    pub biases: [Vec<f32>; 3],
+}
+
+/// Inputs and outputs per layer.
+pub(crate) const SHAPES: [(usize, usize); 3] = [(INPUTS, HIDDEN), (HIDDEN, HIDDEN), (HIDDEN, OUTPUTS)];
+
+impl MediumMlp {
+    /// Uniform Xavier weights drawn from `seed`, zero biases.
+    pub fn new(seed: u64) -> Self {
+        let draw = |layer: usize| {
+            let (inputs, outputs) = SHAPES[layer];
+            let stream = Stream::new(seed, Purpose::new("medium network weights"), layer as u64);
+            let bound = (6.0 / (inputs + outputs) as f64).sqrt();
+            (0..inputs * outputs).map(|i| ((2.0 * stream.uniform(i as u64) - 1.0) * bound) as f32).collect()
+        };
+        Self { weights: [draw(0), draw(1), draw(2)], biases: SHAPES.map(|(_, outputs)| vec![0.0; outputs]) }
+    }
+
+    pub(crate) fn forward(&self, camera: &Camera, lattice: &Lattice, out: &mut MediumMaps) {
+        out.resize(lattice.width(), lattice.height());
+        let rays = Rays::new(camera, lattice);
+        let level = Level::new();
+        let network = Padded::new(self);
+        strips(out).into_par_iter().enumerate().for_each_init(Block::new, |block, (s, mut strip)| {
+            let width = rays.width();
+            for row in 0..strip[0].len() / width {
+                for start in (0..width).step_by(BLOCK) {
+                    dispatch!(level, simd => {
+                        network.evaluate(simd, &rays, s * STRIP + row, start, block);
+                        for v in (0..(width - start).min(BLOCK)).step_by(LANES) {
+                            for q in 0..9 {
+                                let raw = f32x16::from_slice(simd, &block.raw[q * BLOCK + v..][..LANES]);
+                                let value = if q < 3 { lanes::sigmoid(simd, raw) } else { lanes::softplus(simd, raw) };
+                                lanes::store(value, &mut strip[q][row * width..][..width], start + v);
+                            }
+                        }
+                    });
+                }
+            }
+        });
+    }
+
+    pub(crate) fn backward(
+        &self,
+        camera: &Camera,
+        lattice: &Lattice,
+        maps: &MediumMaps,
+        cotangent: &MediumMaps,
+        gradient: &mut Self,
+    ) {
+        let rays = Rays::new(camera, lattice);
+        let level = Level::new();
+        let network = Padded::new(self);
+        let (maps, cotangent) = (planes(maps), planes(cotangent));
+        let rows_per_task = STRIP * STRIPS_PER_TASK;
+        let partial: Vec<Gradients> = (0..lattice.height().div_ceil(rows_per_task))
+            .into_par_iter()
+            .map(|task| {
+                let mut sums = Gradients::new();
+                let mut block = Block::new();
+                let width = rays.width();
+                for row in task * rows_per_task..((task + 1) * rows_per_task).min(lattice.height()) {
+                    for start in (0..width).step_by(BLOCK) {
+                        let views = (
+                            maps.map(|m| &m[row * width..][..width]),
+                            cotangent.map(|m| &m[row * width..][..width]),
+                        );
+                        dispatch!(level, simd => {
+                            network.evaluate(simd, &rays, row, start, &mut block);
+                            network.pull(simd, start, &views.0, &views.1, &mut block, &mut sums);
+                        });
+                    }
+                }
+                sums
+            })
+            .collect();
+        let mut total = Gradients::new();
+        for task in &partial {
+            total.add(task);
+        }
+        let targets = gradient.weights.iter_mut().chain(gradient.biases.iter_mut());
+        for (target, sum) in targets.zip(total.weights.iter().chain(&total.biases)) {
+            for (t, s) in target.iter_mut().zip(sum) {
+                *t += s;
+            }
+        }
+    }
+}
+
+/// The network with its last layer padded, and the transposes that the backward pass multiplies with.
+struct Padded {
+    weights: [Vec<f32>; 3],
+    biases: [Vec<f32>; 3],
+    transposed: [Vec<f32>; 3],
+}
+
+impl Padded {
+    fn new(network: &MediumMlp) -> Self {
+        let mut weights = network.weights.clone();
+        let mut biases = network.biases.clone();
+        weights[2].resize(PADDED * HIDDEN, 0.0);
+        biases[2].resize(PADDED, 0.0);
+        let transposed = std::array::from_fn(|layer| {
+            let inputs = SHAPES[layer].0;
+            let outputs = biases[layer].len();
+            (0..inputs * outputs).map(|i| weights[layer][(i % outputs) * inputs + i / outputs]).collect()
+        });
+        Self { weights, biases, transposed }
+    }
+
+    /// Hidden layers and raw outputs of one block of pixels.
+    #[inline(always)]
+    fn evaluate<S: Simd>(&self, simd: S, rays: &Rays, row: usize, start: usize, block: &mut Block) {
+        for v in (0..BLOCK).step_by(LANES) {
+            // Beyond the row's end: any direction will do, its cotangent is zero.
+            let i = (start + v).min(rays.width() - 1);
+            let [x, y, z] = rays.directions(simd, i, row);
+            for (b, value) in lanes::basis(simd, 3, x, y, z).iter().enumerate() {
+                value.store_slice(&mut block.input[b * BLOCK + v..][..LANES]);
+            }
+        }
+        product(simd, &self.weights[0], Some(&self.biases[0]), &block.input, &mut block.first);
+        activate(simd, &mut block.first);
+        product(simd, &self.weights[1], Some(&self.biases[1]), &block.first, &mut block.second);
+        activate(simd, &mut block.second);
+        product(simd, &self.weights[2], Some(&self.biases[2]), &block.second, &mut block.raw);
+    }
+
+    /// The gradients of one block, added to `sums`; `block` holds what [`Padded::evaluate`] left.
+    #[inline(always)]
+    fn pull<S: Simd>(
+        &self,
+        simd: S,
+        start: usize,
+        maps: &[&[f32]; 9],
+        cotangent: &[&[f32]; 9],
+        block: &mut Block,
+        sums: &mut Gradients,
+    ) {
+        let zero = f32x16::splat(simd, 0.0);
+        for v in (0..BLOCK).step_by(LANES) {
+            for q in 0..PADDED {
+                let mut gradient = zero;
+                if q < OUTPUTS && start + v < maps[q].len() {
+                    let value = lanes::load(simd, maps[q], start + v);
+                    let pull = lanes::load(simd, cotangent[q], start + v);
+                    let slope = if q < 3 {
+                        value * (f32x16::splat(simd, 1.0) - value)
+                    } else {
+                        lanes::softplus_slope(simd, value)
+                    };
+                    gradient = pull * slope;
+                }
+                gradient.store_slice(&mut block.raw[q * BLOCK + v..][..LANES]);
+            }
+        }
+        accumulate(simd, &block.raw, &block.second, &mut sums.weights[2], &mut sums.biases[2]);
+        product(simd, &self.transposed[2], None, &block.raw, &mut block.pull);
+        through_activation(simd, &block.second, &mut block.pull);
+        accumulate(simd, &block.pull, &block.first, &mut sums.weights[1], &mut sums.biases[1]);
+        product(simd, &self.transposed[1], None, &block.pull, &mut block.second);
+        through_activation(simd, &block.first, &mut block.second);
+        accumulate(simd, &block.second, &block.input, &mut sums.weights[0], &mut sums.biases[0]);
+    }
+}
+
+/// Values of one block, `[unit][pixel]`.
+struct Block {
+    input: Vec<f32>,
+    first: Vec<f32>,
+    second: Vec<f32>,
+    raw: Vec<f32>,
+    pull: Vec<f32>,
+}
+
+impl Block {
+    fn new() -> Self {
+        let zeros = |units: usize| vec![0.0; units * BLOCK];
+        Self {
+            input: zeros(INPUTS),
+            first: zeros(HIDDEN),
+            second: zeros(HIDDEN),
+            raw: zeros(PADDED),
+            pull: zeros(HIDDEN),
+        }
+    }
+}
+
+/// Sums of one task, with the last layer padded.
+struct Gradients {
+    weights: [Vec<f32>; 3],
+    biases: [Vec<f32>; 3],
+}
+
+impl Gradients {
+    fn new() -> Self {
+        let outputs = [HIDDEN, HIDDEN, PADDED];
+        Self {
+            weights: std::array::from_fn(|l| vec![0.0; SHAPES[l].0 * outputs[l]]),
+            biases: outputs.map(|n| vec![0.0; n]),
+        }
+    }
+
+    fn add(&mut self, other: &Self) {
+        let sums = self.weights.iter_mut().chain(self.biases.iter_mut());
+        for (sum, more) in sums.zip(other.weights.iter().chain(&other.biases)) {
+            for (s, m) in sum.iter_mut().zip(more) {
+                *s += m;
+            }
+        }
+    }
+}
+
+/// `out = weights · input (+ bias)`: `[out][in] × [in][BLOCK]`, four outputs by four vectors at a time.
+#[inline(always)]
+fn product<S: Simd>(simd: S, weights: &[f32], bias: Option<&[f32]>, input: &[f32], out: &mut [f32]) {
+    let inputs = input.len() / BLOCK;
+    for (group, rows) in out.chunks_exact_mut(4 * BLOCK).enumerate() {
+        let w: [&[f32]; 4] = std::array::from_fn(|j| &weights[(group * 4 + j) * inputs..][..inputs]);
+        let start: [f32; 4] = std::array::from_fn(|j| bias.map_or(0.0, |b| b[group * 4 + j]));
+        let mut sums: [[f32x16<S>; 4]; 4] = start.map(|b| [f32x16::splat(simd, b); 4]);
+        for k in 0..inputs {
+            let x: [f32x16<S>; 4] =
+                std::array::from_fn(|v| f32x16::from_slice(simd, &input[k * BLOCK + v * LANES..][..LANES]));
+            for j in 0..4 {
+                for v in 0..4 {
+                    sums[j][v] = x[v].mul_add(w[j][k], sums[j][v]);
+                }
+            }
+        }
+        for j in 0..4 {
+            for v in 0..4 {
+                sums[j][v].store_slice(&mut rows[j * BLOCK + v * LANES..][..LANES]);
+            }
+        }
+    }
+}
+
+/// `weights += pull · inputᵀ`, `bias += Σ pull`, over one block of pixels.
+#[inline(always)]
+fn accumulate<S: Simd>(simd: S, pull: &[f32], input: &[f32], weights: &mut [f32], bias: &mut [f32]) {
+    let inputs = input.len() / BLOCK;
+    for (j, row) in pull.chunks_exact(BLOCK).enumerate() {
+        let g: [f32x16<S>; 4] = std::array::from_fn(|v| f32x16::from_slice(simd, &row[v * LANES..][..LANES]));
+        for (k, x) in input.chunks_exact(BLOCK).enumerate() {
+            let mut sum = g[0] * f32x16::from_slice(simd, &x[..LANES]);
+            for v in 1..4 {
+                sum = g[v].mul_add(f32x16::from_slice(simd, &x[v * LANES..][..LANES]), sum);
+            }
+            weights[j * inputs + k] += sum.reduce_sum();
+        }
+        bias[j] += (g[0] + g[1] + g[2] + g[3]).reduce_sum();
+    }
+}
+
+#[inline(always)]
+fn activate<S: Simd>(simd: S, values: &mut [f32]) {
+    for chunk in values.chunks_exact_mut(LANES) {
+        lanes::sigmoid(simd, f32x16::from_slice(simd, chunk)).store_slice(chunk);
+    }
+}
+
+/// `pull *= h (1 - h)`.
+#[inline(always)]
+fn through_activation<S: Simd>(simd: S, hidden: &[f32], pull: &mut [f32]) {
+    for (chunk, h) in pull.chunks_exact_mut(LANES).zip(hidden.chunks_exact(LANES)) {
+        let h = f32x16::from_slice(simd, h);
+        let slope = h * (f32x16::splat(simd, 1.0) - h);
+        (f32x16::from_slice(simd, chunk) * slope).store_slice(chunk);
+    }
+}

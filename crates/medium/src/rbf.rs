@@ -1,0 +1,167 @@
+//! MediumRBF: water that varies with where the camera is and where it looks.
+//!
+//! Anchors `k` with centre `p_k`, width `σ_k = max(e^{l_k}, 1e-4)` and spherical-harmonic coefficients `A_k`. For a camera at `o`,
+//! clamped to `[-1.5, 1.5]` per axis of the normalised scene (R4), the `K` anchors of highest affinity `ρ_k` share a softmax:
+//!
+//! ```text
+//! ρ_k = -|o - p_k|² / (2 σ_k²)      w = softmax over the K largest ρ      A = Σ_k w_k A_k
+//! ```
+//!
+//! and `A` is evaluated along every pixel's ray (`directional`). Ties go to the lower index. The selection is not differentiated, so
+//! the medium jumps where the K-th and the next anchor change places; nor is the camera's position. The maximum is subtracted
+//! before the exponential, since affinities of narrow anchors lie far below the range of `exp`.
+
+use use3d_capture::Camera;
+
+use crate::directional::{CoefficientGradients, Coefficients};
+
+/// Smallest width, scene units.
+const WIDTH_FLOOR: f64 = 1e-4;
+/// Camera coordinates are clamped to this, normalised scene units (R4).
+const QUERY_LIMIT: f64 = 1.5;
+
+/// The anchors of a MediumRBF.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MediumRbf {
+    /// Anchor centres `p_k`, normalised scene units.
+    pub centers: Vec<[f32; 3]>,
+    /// `l_k = ln σ_k`.
+    pub log_widths: Vec<f32>,
+    /// `A_k`: `[c_m, β_bs, β_attn][band][RGB]`.
+    pub coefficients: Vec<Coefficients>,
+    /// Anchors that share a view, `K`.
+    pub top_k: usize,
+}
+
+impl MediumRbf {
+    /// The initial state (R5): 8 anchors at the corners of the normalised cube, x slowest, σ = 0.85; other counts spread evenly over
+    /// the sphere through those corners (a Fibonacci lattice). All anchors alike: `c_m = 0.5`, `β = softplus(-5 Y₀₀) = 0.218`.
+    pub fn new(anchors: usize, top_k: usize) -> Self {
+        let center = |k: usize| -> [f32; 3] {
+            if anchors == 8 {
+                return std::array::from_fn(|axis| if k >> (2 - axis) & 1 == 1 { 1.0 } else { -1.0 });
+            }
+            let z = 1.0 - (2.0 * k as f64 + 1.0) / anchors as f64;
+            let (r, phi) = ((1.0 - z * z).sqrt(), k as f64 * std::f64::consts::PI * (3.0 - 5f64.sqrt()));
+            [r * phi.cos(), r * phi.sin(), z].map(|v| (v * 3f64.sqrt()) as f32)
+        };
+        Self {
+            centers: (0..anchors).map(center).collect(),
+            log_widths: vec![0.85f32.ln(); anchors],
+            coefficients: vec![initial_coefficients(); anchors],
+            top_k: top_k.clamp(1, anchors.max(1)),
+        }
+    }
+
+    /// Number of anchors.
+    pub fn len(&self) -> usize {
+        self.centers.len()
+    }
+
+    /// Whether there is no anchor (then the water is that of all-zero coefficients).
+    pub fn is_empty(&self) -> bool {
+        self.centers.is_empty()
+    }
+
+    /// The share of each anchor in the water around a camera: at most `K` are not zero, and they sum to 1.
+    pub fn weights(&self, camera: &Camera) -> Vec<f64> {
+        let mut weights = vec![0.0; self.len()];
+        for (k, w) in self.selection(camera) {
+            weights[k] = w;
+        }
+        weights
+    }
+
+    /// The aggregated coefficients `A` of a view.
+    pub fn aggregate(&self, camera: &Camera) -> Coefficients {
+        let mut sum = [[[0.0f64; 3]; 16]; 3];
+        for (k, w) in self.selection(camera) {
+            for_each(&self.coefficients[k], |q, b, c, a| sum[q][b][c] += w * f64::from(a));
+        }
+        sum.map(|quantity| quantity.map(|band| band.map(|v| v as f32)))
+    }
+
+    /// Adds the gradients with respect to centres, log widths and coefficients, given those with respect to `A`.
+    pub(crate) fn backward(&self, camera: &Camera, aggregate: &CoefficientGradients, gradient: &mut Self) {
+        let o = query(camera);
+        let selection = self.selection(camera);
+        // dL/dw_k, then through the softmax to dL/dρ_k.
+        let pulls: Vec<f64> = selection
+            .iter()
+            .map(|&(k, _)| {
+                let mut dot = 0.0;
+                for_each(&self.coefficients[k], |q, b, c, a| dot += aggregate[q][b][c] * f64::from(a));
+                dot
+            })
+            .collect();
+        let mean: f64 = selection.iter().zip(&pulls).map(|(&(_, w), d)| w * d).sum();
+        for (&(k, w), pull) in selection.iter().zip(&pulls) {
+            for q in 0..3 {
+                for b in 0..16 {
+                    for c in 0..3 {
+                        gradient.coefficients[k][q][b][c] += (w * aggregate[q][b][c]) as f32;
+                    }
+                }
+            }
+            let affinity_pull = w * (pull - mean);
+            let (sigma, floored) = self.sigma(k);
+            let offset: [f64; 3] = std::array::from_fn(|axis| o[axis] - f64::from(self.centers[k][axis]));
+            for axis in 0..3 {
+                gradient.centers[k][axis] += (affinity_pull * offset[axis] / (sigma * sigma)) as f32;
+            }
+            if !floored {
+                let squared: f64 = offset.iter().map(|v| v * v).sum();
+                gradient.log_widths[k] += (affinity_pull * squared / (sigma * sigma)) as f32;
+            }
+        }
+    }
+
+    /// `σ_k` and whether it is held at its floor.
+    fn sigma(&self, k: usize) -> (f64, bool) {
+        let sigma = f64::from(self.log_widths[k]).exp();
+        (sigma.max(WIDTH_FLOOR), sigma < WIDTH_FLOOR)
+    }
+
+    /// The `K` anchors of highest affinity with their softmax weights, best first.
+    fn selection(&self, camera: &Camera) -> Vec<(usize, f64)> {
+        let o = query(camera);
+        let mut scored: Vec<(usize, f64)> = (0..self.len())
+            .map(|k| {
+                let (sigma, _) = self.sigma(k);
+                let squared: f64 = (0..3).map(|a| (o[a] - f64::from(self.centers[k][a])).powi(2)).sum();
+                (k, -squared / (2.0 * sigma * sigma))
+            })
+            .collect();
+        scored.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+        scored.truncate(self.top_k.max(1));
+        let best = scored.first().map_or(0.0, |s| s.1);
+        let total: f64 = scored.iter().map(|s| (s.1 - best).exp()).sum();
+        for s in &mut scored {
+            s.1 = (s.1 - best).exp() / total;
+        }
+        scored
+    }
+}
+
+/// The observer, clamped (R4).
+fn query(camera: &Camera) -> [f64; 3] {
+    camera.pose.center().to_array().map(|v| v.clamp(-QUERY_LIMIT, QUERY_LIMIT))
+}
+
+/// `c_m = 0.5`, `β = softplus(-5 Y₀₀)` in every direction.
+pub(crate) fn initial_coefficients() -> Coefficients {
+    let mut coefficients = [[[0.0; 3]; 16]; 3];
+    coefficients[1][0] = [-5.0; 3];
+    coefficients[2][0] = [-5.0; 3];
+    coefficients
+}
+
+fn for_each(coefficients: &Coefficients, mut f: impl FnMut(usize, usize, usize, f32)) {
+    for (q, quantity) in coefficients.iter().enumerate() {
+        for (b, band) in quantity.iter().enumerate() {
+            for (c, &value) in band.iter().enumerate() {
+                f(q, b, c, value);
+            }
+        }
+    }
+}

@@ -1,0 +1,292 @@
+//! Goldens, finite differences, and the vector code against its plain form.
+
+use glam::{DMat3, DVec3};
+use use3d_capture::{Camera, Image, Intrinsics, Lattice, MediumMaps, Pose};
+use use3d_golden::{Case, Part};
+use use3d_numerics::random::{Purpose, Stream};
+
+use crate::{MediumGlobal, MediumKind, MediumMlp, MediumModel, MediumRbf, directional};
+
+fn case_camera(case: &Case<'_>) -> Camera {
+    let r = case.f64("in.R_cw");
+    let rotation = DMat3::from_cols_slice(&r).transpose();
+    let o = case.f64("in.o");
+    Camera {
+        intrinsics: Intrinsics {
+            width: case.count("width"),
+            height: case.count("height"),
+            fx: case.number("fx"),
+            fy: case.number("fy"),
+            cx: case.number("cx"),
+            cy: case.number("cy"),
+        },
+        // The stored rotation is orthonormal to f32 only; this puts the centre exactly at `o`.
+        pose: Pose { rotation, translation: -(rotation.transpose().inverse() * DVec3::from_slice(&o)) },
+    }
+}
+
+fn case_model(case: &Case<'_>) -> MediumRbf {
+    let flat = case.f32("in.coeffs");
+    MediumRbf {
+        centers: case.rows("in.centers"),
+        log_widths: case.f32("in.log_widths"),
+        coefficients: flat
+            .chunks_exact(144)
+            .map(|c| bytemuck::pod_read_unaligned(bytemuck::cast_slice(c)))
+            .collect(),
+        top_k: case.count("top_k"),
+    }
+}
+
+#[test]
+fn golden_medium() {
+    let part = Part::math("medium");
+    for case in part.cases() {
+        let (camera, rbf) = (case_camera(&case), case_model(&case));
+        let lattice = Lattice::full(&camera.intrinsics);
+        case.check_f64("out.weights", &rbf.weights(&camera));
+        case.check("out.agg", bytemuck::cast_slice(&rbf.aggregate(&camera)));
+        let model = MediumModel::Rbf(rbf);
+        let degree = case.count("degree");
+        let mut maps = MediumMaps::zeros(1, 1);
+        model.maps(&camera, &lattice, degree, &mut maps);
+        let named = |maps: &MediumMaps| {
+            [
+                ("c_m", maps.color.clone()),
+                ("beta_bs", maps.backscatter.clone()),
+                ("beta_attn", maps.attenuation.clone()),
+            ]
+        };
+        for (name, map) in named(&maps) {
+            case.check_planes(&format!("out.{name}"), map.data());
+        }
+        for (pull, outputs) in case.pulls() {
+            let cotangent_of = |name: &str| {
+                if !outputs.iter().any(|o| o == name) {
+                    return Image::new(lattice.width(), lattice.height());
+                }
+                let (w, h, data) = case.planes(&format!("cot.{name}"));
+                Image::from_planes(w, h, data).unwrap()
+            };
+            let cotangent = MediumMaps {
+                color: cotangent_of("c_m"),
+                backscatter: cotangent_of("beta_bs"),
+                attenuation: cotangent_of("beta_attn"),
+            };
+            let mut gradient = model.zeros_like();
+            model.backward(&camera, &lattice, degree, &maps, &cotangent, &mut gradient);
+            let MediumModel::Rbf(gradient) = gradient else { unreachable!() };
+            case.check(&format!("grad.{pull}.centers"), bytemuck::cast_slice(&gradient.centers));
+            case.check(&format!("grad.{pull}.log_widths"), &gradient.log_widths);
+            case.check(&format!("grad.{pull}.coeffs"), bytemuck::cast_slice(&gradient.coefficients));
+        }
+    }
+}
+
+fn camera(stream: &Stream, width: usize, height: usize) -> Camera {
+    let n = |i: u64| stream.normal(900 + i);
+    let eye = DVec3::new(n(0), n(1), n(2)) * 0.6;
+    Camera {
+        intrinsics: Intrinsics {
+            width,
+            height,
+            fx: width as f64 * 0.9,
+            fy: width as f64,
+            cx: width as f64 * 0.47,
+            cy: height as f64 * 0.55,
+        },
+        pose: Pose::look_at(eye, DVec3::new(n(3), n(4), n(5)) + DVec3::splat(3.0), DVec3::Z),
+    }
+}
+
+fn random_model(stream: &Stream, kind: MediumKind) -> MediumModel {
+    let n = |i: u64| stream.normal(i) as f32;
+    let coefficients = |from: u64| {
+        // Red is bright and green clamped everywhere, so that no pixel sits near the clamp's kink.
+        let mut a: crate::Coefficients = std::array::from_fn(|q| {
+            std::array::from_fn(|b| std::array::from_fn(|c| 0.4 * n(from + (q * 48 + b * 3 + c) as u64)))
+        });
+        a[0][0] = [14.0, -16.0, 12.0];
+        a
+    };
+    match kind {
+        MediumKind::None => MediumModel::None,
+        MediumKind::Global => MediumModel::Global(MediumGlobal { coefficients: coefficients(0) }),
+        MediumKind::Rbf => MediumModel::Rbf(MediumRbf {
+            centers: (0..5).map(|k| std::array::from_fn(|a| 0.7 * n(5000 + k * 3 + a as u64))).collect(),
+            log_widths: (0..5).map(|k| -0.3 + 0.2 * n(6000 + k)).collect(),
+            coefficients: (0..5).map(|k| coefficients(1000 * k)).collect(),
+            top_k: 3,
+        }),
+        MediumKind::Mlp => {
+            let mut network = MediumMlp::new(stream.bits(0));
+            for b in network.biases.iter_mut().flatten() {
+                *b = 0.1;
+            }
+            MediumModel::Mlp(network)
+        }
+    }
+}
+
+fn random_maps(stream: &Stream, width: usize, height: usize) -> MediumMaps {
+    let image = |from: u64| {
+        let values = (0..3 * width * height).map(|i| stream.normal(from + i as u64) as f32).collect();
+        Image::from_planes(width, height, values).unwrap()
+    };
+    MediumMaps { color: image(10_000), backscatter: image(30_000), attenuation: image(50_000) }
+}
+
+fn dot(a: &MediumMaps, b: &MediumMaps) -> f64 {
+    let images = [(&a.color, &b.color), (&a.backscatter, &b.backscatter), (&a.attenuation, &b.attenuation)];
+    let pairs = images.iter().flat_map(|(x, y)| x.data().iter().zip(y.data()));
+    pairs.map(|(&x, &y)| f64::from(x) * f64::from(y)).sum()
+}
+
+#[test]
+fn gradients_agree_with_finite_differences() {
+    for seed in 0..3 {
+        let stream = Stream::new(seed, Purpose::new("medium finite differences"), 0);
+        let camera = camera(&stream, 37, 19);
+        let lattice = Lattice::full(&camera.intrinsics);
+        let cotangent = random_maps(&stream, 37, 19);
+        for kind in [MediumKind::Global, MediumKind::Rbf, MediumKind::Mlp] {
+            for degree in [1, 3] {
+                let mut model = random_model(&stream, kind);
+                let mut maps = MediumMaps::zeros(1, 1);
+                model.maps(&camera, &lattice, degree, &mut maps);
+                let mut gradient = model.zeros_like();
+                model.backward(&camera, &lattice, degree, &maps, &cotangent, &mut gradient);
+                let (parameters, gradient) = (model.flat(), gradient.flat());
+                let scale = gradient.iter().fold(0.0f32, |m, g| m.max(g.abs()));
+                // Along random directions, so that every parameter takes part.
+                for probe in 0..4u64 {
+                    let direction: Vec<f32> = (0..parameters.len())
+                        .map(|i| stream.normal(probe * 100_000 + 70_000 + i as u64) as f32)
+                        .collect();
+                    let expected: f64 =
+                        gradient.iter().zip(&direction).map(|(&g, &d)| f64::from(g) * f64::from(d)).sum();
+                    let mut at = |h: f32| {
+                        let moved: Vec<f32> =
+                            parameters.iter().zip(&direction).map(|(p, d)| p + h * d).collect();
+                        assert!(model.set_flat(&moved));
+                        model.maps(&camera, &lattice, degree, &mut maps);
+                        dot(&maps, &cotangent)
+                    };
+                    let h = 1e-3;
+                    let numeric = (at(h) - at(-h)) / (2.0 * f64::from(h));
+                    let norm = (parameters.len() as f64).sqrt() * f64::from(scale);
+                    let error = (numeric - expected).abs();
+                    assert!(
+                        error < 2e-3 * norm.max(expected.abs()),
+                        "{kind:?} degree {degree}: {numeric} against {expected}"
+                    );
+                }
+                // And single parameters of every group.
+                for (index, &g) in gradient.iter().enumerate().step_by(gradient.len() / 23 + 1) {
+                    let mut at = |h: f32| {
+                        let mut moved = parameters.clone();
+                        moved[index] += h;
+                        assert!(model.set_flat(&moved));
+                        model.maps(&camera, &lattice, degree, &mut maps);
+                        dot(&maps, &cotangent)
+                    };
+                    let numeric = (at(1e-2) - at(-1e-2)) / 2e-2;
+                    let error = (numeric - f64::from(g)).abs();
+                    assert!(
+                        error < 1e-2 * f64::from(scale),
+                        "{kind:?} parameter {index}: {numeric} against {g}"
+                    );
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_vector_code_agrees_with_the_plain_form_on_any_lattice() {
+    let stream = Stream::new(9, Purpose::new("medium lattices"), 0);
+    for (width, height) in [(1, 1), (15, 3), (16, 8), (17, 9), (50, 33)] {
+        let camera = camera(&stream, width.max(4) * 2, height.max(4) * 2);
+        let columns: Vec<usize> = (0..width).map(|i| i * 2).collect();
+        let rows: Vec<usize> = (0..height).map(|i| i * 2 + 1).collect();
+        let lattice = Lattice::subset(&columns, &rows).unwrap();
+        for degree in 0..=3 {
+            let MediumModel::Global(global) = random_model(&stream, MediumKind::Global) else {
+                unreachable!()
+            };
+            let plain = directional::forward_plain(&global.coefficients, &camera, &lattice, degree);
+            let mut fast = MediumMaps::zeros(3, 2);
+            MediumModel::Global(global).maps(&camera, &lattice, degree, &mut fast);
+            for (a, b) in [
+                (&plain.color, &fast.color),
+                (&plain.backscatter, &fast.backscatter),
+                (&plain.attenuation, &fast.attenuation),
+            ] {
+                assert_eq!((a.width(), a.height()), (b.width(), b.height()));
+                for (x, y) in a.data().iter().zip(b.data()) {
+                    assert!((x - y).abs() < 4e-6, "{x} against {y}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_same_bits_on_any_number_of_threads() {
+    let stream = Stream::new(4, Purpose::new("medium threads"), 0);
+    let camera = camera(&stream, 70, 90);
+    let lattice = Lattice::full(&camera.intrinsics);
+    let cotangent = random_maps(&stream, 70, 90);
+    for kind in [MediumKind::Rbf, MediumKind::Mlp] {
+        let model = random_model(&stream, kind);
+        let run = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| {
+                let mut maps = MediumMaps::zeros(1, 1);
+                model.maps(&camera, &lattice, 3, &mut maps);
+                let mut gradient = model.zeros_like();
+                model.backward(&camera, &lattice, 3, &maps, &cotangent, &mut gradient);
+                (maps, gradient)
+            })
+        };
+        let one = run(1);
+        for threads in [2, 5] {
+            assert!(one == run(threads), "{kind:?} differs on {threads} threads");
+        }
+    }
+}
+
+#[test]
+fn anchor_weights_sum_to_one_over_at_most_k() {
+    for seed in 0..20 {
+        let stream = Stream::new(seed, Purpose::new("medium weights"), 0);
+        let MediumModel::Rbf(rbf) = random_model(&stream, MediumKind::Rbf) else { unreachable!() };
+        let weights = rbf.weights(&camera(&stream, 8, 8));
+        assert!((weights.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+        assert!(weights.iter().filter(|&&w| w > 0.0).count() <= rbf.top_k);
+    }
+}
+
+#[test]
+fn tensors_come_back_and_damaged_ones_are_named() {
+    let stream = Stream::new(6, Purpose::new("medium tensors"), 0);
+    for kind in [MediumKind::None, MediumKind::Global, MediumKind::Rbf, MediumKind::Mlp] {
+        let model = random_model(&stream, kind);
+        let tensors = model.to_tensors();
+        assert_eq!(MediumModel::from_tensors(kind, 3, &tensors).unwrap(), model);
+        assert_eq!(MediumKind::from_name(kind.name()), Some(kind));
+        for name in tensors.keys() {
+            let mut damaged = tensors.clone();
+            damaged.get_mut(name).unwrap().values[0] = f32::NAN;
+            let error = MediumModel::from_tensors(kind, 3, &damaged).unwrap_err().to_string();
+            assert!(error.contains(name.as_str()), "{error}");
+            damaged.get_mut(name).unwrap().shape.push(2);
+            assert!(MediumModel::from_tensors(kind, 3, &damaged).is_err());
+            damaged.remove(name);
+            assert!(MediumModel::from_tensors(kind, 3, &damaged).is_err());
+        }
+    }
+    let rbf = random_model(&stream, MediumKind::Rbf).to_tensors();
+    assert!(MediumModel::from_tensors(MediumKind::Rbf, 6, &rbf).is_err());
+    assert!(MediumModel::from_tensors(MediumKind::Rbf, 0, &rbf).is_err());
+}
