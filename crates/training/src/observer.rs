@@ -1,0 +1,75 @@
+//! Who watches a long loop, and may ask it to stop.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Where a loop is. Optional numbers are absent where a loop has none.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Progress {
+    /// Steps done.
+    pub step: u64,
+    /// Steps in all.
+    pub steps: u64,
+    /// Smoothed loss.
+    pub loss: Option<f64>,
+    /// Smoothed PSNR of the training views, dB.
+    pub psnr: Option<f64>,
+    /// Gaussians in the scene.
+    pub gaussians: Option<usize>,
+    /// Steps per second, smoothed.
+    pub steps_per_second: Option<f64>,
+    /// Seconds left at that pace.
+    pub seconds_left: Option<f64>,
+}
+
+/// Watches a loop. Every method has a default that does nothing, so a test may pass [`Silent`].
+pub trait Observer {
+    /// After every step; implementations decide how often to show it.
+    fn progress(&mut self, _progress: &Progress) {}
+
+    /// Something a person should know, said once: a fallback taken, a cap that bites.
+    fn notice(&mut self, _message: &str) {}
+
+    /// Whether the loop should write its checkpoint and leave. Asked after every step.
+    fn should_stop(&self) -> bool {
+        false
+    }
+}
+
+/// Watches nothing and never stops anything.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Silent;
+
+impl Observer for Silent {}
+
+/// A request to stop that can be raised from another thread or a signal handler.
+#[derive(Clone, Debug, Default)]
+pub struct StopFlag(Arc<AtomicBool>);
+
+impl StopFlag {
+    /// A flag that is down.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Asks to stop.
+    pub fn raise(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether someone asked.
+    pub fn is_raised(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    /// The shared flag itself, as signal handlers want it.
+    pub fn shared(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.0)
+    }
+}
+
+impl Observer for StopFlag {
+    fn should_stop(&self) -> bool {
+        self.is_raised()
+    }
+}
