@@ -1,1 +1,38 @@
-//! Image files in and out: PNG, JPEG, TIFF, EXR, NPY
+//! Image files in and out.
+//!
+//! Read: PNG (1 to 16 bits), JPEG, TIFF (8, 16 bits, float), EXR (half, float), NPY. Written: PNG (8, 16 bits), EXR (float).
+//! Formats are told apart by their first bytes, not by the name. Values are display-referred (a PNG value over 255) and
+//! never linearised; EXR files hold the same values unclamped.
+//!
+//! Every size is checked before memory is asked for (at most [`MAX_PIXELS`], and never more than the file's own length can
+//! hold). Every write goes to a temporary sibling that is renamed into place, so a file is there whole or not at all.
+//!
+//! ```no_run
+//! # fn main() -> Result<(), use3d_io_image::ImageError> {
+//! use std::path::Path;
+//! let image = use3d_io_image::read_image(Path::new("reef.jpg"))?;
+//! use3d_io_image::write_exr(Path::new("reef.exr"), &image)?;
+//! # Ok(())
+//! # }
+//! ```
+
+mod atomic;
+mod decoded;
+mod error;
+mod exr_file;
+mod jpeg;
+mod limits;
+mod npy;
+mod read;
+mod write;
+
+pub use atomic::write_atomically;
+pub use decoded::{Decoded, Samples};
+pub use error::{Format, ImageError};
+pub use exr_file::{write_exr, write_exr_channels, write_exr_map};
+pub use limits::MAX_PIXELS;
+pub use read::{
+    ImageInfo, decode, image_info, image_size, info_of_bytes, read, read_image, read_map, read_pixels,
+    read_pixels_with_alpha,
+};
+pub use write::{write_png, write_png_map, write_png_map16, write_png_pixels, write_png8, write_png16};

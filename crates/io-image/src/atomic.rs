@@ -1,0 +1,56 @@
+//! Files that are there whole or not at all: written beside their place under a temporary name, then renamed into it.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+static SERIAL: AtomicU64 = AtomicU64::new(0);
+
+/// Creates or replaces `path` with what `fill` writes. On an error the temporary file is removed and `path` is untouched.
+///
+/// Parent folders are created. The data is not forced to the medium (`fsync`): callers that publish a whole folder do
+/// that once, for the folder.
+pub fn write_atomically<T>(
+    path: &Path,
+    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<T>,
+) -> io::Result<T> {
+    let name = path
+        .file_name()
+        .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "the path has no file name"))?;
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    std::fs::create_dir_all(folder)?;
+    let serial = SERIAL.fetch_add(1, Ordering::Relaxed);
+    let temporary = folder.join(format!(".{}.{}-{serial}.tmp", name.to_string_lossy(), std::process::id()));
+    let result = (|| {
+        let mut writer = BufWriter::with_capacity(1 << 18, File::create(&temporary)?);
+        let value = fill(&mut writer)?;
+        writer.flush()?;
+        drop(writer);
+        std::fs::rename(&temporary, path)?;
+        Ok(value)
+    })();
+    if result.is_err() {
+        let _ = std::fs::remove_file(&temporary); // the first error is the one to report
+    }
+    result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_failed_write_leaves_what_was_there_and_no_litter() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("sub/a.txt");
+        write_atomically(&path, |w| w.write_all(b"old")).unwrap();
+        let failed = write_atomically(&path, |w| {
+            w.write_all(b"half of the ne")?;
+            Err::<(), _>(io::Error::other("the pen broke"))
+        });
+        assert!(failed.is_err());
+        assert_eq!(std::fs::read(&path).unwrap(), b"old");
+        assert_eq!(std::fs::read_dir(path.parent().unwrap()).unwrap().count(), 1);
+    }
+}

@@ -1,0 +1,108 @@
+//! What can go wrong with an image file, said with the file's name, what was expected, and what to do next.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// The file formats that are read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// Portable Network Graphics, 1 to 16 bits.
+    Png,
+    /// JPEG, 8 bits.
+    Jpeg,
+    /// TIFF, 8 or 16 bits or floating point.
+    Tiff,
+    /// OpenEXR, half, float or integer channels.
+    Exr,
+    /// One NumPy array.
+    Npy,
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Png => "PNG",
+            Self::Jpeg => "JPEG",
+            Self::Tiff => "TIFF",
+            Self::Exr => "EXR",
+            Self::Npy => "NPY",
+        })
+    }
+}
+
+/// An image file that cannot be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum ImageError {
+    /// The file cannot be opened or read.
+    #[error("{}: cannot be read ({source}); check that the file is there and may be read", path.display())]
+    Open {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// Not a format we know, by its first bytes.
+    #[error(
+        "{}: its first bytes are those of neither PNG, JPEG, TIFF, EXR nor NPY; convert it to one of these",
+        path.display()
+    )]
+    UnknownFormat {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A header that announces more than is sensible; nothing has been allocated for it.
+    #[error("{}: the {format} header announces {width}x{height} pixels, {why}", path.display())]
+    Size {
+        /// The file.
+        path: PathBuf,
+        /// Its format.
+        format: Format,
+        /// Announced width.
+        width: u64,
+        /// Announced height.
+        height: u64,
+        /// Why this is refused, and what to do.
+        why: String,
+    },
+    /// Damaged, truncated, or a variant that is not supported.
+    #[error(
+        "{}: the {format} file is damaged or of an unsupported kind: {reason}; write it again, or convert it to 8- or 16-bit PNG",
+        path.display()
+    )]
+    Decode {
+        /// The file.
+        path: PathBuf,
+        /// Its format.
+        format: Format,
+        /// What the decoder says.
+        reason: String,
+    },
+    /// A sound file with the wrong kind of contents.
+    #[error("{}: expected {expected}, found {found}", path.display())]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// What was expected.
+        expected: String,
+        /// What was found.
+        found: String,
+    },
+    /// The file cannot be written; what was there before is untouched.
+    #[error("{}: cannot be written ({reason}); check that the folder is there, writable and has space", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the system or the encoder says.
+        reason: String,
+    },
+}
+
+impl ImageError {
+    pub(crate) fn decode(path: &Path, format: Format, reason: impl fmt::Display) -> Self {
+        Self::Decode { path: path.to_path_buf(), format, reason: reason.to_string() }
+    }
+
+    pub(crate) fn write(path: &Path, reason: impl fmt::Display) -> Self {
+        Self::Write { path: path.to_path_buf(), reason: reason.to_string() }
+    }
+}

@@ -1,0 +1,71 @@
+//! The two things about a JPEG that the decoder does not tell: its size without reading all of it, and whether it is whole.
+//!
+//! The decoder fills what is missing of a truncated file with grey and reports success, which would train a scene on grey.
+
+use std::io::BufRead;
+
+/// Size from the frame header, and whether a scan begins after it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Frame {
+    pub(crate) width: u64,
+    pub(crate) height: u64,
+    pub(crate) components: u64,
+}
+
+/// Walks the segments to the first scan; the reader is left at the scan's data.
+pub(crate) fn frame(reader: &mut impl BufRead) -> Result<Frame, String> {
+    let ended = |_| "it ends within its header".to_string();
+    let mut two = [0u8; 2];
+    reader.read_exact(&mut two).map_err(ended)?;
+    if two != [0xFF, 0xD8] {
+        return Err("it does not begin with a JPEG start marker".into());
+    }
+    let mut frame = None;
+    loop {
+        reader.read_exact(&mut two).map_err(ended)?;
+        if two[0] != 0xFF {
+            return Err("a marker is missing between two segments".into());
+        }
+        let mut marker = two[1];
+        while marker == 0xFF {
+            reader.read_exact(&mut two[..1]).map_err(ended)?; // fill bytes
+            marker = two[0];
+        }
+        if matches!(marker, 0x01 | 0xD0..=0xD7) {
+            continue; // these stand alone
+        }
+        if marker == 0xD9 {
+            return Err("it ends before any picture".into());
+        }
+        reader.read_exact(&mut two).map_err(ended)?;
+        let length =
+            u16::from_be_bytes(two).checked_sub(2).ok_or("a segment is shorter than its own length")?;
+        let mut body = vec![0u8; usize::from(length)];
+        reader.read_exact(&mut body).map_err(ended)?;
+        let is_frame = matches!(marker, 0xC0..=0xCF) && !matches!(marker, 0xC4 | 0xC8 | 0xCC);
+        if is_frame {
+            if body.len() < 6 {
+                return Err("its frame header is too short".into());
+            }
+            frame = Some(Frame {
+                height: u64::from(u16::from_be_bytes([body[1], body[2]])),
+                width: u64::from(u16::from_be_bytes([body[3], body[4]])),
+                components: u64::from(body[5]),
+            });
+        }
+        if marker == 0xDA {
+            return frame.ok_or_else(|| "a scan comes before its frame header".into());
+        }
+    }
+}
+
+/// Checks that the end marker follows the first scan. It cannot occur inside entropy-coded data.
+pub(crate) fn check_whole(bytes: &[u8]) -> Result<Frame, String> {
+    let mut rest = bytes;
+    let found = frame(&mut rest)?;
+    if rest.windows(2).any(|w| w == [0xFF, 0xD9]) {
+        Ok(found)
+    } else {
+        Err("it ends before its end marker, so the lower part of the picture is missing".into())
+    }
+}

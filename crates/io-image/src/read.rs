@@ -1,0 +1,240 @@
+//! Reading: format from the first bytes, size from the header, then all samples.
+//!
+//! EXIF orientation is not applied: COLMAP works on the pixels as stored, and so must everything that uses its poses.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, Cursor, Seek};
+use std::path::Path;
+
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
+use tiff::decoder::DecodingResult;
+use use3d_capture::{Image, Map, Pixels};
+
+use crate::decoded::{Decoded, Samples};
+use crate::error::{Format, ImageError};
+use crate::limits::{MAX_PIXELS, check_size};
+use crate::{exr_file, jpeg, npy};
+
+/// What a header tells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ImageInfo {
+    /// Width, pixels.
+    pub width: usize,
+    /// Height, pixels.
+    pub height: usize,
+    /// The format, by the file's first bytes.
+    pub format: Format,
+    /// Whether there is an alpha channel.
+    pub alpha: bool,
+}
+
+fn open_error(path: &Path) -> impl Fn(std::io::Error) -> ImageError + '_ {
+    |source| ImageError::Open { path: path.to_path_buf(), source }
+}
+
+/// The format that the first bytes belong to.
+fn detect(start: &[u8]) -> Option<Format> {
+    const SIGNATURES: [(&[u8], Format); 8] = [
+        (b"\x89PNG\r\n\x1a\n", Format::Png),
+        (b"\xFF\xD8\xFF", Format::Jpeg),
+        (b"II*\0", Format::Tiff),
+        (b"MM\0*", Format::Tiff),
+        (b"II+\0", Format::Tiff),
+        (b"MM\0+", Format::Tiff),
+        (b"\x76\x2f\x31\x01", Format::Exr),
+        (b"\x93NUMPY", Format::Npy),
+    ];
+    SIGNATURES.iter().find(|(s, _)| start.starts_with(s)).map(|&(_, f)| f)
+}
+
+/// Size, format and alpha from the header; the samples are not read.
+pub fn image_info(path: &Path) -> Result<ImageInfo, ImageError> {
+    let file = File::open(path).map_err(open_error(path))?;
+    let length = file.metadata().map_err(open_error(path))?.len();
+    info(BufReader::new(file), length, path)
+}
+
+/// Width and height from the header.
+pub fn image_size(path: &Path) -> Result<(usize, usize), ImageError> {
+    image_info(path).map(|i| (i.width, i.height))
+}
+
+/// As [`image_info`], for a file in memory; `path` is for the messages only.
+pub fn info_of_bytes(bytes: &[u8], path: &Path) -> Result<ImageInfo, ImageError> {
+    info(Cursor::new(bytes), bytes.len() as u64, path)
+}
+
+fn info(mut reader: impl BufRead + Seek, length: u64, path: &Path) -> Result<ImageInfo, ImageError> {
+    let start = reader.fill_buf().map_err(open_error(path))?;
+    let format = detect(start).ok_or_else(|| ImageError::UnknownFormat { path: path.to_path_buf() })?;
+    let (width, height, bytes_per_pixel, alpha) = match format {
+        Format::Exr => {
+            let (w, h, names, bytes) = exr_file::header(reader, path)?;
+            let picked = exr_file::pick(&names, path)?;
+            (w, h, bytes as u64, picked.len() == 4)
+        }
+        Format::Npy => {
+            let header = npy::header(&mut reader, path)?;
+            let (w, h, c) = npy::dimensions(&header, path)?;
+            (w, h, c * npy::element_size(&header), c % 2 == 0)
+        }
+        Format::Jpeg => {
+            let frame = jpeg::frame(&mut reader).map_err(|e| ImageError::decode(path, format, e))?;
+            (frame.width, frame.height, 3, false)
+        }
+        Format::Png | Format::Tiff => photo_header(reader, format, path)?,
+    };
+    let (width, height) = check_size(path, format, width, height, bytes_per_pixel, length)?;
+    Ok(ImageInfo { width, height, format, alpha })
+}
+
+/// Limits for the decoders that keep them; ours are checked before.
+fn decoder_limits() -> image::Limits {
+    let mut limits = image::Limits::no_limits();
+    limits.max_image_width = Some(1 << 24);
+    limits.max_image_height = Some(1 << 24);
+    limits.max_alloc = Some(MAX_PIXELS * 16 + (64 << 20));
+    limits
+}
+
+fn photo_reader<R: BufRead + Seek>(reader: R, format: Format) -> ImageReader<R> {
+    let format = match format {
+        Format::Png => ImageFormat::Png,
+        Format::Jpeg => ImageFormat::Jpeg,
+        _ => ImageFormat::Tiff,
+    };
+    let mut reader = ImageReader::with_format(reader, format);
+    reader.limits(decoder_limits());
+    reader
+}
+
+/// Width, height, bytes per pixel and alpha of a PNG or TIFF.
+fn photo_header(
+    mut reader: impl BufRead + Seek,
+    format: Format,
+    path: &Path,
+) -> Result<(u64, u64, u64, bool), ImageError> {
+    if format == Format::Tiff
+        && let Some((width, height)) = float_tiff_size(&mut reader, path)?
+    {
+        return Ok((width, height, 8, false));
+    }
+    let decoder =
+        photo_reader(reader, format).into_decoder().map_err(|e| ImageError::decode(path, format, e))?;
+    let (width, height) = decoder.dimensions();
+    let color = decoder.color_type();
+    Ok((u64::from(width), u64::from(height), u64::from(color.bytes_per_pixel()), color.has_alpha()))
+}
+
+/// The size of a one-channel TIFF of floats or wide integers, which `image` does not decode; `None` for other TIFFs.
+/// The reader is rewound.
+fn float_tiff_size(
+    reader: &mut (impl BufRead + Seek),
+    path: &Path,
+) -> Result<Option<(u64, u64)>, ImageError> {
+    let fail = |e: tiff::TiffError| ImageError::decode(path, Format::Tiff, e);
+    let mut decoder = tiff::decoder::Decoder::new(&mut *reader).map_err(fail)?;
+    let (width, height) = decoder.dimensions().map_err(fail)?;
+    let float = |d: &mut tiff::decoder::Decoder<_>| {
+        let formats = d.find_tag_unsigned_vec::<u16>(tiff::tags::Tag::SampleFormat);
+        matches!(formats, Ok(Some(f)) if f.first() == Some(&3))
+    };
+    let ours = match decoder.colortype().map_err(fail)? {
+        tiff::ColorType::Gray(32 | 64) => true,
+        tiff::ColorType::Gray(16) => float(&mut decoder),
+        _ => false,
+    };
+    drop(decoder);
+    reader.rewind().map_err(open_error(path))?;
+    Ok(ours.then_some((u64::from(width), u64::from(height))))
+}
+
+fn decode_float_tiff(bytes: &[u8], width: usize, height: usize, path: &Path) -> Result<Decoded, ImageError> {
+    let fail = |e: tiff::TiffError| ImageError::decode(path, Format::Tiff, e);
+    let mut limits = tiff::decoder::Limits::default();
+    limits.decoding_buffer_size = width * height * 8;
+    limits.intermediate_buffer_size = width * height * 8 + (1 << 20);
+    let mut decoder = tiff::decoder::Decoder::new(Cursor::new(bytes)).map_err(fail)?.with_limits(limits);
+    let samples: Vec<f32> = match decoder.read_image().map_err(fail)? {
+        DecodingResult::F32(v) => v,
+        DecodingResult::F64(v) => v.into_iter().map(|x| x as f32).collect(),
+        DecodingResult::F16(v) => v.into_iter().map(f32::from).collect(),
+        DecodingResult::U32(v) => v.into_iter().map(|x| x as f32).collect(),
+        DecodingResult::I32(v) => v.into_iter().map(|x| x as f32).collect(),
+        DecodingResult::U64(v) => v.into_iter().map(|x| x as f32).collect(),
+        DecodingResult::I64(v) => v.into_iter().map(|x| x as f32).collect(),
+        _ => return Err(ImageError::decode(path, Format::Tiff, "its samples are not as its header says")),
+    };
+    if samples.len() != width * height {
+        return Err(ImageError::decode(path, Format::Tiff, "it holds fewer samples than its header says"));
+    }
+    Ok(Decoded { width, height, channels: 1, samples: Samples::Float(samples) })
+}
+
+/// Decodes a file in memory; `path` is for the messages only.
+pub fn decode(bytes: &[u8], path: &Path) -> Result<Decoded, ImageError> {
+    let ImageInfo { width, height, format, .. } = info_of_bytes(bytes, path)?;
+    let fail = |reason: String| ImageError::decode(path, format, reason);
+    match format {
+        Format::Exr => return exr_file::decode(bytes, path),
+        Format::Npy => return npy::decode(bytes, path),
+        Format::Jpeg => {
+            let frame = jpeg::check_whole(bytes).map_err(fail)?;
+            if !matches!(frame.components, 1 | 3 | 4) {
+                return Err(fail(format!("it has {} components", frame.components)));
+            }
+        }
+        Format::Tiff if float_tiff_size(&mut Cursor::new(bytes), path)?.is_some() => {
+            return decode_float_tiff(bytes, width, height, path);
+        }
+        Format::Png | Format::Tiff => {}
+    }
+    let image = photo_reader(Cursor::new(bytes), format).decode().map_err(|e| fail(e.to_string()))?;
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    let channels = usize::from(image.color().channel_count());
+    let samples = match image {
+        DynamicImage::ImageLuma8(b) => Samples::Eight(b.into_raw()),
+        DynamicImage::ImageLumaA8(b) => Samples::Eight(b.into_raw()),
+        DynamicImage::ImageRgb8(b) => Samples::Eight(b.into_raw()),
+        DynamicImage::ImageRgba8(b) => Samples::Eight(b.into_raw()),
+        DynamicImage::ImageLuma16(b) => Samples::Sixteen(b.into_raw()),
+        DynamicImage::ImageLumaA16(b) => Samples::Sixteen(b.into_raw()),
+        DynamicImage::ImageRgb16(b) => Samples::Sixteen(b.into_raw()),
+        DynamicImage::ImageRgba16(b) => Samples::Sixteen(b.into_raw()),
+        DynamicImage::ImageRgb32F(b) => Samples::Float(b.into_raw()),
+        DynamicImage::ImageRgba32F(b) => Samples::Float(b.into_raw()),
+        _ => return Err(fail("its pixel type is not supported".into())),
+    };
+    Ok(Decoded { width, height, channels, samples })
+}
+
+/// Reads a whole file into samples.
+pub fn read(path: &Path) -> Result<Decoded, ImageError> {
+    // The header first: a file that is refused for its size is not read into memory.
+    image_info(path)?;
+    let bytes = std::fs::read(path).map_err(open_error(path))?;
+    decode(&bytes, path)
+}
+
+/// The picture in display range `[0, 1]` (float files keep their values); grey becomes RGB, alpha is left out.
+pub fn read_image(path: &Path) -> Result<Image, ImageError> {
+    read(path).map(|d| d.to_image())
+}
+
+/// The picture as a training loop keeps it: 8-bit files stay 8-bit, all others become 16-bit.
+pub fn read_pixels(path: &Path) -> Result<Pixels, ImageError> {
+    read(path).map(|d| d.to_pixels())
+}
+
+/// As [`read_pixels`], with the alpha channel, if there is one, as a weight in `[0, 1]`.
+pub fn read_pixels_with_alpha(path: &Path) -> Result<(Pixels, Option<Map>), ImageError> {
+    read(path).map(|d| (d.to_pixels(), d.alpha()))
+}
+
+/// One channel: a mask, a depth, a weight. Grey, or the mean of RGB; 8- and 16-bit values over their full scale, floats
+/// as stored. Values that are not finite become 0, which every map of ours reads as "nothing known here".
+pub fn read_map(path: &Path) -> Result<Map, ImageError> {
+    let mut map = read(path)?.to_map();
+    map.data_mut().iter_mut().filter(|v| !v.is_finite()).for_each(|v| *v = 0.0);
+    Ok(map)
+}
