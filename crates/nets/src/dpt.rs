@@ -1,0 +1,179 @@
+//! The DPT head of Depth Anything V2: four levels of tokens become one map.
+//!
+//! Each level is projected and brought to 4, 2, 1 and ½ times the token grid, then to the same number of features. From coarse to
+//! fine: `x ← out_conv(resize(RCU₂(x + RCU₁(level))))`, with RCU(x) = conv(ReLU(conv(ReLU(x)))) + x; every resize is bilinear with
+//! the corners aligned. Ranftl, Bochkovskiy, Koltun, "Vision transformers for dense prediction", ICCV 2021.
+
+use crate::engine::convolution::{BlockUpsampling, Convolution, Padding};
+use crate::engine::lanes::{self, Activation};
+use crate::engine::planes::Planes;
+use crate::engine::resample::{Rule, resize};
+use crate::error::NetError;
+use crate::weights::{Layers, Weights};
+
+/// The head with its weights.
+#[derive(Clone, Debug)]
+pub(crate) struct DptHead {
+    projects: Vec<Convolution>,
+    upsample4: BlockUpsampling,
+    upsample2: BlockUpsampling,
+    halve: Convolution,
+    levels: Vec<Convolution>,
+    /// `fusions[0]` is the finest.
+    fusions: Vec<Fusion>,
+    reduce: Convolution,
+    output: [Convolution; 2],
+}
+
+#[derive(Clone, Debug)]
+struct Fusion {
+    /// Absent at the coarsest level, which has nothing to fuse with.
+    skip: Option<Residual>,
+    refine: Residual,
+    output: Convolution,
+}
+
+#[derive(Clone, Debug)]
+struct Residual([Convolution; 2]);
+
+impl DptHead {
+    pub(crate) fn read(
+        width: usize,
+        features: usize,
+        channels: [usize; 4],
+        weights: &mut dyn Weights,
+    ) -> Result<Self, NetError> {
+        let none = Padding::same(0);
+        let same = Padding::same(1);
+        let mut projects = Vec::new();
+        let mut levels = Vec::new();
+        for (i, &c) in channels.iter().enumerate() {
+            projects.push(weights.convolution(
+                &format!("depth_head.projects.{i}"),
+                [c, width, 1, 1],
+                1,
+                none,
+            )?);
+            levels.push(weights.convolution_without_bias(
+                &format!("depth_head.scratch.layer{}_rn", i + 1),
+                [features, c, 3, 3],
+                1,
+                same,
+            )?);
+        }
+        let mut upsampling = |i: usize, kernel: usize| -> Result<BlockUpsampling, NetError> {
+            let (name, c) = (format!("depth_head.resize_layers.{i}"), channels[i]);
+            let values = weights.tensor(&format!("{name}.weight"), &[c, c, kernel, kernel])?;
+            let bias = weights.tensor(&format!("{name}.bias"), &[c])?;
+            Ok(BlockUpsampling::new(c, c, kernel, &values, &bias))
+        };
+        let (upsample4, upsample2) = (upsampling(0, 4)?, upsampling(1, 2)?);
+        let coarse = channels[3];
+        let halve = weights.convolution("depth_head.resize_layers.3", [coarse, coarse, 3, 3], 2, same)?;
+        let fusions =
+            (1..=4).map(|level| Fusion::read(level, features, weights)).collect::<Result<_, _>>()?;
+        let scratch = |part: &str| format!("depth_head.scratch.{part}");
+        Ok(Self {
+            projects,
+            upsample4,
+            upsample2,
+            halve,
+            levels,
+            fusions,
+            reduce: weights.convolution(&scratch("output_conv1"), [features / 2, features, 3, 3], 1, same)?,
+            output: [
+                weights.convolution(&scratch("output_conv2.0"), [32, features / 2, 3, 3], 1, same)?,
+                weights.convolution(&scratch("output_conv2.2"), [1, 32, 1, 1], 1, none)?,
+            ],
+        })
+    }
+
+    /// `taken` are the four levels as `[width, rows, columns]`, finest use first.
+    pub(crate) fn forward(
+        &self,
+        taken: Vec<Planes>,
+        size: (usize, usize),
+        probe: &mut dyn FnMut(&str, &Planes),
+    ) -> Planes {
+        let mut levels: Vec<Planes> = Vec::with_capacity(4);
+        for (i, tokens) in taken.into_iter().enumerate() {
+            let projected = self.projects[i].forward(&tokens, Activation::Identity);
+            let resized = match i {
+                0 => self.upsample4.forward(&projected),
+                1 => self.upsample2.forward(&projected),
+                2 => projected,
+                _ => self.halve.forward(&projected, Activation::Identity),
+            };
+            levels.push(self.levels[i].forward(&resized, Activation::Identity));
+        }
+        let mut x: Option<Planes> = None;
+        for level in (0..4).rev() {
+            let target = match level {
+                0 => (2 * levels[0].height, 2 * levels[0].width),
+                _ => (levels[level - 1].height, levels[level - 1].width),
+            };
+            let here = levels.pop().expect("four levels");
+            let fused = self.fusions[level].forward(x, here, target);
+            if level == 3 {
+                probe("refinenet4", &fused);
+            }
+            x = Some(fused);
+        }
+        let x = x.expect("four levels");
+        probe("refinenet1", &x);
+        let x = self.reduce.forward(&x, Activation::Identity);
+        probe("output_conv1", &x);
+        let x = resize(&x, size.0, size.1, Rule::BilinearCorners);
+        let x = self.output[0].forward(&x, Activation::Relu);
+        self.output[1].forward(&x, Activation::Relu)
+    }
+}
+
+impl Fusion {
+    fn read(level: usize, features: usize, weights: &mut dyn Weights) -> Result<Self, NetError> {
+        let name = |part: &str| format!("depth_head.scratch.refinenet{level}.{part}");
+        let mut residual = |unit: usize| -> Result<Residual, NetError> {
+            let mut conv = |i: usize| {
+                let name = name(&format!("resConfUnit{unit}.conv{i}"));
+                weights.convolution(&name, [features, features, 3, 3], 1, Padding::same(1))
+            };
+            Ok(Residual([conv(1)?, conv(2)?]))
+        };
+        Ok(Self {
+            skip: if level == 4 { None } else { Some(residual(1)?) },
+            refine: residual(2)?,
+            output: weights.convolution(
+                &name("out_conv"),
+                [features, features, 1, 1],
+                1,
+                Padding::same(0),
+            )?,
+        })
+    }
+
+    /// `coarser` is the result of the level above, `here` this level's map.
+    fn forward(&self, coarser: Option<Planes>, here: Planes, target: (usize, usize)) -> Planes {
+        let x = match (coarser, &self.skip) {
+            (Some(mut x), Some(skip)) => {
+                x.add(&skip.forward(here));
+                x
+            }
+            _ => here,
+        };
+        let refined = self.refine.forward(x);
+        self.output
+            .forward(&resize(&refined, target.0, target.1, Rule::BilinearCorners), Activation::Identity)
+    }
+}
+
+impl Residual {
+    fn forward(&self, x: Planes) -> Planes {
+        let mut positive = x.clone();
+        lanes::apply(Activation::Relu, &mut positive.data);
+        let inner = self.0[0].forward(&positive, Activation::Relu);
+        drop(positive);
+        let mut x = x;
+        self.0[1].add_to(&inner, &mut x);
+        x
+    }
+}

@@ -1,0 +1,228 @@
+//! Element-wise functions, written once as plain scalar code that the compiler turns into vectors for the processor at
+//! hand: branch-free, fused multiply-adds only where written, so that every instruction set gives the same bits.
+//!
+//! Accuracy against exact arithmetic (tested): `exp` 3e-7 relative; sigmoid, tanh, ELU and GELU 2e-7 absolute per unit.
+
+use fearless_simd::{Level, Simd, dispatch};
+use rayon::prelude::*;
+
+/// Applied to every element of a layer's output.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Activation {
+    /// The value itself.
+    #[default]
+    Identity,
+    /// max(x, 0).
+    Relu,
+    /// x for x > 0, else e^x − 1.
+    Elu,
+    /// x·Φ(x) with the exact normal distribution Φ (the erf form).
+    Gelu,
+    /// tanh.
+    Tanh,
+    /// 1 / (1 + e^−x).
+    Sigmoid,
+}
+
+/// e^x; arguments beyond ±87 are held there, so the result is always a normal number. NaN stays NaN.
+#[inline(always)]
+pub(crate) fn exp(x: f32) -> f32 {
+    // x = n ln 2 + r, |r| ≤ ln 2 / 2. Adding 1.5·2²³ rounds to an integer and leaves it in the low mantissa bits.
+    const ROUNDER: f32 = 12_582_912.0;
+    const LN_2_HIGH: f32 = 0.693_145_75;
+    const LN_2_LOW: f32 = 1.428_606_8e-6;
+    let x = x.clamp(-87.0, 87.0);
+    let shifted = x.mul_add(std::f32::consts::LOG2_E, ROUNDER);
+    let n = shifted - ROUNDER;
+    let r = n.mul_add(-LN_2_LOW, n.mul_add(-LN_2_HIGH, x));
+    // The power series of e^r up to r⁷: the next term is below 6e-9.
+    let mut p = 1.0 / 5040.0;
+    for c in [1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0] {
+        p = r.mul_add(p, c);
+    }
+    p * f32::from_bits(shifted.to_bits().wrapping_add(127) << 23)
+}
+
+/// The upper tail of the normal distribution times two, erfc(z/√2) for z ≥ 0, as e^(−z·h(z)) with a polynomial h fitted
+/// on [0, 8] (Chebyshev nodes); beyond 8 the value at 8, 1e-15, is kept.
+#[inline(always)]
+fn two_sided_tail(z: f32) -> f32 {
+    const H: [f32; 13] = [
+        2.416_738_5,
+        1.808_868_5,
+        9.778_538e-2,
+        -5.016_739_3e-2,
+        2.482_343_5e-2,
+        -1.149_331_2e-2,
+        4.721_187_5e-3,
+        -1.524_292_6e-3,
+        3.288_544_2e-4,
+        4.597_129_7e-5,
+        -3.170_160_6e-4,
+        3.463_472_8e-4,
+        -1.200_263_1e-4,
+    ];
+    let z = z.min(8.0);
+    let u = z.mul_add(0.25, -1.0);
+    let mut h = H[12];
+    for k in (0..12).rev() {
+        h = h.mul_add(u, H[k]);
+    }
+    exp(-z * h)
+}
+
+#[inline(always)]
+fn activate(activation: Activation, x: f32) -> f32 {
+    match activation {
+        Activation::Identity => x,
+        Activation::Relu => x.max(0.0),
+        Activation::Elu => {
+            if x > 0.0 {
+                x
+            } else {
+                exp(x) - 1.0
+            }
+        }
+        Activation::Gelu => (-0.5 * x.abs()).mul_add(two_sided_tail(x.abs()), x.max(0.0)),
+        Activation::Tanh => 1.0 - 2.0 / (exp(2.0 * x) + 1.0),
+        Activation::Sigmoid => 1.0 / (exp(-x) + 1.0),
+    }
+}
+
+/// `x ← activation(x + bias)` over one row.
+pub(crate) fn finish(level: Level, activation: Activation, bias: f32, row: &mut [f32]) {
+    dispatch!(level, simd => finish_row(simd, activation, bias, row));
+}
+
+#[inline(always)]
+fn finish_row<S: Simd>(_: S, activation: Activation, bias: f32, row: &mut [f32]) {
+    // One loop per function, so that the choice is made once and each loop is vectorised.
+    macro_rules! each {
+        ($($name:ident)*) => {
+            match activation {
+                Activation::Identity => row.iter_mut().for_each(|x| *x += bias),
+                $(Activation::$name => row.iter_mut().for_each(|x| *x = activate(Activation::$name, *x + bias)),)*
+            }
+        };
+    }
+    each!(Relu Elu Gelu Tanh Sigmoid);
+}
+
+/// Applies an activation to a whole map, in parallel.
+pub(crate) fn apply(activation: Activation, values: &mut [f32]) {
+    let level = Level::new();
+    values.par_chunks_mut(1 << 14).for_each(|chunk| finish(level, activation, 0.0, chunk));
+}
+
+/// Shifts and scales a row, then activates it: `x ← activation((x − mean) · scale + shift)`.
+pub(crate) fn normalise(
+    level: Level,
+    activation: Activation,
+    mean: f32,
+    scale: f32,
+    shift: f32,
+    row: &mut [f32],
+) {
+    #[inline(always)]
+    fn run<S: Simd>(_: S, mean: f32, scale: f32, shift: f32, row: &mut [f32]) {
+        row.iter_mut().for_each(|x| *x = (*x - mean).mul_add(scale, shift));
+    }
+    dispatch!(level, simd => run(simd, mean, scale, shift, row));
+    if activation != Activation::Identity {
+        finish(level, activation, 0.0, row);
+    }
+}
+
+/// Column-wise softmax of `[rows][N]`, in place: each column becomes e^(x − max) and the reciprocals of the column sums
+/// are returned, to be applied to whatever the columns are multiplied with (fewer divisions, same result to rounding).
+pub(crate) fn softmax_columns<const N: usize>(level: Level, rows: &mut [[f32; N]]) -> [f32; N] {
+    #[inline(always)]
+    fn run<S: Simd, const N: usize>(_: S, rows: &mut [[f32; N]]) -> [f32; N] {
+        let mut largest = [f32::NEG_INFINITY; N];
+        for row in rows.iter() {
+            for i in 0..N {
+                largest[i] = largest[i].max(row[i]);
+            }
+        }
+        let mut sums = [0.0f32; N];
+        // Partial sums of 64 rows keep the rounding error of long columns small.
+        for block in rows.chunks_mut(64) {
+            let mut partial = [0.0f32; N];
+            for row in block {
+                for i in 0..N {
+                    row[i] = exp(row[i] - largest[i]);
+                    partial[i] += row[i];
+                }
+            }
+            for i in 0..N {
+                sums[i] += partial[i];
+            }
+        }
+        sums.map(|s| 1.0 / s)
+    }
+    dispatch!(level, simd => run(simd, rows))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The scalar definition on a fresh set of arguments against f64 mathematics.
+    fn worst(activation: Activation, exact: impl Fn(f64) -> f64) -> f64 {
+        let arguments: Vec<f32> = (-40_000..40_000).map(|i| i as f32 * 3.7e-4).collect();
+        let mut values = arguments.clone();
+        finish(Level::new(), activation, 0.0, &mut values);
+        let mut worst = 0.0f64;
+        for (x, y) in arguments.iter().zip(values) {
+            assert_eq!(y, activate(activation, *x), "vector and scalar differ at {x}");
+            let x = f64::from(*x);
+            worst = worst.max((f64::from(y) - exact(x)).abs() / x.abs().max(1.0));
+        }
+        worst
+    }
+
+    /// Φ by Simpson's rule from 0, independent of the fitted polynomial.
+    fn normal_distribution(x: f64) -> f64 {
+        let n = 400;
+        let h = x / f64::from(n);
+        let density = |t: f64| (-0.5 * t * t).exp() / (2.0 * std::f64::consts::PI).sqrt();
+        let inner: f64 = (1..n).map(|i| density(h * f64::from(i)) * if i % 2 == 1 { 4.0 } else { 2.0 }).sum();
+        0.5 + h / 3.0 * (density(0.0) + inner + density(x))
+    }
+
+    #[test]
+    fn activations_are_accurate_and_vector_equals_scalar() {
+        assert!(worst(Activation::Elu, |x| if x > 0.0 { x } else { x.exp_m1() }) < 2e-7);
+        assert!(worst(Activation::Tanh, f64::tanh) < 2e-7);
+        assert!(worst(Activation::Sigmoid, |x| 1.0 / (1.0 + (-x).exp())) < 2e-7);
+        assert!(worst(Activation::Relu, |x| x.max(0.0)) == 0.0);
+        let gelu = worst(Activation::Gelu, |x| x * normal_distribution(x));
+        assert!(gelu < 2e-7, "{gelu}");
+    }
+
+    #[test]
+    fn the_exponential_is_accurate_over_its_range() {
+        for i in -86_000..86_000 {
+            let x = i as f32 * 1e-3;
+            let exact = f64::from(x).exp();
+            assert!((f64::from(exp(x)) / exact - 1.0).abs() < 3e-7, "at {x}");
+        }
+        assert_eq!(exp(0.0), 1.0);
+        assert!(exp(-1000.0) > 0.0 && exp(1000.0).is_finite());
+    }
+
+    #[test]
+    fn softmax_columns_sum_to_one() {
+        let mut rows: Vec<[f32; 4]> =
+            (0..300).map(|r| std::array::from_fn(|c| ((r * 7 + c * 13) as f32).sin() * 9.0)).collect();
+        let raw = rows.clone();
+        let scale = softmax_columns(Level::new(), &mut rows);
+        for c in 0..4 {
+            let total: f64 = raw.iter().map(|r| f64::from(r[c]).exp()).sum();
+            for (r, raw) in rows.iter().zip(&raw) {
+                let exact = f64::from(raw[c]).exp() / total;
+                assert!((f64::from(r[c] * scale[c]) - exact).abs() < 1e-6 * exact.max(1e-3));
+            }
+        }
+    }
+}

@@ -1,0 +1,163 @@
+//! RAFT's recurrent update and the upsampling of its result.
+//!
+//! Motion: correlation and flow, each through two convolutions, joined and reduced; the flow itself is kept beside them. Two gated units
+//! follow, one along rows (1×5), one along columns (5×1): `z, r = σ(conv[h, x])`, `q = tanh(conv[r·h, x])`, `h ← (1 − z)·h + z·q`.
+//! Two convolutions turn h into a correction of the flow in pixels of the ⅛ grid.
+
+use rayon::prelude::*;
+
+use super::HIDDEN;
+use super::correlation::CHANNELS;
+use crate::engine::convolution::{Convolution, Padding};
+use crate::engine::lanes::{self, Activation};
+use crate::engine::planes::Planes;
+use crate::error::NetError;
+use crate::weights::{Layers, Weights};
+
+/// The update block with its weights.
+#[derive(Clone, Debug)]
+pub(crate) struct Update {
+    correlation: [Convolution; 2],
+    flow: [Convolution; 2],
+    motion: Convolution,
+    units: [Gated; 2],
+    head: [Convolution; 2],
+}
+
+/// One gated recurrent unit.
+#[derive(Clone, Debug)]
+struct Gated {
+    /// z and r in one convolution: they see the same input.
+    gates: Convolution,
+    candidate: Convolution,
+}
+
+impl Update {
+    pub(crate) fn read(weights: &mut dyn Weights) -> Result<Self, NetError> {
+        let mut conv = |name: &str, outputs, inputs, kernel: usize| {
+            let name = format!("update_block.{name}");
+            weights.convolution(&name, [outputs, inputs, kernel, kernel], 1, Padding::same(kernel / 2))
+        };
+        let correlation = [
+            conv("motion_encoder.convcorr1.0", 256, CHANNELS, 1)?,
+            conv("motion_encoder.convcorr2.0", 192, 256, 3)?,
+        ];
+        let flow =
+            [conv("motion_encoder.convflow1.0", 128, 2, 7)?, conv("motion_encoder.convflow2.0", 64, 128, 3)?];
+        let motion = conv("motion_encoder.conv.0", 126, 256, 3)?;
+        let head = [conv("flow_head.conv1", 256, 128, 3)?, conv("flow_head.conv2", 2, 256, 3)?];
+        let units = [Gated::read("convgru1", (1, 5), weights)?, Gated::read("convgru2", (5, 1), weights)?];
+        Ok(Self { correlation, flow, motion, units, head })
+    }
+
+    /// The motion features, 126 channels and the flow.
+    pub(crate) fn motion(&self, found: &Planes, flow: &Planes) -> Planes {
+        let relu = Activation::Relu;
+        let correlation = self.correlation[1].forward(&self.correlation[0].forward(found, relu), relu);
+        let encoded = self.flow[1].forward(&self.flow[0].forward(flow, relu), relu);
+        let mut motion = self.motion.forward_joined(&[&correlation, &encoded], relu);
+        motion.data.extend_from_slice(&flow.data);
+        motion.channels += 2;
+        motion
+    }
+
+    /// Updates the hidden state.
+    pub(crate) fn refine(&self, hidden: &mut Planes, context: &Planes, motion: &Planes) {
+        for unit in &self.units {
+            let gates = unit.gates.forward_joined(&[hidden, context, motion], Activation::Sigmoid);
+            let (z, r) = gates.data.split_at(hidden.data.len());
+            let mut reset = hidden.clone();
+            reset.data.iter_mut().zip(r).for_each(|(h, r)| *h *= r);
+            let q = unit.candidate.forward_joined(&[&reset, context, motion], Activation::Tanh);
+            for ((h, z), q) in hidden.data.iter_mut().zip(z).zip(&q.data) {
+                *h = (1.0 - z) * *h + z * q;
+            }
+        }
+    }
+
+    /// The correction of the flow.
+    pub(crate) fn step(&self, hidden: &Planes) -> Planes {
+        self.head[1].forward(&self.head[0].forward(hidden, Activation::Relu), Activation::Identity)
+    }
+}
+
+impl Gated {
+    fn read(name: &str, kernel: (usize, usize), weights: &mut dyn Weights) -> Result<Self, NetError> {
+        let shape = [HIDDEN, 3 * HIDDEN, kernel.0, kernel.1];
+        let padding = Padding::of(kernel.0 / 2, kernel.1 / 2);
+        let part = |gate: &str| format!("update_block.recurrent_block.{name}.{gate}");
+        let mut both = Vec::new();
+        let mut bias = Vec::new();
+        for gate in ["convz", "convr"] {
+            both.extend(weights.tensor(&format!("{}.weight", part(gate)), &shape)?);
+            bias.extend(weights.tensor(&format!("{}.bias", part(gate)), &shape[..1])?);
+        }
+        let gates = [2 * HIDDEN, 3 * HIDDEN, kernel.0, kernel.1];
+        Ok(Self {
+            gates: Convolution::new(gates, &both, Some(bias), 1, padding),
+            candidate: weights.convolution(&part("convq"), shape, 1, padding)?,
+        })
+    }
+}
+
+/// The weights of the convex combinations.
+#[derive(Clone, Debug)]
+pub(crate) struct Upsampler {
+    hidden: Convolution,
+    output: Convolution,
+}
+
+impl Upsampler {
+    pub(crate) fn read(weights: &mut dyn Weights) -> Result<Self, NetError> {
+        Ok(Self {
+            hidden: weights.convolution(
+                "mask_predictor.convrelu.0",
+                [256, HIDDEN, 3, 3],
+                1,
+                Padding::same(1),
+            )?,
+            output: weights.convolution("mask_predictor.conv", [576, 256, 1, 1], 1, Padding::same(0))?,
+        })
+    }
+
+    /// `[9 · 64, height, width]`: for each of 9 neighbours, the scores for the 8 × 8 fine pixels.
+    pub(crate) fn mask(&self, hidden: &Planes) -> Planes {
+        let mut mask =
+            self.output.forward(&self.hidden.forward(hidden, Activation::Relu), Activation::Identity);
+        mask.data.iter_mut().for_each(|m| *m *= 0.25);
+        mask
+    }
+}
+
+/// Every fine pixel is the softmax-weighted sum of 8·flow over the 3 × 3 coarse neighbourhood, zeros outside.
+pub(crate) fn upsample(flow: &Planes, mask: &Planes) -> Planes {
+    let (height, width) = (flow.height, flow.width);
+    let area = flow.area();
+    let mut out = Planes::new(2, 8 * height, 8 * width);
+    let out_area = out.area();
+    let (plane_x, plane_y) = out.data.split_at_mut(out_area);
+    plane_x.par_chunks_mut(8 * width).zip(plane_y.par_chunks_mut(8 * width)).enumerate().for_each(
+        |(fine_y, (row_x, row_y))| {
+            let y = fine_y / 8;
+            for fine_x in 0..8 * width {
+                let x = fine_x / 8;
+                let score =
+                    |k: usize| mask.data[((k * 8 + fine_y % 8) * 8 + fine_x % 8) * area + y * width + x];
+                let largest = (0..9).map(score).fold(f32::NEG_INFINITY, f32::max);
+                let (mut total, mut sum) = (0.0f32, [0.0f32; 2]);
+                for k in 0..9 {
+                    let weight = lanes::exp(score(k) - largest);
+                    total += weight;
+                    let (ny, nx) = ((y + k / 3).wrapping_sub(1), (x + k % 3).wrapping_sub(1));
+                    if ny < height && nx < width {
+                        sum[0] += weight * 8.0 * flow.data[ny * width + nx];
+                        sum[1] += weight * 8.0 * flow.data[area + ny * width + nx];
+                    }
+                }
+                row_x[fine_x] = sum[0] / total;
+                row_y[fine_x] = sum[1] / total;
+            }
+        },
+    );
+    out
+}

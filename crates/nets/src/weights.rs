@@ -1,0 +1,152 @@
+//! Where a network gets its tensors from: a checkpoint file, or the reproducible stand-in rule that tests and timings use.
+//!
+//! A network asks for every tensor by the name it has in the official checkpoint, with the exact shape.
+
+use crate::engine::convolution::{Convolution, Padding};
+use crate::engine::normalise::Affine;
+use crate::error::NetError;
+
+/// A source of named tensors.
+pub trait Weights {
+    /// The values of `name`, row-major, which must have exactly this shape.
+    fn tensor(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>, NetError>;
+}
+
+/// Layers by their name in the checkpoint: `<name>.weight` and `<name>.bias`.
+pub(crate) trait Layers: Weights {
+    fn convolution(
+        &mut self,
+        name: &str,
+        shape: [usize; 4],
+        stride: usize,
+        padding: Padding,
+    ) -> Result<Convolution, NetError> {
+        let weights = self.tensor(&format!("{name}.weight"), &shape)?;
+        let bias = self.tensor(&format!("{name}.bias"), &shape[..1])?;
+        Ok(Convolution::new(shape, &weights, Some(bias), stride, padding))
+    }
+
+    fn convolution_without_bias(
+        &mut self,
+        name: &str,
+        shape: [usize; 4],
+        stride: usize,
+        padding: Padding,
+    ) -> Result<Convolution, NetError> {
+        let weights = self.tensor(&format!("{name}.weight"), &shape)?;
+        Ok(Convolution::new(shape, &weights, None, stride, padding))
+    }
+
+    fn linear(&mut self, name: &str, outputs: usize, inputs: usize) -> Result<Convolution, NetError> {
+        let weights = self.tensor(&format!("{name}.weight"), &[outputs, inputs])?;
+        let bias = self.tensor(&format!("{name}.bias"), &[outputs])?;
+        Ok(Convolution::linear(outputs, inputs, &weights, Some(bias)))
+    }
+
+    /// A linear layer whose outputs are scaled by `scale` (a layer scale, folded into the weights).
+    fn scaled_linear(
+        &mut self,
+        name: &str,
+        outputs: usize,
+        inputs: usize,
+        scale: &[f32],
+    ) -> Result<Convolution, NetError> {
+        let mut weights = self.tensor(&format!("{name}.weight"), &[outputs, inputs])?;
+        let mut bias = self.tensor(&format!("{name}.bias"), &[outputs])?;
+        for (o, row) in weights.chunks_exact_mut(inputs).enumerate() {
+            row.iter_mut().for_each(|w| *w *= scale[o]);
+            bias[o] *= scale[o];
+        }
+        Ok(Convolution::linear(outputs, inputs, &weights, Some(bias)))
+    }
+
+    fn affine(&mut self, name: &str, channels: usize) -> Result<Affine, NetError> {
+        Ok(Affine {
+            scale: self.tensor(&format!("{name}.weight"), &[channels])?,
+            shift: self.tensor(&format!("{name}.bias"), &[channels])?,
+        })
+    }
+}
+
+impl<W: Weights + ?Sized> Layers for W {}
+
+/// Reproducible stand-in weights: a function of the tensor's name and shape only.
+///
+/// Uniform numbers in `[−1, 1)` from FNV-1a of the name and SplitMix64's finaliser, scaled so that activations stay of
+/// order one. The golden cases of the networks are made with the same rule. The results mean nothing; time and memory are those of
+/// the real weights.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct StandIn;
+
+impl StandIn {
+    /// The FNV-1a hash of a name.
+    fn hash(name: &str) -> u64 {
+        name.bytes()
+            .fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0000_0100_0000_01b3))
+    }
+
+    /// The number `i` of a name's sequence, in `[−1, 1)`, exact in f32.
+    fn unit(hash: u64, i: u64) -> f32 {
+        let mut z = hash.wrapping_add(i).wrapping_add(0x9e37_79b9_7f4a_7c15);
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^= z >> 31;
+        (z >> 40) as f32 * (1.0 / 8_388_608.0) - 1.0
+    }
+}
+
+impl Weights for StandIn {
+    fn tensor(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>, NetError> {
+        let hash = Self::hash(name);
+        let last = name.rsplit('.').next().unwrap_or(name);
+        let fan_in: usize = shape.iter().skip(1).product();
+        let spread = (3.0 / fan_in as f64).sqrt() as f32;
+        let embedding = ["pos_embed", "mask_token", "position_emb", "scale_emb", "cls"].contains(&last)
+            || last.starts_with("cls_token");
+        let value: Box<dyn Fn(f32) -> f32> = if embedding {
+            Box::new(|u| 0.05 * u)
+        } else if last == "running_var" {
+            Box::new(|u| 1.0 + 0.1 * u.abs())
+        } else if last == "running_mean" {
+            Box::new(|u| 0.1 * u)
+        } else if name == "depth_head.scratch.output_conv2.2.bias" {
+            Box::new(|u| 1.0 + 0.1 * u)
+        } else if shape.len() > 1 {
+            // The LPIPS heads are non-negative.
+            let head = name.starts_with("lin") && name.ends_with(".model.1.weight");
+            Box::new(move |u| spread * if head { u.abs() } else { u })
+        } else if last == "weight" || last == "gamma" {
+            Box::new(|u| 1.0 + 0.1 * u)
+        } else {
+            Box::new(|u| 0.1 * u)
+        };
+        let n: usize = shape.iter().product();
+        Ok((0..n as u64).map(|i| value(Self::unit(hash, i))).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stand_in_weights_have_the_published_bits() {
+        let rows: [(&str, &[usize], &[u32]); 10] = [
+            ("encoder.e_stage1.0.weight", &[64, 3, 3, 3], &[0xbe1c6986, 0x3c96c4c0, 0xbe017e88]),
+            ("features.0.bias", &[64], &[0xbd151b00, 0x3c9edfba, 0xbd992760]),
+            ("pretrained.blocks.0.norm1.weight", &[384], &[0x3f68e200, 0x3f8423ec, 0x3f6b0971]),
+            ("pretrained.pos_embed", &[1, 1370, 384], &[0x3cefc4e7, 0x3ba6f840, 0xbc87788a]),
+            ("context_encoder.convnormrelu.1.running_var", &[64], &[0x3f818e2a, 0x3f81d68b, 0x3f85e8b7]),
+            ("context_encoder.convnormrelu.1.running_mean", &[64], &[0x3daf282a, 0xbd86ff87, 0xbdb490aa]),
+            ("lin0.model.1.weight", &[1, 64, 1, 1], &[0x3e5809d8, 0x3dcc9d77, 0x3d826f3f]),
+            ("pretrained.blocks.3.ls1.gamma", &[384], &[0x3f7d90af, 0x3f7e3ae7, 0x3f72b9ce]),
+            ("parallel_blocks.0.alpha1", &[1], &[0x3cced067]),
+            ("depth_head.scratch.output_conv2.2.bias", &[1], &[0x3f8980e0]),
+        ];
+        for (name, shape, bits) in rows {
+            let values = StandIn.tensor(name, shape).unwrap();
+            let found: Vec<u32> = values.iter().take(3).map(|v| v.to_bits()).collect();
+            assert_eq!(found, bits, "{name}");
+        }
+    }
+}
