@@ -1,0 +1,166 @@
+//! Cameras to render from: a COLMAP model, a capture, or a JSON list. Always in COLMAP's frame, sorted by name (a list keeps its order).
+//!
+//! The JSON is a list, or an object with a list under `cameras`. Each camera has `width`, `height` (or the object has them for
+//! all), a lens, and a world-to-camera pose, in either of two spellings:
+//!
+//! ```json
+//! [{"name": "a", "width": 640, "height": 360, "fx": 500, "fy": 500, "cx": 320, "cy": 180,
+//!   "rotation": [1,0,0, 0,1,0, 0,0,1], "translation": [0,0,4]},
+//!  {"name": "b", "width": 640, "height": 360, "K": [[500,0,320],[0,500,180],[0,0,1]],
+//!   "world_to_camera": [[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]}]
+//! ```
+//!
+//! `rotation` is row-major; `name` may be left out (the index, four digits). Distorting lenses of a model become their pinholes.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use glam::{DMat3, DVec3};
+use serde::Deserialize;
+use use3d_capture::{Camera, Intrinsics, Pose};
+
+use crate::error::ImportError;
+use crate::layout::find_models;
+use crate::model::{Model, ModelForm, read_model, read_model_as};
+use crate::params::ImportParams;
+use crate::prepared::{MODEL, from_row_major, is_prepared};
+use crate::undistort::{choose_pinhole, is_pinhole};
+
+/// Reads cameras with their names, in COLMAP's frame.
+pub fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>, ImportError> {
+    if path.is_file() {
+        return read_list(path);
+    }
+    if !path.is_dir() {
+        let reason =
+            "there is no such file or folder; expected a COLMAP model folder, a capture, or a JSON list"
+                .into();
+        return Err(ImportError::CameraList { path: path.to_path_buf(), reason });
+    }
+    let model = if is_prepared(path) {
+        read_model(&path.join(MODEL))?
+    } else if let Some(form) = ModelForm::of(path) {
+        read_model_as(path, form)?
+    } else {
+        let found = find_models(path, &ImportParams::default())?;
+        read_model_as(&found[0].dir, found[0].form)?
+    };
+    from_model(&model)
+}
+
+/// The pinhole cameras of a model's images, sorted by name.
+pub(crate) fn from_model(model: &Model) -> Result<Vec<(String, Camera)>, ImportError> {
+    let mut lenses: BTreeMap<u32, Intrinsics> = BTreeMap::new();
+    let mut out = Vec::with_capacity(model.images.len());
+    for image in &model.images {
+        let bad = |reason: String| ImportError::Lens { camera: image.camera, reason };
+        let intrinsics = match lenses.get(&image.camera) {
+            Some(known) => *known,
+            None => {
+                let camera = model.camera(image.camera).ok_or_else(|| bad("it is not there".into()))?;
+                let (w, h) = (camera.width, camera.height);
+                let lens =
+                    camera.lens().ok_or_else(|| bad("it has the wrong number of parameters".into()))?;
+                let pinhole = if is_pinhole(&lens, w, h) {
+                    lens.intrinsics(w, h)
+                } else {
+                    choose_pinhole(&lens, w, h).map_err(bad)?
+                };
+                lenses.insert(image.camera, pinhole);
+                pinhole
+            }
+        };
+        out.push((image.name.clone(), Camera { intrinsics, pose: image.pose() }));
+    }
+    out.sort_by(|a, b| a.0.cmp(&b.0));
+    Ok(out)
+}
+
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum File {
+    Bare(Vec<Entry>),
+    Wrapped { cameras: Vec<Entry>, width: Option<usize>, height: Option<usize> },
+}
+
+#[derive(Deserialize)]
+struct Entry {
+    name: Option<String>,
+    width: Option<usize>,
+    height: Option<usize>,
+    fx: Option<f64>,
+    fy: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    rotation: Option<[f64; 9]>,
+    translation: Option<[f64; 3]>,
+    #[serde(rename = "K")]
+    matrix: Option<[[f64; 3]; 3]>,
+    world_to_camera: Option<[[f64; 4]; 4]>,
+}
+
+fn read_list(path: &Path) -> Result<Vec<(String, Camera)>, ImportError> {
+    let bytes = std::fs::read(path).map_err(ImportError::file(path))?;
+    let bad = |reason: String| ImportError::CameraList { path: path.to_path_buf(), reason };
+    let file: File = serde_json::from_slice(&bytes).map_err(|e| {
+        bad(format!(
+            "{e}; expected a JSON list of cameras with width, height, fx, fy, cx, cy, rotation, translation"
+        ))
+    })?;
+    let (entries, width, height) = match file {
+        File::Bare(entries) => (entries, None, None),
+        File::Wrapped { cameras, width, height } => (cameras, width, height),
+    };
+    if entries.is_empty() {
+        return Err(bad("the list has no cameras".into()));
+    }
+    entries
+        .into_iter()
+        .enumerate()
+        .map(|(i, entry)| {
+            let name = entry.name.clone().unwrap_or_else(|| format!("{i:04}"));
+            let camera = entry.camera(width, height).map_err(|e| bad(format!("camera {i} ({name}): {e}")))?;
+            Ok((name, camera))
+        })
+        .collect()
+}
+
+impl Entry {
+    fn camera(&self, width: Option<usize>, height: Option<usize>) -> Result<Camera, String> {
+        let need = |v: Option<f64>, field: &str| v.ok_or_else(|| format!("`{field}` is missing"));
+        let side = |v: Option<usize>, all: Option<usize>, f: &str| {
+            v.or(all).ok_or_else(|| format!("`{f}` is missing"))
+        };
+        let (width, height) = (side(self.width, width, "width")?, side(self.height, height, "height")?);
+        if (width as u64).saturating_mul(height as u64) > use3d_io_image::MAX_PIXELS {
+            return Err(format!("its size {width}x{height} is beyond {} pixels", use3d_io_image::MAX_PIXELS));
+        }
+        let (fx, fy, cx, cy) = match &self.matrix {
+            Some(k) if k[0][1] != 0.0 || k[1][0] != 0.0 => {
+                return Err("`K` has skew; expected a plain pinhole".into());
+            }
+            Some(k) => (k[0][0], k[1][1], k[0][2], k[1][2]),
+            None => (need(self.fx, "fx")?, need(self.fy, "fy")?, need(self.cx, "cx")?, need(self.cy, "cy")?),
+        };
+        let pose = match (&self.world_to_camera, &self.rotation, &self.translation) {
+            (Some(m), _, _) => {
+                let row = |i: usize| DVec3::new(m[i][0], m[i][1], m[i][2]);
+                Pose {
+                    rotation: DMat3::from_cols(row(0), row(1), row(2)).transpose(),
+                    translation: DVec3::new(m[0][3], m[1][3], m[2][3]),
+                }
+            }
+            (None, Some(r), Some(t)) => {
+                Pose { rotation: from_row_major(r), translation: DVec3::from_array(*t) }
+            }
+            _ => {
+                return Err(
+                    "it has no pose; expected `rotation` and `translation`, or `world_to_camera`".into()
+                );
+            }
+        };
+        let camera = Camera { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, pose };
+        camera.validate().map_err(|e| e.to_string())?;
+        Ok(camera)
+    }
+}

@@ -1,0 +1,195 @@
+//! What can go wrong with a model or a capture: the file, the place in it, what was expected, what to do next.
+
+use std::path::{Path, PathBuf};
+
+use use3d_capture::{CameraError, CaptureError};
+use use3d_io_image::ImageError;
+
+use crate::lens::LensModel;
+
+/// A COLMAP model that cannot be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum ModelError {
+    /// The folder holds no model.
+    #[error(
+        "{}: no COLMAP model here; expected cameras, images and points3D, all as .bin or all as .txt",
+        path.display()
+    )]
+    NotFound {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A file cannot be opened or read.
+    #[error("{}: cannot be read ({source}); check that the file is there and may be read", path.display())]
+    Open {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// A file that does not hold what it should.
+    #[error("{}: {place}: {reason}; export the model again with COLMAP", path.display())]
+    Broken {
+        /// The file, or the model's folder for what concerns several files.
+        path: PathBuf,
+        /// The record, line or byte.
+        place: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A file cannot be written; what was there before is untouched.
+    #[error("{}: cannot be written ({source}); check that the folder is writable and has space", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+}
+
+impl ModelError {
+    pub(crate) fn broken(path: &Path, place: String, reason: String) -> Self {
+        Self::Broken { path: path.to_path_buf(), place, reason }
+    }
+
+    /// The reason text for a camera model that is not one of the eleven.
+    pub(crate) fn unknown_model(shown: &str, id: i32) -> String {
+        let newer = &LensModel::NEWER;
+        let by_id = usize::try_from(id - LensModel::ALL.len() as i32).ok().and_then(|i| newer.get(i));
+        let named = by_id.map_or_else(|| shown.to_string(), |name| format!("{name} ({shown})"));
+        let known: Vec<&str> = LensModel::ALL.iter().map(|m| m.name()).collect();
+        let hint = if by_id.is_some() || newer.contains(&shown) {
+            "it is one of newer COLMAP versions; run `colmap image_undistorter` and import its result"
+        } else {
+            "the file may be damaged"
+        };
+        format!("the camera model {named} is not supported ({hint}); supported are {}", known.join(", "))
+    }
+}
+
+/// A capture that cannot be imported, prepared or loaded.
+#[derive(Debug, thiserror::Error)]
+pub enum ImportError {
+    /// The model.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// An image, a mask or a depth prior.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// The capture as a whole.
+    #[error("{}: {source}", path.display())]
+    Capture {
+        /// The capture's folder.
+        path: PathBuf,
+        /// What is wrong.
+        source: CaptureError,
+    },
+    /// No model in any of the places where one may be.
+    #[error(
+        "{}: no COLMAP model found (looked in {looked}); give its folder as `model_dir`, or run COLMAP first",
+        path.display()
+    )]
+    NoModel {
+        /// The capture's folder.
+        path: PathBuf,
+        /// Where we looked.
+        looked: String,
+    },
+    /// No image folder, or none that holds any of the model's images.
+    #[error("{}: {reason} (looked in {looked}); give the image folder as `image_dir`", path.display())]
+    NoImages {
+        /// The capture's folder.
+        path: PathBuf,
+        /// What exactly is missing.
+        reason: String,
+        /// Where we looked.
+        looked: String,
+    },
+    /// A name in the model that leads out of the image folder.
+    #[error("the model names an image {name:?}, which {reason}; images must lie inside {}", folder.display())]
+    Name {
+        /// The name as the model has it.
+        name: String,
+        /// Why it is refused.
+        reason: String,
+        /// The folder.
+        folder: PathBuf,
+    },
+    /// A file whose size does not go with its camera.
+    #[error("{}: the file is {} x {} pixels, {expected}", path.display(), found.0, found.1)]
+    Size {
+        /// The file.
+        path: PathBuf,
+        /// Its size.
+        found: (usize, usize),
+        /// What was expected, and what to do.
+        expected: String,
+    },
+    /// A lens whose images cannot be undistorted.
+    #[error(
+        "camera {camera} of the model: {reason}; calibrate it again, or undistort the images with COLMAP"
+    )]
+    Lens {
+        /// COLMAP's camera id.
+        camera: u32,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A view whose camera is not usable.
+    #[error("image {name}: {source}")]
+    Camera {
+        /// The image.
+        name: String,
+        /// What is wrong.
+        source: CameraError,
+    },
+    /// A parameter with an impossible value.
+    #[error("parameter `{field}`: {reason}")]
+    Parameter {
+        /// Its name.
+        field: &'static str,
+        /// What is wrong, and what is expected.
+        reason: String,
+    },
+    /// A split list that does not go with the capture.
+    #[error("{}: {reason}", path.display())]
+    SplitList {
+        /// The list.
+        path: PathBuf,
+        /// What is wrong, and what to do.
+        reason: String,
+    },
+    /// A prepared capture that cannot be read back.
+    #[error("{}: {reason}; import the capture again", path.display())]
+    Prepared {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A list of cameras that cannot be read.
+    #[error("{}: {reason}", path.display())]
+    CameraList {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, and what is expected.
+        reason: String,
+    },
+    /// A file that cannot be read or written.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The caller asked to stop.
+    #[error("the import was interrupted")]
+    Interrupted,
+}
+
+impl ImportError {
+    pub(crate) fn file(path: &Path) -> impl Fn(std::io::Error) -> Self + '_ {
+        |source| Self::File { path: path.to_path_buf(), source }
+    }
+}

@@ -1,0 +1,149 @@
+//! What happens to the pixels of one camera's files: undistortion, then scale and crop; and the lens behind the result.
+
+use use3d_capture::{Intrinsics, Map, Pixels};
+
+use crate::error::ImportError;
+use crate::model::ModelCamera;
+use crate::params::ImportParams;
+use crate::resample::{Resize, with_pixels};
+use crate::undistort::{Undistortion, is_pinhole};
+
+/// Image folders may be smaller (or larger) than the model by a whole factor of at most this.
+const MAX_FACTOR: usize = 32;
+
+/// The chain from a file's pixels to a view's.
+#[derive(Debug)]
+pub(crate) struct Geometry {
+    /// The file's size over the model's.
+    pub(crate) scale: (f64, f64),
+    pub(crate) file: (usize, usize),
+    pub(crate) undistortion: Option<Undistortion>,
+    pub(crate) resize: Option<Resize>,
+    pub(crate) intrinsics: Intrinsics,
+}
+
+/// File size over model size, if one is a whole fraction of the other (rounded to whole pixels either way).
+fn size_ratio(model: (usize, usize), file: (usize, usize)) -> Option<(f64, f64)> {
+    let close = |a: usize, factor: usize, b: usize| (a as f64 / factor as f64 - b as f64).abs() < 1.0;
+    let fits = model == file
+        || (2..=MAX_FACTOR).any(|k| {
+            (close(model.0, k, file.0) && close(model.1, k, file.1))
+                || (model.0 * k == file.0 && model.1 * k == file.1)
+        });
+    fits.then(|| (file.0 as f64 / model.0 as f64, file.1 as f64 / model.1 as f64))
+}
+
+impl Geometry {
+    /// For files of one size taken by a camera; `path` is one of them, for messages.
+    pub(crate) fn new(
+        camera: &ModelCamera,
+        file: (usize, usize),
+        path: &std::path::Path,
+        params: &ImportParams,
+    ) -> Result<Self, ImportError> {
+        let model = (camera.width, camera.height);
+        let scale = size_ratio(model, file).ok_or_else(|| ImportError::Size {
+            path: path.to_path_buf(),
+            found: file,
+            expected: format!(
+                "but camera {} of the model is {} x {}, of which that is no whole fraction; give the folder with the images that COLMAP was run on as `image_dir`, or resize these",
+                camera.id, model.0, model.1
+            ),
+        })?;
+        let bad = |reason: String| ImportError::Lens { camera: camera.id, reason };
+        let lens = camera
+            .lens()
+            .ok_or_else(|| bad("it has the wrong number of parameters".into()))?
+            .scaled(scale.0, scale.1);
+        let (undistortion, pinhole) = if is_pinhole(&lens, file.0, file.1) {
+            (None, lens.intrinsics(file.0, file.1))
+        } else {
+            let undistortion = Undistortion::new(lens, file.0, file.1).map_err(bad)?;
+            let pinhole = undistortion.pinhole;
+            (Some(undistortion), pinhole)
+        };
+        let from = (pinhole.width, pinhole.height);
+        let resize = if let Some(size) = params.size {
+            Some(Resize::cover(from, size.width, size.height))
+        } else if params.downscale > 1 {
+            Some(Resize::fraction(from, params.downscale))
+        } else if params.max_side > 0 && from.0.max(from.1) > params.max_side {
+            let s = params.max_side as f64 / from.0.max(from.1) as f64;
+            let side = |n: usize| ((n as f64 * s).round() as usize).max(1);
+            Some(Resize::whole(from, side(from.0), side(from.1)))
+        } else {
+            None
+        };
+        let resize = resize.filter(|r| !r.is_identity(from));
+        let intrinsics = resize.map_or(pinhole, |r| r.intrinsics(&pinhole));
+        Ok(Self { scale, file, undistortion, resize, intrinsics })
+    }
+
+    /// Files that are used as they are.
+    pub(crate) fn identity(intrinsics: Intrinsics) -> Self {
+        let file = (intrinsics.width, intrinsics.height);
+        Self { scale: (1.0, 1.0), file, undistortion: None, resize: None, intrinsics }
+    }
+
+    /// Whether pixels change at all.
+    pub(crate) fn resamples(&self) -> bool {
+        self.undistortion.is_some() || self.resize.is_some()
+    }
+
+    /// The view's pixels from the file's, multiplied by `gains`, in the file's precision.
+    pub(crate) fn pixels(&self, pixels: &Pixels, gains: [f32; 3]) -> Pixels {
+        macro_rules! chain {
+            () => {
+                |p| match (&self.undistortion, &self.resize) {
+                    (Some(u), Some(r)) => r.apply(&u.apply(p)),
+                    (Some(u), None) => u.apply(p),
+                    (None, Some(r)) => r.apply(p),
+                    (None, None) => p.map(crate::resample::Sample::to_f32),
+                }
+            };
+        }
+        with_pixels(pixels, gains, chain!(), chain!())
+    }
+
+    /// The view's mask from one of the file's size.
+    pub(crate) fn mask(&self, mask: &Map) -> Map {
+        let flat = self.undistortion.as_ref().map(|u| u.apply(mask));
+        let mask = flat.as_ref().unwrap_or(mask);
+        self.resize.map_or_else(|| mask.clone(), |r| r.apply(mask))
+    }
+
+    /// The view's depth prior from one of the file's size.
+    pub(crate) fn depth(&self, depth: &Map) -> Map {
+        let flat = self.undistortion.as_ref().map(|u| u.apply_nearest(depth));
+        let depth = flat.as_ref().unwrap_or(depth);
+        self.resize.map_or_else(|| depth.clone(), |r| r.apply_to_depth(depth))
+    }
+
+    /// Where a keypoint of the model's image is in the view; `None` where the lens has no ray for it.
+    pub(crate) fn point(&self, x: f64, y: f64) -> Option<(f64, f64)> {
+        let (mut x, mut y) = (x * self.scale.0, y * self.scale.1);
+        if let Some(u) = &self.undistortion {
+            (x, y) = u.undistort_point(x, y)?;
+        }
+        if let Some(r) = &self.resize {
+            (x, y) = (x * r.sx - r.left, y * r.sy - r.top);
+        }
+        Some((x, y))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn whole_fractions_are_recognised() {
+        assert_eq!(size_ratio((1280, 720), (1280, 720)), Some((1.0, 1.0)));
+        assert_eq!(size_ratio((1280, 720), (640, 360)), Some((0.5, 0.5)));
+        assert!(size_ratio((995, 746), (497, 373)).is_some(), "rounded down");
+        assert!(size_ratio((995, 746), (249, 187)).is_some(), "rounded up");
+        assert_eq!(size_ratio((500, 300), (1000, 600)), Some((2.0, 2.0)));
+        assert_eq!(size_ratio((1280, 720), (1000, 563)), None);
+        assert_eq!(size_ratio((1280, 720), (640, 480)), None);
+    }
+}

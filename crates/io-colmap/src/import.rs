@@ -1,0 +1,232 @@
+//! From a capture folder to a [`Capture`]: model and images found, names resolved, lenses made pinholes, frame and split chosen.
+//!
+//! Headers of the images are read, pixels are not: that is [`crate::prepare`]'s work, and only where they change.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+use glam::DVec3;
+use rayon::prelude::*;
+use use3d_capture::{Camera, Capture, CaptureError, Frame, Intrinsics, SparsePoint, View};
+use use3d_io_image::{ImageInfo, image_info};
+
+use crate::error::ImportError;
+use crate::geometry::Geometry;
+use crate::layout::{DEPTH_DIRS, MASK_DIRS, find_extra, find_images, find_models};
+use crate::model::{Model, ModelImage, read_model_as};
+use crate::normalise;
+use crate::params::{ImportParams, WhiteBalance};
+use crate::prepared;
+use crate::report::{CameraReport, ImportReport};
+use crate::split;
+
+/// An imported capture, with what is still to be done to its pixels.
+#[derive(Debug)]
+pub struct Imported {
+    /// The capture. Its cameras are those of the pixels after preparation.
+    pub capture: Capture,
+    /// What was chosen.
+    pub report: ImportReport,
+    /// What happens to each view's file.
+    pub(crate) plans: Vec<Plan>,
+    /// The model without the images that are missing, in COLMAP's frame.
+    pub(crate) model: Model,
+    pub(crate) white_balance: WhiteBalance,
+}
+
+/// What happens to one view's file.
+#[derive(Clone, Debug)]
+pub(crate) struct Plan {
+    pub(crate) geometry: Arc<Geometry>,
+    /// Whether the file has an alpha channel.
+    pub(crate) alpha: bool,
+    /// COLMAP's camera id.
+    pub(crate) camera: u32,
+}
+
+impl Imported {
+    /// Whether pixels must be resampled or balanced before the views can be loaded; [`crate::prepare`] does it.
+    pub fn needs_preparation(&self) -> bool {
+        self.white_balance != WhiteBalance::None || self.plans.iter().any(|p| p.geometry.resamples())
+    }
+
+    /// The model that the capture came from, in COLMAP's frame, without the images that are missing.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+}
+
+/// Imports a capture folder: a COLMAP model and its images, or a folder that [`crate::prepare`] wrote.
+///
+/// # Errors
+/// Anything that keeps the capture from being used as asked; missing images are not errors, they are skipped and reported.
+pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError> {
+    params.validate()?;
+    if !dir.is_dir() {
+        let source = std::io::Error::new(std::io::ErrorKind::NotFound, "there is no such folder");
+        return Err(ImportError::File { path: dir.to_path_buf(), source });
+    }
+    if prepared::is_prepared(dir) {
+        let mut imported = prepared::load_prepared(dir)?;
+        if *params != ImportParams::default() {
+            let note = "this capture was imported before; the parameters of that import hold, not the ones given now";
+            imported.report.notes.push(note.into());
+        }
+        return Ok(imported);
+    }
+
+    let found = find_models(dir, params)?;
+    let (chosen, others) = (&found[0], &found[1..]);
+    let mut model = read_model_as(&chosen.dir, chosen.form)?;
+    let bad_capture = |source| ImportError::Capture { path: dir.to_path_buf(), source };
+    if model.images.is_empty() {
+        return Err(bad_capture(CaptureError::NoViews));
+    }
+    let mut report = ImportReport {
+        name: capture_name(dir),
+        model: chosen.relative.clone(),
+        model_form: chosen.form.to_string(),
+        other_models: others.iter().map(|m| format!("{} ({} images)", m.relative, m.images)).collect(),
+        registered: model.images.len(),
+        normalised: params.normalise,
+        ..ImportReport::default()
+    };
+    let frame = if params.normalise {
+        // All registered images, also those that are missing on this disk: the frame is the model's.
+        normalise::frame(&model.images.iter().map(ModelImage::pose).collect::<Vec<_>>())
+    } else {
+        Frame::IDENTITY
+    };
+    report.scale = frame.scale;
+
+    let (folder, other_folders) = find_images(dir, params, &model)?;
+    report.image_folder = folder.relative.clone();
+    report.other_image_folders = other_folders;
+    let masks = find_extra(dir, params.mask_dir.as_deref(), "mask_dir", &MASK_DIRS)?;
+    let depths = find_extra(dir, params.depth_dir.as_deref(), "depth_dir", &DEPTH_DIRS)?;
+    report.depth_folder = depths.as_ref().map(|d| d.relative.clone());
+
+    // Names to files; views in the order of their names.
+    let mut views = Vec::new();
+    for image in &model.images {
+        let name = folder.check_name(&image.name)?;
+        let Some(path) = folder.image(&name)? else {
+            report.missing.push(name);
+            continue;
+        };
+        let view = View {
+            id: image.id,
+            image: path,
+            mask: masks.as_ref().map(|m| m.mask(&name)).transpose()?.flatten(),
+            depth_prior: depths.as_ref().map(|d| d.depth(&name)).transpose()?.flatten(),
+            name,
+            camera: Camera { intrinsics: PENDING, pose: frame.apply_pose(&image.pose()) },
+        };
+        views.push((view, image.camera));
+    }
+    views.sort_by(|a, b| a.0.name.cmp(&b.0.name));
+    report.missing.sort();
+    let kept: std::collections::BTreeSet<u32> = views.iter().map(|(v, _)| v.id).collect();
+    let used: std::collections::BTreeSet<_> = views.iter().map(|(v, _)| v.image.clone()).collect();
+    report.extra = folder.images();
+    report.extra.retain(|name| !used.contains(&folder.path().join(name)));
+    let renamed = views.iter().filter(|(v, _)| !v.image.ends_with(&v.name)).count();
+    if renamed > 0 {
+        report.notes.push(format!("{renamed} images were found with another extension than in the model"));
+    }
+    model.retain_images(|image| kept.contains(&image.id));
+
+    let infos: Vec<ImageInfo> =
+        views.par_iter().map(|(view, _)| image_info(&view.image)).collect::<Result<_, _>>()?;
+    let plans = plan(&mut views, &infos, &model, params, &mut report)?;
+    let views: Vec<View> = views.into_iter().map(|(view, _)| view).collect();
+    for view in &views {
+        let bad = |source| ImportError::Camera { name: view.name.clone(), source };
+        view.camera.validate().map_err(bad)?;
+    }
+
+    let split = split::choose(dir, &views, &report.missing, &params.split)?;
+    report.notes.extend(split.notes);
+    report.split_rule = split.rule;
+    let names = |indices: &[usize]| indices.iter().map(|&i| views[i].name.clone()).collect();
+    report.train = names(&split.split.train);
+    report.test = names(&split.split.test);
+    report.views = views.len();
+    report.points = model.points.len();
+    report.masks = views.iter().filter(|v| v.mask.is_some()).count();
+    report.alpha_masks = plans.iter().filter(|p| p.alpha).count();
+    report.depth_priors = views.iter().filter(|v| v.depth_prior.is_some()).count();
+
+    let points = sparse_points(&model, &frame);
+    let capture = Capture { name: report.name.clone(), views, split: split.split, points, frame };
+    capture.validate().map_err(bad_capture)?;
+    Ok(Imported { capture, report, plans, model, white_balance: params.white_balance })
+}
+
+/// Stands where the intrinsics are not known yet.
+const PENDING: Intrinsics = Intrinsics { width: 0, height: 0, fx: 0.0, fy: 0.0, cx: 0.0, cy: 0.0 };
+
+/// One geometry per camera and file size; sets the views' intrinsics.
+fn plan(
+    views: &mut [(View, u32)],
+    infos: &[ImageInfo],
+    model: &Model,
+    params: &ImportParams,
+    report: &mut ImportReport,
+) -> Result<Vec<Plan>, ImportError> {
+    let mut groups: BTreeMap<(u32, usize, usize), Vec<usize>> = BTreeMap::new();
+    for (i, ((_, camera), info)) in views.iter().zip(infos).enumerate() {
+        groups.entry((*camera, info.width, info.height)).or_default().push(i);
+    }
+    let built: Vec<Geometry> = groups
+        .par_iter()
+        .map(|(&(id, width, height), members)| {
+            let camera =
+                model.camera(id).ok_or(ImportError::Lens { camera: id, reason: "it is not there".into() })?;
+            Geometry::new(camera, (width, height), &views[members[0]].0.image, params)
+        })
+        .collect::<Result<_, _>>()?;
+    // A table of positions pays for itself when a camera took several images, and only a few may be held at once.
+    let few = built.iter().filter(|g| g.undistortion.is_some()).count() <= 4;
+    let mut plans = vec![None; views.len()];
+    for ((&(id, width, height), members), mut geometry) in groups.iter().zip(built) {
+        if let Some(undistortion) = geometry.undistortion.as_mut().filter(|_| few && members.len() > 1) {
+            undistortion.keep_table();
+        }
+        let camera = model.camera(id);
+        report.cameras.push(CameraReport {
+            id,
+            model: camera.map_or("", |c| c.model.name()).into(),
+            views: members.len(),
+            model_size: camera.map_or([0, 0], |c| [c.width, c.height]),
+            file_size: [width, height],
+            undistorted_size: geometry.undistortion.as_ref().map(|u| [u.pinhole.width, u.pinhole.height]),
+            size: [geometry.intrinsics.width, geometry.intrinsics.height],
+        });
+        let geometry = Arc::new(geometry);
+        for &i in members {
+            views[i].0.camera.intrinsics = geometry.intrinsics;
+            let alpha = infos[i].alpha;
+            plans[i] = Some(Plan { geometry: Arc::clone(&geometry), alpha, camera: id });
+        }
+    }
+    Ok(plans.into_iter().flatten().collect())
+}
+
+/// The model's points in the capture's frame.
+pub(crate) fn sparse_points(model: &Model, frame: &Frame) -> Vec<SparsePoint> {
+    let point = |p: &crate::model::ModelPoint| SparsePoint {
+        position: frame.apply(DVec3::from_array(p.position)),
+        color: p.color,
+        error: if p.error.is_finite() { p.error } else { -1.0 },
+        track_length: p.track.len() as u32,
+    };
+    model.points.iter().map(point).collect()
+}
+
+/// The folder's own name, also for `.` and the like.
+fn capture_name(dir: &Path) -> String {
+    let real = dir.canonicalize().unwrap_or_else(|_| dir.to_path_buf());
+    real.file_name().map_or_else(|| "capture".into(), |n| n.to_string_lossy().into_owned())
+}

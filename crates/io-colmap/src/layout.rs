@@ -1,0 +1,287 @@
+//! Where things lie in a capture folder, and how names from a model are turned into paths that never leave it.
+
+use std::path::{Component, Path, PathBuf};
+
+use crate::error::{ImportError, ModelError};
+use crate::model::{Model, ModelForm, count_images};
+use crate::params::ImportParams;
+
+/// Image folders, tried in this order.
+pub(crate) const IMAGE_DIRS: [&str; 4] = ["images", "images_wb", "Images_wb", "input"];
+/// Depth-prior folders, tried in this order.
+pub(crate) const DEPTH_DIRS: [&str; 3] = ["depth", "depths", "depthAnythingV2_u16"];
+/// Mask folder.
+pub(crate) const MASK_DIRS: [&str; 1] = ["masks"];
+
+const IMAGE_EXTENSIONS: [&str; 12] =
+    ["png", "jpg", "jpeg", "tif", "tiff", "exr", "PNG", "JPG", "JPEG", "TIF", "TIFF", "EXR"];
+const MASK_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "tif", "tiff", "npy", "exr"];
+const DEPTH_EXTENSIONS: [&str; 5] = ["png", "npy", "tif", "tiff", "exr"];
+
+/// A model that was found.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct FoundModel {
+    /// Relative to the capture, `.` for itself.
+    pub(crate) relative: String,
+    pub(crate) dir: PathBuf,
+    pub(crate) form: ModelForm,
+    pub(crate) images: u64,
+}
+
+/// All models of a capture, the chosen one first: the one that lists most images, the earlier place where they tie.
+pub(crate) fn find_models(root: &Path, params: &ImportParams) -> Result<Vec<FoundModel>, ImportError> {
+    if let Some(dir) = &params.model_dir {
+        let path = root.join(dir);
+        let form = ModelForm::of(&path).ok_or(ModelError::NotFound { path: path.clone() })?;
+        let images = count_images(&path, form)?;
+        return Ok(vec![FoundModel { relative: dir.clone(), dir: path, form, images }]);
+    }
+    let mut places: Vec<String> = ["sparse/0", "sparse", "colmap/sparse/0"].map(String::from).to_vec();
+    for parent in ["sparse", "colmap/sparse"] {
+        places.extend(subfolders(&root.join(parent)).into_iter().map(|name| format!("{parent}/{name}")));
+    }
+    places.extend(["colmap/sparse", "colmap", "."].map(String::from));
+
+    let mut found: Vec<FoundModel> = Vec::new();
+    for relative in &places {
+        let dir = root.join(relative);
+        if found.iter().any(|f| f.relative == *relative) {
+            continue;
+        }
+        if let Some(form) = ModelForm::of(&dir) {
+            let images = count_images(&dir, form)?;
+            found.push(FoundModel { relative: relative.clone(), dir, form, images });
+        }
+    }
+    // A stable sort keeps the order of places among equals.
+    found.sort_by_key(|f| std::cmp::Reverse(f.images));
+    if found.is_empty() {
+        let looked =
+            "sparse/0, sparse, colmap/sparse/0, sparse/*, colmap/sparse/*, colmap and the folder itself";
+        return Err(ImportError::NoModel { path: root.to_path_buf(), looked: looked.into() });
+    }
+    Ok(found)
+}
+
+/// Names of the folders in a folder: numbers first and by value, then the rest by name.
+fn subfolders(dir: &Path) -> Vec<String> {
+    let Ok(entries) = std::fs::read_dir(dir) else { return Vec::new() };
+    let mut names: Vec<String> = entries
+        .filter_map(Result::ok)
+        .filter(|e| e.path().is_dir())
+        .filter_map(|e| e.file_name().into_string().ok())
+        .collect();
+    names.sort_by_key(|name| (name.parse::<u64>().unwrap_or(u64::MAX), name.clone()));
+    names
+}
+
+/// A folder whose files names from outside may point to.
+#[derive(Clone, Debug)]
+pub(crate) struct Folder {
+    /// As the user sees it, relative to the capture.
+    pub(crate) relative: String,
+    /// The real path, symbolic links followed.
+    real: PathBuf,
+}
+
+impl Folder {
+    /// `None` if there is no such folder.
+    pub(crate) fn open(root: &Path, relative: &str) -> Option<Self> {
+        let real = root.join(relative).canonicalize().ok().filter(|p| p.is_dir())?;
+        Some(Self { relative: relative.to_string(), real })
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.real
+    }
+
+    fn refuse<T>(&self, name: &str, reason: &str) -> Result<T, ImportError> {
+        Err(ImportError::Name {
+            name: name.to_string(),
+            reason: reason.to_string(),
+            folder: self.real.clone(),
+        })
+    }
+
+    /// Checks that a name stays below a folder whatever the folder holds, and gives it with `/` between its parts.
+    pub(crate) fn check_name(&self, name: &str) -> Result<String, ImportError> {
+        let name = name.replace('\\', "/"); // as models from Windows have it
+        if name.is_empty() || name.contains('\0') {
+            return self.refuse(&name, "is not a file name");
+        }
+        let drive = name.as_bytes().get(1) == Some(&b':') && name.as_bytes()[0].is_ascii_alphabetic();
+        if name.starts_with('/') || drive {
+            return self.refuse(&name, "is an absolute path");
+        }
+        let plain =
+            Path::new(&name).components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir));
+        if !plain {
+            return self.refuse(&name, "leaves the folder (`..`)");
+        }
+        if name.ends_with('/') {
+            return self.refuse(&name, "is a folder");
+        }
+        Ok(name)
+    }
+
+    /// The file of that name; `None` if it is not there, an error if it is outside the folder.
+    pub(crate) fn file(&self, name: &str) -> Result<Option<PathBuf>, ImportError> {
+        let name = self.check_name(name)?;
+        let Ok(real) = self.real.join(&name).canonicalize() else { return Ok(None) };
+        if !real.starts_with(&self.real) {
+            return self.refuse(&name, "is a symbolic link to a place outside (copy the file in)");
+        }
+        Ok(real.is_file().then_some(real))
+    }
+
+    /// The first of `names` that is there.
+    fn first(&self, names: impl IntoIterator<Item = String>) -> Result<Option<PathBuf>, ImportError> {
+        for name in names {
+            if let Some(path) = self.file(&name)? {
+                return Ok(Some(path));
+            }
+        }
+        Ok(None)
+    }
+
+    /// An image by its name in the model, or, failing that, by its stem with another extension.
+    pub(crate) fn image(&self, name: &str) -> Result<Option<PathBuf>, ImportError> {
+        match self.file(name)? {
+            Some(path) => Ok(Some(path)),
+            None => self.first(IMAGE_EXTENSIONS.iter().map(|e| format!("{}.{e}", stem(name)))),
+        }
+    }
+
+    /// A mask of an image: `a.jpg.png` (COLMAP's way) or `a.png` and the like.
+    pub(crate) fn mask(&self, name: &str) -> Result<Option<PathBuf>, ImportError> {
+        let by_stem = MASK_EXTENSIONS.iter().map(|e| format!("{}.{e}", stem(name)));
+        self.first(std::iter::once(format!("{name}.png")).chain(by_stem))
+    }
+
+    /// A depth prior of an image, by its stem.
+    pub(crate) fn depth(&self, name: &str) -> Result<Option<PathBuf>, ImportError> {
+        self.first(DEPTH_EXTENSIONS.iter().map(|e| format!("{}.{e}", stem(name))))
+    }
+
+    /// Names of the image files below the folder, sorted, `/` between parts. Hidden ones are left out.
+    pub(crate) fn images(&self) -> Vec<String> {
+        let hidden =
+            |e: &walkdir::DirEntry| e.depth() > 0 && e.file_name().to_string_lossy().starts_with('.');
+        walkdir::WalkDir::new(&self.real)
+            .sort_by_file_name()
+            .into_iter()
+            .filter_entry(|e| !hidden(e))
+            .filter_map(Result::ok)
+            .filter(|e| !e.file_type().is_dir())
+            .filter_map(|e| {
+                let name = e.path().strip_prefix(&self.real).ok()?.to_str()?.to_string();
+                let extension = Path::new(&name).extension()?.to_str()?.to_string();
+                IMAGE_EXTENSIONS.contains(&extension.as_str()).then_some(name)
+            })
+            .collect()
+    }
+}
+
+/// A name without its extension.
+pub(crate) fn stem(name: &str) -> &str {
+    match name.rfind('.') {
+        Some(dot) if dot > name.rfind('/').map_or(0, |s| s + 1) => &name[..dot],
+        _ => name,
+    }
+}
+
+/// The image folder: the one asked for, or the one that holds most of the model's images. Others are returned too.
+pub(crate) fn find_images(
+    root: &Path,
+    params: &ImportParams,
+    model: &Model,
+) -> Result<(Folder, Vec<String>), ImportError> {
+    let fail = |reason: &str, looked: String| {
+        Err(ImportError::NoImages { path: root.to_path_buf(), reason: reason.into(), looked })
+    };
+    let names: Vec<&str> = params.image_dir.as_deref().map_or(IMAGE_DIRS.to_vec(), |dir| vec![dir]);
+    let looked = names.join(", ");
+    let folders: Vec<Folder> = names.iter().filter_map(|n| Folder::open(root, n)).collect();
+    if folders.is_empty() {
+        return fail("there is no image folder", looked);
+    }
+    let mut best: Option<(usize, &Folder)> = None;
+    for folder in &folders {
+        let mut count = 0;
+        for image in &model.images {
+            count += usize::from(folder.image(&image.name)?.is_some());
+        }
+        if best.is_none_or(|(most, _)| count > most) {
+            best = Some((count, folder));
+        }
+    }
+    match best {
+        Some((count, folder)) if count > 0 => {
+            let others =
+                folders.iter().filter(|f| f.real != folder.real).map(|f| f.relative.clone()).collect();
+            Ok((folder.clone(), others))
+        }
+        _ => fail("none of the model's images is in the image folder", looked),
+    }
+}
+
+/// The mask or depth folder: the one asked for (an error if it is not there) or the first default that is there.
+pub(crate) fn find_extra(
+    root: &Path,
+    asked: Option<&str>,
+    field: &'static str,
+    defaults: &[&str],
+) -> Result<Option<Folder>, ImportError> {
+    match asked {
+        None => Ok(defaults.iter().find_map(|dir| Folder::open(root, dir))),
+        Some(dir) => match Folder::open(root, dir) {
+            Some(folder) => Ok(Some(folder)),
+            None => {
+                let reason = format!("there is no folder {}", root.join(dir).display());
+                Err(ImportError::Parameter { field, reason })
+            }
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_never_escape() {
+        let dir = tempfile::tempdir().unwrap();
+        let outside = dir.path().join("outside.png");
+        std::fs::write(&outside, b"x").unwrap();
+        let images = dir.path().join("images");
+        std::fs::create_dir_all(images.join("sub")).unwrap();
+        std::fs::write(images.join("sub/a b.png"), b"x").unwrap();
+        let folder = Folder::open(dir.path(), "images").unwrap();
+        for bad in
+            ["../outside.png", "sub/../../outside.png", "/etc/passwd", "C:\\x.png", "..", "a\0b", "", "sub/"]
+        {
+            assert!(matches!(folder.file(bad), Err(ImportError::Name { .. })), "{bad:?}");
+        }
+        #[cfg(unix)]
+        {
+            std::os::unix::fs::symlink(&outside, images.join("link.png")).unwrap();
+            let message = folder.file("link.png").unwrap_err().to_string();
+            assert!(message.contains("symbolic link"), "{message}");
+            std::os::unix::fs::symlink(images.join("sub/a b.png"), images.join("inside.png")).unwrap();
+            assert!(folder.file("inside.png").unwrap().is_some());
+        }
+        assert!(folder.file("sub\\a b.png").unwrap().is_some());
+        assert!(folder.file("sub/none.png").unwrap().is_none());
+        assert!(folder.image("sub/a b.JPG").unwrap().is_some(), "another extension");
+        assert!(folder.file("sub").unwrap().is_none(), "a folder is no image");
+    }
+
+    #[test]
+    fn folders_are_counted_by_number_then_by_name() {
+        let dir = tempfile::tempdir().unwrap();
+        for name in ["text", "10", "2", "binary"] {
+            std::fs::create_dir(dir.path().join(name)).unwrap();
+        }
+        assert_eq!(subfolders(dir.path()), ["2", "10", "binary", "text"]);
+    }
+}

@@ -1,0 +1,492 @@
+//! COLMAP's camera models: where a ray lands on the sensor, and back.
+//!
+//! A ray of the camera frame is written as its point `(u, v) = (x/z, y/z)` on the plane `z = 1`; a pixel is
+//! `(fx u' + cx, fy v' + cy)` with the bent point `(u', v')`. The bend is a *projection* followed by a *distortion*:
+//!
+//! * projection: perspective (`u' = u`), equidistant (the point is moved to radius `θ = atan r`), or field-of-view
+//!   (`r' = atan(2 r tan(ω/2)) / ω`);
+//! * distortion: `D(u) = u·radial(|u|²) + tangential(p1, p2) + prism(s1, s2)`, as in OpenCV, with the polynomial or rational
+//!   radial factor of each model. The fisheye models apply their polynomial to the equidistant point.
+//!
+//! Parameter order is COLMAP's (its `doc/cameras.rst` and camera files). The inverse is Newton's method on `D` with the exact
+//! Jacobian (by [`Jet`]) and step halving, then the closed inverse of the projection. A pixel that no ray in front of the
+//! camera reaches, or that lies beyond the fold of a distortion polynomial, has no inverse.
+//!
+//! Limit: rays at 90° or more from the axis (`z ≤ 0`) have no point on the plane; no pinhole could show them either.
+
+use use3d_capture::Intrinsics;
+
+use crate::jet::{Jet, Real};
+
+/// A camera model of COLMAP, with its id and name in COLMAP's files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum LensModel {
+    /// `f, cx, cy`
+    SimplePinhole,
+    /// `fx, fy, cx, cy`
+    Pinhole,
+    /// `f, cx, cy, k`
+    SimpleRadial,
+    /// `f, cx, cy, k1, k2`
+    Radial,
+    /// `fx, fy, cx, cy, k1, k2, p1, p2`
+    OpenCv,
+    /// `fx, fy, cx, cy, k1, k2, k3, k4`
+    OpenCvFisheye,
+    /// `fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6`
+    FullOpenCv,
+    /// `fx, fy, cx, cy, omega`
+    Fov,
+    /// `f, cx, cy, k`
+    SimpleRadialFisheye,
+    /// `f, cx, cy, k1, k2`
+    RadialFisheye,
+    /// `fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, sx1, sy1`
+    ThinPrismFisheye,
+}
+
+use LensModel as M;
+
+impl LensModel {
+    /// All models, in the order of their ids 0 to 10.
+    pub const ALL: [Self; 11] = [
+        M::SimplePinhole,
+        M::Pinhole,
+        M::SimpleRadial,
+        M::Radial,
+        M::OpenCv,
+        M::OpenCvFisheye,
+        M::FullOpenCv,
+        M::Fov,
+        M::SimpleRadialFisheye,
+        M::RadialFisheye,
+        M::ThinPrismFisheye,
+    ];
+
+    /// Names of models that newer COLMAP versions know and this program does not, with their ids from 11 on.
+    pub(crate) const NEWER: [&str; 5] =
+        ["RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE"];
+
+    /// The id in binary files.
+    pub fn id(self) -> i32 {
+        self as i32
+    }
+
+    /// The model with that id.
+    pub fn from_id(id: i32) -> Option<Self> {
+        usize::try_from(id).ok().and_then(|i| Self::ALL.get(i)).copied()
+    }
+
+    /// The name in text files.
+    pub fn name(self) -> &'static str {
+        match self {
+            M::SimplePinhole => "SIMPLE_PINHOLE",
+            M::Pinhole => "PINHOLE",
+            M::SimpleRadial => "SIMPLE_RADIAL",
+            M::Radial => "RADIAL",
+            M::OpenCv => "OPENCV",
+            M::OpenCvFisheye => "OPENCV_FISHEYE",
+            M::FullOpenCv => "FULL_OPENCV",
+            M::Fov => "FOV",
+            M::SimpleRadialFisheye => "SIMPLE_RADIAL_FISHEYE",
+            M::RadialFisheye => "RADIAL_FISHEYE",
+            M::ThinPrismFisheye => "THIN_PRISM_FISHEYE",
+        }
+    }
+
+    /// The model of that name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|m| m.name() == name)
+    }
+
+    /// How many parameters it has.
+    pub fn parameter_count(self) -> usize {
+        match self {
+            M::SimplePinhole => 3,
+            M::Pinhole | M::SimpleRadial | M::SimpleRadialFisheye => 4,
+            M::Radial | M::Fov | M::RadialFisheye => 5,
+            M::OpenCv | M::OpenCvFisheye => 8,
+            M::FullOpenCv | M::ThinPrismFisheye => 12,
+        }
+    }
+
+    /// Whether one focal length serves both axes.
+    fn single_focal(self) -> bool {
+        matches!(
+            self,
+            M::SimplePinhole | M::SimpleRadial | M::Radial | M::SimpleRadialFisheye | M::RadialFisheye
+        )
+    }
+}
+
+/// How a ray's point is moved before the distortion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Projection {
+    Perspective,
+    Equidistant,
+    FieldOfView { omega: f64 },
+}
+
+/// `u·(1 + n1 r² + n2 r⁴ + n3 r⁶ + n4 r⁸) / (1 + d1 r² + d2 r⁴ + d3 r⁶)` and the tangential and prism terms.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Distortion {
+    numerator: [f64; 4],
+    denominator: [f64; 3],
+    tangential: [f64; 2],
+    prism: [f64; 2],
+}
+
+impl Distortion {
+    fn apply<T: Real>(&self, u: T, v: T) -> (T, T) {
+        let (uu, uv, vv) = (u * u, u * v, v * v);
+        let r2 = uu + vv;
+        let [n1, n2, n3, n4] = self.numerator;
+        let mut radial = r2 * (r2 * (r2 * (r2 * n4 + n3) + n2) + n1) + 1.0;
+        if self.denominator != [0.0; 3] {
+            let [d1, d2, d3] = self.denominator;
+            radial = radial / (r2 * (r2 * (r2 * d3 + d2) + d1) + 1.0);
+        }
+        let ([p1, p2], [s1, s2]) = (self.tangential, self.prism);
+        let du = uv * (2.0 * p1) + (r2 + uu * 2.0) * p2 + r2 * s1;
+        let dv = uv * (2.0 * p2) + (r2 + vv * 2.0) * p1 + r2 * s2;
+        (u * radial + du, v * radial + dv)
+    }
+
+    /// Solves `apply(u) = target`; `None` where it has no solution before the fold.
+    fn invert(&self, target: (f64, f64)) -> Option<(f64, f64)> {
+        if *self == Self::default() {
+            return Some(target);
+        }
+        let residual = |u: f64, v: f64| {
+            let (a, b) = self.apply(u, v);
+            (a - target.0, b - target.1)
+        };
+        let (mut u, mut v) = target;
+        let (mut ru, mut rv) = residual(u, v);
+        let goal = 1e-14 * (1.0 + target.0.hypot(target.1));
+        for _ in 0..100 {
+            let norm = ru.hypot(rv);
+            if norm <= goal {
+                break;
+            }
+            let (ju, jv) = Jet::inputs(u, v);
+            let (a, b) = self.apply(ju, jv);
+            let det = a.by[0] * b.by[1] - a.by[1] * b.by[0];
+            let step_u = (b.by[1] * ru - a.by[1] * rv) / det;
+            let step_v = (a.by[0] * rv - b.by[0] * ru) / det;
+            if !(step_u.is_finite() && step_v.is_finite()) {
+                return None;
+            }
+            // Halve the step until the residual shrinks; if it never does, rounding has been reached.
+            let mut share = 1.0;
+            loop {
+                let (nu, nv) = (u - share * step_u, v - share * step_v);
+                let (pu, pv) = residual(nu, nv);
+                if pu.hypot(pv) < norm {
+                    (u, v, ru, rv) = (nu, nv, pu, pv);
+                    break;
+                }
+                share *= 0.5;
+                if share < 1e-9 {
+                    return self.accept(u, v, norm, goal);
+                }
+            }
+        }
+        self.accept(u, v, ru.hypot(rv), goal)
+    }
+
+    /// A solution counts if it is exact to about 1e-11 and nothing folds between the axis and it.
+    fn accept(&self, u: f64, v: f64, residual: f64, goal: f64) -> Option<(f64, f64)> {
+        let unfolded = (1..=16).all(|i| {
+            let share = f64::from(i) / 16.0;
+            self.determinant(u * share, v * share) > 0.0
+        });
+        (residual <= 1000.0 * goal && unfolded).then_some((u, v))
+    }
+
+    fn determinant(&self, u: f64, v: f64) -> f64 {
+        let (ju, jv) = Jet::inputs(u, v);
+        let (a, b) = self.apply(ju, jv);
+        a.by[0] * b.by[1] - a.by[1] * b.by[0]
+    }
+}
+
+/// A camera model with its parameters, ready to bend rays. Focal lengths in pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lens {
+    focal: [f64; 2],
+    principal: [f64; 2],
+    projection: Projection,
+    distortion: Distortion,
+}
+
+impl Lens {
+    /// The lens of a model with COLMAP's parameters; `None` if their number is wrong.
+    pub fn new(model: LensModel, parameters: &[f64]) -> Option<Self> {
+        if parameters.len() != model.parameter_count() {
+            return None;
+        }
+        let (focal, principal, k) = if model.single_focal() {
+            ([parameters[0]; 2], [parameters[1], parameters[2]], &parameters[3..])
+        } else {
+            ([parameters[0], parameters[1]], [parameters[2], parameters[3]], &parameters[4..])
+        };
+        let mut distortion = Distortion::default();
+        let d = &mut distortion;
+        let projection = match model {
+            M::Fov => Projection::FieldOfView { omega: k[0] },
+            M::OpenCvFisheye | M::SimpleRadialFisheye | M::RadialFisheye | M::ThinPrismFisheye => {
+                Projection::Equidistant
+            }
+            _ => Projection::Perspective,
+        };
+        match model {
+            M::SimplePinhole | M::Pinhole | M::Fov => {}
+            M::SimpleRadial | M::SimpleRadialFisheye => d.numerator[0] = k[0],
+            M::Radial | M::RadialFisheye => d.numerator[..2].copy_from_slice(k),
+            M::OpenCvFisheye => d.numerator.copy_from_slice(k),
+            M::OpenCv => {
+                d.numerator[..2].copy_from_slice(&k[..2]);
+                d.tangential.copy_from_slice(&k[2..]);
+            }
+            M::FullOpenCv => {
+                d.numerator[..3].copy_from_slice(&[k[0], k[1], k[4]]);
+                d.denominator.copy_from_slice(&k[5..8]);
+                d.tangential.copy_from_slice(&k[2..4]);
+            }
+            M::ThinPrismFisheye => {
+                d.numerator.copy_from_slice(&[k[0], k[1], k[4], k[5]]);
+                d.tangential.copy_from_slice(&k[2..4]);
+                d.prism.copy_from_slice(&k[6..]);
+            }
+        }
+        Some(Self { focal, principal, projection, distortion })
+    }
+
+    /// Focal lengths `(fx, fy)` and principal point `(cx, cy)`, pixels.
+    pub fn pinhole_part(&self) -> ([f64; 2], [f64; 2]) {
+        (self.focal, self.principal)
+    }
+
+    /// The same lens on an image scaled by `sx`, `sy`.
+    pub fn scaled(&self, sx: f64, sy: f64) -> Self {
+        Self {
+            focal: [self.focal[0] * sx, self.focal[1] * sy],
+            principal: [self.principal[0] * sx, self.principal[1] * sy],
+            ..*self
+        }
+    }
+
+    /// Whether rays are not bent at all.
+    pub fn is_pinhole(&self) -> bool {
+        self.projection == Projection::Perspective && self.distortion == Distortion::default()
+    }
+
+    /// The pinhole with this lens's focal lengths and principal point.
+    pub fn intrinsics(&self, width: usize, height: usize) -> Intrinsics {
+        let ([fx, fy], [cx, cy]) = (self.focal, self.principal);
+        Intrinsics { width, height, fx, fy, cx, cy }
+    }
+
+    fn bend<T: Real>(&self, u: T, v: T) -> (T, T) {
+        let (u, v) = match self.projection {
+            Projection::Perspective => (u, v),
+            Projection::Equidistant => radially(u, v, 1.0, Real::atan),
+            Projection::FieldOfView { omega } => {
+                // As ω goes to 0 the model goes to the perspective one.
+                let stretch = 2.0 * (0.5 * omega).tan();
+                if stretch.abs() < 1e-9 {
+                    (u, v)
+                } else {
+                    radially(u, v, stretch / omega, |r| (r * stretch).atan() * (1.0 / omega))
+                }
+            }
+        };
+        self.distortion.apply(u, v)
+    }
+
+    /// The pixel that a ray's point `(x/z, y/z)` lands on.
+    pub fn project(&self, u: f64, v: f64) -> (f64, f64) {
+        let (a, b) = self.bend(u, v);
+        (self.focal[0] * a + self.principal[0], self.focal[1] * b + self.principal[1])
+    }
+
+    /// The pixel and its Jacobian: `[[∂x/∂u, ∂x/∂v], [∂y/∂u, ∂y/∂v]]`.
+    pub fn project_with_jacobian(&self, u: f64, v: f64) -> ((f64, f64), [[f64; 2]; 2]) {
+        let (ju, jv) = Jet::inputs(u, v);
+        let (a, b) = self.bend(ju, jv);
+        let pixel =
+            (self.focal[0] * a.value + self.principal[0], self.focal[1] * b.value + self.principal[1]);
+        (pixel, [a.by.map(|d| d * self.focal[0]), b.by.map(|d| d * self.focal[1])])
+    }
+
+    /// The ray's point that lands on a pixel; `None` where no ray in front of the camera does, before the lens folds.
+    pub fn unproject(&self, x: f64, y: f64) -> Option<(f64, f64)> {
+        let bent = ((x - self.principal[0]) / self.focal[0], (y - self.principal[1]) / self.focal[1]);
+        let (u, v) = self.distortion.invert(bent)?;
+        let radius = u.hypot(v);
+        if radius < 1e-300 {
+            return Some((u, v));
+        }
+        let unbent = match self.projection {
+            Projection::Perspective => return Some((u, v)),
+            Projection::Equidistant => {
+                if radius >= std::f64::consts::FRAC_PI_2 - 1e-6 {
+                    return None;
+                }
+                radius.tan()
+            }
+            Projection::FieldOfView { omega } => {
+                let stretch = 2.0 * (0.5 * omega).tan();
+                if stretch.abs() < 1e-9 {
+                    return Some((u, v));
+                }
+                if (radius * omega).abs() >= std::f64::consts::FRAC_PI_2 - 1e-6 {
+                    return None;
+                }
+                (radius * omega).tan() / stretch
+            }
+        };
+        Some((u * (unbent / radius), v * (unbent / radius)))
+    }
+}
+
+/// Moves a point along its radius: `r → f(r)`, with `f(r)/r → at_zero` on the axis.
+fn radially<T: Real>(u: T, v: T, at_zero: f64, f: impl Fn(T) -> T) -> (T, T) {
+    let r2 = u * u + v * v;
+    if r2.value() < 1e-16 {
+        return (u * at_zero, v * at_zero);
+    }
+    let r = r2.sqrt();
+    let factor = f(r) / r;
+    (u * factor, v * factor)
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// A usable lens of every model, for a sensor of about 1000 x 700 pixels.
+    pub(crate) fn example(model: LensModel, amount: f64) -> Lens {
+        let k = |values: &[f64]| values.iter().map(|v| v * amount).collect::<Vec<f64>>();
+        let (head, tail) = match model {
+            M::SimplePinhole => (vec![800.0, 503.0, 347.0], vec![]),
+            M::Pinhole => (vec![800.0, 820.0, 503.0, 347.0], vec![]),
+            M::SimpleRadial => (vec![800.0, 503.0, 347.0], k(&[-0.12])),
+            M::Radial => (vec![800.0, 503.0, 347.0], k(&[0.30, 0.12])),
+            M::OpenCv => (vec![800.0, 820.0, 503.0, 347.0], k(&[-0.15, 0.05, 0.004, -0.003])),
+            M::OpenCvFisheye => (vec![500.0, 510.0, 503.0, 347.0], k(&[-0.03, 0.012, -0.004, 0.0006])),
+            M::FullOpenCv => {
+                (vec![800.0, 820.0, 503.0, 347.0], k(&[0.2, -0.1, 0.003, -0.002, 0.05, 0.3, -0.05, 0.02]))
+            }
+            M::Fov => (vec![700.0, 710.0, 503.0, 347.0], k(&[0.9])),
+            M::SimpleRadialFisheye => (vec![500.0, 503.0, 347.0], k(&[0.05])),
+            M::RadialFisheye => (vec![500.0, 503.0, 347.0], k(&[0.03, -0.01])),
+            M::ThinPrismFisheye => (
+                vec![500.0, 510.0, 503.0, 347.0],
+                k(&[-0.02, 0.01, 0.002, -0.001, -0.002, 0.0004, 0.003, -0.002]),
+            ),
+        };
+        Lens::new(model, &[head, tail].concat()).unwrap()
+    }
+
+    #[test]
+    fn ids_names_and_counts_are_colmaps() {
+        for (i, model) in LensModel::ALL.into_iter().enumerate() {
+            assert_eq!(model.id(), i as i32);
+            assert_eq!(LensModel::from_id(i as i32), Some(model));
+            assert_eq!(LensModel::from_name(model.name()), Some(model));
+            assert!(Lens::new(model, &vec![1.0; model.parameter_count() + 1]).is_none());
+        }
+        assert_eq!(LensModel::from_id(11), None);
+        assert_eq!(LensModel::from_id(-1), None);
+    }
+
+    #[test]
+    fn hand_computed_bends() {
+        // SIMPLE_RADIAL at (0.5, 0): r² = 0.25, factor 1 - 0.12·0.25 = 0.97.
+        let (x, y) = example(M::SimpleRadial, 1.0).project(0.5, 0.0);
+        assert!((x - (800.0 * 0.5 * 0.97 + 503.0)).abs() < 1e-12 && y == 347.0);
+        // OPENCV tangential at (0.2, 0.1) without radial: du = 2 p1 uv + p2 (r² + 2u²), dv = 2 p2 uv + p1 (r² + 2v²).
+        let lens = Lens::new(M::OpenCv, &[1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.01, 0.02]).unwrap();
+        let (x, y) = lens.project(0.2, 0.1);
+        assert!((x - (0.2 + 2.0 * 0.01 * 0.02 + 0.02 * (0.05 + 0.08))).abs() < 1e-15);
+        assert!((y - (0.1 + 2.0 * 0.02 * 0.02 + 0.01 * (0.05 + 0.02))).abs() < 1e-15);
+        // Equidistant: 45° off the axis lands at f π/4.
+        let lens = Lens::new(M::SimpleRadialFisheye, &[100.0, 0.0, 0.0, 0.0]).unwrap();
+        assert!((lens.project(1.0, 0.0).0 - 100.0 * std::f64::consts::FRAC_PI_4).abs() < 1e-12);
+        // FOV: r' = atan(2 r tan(ω/2)) / ω.
+        let lens = Lens::new(M::Fov, &[1.0, 1.0, 0.0, 0.0, 0.8]).unwrap();
+        assert!((lens.project(0.0, 0.7).1 - (1.4 * 0.4f64.tan()).atan() / 0.8).abs() < 1e-15);
+        // FULL_OPENCV's rational factor: k = (k1, k2, p1, p2, k3, k4, k5, k6).
+        let lens =
+            Lens::new(M::FullOpenCv, &[1.0, 1.0, 0.0, 0.0, 0.1, 0.2, 0.0, 0.0, 0.3, 0.4, 0.5, 0.6]).unwrap();
+        let r2 = 0.25f64;
+        let factor = (1.0 + 0.1 * r2 + 0.2 * r2 * r2 + 0.3 * r2.powi(3))
+            / (1.0 + 0.4 * r2 + 0.5 * r2 * r2 + 0.6 * r2.powi(3));
+        assert!((lens.project(0.5, 0.0).0 - 0.5 * factor).abs() < 1e-15);
+        // THIN_PRISM_FISHEYE's prism adds s r² to the equidistant point.
+        let lens =
+            Lens::new(M::ThinPrismFisheye, &[1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.01, 0.02])
+                .unwrap();
+        let theta = 0.5f64.atan();
+        let (x, y) = lens.project(0.5, 0.0);
+        assert!((x - (theta + 0.01 * theta * theta)).abs() < 1e-15);
+        assert!((y - 0.02 * theta * theta).abs() < 1e-15);
+    }
+
+    #[test]
+    fn beyond_the_fold_there_is_no_ray() {
+        // r (1 - 0.5 r²) peaks at r = 0.816 with 0.544: nothing lands further out.
+        let lens = Lens::new(M::SimpleRadial, &[100.0, 0.0, 0.0, -0.5]).unwrap();
+        assert!(lens.unproject(54.0, 0.0).is_some());
+        assert_eq!(lens.unproject(55.0, 0.0), None);
+        // A fisheye pixel at 90° and more.
+        let lens = Lens::new(M::SimpleRadialFisheye, &[100.0, 0.0, 0.0, 0.0]).unwrap();
+        assert_eq!(lens.unproject(158.0, 0.0), None);
+        assert!((lens.unproject(150.0, 0.0).unwrap().0 - 1.5f64.tan()).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_wide_fov_of_almost_nothing_is_a_pinhole() {
+        let lens = Lens::new(M::Fov, &[10.0, 10.0, 0.0, 0.0, 1e-12]).unwrap();
+        assert!((lens.project(0.3, 0.2).0 - 3.0).abs() < 1e-9);
+    }
+
+    proptest! {
+        /// Pixel → ray → pixel to 1e-6 px, over the whole sensor, for every model and strength.
+        #[test]
+        fn unproject_inverts_project(model in 0usize..11, amount in 0.0f64..1.2, x in 0.0f64..1000.0, y in 0.0f64..700.0) {
+            let lens = example(LensModel::ALL[model], amount);
+            let (u, v) = lens.unproject(x, y).expect("every pixel of these lenses has a ray");
+            let (px, py) = lens.project(u, v);
+            prop_assert!((px - x).hypot(py - y) < 1e-6, "{:?}: off by {}", LensModel::ALL[model], (px - x).hypot(py - y));
+        }
+
+        /// Ray → pixel → ray.
+        #[test]
+        fn project_inverts_unproject(model in 0usize..11, amount in 0.0f64..1.2, u in -0.6f64..0.6, v in -0.4f64..0.4) {
+            let lens = example(LensModel::ALL[model], amount);
+            let (x, y) = lens.project(u, v);
+            let (a, b) = lens.unproject(x, y).unwrap();
+            prop_assert!((a - u).hypot(b - v) < 1e-9);
+        }
+
+        /// The Jacobian against central differences.
+        #[test]
+        fn the_jacobian_is_that_of_finite_differences(model in 0usize..11, amount in 0.0f64..1.2, u in -0.7f64..0.7, v in -0.5f64..0.5) {
+            let lens = example(LensModel::ALL[model], amount);
+            let (pixel, jacobian) = lens.project_with_jacobian(u, v);
+            prop_assert_eq!(pixel, lens.project(u, v));
+            let h = 1e-6;
+            let difference = |a: (f64, f64), b: (f64, f64)| [(a.0 - b.0) / (2.0 * h), (a.1 - b.1) / (2.0 * h)];
+            let by_u = difference(lens.project(u + h, v), lens.project(u - h, v));
+            let by_v = difference(lens.project(u, v + h), lens.project(u, v - h));
+            for row in 0..2 {
+                prop_assert!((jacobian[row][0] - by_u[row]).abs() < 1e-4);
+                prop_assert!((jacobian[row][1] - by_v[row]).abs() < 1e-4);
+            }
+        }
+    }
+}

@@ -1,0 +1,85 @@
+//! Loading a view's pixels, mask and depth prior at the size of its camera.
+
+use std::path::Path;
+
+use use3d_capture::{Map, Pixels, View};
+use use3d_io_image::{image_info, read, read_map, read_pixels};
+
+use crate::error::ImportError;
+use crate::resample::Resize;
+
+/// Sides of masks and depth priors may be off the image's shape by this share (they are often rounded to multiples of 14).
+const SHAPE_TOLERANCE: f64 = 0.04;
+
+/// The view's pixels. Their size must be the camera's.
+pub fn load_pixels(view: &View) -> Result<Pixels, ImportError> {
+    let pixels = read_pixels(&view.image)?;
+    let k = &view.camera.intrinsics;
+    if pixels.size() == (k.width, k.height) {
+        return Ok(pixels);
+    }
+    let expected = format!(
+        "but its camera is {} x {}; the pixels of this capture must be prepared first (`use3d import`)",
+        k.width, k.height
+    );
+    Err(ImportError::Size { path: view.image.clone(), found: pixels.size(), expected })
+}
+
+/// The view's mask in `[0, 1]`: the mask file times the image's alpha channel; `None` if it has neither.
+pub fn load_mask(view: &View) -> Result<Option<Map>, ImportError> {
+    let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
+    let mask = view.mask.as_ref().map(|path| read_mask_at(path, size)).transpose()?;
+    if !image_info(&view.image)?.alpha {
+        return Ok(mask);
+    }
+    let alpha = read(&view.image)?.alpha();
+    match (mask, alpha) {
+        (Some(mut mask), Some(alpha)) if alpha.data().len() == mask.data().len() => {
+            mask.data_mut().iter_mut().zip(alpha.data()).for_each(|(m, a)| *m *= a);
+            Ok(Some(mask))
+        }
+        (mask, alpha) => Ok(mask.or(alpha)),
+    }
+}
+
+/// The view's depth prior (larger is nearer, 0 is unknown), resized to the camera; `None` if it has none.
+pub fn load_depth_prior(view: &View) -> Result<Option<Map>, ImportError> {
+    let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
+    view.depth_prior.as_ref().map(|path| read_depth_at(path, size)).transpose()
+}
+
+/// A map of the shape of `size`, or an error that says so.
+fn read_shaped(path: &Path, size: (usize, usize), what: &str) -> Result<Map, ImportError> {
+    let map = read_map(path)?;
+    let (sx, sy) = (map.width() as f64 / size.0 as f64, map.height() as f64 / size.1 as f64);
+    if (sx / sy - 1.0).abs() > SHAPE_TOLERANCE {
+        let expected = format!(
+            "but the {what} of an image of {} x {} must have that shape (any size); make it again from that image",
+            size.0, size.1
+        );
+        return Err(ImportError::Size {
+            path: path.to_path_buf(),
+            found: (map.width(), map.height()),
+            expected,
+        });
+    }
+    Ok(map)
+}
+
+/// A mask at a size: area means when shrunk, linear when enlarged; clamped to `[0, 1]`.
+pub(crate) fn read_mask_at(path: &Path, size: (usize, usize)) -> Result<Map, ImportError> {
+    let mut mask = read_shaped(path, size, "mask")?;
+    let from = (mask.width(), mask.height());
+    if from != size {
+        mask = Resize::whole(from, size.0, size.1).apply(&mask);
+    }
+    mask.data_mut().iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
+    Ok(mask)
+}
+
+/// A depth prior at a size: means of known values when shrunk, nearest when enlarged.
+pub(crate) fn read_depth_at(path: &Path, size: (usize, usize)) -> Result<Map, ImportError> {
+    let depth = read_shaped(path, size, "depth prior")?;
+    let from = (depth.width(), depth.height());
+    Ok(if from == size { depth } else { Resize::whole(from, size.0, size.1).apply_to_depth(&depth) })
+}

@@ -1,0 +1,310 @@
+//! A COLMAP model: cameras, posed images with their keypoints, triangulated points with their tracks.
+//!
+//! Poses are world-to-camera, quaternions `w x y z`; pixel (0, 0) is the image's top-left corner. Records keep the order of
+//! the file, ids need not be contiguous or ordered. A model is a folder with `cameras`, `images` and `points3D`, all `.bin`
+//! (preferred where both are) or all `.txt`. Files of newer versions beside them (`rigs`, `frames`) are not needed.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use glam::{DMat3, DQuat, DVec3};
+use use3d_capture::Pose;
+
+use crate::error::ModelError;
+use crate::lens::{Lens, LensModel};
+use crate::{binary, text};
+
+/// A camera: a lens model with parameters, and the size of its images.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ModelCamera {
+    /// The id that images refer to.
+    pub id: u32,
+    /// The lens model.
+    pub model: LensModel,
+    /// Image width, pixels.
+    pub width: usize,
+    /// Image height, pixels.
+    pub height: usize,
+    /// Parameters in COLMAP's order.
+    pub parameters: Vec<f64>,
+}
+
+impl ModelCamera {
+    /// A pinhole camera (`PINHOLE`) of these intrinsics.
+    pub fn pinhole(id: u32, k: &use3d_capture::Intrinsics) -> Self {
+        Self {
+            id,
+            model: LensModel::Pinhole,
+            width: k.width,
+            height: k.height,
+            parameters: vec![k.fx, k.fy, k.cx, k.cy],
+        }
+    }
+
+    /// The lens; `None` if the number of parameters is wrong (never for a model that was read).
+    pub fn lens(&self) -> Option<Lens> {
+        Lens::new(self.model, &self.parameters)
+    }
+}
+
+/// A keypoint of an image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Keypoint {
+    /// Pixel x.
+    pub x: f64,
+    /// Pixel y.
+    pub y: f64,
+    /// The id of the triangulated point, or [`Keypoint::NONE`].
+    pub point: u64,
+}
+
+impl Keypoint {
+    /// What COLMAP stores (as −1) for a keypoint without a triangulated point.
+    pub const NONE: u64 = u64::MAX;
+}
+
+/// A registered image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ModelImage {
+    /// Its id.
+    pub id: u32,
+    /// World-to-camera rotation `w x y z`, as stored (not necessarily of unit length).
+    pub quaternion: [f64; 4],
+    /// World-to-camera translation.
+    pub translation: [f64; 3],
+    /// Its camera.
+    pub camera: u32,
+    /// Its file, relative to the image folder, `/` between folders.
+    pub name: String,
+    /// Its keypoints.
+    pub keypoints: Vec<Keypoint>,
+}
+
+impl ModelImage {
+    /// The pose, with the quaternion normalised.
+    pub fn pose(&self) -> Pose {
+        let [w, x, y, z] = self.quaternion;
+        let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
+        Pose { rotation, translation: DVec3::from_array(self.translation) }
+    }
+
+    /// An image without keypoints at a pose.
+    pub fn at(id: u32, name: &str, camera: u32, pose: &Pose) -> Self {
+        let q = DQuat::from_mat3(&pose.rotation);
+        Self {
+            id,
+            quaternion: [q.w, q.x, q.y, q.z],
+            translation: pose.translation.to_array(),
+            camera,
+            name: name.to_string(),
+            keypoints: Vec::new(),
+        }
+    }
+}
+
+/// A triangulated point.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ModelPoint {
+    /// Its id.
+    pub id: u64,
+    /// World position.
+    pub position: [f64; 3],
+    /// 8-bit RGB.
+    pub color: [u8; 3],
+    /// Mean reprojection error, pixels (−1 where not known).
+    pub error: f64,
+    /// Who saw it: `(image id, keypoint index)`.
+    pub track: Vec<(u32, u32)>,
+}
+
+/// A model.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Model {
+    /// Cameras in file order.
+    pub cameras: Vec<ModelCamera>,
+    /// Images in file order.
+    pub images: Vec<ModelImage>,
+    /// Points in file order.
+    pub points: Vec<ModelPoint>,
+}
+
+/// How a model is stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ModelForm {
+    /// `cameras.bin`, `images.bin`, `points3D.bin`.
+    Binary,
+    /// `cameras.txt`, `images.txt`, `points3D.txt`.
+    Text,
+}
+
+impl fmt::Display for ModelForm {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Binary => "binary",
+            Self::Text => "text",
+        })
+    }
+}
+
+impl ModelForm {
+    /// Paths of the three files in a folder.
+    pub(crate) fn files(self, dir: &Path) -> [PathBuf; 3] {
+        let extension = match self {
+            Self::Binary => "bin",
+            Self::Text => "txt",
+        };
+        ["cameras", "images", "points3D"].map(|stem| dir.join(format!("{stem}.{extension}")))
+    }
+
+    /// The form of the model in a folder, binary first; `None` if there is none.
+    pub fn of(dir: &Path) -> Option<Self> {
+        [Self::Binary, Self::Text].into_iter().find(|form| form.files(dir).iter().all(|f| f.is_file()))
+    }
+}
+
+/// Reads the model in a folder and checks it ([`Model::check`]).
+pub fn read_model(dir: &Path) -> Result<Model, ModelError> {
+    let form = ModelForm::of(dir).ok_or_else(|| ModelError::NotFound { path: dir.to_path_buf() })?;
+    read_model_as(dir, form)
+}
+
+/// Reads a model in a given form.
+pub fn read_model_as(dir: &Path, form: ModelForm) -> Result<Model, ModelError> {
+    let files = form.files(dir);
+    let read = |path: &Path| {
+        std::fs::read(path).map_err(|source| ModelError::Open { path: path.to_path_buf(), source })
+    };
+    // One file at a time: the bytes of one are gone before the next is read.
+    let model = match form {
+        ModelForm::Binary => Model {
+            cameras: binary::cameras(&read(&files[0])?, &files[0])?,
+            images: binary::images(&read(&files[1])?, &files[1])?,
+            points: binary::points(&read(&files[2])?, &files[2])?,
+        },
+        ModelForm::Text => Model {
+            cameras: text::cameras(&read(&files[0])?, &files[0])?,
+            images: text::images(&read(&files[1])?, &files[1])?,
+            points: text::points(&read(&files[2])?, &files[2])?,
+        },
+    };
+    model.check(dir)?;
+    Ok(model)
+}
+
+/// How many images a model lists, without reading the rest of it.
+pub(crate) fn count_images(dir: &Path, form: ModelForm) -> Result<u64, ModelError> {
+    let path = &form.files(dir)[1];
+    let open = |source| ModelError::Open { path: path.clone(), source };
+    match form {
+        ModelForm::Binary => {
+            use std::io::Read;
+            let mut count = [0u8; 8];
+            let mut file = std::fs::File::open(path).map_err(open)?;
+            file.read_exact(&mut count).map_err(open)?;
+            Ok(u64::from_le_bytes(count))
+        }
+        ModelForm::Text => Ok(text::images(&std::fs::read(path).map_err(open)?, path)?.len() as u64),
+    }
+}
+
+/// Writes `cameras.bin`, `images.bin`, `points3D.bin` into a folder; each file is there whole or not at all.
+pub fn write_model_binary(dir: &Path, model: &Model) -> Result<(), ModelError> {
+    let [cameras, images, points] = ModelForm::Binary.files(dir);
+    write(&cameras, |w| binary::write_cameras(w, &model.cameras))?;
+    write(&images, |w| binary::write_images(w, &model.images))?;
+    write(&points, |w| binary::write_points(w, &model.points))
+}
+
+/// Writes `cameras.txt`, `images.txt`, `points3D.txt`; numbers are written so that they read back to the same bits.
+pub fn write_model_text(dir: &Path, model: &Model) -> Result<(), ModelError> {
+    let [cameras, images, points] = ModelForm::Text.files(dir);
+    write(&cameras, |w| text::write_cameras(w, &model.cameras))?;
+    write(&images, |w| text::write_images(w, &model.images))?;
+    write(&points, |w| text::write_points(w, &model.points))
+}
+
+fn write(
+    path: &Path,
+    fill: impl FnOnce(&mut std::io::BufWriter<std::fs::File>) -> std::io::Result<()>,
+) -> Result<(), ModelError> {
+    use3d_io_image::write_atomically(path, fill)
+        .map_err(|source| ModelError::Write { path: path.to_path_buf(), source })
+}
+
+/// The largest image a camera may announce: what the image readers take.
+const MAX_PIXELS: u64 = use3d_io_image::MAX_PIXELS;
+
+impl Model {
+    /// The camera of an id.
+    pub fn camera(&self, id: u32) -> Option<&ModelCamera> {
+        self.cameras.iter().find(|c| c.id == id)
+    }
+
+    /// Checks what a reader cannot see in one record: that ids are unique and known, numbers finite, sizes sensible.
+    pub fn check(&self, path: &Path) -> Result<(), ModelError> {
+        let fail = |place: String, reason: String| Err(ModelError::broken(path, place, reason));
+        let mut cameras = BTreeMap::new();
+        for camera in &self.cameras {
+            let place = || format!("camera {}", camera.id);
+            if cameras.insert(camera.id, camera).is_some() {
+                return fail(place(), "its id occurs twice".into());
+            }
+            let (w, h) = (camera.width as u64, camera.height as u64);
+            if w == 0 || h == 0 || w.saturating_mul(h) > MAX_PIXELS {
+                return fail(place(), format!("its size is {w}x{h}; expected 1 to {MAX_PIXELS} pixels"));
+            }
+            let Some(lens) = camera.lens() else {
+                let (found, expected) = (camera.parameters.len(), camera.model.parameter_count());
+                return fail(place(), format!("{found} parameters, {} has {expected}", camera.model.name()));
+            };
+            if let Some(bad) = camera.parameters.iter().position(|p| !p.is_finite()) {
+                return fail(place(), format!("parameter {bad} is {}", camera.parameters[bad]));
+            }
+            if lens.pinhole_part().0.iter().any(|f| *f <= 0.0) {
+                return fail(
+                    place(),
+                    format!("its focal length is {:?}; expected > 0", lens.pinhole_part().0),
+                );
+            }
+        }
+        let (mut ids, mut names) = (BTreeSet::new(), BTreeSet::new());
+        for image in &self.images {
+            let place = || format!("image {} ({})", image.id, image.name);
+            if !ids.insert(image.id) {
+                return fail(place(), "its id occurs twice".into());
+            }
+            if !names.insert(image.name.as_str()) {
+                return fail(place(), "its name occurs twice".into());
+            }
+            if !cameras.contains_key(&image.camera) {
+                return fail(place(), format!("it refers to camera {}, which is not there", image.camera));
+            }
+            let norm = image.quaternion.iter().map(|v| v * v).sum::<f64>().sqrt();
+            if !(norm.is_finite() && norm > 1e-12) {
+                return fail(place(), format!("its quaternion is {:?}", image.quaternion));
+            }
+            if image.translation.iter().any(|v| !v.is_finite()) {
+                return fail(place(), format!("its translation is {:?}", image.translation));
+            }
+        }
+        for point in &self.points {
+            if point.position.iter().any(|v| !v.is_finite()) {
+                return fail(format!("point {}", point.id), format!("its position is {:?}", point.position));
+            }
+        }
+        Ok(())
+    }
+
+    /// Keeps the images that `keep` says, and takes the others out of the points' tracks.
+    pub(crate) fn retain_images(&mut self, keep: impl Fn(&ModelImage) -> bool) {
+        let before = self.images.len();
+        self.images.retain(keep);
+        if self.images.len() < before {
+            let kept: BTreeSet<u32> = self.images.iter().map(|i| i.id).collect();
+            for point in &mut self.points {
+                point.track.retain(|(image, _)| kept.contains(image));
+            }
+        }
+    }
+}

@@ -1,0 +1,186 @@
+//! What a user may say about an import. The defaults are those of the design.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::error::ImportError;
+
+/// Parameters of the import.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ImportParams {
+    /// The image folder, relative to the capture. Default: `images`, `images_wb`, `Images_wb` or `input`, whichever holds
+    /// most of the model's images.
+    pub image_dir: Option<String>,
+    /// The model's folder, relative to the capture. Default: the largest of `sparse/0`, `sparse`, `colmap/sparse/0`, `sparse/*`.
+    pub model_dir: Option<String>,
+    /// The mask folder, relative to the capture. Default: `masks` if it is there. 0 is ignored, white counts fully.
+    pub mask_dir: Option<String>,
+    /// The depth-prior folder, relative to the capture. Default: `depth`, `depths` or `depthAnythingV2_u16` if there.
+    pub depth_dir: Option<String>,
+    /// `"WxH"`: scale to cover this size and crop centrally; the intrinsics follow.
+    pub size: Option<ImageSize>,
+    /// Divide the image size by this whole number; 1 leaves it.
+    pub downscale: usize,
+    /// Scale images down so that the longer side has at most this many pixels; 0 sets no bound.
+    pub max_side: usize,
+    /// Which views are held out (R8).
+    pub split: SplitParams,
+    /// Rotate, centre and scale the scene (R7). `false` for captures that are in such a frame already.
+    pub normalise: bool,
+    /// White balance applied to the images (R27).
+    pub white_balance: WhiteBalance,
+}
+
+impl Default for ImportParams {
+    fn default() -> Self {
+        Self {
+            image_dir: None,
+            model_dir: None,
+            mask_dir: None,
+            depth_dir: None,
+            size: None,
+            downscale: 1,
+            max_side: 0,
+            split: SplitParams::default(),
+            normalise: true,
+            white_balance: WhiteBalance::None,
+        }
+    }
+}
+
+/// Which views are held out of training.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct SplitParams {
+    /// Every this-many-th view, beginning with the first, is a test view; 0 holds out none.
+    pub every: usize,
+    /// The order in which they are counted.
+    pub order: SplitOrder,
+    /// Whether `train_list.txt` and `test_list.txt` in the capture decide instead, where they are there.
+    pub lists: bool,
+}
+
+impl Default for SplitParams {
+    fn default() -> Self {
+        Self { every: 8, order: SplitOrder::Name, lists: true }
+    }
+}
+
+/// The order in which views are counted for the split.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum SplitOrder {
+    /// By file name.
+    #[default]
+    Name,
+    /// By COLMAP's image id.
+    ColmapId,
+}
+
+/// White balance of the whole set of images.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum WhiteBalance {
+    /// Images as they are.
+    #[default]
+    None,
+    /// Each channel over its 99.8 % quantile across all images.
+    SetPercentile,
+}
+
+/// A size written as `"WxH"`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(try_from = "String", into = "String")]
+#[schemars(with = "String")]
+pub struct ImageSize {
+    /// Width, pixels.
+    pub width: usize,
+    /// Height, pixels.
+    pub height: usize,
+}
+
+impl std::str::FromStr for ImageSize {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let sides = text.split_once(['x', 'X', '×']).and_then(|(w, h)| {
+            let side = |s: &str| s.trim().parse::<usize>().ok().filter(|n| *n > 0);
+            Some((side(w)?, side(h)?))
+        });
+        match sides {
+            Some((width, height)) if width.saturating_mul(height) as u64 <= use3d_io_image::MAX_PIXELS => {
+                Ok(Self { width, height })
+            }
+            Some(_) => Err(format!("the size {text:?} has more than {} pixels", use3d_io_image::MAX_PIXELS)),
+            None => Err(format!("{text:?} is not a size; write it as \"1400x933\"")),
+        }
+    }
+}
+
+impl TryFrom<String> for ImageSize {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl std::fmt::Display for ImageSize {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}x{}", self.width, self.height)
+    }
+}
+
+impl From<ImageSize> for String {
+    fn from(size: ImageSize) -> Self {
+        size.to_string()
+    }
+}
+
+impl ImportParams {
+    /// Checks what the types cannot: at most one way of resizing.
+    pub fn validate(&self) -> Result<(), ImportError> {
+        if self.downscale == 0 {
+            let reason = "0 is not a divisor; 1 leaves the size as it is".into();
+            return Err(ImportError::Parameter { field: "downscale", reason });
+        }
+        let ways = [self.size.is_some(), self.downscale > 1, self.max_side > 0];
+        if ways.iter().filter(|w| **w).count() > 1 {
+            let reason = "at most one of `size`, `downscale` and `max_side` may be given".into();
+            return Err(ImportError::Parameter { field: "size", reason });
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_written_as_people_write_them() {
+        assert_eq!("1400x933".parse(), Ok(ImageSize { width: 1400, height: 933 }));
+        for bad in ["1400", "0x3", "x", "ax3", "-1x3", "99999999999x99999999999"] {
+            assert!(bad.parse::<ImageSize>().is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn parameters_survive_json_and_unknown_ones_are_named() {
+        let params = ImportParams {
+            size: Some(ImageSize { width: 4, height: 3 }),
+            white_balance: WhiteBalance::SetPercentile,
+            split: SplitParams { order: SplitOrder::ColmapId, ..SplitParams::default() },
+            ..ImportParams::default()
+        };
+        let json = serde_json::to_string(&params).unwrap();
+        assert!(json.contains("\"4x3\"") && json.contains("set-percentile") && json.contains("colmap-id"));
+        assert_eq!(serde_json::from_str::<ImportParams>(&json).unwrap(), params);
+        assert_eq!(serde_json::from_str::<ImportParams>("{}").unwrap(), ImportParams::default());
+        let error = serde_json::from_str::<ImportParams>("{\"sise\": \"4x3\"}").unwrap_err().to_string();
+        assert!(error.contains("sise"), "{error}");
+        assert!(ImportParams { downscale: 2, ..params }.validate().is_err());
+        assert!(ImportParams { downscale: 0, ..ImportParams::default() }.validate().is_err());
+    }
+}

@@ -1,0 +1,304 @@
+//! Pixels made ready: undistorted, resized, white-balanced, written beside the manifest; files that need nothing are copied.
+//!
+//! Views stream through a few worker threads, each holding one view; the number of workers is bounded by the threads asked for and
+//! by a memory budget, so that the folder's size does not matter. Outputs do not depend on the number of workers.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use use3d_capture::{Capture, Map, Pixels, View};
+use use3d_io_image::{
+    read_pixels_with_alpha, write_atomically, write_exr_map, write_png_map, write_png_pixels,
+};
+
+use crate::error::ImportError;
+use crate::geometry::Geometry;
+use crate::import::{Imported, Plan, sparse_points};
+use crate::layout::stem;
+use crate::load::{read_depth_at, read_mask_at};
+use crate::model::{Keypoint, Model, ModelCamera, write_model_binary};
+use crate::params::WhiteBalance;
+use crate::prepared::{MODEL, save};
+use crate::white_balance;
+
+/// Memory that the views in flight may take together, bytes.
+const BUDGET: usize = 640 << 20;
+/// What a view in flight takes per pixel of its file or its result: decoded, as planes, as floats, and encoded.
+const BYTES_PER_PIXEL: usize = 48;
+
+/// Told after each view how many of how many are done; `false` stops.
+pub type Progress<'a> = &'a (dyn Fn(usize, usize) -> bool + Sync);
+
+/// Writes the prepared capture into `out` and returns it as [`crate::load_prepared`] will read it.
+///
+/// `threads = 0` takes all cores. Files are each there whole or not at all, and the manifest comes last; a folder that was
+/// interrupted has none and can be prepared again.
+pub fn prepare(
+    imported: &Imported,
+    out: &Path,
+    threads: usize,
+    progress: Progress<'_>,
+) -> Result<Imported, ImportError> {
+    std::fs::create_dir_all(out).map_err(ImportError::file(out))?;
+    let views = &imported.capture.views;
+    let workers = workers(imported, threads);
+    let balanced = imported.white_balance == WhiteBalance::SetPercentile;
+    let total = views.len() * if balanced { 2 } else { 1 };
+    let done = AtomicUsize::new(0);
+    let tick = || progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
+
+    let gains = if balanced {
+        let paths: Vec<&Path> = views.iter().map(|v| v.image.as_path()).collect();
+        Some(white_balance::set_percentile_gains(&paths, workers, &tick)?)
+    } else {
+        None
+    };
+    let names = output_names(imported, gains.is_some());
+    let prepared: Vec<View> = in_parallel(views.len(), workers, |i| {
+        let view = prepare_view(&views[i], &imported.plans[i], &names[i], gains, out)?;
+        if tick() { Ok(view) } else { Err(ImportError::Interrupted) }
+    })?;
+
+    let (model, cameras) = pinhole_model(imported, &names);
+    write_model_binary(&out.join(MODEL), &model)?;
+    let mut report = imported.report.clone();
+    report.white_balance = gains.or(report.white_balance);
+    let renamed: std::collections::BTreeMap<&str, &str> =
+        views.iter().map(|v| v.name.as_str()).zip(names.iter().map(String::as_str)).collect();
+    for name in report.train.iter_mut().chain(&mut report.test) {
+        if let Some(new) = renamed.get(name.as_str()) {
+            *name = (*new).to_string();
+        }
+    }
+    let capture = Capture {
+        name: imported.capture.name.clone(),
+        points: sparse_points(&model, &imported.capture.frame),
+        views: prepared,
+        split: imported.capture.split.clone(),
+        frame: imported.capture.frame,
+    };
+    save(out, &capture, &report)?;
+    let plans = imported.plans.iter().zip(&cameras).zip(&capture.views).map(|((plan, &camera), view)| Plan {
+        geometry: Arc::new(Geometry::identity(view.camera.intrinsics)),
+        alpha: plan.alpha && !changes(plan, gains),
+        camera,
+    });
+    let plans = plans.collect();
+    Ok(Imported { capture, report, plans, model, white_balance: WhiteBalance::None })
+}
+
+fn changes(plan: &Plan, gains: Option<[f32; 3]>) -> bool {
+    plan.geometry.resamples() || gains.is_some()
+}
+
+/// Workers that the cores and the memory budget allow.
+fn workers(imported: &Imported, threads: usize) -> usize {
+    let cores =
+        if threads > 0 { threads } else { std::thread::available_parallelism().map_or(1, usize::from) };
+    let pixels = |p: &Plan| {
+        (p.geometry.file.0 * p.geometry.file.1)
+            .max(p.geometry.intrinsics.width * p.geometry.intrinsics.height)
+    };
+    let largest = imported.plans.iter().map(pixels).max().unwrap_or(1).max(1);
+    cores.min(BUDGET / (largest * BYTES_PER_PIXEL)).max(1)
+}
+
+/// File names of the results: PNG where pixels change, else the source's extension; made distinct where stems collide.
+fn output_names(imported: &Imported, balanced: bool) -> Vec<String> {
+    let mut taken = BTreeSet::new();
+    let views = imported.capture.views.iter().zip(&imported.plans);
+    views
+        .map(|(view, plan)| {
+            let own = view.image.extension().and_then(|e| e.to_str()).unwrap_or("png");
+            let extension = if plan.geometry.resamples() || balanced { "png" } else { own };
+            let mut name = format!("{}.{extension}", view.stem());
+            if taken.contains(stem(&name)) {
+                name = format!("{}.{extension}", view.name);
+            }
+            while !taken.insert(stem(&name).to_string()) {
+                name = format!("{}_.{extension}", stem(&name));
+            }
+            name
+        })
+        .collect()
+}
+
+fn copy(from: &Path, to: &Path) -> Result<(), ImportError> {
+    let mut file = std::fs::File::open(from).map_err(ImportError::file(from))?;
+    write_atomically(to, |w| std::io::copy(&mut file, w)).map_err(ImportError::file(to))?;
+    Ok(())
+}
+
+/// Copies a file below `out/folder`, under the view's stem.
+fn copy_beside(from: &Path, out: &Path, folder: &str, name: &str) -> Result<PathBuf, ImportError> {
+    let extension = from.extension().and_then(|e| e.to_str()).unwrap_or("png");
+    let to = out.join(folder).join(format!("{}.{extension}", stem(name)));
+    copy(from, &to)?;
+    Ok(to)
+}
+
+/// A view's pixels, mask and depth prior, as the training loop will see them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PreparedView {
+    /// Colours, at the view's size.
+    pub pixels: Pixels,
+    /// Weights in `[0, 1]`: the mask file times the alpha channel; `None` where there is neither.
+    pub mask: Option<Map>,
+    /// The depth prior.
+    pub depth_prior: Option<Map>,
+}
+
+impl Imported {
+    /// Decodes and resamples one view in memory (without white balance, which is a matter of the whole set).
+    pub fn view(&self, index: usize) -> Result<PreparedView, ImportError> {
+        let (view, plan) = (&self.capture.views[index], &self.plans[index]);
+        resample(view, plan, [1.0; 3])
+    }
+}
+
+fn resample(view: &View, plan: &Plan, gains: [f32; 3]) -> Result<PreparedView, ImportError> {
+    let geometry = &plan.geometry;
+    let (pixels, alpha) = read_pixels_with_alpha(&view.image)?;
+    if pixels.size() != geometry.file {
+        let expected = format!(
+            "but it was {} x {} when it was imported; import again",
+            geometry.file.0, geometry.file.1
+        );
+        return Err(ImportError::Size { path: view.image.clone(), found: pixels.size(), expected });
+    }
+    let result =
+        if geometry.resamples() || gains != [1.0; 3] { geometry.pixels(&pixels, gains) } else { pixels };
+    let mask = view.mask.as_ref().map(|path| read_mask_at(path, geometry.file)).transpose()?;
+    let mask = match (mask, alpha) {
+        (Some(mut mask), Some(alpha)) => {
+            mask.data_mut().iter_mut().zip(alpha.data()).for_each(|(m, a)| *m *= a);
+            Some(mask)
+        }
+        (mask, alpha) => mask.or(alpha),
+    };
+    let depth = view.depth_prior.as_ref().map(|path| read_depth_at(path, geometry.file)).transpose()?;
+    Ok(PreparedView {
+        pixels: result,
+        mask: mask.map(|m| geometry.mask(&m)),
+        depth_prior: depth.map(|d| geometry.depth(&d)),
+    })
+}
+
+/// Writes one view's files and gives the view that names them.
+fn prepare_view(
+    view: &View,
+    plan: &Plan,
+    name: &str,
+    gains: Option<[f32; 3]>,
+    out: &Path,
+) -> Result<View, ImportError> {
+    let image = out.join("images").join(name);
+    let mut result = View { name: name.to_string(), image, mask: None, depth_prior: None, ..view.clone() };
+    if !changes(plan, gains) {
+        copy(&view.image, &result.image)?;
+        let mask = view.mask.as_ref().map(|from| copy_beside(from, out, "masks", name));
+        result.mask = mask.transpose()?;
+        let depth = view.depth_prior.as_ref().map(|from| copy_beside(from, out, "depth", name));
+        result.depth_prior = depth.transpose()?;
+        return Ok(result);
+    }
+    let ready = resample(view, plan, gains.unwrap_or([1.0; 3]))?;
+    write_png_pixels(&result.image, &ready.pixels)?;
+    if let Some(mask) = &ready.mask {
+        let path = out.join("masks").join(format!("{}.png", stem(name)));
+        write_png_map(&path, mask)?;
+        result.mask = Some(path);
+    }
+    if let Some(depth) = &ready.depth_prior {
+        let path = out.join("depth").join(format!("{}.exr", stem(name)));
+        write_exr_map(&path, depth, "Z")?;
+        result.depth_prior = Some(path);
+    }
+    Ok(result)
+}
+
+/// The model of the prepared images: pinholes, new names, keypoints moved with the pixels; and each view's camera id.
+fn pinhole_model(imported: &Imported, names: &[String]) -> (Model, Vec<u32>) {
+    let mut model = Model { points: imported.model.points.clone(), ..Model::default() };
+    let mut next = imported.model.cameras.iter().map(|c| c.id).max().unwrap_or(0);
+    let mut ids = Vec::with_capacity(names.len());
+    for (view, plan) in imported.capture.views.iter().zip(&imported.plans) {
+        let wanted = ModelCamera::pinhole(plan.camera, &view.camera.intrinsics);
+        let same = |c: &&ModelCamera| {
+            c.width == wanted.width && c.height == wanted.height && c.parameters == wanted.parameters
+        };
+        // A camera that took files of several sizes becomes several cameras.
+        let id = match model.cameras.iter().find(|c| c.id == wanted.id) {
+            Some(camera) if same(&camera) => wanted.id,
+            None => {
+                model.cameras.push(wanted);
+                plan.camera
+            }
+            Some(_) => match model.cameras.iter().find(same) {
+                Some(camera) => camera.id,
+                None => {
+                    next = next.wrapping_add(1);
+                    model.cameras.push(ModelCamera { id: next, ..wanted });
+                    next
+                }
+            },
+        };
+        ids.push(id);
+    }
+    let by_id: std::collections::BTreeMap<u32, usize> =
+        imported.capture.views.iter().enumerate().map(|(i, v)| (v.id, i)).collect();
+    for image in &imported.model.images {
+        let Some(&i) = by_id.get(&image.id) else { continue };
+        let mut image = image.clone();
+        image.name = names[i].clone();
+        image.camera = ids[i];
+        for keypoint in &mut image.keypoints {
+            // A keypoint that the lens cannot have seen keeps its place in the list, so that tracks stay right.
+            let (x, y) =
+                imported.plans[i].geometry.point(keypoint.x, keypoint.y).unwrap_or((f64::NAN, f64::NAN));
+            let Keypoint { point, .. } = *keypoint;
+            *keypoint = Keypoint { x, y, point };
+        }
+        model.images.push(image);
+    }
+    (model, ids)
+}
+
+/// Runs `work(0..n)` on a few threads, one item each at a time, and returns the results in order. The first failure (by index,
+/// of those that ran) stops the rest.
+pub(crate) fn in_parallel<T: Send>(
+    n: usize,
+    workers: usize,
+    work: impl Fn(usize) -> Result<T, ImportError> + Sync,
+) -> Result<Vec<T>, ImportError> {
+    let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let results: Vec<Mutex<Option<Result<T, ImportError>>>> = (0..n).map(|_| Mutex::new(None)).collect();
+    std::thread::scope(|scope| {
+        for _ in 0..workers.min(n) {
+            scope.spawn(|| {
+                while !stop.load(Ordering::Relaxed) {
+                    let i = next.fetch_add(1, Ordering::Relaxed);
+                    if i >= n {
+                        break;
+                    }
+                    let result = work(i);
+                    if result.is_err() {
+                        stop.store(true, Ordering::Relaxed);
+                    }
+                    *results[i].lock().unwrap_or_else(PoisonError::into_inner) = Some(result);
+                }
+            });
+        }
+    });
+    let mut out = Vec::with_capacity(n);
+    for result in results {
+        match result.into_inner().unwrap_or_else(PoisonError::into_inner) {
+            Some(Ok(value)) => out.push(value),
+            Some(Err(error)) => return Err(error),
+            None => continue, // not started: a later index failed, and its error follows
+        }
+    }
+    Ok(out)
+}

@@ -1,0 +1,198 @@
+//! A prepared capture on disk: `capture.json`, `images/`, `masks/`, `depth/`, and a pinhole COLMAP model in `sparse/0`.
+//!
+//! The folder is itself a capture that other tools can read. `capture.json` holds the views with their cameras in the normalised
+//! frame, the frame, the split and the import's report; numbers are written so that they read back to the same bits.
+//! Rotations are row-major. The points are those of the model, moved by the frame. `capture.json` is written last: a folder without it
+//! was not finished.
+
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use glam::{DMat3, DVec3};
+use serde::{Deserialize, Serialize};
+use use3d_capture::{Camera, Capture, Frame, Intrinsics, Pose, Split, View};
+
+use crate::error::ImportError;
+use crate::geometry::Geometry;
+use crate::import::{Imported, Plan, sparse_points};
+use crate::layout::Folder;
+use crate::model::read_model;
+use crate::params::WhiteBalance;
+use crate::report::ImportReport;
+
+/// The manifest's name.
+pub(crate) const MANIFEST: &str = "capture.json";
+const FORMAT: &str = "3d-use capture";
+const VERSION: u32 = 1;
+/// The model's place.
+pub(crate) const MODEL: &str = "sparse/0";
+
+#[derive(Serialize, Deserialize)]
+struct Manifest {
+    format: String,
+    version: u32,
+    name: String,
+    frame: FrameEntry,
+    views: Vec<ViewEntry>,
+    train: Vec<usize>,
+    test: Vec<usize>,
+    report: ImportReport,
+}
+
+#[derive(Serialize, Deserialize)]
+struct FrameEntry {
+    scale: f64,
+    rotation: [f64; 9],
+    translation: [f64; 3],
+}
+
+#[derive(Serialize, Deserialize)]
+struct ViewEntry {
+    name: String,
+    id: u32,
+    image: String,
+    mask: Option<String>,
+    depth_prior: Option<String>,
+    width: usize,
+    height: usize,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+    rotation: [f64; 9],
+    translation: [f64; 3],
+}
+
+/// Row-major entries.
+pub(crate) fn row_major(m: &DMat3) -> [f64; 9] {
+    m.transpose().to_cols_array()
+}
+
+/// From row-major entries.
+pub(crate) fn from_row_major(m: &[f64; 9]) -> DMat3 {
+    DMat3::from_cols_array(m).transpose()
+}
+
+/// Whether [`crate::prepare`] finished this folder.
+pub fn is_prepared(dir: &Path) -> bool {
+    // Another tool may have a file of that name, so its first lines decide.
+    let Ok(file) = std::fs::File::open(dir.join(MANIFEST)) else { return false };
+    let mut head = Vec::new();
+    file.take(200).read_to_end(&mut head).is_ok() && String::from_utf8_lossy(&head).contains(FORMAT)
+}
+
+/// Writes the manifest; paths in the capture must lie below `dir`.
+pub(crate) fn save(dir: &Path, capture: &Capture, report: &ImportReport) -> Result<(), ImportError> {
+    let path = dir.join(MANIFEST);
+    let bad = |reason: String| ImportError::Prepared { path: path.clone(), reason };
+    let relative = |p: &PathBuf| {
+        let below = p.strip_prefix(dir).ok().and_then(Path::to_str);
+        below.map(String::from).ok_or_else(|| bad(format!("{} is not below it", p.display())))
+    };
+    let entry = |v: &View| {
+        let (k, pose) = (&v.camera.intrinsics, &v.camera.pose);
+        Ok(ViewEntry {
+            name: v.name.clone(),
+            id: v.id,
+            image: relative(&v.image)?,
+            mask: v.mask.as_ref().map(relative).transpose()?,
+            depth_prior: v.depth_prior.as_ref().map(relative).transpose()?,
+            width: k.width,
+            height: k.height,
+            fx: k.fx,
+            fy: k.fy,
+            cx: k.cx,
+            cy: k.cy,
+            rotation: row_major(&pose.rotation),
+            translation: pose.translation.to_array(),
+        })
+    };
+    let manifest = Manifest {
+        format: FORMAT.into(),
+        version: VERSION,
+        name: capture.name.clone(),
+        frame: FrameEntry {
+            scale: capture.frame.scale,
+            rotation: row_major(&capture.frame.rotation),
+            translation: capture.frame.translation.to_array(),
+        },
+        views: capture.views.iter().map(entry).collect::<Result<_, ImportError>>()?,
+        train: capture.split.train.clone(),
+        test: capture.split.test.clone(),
+        report: report.clone(),
+    };
+    use3d_io_image::write_atomically(&path, |w| {
+        serde_json::to_writer_pretty(&mut *w, &manifest)?;
+        std::io::Write::write_all(w, b"\n")
+    })
+    .map_err(ImportError::file(&path))
+}
+
+/// Reads a prepared capture back exactly: the same cameras, points and split to the last bit.
+pub fn load_prepared(dir: &Path) -> Result<Imported, ImportError> {
+    let path = dir.join(MANIFEST);
+    let bytes = std::fs::read(&path).map_err(ImportError::file(&path))?;
+    let bad = |reason: String| ImportError::Prepared { path: path.clone(), reason };
+    let manifest: Manifest = serde_json::from_slice(&bytes).map_err(|e| bad(e.to_string()))?;
+    if manifest.format != FORMAT || manifest.version != VERSION {
+        return Err(bad(format!(
+            "it is {:?} version {}; expected {FORMAT:?} version {VERSION}",
+            manifest.format, manifest.version
+        )));
+    }
+    let folder = Folder::open(dir, ".").ok_or_else(|| bad("its folder is gone".into()))?;
+    let file = |name: &String| {
+        folder.check_name(name)?;
+        // Paths are kept as given, not as resolved, so that a relative folder stays relative.
+        match folder.file(name)? {
+            Some(_) => Ok(dir.join(name)),
+            None => Err(bad(format!("the file {name} is missing"))),
+        }
+    };
+    let mut views = Vec::with_capacity(manifest.views.len());
+    let mut plans = Vec::with_capacity(manifest.views.len());
+    let model = read_model(&dir.join(MODEL))?;
+    let cameras: std::collections::BTreeMap<u32, u32> =
+        model.images.iter().map(|i| (i.id, i.camera)).collect();
+    for v in &manifest.views {
+        let intrinsics =
+            Intrinsics { width: v.width, height: v.height, fx: v.fx, fy: v.fy, cx: v.cx, cy: v.cy };
+        let pose =
+            Pose { rotation: from_row_major(&v.rotation), translation: DVec3::from_array(v.translation) };
+        let camera = Camera { intrinsics, pose };
+        camera.validate().map_err(|source| ImportError::Camera { name: v.name.clone(), source })?;
+        let view = View {
+            name: v.name.clone(),
+            id: v.id,
+            image: file(&v.image)?,
+            mask: v.mask.as_ref().map(file).transpose()?,
+            depth_prior: v.depth_prior.as_ref().map(file).transpose()?,
+            camera,
+        };
+        let alpha = use3d_io_image::image_info(&view.image)?.alpha;
+        let id = cameras.get(&v.id).copied();
+        let camera = id.ok_or_else(|| bad(format!("the model has no image {}", v.id)))?;
+        plans.push(Plan { geometry: Arc::new(Geometry::identity(intrinsics)), alpha, camera });
+        views.push(view);
+    }
+    let sorted =
+        |list: &[usize]| list.windows(2).all(|w| w[0] < w[1]) && list.last().is_none_or(|&i| i < views.len());
+    if !sorted(&manifest.train) || !sorted(&manifest.test) {
+        return Err(bad("its split names views that are not there".into()));
+    }
+    let FrameEntry { scale, rotation, translation } = &manifest.frame;
+    let frame = Frame {
+        scale: *scale,
+        rotation: from_row_major(rotation),
+        translation: DVec3::from_array(*translation),
+    };
+    if !(scale.is_finite() && *scale > 0.0 && frame.rotation.is_finite() && frame.translation.is_finite()) {
+        return Err(bad("its frame is not a similarity".into()));
+    }
+    let points = sparse_points(&model, &frame);
+    let split = Split { train: manifest.train, test: manifest.test };
+    let capture = Capture { name: manifest.name, views, split, points, frame };
+    capture.validate().map_err(|source| ImportError::Capture { path: dir.to_path_buf(), source })?;
+    Ok(Imported { capture, report: manifest.report, plans, model, white_balance: WhiteBalance::None })
+}

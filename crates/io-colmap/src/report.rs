@@ -1,0 +1,160 @@
+//! What an import chose and did, said aloud and stored.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+/// The account of an import.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ImportReport {
+    /// The capture's name.
+    pub name: String,
+    /// The model's folder, relative to the capture.
+    pub model: String,
+    /// `binary` or `text`.
+    pub model_form: String,
+    /// Models that were there too, with their numbers of images, not used.
+    pub other_models: Vec<String>,
+    /// The image folder, relative to the capture.
+    pub image_folder: String,
+    /// Image folders that were there too, not used.
+    pub other_image_folders: Vec<String>,
+    /// Images that the model lists.
+    pub registered: usize,
+    /// Views: listed images that are there.
+    pub views: usize,
+    /// Listed images that are not there, skipped.
+    pub missing: Vec<String>,
+    /// Images in the folder that the model does not list, not used.
+    pub extra: Vec<String>,
+    /// Cameras by lens and image size.
+    pub cameras: Vec<CameraReport>,
+    /// Sparse points.
+    pub points: usize,
+    /// Views with a mask file.
+    pub masks: usize,
+    /// Views whose alpha channel serves as a mask.
+    pub alpha_masks: usize,
+    /// Views with a depth prior.
+    pub depth_priors: usize,
+    /// Where the depth priors are, if anywhere.
+    pub depth_folder: Option<String>,
+    /// How the split was made.
+    pub split_rule: String,
+    /// Names of the training views.
+    pub train: Vec<String>,
+    /// Names of the test views.
+    pub test: Vec<String>,
+    /// Whether the frame was normalised, and its scale.
+    pub normalised: bool,
+    /// `x_normalised = scale R x + t`: the scale.
+    pub scale: f64,
+    /// Gains of the white balance for R, G, B, once computed.
+    pub white_balance: Option<[f32; 3]>,
+    /// Anything else worth knowing.
+    pub notes: Vec<String>,
+}
+
+/// One camera of the model with one size of image file.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct CameraReport {
+    /// COLMAP's camera id.
+    pub id: u32,
+    /// COLMAP's camera model.
+    pub model: String,
+    /// Views it took.
+    pub views: usize,
+    /// The image size that the model states.
+    pub model_size: [usize; 2],
+    /// The size of the files.
+    pub file_size: [usize; 2],
+    /// The size after undistortion, if there was any.
+    pub undistorted_size: Option<[usize; 2]>,
+    /// The final size.
+    pub size: [usize; 2],
+}
+
+/// A few names and how many more.
+pub(crate) fn some<S: AsRef<str>>(names: &[S]) -> String {
+    let shown: Vec<&str> = names.iter().take(6).map(AsRef::as_ref).collect();
+    match names.len().saturating_sub(6) {
+        0 => shown.join(", "),
+        more => format!("{} and {more} more", shown.join(", ")),
+    }
+}
+
+impl fmt::Display for ImportReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "capture {}: {} views, {} sparse points", self.name, self.views, self.points)?;
+        write!(f, "  model {} ({}), {} images listed", self.model, self.model_form, self.registered)?;
+        if !self.other_models.is_empty() {
+            write!(f, "; the largest, not used: {}", self.other_models.join(", "))?;
+        }
+        write!(f, "\n  images from {}", self.image_folder)?;
+        if !self.other_image_folders.is_empty() {
+            write!(f, "; not used: {}", self.other_image_folders.join(", "))?;
+        }
+        writeln!(f)?;
+        if !self.missing.is_empty() {
+            writeln!(
+                f,
+                "  {} listed images are not there, skipped: {}",
+                self.missing.len(),
+                some(&self.missing)
+            )?;
+        }
+        if !self.extra.is_empty() {
+            writeln!(
+                f,
+                "  {} images are not in the model, not used: {}",
+                self.extra.len(),
+                some(&self.extra)
+            )?;
+        }
+        for camera in self.cameras.iter().take(6) {
+            writeln!(f, "  {camera}")?;
+        }
+        if self.cameras.len() > 6 {
+            writeln!(f, "  and {} more cameras", self.cameras.len() - 6)?;
+        }
+        if self.masks + self.alpha_masks > 0 {
+            writeln!(f, "  masks: {} files, {} alpha channels", self.masks, self.alpha_masks)?;
+        }
+        if let Some(folder) = &self.depth_folder {
+            writeln!(f, "  depth priors: {} of {} views, from {folder}", self.depth_priors, self.views)?;
+        }
+        writeln!(
+            f,
+            "  split: {}: {} train, {} test ({})",
+            self.split_rule,
+            self.train.len(),
+            self.test.len(),
+            some(&self.test)
+        )?;
+        match self.normalised {
+            true => writeln!(f, "  frame: normalised, 1 COLMAP unit is {:.6}", self.scale)?,
+            false => writeln!(f, "  frame: as in the model")?,
+        }
+        if let Some([r, g, b]) = self.white_balance {
+            writeln!(f, "  white balance: R x {r:.3}, G x {g:.3}, B x {b:.3}")?;
+        }
+        self.notes.iter().try_for_each(|note| writeln!(f, "  note: {note}"))
+    }
+}
+
+impl fmt::Display for CameraReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { id, model, views, model_size: [mw, mh], file_size: [w, h], size: [ow, oh], .. } = self;
+        write!(f, "camera {id}: {views} views, {model} {mw}x{mh}")?;
+        if self.model_size != self.file_size {
+            write!(f, ", files {w}x{h} (intrinsics scaled)")?;
+        }
+        if let Some([uw, uh]) = self.undistorted_size {
+            write!(f, ", undistorted to {uw}x{uh}")?;
+        }
+        if self.undistorted_size.unwrap_or(self.file_size) != self.size {
+            write!(f, ", resized to {ow}x{oh}")?;
+        }
+        Ok(())
+    }
+}

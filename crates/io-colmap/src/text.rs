@@ -1,0 +1,233 @@
+//! COLMAP's text files: `#` begins a comment line; one line per camera and point, two lines per image.
+//!
+//! ```text
+//! cameras.txt   CAMERA_ID MODEL WIDTH HEIGHT PARAMS…
+//! images.txt    IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME
+//!               (X Y POINT3D_ID)…                                 may be an empty line
+//! points3D.txt  POINT3D_ID X Y Z R G B ERROR (IMAGE_ID POINT2D_IDX)…
+//! ```
+//!
+//! A name is the rest of its line, so it may contain spaces. Numbers are written in the shortest form that reads back to
+//! the same bits.
+
+use std::io::{self, Write};
+use std::path::Path;
+use std::str::{FromStr, SplitAsciiWhitespace};
+
+use crate::error::ModelError;
+use crate::lens::LensModel;
+use crate::model::{Keypoint, ModelCamera, ModelImage, ModelPoint};
+
+type Result<T> = std::result::Result<T, ModelError>;
+
+/// The words of one line.
+struct Line<'a> {
+    words: SplitAsciiWhitespace<'a>,
+    number: usize,
+    path: &'a Path,
+}
+
+impl<'a> Line<'a> {
+    fn fail<T>(&self, reason: String) -> Result<T> {
+        Err(ModelError::broken(self.path, format!("line {}", self.number), reason))
+    }
+
+    fn next<T: FromStr>(&mut self, field: &str) -> Result<T> {
+        match self.words.next() {
+            None => self.fail(format!("it ends where {field} was expected")),
+            Some(word) => self.parse(word, field),
+        }
+    }
+
+    fn parse<T: FromStr>(&self, word: &str, field: &str) -> Result<T> {
+        word.parse().or_else(|_| {
+            let shown: String = word.chars().take(40).collect();
+            self.fail(format!("`{shown}` is not a valid {field}"))
+        })
+    }
+
+    fn array<T: FromStr + Copy + Default, const N: usize>(&mut self, field: &str) -> Result<[T; N]> {
+        let mut out = [T::default(); N];
+        for v in &mut out {
+            *v = self.next(field)?;
+        }
+        Ok(out)
+    }
+}
+
+/// The lines of a file with their numbers.
+struct Lines<'a> {
+    lines: std::iter::Enumerate<std::str::Lines<'a>>,
+    path: &'a Path,
+}
+
+impl<'a> Lines<'a> {
+    fn new(bytes: &'a [u8], path: &'a Path) -> Result<Self> {
+        match std::str::from_utf8(bytes) {
+            Ok(text) => Ok(Self { lines: text.lines().enumerate(), path }),
+            Err(e) => {
+                Err(ModelError::broken(path, format!("byte {}", e.valid_up_to()), "it is not UTF-8".into()))
+            }
+        }
+    }
+
+    fn line(&self, number: usize, text: &'a str) -> Line<'a> {
+        Line { words: text.split_ascii_whitespace(), number: number + 1, path: self.path }
+    }
+
+    /// The next line with data, with its text.
+    fn data(&mut self) -> Option<(Line<'a>, &'a str)> {
+        loop {
+            let (number, text) = self.lines.next()?;
+            let text = text.trim();
+            if !text.is_empty() && !text.starts_with('#') {
+                return Some((self.line(number, text), text));
+            }
+        }
+    }
+
+    /// The very next line, be it empty.
+    fn any(&mut self) -> Option<Line<'a>> {
+        let (number, text) = self.lines.next()?;
+        Some(self.line(number, text))
+    }
+}
+
+/// Parses `cameras.txt`; `path` is for the messages only.
+pub fn cameras(bytes: &[u8], path: &Path) -> Result<Vec<ModelCamera>> {
+    let mut lines = Lines::new(bytes, path)?;
+    let mut out = Vec::new();
+    while let Some((mut line, _)) = lines.data() {
+        let id = line.next("camera id")?;
+        let name: String = line.next("camera model")?;
+        let Some(model) = LensModel::from_name(&name) else {
+            let shown: String = name.chars().take(40).collect();
+            return line.fail(ModelError::unknown_model(&shown, -1));
+        };
+        let (width, height) = (line.next("width")?, line.next("height")?);
+        let parameters: Vec<f64> =
+            line.words.clone().map(|w| line.parse(w, "camera parameter")).collect::<Result<_>>()?;
+        if parameters.len() != model.parameter_count() {
+            return line.fail(format!(
+                "{} parameters; {} has {}",
+                parameters.len(),
+                model.name(),
+                model.parameter_count()
+            ));
+        }
+        out.push(ModelCamera { id, model, width, height, parameters });
+    }
+    Ok(out)
+}
+
+/// What is left of a line after `count` words.
+fn after_words(text: &str, count: usize) -> &str {
+    let mut rest = text;
+    for _ in 0..count {
+        rest = rest.trim_start();
+        rest = rest.find(|c: char| c.is_ascii_whitespace()).map_or("", |end| &rest[end..]);
+    }
+    rest.trim()
+}
+
+/// Parses `images.txt`.
+pub fn images(bytes: &[u8], path: &Path) -> Result<Vec<ModelImage>> {
+    let mut lines = Lines::new(bytes, path)?;
+    let mut out = Vec::new();
+    while let Some((mut line, text)) = lines.data() {
+        let id = line.next("image id")?;
+        let quaternion = line.array("quaternion entry")?;
+        let translation = line.array("translation entry")?;
+        let camera = line.next("camera id")?;
+        let name = after_words(text, 9).to_string();
+        if name.is_empty() {
+            return line.fail("it ends where the image's name was expected".into());
+        }
+        let mut keypoints = Vec::new();
+        if let Some(mut line) = lines.any() {
+            while let Some(word) = line.words.next() {
+                let x = line.parse(word, "keypoint x")?;
+                let y = line.next("keypoint y")?;
+                let point: i64 = line.next("point id")?;
+                keypoints.push(Keypoint { x, y, point: point as u64 });
+            }
+        }
+        out.push(ModelImage { id, quaternion, translation, camera, name, keypoints });
+    }
+    Ok(out)
+}
+
+/// Parses `points3D.txt`.
+pub fn points(bytes: &[u8], path: &Path) -> Result<Vec<ModelPoint>> {
+    let mut lines = Lines::new(bytes, path)?;
+    let mut out = Vec::new();
+    while let Some((mut line, _)) = lines.data() {
+        let id = line.next("point id")?;
+        let position = line.array("coordinate")?;
+        let color = line.array("colour of 0 to 255")?;
+        let error = line.next("error")?;
+        let mut track = Vec::new();
+        while let Some(word) = line.words.next() {
+            let image = line.parse(word, "image id")?;
+            track.push((image, line.next("keypoint index")?));
+        }
+        out.push(ModelPoint { id, position, color, error, track });
+    }
+    Ok(out)
+}
+
+/// Numbers with a space before each.
+fn put(w: &mut impl Write, values: &[f64]) -> io::Result<()> {
+    values.iter().try_for_each(|v| write!(w, " {v}"))
+}
+
+/// Writes `cameras.txt`.
+pub fn write_cameras(w: &mut impl Write, cameras: &[ModelCamera]) -> io::Result<()> {
+    writeln!(w, "# {} cameras, one per line: CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]", cameras.len())?;
+    for c in cameras {
+        write!(w, "{} {} {} {}", c.id, c.model.name(), c.width, c.height)?;
+        put(w, &c.parameters)?;
+        writeln!(w)?;
+    }
+    Ok(())
+}
+
+/// Writes `images.txt`.
+pub fn write_images(w: &mut impl Write, images: &[ModelImage]) -> io::Result<()> {
+    writeln!(w, "# {} images, two lines each: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", images.len())?;
+    writeln!(w, "# and its keypoints (X Y POINT3D_ID)[], where -1 is no point")?;
+    for image in images {
+        if image.name.contains('\n') || image.name.trim() != image.name || image.name.is_empty() {
+            let message = format!("the image name {:?} cannot be written as text", image.name);
+            return Err(io::Error::new(io::ErrorKind::InvalidData, message));
+        }
+        write!(w, "{}", image.id)?;
+        put(w, &image.quaternion)?;
+        put(w, &image.translation)?;
+        writeln!(w, " {} {}", image.camera, image.name)?;
+        for (i, k) in image.keypoints.iter().enumerate() {
+            let space = if i == 0 { "" } else { " " };
+            write!(w, "{space}{} {} {}", k.x, k.y, k.point as i64)?;
+        }
+        writeln!(w)?;
+    }
+    Ok(())
+}
+
+/// Writes `points3D.txt`.
+pub fn write_points(w: &mut impl Write, points: &[ModelPoint]) -> io::Result<()> {
+    writeln!(
+        w,
+        "# {} points, one per line: POINT3D_ID X Y Z R G B ERROR (IMAGE_ID POINT2D_IDX)[]",
+        points.len()
+    )?;
+    for p in points {
+        write!(w, "{}", p.id)?;
+        put(w, &p.position)?;
+        let [r, g, b] = p.color;
+        write!(w, " {r} {g} {b} {}", p.error)?;
+        p.track.iter().try_for_each(|(image, keypoint)| write!(w, " {image} {keypoint}"))?;
+        writeln!(w)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,330 @@
+//! From a distorting lens to a pinhole.
+//!
+//! **Which pinhole.** It keeps the lens's focal lengths, so that the centre of the picture keeps its resolution, and shows
+//! the largest field whose every pixel the photograph covers: no black borders (as COLMAP's undistorter does with no blank
+//! pixels, and OpenCV with `alpha = 0`). The field is found on the plane `z = 1`: from the ray of the image's centre outwards, in
+//! 720 directions and those of the four corners, up to where the lens leaves the sensor, folds, or exceeds 80°. Between the
+//! innermost points of the left, right, top and bottom borders lies the rectangle; where folds cut into it, it shrinks about
+//! the centre until it is free of them. A side is at most twice as long as the photograph's (very wide fisheyes are cropped).
+//!
+//! **Resampling.** Each pinhole pixel centre is bent by the lens and the photograph read there: colours and masks bilinearly,
+//! depths at the nearest pixel.
+
+use std::sync::OnceLock;
+
+use use3d_capture::{Intrinsics, Raster};
+
+use crate::lens::Lens;
+use crate::resample::Sample;
+
+const DIRECTIONS: usize = 720;
+const STEPS: usize = 256;
+/// Rays further off the image centre's ray than this are not shown.
+const WIDEST: f64 = 80.0 * std::f64::consts::PI / 180.0;
+/// A lens that moves no pixel by more than this is taken as a pinhole, pixels.
+const NEGLIGIBLE: f64 = 0.01;
+
+/// What ends the field in one direction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum End {
+    Left,
+    Right,
+    Top,
+    Bottom,
+    Fold,
+}
+
+/// Whether the lens is a pinhole for images of this size, to [`NEGLIGIBLE`] pixels.
+pub(crate) fn is_pinhole(lens: &Lens, width: usize, height: usize) -> bool {
+    if lens.is_pinhole() {
+        return true;
+    }
+    let ([fx, fy], [cx, cy]) = lens.pinhole_part();
+    (0..=32usize).all(|i| {
+        (0..=32usize).all(|j| {
+            let (x, y) = (width as f64 * i as f64 / 32.0, height as f64 * j as f64 / 32.0);
+            let (px, py) = lens.project((x - cx) / fx, (y - cy) / fy);
+            (px - x).hypot(py - y) < NEGLIGIBLE
+        })
+    })
+}
+
+/// The pinhole for a lens and image size; an error text where the lens leaves nothing to show.
+pub(crate) fn choose_pinhole(lens: &Lens, width: usize, height: usize) -> Result<Intrinsics, String> {
+    let (w, h) = (width as f64, height as f64);
+    let center = lens
+        .unproject(0.5 * w, 0.5 * h)
+        .ok_or("its distortion parameters are unusable: no ray reaches the middle of the image")?;
+
+    let inside = |u: f64, v: f64| {
+        let ((x, y), j) = lens.project_with_jacobian(u, v);
+        j[0][0] * j[1][1] - j[0][1] * j[1][0] > 0.0 && (0.0..=w).contains(&x) && (0.0..=h).contains(&y)
+    };
+    if !inside(center.0, center.1) {
+        return Err(
+            "its distortion parameters are unusable: the lens folds in the middle of the image".into()
+        );
+    }
+    let corners = [(0.0, 0.0), (w, 0.0), (0.0, h), (w, h)];
+    let to_corners = corners
+        .iter()
+        .filter_map(|&(x, y)| lens.unproject(x, y))
+        .map(|(u, v)| (v - center.1).atan2(u - center.0));
+    let around = (0..DIRECTIONS).map(|i| std::f64::consts::TAU * i as f64 / DIRECTIONS as f64);
+
+    let mut ends = Vec::with_capacity(DIRECTIONS + 4);
+    for direction in around.chain(to_corners) {
+        let (sin, cos) = direction.sin_cos();
+        let at = |t: f64| {
+            let r = (t * WIDEST).tan();
+            (center.0 + r * cos, center.1 + r * sin)
+        };
+        let step = |i: usize| i as f64 / STEPS as f64;
+        let first_out = (1..=STEPS).find(|&i| {
+            let (u, v) = at(step(i));
+            !inside(u, v)
+        });
+        let (mut low, mut high) = first_out.map_or((1.0, 1.0), |i| (step(i - 1), step(i)));
+        for _ in 0..50 {
+            let middle = 0.5 * (low + high);
+            let (u, v) = at(middle);
+            if inside(u, v) { low = middle } else { high = middle }
+        }
+        let (u, v) = at(low);
+        let (x, y) = lens.project(u, v);
+        let near = [(x, End::Left), (w - x, End::Right), (y, End::Top), (h - y, End::Bottom)];
+        let (distance, side) = near.into_iter().min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((w, End::Fold));
+        ends.push((u, v, if distance < 1e-3 { side } else { End::Fold }));
+    }
+
+    // The rectangle between the innermost points of the four borders.
+    type Axis = fn(&(f64, f64, End)) -> f64;
+    let innermost = |side: End, of: Axis, sign: f64| {
+        let pick = |all: bool| {
+            let values = ends.iter().filter(|e| all || e.2 == side).map(|e| sign * of(e));
+            values.reduce(if all { f64::max } else { f64::min })
+        };
+        sign * pick(false).or(pick(true)).unwrap_or(0.0)
+    };
+    let (u, v): (Axis, Axis) = (|e| e.0, |e| e.1);
+    let left = innermost(End::Left, u, -1.0);
+    let right = innermost(End::Right, u, 1.0);
+    let top = innermost(End::Top, v, -1.0);
+    let bottom = innermost(End::Bottom, v, 1.0);
+
+    // Shrunk until no end of the field lies inside it.
+    let mut share = 1.0f64;
+    for &(u, v, _) in &ends {
+        let (du, dv) = (u - center.0, v - center.1);
+        let across = du / if du < 0.0 { left - center.0 } else { right - center.0 };
+        let down = dv / if dv < 0.0 { top - center.1 } else { bottom - center.1 };
+        share = share.min(across.max(down));
+    }
+    let ([fx, fy], [cx, cy]) = lens.pinhole_part();
+    let side = |low: f64, high: f64, middle: f64, focal: f64, principal: f64, most: f64| {
+        let middle = middle * focal + principal;
+        let low = middle + share * (low * focal + principal - middle);
+        let high = middle + share * (high * focal + principal - middle);
+        let (low, high) = (low.max(middle - most), high.min(middle + most));
+        let pixels = (high - low + 1e-6).floor();
+        (pixels, principal - (low + 0.5 * (high - low - pixels)))
+    };
+    let (out_w, out_cx) = side(left, right, center.0, fx, cx, w);
+    let (out_h, out_cy) = side(top, bottom, center.1, fy, cy, h);
+    if !(out_w >= 1.0 && out_h >= 1.0) {
+        return Err("its distortion parameters are unusable: they leave no field of view".into());
+    }
+    Ok(Intrinsics { width: out_w as usize, height: out_h as usize, fx, fy, cx: out_cx, cy: out_cy })
+}
+
+/// A lens, its images' size, and the pinhole they are resampled to.
+#[derive(Debug)]
+pub(crate) struct Undistortion {
+    lens: Lens,
+    source: (usize, usize),
+    pub(crate) pinhole: Intrinsics,
+    /// Where each pinhole pixel is read, kept when several images share the lens.
+    table: Option<OnceLock<Vec<[f32; 2]>>>,
+}
+
+impl Undistortion {
+    pub(crate) fn new(lens: Lens, width: usize, height: usize) -> Result<Self, String> {
+        let pinhole = choose_pinhole(&lens, width, height)?;
+        Ok(Self { lens, source: (width, height), pinhole, table: None })
+    }
+
+    /// Keeps the table of positions after its first use (8 bytes per pixel).
+    pub(crate) fn keep_table(&mut self) {
+        self.table = Some(OnceLock::new());
+    }
+
+    /// A position on the photograph where the pinhole would show it; `None` outside the lens's field.
+    pub(crate) fn undistort_point(&self, x: f64, y: f64) -> Option<(f64, f64)> {
+        let (u, v) = self.lens.unproject(x, y)?;
+        Some((u * self.pinhole.fx + self.pinhole.cx, v * self.pinhole.fy + self.pinhole.cy))
+    }
+
+    fn position(&self, column: usize, row: usize) -> [f32; 2] {
+        let k = &self.pinhole;
+        let (u, v) = ((column as f64 + 0.5 - k.cx) / k.fx, (row as f64 + 0.5 - k.cy) / k.fy);
+        let (x, y) = self.lens.project(u, v);
+        [x as f32, y as f32]
+    }
+
+    /// Calls `write(p, x, y)` for every pinhole pixel `p` with the position to read.
+    fn for_each_position(&self, mut write: impl FnMut(usize, f32, f32)) {
+        let (w, h) = (self.pinhole.width, self.pinhole.height);
+        let compute = || (0..w * h).map(|p| self.position(p % w, p / w)).collect::<Vec<_>>();
+        match &self.table {
+            Some(table) => {
+                for (p, &[x, y]) in table.get_or_init(compute).iter().enumerate() {
+                    write(p, x, y);
+                }
+            }
+            None => {
+                for p in 0..w * h {
+                    let [x, y] = self.position(p % w, p / w);
+                    write(p, x, y);
+                }
+            }
+        }
+    }
+
+    /// Bilinear reading; beyond the outermost pixel centres the edge goes on. `source` has the lens's image size.
+    pub(crate) fn apply<T: Sample, const C: usize>(&self, source: &Raster<T, C>) -> Raster<f32, C> {
+        debug_assert_eq!((source.width(), source.height()), self.source);
+        let (w, h) = (source.width(), source.height());
+        let mut out = Raster::<f32, C>::new(self.pinhole.width, self.pinhole.height);
+        let n = out.pixels();
+        let planes = source.planes();
+        let (last_x, last_y) = ((w - 1) as f32, (h - 1) as f32);
+        let data = out.data_mut();
+        self.for_each_position(|p, x, y| {
+            let (x, y) = ((x - 0.5).clamp(0.0, last_x), (y - 0.5).clamp(0.0, last_y));
+            let (x0, y0) = (x as usize, y as usize);
+            let (fx, fy) = (x - x0 as f32, y - y0 as f32);
+            let (x1, y1) = ((x0 + 1).min(w - 1), (y0 + 1).min(h - 1));
+            for c in 0..C {
+                let at = |x: usize, y: usize| planes[c][y * w + x].to_f32();
+                let top = at(x0, y0) + fx * (at(x1, y0) - at(x0, y0));
+                let bottom = at(x0, y1) + fx * (at(x1, y1) - at(x0, y1));
+                data[c * n + p] = top + fy * (bottom - top);
+            }
+        });
+        out
+    }
+
+    /// The nearest pixel: for depths, which must not be mixed across edges.
+    pub(crate) fn apply_nearest(&self, source: &Raster<f32, 1>) -> Raster<f32, 1> {
+        let (w, h) = (source.width(), source.height());
+        let mut out = Raster::<f32, 1>::new(self.pinhole.width, self.pinhole.height);
+        let data = out.data_mut();
+        self.for_each_position(|p, x, y| {
+            let x = (x.max(0.0) as usize).min(w - 1);
+            let y = (y.max(0.0) as usize).min(h - 1);
+            data[p] = source.data()[y * w + x];
+        });
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lens::LensModel;
+    use crate::lens::tests::example;
+    use use3d_capture::Image;
+
+    #[test]
+    fn the_pinhole_shows_only_what_the_photograph_covers_and_not_much_less() {
+        for model in LensModel::ALL.into_iter().skip(2) {
+            for amount in [0.3, 1.0] {
+                let (w, h) = (1000usize, 700usize);
+                let lens = example(model, amount);
+                let k = choose_pinhole(&lens, w, h).unwrap();
+                assert!(k.width > 400 && k.height > 300, "{model:?}: {}x{}", k.width, k.height);
+                let corner = |x: f64, y: f64| lens.project((x - k.cx) / k.fx, (y - k.cy) / k.fy);
+                // Every point of the border is on the photograph, up to the sampling of directions.
+                let mut slack = [f64::INFINITY; 4];
+                for i in 0..=400 {
+                    let t = f64::from(i) / 400.0;
+                    let (kw, kh) = (k.width as f64, k.height as f64);
+                    for (x, y) in
+                        [corner(t * kw, 0.0), corner(t * kw, kh), corner(0.0, t * kh), corner(kw, t * kh)]
+                    {
+                        assert!(
+                            x > -0.5 && x < w as f64 + 0.5 && y > -0.5 && y < h as f64 + 0.5,
+                            "{model:?} {x} {y}"
+                        );
+                        let gaps = [x, w as f64 - x, y, h as f64 - y];
+                        for (s, g) in slack.iter_mut().zip(gaps) {
+                            *s = s.min(g);
+                        }
+                    }
+                }
+                // And it reaches at least two opposite borders to a pixel and a half.
+                let reached = slack.iter().filter(|s| **s < 1.5).count();
+                assert!(reached >= 2, "{model:?} {amount}: gaps {slack:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_lens_that_does_nothing_is_a_pinhole() {
+        let almost = Lens::new(LensModel::SimpleRadial, &[800.0, 500.0, 350.0, 1e-7]).unwrap();
+        assert!(is_pinhole(&almost, 1000, 700));
+        let real = Lens::new(LensModel::SimpleRadial, &[800.0, 500.0, 350.0, 1e-2]).unwrap();
+        assert!(!is_pinhole(&real, 1000, 700));
+        let k =
+            choose_pinhole(&Lens::new(LensModel::Pinhole, &[800.0, 800.0, 500.0, 350.0]).unwrap(), 1000, 700);
+        let k = k.unwrap();
+        assert_eq!((k.width, k.height), (1000, 700));
+        assert!((k.cx - 500.0).abs() < 1e-3 && (k.cy - 350.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn unusable_lenses_are_refused() {
+        let folded = Lens::new(LensModel::SimpleRadial, &[800.0, -4000.0, 350.0, -2.0]).unwrap();
+        assert!(choose_pinhole(&folded, 1000, 700).is_err());
+    }
+
+    /// A smooth picture of the directions of rays, photographed analytically through the lens, comes out as the pinhole would
+    /// have photographed it.
+    #[test]
+    fn a_distorted_picture_comes_out_as_the_pinhole_would_have_taken_it() {
+        let picture = |u: f64, v: f64| {
+            let s = |x: f64| 0.5 + 0.4 * x.sin();
+            [s(9.0 * u + 2.0 * v), s(7.0 * v - u), s(5.0 * (u + v)) * s(6.0 * u)]
+        };
+        for model in LensModel::ALL.into_iter().skip(2) {
+            let (w, h) = (500usize, 350usize);
+            let lens = example(model, 1.0).scaled(0.5, 0.5);
+            let mut photograph = Image::new(w, h);
+            for y in 0..h {
+                for x in 0..w {
+                    let (u, v) = lens.unproject(x as f64 + 0.5, y as f64 + 0.5).unwrap();
+                    photograph.set_pixel(x, y, picture(u, v).map(|c| c as f32));
+                }
+            }
+            let mut undistortion = Undistortion::new(lens, w, h).unwrap();
+            let out = undistortion.apply(&photograph);
+            undistortion.keep_table();
+            assert_eq!(out, undistortion.apply(&photograph), "with and without the table");
+            let k = undistortion.pinhole;
+            let mut worst = 0.0f32;
+            for y in 1..k.height - 1 {
+                for x in 1..k.width - 1 {
+                    let (u, v) = ((x as f64 + 0.5 - k.cx) / k.fx, (y as f64 + 0.5 - k.cy) / k.fy);
+                    for (a, b) in out.pixel(x, y).iter().zip(picture(u, v)) {
+                        worst = worst.max((a - b as f32).abs());
+                    }
+                }
+            }
+            assert!(worst < 6e-3, "{model:?}: {worst}");
+            // Points move with the picture.
+            let (x, y) = undistortion.undistort_point(123.4, 210.9).unwrap();
+            let (u, v) = lens.unproject(123.4, 210.9).unwrap();
+            assert!((x - (u * k.fx + k.cx)).abs() < 1e-9 && (y - (v * k.fy + k.cy)).abs() < 1e-9);
+        }
+    }
+}
