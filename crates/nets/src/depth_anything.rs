@@ -1,4 +1,4 @@
-//! Depth Anything V2: disparity from one picture, a DINOv2 vision transformer with the DPT head of [`dpt`](crate::dpt).
+//! Depth Anything V2: disparity from one picture, a DINOv2 vision transformer with the DPT head.
 //!
 //! The picture is brought to at least 518 pixels a side in multiples of 14 (cubic, without antialiasing), cut into patches of 14 × 14,
 //! and every patch becomes a token. A class token is put in front and a learned position added, resized bicubically from its 37 × 37

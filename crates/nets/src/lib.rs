@@ -10,7 +10,7 @@
 //!
 //! [`Models`] finds the official checkpoint files in a folder, reads them without executing anything and without the network, and says what is missing.
 //!
-//! Every network is written out by hand on a few kernels ([`engine`]): one matrix product into which convolutions gather their windows,
+//! Every network is written out by hand on a few kernels (`engine`): one matrix product into which convolutions gather their windows,
 //! attention in blocks, normalisations, resamplers. There is no tensor library underneath: inference needs about fifteen operations,
 //! and for the largest of them, the convolution, a general library is several times slower than a product that never
 //! stores the unrolled picture. What this buys besides: 80 crates less, no unsafe code, memory that is bounded by the feature maps, and the same
@@ -19,12 +19,14 @@
 //! All arithmetic is f32; long sums are f64. Agreement with the original implementations is tested on intermediate
 //! activations with reproducible stand-in weights ([`weights::StandIn`]).
 
+pub mod checkpoint;
 mod depth_anything;
 mod dpt;
 mod engine;
 pub mod error;
 mod images;
 mod lpips;
+pub mod models;
 mod musiq;
 mod nu2net;
 mod raft;
@@ -33,10 +35,12 @@ mod testing;
 mod uranker;
 pub mod weights;
 
+pub use checkpoint::Checkpoint;
 pub use depth_anything::{DepthAnythingSize, DepthAnythingV2};
 pub use error::NetError;
 pub use images::limit_long_side;
 pub use lpips::{Features, Lpips};
+pub use models::{Models, Network};
 pub use musiq::Musiq;
 pub use nu2net::{InputPolicy, Nu2Net};
 pub use raft::{Flow, Raft};
