@@ -1,2 +1,33 @@
-//! Image quality and consistency formulas: PSNR, SSIM, MS-SSIM, UCIQE, UIQM, CIEDE2000, warping
+//! Image quality and consistency formulas: PSNR, SSIM, MS-SSIM, UCIQE, UIQM, CIEDE2000, warping.
+//!
+//! Formulas only; measures that need a trained network (LPIPS, MUSIQ …) live with the networks and plug into
+//! [`warped_distance`] as a closure. All images are display-referred RGB in `[0, 1]`.
+//!
+//! | with a reference | without | between views |
+//! | --- | --- | --- |
+//! | [`psnr`], [`psnr_exposure_fitted`], [`ssim`], [`ms_ssim`], [`ciede2000`] | [`uciqe`], [`uiqm`] | [`warped_distance`] (flow), [`warped_delta_e`], [`warped_ssim`] (depth) |
+//!
+//! Deterministic: long sums are f64 in a fixed order, the same bits for any number of threads.
+
+mod ciede2000;
+mod consistency;
+mod error;
+mod lab;
 pub mod ms_ssim;
+mod psnr;
+mod ssim;
+mod uciqe;
+mod uiqm;
+mod warp;
+
+pub use ciede2000::{ciede2000, delta_e_of_lab, mean_ciede2000};
+pub use consistency::{
+    Consistency, GeometricView, geometric_warp, warped_delta_e, warped_distance, warped_ssim,
+};
+pub use error::MetricError;
+pub use lab::{lab_of_srgb, lab8_of_srgb8};
+pub use psnr::{ExposureFit, exposure_gain, mean_square_error, psnr, psnr_exposure_fitted};
+pub use ssim::{ssim, ssim_map};
+pub use uciqe::{Uciqe, UciqeVariant, uciqe, uciqe_of_8bit};
+pub use uiqm::{Uiqm, uiqm, uiqm_of_8bit};
+pub use warp::{Flow, ForwardBackward, Mask, Warped, backward_warp, forward_backward};

@@ -1,0 +1,109 @@
+//! What no measure can be computed of.
+
+use use3d_capture::Raster;
+
+/// Images that cannot be compared or measured.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum MetricError {
+    /// Two rasters that should have one size.
+    #[error(
+        "{what} is {found_width}x{found_height} pixels, but the image it belongs to is {width}x{height}; resize or crop one of them"
+    )]
+    SizeMismatch {
+        /// Which raster is off.
+        what: &'static str,
+        /// Expected width.
+        width: usize,
+        /// Expected height.
+        height: usize,
+        /// Found width.
+        found_width: usize,
+        /// Found height.
+        found_height: usize,
+    },
+    /// A value that is not a number, or infinite.
+    #[error("{what} has a value that is not finite at column {x}, row {y}")]
+    NotFinite {
+        /// Which raster.
+        what: &'static str,
+        /// Column.
+        x: usize,
+        /// Row.
+        y: usize,
+    },
+    /// Too few pixels for the measure.
+    #[error("{measure} needs at least {least}x{least} pixels; the image has {width}x{height}")]
+    TooSmall {
+        /// The measure.
+        measure: &'static str,
+        /// Smallest side.
+        least: usize,
+        /// Width found.
+        width: usize,
+        /// Height found.
+        height: usize,
+    },
+}
+
+/// Fails unless `found` has the size of the image it belongs to.
+pub(crate) fn same_size<T, U, const C: usize, const D: usize>(
+    what: &'static str,
+    image: &Raster<T, C>,
+    found: &Raster<U, D>,
+) -> Result<(), MetricError> {
+    let (width, height) = (image.width(), image.height());
+    let (found_width, found_height) = (found.width(), found.height());
+    if (width, height) == (found_width, found_height) {
+        return Ok(());
+    }
+    Err(MetricError::SizeMismatch { what, width, height, found_width, found_height })
+}
+
+/// Fails at the first value that is not finite.
+pub(crate) fn finite<const C: usize>(what: &'static str, image: &Raster<f32, C>) -> Result<(), MetricError> {
+    // Folding over blocks vectorises, a search does not; search only when there is something to find.
+    let suspicious = image.data().chunks(4096).any(|c| c.iter().fold(false, |s, v| s | !v.is_finite()));
+    if !suspicious {
+        return Ok(());
+    }
+    match image.data().iter().position(|v| !v.is_finite()) {
+        Some(i) => {
+            let p = i % image.pixels();
+            Err(MetricError::NotFinite { what, x: p % image.width(), y: p / image.width() })
+        }
+        None => Ok(()),
+    }
+}
+
+/// Fails if a side is shorter than `least`.
+pub(crate) fn large_enough<T, const C: usize>(
+    measure: &'static str,
+    image: &Raster<T, C>,
+    least: usize,
+) -> Result<(), MetricError> {
+    let (width, height) = (image.width(), image.height());
+    if width.min(height) >= least {
+        return Ok(());
+    }
+    Err(MetricError::TooSmall { measure, least, width, height })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use use3d_capture::Image;
+
+    #[test]
+    fn the_place_of_a_bad_value_is_named() {
+        let mut image = Image::new(7, 5);
+        assert!(finite("the image", &image).is_ok());
+        image.set_pixel(3, 2, [0.0, f32::NAN, 0.0]);
+        let text = finite("the image", &image).unwrap_err().to_string();
+        assert!(text.contains("column 3, row 2"), "{text}");
+        image.set_pixel(3, 2, [0.0; 3]);
+        image.set_pixel(6, 4, [f32::INFINITY, 0.0, 0.0]);
+        assert!(finite("the image", &image).is_err());
+        assert!(same_size("b", &image, &Image::new(5, 7)).unwrap_err().to_string().contains("5x7"));
+        assert!(large_enough("SSIM", &image, 11).is_err());
+    }
+}

@@ -1,0 +1,79 @@
+//! sRGB to CIELAB under D65.
+//!
+//! `Y = M g⁻¹(rgb)`, `f(t) = t^{1/3}` above `(6/29)³` and `t/(3 (6/29)²) + 4/29` below, `L = 116 f(Y/Y_n) - 16`,
+//! `a = 500 (f(X/X_n) - f(Y/Y_n))`, `b = 200 (f(Y/Y_n) - f(Z/Z_n))`; g is sRGB's transfer function (IEC 61966-2-1).
+//! The white point is the matrix's own image of white, so that greys have exactly no chroma.
+
+use use3d_capture::Image8;
+
+/// Linear sRGB to XYZ.
+const TO_XYZ: [[f64; 3]; 3] =
+    [[0.412453, 0.357580, 0.180423], [0.212671, 0.715160, 0.072169], [0.019334, 0.119193, 0.950227]];
+/// D65: the sums of the rows above.
+const WHITE: [f64; 3] = [0.950456, 1.0, 1.088754];
+
+fn decode(v: f64) -> f64 {
+    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+}
+
+fn lab_of_linear(rgb: [f64; 3]) -> [f64; 3] {
+    let f = |i: usize| {
+        let t = (TO_XYZ[i][0] * rgb[0] + TO_XYZ[i][1] * rgb[1] + TO_XYZ[i][2] * rgb[2]) / WHITE[i];
+        if t > 216.0 / 24389.0 { t.cbrt() } else { (24389.0 / 27.0 * t + 16.0) / 116.0 }
+    };
+    let (x, y, z) = (f(0), f(1), f(2));
+    [116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)]
+}
+
+/// CIELAB of display values (clamped to `[0, 1]`): L in `[0, 100]`.
+pub fn lab_of_srgb(rgb: [f32; 3]) -> [f64; 3] {
+    lab_of_linear(rgb.map(|v| decode(f64::from(v.clamp(0.0, 1.0)))))
+}
+
+/// The decoded value of each 8-bit code.
+pub(crate) fn decode_table() -> [f64; 256] {
+    std::array::from_fn(|i| decode(i as f64 / 255.0))
+}
+
+/// CIELAB of an 8-bit pixel through a [`decode_table`].
+#[inline]
+pub(crate) fn lab_of_codes(table: &[f64; 256], rgb: [u8; 3]) -> [f64; 3] {
+    lab_of_linear(rgb.map(|v| table[v as usize]))
+}
+
+/// 8-bit CIELAB as image libraries store it: `L 255/100`, `a + 128`, `b + 128`, rounded (to even) and clamped.
+#[inline]
+pub(crate) fn quantise(lab: [f64; 3]) -> [u8; 3] {
+    [lab[0] * 2.55, lab[1] + 128.0, lab[2] + 128.0].map(|v| v.round_ties_even().clamp(0.0, 255.0) as u8)
+}
+
+/// 8-bit CIELAB of an 8-bit image.
+pub fn lab8_of_srgb8(image: &Image8) -> Image8 {
+    let table = decode_table();
+    let mut out = Image8::new(image.width(), image.height());
+    for y in 0..image.height() {
+        for x in 0..image.width() {
+            out.set_pixel(x, y, quantise(lab_of_codes(&table, image.pixel(x, y))));
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn known_colours() {
+        let close = |rgb: [f32; 3], lab: [f64; 3]| {
+            let found = lab_of_srgb(rgb);
+            for (a, b) in found.iter().zip(lab) {
+                assert!((a - b).abs() < 0.02, "{rgb:?}: {found:?}");
+            }
+        };
+        close([0.0; 3], [0.0; 3]);
+        close([1.0; 3], [100.0, 0.0, 0.0]);
+        close([1.0, 0.0, 0.0], [53.24, 80.09, 67.20]);
+        close([0.0, 0.0, 1.0], [32.30, 79.19, -107.86]);
+    }
+}

@@ -1,0 +1,106 @@
+//! The measures against the golden part `metrics`, all cases.
+
+use use3d_capture::{Image, Image8};
+use use3d_golden::{Case, Part};
+use use3d_metrics::ms_ssim::{MsSsim, RECONSTRUCTION_WEIGHTS, STANDARD_WEIGHTS};
+use use3d_metrics::{
+    Flow, UciqeVariant, backward_warp, forward_backward, lab_of_srgb, lab8_of_srgb8, psnr, ssim,
+    uciqe_of_8bit, uiqm_of_8bit,
+};
+
+fn image8(case: &Case<'_>, name: &str) -> Image8 {
+    let (w, h, planes) = case.planes(name);
+    Image8::from_planes(w, h, planes.iter().map(|&v| v as u8).collect()).unwrap()
+}
+
+fn image(case: &Case<'_>, name: &str) -> Image {
+    let (w, h, planes) = case.planes(name);
+    Image::from_planes(w, h, planes).unwrap()
+}
+
+/// Cases that have a tensor; at least one.
+fn with<'a>(part: &'a Part, tensor: &str) -> Vec<Case<'a>> {
+    let cases: Vec<_> = part.cases().into_iter().filter(|c| c.has(tensor)).collect();
+    assert!(!cases.is_empty(), "no case has {tensor}");
+    cases
+}
+
+#[test]
+fn golden_full_reference() {
+    let part = Part::math("metrics");
+    for case in with(&part, "in.y") {
+        let (x, y) = (image8(&case, "in.x").to_float(), image8(&case, "in.y").to_float());
+        case.check_f64("out.psnr", &[psnr(&x, &y).unwrap()]);
+        case.check_f64("out.ssim", &[ssim(&x, &y).unwrap()]);
+        let mut measure = MsSsim::new();
+        for (name, weights) in
+            [("out.ms_ssim3", &RECONSTRUCTION_WEIGHTS[..]), ("out.ms_ssim5", &STANDARD_WEIGHTS)]
+        {
+            if case.has(name) {
+                case.check_f64(name, &[measure.value(&x, &y, weights)]);
+            }
+        }
+    }
+}
+
+#[test]
+fn golden_lab() {
+    let part = Part::math("metrics");
+    for case in with(&part, "out.lab") {
+        let image = image8(&case, "in.x");
+        let lab: Vec<f64> = (0..image.pixels())
+            .flat_map(|p| {
+                let rgb = image.pixel(p % image.width(), p / image.width());
+                lab_of_srgb(rgb.map(|v| f32::from(v) / 255.0))
+            })
+            .collect();
+        case.check_f64("out.lab", &lab);
+        let lab8: Vec<f64> = lab8_of_srgb8(&image).to_interleaved().iter().map(|&v| f64::from(v)).collect();
+        case.check_within("out.lab8", &lab8, 1.0);
+        let expected = case.f64("out.lab8");
+        let off = lab8.iter().zip(&expected).filter(|(a, b)| a != b).count();
+        assert!(off * 1000 <= lab8.len(), "{}: {off} of {} 8-bit values differ", case.name(), lab8.len());
+    }
+}
+
+#[test]
+fn golden_uciqe_and_uiqm() {
+    let part = Part::math("metrics");
+    for case in with(&part, "out.uciqe") {
+        let image = image8(&case, "in.x");
+        let names: Vec<String> = serde_json::from_value(case.config()["variants"].clone()).unwrap();
+        let default: String = serde_json::from_value(case.config()["default"].clone()).unwrap();
+        assert_eq!(default, UciqeVariant::default().name());
+        let found: Vec<_> = names
+            .iter()
+            .map(|name| uciqe_of_8bit(&image, name.parse::<UciqeVariant>().unwrap()).unwrap())
+            .collect();
+        let parts: Vec<f64> =
+            found.iter().flat_map(|u| [u.chroma_spread, u.contrast, u.saturation]).collect();
+        case.check_f64("out.uciqe_parts", &parts);
+        case.check_f64("out.uciqe", &found.iter().map(|u| u.score).collect::<Vec<_>>());
+        let q = uiqm_of_8bit(&image).unwrap();
+        case.check_f64("out.uiqm", &[q.score, q.colorfulness, q.sharpness, q.contrast]);
+    }
+}
+
+#[test]
+fn golden_warping() {
+    let part = Part::math("metrics");
+    for case in with(&part, "in.f12") {
+        let flow = |name: &str| {
+            let (w, h, planes) = case.planes(name);
+            Flow::from_planes(w, h, planes).unwrap()
+        };
+        let (f12, f21) = (flow("in.f12"), flow("in.f21"));
+        let warped = backward_warp(&image(&case, "in.img2"), &f12).unwrap();
+        case.check_planes("out.warped", warped.image.data());
+        let bits = |mask: &use3d_metrics::Mask| mask.data().iter().map(|&v| f64::from(v)).collect::<Vec<_>>();
+        case.check_within("out.inside", &bits(&warped.inside), 0.0);
+        let check = forward_backward(&f12, &f21).unwrap();
+        case.check_planes("out.fb_error_sq", check.error_squared.data());
+        let (a, b) = (case.number("a") as f32, case.number("b") as f32);
+        case.check_within("out.mask", &bits(&check.relative_mask(a, b)), 0.0);
+        case.check_within("out.mask_1px", &bits(&check.absolute_mask(1.0)), 0.0);
+    }
+}
