@@ -1,1 +1,27 @@
-//! A synthetic underwater capture with known truth: scene, water, cameras, pairs
+//! A synthetic underwater capture with known truth: scene, water, cameras, pairs.
+//!
+//! A procedural reef (terrain, boulders, corals, sponges, a wreck, a rope, a colour chart) as triangles with procedural textures,
+//! seen by casting rays, under soft daylight and through one of Jerlov's waters. None of it is made of Gaussians, so that a
+//! reconstruction from these pictures is no inverse crime. [`write_capture`] makes a COLMAP project with everything that is to be
+//! found out beside it; [`write_pairs`] makes pairs for training a calibrator without any download.
+//!
+//! The pictures follow the method's image formation exactly, `I = J e^{-β_attn s} + c_m(d) (1 - e^{-β_bs s})` per channel on
+//! display values, s the distance along the ray (see [`Water`]). Known limits: opaque surfaces, no forward scattering (blur), no
+//! moving animals, no artificial light.
+//!
+//! Deterministic: a function of the parameters, whatever the number of threads.
+
+mod capture;
+mod error;
+mod geometry;
+mod pairs;
+mod render;
+mod scene;
+mod sparse;
+mod swim;
+mod water;
+
+pub use capture::{CaptureParams, CaptureTruth, write_capture};
+pub use error::SynthError;
+pub use pairs::{PairsParams, write_pairs};
+pub use water::{UnknownWaterType, Water, WaterType};

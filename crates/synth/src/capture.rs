@@ -1,0 +1,275 @@
+//! `synth capture`: a swim over a reef as a COLMAP project, with the truth beside it.
+//!
+//! ```text
+//! images/frame_0001.png …      8-bit, through water, with noise
+//! sparse/0/*.bin               COLMAP model (arbitrary frame and scale, as structure from motion leaves them)
+//! depth/frame_0001.png …       16-bit depth priors: nearer is larger, monotone but not linear in disparity, 0 is unknown
+//! truth/clean/frame_0001.png   J: the same pictures without water and noise; black where there is only water
+//! truth/depth/frame_0001.exr   z-depth in COLMAP units, channel Z; 0 where there is only water
+//! truth/water.json             coefficients, veiling light, frame (`CaptureTruth`)
+//! ```
+
+use std::path::Path;
+
+use glam::{DMat3, DVec3, Vec3};
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use use3d_capture::{Camera, Frame, Map};
+use use3d_io_image::{write_exr_map, write_png_map16, write_png8};
+use use3d_numerics::random::{Purpose, Stream};
+
+use crate::error::{SynthError, whole_folder};
+use crate::geometry::noise::Noise;
+use crate::render::{Condition, add_noise, expose, render};
+use crate::scene::{Caustics, Draws, Layout, Scene};
+use crate::sparse::{self, Corner};
+use crate::swim;
+use crate::water::{Water, WaterType};
+
+/// What to photograph, and how.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct CaptureParams {
+    /// Everything random follows from it.
+    pub seed: u64,
+    /// Number of photographs, at least 2.
+    pub views: usize,
+    /// Image width, pixels, 16 to 8192.
+    pub width: usize,
+    /// Image height, pixels, 16 to 8192.
+    pub height: usize,
+    /// Jerlov's water type.
+    pub water: WaterType,
+    /// Depth below the surface, metres, 0 to 60: sets the colour of the daylight.
+    pub depth: f32,
+    /// Share of the daylight's colour cast that the camera removes, 0 to 1.
+    pub white_balance: f32,
+    /// Sensor noise of a middle tone, standard deviation in display range, 0 to 0.2.
+    pub noise: f32,
+    /// Strength of the moving light pattern on the ground, 0 (off) to 1. It breaks the assumption that the scene does not change.
+    pub caustics: f32,
+    /// Sparse points wanted, about.
+    pub points: usize,
+    /// Whether to write depth priors.
+    pub depth_priors: bool,
+    /// Triangle density of the scene, 0.1 to 1: less is built faster.
+    pub detail: f32,
+}
+
+impl Default for CaptureParams {
+    fn default() -> Self {
+        Self {
+            seed: 42,
+            views: 48,
+            width: 640,
+            height: 360,
+            water: WaterType::Ii,
+            depth: 8.0,
+            white_balance: 0.8,
+            noise: 0.008,
+            caustics: 0.0,
+            points: 8000,
+            depth_priors: true,
+            detail: 1.0,
+        }
+    }
+}
+
+impl CaptureParams {
+    /// Checks every range.
+    pub fn validate(&self) -> Result<(), SynthError> {
+        SynthError::check("views", self.views, (2..=10_000).contains(&self.views), "2 to 10000")?;
+        for (field, side) in [("width", self.width), ("height", self.height)] {
+            SynthError::check(field, side, (16..=8192).contains(&side), "16 to 8192 pixels")?;
+        }
+        SynthError::check("depth", self.depth, (0.0..=60.0).contains(&self.depth), "0 to 60 metres")?;
+        SynthError::check(
+            "white_balance",
+            self.white_balance,
+            (0.0..=1.0).contains(&self.white_balance),
+            "0 to 1",
+        )?;
+        SynthError::check("noise", self.noise, (0.0..=0.2).contains(&self.noise), "0 to 0.2")?;
+        SynthError::check("caustics", self.caustics, (0.0..=1.0).contains(&self.caustics), "0 to 1")?;
+        SynthError::check("points", self.points, self.points <= 2_000_000, "at most 2000000")?;
+        SynthError::check("detail", self.detail, (0.1..=1.0).contains(&self.detail), "0.1 to 1")
+    }
+}
+
+/// The truth of a synthetic capture (`truth/water.json`). Everything but `*_per_metre` is in COLMAP's frame and unit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CaptureTruth {
+    /// `"3d-use synthetic capture"`.
+    pub format: String,
+    /// 1.
+    pub version: u32,
+    /// What was asked for.
+    pub parameters: CaptureParams,
+    /// Coefficients per COLMAP unit, veiling light over ray directions in COLMAP's frame.
+    pub water: Water,
+    /// `β_attn`, 1/m.
+    pub attenuation_per_metre: [f32; 3],
+    /// `β_bs`, 1/m.
+    pub backscatter_per_metre: [f32; 3],
+    /// COLMAP units per metre.
+    pub units_per_metre: f64,
+    /// Metres to COLMAP: `x_colmap = units_per_metre R x_metres + t`, R row-major. In metres, z is up and the swim goes along y.
+    pub rotation: [f64; 9],
+    /// `t`, COLMAP units.
+    pub translation: [f64; 3],
+    /// Colour of the daylight times the exposure, linear.
+    pub daylight: [f32; 3],
+}
+
+/// Views rendered at a time: bounds memory, and feeds the threads while others write files.
+const BATCH: usize = 4;
+
+/// An arbitrary frame, as structure from motion leaves it: y roughly down, some tilt, any heading, scale and origin.
+fn colmap_frame(seed: u64) -> Frame {
+    let stream = Stream::new(seed, Purpose::new("COLMAP frame"), 0);
+    let number = |i: u64| 2.0 * stream.uniform(i) - 1.0;
+    let y_down = DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y);
+    let heading = DMat3::from_rotation_y(std::f64::consts::PI * number(0));
+    let tilt = DMat3::from_rotation_x(0.25 * number(1)) * DMat3::from_rotation_z(0.25 * number(2));
+    let scale = (0.5 * number(3)).exp() * 0.6;
+    let translation = 1.5 * DVec3::new(number(4), number(5), number(6));
+    Frame { scale, rotation: tilt * heading * y_down, translation }
+}
+
+/// Everything that a view is rendered from.
+struct Studio {
+    scene: Scene,
+    cameras: Vec<Camera>,
+    underwater: Condition,
+    clean: Condition,
+    frame: Frame,
+}
+
+impl Studio {
+    fn new(params: &CaptureParams) -> Self {
+        let layout = Layout { seed: params.seed, detail: params.detail, density: 1.0, wreck: true };
+        let scene = Scene::new(&layout);
+        let lens = swim::lens(params.width, params.height, &mut Draws::new(params.seed, "lens", 0));
+        let cameras = swim::path(&scene.terrain, params.seed, params.views, &lens);
+        let water = Water::of_type(params.water, params.depth, params.white_balance, Vec3::Z, scene.sun());
+        let tint = Vec3::from_array(Water::daylight_tint(params.water, params.depth, params.white_balance));
+        let unexposed = Condition { light: tint, water: Some(water) };
+        let every = params.views.div_ceil(12);
+        let some: Vec<Camera> = cameras.iter().copied().step_by(every).collect();
+        let light = expose(&scene, &some, &unexposed, 0.41) * tint;
+        let frame = colmap_frame(params.seed);
+        Self {
+            scene,
+            cameras,
+            underwater: Condition { light, water: Some(water) },
+            clean: Condition { light, water: None },
+            frame,
+        }
+    }
+
+    fn truth(&self, params: &CaptureParams) -> CaptureTruth {
+        let water = self.underwater.water.unwrap_or_else(|| {
+            Water::of_type(params.water, params.depth, params.white_balance, Vec3::Z, self.scene.sun())
+        });
+        CaptureTruth {
+            format: "3d-use synthetic capture".into(),
+            version: 1,
+            parameters: params.clone(),
+            water: water.in_frame(&self.frame),
+            attenuation_per_metre: water.attenuation,
+            backscatter_per_metre: water.backscatter,
+            units_per_metre: self.frame.scale,
+            rotation: self.frame.rotation.transpose().to_cols_array(),
+            translation: self.frame.translation.to_array(),
+            daylight: self.underwater.light.to_array(),
+        }
+    }
+
+    /// Renders and writes one view; returns the corners for the sparse points.
+    fn shoot(&self, params: &CaptureParams, view: usize, dir: &Path) -> Result<Vec<Corner>, SynthError> {
+        let stem = stem(view);
+        let camera = &self.cameras[view];
+        let caustics = Caustics { strength: params.caustics, time: 0.5 * view as f32 };
+        let mut shot = render(&self.scene, camera, &[self.underwater, self.clean], caustics);
+        add_noise(&mut shot.images[0], params.noise, params.seed, view as u64);
+        let picture = shot.images[0].to_8bit();
+        write_png8(&dir.join(format!("images/{stem}.png")), &picture)?;
+        write_png8(&dir.join(format!("truth/clean/{stem}.png")), &shot.images[1].to_8bit())?;
+        let scale = self.frame.scale as f32;
+        let depth = shot.depth.map(|z| scale * z);
+        write_exr_map(&dir.join(format!("truth/depth/{stem}.exr")), &depth, "Z")?;
+        if params.depth_priors {
+            let prior = depth_prior(&shot.depth, params.seed, view);
+            write_png_map16(&dir.join(format!("depth/{stem}.png")), &prior)?;
+        }
+        let wanted = (2 * params.points).div_ceil(params.views);
+        Ok(sparse::corners(&picture, &shot.depth, params.seed, view, wanted))
+    }
+}
+
+fn stem(view: usize) -> String {
+    format!("frame_{:04}", view + 1)
+}
+
+/// A prior as a monocular network gives it: disparity up to an unknown scale, a power, a slowly varying error and a little noise.
+fn depth_prior(depth: &Map, seed: u64, view: usize) -> Map {
+    let nearest = depth.data().iter().filter(|&&z| z > 0.0).fold(f32::INFINITY, |m, &z| m.min(z));
+    let mut draws = Draws::new(seed, "depth prior", view as u64);
+    let (power, gain) = (draws.range(0.75, 0.95), draws.range(0.8, 0.92));
+    let wobble = Noise::new(draws.bits());
+    let grain = Stream::new(seed, Purpose::new("depth prior grain"), view as u64);
+    let (w, h) = (depth.width(), depth.height());
+    let mut prior = Map::new(w, h);
+    for (p, (out, &z)) in prior.data_mut().iter_mut().zip(depth.data()).enumerate() {
+        if z > 0.0 {
+            let at = Vec3::new(3.0 * (p % w) as f32 / w as f32, 3.0 * (p / w) as f32 / w as f32, 0.5);
+            let error = 1.0 + 0.04 * wobble.value(at) + 0.004 * grain.normal(p as u64) as f32;
+            *out = (0.03 + gain * (nearest / z).powf(power) * error).clamp(1.0 / 65535.0, 1.0);
+        }
+    }
+    prior
+}
+
+/// Writes a synthetic capture to `out`, a folder that must not exist (or be empty). `progress` is told (views done, views in all).
+///
+/// # Errors
+/// A parameter out of range, an output that exists, or a file that cannot be written; nothing is left at `out` then.
+pub fn write_capture(
+    params: &CaptureParams,
+    out: &Path,
+    progress: &mut dyn FnMut(usize, usize),
+) -> Result<CaptureTruth, SynthError> {
+    params.validate()?;
+    whole_folder(out, |dir| {
+        let studio = Studio::new(params);
+        tracing::info!(triangles = studio.scene.triangles(), "built the scene");
+        let mut corners = Vec::with_capacity(params.views);
+        progress(0, params.views);
+        while corners.len() < params.views {
+            let batch: Vec<_> = (corners.len()..(corners.len() + BATCH).min(params.views))
+                .into_par_iter()
+                .map(|view| studio.shoot(params, view, dir))
+                .collect();
+            for list in batch {
+                corners.push(list?);
+            }
+            progress(corners.len(), params.views);
+        }
+        let names: Vec<String> = (0..params.views).map(|i| format!("{}.png", stem(i))).collect();
+        let mut model =
+            sparse::model(&studio.scene, &studio.cameras, &names, &studio.frame, &corners, params.seed);
+        sparse::keep(&mut model, params.points);
+        let folder = dir.join("sparse/0");
+        std::fs::create_dir_all(&folder).map_err(SynthError::io(&folder))?;
+        use3d_io_colmap::write_model_binary(&folder, &model)?;
+        let truth = studio.truth(params);
+        let path = dir.join("truth/water.json");
+        let text = serde_json::to_string_pretty(&truth).map_err(std::io::Error::other);
+        text.and_then(|text| std::fs::write(&path, text + "\n")).map_err(SynthError::io(&path))?;
+        Ok(truth)
+    })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,211 @@
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use glam::{DVec2, Vec3};
+use use3d_capture::Intrinsics;
+use use3d_io_image::{read_image, read_map};
+
+use super::*;
+
+fn small() -> CaptureParams {
+    CaptureParams { views: 5, width: 80, height: 60, points: 300, detail: 0.12, ..CaptureParams::default() }
+}
+
+fn in_pool<T: Send>(threads: usize, f: impl FnOnce() -> T + Send) -> T {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(f)
+}
+
+fn files(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let (mut out, mut open) = (BTreeMap::new(), vec![root.to_path_buf()]);
+    while let Some(dir) = open.pop() {
+        for entry in std::fs::read_dir(&dir).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                open.push(path);
+            } else {
+                let bytes = std::fs::read(&path).unwrap();
+                out.insert(path.strip_prefix(root).unwrap().to_path_buf(), bytes);
+            }
+        }
+    }
+    out
+}
+
+/// The written cameras in COLMAP's frame, in view order.
+fn cameras(model: &use3d_io_colmap::Model) -> Vec<Camera> {
+    let k = &model.cameras[0];
+    let intrinsics = Intrinsics {
+        width: k.width,
+        height: k.height,
+        fx: k.parameters[0],
+        fy: k.parameters[1],
+        cx: k.parameters[2],
+        cy: k.parameters[3],
+    };
+    model.images.iter().map(|image| Camera { intrinsics, pose: image.pose() }).collect()
+}
+
+#[test]
+fn a_capture_is_the_same_for_any_number_of_threads_and_agrees_with_its_truth() {
+    let dir = tempfile::tempdir().unwrap();
+    let params = small();
+    let (a, b) = (dir.path().join("a"), dir.path().join("b"));
+    let truth = in_pool(1, || write_capture(&params, &a, &mut |_, _| {})).unwrap();
+    in_pool(3, || write_capture(&params, &b, &mut |_, _| {})).unwrap();
+    let (first, second) = (files(&a), files(&b));
+    assert_eq!(first.keys().collect::<Vec<_>>(), second.keys().collect::<Vec<_>>());
+    for (name, bytes) in &first {
+        assert!(bytes == &second[name], "{} differs", name.display());
+    }
+    let read: CaptureTruth =
+        serde_json::from_slice(&std::fs::read(a.join("truth/water.json")).unwrap()).unwrap();
+    assert_eq!(read, truth);
+
+    let model = use3d_io_colmap::read_model(&a.join("sparse/0")).unwrap();
+    let cameras = cameras(&model);
+    assert_eq!(cameras.len(), params.views);
+    let depths: Vec<Map> = (0..params.views)
+        .map(|i| read_map(&a.join(format!("truth/depth/{}.exr", stem(i)))).unwrap())
+        .collect();
+    the_formation_equation_holds(&a, &truth, &cameras, &depths, params.noise);
+    depths_agree_between_views(&cameras, &depths);
+    points_reproject(&model, &cameras);
+    priors_follow_disparity(&a, &depths);
+}
+
+/// I = J e^{-β_attn s} + c_m (1 - e^{-β_bs s}) from the written files alone, away from edges, within noise and quantisation.
+fn the_formation_equation_holds(
+    dir: &Path,
+    truth: &CaptureTruth,
+    cameras: &[Camera],
+    depths: &[Map],
+    noise: f32,
+) {
+    let (mut checked, mut squares, mut water_only) = (0, 0.0f64, 0);
+    for (i, (camera, depth)) in cameras.iter().zip(depths).enumerate() {
+        let picture = read_image(&dir.join(format!("images/{}.png", stem(i)))).unwrap();
+        let clean = read_image(&dir.join(format!("truth/clean/{}.png", stem(i)))).unwrap();
+        for y in 1..depth.height() - 1 {
+            for x in 1..depth.width() - 1 {
+                let z = depth.pixel(x, y)[0];
+                let around =
+                    [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)].map(|(x, y)| depth.pixel(x, y)[0]);
+                if around.iter().any(|&d| (d - z).abs() > 0.015 * z.min(d)) {
+                    continue;
+                }
+                let ray = camera.ray(x as f64 + 0.5, y as f64 + 0.5);
+                let direction = (camera.pose.rotation.transpose() * ray.normalize()).as_vec3();
+                let s = if z > 0.0 { z * ray.length() as f32 } else { f32::INFINITY };
+                water_only += usize::from(z == 0.0);
+                let predicted = truth.water.seen_through(clean.pixel(x, y), s, direction);
+                let found = picture.pixel(x, y);
+                for c in 0..3 {
+                    squares += f64::from(predicted[c] - found[c]).powi(2);
+                    checked += 1;
+                }
+            }
+        }
+    }
+    assert!(checked > 10_000 && water_only > 50, "{checked} values, {water_only} open-water pixels");
+    // A few interior pixels are averages over another object's edge.
+    let rms = (squares / f64::from(checked)).sqrt();
+    assert!(rms < 2.0 * f64::from(noise), "formation equation is off by {rms}");
+}
+
+/// A surface point of one view lies at the depth that another view sees there, unless it is hidden.
+fn depths_agree_between_views(cameras: &[Camera], depths: &[Map]) {
+    let (mut agree, mut nearer_than_seen, mut tested) = (0, 0, 0);
+    for i in 0..cameras.len() - 1 {
+        let (from, to) = (&cameras[i], &cameras[i + 1]);
+        for y in (0..depths[i].height()).step_by(2) {
+            for x in (0..depths[i].width()).step_by(2) {
+                let z = f64::from(depths[i].pixel(x, y)[0]);
+                if z <= 0.0 {
+                    continue;
+                }
+                let ray = from.ray(x as f64 + 0.5, y as f64 + 0.5);
+                let point = from.pose.center() + from.pose.rotation.transpose() * (z * ray);
+                let Some((DVec2 { x: u, y: v }, depth)) = to.project(point) else { continue };
+                if u < 0.0 || v < 0.0 || u >= depths[i].width() as f64 || v >= depths[i].height() as f64 {
+                    continue;
+                }
+                let seen = f64::from(depths[i + 1].pixel(u as usize, v as usize)[0]);
+                tested += 1;
+                agree += usize::from((seen / depth - 1.0).abs() < 0.05);
+                nearer_than_seen += usize::from(seen == 0.0 || seen > 1.3 * depth);
+            }
+        }
+    }
+    assert!(tested > 1000 && agree * 10 > tested * 6, "{agree} of {tested} agree");
+    // A point can be hidden, but never be seen through.
+    assert!(nearer_than_seen * 25 < tested, "{nearer_than_seen} of {tested} are in front of what is seen");
+}
+
+fn points_reproject(model: &use3d_io_colmap::Model, cameras: &[Camera]) {
+    assert!(model.points.len() > 100, "{} points", model.points.len());
+    let mut errors: Vec<f64> = Vec::new();
+    for point in &model.points {
+        assert!(point.track.len() >= 2);
+        for &(image, keypoint) in &point.track {
+            let index = model.images.iter().position(|m| m.id == image).unwrap();
+            let keypoint = &model.images[index].keypoints[keypoint as usize];
+            assert_eq!(keypoint.point, point.id);
+            let (pixel, _) = cameras[index].project(point.position.into()).unwrap();
+            errors.push((pixel.x - keypoint.x).hypot(pixel.y - keypoint.y));
+        }
+    }
+    errors.sort_by(f64::total_cmp);
+    let median = errors[errors.len() / 2];
+    assert!((0.1..1.0).contains(&median), "median reprojection error {median}");
+    assert!(errors[errors.len() * 98 / 100] < 4.0);
+    let registered = use3d_capture::Pose::IDENTITY;
+    assert!(cameras.iter().all(|c| c.pose.validate().is_ok() && c.pose != registered));
+}
+
+/// Nearer is larger, nearly everywhere; unknown where there is no surface.
+fn priors_follow_disparity(dir: &Path, depths: &[Map]) {
+    let prior = read_map(&dir.join(format!("depth/{}.png", stem(0)))).unwrap();
+    let pixels: Vec<(f32, f32)> = depths[0].data().iter().zip(prior.data()).map(|(&z, &p)| (z, p)).collect();
+    assert!(pixels.iter().all(|&(z, p)| (z > 0.0) == (p > 0.0)));
+    let known: Vec<_> = pixels.iter().filter(|(z, _)| *z > 0.0).collect();
+    let (mut right, mut all) = (0, 0);
+    for i in 0..known.len() {
+        let (a, b) = (known[i], known[(i * 7919 + 13) % known.len()]);
+        if a.0 < 0.8 * b.0 {
+            all += 1;
+            right += usize::from(a.1 > b.1);
+        }
+    }
+    assert!(all > 500 && right * 100 > all * 97, "{right} of {all}");
+}
+
+#[test]
+fn outputs_are_never_overwritten_and_parameters_are_checked() {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("note.txt"), "mine").unwrap();
+    let error = write_capture(&small(), dir.path(), &mut |_, _| {}).unwrap_err();
+    assert!(matches!(error, SynthError::OutputExists { .. }) && error.to_string().contains("already there"));
+    let bad: [(CaptureParams, &str); 4] = [
+        (CaptureParams { views: 1, ..small() }, "views"),
+        (CaptureParams { width: 3, ..small() }, "width"),
+        (CaptureParams { noise: f32::NAN, ..small() }, "noise"),
+        (CaptureParams { detail: 0.0, ..small() }, "detail"),
+    ];
+    for (params, field) in bad {
+        let out = dir.path().join("new");
+        let error = write_capture(&params, &out, &mut |_, _| {}).unwrap_err();
+        assert!(error.to_string().contains(field) && !out.exists());
+    }
+    let unknown = serde_json::from_str::<CaptureParams>(r#"{"veiws": 3}"#).unwrap_err();
+    assert!(unknown.to_string().contains("veiws"));
+}
+
+#[test]
+fn the_colmap_frame_is_a_similarity_with_y_roughly_down() {
+    for seed in 0..20 {
+        let frame = colmap_frame(seed);
+        assert!((frame.rotation.determinant() - 1.0).abs() < 1e-12);
+        let down = frame.rotation * Vec3::NEG_Z.as_dvec3();
+        assert!(down.y > 0.8, "seed {seed}: {down}");
+    }
+}

@@ -1,0 +1,84 @@
+//! What can go wrong while a synthetic data set is written.
+
+use std::path::{Path, PathBuf};
+
+/// A data set that cannot be made or written. Nothing is left behind under its name.
+#[derive(Debug, thiserror::Error)]
+pub enum SynthError {
+    /// A parameter out of its range.
+    #[error("{field} is {value}; expected {expected}")]
+    Parameter {
+        /// The parameter's name.
+        field: &'static str,
+        /// Its value.
+        value: String,
+        /// The range, in words.
+        expected: &'static str,
+    },
+    /// The output is there already.
+    #[error("{}: already there; choose another output folder or remove this one first", path.display())]
+    OutputExists {
+        /// The output folder.
+        path: PathBuf,
+    },
+    /// A folder or file that cannot be made.
+    #[error("{}: cannot be written ({source}); check that the folder is there, writable and has space", path.display())]
+    Io {
+        /// The path.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// An image that cannot be written.
+    #[error(transparent)]
+    Image(#[from] use3d_io_image::ImageError),
+    /// A COLMAP model that cannot be written.
+    #[error(transparent)]
+    Model(#[from] use3d_io_colmap::ModelError),
+}
+
+impl SynthError {
+    pub(crate) fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self + '_ {
+        move |source| Self::Io { path: path.to_path_buf(), source }
+    }
+
+    pub(crate) fn check(
+        field: &'static str,
+        value: impl std::fmt::Display,
+        good: bool,
+        expected: &'static str,
+    ) -> Result<(), Self> {
+        if good { Ok(()) } else { Err(Self::Parameter { field, value: value.to_string(), expected }) }
+    }
+}
+
+/// Runs `fill` on a new folder beside `out` and renames it to `out` when it is complete: the output is there whole or not at
+/// all. An existing empty folder is replaced; anything else in the way is an error.
+pub(crate) fn whole_folder<T>(
+    out: &Path,
+    fill: impl FnOnce(&Path) -> Result<T, SynthError>,
+) -> Result<T, SynthError> {
+    let exists = || SynthError::OutputExists { path: out.to_path_buf() };
+    let empty = match std::fs::read_dir(out) {
+        Ok(mut entries) => entries.next().is_none(),
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => false,
+        Err(_) => return Err(exists()),
+    };
+    if out.exists() && !empty {
+        return Err(exists());
+    }
+    let name = out.file_name().ok_or_else(exists)?;
+    let partial = out.with_file_name(format!(".{}.partial-{}", name.to_string_lossy(), std::process::id()));
+    let result = std::fs::create_dir_all(&partial).map_err(SynthError::io(&partial)).and_then(|()| {
+        let value = fill(&partial)?;
+        if empty {
+            std::fs::remove_dir(out).map_err(SynthError::io(out))?;
+        }
+        std::fs::rename(&partial, out).map_err(SynthError::io(out))?;
+        Ok(value)
+    });
+    if result.is_err() {
+        let _ = std::fs::remove_dir_all(&partial); // the first error is the one to report
+    }
+    result
+}

@@ -1,0 +1,175 @@
+//! `synth pairs`: the same picture through a body of water and as one would wish to see it.
+//!
+//! `input/pair_0001.png` is taken through one of Jerlov's waters at some depth; `reference/pair_0001.png` is the same view in
+//! neutral daylight through very clear water, well exposed, with a little more contrast and colour: it defines what "enhanced" means
+//! to a calibrator that is trained on these pairs. Pairs cycle through the water types; each dozen shares a scene.
+
+use std::path::Path;
+
+use glam::Vec3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use use3d_capture::Image;
+use use3d_io_image::write_png;
+
+use crate::error::{SynthError, whole_folder};
+use crate::render::{Condition, add_noise, expose, render};
+use crate::scene::{Caustics, Draws, Layout, Scene};
+use crate::swim;
+use crate::water::{Water, WaterType};
+
+/// How many pairs of which size.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct PairsParams {
+    /// Everything random follows from it.
+    pub seed: u64,
+    /// Number of pairs, at least 1.
+    pub pairs: usize,
+    /// Image width, pixels, 16 to 8192.
+    pub width: usize,
+    /// Image height, pixels, 16 to 8192.
+    pub height: usize,
+    /// Sensor noise of a middle tone in the inputs, standard deviation in display range, 0 to 0.2.
+    pub noise: f32,
+    /// Triangle density of the scenes, 0.1 to 1.
+    pub detail: f32,
+}
+
+impl Default for PairsParams {
+    fn default() -> Self {
+        Self { seed: 42, pairs: 96, width: 320, height: 240, noise: 0.008, detail: 0.55 }
+    }
+}
+
+impl PairsParams {
+    /// Checks every range.
+    pub fn validate(&self) -> Result<(), SynthError> {
+        SynthError::check("pairs", self.pairs, (1..=100_000).contains(&self.pairs), "1 to 100000")?;
+        for (field, side) in [("width", self.width), ("height", self.height)] {
+            SynthError::check(field, side, (16..=8192).contains(&side), "16 to 8192 pixels")?;
+        }
+        SynthError::check("noise", self.noise, (0.0..=0.2).contains(&self.noise), "0 to 0.2")?;
+        SynthError::check("detail", self.detail, (0.1..=1.0).contains(&self.detail), "0.1 to 1")
+    }
+}
+
+/// Pairs that share a scene.
+const PER_SCENE: usize = 12;
+
+/// The water of the references: hardly there.
+fn clear_water(sun: Vec3) -> Water {
+    Water {
+        attenuation: [0.030, 0.016, 0.014],
+        backscatter: [0.045, 0.050, 0.055],
+        veil: [0.36, 0.60, 0.72],
+        ..Water::of_type(WaterType::I, 5.0, 1.0, Vec3::Z, sun)
+    }
+}
+
+/// A little more contrast (around the middle) and colour, within display range.
+fn grade(image: &mut Image) {
+    let n = image.pixels();
+    for p in 0..n {
+        let rgb: [f32; 3] = std::array::from_fn(|c| image.data()[c * n + p].clamp(0.0, 1.0));
+        let luminance = 0.299 * rgb[0] + 0.587 * rgb[1] + 0.114 * rgb[2];
+        for (c, v) in rgb.into_iter().enumerate() {
+            let v = (luminance + 1.12 * (v - luminance)).clamp(0.0, 1.0);
+            let curve = v * v * (3.0 - 2.0 * v);
+            image.data_mut()[c * n + p] = v + 0.25 * (curve - v);
+        }
+    }
+}
+
+/// Writes `input/` and `reference/` with equal file names to `out`, a folder that must not exist (or be empty). `progress` is told
+/// (pairs done, pairs in all).
+///
+/// # Errors
+/// A parameter out of range, an output that exists, or a file that cannot be written; nothing is left at `out` then.
+pub fn write_pairs(
+    params: &PairsParams,
+    out: &Path,
+    progress: &mut dyn FnMut(usize, usize),
+) -> Result<(), SynthError> {
+    params.validate()?;
+    whole_folder(out, |dir| {
+        progress(0, params.pairs);
+        let mut done = 0;
+        for number in 0..params.pairs.div_ceil(PER_SCENE) {
+            let mut draws = Draws::new(params.seed, "pair scene", number as u64);
+            let layout = Layout {
+                seed: u64::from(draws.bits()),
+                detail: params.detail,
+                density: draws.range(0.5, 1.1),
+                wreck: draws.below(2) == 0,
+            };
+            let scene = Scene::new(&layout);
+            for pair in number * PER_SCENE..((number + 1) * PER_SCENE).min(params.pairs) {
+                write_pair(params, &scene, pair, dir)?;
+                done += 1;
+                progress(done, params.pairs);
+            }
+        }
+        Ok(())
+    })
+}
+
+fn write_pair(params: &PairsParams, scene: &Scene, pair: usize, dir: &Path) -> Result<(), SynthError> {
+    let mut draws = Draws::new(params.seed, "pair", pair as u64);
+    let kind = WaterType::ALL[pair % WaterType::ALL.len()];
+    let depth = draws.range(2.0, 16.0);
+    let white_balance = draws.range(0.25, 0.95);
+    let water = Water::of_type(kind, depth, white_balance, Vec3::Z, scene.sun());
+    // What stands in turbid water is photographed from near.
+    let nearness = (2.0 * water.backscatter[1]).min(1.0);
+    let lens = swim::lens(params.width, params.height, &mut draws);
+    let camera = swim::snapshot(&scene.terrain, &mut draws, &lens, nearness);
+    let tint = Vec3::from_array(Water::daylight_tint(kind, depth, white_balance));
+    let lit = |tint: Vec3, water: Water, luminance: f32| {
+        let unexposed = Condition { light: tint, water: Some(water) };
+        Condition { light: expose(scene, &[camera], &unexposed, luminance) * tint, ..unexposed }
+    };
+    let conditions =
+        [lit(tint, water, draws.range(0.28, 0.44)), lit(Vec3::ONE, clear_water(scene.sun()), 0.45)];
+    let mut shot = render(scene, &camera, &conditions, Caustics { strength: 0.0, time: 0.0 });
+    add_noise(&mut shot.images[0], params.noise, params.seed, pair as u64);
+    grade(&mut shot.images[1]);
+    let name = format!("pair_{:04}.png", pair + 1);
+    write_png(&dir.join("input").join(&name), &shot.images[0])?;
+    write_png(&dir.join("reference").join(&name), &shot.images[1])?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pairs_are_deterministic_and_the_input_is_duller_than_its_reference() {
+        let params = PairsParams { pairs: 3, width: 48, height: 36, detail: 0.12, ..PairsParams::default() };
+        let dir = tempfile::tempdir().unwrap();
+        let write = |name: &str, threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let out = dir.path().join(name);
+            let mut steps = Vec::new();
+            pool.install(|| write_pairs(&params, &out, &mut |done, _| steps.push(done))).unwrap();
+            assert_eq!(steps, [0, 1, 2, 3]);
+            out
+        };
+        let (a, b) = (write("a", 1), write("b", 3));
+        for i in 1..=3 {
+            let file = |root: &Path, folder: &str| root.join(folder).join(format!("pair_{i:04}.png"));
+            for folder in ["input", "reference"] {
+                let bytes = |root: &Path| std::fs::read(file(root, folder)).unwrap();
+                assert_eq!(bytes(&a), bytes(&b));
+            }
+            let red = |folder: &str| {
+                let image = use3d_io_image::read_image(&file(&a, folder)).unwrap();
+                let n = image.pixels() as f32;
+                (image.plane(0).iter().sum::<f32>() / n, image.data().iter().sum::<f32>() / (3.0 * n))
+            };
+            let (input, reference) = (red("input"), red("reference"));
+            assert!(input.0 / input.1 < reference.0 / reference.1, "{input:?} {reference:?}");
+        }
+    }
+}

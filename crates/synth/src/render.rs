@@ -1,0 +1,208 @@
+//! Renders a camera's view: anti-aliased colours under several conditions at once, and depth.
+//!
+//! One ray through every pixel's centre; pixels at the edge of a surface (a neighbour shows another one, or another depth) get
+//! further rays spread over their area, and the colours are averaged; textures are limited to what a pixel resolves
+//! and need no more. Depth is that of the centre ray, never an average.
+
+use glam::Vec3;
+use rayon::prelude::*;
+use use3d_capture::{Camera, Image, Map};
+use use3d_numerics::random::{Purpose, Stream};
+
+use crate::geometry::bvh::Ray;
+use crate::scene::{Caustics, Scene, Seen, display};
+use crate::water::Water;
+
+/// Light and water under which the scene is photographed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Condition {
+    /// Exposure times the colour of daylight, linear.
+    pub(crate) light: Vec3,
+    /// The water in front of the camera; without any, open water is black.
+    pub(crate) water: Option<Water>,
+}
+
+impl Condition {
+    fn color(&self, seen: Option<Seen>, distance_per_t: f32, direction: Vec3) -> Vec3 {
+        let clean = seen.map_or(Vec3::ZERO, |s| display(s.light * self.light));
+        let distance = seen.map_or(f32::INFINITY, |s| s.t * distance_per_t);
+        match &self.water {
+            Some(water) => Vec3::from_array(water.seen_through(clean.to_array(), distance, direction)),
+            None => clean,
+        }
+    }
+}
+
+/// A view: one image per condition, and z-depth in metres (0 is open water).
+pub(crate) struct Shot {
+    pub(crate) images: Vec<Image>,
+    pub(crate) depth: Map,
+}
+
+/// Further rays of a pixel that needs them.
+const EXTRA: usize = 6;
+
+/// A camera's rays in the scene's frame: `direction(u, v)` has unit depth, so that `t` is z-depth.
+struct Rays {
+    origin: Vec3,
+    columns: [Vec3; 3],
+    lens: [f32; 4],
+}
+
+impl Rays {
+    fn new(camera: &Camera) -> Self {
+        let back = camera.pose.rotation.transpose();
+        let k = &camera.intrinsics;
+        Self {
+            origin: camera.pose.center().as_vec3(),
+            columns: [back.x_axis.as_vec3(), back.y_axis.as_vec3(), back.z_axis.as_vec3()],
+            lens: [k.fx as f32, k.fy as f32, k.cx as f32, k.cy as f32],
+        }
+    }
+
+    fn through(&self, u: f32, v: f32) -> Ray {
+        let [fx, fy, cx, cy] = self.lens;
+        let direction = (u - cx) / fx * self.columns[0] + (v - cy) / fy * self.columns[1] + self.columns[2];
+        Ray { origin: self.origin, direction }
+    }
+}
+
+/// Renders a camera's view under every condition.
+pub(crate) fn render(scene: &Scene, camera: &Camera, conditions: &[Condition], caustics: Caustics) -> Shot {
+    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+    let rays = Rays::new(camera);
+    let spread = 1.0 / rays.lens[0];
+    let colors = |u: f32, v: f32, out: &mut [Vec3]| {
+        let ray = rays.through(u, v);
+        let per_t = ray.direction.length();
+        let seen = scene.look(&ray, spread, caustics);
+        for (color, condition) in out.iter_mut().zip(conditions) {
+            *color = condition.color(seen, per_t, ray.direction / per_t);
+        }
+        seen
+    };
+    let n = conditions.len();
+    let mut centers = vec![Vec3::ZERO; width * height * n];
+    let mut depth = vec![0.0f32; width * height];
+    let mut surfaces = vec![u16::MAX; width * height];
+    centers
+        .par_chunks_mut((width * n).max(1))
+        .zip(depth.par_chunks_mut(width.max(1)))
+        .zip(surfaces.par_chunks_mut(width.max(1)))
+        .enumerate()
+        .for_each(|(y, ((row, depths), ids))| {
+            for x in 0..width {
+                let out = &mut row[x * n..(x + 1) * n];
+                if let Some(seen) = colors(x as f32 + 0.5, y as f32 + 0.5, out) {
+                    depths[x] = seen.t;
+                    ids[x] = seen.surface;
+                }
+            }
+        });
+    let differ = |p: usize, q: usize| {
+        let (a, b) = (depth[p], depth[q]);
+        surfaces[p] != surfaces[q] || (a - b).abs() > 0.03 * a.min(b)
+    };
+    let rows: Vec<Vec<Vec3>> = (0..height)
+        .into_par_iter()
+        .map(|y| {
+            let mut row = centers[y * width * n..(y + 1) * width * n].to_vec();
+            let mut extra = vec![Vec3::ZERO; n];
+            for x in 0..width {
+                let p = y * width + x;
+                let edge = (x > 0 && differ(p, p - 1))
+                    || (x + 1 < width && differ(p, p + 1))
+                    || (y > 0 && differ(p, p - width))
+                    || (y + 1 < height && differ(p, p + width));
+                if !edge {
+                    continue;
+                }
+                let out = &mut row[x * n..(x + 1) * n];
+                for k in 0..EXTRA {
+                    // The plastic-number sequence covers the pixel evenly for any count.
+                    let (du, dv) = (0.754_877_7 * (k + 1) as f32, 0.569_840_3 * (k + 1) as f32);
+                    colors(x as f32 + du.fract(), y as f32 + dv.fract(), &mut extra);
+                    for (sum, value) in out.iter_mut().zip(&extra) {
+                        *sum += *value;
+                    }
+                }
+                for sum in out {
+                    *sum /= (EXTRA + 1) as f32;
+                }
+            }
+            row
+        })
+        .collect();
+    let images = (0..n)
+        .map(|c| {
+            let mut image = Image::new(width, height);
+            for channel in 0..3 {
+                for (y, line) in image.plane_mut(channel).chunks_exact_mut(width.max(1)).enumerate() {
+                    for (x, value) in line.iter_mut().enumerate() {
+                        *value = rows[y][x * n + c][channel];
+                    }
+                }
+            }
+            image
+        })
+        .collect();
+    // The raster has as many values as pixels.
+    let depth = Map::from_planes(width, height, depth).unwrap_or_else(|| Map::new(width, height));
+    Shot { images, depth }
+}
+
+/// The exposure at which the cameras' views have this mean luminance on display (bisection on a coarse grid of rays).
+pub(crate) fn expose(scene: &Scene, cameras: &[Camera], condition: &Condition, luminance: f32) -> f32 {
+    let samples: Vec<(Option<Seen>, f32, Vec3)> = cameras
+        .iter()
+        .flat_map(|camera| {
+            let rays = Rays::new(camera);
+            let (w, h) = (camera.intrinsics.width as f32, camera.intrinsics.height as f32);
+            (0..24 * 16).map(move |i| {
+                rays.through((0.5 + (i % 24) as f32) / 24.0 * w, (0.5 + (i / 24) as f32) / 16.0 * h)
+            })
+        })
+        .map(|ray| {
+            let per_t = ray.direction.length();
+            let caustics = Caustics { strength: 0.0, time: 0.0 };
+            (scene.look(&ray, 0.05, caustics), per_t, ray.direction / per_t)
+        })
+        .collect();
+    let mean = |exposure: f32| {
+        let lit = Condition { light: exposure * condition.light, water: condition.water };
+        let sum: f32 = samples
+            .iter()
+            .map(|&(seen, per_t, direction)| {
+                lit.color(seen, per_t, direction).dot(Vec3::new(0.299, 0.587, 0.114))
+            })
+            .sum();
+        sum / samples.len().max(1) as f32
+    };
+    let (mut low, mut high) = (0.35f32, 1.9f32);
+    for _ in 0..14 {
+        let middle = 0.5 * (low + high);
+        if mean(middle) < luminance { low = middle } else { high = middle }
+    }
+    0.5 * (low + high)
+}
+
+/// Adds sensor noise to an image in place: standard deviation `sigma sqrt(0.25 + 1.5 I)` of display range, so `sigma` is that of a
+/// middle tone. Keyed by (seed, view, pixel).
+pub(crate) fn add_noise(image: &mut Image, sigma: f32, seed: u64, view: u64) {
+    if sigma <= 0.0 {
+        return;
+    }
+    let stream = Stream::new(seed, Purpose::new("sensor noise"), view);
+    let block = 4096;
+    image.data_mut().par_chunks_mut(block).enumerate().for_each(|(b, values)| {
+        for (i, value) in values.iter_mut().enumerate() {
+            let normal = stream.normal((b * block + i) as u64) as f32;
+            *value += sigma * (0.25 + 1.5 * value.max(0.0)).sqrt() * normal;
+        }
+    });
+}
+
+/// The distance to the nearest surface along the ray through pixel coordinates `(u, v)`, as z-depth in metres.
+pub(crate) fn depth_at(scene: &Scene, camera: &Camera, u: f64, v: f64) -> Option<f32> {
+    scene.distance(&Rays::new(camera).through(u as f32, v as f32))
+}

@@ -1,0 +1,120 @@
+//! The scene: a reef and what lies on it, as triangles with procedural textures under soft daylight.
+//!
+//! Nothing here is a Gaussian: the scene is opaque geometry, seen by casting rays. Coordinates are metres, x to the right
+//! of the swim, y ahead, z up.
+
+mod artefacts;
+mod draws;
+mod layout;
+mod light;
+mod organisms;
+mod surface;
+mod terrain;
+
+use glam::{Vec2, Vec3};
+
+pub(crate) use draws::Draws;
+pub(crate) use layout::Layout;
+use surface::Surface;
+pub(crate) use surface::display;
+pub(crate) use terrain::Terrain;
+
+use crate::geometry::bvh::{Bvh, Ray};
+use crate::geometry::mesh::Mesh;
+use crate::geometry::noise::Noise;
+use light::Daylight;
+
+/// A scene ready to be looked at.
+pub(crate) struct Scene {
+    mesh: Mesh,
+    surfaces: Vec<Surface>,
+    bvh: Bvh,
+    /// Openness and sun visibility per vertex.
+    baked: Vec<Vec2>,
+    daylight: Daylight,
+    noise: Noise,
+    /// The sea floor's shape, for whoever swims over it.
+    pub(crate) terrain: Terrain,
+}
+
+/// What a ray sees.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Seen {
+    /// Along the ray, in lengths of its direction.
+    pub(crate) t: f32,
+    /// Light towards the eye, linear, under neutral daylight of unit exposure.
+    pub(crate) light: Vec3,
+    /// Surface index, to tell objects apart.
+    pub(crate) surface: u16,
+}
+
+/// Caustics: how strong (0 is off) and at what time.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Caustics {
+    pub(crate) strength: f32,
+    pub(crate) time: f32,
+}
+
+/// Nothing is looked for beyond this distance, metres: no water lets it be seen.
+const FAR: f32 = 70.0;
+
+impl Scene {
+    /// Builds the scene and computes its light.
+    pub(crate) fn new(layout: &Layout) -> Self {
+        let (mesh, palette, terrain) = layout::build(layout);
+        let bvh = Bvh::build(&mesh.positions, &mesh.triangles);
+        let mut draws = Draws::new(layout.seed, "daylight", 0);
+        let azimuth = draws.range(0.0, std::f32::consts::TAU);
+        // Refraction brings the sun to within 48 degrees of the vertical.
+        let lean = draws.range(0.55, 0.85);
+        let sun = Vec3::new(lean * azimuth.cos(), lean * azimuth.sin(), 1.0).normalize();
+        let daylight = Daylight {
+            sun,
+            strength: [Vec3::new(1.1, 1.06, 0.99), Vec3::new(0.40, 0.43, 0.46), Vec3::new(0.20, 0.19, 0.16)],
+        };
+        let baked = light::bake(&mesh, &bvh, sun, layout.seed);
+        let noise = Noise::new(draws.bits());
+        Self { mesh, surfaces: palette.surfaces, bvh, baked, daylight, noise, terrain }
+    }
+
+    /// Unit vector towards the sun.
+    pub(crate) fn sun(&self) -> Vec3 {
+        self.daylight.sun
+    }
+
+    /// Triangles in the scene.
+    pub(crate) fn triangles(&self) -> usize {
+        self.mesh.triangles.len()
+    }
+
+    /// Looks along a ray; `spread` is the width of a pixel at unit `t`, metres. `None` is open water.
+    pub(crate) fn look(&self, ray: &Ray, spread: f32, caustics: Caustics) -> Option<Seen> {
+        let hit = self.bvh.nearest(ray, FAR)?;
+        let triangle = hit.triangle as usize;
+        let corners = self.mesh.triangles[triangle].map(|i| i as usize);
+        let weights = [1.0 - hit.u - hit.v, hit.u, hit.v];
+        let (mut normal, mut parameter, mut baked) = (Vec3::ZERO, Vec2::ZERO, Vec2::ZERO);
+        for (i, w) in corners.into_iter().zip(weights) {
+            normal += w * self.mesh.normals[i];
+            parameter += w * self.mesh.parameters[i];
+            baked += w * self.baked[i];
+        }
+        let normal = normal.normalize_or(Vec3::Z);
+        let point = ray.origin + hit.t * ray.direction;
+        let surface = self.mesh.surfaces[triangle];
+        let (albedo, bump) =
+            self.surfaces[surface as usize].look(self.noise, point, parameter, spread * hit.t);
+        let tilted = (normal - (bump - bump.dot(normal) * normal)).normalize_or(normal);
+        let mut sunlight = baked.y;
+        if caustics.strength > 0.0 {
+            sunlight *=
+                (1.0 + caustics.strength * light::caustics(self.noise, point, caustics.time)).max(0.0);
+        }
+        Some(Seen { t: hit.t, light: albedo * self.daylight.at(tilted, baked.x, sunlight), surface })
+    }
+
+    /// Distance to the nearest surface along a ray, in lengths of its direction.
+    pub(crate) fn distance(&self, ray: &Ray) -> Option<f32> {
+        self.bvh.nearest(ray, FAR).map(|hit| hit.t)
+    }
+}

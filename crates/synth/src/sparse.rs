@@ -1,0 +1,204 @@
+//! Sparse points as structure from motion would find them: corners seen in several views, with noise, tracks and outliers.
+//!
+//! Candidates are pixels of strong local contrast. Each is followed through the other views: it is detected where it lies
+//! inside the picture, is not hidden, is near enough to stand out from the water, and a draw says so; a detection is off by
+//! a fraction of a pixel. The triangulated position is off along the ray by about `σ_px z² / (f b)`, b the baseline of the track,
+//! and sideways by `σ_px z / f`. A small share of points are mismatches: two detections that agree on a wrong place.
+
+use glam::DVec3;
+use use3d_capture::{Camera, Frame, Image8, Map};
+use use3d_io_colmap::{Keypoint, Model, ModelCamera, ModelImage, ModelPoint};
+use use3d_numerics::random::{Purpose, Stream};
+
+use crate::render::depth_at;
+use crate::scene::Scene;
+
+/// Standard deviation of a detection, pixels per axis.
+pub(crate) const DETECTION: f64 = 0.4;
+/// Share of points that are mismatches.
+const MISMATCHED: f64 = 0.012;
+/// No feature is matched beyond this distance, metres.
+const REACH: f32 = 11.0;
+/// Shortest track that is kept.
+const SHORTEST: usize = 3;
+
+/// A corner in one view.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Corner {
+    u: f64,
+    v: f64,
+    depth: f64,
+    color: [u8; 3],
+}
+
+/// Picks corners of a view: random pixels, kept by their contrast.
+pub(crate) fn corners(image: &Image8, depth: &Map, seed: u64, view: usize, wanted: usize) -> Vec<Corner> {
+    let stream = Stream::new(seed, Purpose::new("corners"), view as u64);
+    let (w, h) = (image.width(), image.height());
+    let mut found = Vec::new();
+    if w < 3 || h < 3 {
+        return found;
+    }
+    for i in 0..(40 * wanted) as u64 {
+        if found.len() >= wanted {
+            break;
+        }
+        let (x, y) = (1 + stream.below(3 * i, w - 2), 1 + stream.below(3 * i + 1, h - 2));
+        let z = depth.pixel(x, y)[0];
+        if z <= 0.0 || z > REACH {
+            continue;
+        }
+        let luminance = |x: usize, y: usize| {
+            let [r, g, b] = image.pixel(x, y).map(f64::from);
+            0.299 * r + 0.587 * g + 0.114 * b
+        };
+        let (gx, gy) = (luminance(x + 1, y) - luminance(x - 1, y), luminance(x, y + 1) - luminance(x, y - 1));
+        if stream.uniform(3 * i + 2) < (gx.hypot(gy) / 50.0).powi(2) {
+            found.push(Corner {
+                u: x as f64 + 0.5,
+                v: y as f64 + 0.5,
+                depth: f64::from(z),
+                color: image.pixel(x, y),
+            });
+        }
+    }
+    found
+}
+
+/// The COLMAP model of the capture. `cameras` are in metres; `frame` brings them and the points into COLMAP's frame.
+pub(crate) fn model(
+    scene: &Scene,
+    cameras: &[Camera],
+    names: &[String],
+    frame: &Frame,
+    corners: &[Vec<Corner>],
+    seed: u64,
+) -> Model {
+    let mut model = Model::default();
+    let Some(first) = cameras.first() else { return model };
+    model.cameras.push(ModelCamera::pinhole(1, &first.intrinsics));
+    for (i, (camera, name)) in cameras.iter().zip(names).enumerate() {
+        model.images.push(ModelImage::at(i as u32 + 1, name, 1, &frame.apply_pose(&camera.pose)));
+    }
+    for (home, list) in corners.iter().enumerate() {
+        for (number, corner) in list.iter().enumerate() {
+            let stream = Stream::new(seed, Purpose::new("track"), ((home as u64) << 32) | number as u64);
+            if let Some(point) = track(scene, cameras, home, corner, &stream) {
+                add(&mut model, cameras, frame, corner.color, &point);
+            }
+        }
+    }
+    model
+}
+
+struct Tracked {
+    /// Triangulated, in metres.
+    position: DVec3,
+    detections: Vec<(usize, f64, f64)>,
+}
+
+fn track(
+    scene: &Scene,
+    cameras: &[Camera],
+    home: usize,
+    corner: &Corner,
+    stream: &Stream,
+) -> Option<Tracked> {
+    let camera = &cameras[home];
+    let exact = camera.pose.center()
+        + camera.pose.rotation.transpose() * (corner.depth * camera.ray(corner.u, corner.v));
+    let mismatch = stream.uniform(0) < MISMATCHED;
+    let mut detections = Vec::new();
+    for (i, other) in cameras.iter().enumerate() {
+        let draw = 8 + 8 * i as u64;
+        let Some((pixel, z)) = other.project(exact) else { continue };
+        let (w, h) = (other.intrinsics.width as f64, other.intrinsics.height as f64);
+        let inside = pixel.x > 1.0 && pixel.y > 1.0 && pixel.x < w - 1.0 && pixel.y < h - 1.0;
+        // Detectors lose features with distance in water, and with the change of scale and angle.
+        let change = (z / corner.depth).ln().abs() + 0.35 * (i.abs_diff(home) as f64 / 6.0);
+        let chance = 0.9 * (-1.2 * change).exp() * (1.0 - z / (1.3 * f64::from(REACH))).max(0.0);
+        let detected = i == home || stream.uniform(draw) < chance;
+        let enough = mismatch && detections.len() >= 2;
+        if !inside || !detected || enough {
+            continue;
+        }
+        let seen = depth_at(scene, other, pixel.x, pixel.y);
+        if seen.is_some_and(|seen| (f64::from(seen) / z - 1.0).abs() < 0.02) {
+            let off = |k: u64| DETECTION * stream.normal(draw + 1 + k);
+            detections.push((i, pixel.x + off(0), pixel.y + off(1)));
+        }
+    }
+    let shortest = if mismatch { 2 } else { SHORTEST };
+    if detections.len() < shortest {
+        return None;
+    }
+    let along = (exact - camera.pose.center()).normalize();
+    let position = if mismatch {
+        let stretch = 0.35 + 1.3 * stream.uniform(1);
+        let wrong = camera.pose.center() + stretch * (exact - camera.pose.center());
+        // What was matched agrees with the wrong place, else it would not have been triangulated.
+        for (i, x, y) in &mut detections {
+            let (pixel, _) = cameras[*i].project(wrong)?;
+            let off = |k: u64| DETECTION * stream.normal(4_000_000 + 2 * *i as u64 + k);
+            (*x, *y) = (pixel.x + off(0), pixel.y + off(1));
+        }
+        wrong
+    } else {
+        let baseline = detections
+            .iter()
+            .map(|&(i, ..)| cameras[i].pose.center().distance(camera.pose.center()))
+            .fold(0.05, f64::max);
+        let sigma = DETECTION / (detections.len() as f64).sqrt() * corner.depth / camera.intrinsics.fx;
+        let sideways = along.any_orthonormal_vector();
+        let depth_error = sigma * (corner.depth / baseline).min(12.0);
+        exact
+            + depth_error * stream.normal(2) * along
+            + sigma * (stream.normal(3) * sideways + stream.normal(4) * along.cross(sideways))
+    };
+    Some(Tracked { position, detections })
+}
+
+fn add(model: &mut Model, cameras: &[Camera], frame: &Frame, color: [u8; 3], point: &Tracked) {
+    let id = model.points.len() as u64 + 1;
+    let (mut error, mut track) = (0.0, Vec::new());
+    for &(view, x, y) in &point.detections {
+        error += match cameras[view].project(point.position) {
+            Some((pixel, _)) => (pixel.x - x).hypot(pixel.y - y),
+            None => 0.0,
+        };
+        let image = &mut model.images[view];
+        track.push((image.id, image.keypoints.len() as u32));
+        image.keypoints.push(Keypoint { x, y, point: id });
+    }
+    model.points.push(ModelPoint {
+        id,
+        position: frame.apply(point.position).to_array(),
+        color,
+        error: error / point.detections.len() as f64,
+        track,
+    });
+}
+
+/// Keeps about `wanted` points, evenly over the list, and what belongs to them.
+pub(crate) fn keep(model: &mut Model, wanted: usize) {
+    let n = model.points.len();
+    if n <= wanted {
+        return;
+    }
+    // Bresenham: point i stays where the running share steps up.
+    let stays = |i: usize| (i + 1) * wanted / n > i * wanted / n;
+    let mut ids = vec![Keypoint::NONE; n + 1];
+    let mut points = Vec::with_capacity(wanted);
+    for (i, mut point) in std::mem::take(&mut model.points).into_iter().enumerate() {
+        if stays(i) {
+            ids[point.id as usize] = points.len() as u64 + 1;
+            point.id = points.len() as u64 + 1;
+            points.push(point);
+        }
+    }
+    // Keypoints of dropped points stay as unmatched detections, as in a real model.
+    for keypoint in model.images.iter_mut().flat_map(|image| &mut image.keypoints) {
+        keypoint.point = ids[keypoint.point as usize];
+    }
+    model.points = points;
+}
