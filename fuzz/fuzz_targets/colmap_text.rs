@@ -1,0 +1,34 @@
+//! COLMAP's text files. The first byte chooses the file; what is read must survive being written and read again.
+#![no_main]
+
+use std::path::Path;
+
+use libfuzzer_sys::fuzz_target;
+use use3d_io_colmap::text;
+
+fuzz_target!(|data: &[u8]| {
+    let Some((&which, bytes)) = data.split_first() else { return };
+    let path = Path::new("fuzzed.txt");
+    let mut again = Vec::new();
+    // Debug texts are compared, since a NaN is not equal to itself.
+    match which % 3 {
+        0 => {
+            let Ok(cameras) = text::cameras(bytes, path) else { return };
+            text::write_cameras(&mut again, &cameras).expect("memory takes it");
+            let read = text::cameras(&again, path).expect("what was written is read");
+            assert_eq!(format!("{read:?}"), format!("{cameras:?}"));
+        }
+        1 => {
+            let Ok(images) = text::images(bytes, path) else { return };
+            text::write_images(&mut again, &images).expect("names of one line are written");
+            let read = text::images(&again, path).expect("what was written is read");
+            assert_eq!(format!("{read:?}"), format!("{images:?}"));
+        }
+        _ => {
+            let Ok(points) = text::points(bytes, path) else { return };
+            text::write_points(&mut again, &points).expect("memory takes it");
+            let read = text::points(&again, path).expect("what was written is read");
+            assert_eq!(format!("{read:?}"), format!("{points:?}"));
+        }
+    }
+});
