@@ -63,12 +63,17 @@ impl CheckpointFile {
             .map_err(|e| CheckpointError::Encode(e.to_string()))?;
         let dir = self.path.parent().unwrap_or(Path::new("."));
         fs::create_dir_all(dir).map_err(io)?;
-        let mut file = tempfile::Builder::new().prefix(".checkpoint-").tempfile_in(dir).map_err(io)?;
+        // Always the same sibling, so that a run killed while writing leaves at most one behind, and the next save overwrites it.
+        let mut name = self.path.file_name().unwrap_or_default().to_os_string();
+        name.push(".part");
+        let part = self.path.with_file_name(name);
+        let mut file = File::create(&part).map_err(io)?;
         file.write_all(MAGIC).map_err(io)?;
         file.write_all(blake3::hash(&body).as_bytes()).map_err(io)?;
         file.write_all(&body).map_err(io)?;
-        file.as_file().sync_all().map_err(io)?;
-        file.persist(&self.path).map_err(|e| io(e.error))?;
+        file.sync_all().map_err(io)?;
+        drop(file);
+        fs::rename(&part, &self.path).map_err(io)?;
         // The rename itself must survive a power cut; some file systems cannot sync a folder, which is no reason to fail.
         if let Ok(folder) = File::open(dir) {
             let _ = folder.sync_all();
