@@ -4,6 +4,7 @@
 //! gives the bits of its scalar twin wherever fused multiply-add exists.
 
 pub mod adam;
+pub mod lanes;
 pub mod random;
 pub mod spherical_harmonics;
 pub mod sums;

@@ -1,0 +1,394 @@
+//! Gaussians as PLY files, in the layout that 3D Gaussian Splatting tools share.
+//!
+//! One `vertex` element per Gaussian with `x y z`, `f_dc_0..2` (band 0), `f_rest_*` (bands 1 and up, channel-major: all of red, then
+//! green, then blue; 0, 9, 24 or 45 of them for degree 0 to 3), `opacity` (logit), `scale_0..2` (log), `rot_0..3` (`w x y z`).
+//! Normals and any other property may be there and are ignored, in any order and of any type, also list properties and
+//! elements before `vertex`. Binary of either byte order and ascii are read; binary little-endian is written.
+//!
+//! A file is read as a stream and memory grows with what has arrived, so a header that promises 2⁶⁰ Gaussians costs nothing. Values that are
+//! not finite are handed on as they are; [`Gaussians::validate`](crate::Gaussians::validate) finds them.
+
+use std::io::{self, BufRead, BufReader, BufWriter, Read, Write};
+
+use crate::Gaussians;
+
+/// Longest header line, bytes.
+const LINE: usize = 4096;
+/// Most header lines.
+const LINES: usize = 4096;
+/// Longest number in an ascii file, bytes.
+const TOKEN: usize = 256;
+/// Rows for which memory is set aside before any has arrived.
+const ROWS: usize = 1 << 14;
+
+/// Why a PLY file could not be read.
+#[derive(Debug, thiserror::Error)]
+pub enum PlyError {
+    /// The file could not be read, or ends early.
+    #[error("cannot read: {0}")]
+    Io(#[from] io::Error),
+    /// Not a PLY file.
+    #[error("not a PLY file: it does not start with the line `ply`")]
+    Magic,
+    /// A header line that makes no sense.
+    #[error("line {line} of the header, `{text}`: {problem}")]
+    Header {
+        /// Line number, from 1.
+        line: usize,
+        /// The line.
+        text: String,
+        /// What is wrong with it.
+        problem: &'static str,
+    },
+    /// The header never ends.
+    #[error("the header is too long ({LINES} lines of {LINE} bytes at most) or has no `end_header`")]
+    Endless,
+    /// No vertices.
+    #[error("the file has no `vertex` element")]
+    NoVertices,
+    /// A property that Gaussians have is not there.
+    #[error(
+        "the vertices have no property `{0}`; expected the layout of 3D Gaussian Splatting: x y z f_dc_0..2 opacity scale_0..2 rot_0..3"
+    )]
+    Missing(String),
+    /// A number of `f_rest_*` that belongs to no degree.
+    #[error(
+        "the vertices have {0} properties f_rest_*; expected 0, 9, 24 or 45 (spherical-harmonics degree 0 to 3)"
+    )]
+    Rest(usize),
+    /// The file ends inside the vertices or before.
+    #[error("the file ends at {element} {index} of {count}")]
+    Truncated {
+        /// The element.
+        element: String,
+        /// Its index.
+        index: u64,
+        /// How many the header promised.
+        count: u64,
+    },
+    /// Something in an ascii file that is no number.
+    #[error("{element} {index}: `{text}` is not a number")]
+    Number {
+        /// The element.
+        element: String,
+        /// Its index.
+        index: u64,
+        /// The text.
+        text: String,
+    },
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Scalar {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    F32,
+    F64,
+}
+
+impl Scalar {
+    fn parse(name: &str) -> Option<Self> {
+        Some(match name {
+            "char" | "int8" => Self::I8,
+            "uchar" | "uint8" => Self::U8,
+            "short" | "int16" => Self::I16,
+            "ushort" | "uint16" => Self::U16,
+            "int" | "int32" => Self::I32,
+            "uint" | "uint32" => Self::U32,
+            "float" | "float32" => Self::F32,
+            "double" | "float64" => Self::F64,
+            _ => return None,
+        })
+    }
+
+    fn size(self) -> usize {
+        match self {
+            Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::I32 | Self::U32 | Self::F32 => 4,
+            Self::F64 => 8,
+        }
+    }
+
+    /// The value of the first bytes of `b`, which are at least [`Scalar::size`].
+    fn decode(self, b: [u8; 8], big: bool) -> f64 {
+        macro_rules! of {
+            ($ty:ty) => {{
+                let mut bytes = [0; size_of::<$ty>()];
+                bytes.copy_from_slice(&b[..size_of::<$ty>()]);
+                if big { <$ty>::from_be_bytes(bytes) as f64 } else { <$ty>::from_le_bytes(bytes) as f64 }
+            }};
+        }
+        match self {
+            Self::I8 => of!(i8),
+            Self::U8 => of!(u8),
+            Self::I16 => of!(i16),
+            Self::U16 => of!(u16),
+            Self::I32 => of!(i32),
+            Self::U32 => of!(u32),
+            Self::F32 => of!(f32),
+            Self::F64 => of!(f64),
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    One(Scalar),
+    List { count: Scalar, item: Scalar },
+}
+
+#[derive(Debug)]
+struct Element {
+    name: String,
+    count: u64,
+    properties: Vec<(String, Kind)>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Format {
+    Ascii,
+    Binary { big: bool },
+}
+
+/// Reads one header line without its end; `None` if it is too long or the file ends.
+fn header_line(reader: &mut impl BufRead) -> io::Result<Option<String>> {
+    let mut bytes = Vec::new();
+    reader.by_ref().take(LINE as u64).read_until(b'\n', &mut bytes)?;
+    if bytes.pop() != Some(b'\n') {
+        return Ok(None);
+    }
+    Ok(Some(String::from_utf8_lossy(&bytes).trim_end().to_string()))
+}
+
+fn header(reader: &mut impl BufRead) -> Result<(Format, Vec<Element>), PlyError> {
+    if header_line(reader)?.as_deref() != Some("ply") {
+        return Err(PlyError::Magic);
+    }
+    let mut format = None;
+    let mut elements: Vec<Element> = Vec::new();
+    for line in 2..LINES {
+        let Some(text) = header_line(reader)? else { return Err(PlyError::Endless) };
+        let error = |problem| PlyError::Header { line, text: text.chars().take(120).collect(), problem };
+        let words: Vec<&str> = text.split_whitespace().collect();
+        match words.as_slice() {
+            [] | ["comment" | "obj_info", ..] => {}
+            ["format", kind, _version] => {
+                format = Some(match *kind {
+                    "ascii" => Format::Ascii,
+                    "binary_little_endian" => Format::Binary { big: false },
+                    "binary_big_endian" => Format::Binary { big: true },
+                    _ => return Err(error("expected ascii, binary_little_endian or binary_big_endian")),
+                });
+            }
+            ["element", name, count] => {
+                let count = count.parse().map_err(|_| error("the count is not a whole number"))?;
+                elements.push(Element { name: (*name).to_string(), count, properties: Vec::new() });
+            }
+            ["property", rest @ ..] => {
+                let Some(element) = elements.last_mut() else {
+                    return Err(error("a property before any element"));
+                };
+                let scalar = |name: &str| Scalar::parse(name).ok_or_else(|| error("unknown type"));
+                let property = match *rest {
+                    ["list", count, item, name] => {
+                        (name.to_string(), Kind::List { count: scalar(count)?, item: scalar(item)? })
+                    }
+                    [kind, name] => (name.to_string(), Kind::One(scalar(kind)?)),
+                    _ => {
+                        return Err(error("expected `property TYPE NAME` or `property list TYPE TYPE NAME`"));
+                    }
+                };
+                element.properties.push(property);
+            }
+            ["end_header"] => {
+                return Ok((format.ok_or_else(|| error("no format line before it"))?, elements));
+            }
+            _ => return Err(error("unknown keyword")),
+        }
+    }
+    Err(PlyError::Endless)
+}
+
+/// The body, one number after another.
+struct Numbers<R> {
+    reader: R,
+    format: Format,
+}
+
+impl<R: BufRead> Numbers<R> {
+    /// The next number of the given type. `Ok(Err(text))` is text that is no number.
+    fn next(&mut self, scalar: Scalar) -> io::Result<Result<f64, String>> {
+        match self.format {
+            Format::Binary { big } => {
+                let mut bytes = [0; 8];
+                self.reader.read_exact(&mut bytes[..scalar.size()])?;
+                Ok(Ok(scalar.decode(bytes, big)))
+            }
+            Format::Ascii => {
+                let token = self.token()?;
+                Ok(token.parse().map_err(|_| token))
+            }
+        }
+    }
+
+    fn token(&mut self) -> io::Result<String> {
+        let mut token = Vec::new();
+        let mut byte = [0];
+        while token.len() < TOKEN {
+            match self.reader.read(&mut byte)? {
+                0 if token.is_empty() => return Err(io::ErrorKind::UnexpectedEof.into()),
+                0 => break,
+                _ if !byte[0].is_ascii_whitespace() => token.push(byte[0]),
+                _ if token.is_empty() => {}
+                _ => break,
+            }
+        }
+        Ok(String::from_utf8_lossy(&token).into_owned())
+    }
+
+    /// Reads one element; `keep(property index, value)` gets its scalar properties.
+    fn element(
+        &mut self,
+        element: &Element,
+        index: u64,
+        mut keep: impl FnMut(usize, f64),
+    ) -> Result<(), PlyError> {
+        let error = |e: io::Error| match e.kind() {
+            io::ErrorKind::UnexpectedEof => {
+                PlyError::Truncated { element: element.name.clone(), index, count: element.count }
+            }
+            _ => PlyError::Io(e),
+        };
+        let number = |text| PlyError::Number { element: element.name.clone(), index, text };
+        for (i, (_, kind)) in element.properties.iter().enumerate() {
+            match *kind {
+                Kind::One(scalar) => keep(i, self.next(scalar).map_err(error)?.map_err(number)?),
+                Kind::List { count, item } => {
+                    let items = self.next(count).map_err(error)?.map_err(number)?;
+                    // A negative or NaN count is an empty list; a lying one ends at the end of the file.
+                    for _ in 0..items as u64 {
+                        self.next(item).map_err(error)?.map_err(number)?;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Reads Gaussians from a PLY file.
+pub fn read(reader: impl Read) -> Result<Gaussians, PlyError> {
+    let mut reader = BufReader::with_capacity(1 << 18, reader);
+    let (format, elements) = header(&mut reader)?;
+    let mut numbers = Numbers { reader, format };
+    for element in &elements {
+        if element.name == "vertex" {
+            return vertices(&mut numbers, element);
+        }
+        // An element without properties takes no bytes, however many are promised.
+        if !element.properties.is_empty() {
+            for index in 0..element.count {
+                numbers.element(element, index, |_, _| {})?;
+            }
+        }
+    }
+    Err(PlyError::NoVertices)
+}
+
+fn vertices(numbers: &mut Numbers<impl BufRead>, element: &Element) -> Result<Gaussians, PlyError> {
+    let rest = element.properties.iter().filter(|(name, _)| name.starts_with("f_rest_")).count();
+    let sh_degree = match rest {
+        0 => 0,
+        9 => 1,
+        24 => 2,
+        45 => 3,
+        _ => return Err(PlyError::Rest(rest)),
+    };
+    // Slots of a row: 0..3 position, 3 opacity, 4..7 scale, 7..11 rotation, 11..59 colour [band][rgb].
+    let mut slots = vec![None; element.properties.len()];
+    let mut place = |name: String, slot: usize| {
+        let found = element.properties.iter().position(|(n, k)| *n == name && matches!(k, Kind::One(_)));
+        match found {
+            Some(i) => {
+                slots[i] = Some(slot);
+                Ok(())
+            }
+            None => Err(PlyError::Missing(name)),
+        }
+    };
+    for (slot, name) in ["x", "y", "z", "opacity"].into_iter().enumerate() {
+        place(name.to_string(), slot)?;
+    }
+    for i in 0..3 {
+        place(format!("scale_{i}"), 4 + i)?;
+        place(format!("f_dc_{i}"), 11 + i)?;
+    }
+    for i in 0..4 {
+        place(format!("rot_{i}"), 7 + i)?;
+    }
+    for i in 0..rest {
+        let (channel, band) = (i / (rest / 3), 1 + i % (rest / 3));
+        place(format!("f_rest_{i}"), 11 + 3 * band + channel)?;
+    }
+    let mut out = Gaussians::empty(sh_degree);
+    let room = element.count.min(ROWS as u64) as usize;
+    out.means.reserve(room);
+    out.log_scales.reserve(room);
+    out.quaternions.reserve(room);
+    out.opacity_logits.reserve(room);
+    out.sh.reserve(room);
+    for index in 0..element.count {
+        let mut row = [0.0f32; 59];
+        numbers.element(element, index, |i, value| {
+            if let Some(slot) = slots[i] {
+                row[slot] = value as f32;
+            }
+        })?;
+        out.means.push([row[0], row[1], row[2]]);
+        out.opacity_logits.push(row[3]);
+        out.log_scales.push([row[4], row[5], row[6]]);
+        out.quaternions.push([row[7], row[8], row[9], row[10]]);
+        out.sh.push(std::array::from_fn(|k| std::array::from_fn(|c| row[11 + 3 * k + c])));
+    }
+    Ok(out)
+}
+
+/// Writes Gaussians as binary little-endian PLY with 45 `f_rest_*` and zero normals, as the common viewers expect.
+pub fn write(gaussians: &Gaussians, writer: impl Write) -> io::Result<()> {
+    let mut out = BufWriter::with_capacity(1 << 18, writer);
+    let mut names: Vec<String> = ["x", "y", "z", "nx", "ny", "nz"].map(str::to_string).to_vec();
+    names.extend((0..3).map(|i| format!("f_dc_{i}")));
+    names.extend((0..45).map(|i| format!("f_rest_{i}")));
+    names.push("opacity".to_string());
+    names.extend((0..3).map(|i| format!("scale_{i}")));
+    names.extend((0..4).map(|i| format!("rot_{i}")));
+    write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", gaussians.len())?;
+    for name in &names {
+        writeln!(out, "property float {name}")?;
+    }
+    out.write_all(b"end_header\n")?;
+    let mut row = Vec::with_capacity(names.len() * 4);
+    for i in 0..gaussians.len() {
+        row.clear();
+        let sh = &gaussians.sh[i];
+        let rest = (0..3).flat_map(|c| (1..16).map(move |k| sh[k][c]));
+        let values = gaussians.means[i]
+            .into_iter()
+            .chain([0.0; 3])
+            .chain(sh[0])
+            .chain(rest)
+            .chain([gaussians.opacity_logits[i]])
+            .chain(gaussians.log_scales[i])
+            .chain(gaussians.quaternions[i]);
+        for value in values {
+            row.extend_from_slice(&value.to_le_bytes());
+        }
+        out.write_all(&row)?;
+    }
+    out.flush()
+}

@@ -1,0 +1,335 @@
+//! The rasterizer: forward and backward over all tiles, in strips of one tile row, without atomics.
+//!
+//! A tile row is one task; it writes its own strip of every image. Gradients of Gaussians leave a tile as one record per
+//! (tile, Gaussian) entry, in a buffer cut by tile rows; the records of a Gaussian are then added in the order of tiles. The
+//! buffer is bounded (see `gather`).
+
+use fearless_simd::{Level, dispatch};
+use use3d_capture::{Camera, Image, MediumMaps};
+
+use crate::gather::{backward_gaussians, in_groups, scatter};
+use crate::pixels::{
+    ImagePlanes, LayerPlanes, MediumPlanes, Saved, SavedPlanes, input, load_cotangents, load_water,
+    store_images, store_layers, store_medium_gradient,
+};
+use crate::prepared::{Prepared, TILE};
+use crate::strips::for_each;
+use crate::tile::{BackwardTile, ForwardTile, Input, Record, Sink, Water};
+use crate::view::{Cotangents, Options, Rendered};
+use crate::{GaussianGradients, Gaussians, lanes, plain};
+
+/// Which code composes a tile. All give the same bits where multiply-add is fused.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Engine {
+    /// Scalar code, the definition of correct.
+    Plain,
+    /// Vector code at an instruction-set level.
+    Lanes(Level),
+}
+
+/// Composes [`Prepared`] Gaussians; owns the scratch memory, which grows to what the largest view needs and is then reused.
+#[derive(Clone, Debug)]
+pub struct Rasterizer {
+    pub(crate) engine: Engine,
+    saved: Saved,
+    pub(crate) records: Vec<Record>,
+    pub(crate) sums: Vec<Record>,
+}
+
+impl Default for Rasterizer {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Rasterizer {
+    /// With the best instruction set of this machine.
+    pub fn new() -> Self {
+        Self::with_level(Level::new())
+    }
+
+    /// With a given instruction set.
+    pub fn with_level(level: Level) -> Self {
+        Self::with_engine(Engine::Lanes(level))
+    }
+
+    /// With plain scalar code: the definition of correct, slow.
+    pub fn plain() -> Self {
+        Self::with_engine(Engine::Plain)
+    }
+
+    fn with_engine(engine: Engine) -> Self {
+        Self { engine, saved: Saved::default(), records: Vec::new(), sums: Vec::new() }
+    }
+
+    /// Bytes of scratch memory held.
+    pub fn memory(&self) -> usize {
+        (self.records.capacity() + self.sums.capacity()) * size_of::<Record>() + self.saved.memory()
+    }
+
+    /// Renders the prepared view. `medium` has the lattice's size; `None` composes without water, on black.
+    pub fn forward(
+        &mut self,
+        prepared: &Prepared,
+        medium: Option<&MediumMaps>,
+        options: &Options,
+        out: &mut Rendered,
+    ) {
+        check_medium(prepared, medium);
+        out.resize(prepared.width, prepared.height, options.layers);
+        match (medium.is_some(), options.layers) {
+            (false, false) => self.forward_tiles::<false, false>(prepared, medium, Some(out)),
+            (false, true) => self.forward_tiles::<false, true>(prepared, medium, Some(out)),
+            (true, false) => self.forward_tiles::<true, false>(prepared, medium, Some(out)),
+            (true, true) => self.forward_tiles::<true, true>(prepared, medium, Some(out)),
+        }
+    }
+
+    #[allow(clippy::needless_pass_by_value, reason = "the optional borrow is cut into strips")]
+    fn forward_tiles<const WATER: bool, const LAYERS: bool>(
+        &mut self,
+        prepared: &Prepared,
+        medium: Option<&MediumMaps>,
+        out: Option<&mut Rendered>,
+    ) {
+        let (engine, w) = (self.engine, prepared.width);
+        let saved = self.saved.planes(prepared);
+        let (images, layers) = match out {
+            Some(Rendered { image, depth, accumulation, layers }) => {
+                let layers = layers.as_mut().map_or_else(|| LayerPlanes::absent(w), LayerPlanes::of);
+                (ImagePlanes::of(image, depth, accumulation), layers)
+            }
+            None => (ImagePlanes::absent(w), LayerPlanes::absent(w)),
+        };
+        for_each(0..prepared.rows.tiles(), (saved, images, layers), &|row, strips: ForwardStrips<'_>| {
+            match engine {
+                Engine::Plain => {
+                    forward_row::<WATER>(prepared, medium, row, strips, plain::forward::<WATER, LAYERS>);
+                }
+                Engine::Lanes(level) => dispatch!(level, simd => forward_row::<WATER>(
+                    prepared,
+                    medium,
+                    row,
+                    strips,
+                    #[inline(always)]
+                    |input, water, tile| lanes::forward::<_, WATER, LAYERS>(simd, input, water, tile),
+                )),
+            }
+        });
+    }
+
+    /// The gradient of a loss with respect to every parameter of the Gaussians and to the medium's maps. `prepared` must come from
+    /// `gaussians` and `camera`. `grads` and `medium_grads` are overwritten (and resized), not added to.
+    pub fn backward(
+        &mut self,
+        prepared: &Prepared,
+        gaussians: &Gaussians,
+        camera: &Camera,
+        medium: Option<&MediumMaps>,
+        options: &Options,
+        cotangents: &Cotangents<'_>,
+        grads: &mut GaussianGradients,
+        medium_grads: Option<&mut MediumMaps>,
+    ) {
+        check_medium(prepared, medium);
+        check_size(prepared, "the image's cotangent", cotangents.image.width(), cotangents.image.height());
+        assert_eq!(gaussians.len(), prepared.gaussians, "the view was prepared from other Gaussians");
+        if !self.saved.is_of(prepared) {
+            self.forward_tiles::<false, false>(prepared, None, None);
+        }
+        let extras =
+            cotangents.depth.is_some() || cotangents.accumulation.is_some() || cotangents.clear.is_some();
+        let s_gradient = if options.depth_gradient { 1.0 } else { 0.0 };
+        let run = match (medium.is_some(), extras) {
+            (false, false) => Self::backward_tiles::<false, false>,
+            (false, true) => Self::backward_tiles::<false, true>,
+            (true, false) => Self::backward_tiles::<true, false>,
+            (true, true) => Self::backward_tiles::<true, true>,
+        };
+        run(self, prepared, medium, s_gradient, cotangents, medium_grads);
+        backward_gaussians(prepared, &self.sums, gaussians, camera, grads);
+    }
+
+    fn backward_tiles<const WATER: bool, const EXTRAS: bool>(
+        &mut self,
+        prepared: &Prepared,
+        medium: Option<&MediumMaps>,
+        s_gradient: f32,
+        cotangents: &Cotangents<'_>,
+        medium_grads: Option<&mut MediumMaps>,
+    ) {
+        let (engine, saved) = (self.engine, &self.saved);
+        let planes = MediumPlanes::of(medium_grads, prepared);
+        in_groups(
+            prepared,
+            &mut self.records,
+            &mut self.sums,
+            planes,
+            &|row, records, strips: MediumPlanes<'_>| match engine {
+                Engine::Plain => backward_row::<WATER>(
+                    prepared,
+                    medium,
+                    Some(saved),
+                    cotangents,
+                    row,
+                    records,
+                    strips,
+                    |input, water, tile, sink| {
+                        plain::backward::<WATER, EXTRAS>(input, water, tile, s_gradient, sink);
+                    },
+                ),
+                Engine::Lanes(level) => dispatch!(level, simd => backward_row::<WATER>(
+                    prepared,
+                    medium,
+                    Some(saved),
+                    cotangents,
+                    row,
+                    records,
+                    strips,
+                    #[inline(always)]
+                    |input, water, tile, sink| {
+                        lanes::backward::<_, WATER, EXTRAS>(simd, input, water, tile, s_gradient, sink);
+                    },
+                )),
+            },
+        );
+    }
+
+    /// Stage 2: gradients with respect to this view's colours and the medium's maps; geometry is frozen. Both are overwritten.
+    pub fn backward_colors(
+        &mut self,
+        prepared: &Prepared,
+        medium: Option<&MediumMaps>,
+        image_cotangent: &Image,
+        color_grads: &mut [[f32; 3]],
+        medium_grads: &mut MediumMaps,
+    ) {
+        check_medium(prepared, medium);
+        check_size(prepared, "the image's cotangent", image_cotangent.width(), image_cotangent.height());
+        assert_eq!(color_grads.len(), prepared.gaussians, "one colour gradient per Gaussian");
+        match medium.is_some() {
+            false => self.color_tiles::<false>(prepared, medium, image_cotangent, medium_grads),
+            true => self.color_tiles::<true>(prepared, medium, image_cotangent, medium_grads),
+        }
+        scatter(prepared, &self.sums, color_grads, |sum| [sum[7], sum[8], sum[9]]);
+    }
+
+    fn color_tiles<const WATER: bool>(
+        &mut self,
+        prepared: &Prepared,
+        medium: Option<&MediumMaps>,
+        image: &Image,
+        medium_grads: &mut MediumMaps,
+    ) {
+        let engine = self.engine;
+        let cotangents = Cotangents { image, depth: None, accumulation: None, clear: None };
+        let planes = MediumPlanes::of(Some(medium_grads), prepared);
+        in_groups(
+            prepared,
+            &mut self.records,
+            &mut self.sums,
+            planes,
+            &|row, records, strips: MediumPlanes<'_>| match engine {
+                Engine::Plain => backward_row::<WATER>(
+                    prepared,
+                    medium,
+                    None,
+                    &cotangents,
+                    row,
+                    records,
+                    strips,
+                    |input, water, tile, sink| {
+                        plain::backward_colors::<WATER>(input, water, tile, sink);
+                    },
+                ),
+                Engine::Lanes(level) => dispatch!(level, simd => backward_row::<WATER>(
+                    prepared,
+                    medium,
+                    None,
+                    &cotangents,
+                    row,
+                    records,
+                    strips,
+                    #[inline(always)]
+                    |input, water, tile, sink| {
+                        lanes::backward_colors::<_, WATER>(simd, input, water, tile, sink);
+                    },
+                )),
+            },
+        );
+    }
+}
+
+/// The strips that the forward pass writes.
+type ForwardStrips<'a> = (SavedPlanes<'a>, ImagePlanes<'a>, LayerPlanes<'a>);
+
+/// Composes a tile row with `compose`. Always inlined, so that the loops around the kernel use its instruction set too.
+#[inline(always)]
+fn forward_row<const WATER: bool>(
+    prepared: &Prepared,
+    medium: Option<&MediumMaps>,
+    row: usize,
+    (mut saved, mut images, mut layers): ForwardStrips<'_>,
+    compose: impl Fn(&Input<'_>, &Water, &mut ForwardTile),
+) {
+    let mut water = Water::default();
+    for column in 0..prepared.columns.tiles() {
+        let input = input(prepared, row, column);
+        if WATER && let Some(medium) = medium {
+            load_water(prepared, medium, row, column, &mut water);
+        }
+        let mut tile = ForwardTile::new(input.filled_rows, input.filled_columns);
+        compose(&input, &water, &mut tile);
+        let columns = column * TILE..column * TILE + input.filled_columns;
+        saved.store(&input, &tile, columns.clone());
+        if images.present() {
+            store_images::<WATER>(medium, row, columns, &input, &tile, &mut images);
+        }
+        if layers.present() {
+            store_layers::<WATER>(prepared, medium, row, column, &input, &tile, &water, &mut layers);
+        }
+    }
+}
+
+/// Differentiates a tile row with `compose`, which hands its records to the closure it is given.
+#[inline(always)]
+fn backward_row<const WATER: bool>(
+    prepared: &Prepared,
+    medium: Option<&MediumMaps>,
+    saved: Option<&Saved>,
+    cotangents: &Cotangents<'_>,
+    row: usize,
+    records: &mut [Record],
+    mut grads: MediumPlanes<'_>,
+    compose: impl Fn(&Input<'_>, &Water, &mut BackwardTile, &mut Sink<'_>),
+) {
+    let mut water = Water::default();
+    let mut tile = BackwardTile::ZERO;
+    for column in 0..prepared.columns.tiles() {
+        let input = input(prepared, row, column);
+        if WATER && let Some(medium) = medium {
+            load_water(prepared, medium, row, column, &mut water);
+        }
+        load_cotangents(prepared, saved, medium, cotangents, row, column, &mut tile);
+        compose(&input, &water, &mut tile, &mut Sink { records, column: column as u32 });
+        if grads.present() {
+            store_medium_gradient::<WATER>(prepared, &input, row, column, &tile, &mut grads);
+        }
+    }
+}
+
+fn check_size(prepared: &Prepared, what: &str, width: usize, height: usize) {
+    assert_eq!(
+        (width, height),
+        (prepared.width, prepared.height),
+        "{what} must have the size of the lattice"
+    );
+}
+
+fn check_medium(prepared: &Prepared, medium: Option<&MediumMaps>) {
+    if let Some(m) = medium {
+        for image in [&m.color, &m.backscatter, &m.attenuation] {
+            check_size(prepared, "the medium's maps", image.width(), image.height());
+        }
+    }
+}

@@ -1,0 +1,64 @@
+//! How much work a view is, counted pair by pair (slowly): for benches, reports and curious users.
+
+use rayon::prelude::*;
+
+use crate::pixels::input;
+use crate::prepared::{LOG2_255, Prepared, TILE};
+use crate::tile::{ForwardTile, NEVER};
+
+/// Numbers of (pixel, Gaussian) pairs of a prepared view.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Pairs {
+    /// Pairs that a pixel's colour depends on.
+    pub contributing: u64,
+    /// Pairs that the lane kernels evaluate: pixels of rows that a Gaussian's contour meets, until all pixels of the row have stopped.
+    pub tested: u64,
+    /// (tile, Gaussian) entries of the lists.
+    pub entries: u64,
+}
+
+impl Prepared {
+    /// Counts the pairs of this view.
+    pub fn pairs(&self) -> Pairs {
+        let tiles = self.columns.tiles();
+        (0..self.rows.tiles() * tiles)
+            .into_par_iter()
+            .map(|tile| self.pairs_of(tile / tiles, tile % tiles))
+            .reduce(Pairs::default, |a, b| Pairs {
+                contributing: a.contributing + b.contributing,
+                tested: a.tested + b.tested,
+                entries: a.entries + b.entries,
+            })
+    }
+
+    fn pairs_of(&self, row: usize, column: usize) -> Pairs {
+        let input = input(self, row, column);
+        let (rows, columns) = (input.filled_rows, input.filled_columns);
+        let mut state = ForwardTile::new(rows, columns);
+        let nothing = crate::tile::Water::default();
+        crate::plain::forward::<false, false>(&input, &nothing, &mut state);
+        let mut pairs = Pairs { entries: input.list.len() as u64, ..Pairs::default() };
+        for k in 0..input.list.len() {
+            let splat = input.entry(k).1;
+            for r in 0..rows {
+                let state = &state.rows[r];
+                let last = state.stop[..columns].iter().copied().max().unwrap_or(NEVER);
+                if last < k as i32 {
+                    continue;
+                }
+                let terms = splat.row(input.rows[r]);
+                let power = |x: f32| {
+                    let t = x - terms.peak;
+                    (t * splat.steepness).mul_add(-t, terms.power)
+                };
+                let nearest = terms.peak.max(input.columns[0]).min(input.columns[TILE - 1]);
+                if power(nearest) >= -LOG2_255 {
+                    pairs.tested += columns as u64;
+                    let live = |l: &usize| power(input.columns[*l]) >= -LOG2_255 && state.stop[*l] > k as i32;
+                    pairs.contributing += (0..columns).filter(live).count() as u64;
+                }
+            }
+        }
+        pairs
+    }
+}

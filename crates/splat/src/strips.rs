@@ -1,0 +1,124 @@
+//! Images cut into strips of one tile row each, handed to threads without allocation.
+
+use std::ops::Range;
+
+use crate::prepared::TILE;
+
+/// Something that can be cut after a number of tile rows.
+pub(crate) trait Strips: Sized + Send {
+    /// The first `tile_rows` tile rows, and the rest. `at` is the absolute tile row of the cut.
+    fn cut(self, tile_rows: usize, at: usize) -> (Self, Self);
+}
+
+/// Mutable planes of one width; an absent plane is empty and stays so.
+pub(crate) struct Planes<'a, T, const N: usize> {
+    pub(crate) planes: [&'a mut [T]; N],
+    pub(crate) width: usize,
+}
+
+impl<'a, T, const N: usize> Planes<'a, T, N> {
+    /// `N` planes of `width × height` that lie one after another.
+    pub(crate) fn of(data: &'a mut [T], width: usize, height: usize) -> Self {
+        let mut rest = data;
+        let planes = std::array::from_fn(|_| {
+            let (plane, tail) = std::mem::take(&mut rest).split_at_mut(width * height);
+            rest = tail;
+            plane
+        });
+        Self { planes, width }
+    }
+
+    /// Absent planes.
+    pub(crate) fn absent(width: usize) -> Self {
+        Self { planes: std::array::from_fn(|_| Default::default()), width }
+    }
+
+    /// Pixels `columns` of row `y` of the strip in plane `c`.
+    #[inline(always)]
+    pub(crate) fn row(&mut self, c: usize, y: usize, columns: Range<usize>) -> &mut [T] {
+        let start = y * self.width;
+        &mut self.planes[c][start + columns.start..start + columns.end]
+    }
+
+    /// Whether there is something to write to.
+    pub(crate) fn present(&self) -> bool {
+        N > 0 && !self.planes[0].is_empty()
+    }
+}
+
+impl<T: Send, const N: usize> Strips for Planes<'_, T, N> {
+    fn cut(self, tile_rows: usize, _at: usize) -> (Self, Self) {
+        let width = self.width;
+        let mut second: [&mut [T]; N] = std::array::from_fn(|_| Default::default());
+        let mut first: [&mut [T]; N] = std::array::from_fn(|_| Default::default());
+        for (c, plane) in self.planes.into_iter().enumerate() {
+            let middle = (tile_rows * TILE * width).min(plane.len());
+            (first[c], second[c]) = plane.split_at_mut(middle);
+        }
+        (Self { planes: first, width }, Self { planes: second, width })
+    }
+}
+
+macro_rules! strips_of_tuples {
+    ($($name:ident),+) => {
+        impl<$($name: Strips),+> Strips for ($($name,)+) {
+            #[allow(non_snake_case, reason = "one binding per type parameter")]
+            fn cut(self, tile_rows: usize, at: usize) -> (Self, Self) {
+                let ($($name,)+) = self;
+                $(let $name = $name.cut(tile_rows, at);)+
+                (($($name.0,)+), ($($name.1,)+))
+            }
+        }
+    };
+}
+strips_of_tuples!(A, B);
+strips_of_tuples!(A, B, C);
+strips_of_tuples!(A, B, C, D);
+strips_of_tuples!(A, B, C, D, E);
+
+impl Strips for () {
+    fn cut(self, _tile_rows: usize, _at: usize) -> (Self, Self) {
+        ((), ())
+    }
+}
+
+/// Calls `work(tile row, its strips)` for every tile row of `rows`, in parallel.
+pub(crate) fn for_each<T: Strips>(rows: Range<usize>, strips: T, work: &(impl Fn(usize, T) + Sync)) {
+    match rows.len() {
+        0 => {}
+        1 => work(rows.start, strips),
+        n => {
+            let middle = rows.start + n / 2;
+            let (first, second) = strips.cut(n / 2, middle);
+            rayon::join(
+                || for_each(rows.start..middle, first, work),
+                || for_each(middle..rows.end, second, work),
+            );
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_row_gets_its_own_pixels() {
+        let (width, height) = (3, 40);
+        let mut data = vec![0u32; 2 * width * height];
+        let strips = (Planes::<u32, 2>::of(&mut data, width, height), Planes::<f32, 1>::absent(width));
+        for_each(0..3, strips, &|row, (mut planes, absent)| {
+            assert!(planes.present() && !absent.present());
+            let rows = planes.planes[0].len() / width;
+            for c in 0..2 {
+                for y in 0..rows {
+                    planes.row(c, y, 0..width).fill((100 * c + 10 * row + 1) as u32);
+                }
+            }
+        });
+        for (i, &v) in data.iter().enumerate() {
+            let (plane, y) = (i / (width * height), i % (width * height) / width);
+            assert_eq!(v as usize, 100 * plane + 10 * (y / TILE) + 1);
+        }
+    }
+}

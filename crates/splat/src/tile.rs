@@ -1,0 +1,284 @@
+//! What one 16×16 tile holds while it is composed, and the water in front of it.
+
+use use3d_numerics::lanes::SMALL;
+
+use crate::prepared::{LOG2_255, Span, Splat, TILE};
+
+/// 16 pixels of a row.
+pub(crate) type Lanes = [f32; TILE];
+
+/// Compositing stops before transmittance would fall to this.
+pub(crate) const STOP: f32 = 1e-4;
+/// Largest opacity of one Gaussian at one pixel.
+pub(crate) const ALPHA_MAX: f32 = 0.999;
+
+/// One tile's input: its Gaussians in depth order and its pixel centres.
+#[derive(Clone, Copy)]
+pub(crate) struct Input<'a> {
+    pub(crate) splats: &'a [Splat],
+    pub(crate) spans: &'a [Span],
+    pub(crate) list: &'a [u32],
+    pub(crate) columns: &'a Lanes,
+    pub(crate) rows: &'a Lanes,
+    /// Rows and columns that are pixels, not padding.
+    pub(crate) filled_rows: usize,
+    pub(crate) filled_columns: usize,
+}
+
+impl Input<'_> {
+    /// The Gaussian of entry `k`, with its span.
+    #[inline(always)]
+    pub(crate) fn entry(&self, k: usize) -> (&Span, &Splat) {
+        let span = &self.spans[self.list[k] as usize];
+        (span, &self.splats[span.rank as usize])
+    }
+}
+
+/// The exponents of one row of pixels, as deviations from the tile's centre: `−β |d| log₂e` is `centre + deviation`, per unit
+/// of z-depth (R1: `s = z |d|`).
+#[derive(Clone, Copy, Default)]
+#[repr(C, align(64))]
+pub(crate) struct WaterRow {
+    pub(crate) attenuation: [Lanes; 3],
+    pub(crate) backscatter: [Lanes; 3],
+}
+
+impl WaterRow {
+    #[inline(always)]
+    fn quantity(&self, q: usize) -> &Lanes {
+        if q < 3 { &self.attenuation[q] } else { &self.backscatter[q - 3] }
+    }
+
+    #[inline(always)]
+    fn quantity_mut(&mut self, q: usize) -> &mut Lanes {
+        if q < 3 { &mut self.attenuation[q] } else { &mut self.backscatter[q - 3] }
+    }
+}
+
+/// The water of a tile. Over 16×16 pixels β hardly changes, so that `e^{-β z}` is a factor of the tile times the exponential of
+/// a small number, which needs no range reduction; where the number is not small the full exponential is taken. Both
+/// are exact to rounding.
+#[derive(Clone, Copy, Default)]
+#[repr(C, align(64))]
+pub(crate) struct Water {
+    pub(crate) rows: [WaterRow; TILE],
+    /// Attenuation rgb, backscatter rgb, padding.
+    pub(crate) centre: Lanes,
+    /// Up to this depth the deviations times depth stay within [`SMALL`].
+    pub(crate) near: f32,
+}
+
+impl Water {
+    /// Centres the exponents, which on entry are absolute, in the first `rows` rows. Padding columns repeat a pixel.
+    #[inline(always)]
+    pub(crate) fn centre(&mut self, rows: usize) {
+        let mut largest = 0.0f32;
+        self.centre = [0.0; TILE];
+        for q in 0..6 {
+            let (mut low, mut high) = ([f32::INFINITY; TILE], [f32::NEG_INFINITY; TILE]);
+            for row in &self.rows[..rows] {
+                let lanes = row.quantity(q);
+                for l in 0..TILE {
+                    low[l] = if lanes[l] < low[l] { lanes[l] } else { low[l] };
+                    high[l] = if lanes[l] > high[l] { lanes[l] } else { high[l] };
+                }
+            }
+            let low = low.into_iter().fold(f32::INFINITY, f32::min);
+            let high = high.into_iter().fold(f32::NEG_INFINITY, f32::max);
+            let centre = 0.5 * low + 0.5 * high;
+            self.centre[q] = centre;
+            for row in &mut self.rows[..rows] {
+                for v in row.quantity_mut(q) {
+                    *v -= centre;
+                }
+            }
+            largest = largest.max((high - centre).max(centre - low));
+        }
+        // Not-a-number and infinite coefficients leave `near` at a value that no depth is below.
+        self.near = if largest > 0.0 {
+            SMALL / largest
+        } else if largest == 0.0 {
+            f32::INFINITY
+        } else {
+            0.0
+        };
+    }
+}
+
+/// One row of pixels during the forward pass.
+#[derive(Clone, Copy)]
+#[repr(C, align(64))]
+pub(crate) struct ForwardRow {
+    /// A pixel is live while `log₂ α` is at least this; infinite once it has stopped.
+    pub(crate) threshold: Lanes,
+    pub(crate) transmittance: Lanes,
+    /// `Σ w c e^{-β_a s}`.
+    pub(crate) object: [Lanes; 3],
+    /// `Σ w e^{-β_b s}`.
+    pub(crate) veil: [Lanes; 3],
+    /// `Σ w z`, `Σ w`.
+    pub(crate) depth: Lanes,
+    pub(crate) accumulation: Lanes,
+    /// `Σ w c`, and the depth of the last contributor.
+    pub(crate) clear: [Lanes; 3],
+    pub(crate) last: Lanes,
+    /// Entry at which the pixel stopped; entries from there on do not contribute.
+    pub(crate) stop: [i32; TILE],
+}
+
+/// The stop of a pixel that never stopped.
+pub(crate) const NEVER: i32 = i32::MAX;
+
+/// A tile during the forward pass.
+#[derive(Clone, Copy)]
+pub(crate) struct ForwardTile {
+    pub(crate) rows: [ForwardRow; TILE],
+}
+
+impl ForwardTile {
+    /// Before the first Gaussian; padding pixels have stopped.
+    #[inline(always)]
+    pub(crate) fn new(filled_rows: usize, filled_columns: usize) -> Self {
+        let zero = [0.0; TILE];
+        let row = |r: usize| {
+            let pixel = |l: usize| r < filled_rows && l < filled_columns;
+            ForwardRow {
+                threshold: std::array::from_fn(|l| if pixel(l) { -LOG2_255 } else { f32::INFINITY }),
+                transmittance: [1.0; TILE],
+                object: [zero; 3],
+                veil: [zero; 3],
+                depth: zero,
+                accumulation: zero,
+                clear: [zero; 3],
+                last: zero,
+                stop: std::array::from_fn(|l| if pixel(l) { NEVER } else { 0 }),
+            }
+        };
+        Self { rows: std::array::from_fn(row) }
+    }
+}
+
+/// One row of pixels during the backward pass, which walks from the farthest Gaussian to the nearest.
+#[derive(Clone, Copy)]
+#[repr(C, align(64))]
+pub(crate) struct BackwardRow {
+    pub(crate) stop: [i32; TILE],
+    /// Transmittance behind the Gaussian last undone.
+    pub(crate) transmittance: Lanes,
+    /// `−Σ w v` of the Gaussians already undone (those behind), `v` being the loss per unit of weight.
+    pub(crate) behind: Lanes,
+    /// Cotangent `g` of the image; `−g c_m`.
+    pub(crate) image: [Lanes; 3],
+    pub(crate) veiled: [Lanes; 3],
+    /// Cotangent of the clear image.
+    pub(crate) clear: [Lanes; 3],
+    /// `v` has the term `depth z + weight`.
+    pub(crate) depth: Lanes,
+    pub(crate) weight: Lanes,
+    /// `Σ w z g c e^{-β_a s}`, `−Σ w z g c_m e^{-β_b s}`, `Σ w e^{-β_b s}`.
+    pub(crate) object_moment: [Lanes; 3],
+    pub(crate) veil_moment: [Lanes; 3],
+    pub(crate) veil: [Lanes; 3],
+}
+
+impl BackwardRow {
+    const ZERO: Self = {
+        let zero = [0.0; TILE];
+        Self {
+            stop: [0; TILE],
+            transmittance: [1.0; TILE],
+            behind: zero,
+            image: [zero; 3],
+            veiled: [zero; 3],
+            clear: [zero; 3],
+            depth: zero,
+            weight: zero,
+            object_moment: [zero; 3],
+            veil_moment: [zero; 3],
+            veil: [zero; 3],
+        }
+    };
+}
+
+/// A tile during the backward pass.
+#[derive(Clone, Copy)]
+pub(crate) struct BackwardTile {
+    pub(crate) rows: [BackwardRow; TILE],
+}
+
+impl BackwardTile {
+    pub(crate) const ZERO: Self = Self { rows: [BackwardRow::ZERO; TILE] };
+}
+
+/// Gradient of one (tile, Gaussian) entry, or the sum of several.
+///
+/// `[ΣG, ΣG t, ΣG dy, ΣG t², ΣG t dy, ΣG dy², ∂z, ∂c rgb, Σ|G t|, Σ|G v_y|]` with `G = α ∂L/∂α`, `t = dx + shear dy`; the
+/// linear adjoint uses the entries as channels.
+pub(crate) type Record = [f32; 12];
+
+/// Where one tile's records go: each beside the others of its Gaussian's span.
+pub(crate) struct Sink<'a> {
+    pub(crate) records: &'a mut [Record],
+    /// The tile's column.
+    pub(crate) column: u32,
+}
+
+impl Sink<'_> {
+    /// Stores the record of an entry.
+    #[inline(always)]
+    pub(crate) fn put(&mut self, span: &Span, record: Record) {
+        self.records[(span.start + (self.column - span.first)) as usize] = record;
+    }
+}
+
+/// Channels that the linear splat and its adjoint treat at once.
+pub(crate) const CHANNELS: usize = 8;
+
+/// A Gaussian's scalars for the rows of one tile.
+#[derive(Clone, Copy)]
+pub(crate) struct RowTerms {
+    /// Where the row's parabola peaks, pixels.
+    pub(crate) peak: f32,
+    /// `log₂ α` there.
+    pub(crate) power: f32,
+    /// Row centre minus the Gaussian's.
+    pub(crate) dy: f32,
+}
+
+impl Splat {
+    /// The terms of the row at height `y`.
+    #[inline(always)]
+    pub(crate) fn row(&self, y: f32) -> RowTerms {
+        let dy = y - self.y;
+        RowTerms {
+            peak: self.shear.mul_add(-dy, self.x),
+            power: self.steepness_y.mul_add(-(dy * dy), self.log2_opacity),
+            dy,
+        }
+    }
+
+    /// `conic_xy` and `1 / cov_yy`: the vertical slope `v_y` of σ is `conic_xy t + dy / cov_yy`.
+    #[inline(always)]
+    pub(crate) fn conic_terms(&self) -> (f32, f32) {
+        let twice = 2.0 * std::f32::consts::LN_2;
+        (self.shear * (self.steepness * twice), self.steepness_y * twice)
+    }
+}
+
+/// Turns sums over a tile in tile coordinates into moments about the Gaussian.
+///
+/// `s0 = ΣG`, `sx = ΣG X`, `sxx = ΣG X²`, `s1 = ΣG η`, `sx1 = ΣG X η`, `s2 = ΣG η²`, with `X, η` the pixel relative to `origin`; then
+/// `t = X + shear η + τ` and `dy = η + δ`. Returned: `[ΣG, ΣG t, ΣG dy, ΣG t², ΣG t dy, ΣG dy²]`. f64, since the terms may cancel.
+#[inline(always)]
+pub(crate) fn moments(splat: &Splat, origin: [f32; 2], sums: [f32; 6]) -> [f32; 6] {
+    let [s0, sx, sxx, s1, sx1, s2] = sums.map(f64::from);
+    let k = f64::from(splat.shear);
+    let delta = f64::from(origin[1]) - f64::from(splat.y);
+    let tau = f64::from(origin[0]) - f64::from(splat.x) + k * delta;
+    let t = sx + k * s1 + tau * s0;
+    let ty = sx1 + k * s2 + tau * s1 + delta * t;
+    let tt = sxx + k * (k * s2 + 2.0 * sx1) + tau * (tau * s0 + 2.0 * sx + 2.0 * k * s1);
+    let y = s1 + delta * s0;
+    let yy = s2 + delta * (2.0 * s1 + delta * s0);
+    [s0, t, y, tt, ty, yy].map(|v| v as f32)
+}

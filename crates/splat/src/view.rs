@@ -1,0 +1,105 @@
+//! What goes into a rendered view and what comes out of it.
+
+use use3d_capture::{Image, Map};
+
+/// Where colours come from when a view is prepared.
+#[derive(Clone, Copy, Debug)]
+pub enum Colors<'a> {
+    /// From the Gaussians' spherical harmonics with bands up to `degree` (at most the stored degree): `max(SH + ½, 0)`.
+    Sh {
+        /// Highest degree evaluated.
+        degree: usize,
+    },
+    /// One colour per Gaussian for this view, used as it is, not clamped.
+    Given(&'a [[f32; 3]]),
+}
+
+/// What is computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Options {
+    /// Whether the gradient flows through the distance `s_i` in the medium's terms (R2); expected depth is always differentiable.
+    pub depth_gradient: bool,
+    /// Whether [`Rendered::layers`] is filled.
+    pub layers: bool,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { depth_gradient: true, layers: false }
+    }
+}
+
+/// A rendered view.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rendered {
+    /// The underwater composite (without a medium: the Gaussians on black), display range, unclamped.
+    pub image: Image,
+    /// Expected depth along the optical axis, `Σ w z / max(Σ w, 1e-6)`; 0 where nothing is hit.
+    pub depth: Map,
+    /// `Σ w`, in `[0, 1)`.
+    pub accumulation: Map,
+    /// The parts of the image, if asked for.
+    pub layers: Option<Layers>,
+}
+
+/// The parts of an underwater image: `image = object + medium + far`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Layers {
+    /// Attenuated object radiance, `Σ w c e^{-β_a s}`.
+    pub object: Image,
+    /// Backscatter of the intervals up to the last Gaussian.
+    pub medium: Image,
+    /// Backscatter behind the last Gaussian.
+    pub far: Image,
+    /// Object radiance without water, `J = Σ w c`.
+    pub clear: Image,
+    /// Expected distance along the ray, `Σ w s / max(Σ w, 1e-6)`.
+    pub distance: Map,
+}
+
+impl Default for Rendered {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Rendered {
+    /// Empty; [`Rasterizer::forward`] sets the sizes.
+    pub fn new() -> Self {
+        Self { image: Image::new(0, 0), depth: Map::new(0, 0), accumulation: Map::new(0, 0), layers: None }
+    }
+
+    pub(crate) fn resize(&mut self, width: usize, height: usize, layers: bool) {
+        self.image.resize(width, height);
+        self.depth.resize(width, height);
+        self.accumulation.resize(width, height);
+        if !layers {
+            self.layers = None;
+            return;
+        }
+        let layers = self.layers.get_or_insert_with(|| Layers {
+            object: Image::new(0, 0),
+            medium: Image::new(0, 0),
+            far: Image::new(0, 0),
+            clear: Image::new(0, 0),
+            distance: Map::new(0, 0),
+        });
+        for image in [&mut layers.object, &mut layers.medium, &mut layers.far, &mut layers.clear] {
+            image.resize(width, height);
+        }
+        layers.distance.resize(width, height);
+    }
+}
+
+/// The loss's derivatives with respect to what [`Rasterizer::forward`] rendered.
+#[derive(Clone, Copy, Debug)]
+pub struct Cotangents<'a> {
+    /// With respect to the image.
+    pub image: &'a Image,
+    /// With respect to expected depth.
+    pub depth: Option<&'a Map>,
+    /// With respect to accumulation.
+    pub accumulation: Option<&'a Map>,
+    /// With respect to the clear image.
+    pub clear: Option<&'a Image>,
+}

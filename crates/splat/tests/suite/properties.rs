@@ -1,0 +1,242 @@
+//! Properties that hold whatever the numbers.
+
+use glam::{DMat3, DQuat, DVec3};
+use use3d_capture::{Image, Lattice, MediumMaps, Pose};
+use use3d_splat::{
+    Colors, Cotangents, GaussianGradients, Options, Prepared, Rasterizer, Rendered, view_colors,
+};
+
+use crate::support::{lattice, prepared, random_camera, random_gaussians, random_image, random_medium};
+
+fn render(view: &Prepared, medium: Option<&MediumMaps>) -> Rendered {
+    let mut out = Rendered::new();
+    Rasterizer::new().forward(view, medium, &Options { layers: true, ..Options::default() }, &mut out);
+    out
+}
+
+fn worst(a: &[f32], b: &[f32]) -> f32 {
+    assert_eq!(a.len(), b.len());
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+}
+
+#[test]
+fn the_adjoint_is_the_transpose() {
+    for seed in 0..4 {
+        let (camera, gaussians) = (random_camera(90, 70), random_gaussians(300, -1.8, seed));
+        let view = prepared(&gaussians, &camera);
+        for channels in [1, 3, 7, 8, 13] {
+            let x: Vec<f32> =
+                (0..channels * gaussians.len()).map(|i| ((i * i) as f32 * 0.013).cos()).collect();
+            let y: Vec<f32> = (0..channels * 90 * 70).map(|i| (i as f32 * 0.7).sin() + 0.3).collect();
+            let (mut sx, mut sy) = (vec![0.0; y.len()], vec![0.0; x.len()]);
+            let mut rasterizer = Rasterizer::new();
+            rasterizer.splat(&view, channels, &x, &mut sx);
+            rasterizer.splat_adjoint(&view, channels, &y, &mut sy);
+            let dot = |a: &[f32], b: &[f32]| -> (f64, f64) {
+                a.iter().zip(b).fold((0.0, 0.0), |(s, n), (a, b)| {
+                    let p = f64::from(*a) * f64::from(*b);
+                    (s + p, n + p.abs())
+                })
+            };
+            let ((left, size), (right, _)) = (dot(&sx, &y), dot(&x, &sy));
+            // Relative to the size of the terms, and to the result itself.
+            assert!((left - right).abs() <= 1e-6 * size, "{left} {right} {size}");
+            assert!((left - right).abs() <= 1e-5 * left.abs().max(1e-2 * size), "{left} {right}");
+        }
+        // Sᵀ1 summed over Gaussians is the accumulation summed over pixels.
+        let mut lifted = vec![0.0; gaussians.len()];
+        Rasterizer::new().splat_adjoint(&view, 1, &vec![1.0; 90 * 70], &mut lifted);
+        let total: f64 = lifted.iter().map(|v| f64::from(*v)).sum();
+        let accumulated: f64 = render(&view, None).accumulation.data().iter().map(|v| f64::from(*v)).sum();
+        assert!((total / accumulated - 1.0).abs() < 1e-6);
+    }
+}
+
+#[test]
+fn water_of_the_objects_own_colour_hides_them() {
+    let (camera, gaussians) = (random_camera(60, 40), random_gaussians(200, -1.5, 3));
+    let mut view = prepared(&gaussians, &camera);
+    let color = [0.2, 0.5, 0.7];
+    view.set_colors(&vec![color; gaussians.len()]);
+    let mut medium = random_medium(60, 40, true, 4);
+    medium.attenuation = medium.backscatter.clone();
+    for c in 0..3 {
+        medium.color.plane_mut(c).fill(color[c]);
+    }
+    let out = render(&view, Some(&medium));
+    for c in 0..3 {
+        assert!(out.image.plane(c).iter().all(|v| (v - color[c]).abs() < 2e-6));
+    }
+}
+
+#[test]
+fn clear_water_leaves_objects_on_the_medium_colour() {
+    let (camera, gaussians) = (random_camera(60, 40), random_gaussians(100, -1.9, 5));
+    let view = prepared(&gaussians, &camera);
+    let mut medium = random_medium(60, 40, true, 4);
+    medium.attenuation.data_mut().fill(0.0);
+    medium.backscatter.data_mut().fill(0.0);
+    let out = render(&view, Some(&medium));
+    let layers = out.layers.as_ref().unwrap();
+    assert!(worst(layers.object.data(), layers.clear.data()) < 1e-6);
+    assert!(worst(layers.clear.data(), render(&view, None).image.data()) < 1e-6);
+    for c in 0..3 {
+        for p in 0..60 * 40 {
+            let rest = 1.0 - out.accumulation.data()[p];
+            let expected = layers.clear.plane(c)[p] + rest * medium.color.plane(c)[p];
+            assert!((out.image.plane(c)[p] - expected).abs() < 2e-6);
+        }
+    }
+    // Nothing visible: the medium alone, and no depth.
+    let nothing = render(&prepared(&random_gaussians(0, 0.0, 0), &camera), Some(&medium));
+    assert_eq!(nothing.image, medium.color);
+    assert!(nothing.depth.data().iter().chain(nothing.accumulation.data()).all(|v| *v == 0.0));
+}
+
+#[test]
+fn the_layers_add_up_to_the_image() {
+    let (camera, gaussians) = (random_camera(60, 40), random_gaussians(200, -1.5, 6));
+    let out = render(&prepared(&gaussians, &camera), Some(&random_medium(60, 40, false, 7)));
+    let layers = out.layers.unwrap();
+    let sum: Vec<f32> = (0..3 * 60 * 40)
+        .map(|i| layers.object.data()[i] + layers.medium.data()[i] + layers.far.data()[i])
+        .collect();
+    assert!(worst(&sum, out.image.data()) < 2e-6);
+    assert!(layers.medium.data().iter().chain(layers.far.data()).all(|v| *v > -1e-6));
+    assert!(out.accumulation.data().iter().all(|v| (0.0..1.0).contains(v)));
+}
+
+#[test]
+fn a_rigid_motion_of_world_and_camera_changes_nothing() {
+    let (camera, gaussians) = (random_camera(60, 40), random_gaussians(150, -1.5, 8));
+    let turn = DQuat::from_axis_angle(DVec3::new(0.3, -0.8, 0.5).normalize(), 1.1);
+    let shift = DVec3::new(1.5, -0.7, 2.0);
+    let mut moved = gaussians.clone();
+    for i in 0..moved.len() {
+        let m = turn * DVec3::from_array(gaussians.means[i].map(f64::from)) + shift;
+        moved.means[i] = m.as_vec3().to_array();
+        let [w, x, y, z] = gaussians.quaternions[i].map(f64::from);
+        let norm = (w * w + x * x + y * y + z * z).sqrt();
+        let q = turn * DQuat::from_xyzw(x / norm, y / norm, z / norm, w / norm);
+        moved.quaternions[i] = [q.w as f32, q.x as f32, q.y as f32, q.z as f32];
+    }
+    // x_camera = R Tᵀ (x' − s) + t
+    let rotation = camera.pose.rotation * DMat3::from_quat(turn).transpose();
+    let pose = Pose { rotation, translation: camera.pose.translation - rotation * shift };
+    let mut still = Prepared::new();
+    still.prepare(&gaussians, &camera, &lattice(&camera), Colors::Sh { degree: 0 });
+    let mut turned = Prepared::new();
+    let moved_camera = use3d_capture::Camera { pose, ..camera };
+    turned.prepare(&moved, &moved_camera, &lattice(&camera), Colors::Sh { degree: 0 });
+    let medium = random_medium(60, 40, true, 1);
+    let (a, b) = (render(&still, Some(&medium)), render(&turned, Some(&medium)));
+    // A pixel on a contour may flip: at most 1/255 there, nothing elsewhere.
+    let differences: Vec<f32> =
+        a.image.data().iter().zip(b.image.data()).map(|(a, b)| (a - b).abs()).collect();
+    assert!(differences.iter().all(|d| *d < 5e-3));
+    assert!(differences.iter().filter(|d| **d > 2e-5).count() < differences.len() / 200);
+}
+
+#[test]
+fn permuting_gaussians_permutes_gradients_and_keeps_the_image() {
+    let (camera, gaussians) = (random_camera(60, 40), random_gaussians(150, -1.5, 10));
+    let order: Vec<usize> = (0..150).map(|i| (i * 67 + 13) % 150).collect();
+    let shuffled = gaussians.select(&order);
+    let medium = random_medium(60, 40, true, 1);
+    let image = random_image(60, 40, 2);
+    let cotangents = Cotangents { image: &image, depth: None, accumulation: None, clear: None };
+    let run = |g: &use3d_splat::Gaussians| {
+        let view = prepared(g, &camera);
+        let mut grads = GaussianGradients::default();
+        let options = Options::default();
+        Rasterizer::new().backward(&view, g, &camera, Some(&medium), &options, &cotangents, &mut grads, None);
+        (render(&view, Some(&medium)).image, grads)
+    };
+    let ((image_a, grads_a), (image_b, grads_b)) = (run(&gaussians), run(&shuffled));
+    assert_eq!(image_a, image_b);
+    for (to, &from) in order.iter().enumerate() {
+        assert_eq!(grads_a.means[from], grads_b.means[to]);
+        assert_eq!(grads_a.sh[from], grads_b.sh[to]);
+        assert_eq!(grads_a.screen[from], grads_b.screen[to]);
+    }
+}
+
+/// The lattice of some columns and rows shows exactly the pixels of the whole image.
+#[test]
+fn a_sparse_lattice_renders_the_pixels_of_the_whole_image() {
+    let (camera, gaussians) = (random_camera(97, 75), random_gaussians(400, -1.9, 12));
+    let medium = random_medium(97, 75, false, 3);
+    let whole = render(&prepared(&gaussians, &camera), Some(&medium));
+    let columns: Vec<usize> = (0..97).filter(|x| x % 5 != 1 && x % 7 < 4).collect();
+    let rows: Vec<usize> = (0..75).filter(|y| y % 3 != 2).collect();
+    let pick = |image: &Image| {
+        let mut out = Image::new(columns.len(), rows.len());
+        for (j, &y) in rows.iter().enumerate() {
+            for (i, &x) in columns.iter().enumerate() {
+                out.set_pixel(i, j, image.pixel(x, y));
+            }
+        }
+        out
+    };
+    let some = MediumMaps {
+        color: pick(&medium.color),
+        backscatter: pick(&medium.backscatter),
+        attenuation: pick(&medium.attenuation),
+    };
+    let mut view = Prepared::new();
+    let sparse = Lattice::subset(&columns, &rows).unwrap();
+    view.prepare(&gaussians, &camera, &sparse, Colors::Sh { degree: 3 });
+    let part = render(&view, Some(&some));
+    // The exponentials' reduction is per tile, and tiles fall differently: equal to rounding.
+    assert!(worst(part.image.data(), pick(&whole.image).data()) < 2e-6);
+}
+
+#[test]
+fn given_colours_are_used_as_they_are() {
+    let (camera, gaussians) = (random_camera(40, 40), random_gaussians(80, -1.5, 13));
+    let mut colors = Vec::new();
+    view_colors(&gaussians, &camera, 2, &mut colors);
+    let (mut sh, mut given) = (Prepared::new(), Prepared::new());
+    sh.prepare(&gaussians, &camera, &lattice(&camera), Colors::Sh { degree: 2 });
+    given.prepare(&gaussians, &camera, &lattice(&camera), Colors::Given(&colors));
+    assert_eq!(render(&sh, None), render(&given, None));
+    given.set_colors(&vec![[-1.0, 0.0, 2.0]; gaussians.len()]);
+    let out = render(&given, None);
+    for (a, v) in out.accumulation.data().iter().zip(out.image.plane(0)) {
+        assert!((a + v).abs() < 1e-6);
+    }
+}
+
+/// The absolute statistic is at least the absolute value of the projected gradient, and is that of a single pixel's when only one has a cotangent.
+#[test]
+fn the_screen_statistic_bounds_the_projected_gradient() {
+    let (camera, gaussians) = (random_camera(40, 30), random_gaussians(50, -1.5, 14));
+    let view = prepared(&gaussians, &camera);
+    let run = |image: &Image| {
+        let mut grads = GaussianGradients::default();
+        let cotangents = Cotangents { image, depth: None, accumulation: None, clear: None };
+        let options = Options::default();
+        Rasterizer::new().backward(&view, &gaussians, &camera, None, &options, &cotangents, &mut grads, None);
+        grads.screen
+    };
+    let whole = random_image(40, 30, 5);
+    let screen = run(&whole);
+    let mut sum = vec![[0.0f64; 2]; gaussians.len()];
+    for y in 0..30 {
+        for x in 0..40 {
+            let mut one = Image::new(40, 30);
+            one.set_pixel(x, y, whole.pixel(x, y));
+            for (sum, pixel) in sum.iter_mut().zip(run(&one)) {
+                sum[0] += f64::from(pixel[0]);
+                sum[1] += f64::from(pixel[1]);
+            }
+        }
+    }
+    let size = screen.iter().flatten().fold(0.0f32, |m, v| m.max(*v));
+    assert!(size > 0.0);
+    for (a, b) in screen.iter().zip(&sum) {
+        for k in 0..2 {
+            assert!((f64::from(a[k]) - b[k]).abs() < 1e-5 * f64::from(size), "{a:?} {b:?}");
+        }
+    }
+}
