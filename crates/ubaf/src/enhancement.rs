@@ -1,0 +1,181 @@
+//! The trained field as a scene carries it: constants only, independent of which Gaussians are looked at.
+//!
+//! When training ends, the mean that [`crate::objects`] removes is stored as `centre` (R22). From then on a Gaussian's grade
+//! depends on its own position and colour alone, so that a crop, a merged scene or a single Gaussian keeps its colours.
+//!
+//! **Strength** `s` in `[0, 1]` scales every departure from the identity in its own space: log-gain, bias, affine minus identity
+//! and transport log-ratio. `s = 0` is the reconstruction exactly, `s = 1` the enhanced scene exactly, and the path between
+//! is smooth and keeps gains positive; it is not a blend of the two images.
+
+use fearless_simd::{Level, Simd, dispatch};
+use rayon::prelude::*;
+use use3d_capture::MediumMaps;
+
+use crate::OUTPUTS;
+use crate::field::{Field, apply_affine};
+use crate::lanes;
+use crate::objects::ObjectPass;
+use crate::water::{Water, WaterPass};
+
+/// Gaussians per parallel task.
+const CHUNK: usize = 4096;
+
+/// A trained field and its constant mode.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Enhancement {
+    /// Parameters and box.
+    pub field: Field,
+    /// The constant mode of the field's raw outputs: their mean over the scene's Gaussians when training ended.
+    pub centre: [f32; OUTPUTS],
+}
+
+/// A per-Gaussian affine colour map `c⁺ = exp(s a) ⊙ (c + s (δA c + b_g)) + s b`, ready for any view.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ObjectGrades {
+    affine: [[f32; 4]; 3],
+    /// Per Gaussian: gain RGB, bias RGB.
+    grades: Vec<[f32; OUTPUTS]>,
+}
+
+impl Enhancement {
+    /// The grades of Gaussians at `means` whose SH band 0 is `sh_dc`, at `strength` in `[0, 1]`.
+    pub fn objects(
+        &self,
+        means: &[[f32; 3]],
+        sh_dc: impl ExactSizeIterator<Item = [f32; 3]>,
+        strength: f32,
+    ) -> ObjectGrades {
+        let mut pass = ObjectPass::new(&self.field, means, sh_dc);
+        pass.forward(&self.field);
+        let mut grades = pass.locals(self.centre);
+        grades.par_iter_mut().with_min_len(CHUNK).for_each(|g| {
+            for (o, v) in g.iter_mut().enumerate() {
+                let scaled = strength * *v;
+                *v = if o < 3 { lanes::exp_scalar(scaled) } else { scaled };
+            }
+        });
+        ObjectGrades { affine: self.field.affine().map(|row| row.map(|v| strength * v)), grades }
+    }
+
+    /// The enhanced water of a view: `maps` are the frozen medium's, `camera` the camera centre in the scene's frame.
+    pub fn water(&self, camera: [f32; 3], maps: MediumMaps, strength: f32) -> MediumMaps {
+        let water = Water::new(maps);
+        let mut out = MediumMaps::zeros(0, 0);
+        WaterPass::new().forward(&self.field, camera, &water, strength, &mut out);
+        out
+    }
+}
+
+impl ObjectGrades {
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.grades.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.grades.is_empty()
+    }
+
+    /// Enhanced colours of a view from its Stage-1 colours, in place. One colour per Gaussian.
+    pub fn apply(&self, colors: &mut [[f32; 3]]) {
+        assert_eq!(colors.len(), self.len(), "one colour per Gaussian");
+        let (level, affine) = (Level::new(), &self.affine);
+        colors.par_chunks_mut(CHUNK).zip(self.grades.par_chunks(CHUNK)).for_each(|(colors, grades)| {
+            dispatch!(level, simd => regrade(simd, affine, grades, colors));
+        });
+    }
+
+    /// Gaussian `i`'s map as rows `(M | m)`: `c⁺ = M c + m`. This is what baking into spherical harmonics needs.
+    pub fn matrix(&self, i: usize) -> [[f32; 4]; 3] {
+        let grade = self.grades[i];
+        std::array::from_fn(|o| {
+            let mut row = self.affine[o];
+            row[o] += 1.0;
+            let mut row = row.map(|v| grade[o] * v);
+            row[3] += grade[3 + o];
+            row
+        })
+    }
+}
+
+/// Inside a dispatched level, so that the fused multiply-adds are instructions.
+#[inline(always)]
+fn regrade<S: Simd>(_: S, affine: &[[f32; 4]; 3], grades: &[[f32; OUTPUTS]], colors: &mut [[f32; 3]]) {
+    for (c, grade) in colors.iter_mut().zip(grades) {
+        let graded = apply_affine(affine, *c);
+        *c = std::array::from_fn(|o| grade[o].mul_add(graded[o], grade[3 + o]));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::field::Shape;
+    use crate::field_box::FieldBox;
+    use use3d_numerics::random::{Purpose, Stream};
+
+    fn trained(seed: u64) -> (Enhancement, Vec<[f32; 3]>, Vec<[f32; 3]>) {
+        let draw = Stream::new(seed, Purpose::new("enhancement test"), 0);
+        let mut field = Field::identity(Shape::default(), FieldBox::UNIT, seed).unwrap();
+        for (i, p) in field.parameters.iter_mut().enumerate() {
+            *p += 0.2 * draw.normal(i as u64) as f32;
+        }
+        let point = |i: u64| std::array::from_fn(|k| draw.uniform(10_000 + 3 * i + k as u64) as f32 - 0.5);
+        let means: Vec<[f32; 3]> = (0..300).map(point).collect();
+        let dc: Vec<[f32; 3]> = (300..600).map(point).collect();
+        let mut pass = ObjectPass::new(&field, &means, dc.iter().copied());
+        pass.forward(&field);
+        (Enhancement { centre: pass.mean(), field }, means, dc)
+    }
+
+    #[test]
+    fn a_crop_keeps_its_colours() {
+        let (e, means, dc) = trained(1);
+        let base: Vec<[f32; 3]> = (0..300).map(|i| [0.1, 0.2 + i as f32 * 1e-3, 0.5]).collect();
+        let mut whole = base.clone();
+        e.objects(&means, dc.iter().copied(), 1.0).apply(&mut whole);
+        let mut crop = base[100..200].to_vec();
+        e.objects(&means[100..200], dc[100..200].iter().copied(), 1.0).apply(&mut crop);
+        assert_eq!(whole[100..200], crop);
+    }
+
+    #[test]
+    fn strength_zero_is_the_reconstruction_and_one_is_what_training_saw() {
+        let (e, means, dc) = trained(2);
+        let base: Vec<[f32; 3]> = (0..300).map(|i| [0.9, 0.003 * i as f32, 0.0]).collect();
+        let mut zero = base.clone();
+        e.objects(&means, dc.iter().copied(), 0.0).apply(&mut zero);
+        assert_eq!(zero, base);
+        let mut one = base.clone();
+        e.objects(&means, dc.iter().copied(), 1.0).apply(&mut one);
+        let mut pass = ObjectPass::new(&e.field, &means, dc.iter().copied());
+        pass.forward(&e.field);
+        let mut seen = Vec::new();
+        pass.colors(&e.field, &base, &mut seen);
+        for (a, b) in one.as_flattened().iter().zip(seen.as_flattened()) {
+            assert!((a - b).abs() < 1e-6, "{a} {b}");
+        }
+        let mut maps = MediumMaps::zeros(5, 4);
+        for (i, v) in maps.color.data_mut().iter_mut().enumerate() {
+            *v = i as f32 / 60.0;
+        }
+        maps.attenuation.data_mut().fill(0.3);
+        assert_eq!(e.water([0.1, 0.2, 0.3], maps.clone(), 0.0), maps);
+        assert_ne!(e.water([0.1, 0.2, 0.3], maps.clone(), 1.0), maps);
+    }
+
+    #[test]
+    fn the_matrix_is_the_map() {
+        let (e, means, dc) = trained(3);
+        let objects = e.objects(&means, dc.iter().copied(), 0.7);
+        let mut colors = vec![[0.2, 0.5, 0.8]; 300];
+        objects.apply(&mut colors);
+        for (i, c) in colors.iter().enumerate() {
+            for (row, v) in objects.matrix(i).iter().zip(c) {
+                let direct = row[0] * 0.2 + row[1] * 0.5 + row[2] * 0.8 + row[3];
+                assert!((direct - v).abs() < 1e-5, "{direct} {v}");
+            }
+        }
+    }
+}

@@ -1,0 +1,291 @@
+//! Code and decoder over tiles of Gaussians, sixteen lanes at a time: `raw = W₂ silu(W₁ z + b₁) + b₂`, `z = f_x ⊙ f_y ⊙ f_z ⊙ f_γ`.
+//!
+//! A tile is 256 Gaussians. Its codes are gathered one Gaussian at a time (the rank is the vector), transposed, and then each
+//! hidden unit passes over the whole tile with its weights in registers, so that the backward pass accumulates the unit's
+//! weight gradients in registers too. The hidden activations are computed again in the backward pass: cheaper than 64 floats
+//! of memory per Gaussian. Lane sums are f32 over a block of 2048 Gaussians, then f64.
+//!
+//! Ranks are padded with zero factors to 8 or 16; a zero code entry adds nothing anywhere.
+
+use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
+
+use crate::OUTPUTS;
+use crate::field::{Field, Shape};
+use crate::guide::locate;
+use crate::lanes;
+use crate::sites::LANES;
+
+/// Gaussians per tile.
+pub(crate) const TILE: usize = 256;
+/// Six planes of decoder outputs of a tile.
+pub(crate) type TileOutputs = [[f32; TILE]; OUTPUTS];
+
+/// A field's weights in the order the kernels read them.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Packed {
+    shape: Shape,
+    rank: usize,
+    /// `[4][G][padded rank]`.
+    factors: Vec<f32>,
+    /// Per hidden unit: `padded rank` weights, bias, six output weights.
+    units: Vec<f32>,
+    output_bias: [f32; OUTPUTS],
+}
+
+/// What one lookup needs besides the weights: the first `len` entries of each slice, padded to whole lanes.
+#[derive(Clone, Copy)]
+pub(crate) struct Lookups<'a> {
+    /// Lower nodes on x, y, z.
+    pub(crate) nodes: &'a [[u8; 3]],
+    /// Fractions on x, y, z.
+    pub(crate) fractions: &'a [[f32; 3]],
+    /// Guide coordinate.
+    pub(crate) gamma: &'a [f32],
+}
+
+/// Sums of parameter derivatives over one block.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Accumulator {
+    factors: Vec<f32>,
+    /// Per hidden unit, sixteen lanes each: `padded rank` weights, bias, six output weights.
+    units: Vec<f32>,
+}
+
+impl Packed {
+    /// Takes a field's weights; allocates only when the shape grows.
+    pub(crate) fn pack(&mut self, field: &Field) {
+        let shape = field.shape();
+        let rank = if shape.rank <= 8 { 8 } else { 16 };
+        (self.shape, self.rank) = (shape, rank);
+        let p = &field.parameters;
+        self.factors.clear();
+        for row in p[shape.factors()].chunks_exact(shape.rank) {
+            self.factors.extend_from_slice(row);
+            self.factors.resize(self.factors.len() + rank - shape.rank, 0.0);
+        }
+        self.units.clear();
+        let (w1, b1, w2) = (&p[shape.hidden_weight()], &p[shape.hidden_bias()], &p[shape.output_weight()]);
+        for unit in 0..shape.width {
+            self.units.extend_from_slice(&w1[unit * shape.rank..(unit + 1) * shape.rank]);
+            self.units.resize(self.units.len() + rank - shape.rank, 0.0);
+            self.units.push(b1[unit]);
+            self.units.extend((0..OUTPUTS).map(|o| w2[o * shape.width + unit]));
+        }
+        self.output_bias.copy_from_slice(&p[shape.output_bias()]);
+    }
+
+    /// The decoder's raw outputs for one tile of lookups.
+    pub(crate) fn forward(&self, level: Level, lookups: Lookups<'_>, out: &mut TileOutputs) {
+        match self.rank {
+            8 => dispatch!(level, simd => forward_tile::<_, 8>(simd, self, lookups, out)),
+            _ => dispatch!(level, simd => forward_tile::<_, 16>(simd, self, lookups, out)),
+        }
+    }
+
+    /// Adds the tile's parameter derivatives to `sums` and writes `∂L/∂γ`, given `∂L/∂raw` (zero in padding lanes).
+    pub(crate) fn backward(
+        &self,
+        level: Level,
+        lookups: Lookups<'_>,
+        d_out: &TileOutputs,
+        sums: &mut Accumulator,
+        d_gamma: &mut [f32; TILE],
+    ) {
+        match self.rank {
+            8 => dispatch!(level, simd => backward_tile::<_, 8>(simd, self, lookups, d_out, sums, d_gamma)),
+            _ => dispatch!(level, simd => backward_tile::<_, 16>(simd, self, lookups, d_out, sums, d_gamma)),
+        }
+    }
+}
+
+impl Accumulator {
+    /// Zeros for the packed field.
+    pub(crate) fn clear(&mut self, packed: &Packed) {
+        self.factors.clear();
+        self.factors.resize(packed.factors.len(), 0.0);
+        self.units.clear();
+        self.units.resize(packed.units.len() * LANES, 0.0);
+    }
+
+    /// Adds the sums to a flat gradient. The output bias gets nothing: its gradient is exactly zero (see `field`).
+    pub(crate) fn add_to(&self, packed: &Packed, gradient: &mut [f64]) {
+        let (shape, rank) = (packed.shape, packed.rank);
+        for (g, s) in
+            gradient[shape.factors()].chunks_exact_mut(shape.rank).zip(self.factors.chunks_exact(rank))
+        {
+            for (g, &s) in g.iter_mut().zip(s) {
+                *g += f64::from(s);
+            }
+        }
+        let [w1, b1, w2] =
+            [shape.hidden_weight(), shape.hidden_bias(), shape.output_weight()].map(|r| r.start);
+        let record = rank + 1 + OUTPUTS;
+        for (unit, sums) in self.units.chunks_exact(record * LANES).enumerate() {
+            let total =
+                |i: usize| -> f64 { sums[i * LANES..(i + 1) * LANES].iter().map(|&v| f64::from(v)).sum() };
+            for r in 0..shape.rank {
+                gradient[w1 + unit * shape.rank + r] += total(r);
+            }
+            gradient[b1 + unit] += total(rank);
+            for o in 0..OUTPUTS {
+                gradient[w2 + o * shape.width + unit] += total(rank + 1 + o);
+            }
+        }
+    }
+}
+
+/// The four factor vectors of lookup `i`, linearly interpolated.
+#[inline(always)]
+fn factor_rows<const P: usize>(
+    table: &[[f32; P]],
+    resolution: usize,
+    at: &[(usize, f32); 4],
+) -> [[f32; P]; 4] {
+    std::array::from_fn(|axis| {
+        let (node, t) = at[axis];
+        let (low, high) = (&table[axis * resolution + node], &table[axis * resolution + node + 1]);
+        std::array::from_fn(|r| low[r] + t * (high[r] - low[r]))
+    })
+}
+
+#[inline(always)]
+fn location(lookups: Lookups<'_>, i: usize, resolution: usize) -> [(usize, f32); 4] {
+    let (n, f) = (lookups.nodes[i], lookups.fractions[i]);
+    let guide = locate(lookups.gamma[i], resolution);
+    [(n[0].into(), f[0]), (n[1].into(), f[1]), (n[2].into(), f[2]), guide]
+}
+
+/// Codes of a tile, one plane per rank.
+#[inline(always)]
+fn codes<const P: usize>(packed: &Packed, lookups: Lookups<'_>) -> [[f32; TILE]; P] {
+    let table = packed.factors.as_chunks::<P>().0;
+    let mut z = [[0.0; TILE]; P];
+    for i in 0..lookups.gamma.len() {
+        let at = location(lookups, i, packed.shape.resolution);
+        let [x, y, w, g] = factor_rows(table, packed.shape.resolution, &at);
+        for r in 0..P {
+            z[r][i] = x[r] * y[r] * w[r] * g[r];
+        }
+    }
+    z
+}
+
+/// Pre-activation of one hidden unit in the lanes from `at` on.
+#[inline(always)]
+fn activation<S: Simd, const P: usize>(simd: S, unit: &[f32], z: &[[f32; TILE]; P], at: usize) -> f32x16<S> {
+    let mut pre = f32x16::splat(simd, unit[P]);
+    for r in 0..P {
+        let code = f32x16::from_slice(simd, &z[r][at..at + LANES]);
+        pre = code.mul_add(f32x16::splat(simd, unit[r]), pre);
+    }
+    pre
+}
+
+#[inline(always)]
+fn forward_tile<S: Simd, const P: usize>(
+    simd: S,
+    packed: &Packed,
+    lookups: Lookups<'_>,
+    out: &mut TileOutputs,
+) {
+    let z = codes::<P>(packed, lookups);
+    for (plane, &bias) in out.iter_mut().zip(&packed.output_bias) {
+        plane.fill(bias);
+    }
+    for unit in packed.units.chunks_exact(P + 1 + OUTPUTS) {
+        for at in (0..lookups.gamma.len()).step_by(LANES) {
+            let pre = activation(simd, unit, &z, at);
+            let hidden = pre * lanes::logistic(simd, pre);
+            for o in 0..OUTPUTS {
+                let sum = f32x16::from_slice(simd, &out[o][at..at + LANES]);
+                let weight = f32x16::splat(simd, unit[P + 1 + o]);
+                hidden.mul_add(weight, sum).store_slice(&mut out[o][at..at + LANES]);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn backward_tile<S: Simd, const P: usize>(
+    simd: S,
+    packed: &Packed,
+    lookups: Lookups<'_>,
+    d_out: &TileOutputs,
+    sums: &mut Accumulator,
+    d_gamma: &mut [f32; TILE],
+) {
+    let z = codes::<P>(packed, lookups);
+    let mut d_z = [[0.0f32; TILE]; P];
+    let record = P + 1 + OUTPUTS;
+    let one = f32x16::splat(simd, 1.0);
+    for (unit, sums) in packed.units.chunks_exact(record).zip(sums.units.chunks_exact_mut(record * LANES)) {
+        let load = |sums: &[f32], i: usize| f32x16::from_slice(simd, &sums[i * LANES..(i + 1) * LANES]);
+        let mut d_weight: [f32x16<S>; P] = std::array::from_fn(|r| load(sums, r));
+        let mut d_bias = load(sums, P);
+        let mut d_output: [f32x16<S>; OUTPUTS] = std::array::from_fn(|o| load(sums, P + 1 + o));
+        for at in (0..lookups.gamma.len()).step_by(LANES) {
+            let pre = activation(simd, unit, &z, at);
+            let s = lanes::logistic(simd, pre);
+            let hidden = pre * s;
+            let mut d_hidden = f32x16::splat(simd, 0.0);
+            for o in 0..OUTPUTS {
+                let d = f32x16::from_slice(simd, &d_out[o][at..at + LANES]);
+                d_hidden = d.mul_add(f32x16::splat(simd, unit[P + 1 + o]), d_hidden);
+                d_output[o] = d.mul_add(hidden, d_output[o]);
+            }
+            // silu' = s (1 + pre (1 - s)).
+            let d_pre = d_hidden * (s * pre.mul_add(one - s, one));
+            d_bias += d_pre;
+            for r in 0..P {
+                let code = f32x16::from_slice(simd, &z[r][at..at + LANES]);
+                d_weight[r] = code.mul_add(d_pre, d_weight[r]);
+                let d_code = f32x16::from_slice(simd, &d_z[r][at..at + LANES]);
+                d_pre.mul_add(f32x16::splat(simd, unit[r]), d_code).store_slice(&mut d_z[r][at..at + LANES]);
+            }
+        }
+        for (r, d) in d_weight.iter().chain([&d_bias]).chain(&d_output).enumerate() {
+            d.store_slice(&mut sums[r * LANES..(r + 1) * LANES]);
+        }
+    }
+    codes_backward(packed, lookups, &d_z, &mut sums.factors, d_gamma);
+}
+
+/// `∂L/∂factors` and `∂L/∂γ` from `∂L/∂z`.
+#[inline(always)]
+fn codes_backward<const P: usize>(
+    packed: &Packed,
+    lookups: Lookups<'_>,
+    d_z: &[[f32; TILE]; P],
+    d_factors: &mut [f32],
+    d_gamma: &mut [f32; TILE],
+) {
+    let resolution = packed.shape.resolution;
+    let table = packed.factors.as_chunks::<P>().0;
+    let d_table = d_factors.as_chunks_mut::<P>().0;
+    let slope = 0.5 * (resolution - 1) as f32;
+    for i in 0..lookups.gamma.len() {
+        let at = location(lookups, i, resolution);
+        let [x, y, w, g] = factor_rows(table, resolution, &at);
+        let d: [f32; P] = std::array::from_fn(|r| d_z[r][i]);
+        let (mut dx, mut dy, mut dw, mut dg) = ([0.0; P], [0.0; P], [0.0; P], [0.0; P]);
+        for r in 0..P {
+            let (xy, wg) = (d[r] * (x[r] * y[r]), d[r] * (w[r] * g[r]));
+            (dx[r], dy[r], dw[r], dg[r]) = (y[r] * wg, x[r] * wg, xy * g[r], xy * w[r]);
+        }
+        let (node, _) = at[3];
+        let (low, high) = (&table[3 * resolution + node], &table[3 * resolution + node + 1]);
+        let mut rise = 0.0;
+        for r in 0..P {
+            rise += dg[r] * (high[r] - low[r]);
+        }
+        d_gamma[i] = slope * rise;
+        for (axis, d) in [dx, dy, dw, dg].iter().enumerate() {
+            let (node, t) = at[axis];
+            let row = axis * resolution + node;
+            for r in 0..P {
+                d_table[row][r] += (1.0 - t) * d[r];
+                d_table[row + 1][r] += t * d[r];
+            }
+        }
+    }
+}

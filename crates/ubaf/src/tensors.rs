@@ -1,0 +1,255 @@
+//! An [`Enhancement`] as safetensors.
+//!
+//! | tensor | shape | |
+//! |---|---|---|
+//! | `factors` | `[4, G, R]` | x, y, z, guide |
+//! | `decoder.hidden.weight`, `decoder.hidden.bias` | `[W, R]`, `[W]` | first layer, SiLU after it |
+//! | `decoder.output.weight`, `decoder.output.bias` | `[6, W]`, `[6]` | log-gain RGB, bias RGB |
+//! | `guide` | `[4]` | `w_r, w_g, w_b, b` |
+//! | `affine` | `[3, 4]` | scene affine minus the identity, bias in the last column |
+//! | `transport` | `[2]` | `u_bs`, `u_attn` |
+//! | `box` | `[2, 3]` | lower and upper corner of the field |
+//! | `centre` | `[6]` | the removed constant mode |
+//!
+//! All f32, little-endian. Unknown tensors are an error: a file that says more than we read would be read wrongly.
+
+use std::ops::Range;
+
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+
+use crate::OUTPUTS;
+use crate::enhancement::Enhancement;
+use crate::field::{Field, FieldError, Shape};
+use crate::field_box::FieldBox;
+
+/// What is wrong with a `ubaf.safetensors`.
+#[derive(Debug, thiserror::Error)]
+pub enum TensorError {
+    /// Not a safetensors file, or a truncated one.
+    #[error("not a readable safetensors file: {0}")]
+    Container(#[from] safetensors::SafeTensorError),
+    /// A tensor is not there.
+    #[error("tensor `{0}` is missing")]
+    Missing(&'static str),
+    /// A tensor nobody asked for.
+    #[error("tensor `{0}` is not part of a U-BAF; the file may be of a newer version")]
+    Unknown(String),
+    /// Another element type than f32.
+    #[error("tensor `{name}` holds {dtype:?}; expected F32")]
+    Type {
+        /// Its name.
+        name: &'static str,
+        /// Its type.
+        dtype: Dtype,
+    },
+    /// A shape that does not fit the others.
+    #[error("tensor `{name}` has shape {found:?}; expected {expected}")]
+    Dimensions {
+        /// Its name.
+        name: &'static str,
+        /// Its shape.
+        found: Vec<usize>,
+        /// What it should be.
+        expected: String,
+    },
+    /// A NaN or an infinity.
+    #[error("tensor `{name}` is {value} at flat index {index}; expected finite numbers")]
+    NotFinite {
+        /// Its name.
+        name: &'static str,
+        /// Where.
+        index: usize,
+        /// What.
+        value: f32,
+    },
+    /// Corners that do not span a box.
+    #[error("tensor `box` has corners {low:?} and {high:?}; expected low < high on every axis")]
+    Box {
+        /// Lower corner.
+        low: [f32; 3],
+        /// Upper corner.
+        high: [f32; 3],
+    },
+    /// A size outside the supported range.
+    #[error(transparent)]
+    Field(#[from] FieldError),
+}
+
+/// Name, place in the flat parameter vector, shape.
+type Group = (&'static str, Range<usize>, Vec<usize>);
+
+fn groups(shape: Shape) -> [Group; 8] {
+    let Shape { resolution, rank, width } = shape;
+    [
+        ("factors", shape.factors(), vec![4, resolution, rank]),
+        ("decoder.hidden.weight", shape.hidden_weight(), vec![width, rank]),
+        ("decoder.hidden.bias", shape.hidden_bias(), vec![width]),
+        ("decoder.output.weight", shape.output_weight(), vec![OUTPUTS, width]),
+        ("decoder.output.bias", shape.output_bias(), vec![OUTPUTS]),
+        ("guide", shape.guide(), vec![4]),
+        ("affine", shape.affine(), vec![3, 4]),
+        ("transport", shape.transport(), vec![2]),
+    ]
+}
+
+impl Enhancement {
+    /// The file's bytes.
+    pub fn to_safetensors(&self) -> Result<Vec<u8>, TensorError> {
+        let corners = [self.field.bounds().low, self.field.bounds().high];
+        let mut tensors: Vec<(&str, Vec<usize>, Vec<u8>)> = groups(self.field.shape())
+            .into_iter()
+            .map(|(name, range, shape)| (name, shape, bytes(&self.field.parameters[range])))
+            .collect();
+        tensors.push(("box", vec![2, 3], bytes(corners.as_flattened())));
+        tensors.push(("centre", vec![OUTPUTS], bytes(&self.centre)));
+        let views = tensors
+            .iter()
+            .map(|(name, shape, data)| Ok((*name, TensorView::new(Dtype::F32, shape.clone(), data)?)))
+            .collect::<Result<Vec<_>, TensorError>>()?;
+        Ok(safetensors::serialize(views, None)?)
+    }
+
+    /// Reads the file's bytes.
+    pub fn from_safetensors(data: &[u8]) -> Result<Self, TensorError> {
+        let file = SafeTensors::deserialize(data)?;
+        let [four, resolution, rank] = dimensions(&file, "factors", "[4, nodes, rank]")?;
+        if four != 4 {
+            return Err(TensorError::Dimensions {
+                name: "factors",
+                found: vec![four, resolution, rank],
+                expected: "[4, nodes, rank]".into(),
+            });
+        }
+        let [width] = dimensions(&file, "decoder.hidden.bias", "[width]")?;
+        let shape = Shape { resolution, rank, width };
+        shape.validate()?;
+        let mut parameters = Vec::with_capacity(shape.parameters());
+        let known = groups(shape);
+        for (name, _, dimensions) in &known {
+            parameters.extend(floats(&file, name, dimensions)?);
+        }
+        let corners = floats(&file, "box", &[2, 3])?;
+        let bounds = FieldBox {
+            low: std::array::from_fn(|a| corners[a]),
+            high: std::array::from_fn(|a| corners[3 + a]),
+        };
+        if !bounds.is_valid() {
+            return Err(TensorError::Box { low: bounds.low, high: bounds.high });
+        }
+        let centre = floats(&file, "centre", &[OUTPUTS])?;
+        let is_known = |name: &str| name == "box" || name == "centre" || known.iter().any(|g| g.0 == name);
+        if let Some(name) = file.names().into_iter().filter(|n| !is_known(n)).min() {
+            return Err(TensorError::Unknown(name.to_string()));
+        }
+        Ok(Self {
+            field: Field::from_parameters(shape, bounds, parameters)?,
+            centre: std::array::from_fn(|o| centre[o]),
+        })
+    }
+}
+
+fn bytes(values: &[f32]) -> Vec<u8> {
+    values.iter().flat_map(|v| v.to_le_bytes()).collect()
+}
+
+fn tensor<'a>(file: &SafeTensors<'a>, name: &'static str) -> Result<TensorView<'a>, TensorError> {
+    file.tensor(name).map_err(|_| TensorError::Missing(name))
+}
+
+fn dimensions<const N: usize>(
+    file: &SafeTensors<'_>,
+    name: &'static str,
+    expected: &str,
+) -> Result<[usize; N], TensorError> {
+    let view = tensor(file, name)?;
+    view.shape().try_into().map_err(|_| TensorError::Dimensions {
+        name,
+        found: view.shape().to_vec(),
+        expected: expected.into(),
+    })
+}
+
+fn floats(file: &SafeTensors<'_>, name: &'static str, shape: &[usize]) -> Result<Vec<f32>, TensorError> {
+    let view = tensor(file, name)?;
+    if view.dtype() != Dtype::F32 {
+        return Err(TensorError::Type { name, dtype: view.dtype() });
+    }
+    if view.shape() != shape {
+        return Err(TensorError::Dimensions {
+            name,
+            found: view.shape().to_vec(),
+            expected: format!("{shape:?}"),
+        });
+    }
+    let values: Vec<f32> =
+        view.data().as_chunks::<4>().0.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect();
+    match values.iter().position(|v| !v.is_finite()) {
+        Some(index) => Err(TensorError::NotFinite { name, index, value: values[index] }),
+        None => Ok(values),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn example() -> Enhancement {
+        let shape = Shape { resolution: 5, rank: 3, width: 7 };
+        let bounds = FieldBox { low: [-1.0, 0.0, 1.0], high: [1.0, 2.0, 3.5] };
+        let mut field = Field::identity(shape, bounds, 9).unwrap();
+        for (i, p) in field.parameters.iter_mut().enumerate() {
+            *p += i as f32 * 1e-3;
+        }
+        Enhancement { field, centre: [0.1, 0.2, 0.3, -0.1, -0.2, -0.3] }
+    }
+
+    #[test]
+    fn a_file_gives_back_what_was_written() {
+        let e = example();
+        let data = e.to_safetensors().unwrap();
+        assert_eq!(Enhancement::from_safetensors(&data).unwrap(), e);
+    }
+
+    #[test]
+    fn every_prefix_of_a_file_is_an_error_and_none_a_panic() {
+        let data = example().to_safetensors().unwrap();
+        for end in 0..data.len() {
+            assert!(Enhancement::from_safetensors(&data[..end]).is_err(), "prefix of {end} bytes");
+        }
+    }
+
+    #[test]
+    fn wrong_contents_are_named() {
+        let write = |tensors: Vec<(&str, Vec<usize>, Vec<f32>)>| {
+            let data: Vec<_> = tensors.iter().map(|(n, s, v)| (*n, s.clone(), bytes(v))).collect();
+            let views = data.iter().map(|(n, s, b)| (*n, TensorView::new(Dtype::F32, s.clone(), b).unwrap()));
+            safetensors::serialize(views, None).unwrap()
+        };
+        let e = example();
+        let all = || -> Vec<(&str, Vec<usize>, Vec<f32>)> {
+            let mut t: Vec<_> = groups(e.field.shape())
+                .into_iter()
+                .map(|(n, r, s)| (n, s, e.field.parameters[r].to_vec()))
+                .collect();
+            t.push(("box", vec![2, 3], vec![0.0, 0.0, 0.0, 1.0, 1.0, 1.0]));
+            t.push(("centre", vec![6], vec![0.0; 6]));
+            t
+        };
+        let message = |t| Enhancement::from_safetensors(&write(t)).unwrap_err().to_string();
+        let mut t = all();
+        t.retain(|t| t.0 != "guide");
+        assert!(message(t).contains("`guide` is missing"));
+        let mut t = all();
+        t[6] = ("affine", vec![4, 3], vec![0.0; 12]);
+        assert!(message(t).contains("`affine` has shape [4, 3]"));
+        let mut t = all();
+        t[5].2[1] = f32::NAN;
+        assert!(message(t).contains("`guide` is NaN at flat index 1"));
+        let mut t = all();
+        t[8].2[0] = 2.0;
+        assert!(message(t).contains("box"));
+        let mut t = all();
+        t.push(("extra", vec![1], vec![0.0]));
+        assert!(message(t).contains("`extra`"));
+    }
+}
