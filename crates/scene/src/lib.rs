@@ -1,1 +1,133 @@
-//! The scene folder: Gaussians, medium and enhancement on disk
+//! The scene folder: what stage 1 and stage 2 write, and what rendering and export read.
+//!
+//! ```text
+//! scene.json            format, version, frame, medium, enhancement
+//! gaussians.ply         the usual 3D Gaussian splatting layout
+//! medium.safetensors    the medium's tensors (absent for `none`)
+//! ubaf.safetensors      the enhancement's tensors (stage 2 only)
+//! ```
+//!
+//! Everything is in the scene's normalised frame; `frame` says how COLMAP's became it: `x_normalised = scale (R x_colmap) + t`, with
+//! `R` row by row. A folder without `scene.json` is not a scene: that file is removed first and written last, so a folder that was
+//! left half-written is never read as a whole one.
+
+mod description;
+mod files;
+pub mod similarity;
+
+use std::path::{Path, PathBuf};
+
+use use3d_capture::Frame;
+use use3d_medium::{MediumError, MediumModel};
+use use3d_splat::Gaussians;
+use use3d_ubaf::Enhancement;
+
+/// A reconstructed, possibly enhanced scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// The Gaussians, in the normalised frame.
+    pub gaussians: Gaussians,
+    /// How COLMAP's frame became the normalised one.
+    pub frame: Frame,
+    /// The water.
+    pub medium: MediumModel,
+    /// Degree up to which the medium's harmonics are read, 0 to 3.
+    pub medium_degree: usize,
+    /// What stage 2 learnt.
+    pub enhancement: Option<Enhancement>,
+}
+
+/// A scene folder that cannot be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    /// The folder has no description.
+    #[error("{} is not a scene folder: it has no scene.json; `use3d reconstruct` makes one", .0.display())]
+    NotAScene(PathBuf),
+    /// Reading or writing failed.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The description is not what this version reads.
+    #[error("{}: {message}", path.display())]
+    Description {
+        /// The file.
+        path: PathBuf,
+        /// Field, what was found, what was expected.
+        message: String,
+    },
+    /// The Gaussians' file is damaged.
+    #[error("{}: {source}", path.display())]
+    Ply {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: use3d_splat::ply::PlyError,
+    },
+    /// A Gaussian is unusable.
+    #[error("{}: {source}", path.display())]
+    Gaussians {
+        /// The file.
+        path: PathBuf,
+        /// The first bad one.
+        source: use3d_splat::GaussiansError,
+    },
+    /// The medium's file is damaged.
+    #[error("{}: {source}", path.display())]
+    Medium {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: MediumError,
+    },
+    /// A tensor file is damaged.
+    #[error("{}: {message}", path.display())]
+    Tensors {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        message: String,
+    },
+    /// The enhancement's file is damaged.
+    #[error("{}: {source}", path.display())]
+    Enhancement {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: use3d_ubaf::TensorError,
+    },
+}
+
+impl Scene {
+    /// Reads a scene folder; every number is checked.
+    pub fn load(dir: &Path) -> Result<Self, SceneError> {
+        let description = description::Description::read(dir)?;
+        let ply = dir.join(&description.gaussians);
+        let gaussians = files::read_gaussians(&ply)?;
+        gaussians.validate().map_err(|source| SceneError::Gaussians { path: ply, source })?;
+        let (medium, medium_degree) = files::read_medium(dir, &description.medium)?;
+        let enhancement = match &description.enhancement {
+            Some(enhancement) => Some(files::read_enhancement(&dir.join(&enhancement.file))?),
+            None => None,
+        };
+        Ok(Self { gaussians, frame: description.frame.into(), medium, medium_degree, enhancement })
+    }
+
+    /// Writes the scene into `dir`, which is made if need be. Other files in it are left alone.
+    pub fn save(&self, dir: &Path) -> Result<(), SceneError> {
+        std::fs::create_dir_all(dir).map_err(|source| SceneError::Io { path: dir.into(), source })?;
+        description::Description::remove(dir)?;
+        files::write_gaussians(&dir.join(files::GAUSSIANS), &self.gaussians)?;
+        files::write_medium(dir, &self.medium)?;
+        files::write_enhancement(dir, self.enhancement.as_ref())?;
+        description::Description::of(self).write(dir)
+    }
+
+    /// Whether `dir` looks like a scene folder.
+    pub fn is_scene(dir: &Path) -> bool {
+        dir.join(description::FILE).is_file()
+    }
+}

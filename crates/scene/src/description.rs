@@ -1,0 +1,164 @@
+//! `scene.json`, the one file that makes a folder a scene.
+
+use std::path::{Component, Path};
+
+use glam::{DMat3, DVec3};
+use serde::{Deserialize, Serialize};
+use use3d_capture::Frame;
+use use3d_medium::{MediumKind, MediumModel};
+
+use crate::{Scene, SceneError, files};
+
+/// Its name.
+pub(crate) const FILE: &str = "scene.json";
+const FORMAT: &str = "3d-use scene";
+const VERSION: u32 = 1;
+/// More than any description needs; what is larger is something else.
+const MOST_BYTES: u64 = 1 << 20;
+
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Description {
+    format: String,
+    version: u32,
+    sh_degree: usize,
+    pub(crate) frame: FrameRows,
+    #[serde(default = "default_gaussians")]
+    pub(crate) gaussians: String,
+    pub(crate) medium: MediumEntry,
+    #[serde(default)]
+    pub(crate) enhancement: Option<EnhancementEntry>,
+}
+
+fn default_gaussians() -> String {
+    files::GAUSSIANS.into()
+}
+
+/// The similarity, its rotation row by row.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub(crate) struct FrameRows {
+    scale: f64,
+    rotation: [f64; 9],
+    translation: [f64; 3],
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct MediumEntry {
+    pub(crate) kind: String,
+    #[serde(default)]
+    pub(crate) file: Option<String>,
+    #[serde(default)]
+    pub(crate) top_k: Option<usize>,
+    #[serde(default)]
+    pub(crate) sh_degree: Option<usize>,
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct EnhancementEntry {
+    pub(crate) file: String,
+}
+
+impl From<FrameRows> for Frame {
+    fn from(rows: FrameRows) -> Self {
+        Self {
+            scale: rows.scale,
+            rotation: DMat3::from_cols_array(&rows.rotation).transpose(),
+            translation: DVec3::from_array(rows.translation),
+        }
+    }
+}
+
+impl From<Frame> for FrameRows {
+    fn from(frame: Frame) -> Self {
+        Self {
+            scale: frame.scale,
+            rotation: frame.rotation.transpose().to_cols_array(),
+            translation: frame.translation.to_array(),
+        }
+    }
+}
+
+impl Description {
+    /// What `save` writes about a scene.
+    pub(crate) fn of(scene: &Scene) -> Self {
+        let kind = scene.medium.kind();
+        let top_k = match &scene.medium {
+            MediumModel::Rbf(rbf) => Some(rbf.top_k),
+            _ => None,
+        };
+        Self {
+            format: FORMAT.into(),
+            version: VERSION,
+            sh_degree: scene.gaussians.sh_degree,
+            frame: scene.frame.into(),
+            gaussians: default_gaussians(),
+            medium: MediumEntry {
+                kind: kind.name().into(),
+                file: (kind != MediumKind::None).then(|| files::MEDIUM.into()),
+                top_k,
+                sh_degree: (kind != MediumKind::None).then_some(scene.medium_degree),
+            },
+            enhancement: scene
+                .enhancement
+                .as_ref()
+                .map(|_| EnhancementEntry { file: files::ENHANCEMENT.into() }),
+        }
+    }
+
+    pub(crate) fn read(dir: &Path) -> Result<Self, SceneError> {
+        let path = dir.join(FILE);
+        if !path.is_file() {
+            return Err(SceneError::NotAScene(dir.into()));
+        }
+        let bytes = files::read_bounded(&path, MOST_BYTES)?;
+        let wrong = |message: String| SceneError::Description { path: path.clone(), message };
+        let description: Self = serde_json::from_slice(&bytes).map_err(|e| wrong(e.to_string()))?;
+        if description.format != FORMAT {
+            return Err(wrong(format!("format is `{}`; expected `{FORMAT}`", description.format)));
+        }
+        if description.version != VERSION {
+            return Err(wrong(format!(
+                "version is {}; this program reads version {VERSION}; a newer program wrote it",
+                description.version
+            )));
+        }
+        if description.sh_degree > 3 {
+            return Err(wrong(format!("sh_degree is {}; expected 0 to 3", description.sh_degree)));
+        }
+        let frame = &description.frame;
+        if !(frame.scale.is_finite() && frame.scale > 0.0) {
+            return Err(wrong(format!("frame.scale is {}; expected a positive number", frame.scale)));
+        }
+        if frame.rotation.iter().chain(&frame.translation).any(|v| !v.is_finite()) {
+            return Err(wrong("frame has an entry that is not finite".into()));
+        }
+        let names = [Some(&description.gaussians), description.medium.file.as_ref()];
+        for name in names.into_iter().flatten().chain(description.enhancement.as_ref().map(|e| &e.file)) {
+            // A file name in a description never leaves the folder.
+            let mut parts = Path::new(name).components();
+            if !matches!((parts.next(), parts.next()), (Some(Component::Normal(_)), None)) {
+                return Err(wrong(format!(
+                    "file name `{name}`; expected a plain name inside the scene folder"
+                )));
+            }
+        }
+        Ok(description)
+    }
+
+    pub(crate) fn write(&self, dir: &Path) -> Result<(), SceneError> {
+        let path = dir.join(FILE);
+        let mut text = serde_json::to_string_pretty(self)
+            .map_err(|e| SceneError::Description { path: path.clone(), message: e.to_string() })?;
+        text.push('\n');
+        files::write_atomic(&path, text.as_bytes())
+    }
+
+    pub(crate) fn remove(dir: &Path) -> Result<(), SceneError> {
+        let path = dir.join(FILE);
+        match std::fs::remove_file(&path) {
+            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+                Err(SceneError::Io { path, source })
+            }
+            _ => Ok(()),
+        }
+    }
+}

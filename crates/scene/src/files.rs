@@ -1,0 +1,161 @@
+//! The payload files of a scene folder. Writes go through a temporary sibling and a rename.
+
+use std::fs::File;
+use std::io::{BufReader, BufWriter, Read, Write};
+use std::path::Path;
+
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use use3d_medium::{MediumKind, MediumModel, Tensor, Tensors};
+use use3d_splat::{Gaussians, ply};
+use use3d_ubaf::Enhancement;
+
+use crate::SceneError;
+use crate::description::MediumEntry;
+
+pub(crate) const GAUSSIANS: &str = "gaussians.ply";
+pub(crate) const MEDIUM: &str = "medium.safetensors";
+pub(crate) const ENHANCEMENT: &str = "ubaf.safetensors";
+/// A medium or an enhancement is a few hundred kilobytes; what is larger than this is something else.
+const MOST_TENSOR_BYTES: u64 = 1 << 28;
+
+fn io(path: &Path) -> impl Fn(std::io::Error) -> SceneError + '_ {
+    move |source| SceneError::Io { path: path.into(), source }
+}
+
+/// The whole file, if it is not larger than `most` bytes.
+pub(crate) fn read_bounded(path: &Path, most: u64) -> Result<Vec<u8>, SceneError> {
+    let mut bytes = Vec::new();
+    let file = File::open(path).map_err(io(path))?;
+    file.take(most + 1).read_to_end(&mut bytes).map_err(io(path))?;
+    if bytes.len() as u64 > most {
+        let message = format!("more than {most} bytes; this is not a file of a scene");
+        return Err(SceneError::Tensors { path: path.into(), message });
+    }
+    Ok(bytes)
+}
+
+/// Fills a temporary sibling with `write`, syncs it, and renames it to `path`.
+fn write_with(
+    path: &Path,
+    write: impl FnOnce(&mut BufWriter<&File>) -> std::io::Result<()>,
+) -> Result<(), SceneError> {
+    let mut name = path.file_name().unwrap_or_default().to_os_string();
+    name.push(format!(".{}.part", std::process::id()));
+    let temporary = path.with_file_name(name);
+    let result = (|| {
+        let file = File::create(&temporary)?;
+        let mut writer = BufWriter::new(&file);
+        write(&mut writer)?;
+        writer.flush()?;
+        drop(writer);
+        file.sync_all()?;
+        std::fs::rename(&temporary, path)
+    })();
+    result.map_err(|source| {
+        let _ = std::fs::remove_file(&temporary);
+        SceneError::Io { path: path.into(), source }
+    })
+}
+
+pub(crate) fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), SceneError> {
+    write_with(path, |writer| writer.write_all(bytes))
+}
+
+fn remove(path: &Path) -> Result<(), SceneError> {
+    match std::fs::remove_file(path) {
+        Err(source) if source.kind() != std::io::ErrorKind::NotFound => Err(io(path)(source)),
+        _ => Ok(()),
+    }
+}
+
+pub(crate) fn read_gaussians(path: &Path) -> Result<Gaussians, SceneError> {
+    let file = File::open(path).map_err(io(path))?;
+    ply::read(BufReader::new(file)).map_err(|source| SceneError::Ply { path: path.into(), source })
+}
+
+pub(crate) fn write_gaussians(path: &Path, gaussians: &Gaussians) -> Result<(), SceneError> {
+    write_with(path, |writer| ply::write(gaussians, writer))
+}
+
+pub(crate) fn read_medium(dir: &Path, entry: &MediumEntry) -> Result<(MediumModel, usize), SceneError> {
+    let description = |message: String| SceneError::Description { path: dir.join("scene.json"), message };
+    let kind = MediumKind::from_name(&entry.kind).ok_or_else(|| {
+        description(format!("medium.kind is `{}`; expected rbf, mlp, global or none", entry.kind))
+    })?;
+    let degree = entry.sh_degree.unwrap_or(3);
+    if degree > 3 {
+        return Err(description(format!("medium.sh_degree is {degree}; expected 0 to 3")));
+    }
+    if kind == MediumKind::None {
+        return Ok((MediumModel::None, degree));
+    }
+    let name = entry
+        .file
+        .as_ref()
+        .ok_or_else(|| description(format!("medium.kind is `{}` but medium.file is missing", entry.kind)))?;
+    let path = dir.join(name);
+    let tensors = read_tensors(&path)?;
+    let model = MediumModel::from_tensors(kind, entry.top_k.unwrap_or(4), &tensors);
+    Ok((model.map_err(|source| SceneError::Medium { path, source })?, degree))
+}
+
+pub(crate) fn write_medium(dir: &Path, medium: &MediumModel) -> Result<(), SceneError> {
+    let path = dir.join(MEDIUM);
+    let tensors = medium.to_tensors();
+    if tensors.is_empty() {
+        return remove(&path);
+    }
+    let bytes: Vec<(&String, &Tensor, Vec<u8>)> = tensors
+        .iter()
+        .map(|(n, t)| (n, t, t.values.iter().flat_map(|v| v.to_le_bytes()).collect()))
+        .collect();
+    let wrong =
+        |e: safetensors::SafeTensorError| SceneError::Tensors { path: path.clone(), message: e.to_string() };
+    let views = bytes
+        .iter()
+        .map(|(name, tensor, data)| {
+            Ok((name.as_str(), TensorView::new(Dtype::F32, tensor.shape.clone(), data)?))
+        })
+        .collect::<Result<Vec<_>, _>>()
+        .map_err(wrong)?;
+    write_atomic(&path, &safetensors::serialize(views, None).map_err(wrong)?)
+}
+
+fn read_tensors(path: &Path) -> Result<Tensors, SceneError> {
+    let bytes = read_bounded(path, MOST_TENSOR_BYTES)?;
+    let wrong = |message: String| SceneError::Tensors { path: path.into(), message };
+    let file = SafeTensors::deserialize(&bytes).map_err(|e| wrong(e.to_string()))?;
+    let mut tensors = Tensors::new();
+    for (name, view) in file.iter() {
+        let values: Vec<f32> = match view.dtype() {
+            Dtype::F32 => {
+                view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
+            }
+            Dtype::F64 => (view.data().chunks_exact(8))
+                .map(|b| f64::from_le_bytes([b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]]) as f32)
+                .collect(),
+            other => return Err(wrong(format!("tensor `{name}` holds {other:?}; expected F32"))),
+        };
+        tensors.insert(name.to_string(), Tensor { shape: view.shape().to_vec(), values });
+    }
+    Ok(tensors)
+}
+
+pub(crate) fn read_enhancement(path: &Path) -> Result<Enhancement, SceneError> {
+    let bytes = read_bounded(path, MOST_TENSOR_BYTES)?;
+    Enhancement::from_safetensors(&bytes)
+        .map_err(|source| SceneError::Enhancement { path: path.into(), source })
+}
+
+pub(crate) fn write_enhancement(dir: &Path, enhancement: Option<&Enhancement>) -> Result<(), SceneError> {
+    let path = dir.join(ENHANCEMENT);
+    match enhancement {
+        None => remove(&path),
+        Some(enhancement) => {
+            let bytes = enhancement
+                .to_safetensors()
+                .map_err(|source| SceneError::Enhancement { path: path.clone(), source })?;
+            write_atomic(&path, &bytes)
+        }
+    }
+}
