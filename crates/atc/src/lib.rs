@@ -1,1 +1,27 @@
-//! Appearance Transition Consensus: extractor, proposers, calibrator, scene-global and Gaussian-local targets
+//! Appearance Transition Consensus (ATC): what the enhancement of a scene should be, learned from 2D pairs and agreed by
+//! all views, as fixed targets for stage 2.
+//!
+//! ```text
+//! pairs ─▶ [proposer] ─▶ [extractor] ─▶ dataset ─▶ [calibrator]
+//!                                                       │
+//! captured views ─▶ [proposer] ─▶ [extractor] ──────────┴─▶ one candidate per view ─▶ [consensus] ─▶ Targets
+//! ```
+//!
+//! * [`extractor`]: `E(source, target)`, the transition between two images: one global affine and a grid of gains and biases.
+//! * [`proposers`]: 2D enhancers behind one trait, among them [`proposers::Fusion`], which needs no weights.
+//! * [`calibrator`]: from proposed transitions to those of paired data.
+//! * [`consensus`]: one scene operator, and one local target per Gaussian.
+//!
+//! Nothing here knows of files, stages or progress bars: artifacts are bytes, loops report to a closure
+//! ([`progress::Watch`]). Everything is deterministic on any number of threads.
+
+pub mod calibrator;
+pub mod consensus;
+mod error;
+pub mod extractor;
+mod lanes;
+pub mod progress;
+pub mod proposers;
+mod tensors;
+
+pub use error::AtcError;

@@ -1,0 +1,151 @@
+//! Does calibration bring transitions nearer to the paired targets, on pairs that it was not fitted to?
+//!
+//! The *normalised transition error* is the mean over the operator's numbers of `|error| / s`, with `s` the calibrator's
+//! interquartile ranges; global operators count equally, local ones by the confidence of their cell. *Before* is the
+//! proposal's own error, *after* that of the calibrated proposal.
+
+use serde::{Deserialize, Serialize};
+use use3d_numerics::random::{Purpose, Stream};
+
+use super::mlp::Trace;
+use super::{Calibrator, CalibratorParams, Dataset, LOCAL_CONDITION, PairExample, push_local_condition};
+use crate::extractor::center;
+
+/// An error before and after calibration, interquartile units.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ErrorChange {
+    /// Of the proposal.
+    pub before: f64,
+    /// Of the calibrated proposal.
+    pub after: f64,
+}
+
+impl ErrorChange {
+    /// `after / before`: below 1 is better.
+    pub fn ratio(&self) -> f64 {
+        self.after / self.before.max(f64::MIN_POSITIVE)
+    }
+}
+
+/// Mean normalised transition errors over some pairs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TransitionErrors {
+    /// Global operators.
+    pub global: ErrorChange,
+    /// Local operators as fitted.
+    pub local: ErrorChange,
+    /// Local operators minus their mean over the image, which is what the consensus uses.
+    pub centered: ErrorChange,
+}
+
+/// The result of a fit to a part of the pairs, on the others.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct HeldOutReport {
+    /// Pairs fitted to.
+    pub fitted: usize,
+    /// Names of the pairs tested on.
+    pub tested: Vec<String>,
+    /// Errors on them.
+    pub errors: TransitionErrors,
+}
+
+/// Indices of the pairs to fit to and to test on, or `None` if nothing is to be held out or there are too few pairs.
+pub fn held_out(dataset: &Dataset, params: &CalibratorParams) -> Option<(Vec<usize>, Vec<usize>)> {
+    let count = dataset.examples.len();
+    let tested = (count as f64 * params.held_out).round() as usize;
+    if tested == 0 || count < tested + 4 {
+        return None;
+    }
+    let mut order = Stream::new(params.seed, Purpose::new("calibrator held-out pairs"), 0).permutation(count);
+    let mut fitted = order.split_off(tested);
+    order.sort_unstable();
+    fitted.sort_unstable();
+    Some((fitted, order))
+}
+
+pub(super) fn report(
+    calibrator: &Calibrator,
+    dataset: &Dataset,
+    fitted: &[usize],
+    tested: &[usize],
+) -> HeldOutReport {
+    HeldOutReport {
+        fitted: fitted.len(),
+        tested: tested.iter().map(|&i| dataset.examples[i].name.clone()).collect(),
+        errors: evaluate(calibrator, tested.iter().map(|&i| &dataset.examples[i])),
+    }
+}
+
+/// A confidence-weighted mean in the making.
+#[derive(Default)]
+struct Mean {
+    sum: f64,
+    weight: f64,
+}
+
+impl Mean {
+    fn add(&mut self, weight: f64, error: impl ExactSizeIterator<Item = f64>) {
+        let count = error.len() as f64;
+        self.sum += weight * error.sum::<f64>() / count;
+        self.weight += weight;
+    }
+
+    fn value(&self) -> f64 {
+        self.sum / self.weight.max(1e-12)
+    }
+}
+
+/// Mean normalised transition errors over `examples`, before and after calibration.
+pub fn evaluate<'a>(
+    calibrator: &Calibrator,
+    examples: impl IntoIterator<Item = &'a PairExample>,
+) -> TransitionErrors {
+    let (s_g, s_l) = (calibrator.global_scales(), calibrator.local_scales());
+    let mut means: [[Mean; 2]; 3] = Default::default();
+    for example in examples {
+        let calibrated = calibrator.calibrate_global(&example.descriptor, &example.proposal);
+        for (which, operator) in [&example.proposal, &calibrated].into_iter().enumerate() {
+            let error = (0..12).map(|k| (operator[k] - example.target[k]).abs() / s_g[k]);
+            means[0][which].add(1.0, error);
+        }
+        let mut conditions = Vec::with_capacity(LOCAL_CONDITION * example.cells.len());
+        for cell in &example.cells {
+            push_local_condition(
+                &mut conditions,
+                &cell.descriptor,
+                &example.descriptor,
+                &example.proposal,
+                &cell.proposal,
+                &calibrated,
+            );
+        }
+        let mut trace = Trace::default();
+        calibrator.local.run(&mut conditions, &mut trace);
+        let proposed: Vec<[f64; 6]> = example.cells.iter().map(|c| c.proposal).collect();
+        let predicted: Vec<[f64; 6]> = proposed
+            .iter()
+            .zip(trace.output.as_chunks::<6>().0)
+            .map(|(p, out)| std::array::from_fn(|k| p[k] + calibrator.local.residual_of(k, out[k])))
+            .collect();
+        let wanted: Vec<[f64; 6]> = example.cells.iter().map(|c| c.target).collect();
+        for (row, centered) in [(1, false), (2, true)] {
+            let view = |cells: &[[f64; 6]]| {
+                let mut cells = cells.to_vec();
+                if centered {
+                    center(&mut cells);
+                }
+                cells
+            };
+            let target = view(&wanted);
+            for (which, operators) in [&proposed, &predicted].into_iter().enumerate() {
+                for ((o, t), cell) in view(operators).iter().zip(&target).zip(&example.cells) {
+                    let error = (0..6).map(|k| (o[k] - t[k]).abs() / s_l[k]);
+                    means[row][which].add(cell.confidence, error);
+                }
+            }
+        }
+    }
+    let [global, local, centered] =
+        means.map(|[before, after]| ErrorChange { before: before.value(), after: after.value() });
+    TransitionErrors { global, local, centered }
+}

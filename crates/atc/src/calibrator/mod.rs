@@ -1,0 +1,166 @@
+//! The calibrator: from what a 2D enhancer proposes to what paired data say.
+//!
+//! Two small networks in residual form ([`Head`]). The *global head* maps 18 source descriptors and the proposal's global
+//! operator (12) to a calibrated global operator. The *local head* works cell by cell, without neighbours: 6 cell
+//! descriptors, the 18 source descriptors, the proposal's global (12) and local operator (6), and one more global
+//! operator (12), the global head's own prediction in training and the scene consensus in use, to a calibrated
+//! local operator. Trained on paired images in operator space ([`train`]); frozen afterwards.
+//!
+//! The recipe is R18: Smooth-L1 with corner ½ on errors in interquartile units, AdamW at 2·10⁻⁴ with a cosine decay to 5 %, joint
+//! gradient norm at most 10, 750 steps of 128 pairs and 4096 cells. Known limit: the paired "ground truth" of underwater
+//! enhancement is chosen by people among results of older methods; the calibrator learns their taste.
+
+mod artifact;
+mod dataset;
+mod evaluate;
+mod head;
+mod mlp;
+mod product;
+mod released;
+mod statistics;
+mod training;
+
+#[cfg(test)]
+mod golden;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::AtcError;
+use crate::extractor::{
+    Affine, Descriptors, ExtractorSettings, GLOBAL_DESCRIPTOR, LOCAL_DESCRIPTOR, Transition,
+};
+use crate::proposers::ProposerId;
+use mlp::Trace;
+
+pub use dataset::{Dataset, PairExample, PairImages, Skipped};
+pub use evaluate::{ErrorChange, HeldOutReport, TransitionErrors, evaluate, held_out};
+pub use head::Head;
+pub use mlp::{Linear, Mlp};
+pub use released::ReleasedConfig;
+pub use statistics::{CONDITION_FLOOR, RANGE_FLOOR, SCALE_FLOOR, Statistics};
+pub use training::{CalibratorParams, fit, train};
+
+/// Conditions of the global head: descriptor 18, proposal 12.
+pub const GLOBAL_CONDITION: usize = GLOBAL_DESCRIPTOR + 12;
+/// Conditions of the local head: cell 6, descriptor 18, proposal global 12, proposal local 6, global 12.
+pub const LOCAL_CONDITION: usize = LOCAL_DESCRIPTOR + GLOBAL_DESCRIPTOR + 12 + 6 + 12;
+
+/// Where a calibrator comes from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Provenance {
+    /// The pairs, in the caller's words (folders, a dataset's name).
+    pub data: String,
+    /// Pairs fitted to.
+    pub pairs: usize,
+    /// Cells fitted to.
+    pub cells: usize,
+    /// Optimiser steps.
+    pub steps: u64,
+    /// Seed of initialisation and sampling.
+    pub seed: u64,
+    /// Loss of the last step, interquartile units.
+    pub loss: f64,
+    /// What a fit on a part of the pairs does to the others.
+    pub held_out: Option<HeldOutReport>,
+    /// The tool's version.
+    pub tool: String,
+}
+
+/// A trained, frozen calibrator.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Calibrator {
+    /// The extractor settings it was fitted with; scenes follow them (R17).
+    pub extractor: ExtractorSettings,
+    /// The proposer it was fitted for (R25).
+    pub proposer: ProposerId,
+    /// Global head, 30 → 12.
+    pub global: Head,
+    /// Local head, 54 → 6.
+    pub local: Head,
+    /// Where it comes from.
+    pub provenance: Provenance,
+}
+
+impl Calibrator {
+    /// The calibrator that returns every proposal unchanged (unit scales).
+    pub fn identity(extractor: ExtractorSettings, proposer: ProposerId) -> Self {
+        Self {
+            extractor,
+            proposer,
+            global: Head::identity(GLOBAL_CONDITION, 8, 12),
+            local: Head::identity(LOCAL_CONDITION, 8, 6),
+            provenance: Provenance::default(),
+        }
+    }
+
+    /// The scales `s_g` of the global operator's 12 numbers, floored at 10⁻⁴ (R19).
+    pub fn global_scales(&self) -> [f64; 12] {
+        std::array::from_fn(|k| f64::from(self.global.residual.range[k]).max(SCALE_FLOOR))
+    }
+
+    /// The scales `s_ℓ` of a local operator's 6 numbers, floored at 10⁻⁴ (R19).
+    pub fn local_scales(&self) -> [f64; 6] {
+        std::array::from_fn(|k| f64::from(self.local.residual.range[k]).max(SCALE_FLOOR))
+    }
+
+    /// The calibrated global operator of one image.
+    pub fn calibrate_global(&self, descriptor: &[f64; GLOBAL_DESCRIPTOR], proposal: &Affine) -> Affine {
+        let mut conditions: Vec<f32> = descriptor.iter().chain(proposal).map(|&v| v as f32).collect();
+        let mut trace = Trace::default();
+        self.global.run(&mut conditions, &mut trace);
+        std::array::from_fn(|k| proposal[k] + self.global.residual_of(k, trace.output[k]))
+    }
+
+    /// The calibrated local operators of one image under the global operator `scene`. `descriptors` and `proposal` must be
+    /// over the same grid.
+    pub fn calibrate_local(
+        &self,
+        descriptors: &Descriptors,
+        proposal: &Transition,
+        scene: &Affine,
+    ) -> Result<Vec<[f64; 6]>, AtcError> {
+        if descriptors.local.len() != proposal.local.len() {
+            return Err(AtcError::artifact(
+                "conditions of the local head",
+                format!(
+                    "{} cells are described, the proposal has {}",
+                    descriptors.local.len(),
+                    proposal.local.len()
+                ),
+            ));
+        }
+        let mut conditions = Vec::with_capacity(LOCAL_CONDITION * proposal.local.len());
+        for (cell, operator) in descriptors.local.iter().zip(&proposal.local) {
+            push_local_condition(
+                &mut conditions,
+                cell,
+                &descriptors.global,
+                &proposal.global,
+                operator,
+                scene,
+            );
+        }
+        let mut trace = Trace::default();
+        self.local.run(&mut conditions, &mut trace);
+        Ok(proposal
+            .local
+            .iter()
+            .zip(trace.output.as_chunks::<6>().0)
+            .map(|(p, out)| std::array::from_fn(|k| p[k] + self.local.residual_of(k, out[k])))
+            .collect())
+    }
+}
+
+/// Appends one row of the local head's conditions, in their fixed order.
+fn push_local_condition(
+    rows: &mut Vec<f32>,
+    cell: &[f64; LOCAL_DESCRIPTOR],
+    descriptor: &[f64; GLOBAL_DESCRIPTOR],
+    proposal_global: &Affine,
+    proposal_local: &[f64; 6],
+    global: &Affine,
+) {
+    let parts: [&[f64]; 5] = [cell, descriptor, proposal_global, proposal_local, global];
+    rows.extend(parts.into_iter().flatten().map(|&v| v as f32));
+}

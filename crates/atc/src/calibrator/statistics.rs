@@ -1,0 +1,58 @@
+//! Robust location and scale of every column of a sample: median and interquartile range (R18, R19).
+//!
+//! The median is the lower one where the count is even; the quartiles are interpolated linearly between order statistics. The
+//! range has a floor of 10⁻³, so that a constant column does not blow up what is divided by it.
+
+/// Smallest interquartile range that is stored.
+pub const RANGE_FLOOR: f64 = 1e-3;
+/// Floor at use, in normalised conditions and errors.
+pub const CONDITION_FLOOR: f64 = 1e-5;
+/// Floor at use, in the losses of stage 2 and in the Cauchy factor of the consensus.
+pub const SCALE_FLOOR: f64 = 1e-4;
+
+/// Median and interquartile range of each column.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Statistics {
+    /// Lower median per column.
+    pub median: Vec<f32>,
+    /// Interquartile range per column, at least [`RANGE_FLOOR`].
+    pub range: Vec<f32>,
+}
+
+impl Statistics {
+    /// Medians 0, ranges 1.
+    pub fn neutral(columns: usize) -> Self {
+        Self { median: vec![0.0; columns], range: vec![1.0; columns] }
+    }
+
+    /// Of rows of `columns` numbers each (at least one row).
+    pub fn of(rows: &[f32], columns: usize) -> Self {
+        let count = rows.len() / columns;
+        let mut out = Self::neutral(columns);
+        let mut column = vec![0.0f32; count];
+        for c in 0..columns {
+            for (v, row) in column.iter_mut().zip(rows.chunks_exact(columns)) {
+                *v = row[c];
+            }
+            column.sort_unstable_by(f32::total_cmp);
+            let quantile = |q: f64| {
+                let position = q * (count - 1) as f64;
+                let low = position.floor() as usize;
+                let (a, b) = (f64::from(column[low]), f64::from(column[(low + 1).min(count - 1)]));
+                a + (b - a) * (position - low as f64)
+            };
+            out.median[c] = column[(count - 1) / 2];
+            out.range[c] = (quantile(0.75) - quantile(0.25)).max(RANGE_FLOOR) as f32;
+        }
+        out
+    }
+
+    /// Rows of raw conditions, normalised in place: `(c − median) / max(range, 10⁻⁵)`.
+    pub(super) fn normalise(&self, rows: &mut [f32]) {
+        for row in rows.chunks_exact_mut(self.median.len()) {
+            for ((v, m), r) in row.iter_mut().zip(&self.median).zip(&self.range) {
+                *v = (*v - m) / r.max(CONDITION_FLOOR as f32);
+            }
+        }
+    }
+}

@@ -1,0 +1,367 @@
+//! Fitting the two heads to a data set of pairs (R18).
+//!
+//! Deterministic: initialisation and every sampled row are functions of (seed, purpose, step, index), and all sums have a fixed
+//! order, so the same data and parameters give the same bits on any number of threads.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use use3d_numerics::adam::Adam;
+use use3d_numerics::random::{Purpose, Stream};
+
+use super::head::{Batch, Head};
+use super::mlp::{Mlp, Trace};
+use super::{
+    Calibrator, Dataset, GLOBAL_CONDITION, LOCAL_CONDITION, Provenance, Statistics, evaluate, held_out,
+    push_local_condition,
+};
+use crate::error::AtcError;
+use crate::extractor::{Affine, ExtractorSettings};
+use crate::progress::{Progress, Watch, report};
+
+/// Fewest pairs a calibrator is fitted to; fewer say nothing about how transitions vary.
+const FEWEST_PAIRS: usize = 2;
+/// Most cells that enter the statistics.
+const STATISTICS_CELLS: usize = 100_000;
+
+/// Parameters of the calibrator's training.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct CalibratorParams {
+    /// Settings of the extractor; scenes follow them.
+    pub extractor: ExtractorSettings,
+    /// Optimiser steps.
+    pub steps: u64,
+    /// Pairs per step, drawn with replacement (all, if there are fewer).
+    pub pairs_per_step: usize,
+    /// Cells per step, drawn with replacement from all cells of all pairs (all, if there are fewer).
+    pub cells_per_step: usize,
+    /// Learning rate of the first step.
+    pub learning_rate: f64,
+    /// The last learning rate as a fraction of the first (cosine decay).
+    pub final_fraction: f64,
+    /// Largest joint norm of the gradient.
+    pub gradient_limit: f64,
+    /// Width of the global head's hidden layers.
+    pub global_hidden: usize,
+    /// Width of the local head's hidden layers.
+    pub local_hidden: usize,
+    /// Share of the pairs held out for the report (0: no report). The final fit uses all pairs.
+    pub held_out: f64,
+    /// Seed.
+    pub seed: u64,
+}
+
+impl Default for CalibratorParams {
+    fn default() -> Self {
+        Self {
+            extractor: ExtractorSettings::default(),
+            steps: 750,
+            pairs_per_step: 128,
+            cells_per_step: 4096,
+            learning_rate: 2e-4,
+            final_fraction: 0.05,
+            gradient_limit: 10.0,
+            global_hidden: 128,
+            local_hidden: 256,
+            held_out: 0.2,
+            seed: 42,
+        }
+    }
+}
+
+impl CalibratorParams {
+    /// Checks the ranges.
+    pub fn validate(&self) -> Result<(), AtcError> {
+        self.extractor.validate()?;
+        let bad = |field, value: String, expected| Err(AtcError::Setting { field, value, expected });
+        for (field, value) in [
+            ("pairs_per_step", self.pairs_per_step),
+            ("cells_per_step", self.cells_per_step),
+            ("global_hidden", self.global_hidden),
+            ("local_hidden", self.local_hidden),
+        ] {
+            if !(1..=1 << 20).contains(&value) {
+                return bad(field, value.to_string(), "1 to 1048576");
+            }
+        }
+        for (field, value) in [("learning_rate", self.learning_rate), ("gradient_limit", self.gradient_limit)]
+        {
+            if !(value.is_finite() && value > 0.0) {
+                return bad(field, value.to_string(), "a positive number");
+            }
+        }
+        if !(0.0..=1.0).contains(&self.final_fraction) {
+            return bad("final_fraction", self.final_fraction.to_string(), "0 to 1");
+        }
+        if !(0.0..=0.9).contains(&self.held_out) {
+            return bad("held_out", self.held_out.to_string(), "0 to 0.9");
+        }
+        Ok(())
+    }
+
+    /// The learning rate of `step`, counted from 1.
+    fn rate(&self, step: u64) -> f64 {
+        let t = (step - 1) as f64 / self.steps.max(1) as f64;
+        let cosine = 0.5 * (1.0 + (std::f64::consts::PI * t).cos());
+        self.learning_rate * (self.final_fraction + (1.0 - self.final_fraction) * cosine)
+    }
+}
+
+/// Fits a calibrator to all pairs of a data set, with a held-out report from a fit to a part of them. `data` says where the
+/// pairs come from.
+pub fn train(
+    dataset: &Dataset,
+    params: &CalibratorParams,
+    data: &str,
+    watch: &mut Watch<'_>,
+) -> Result<Calibrator, AtcError> {
+    let report = match held_out(dataset, params) {
+        Some((fitted, tested)) => {
+            let part = fit(&dataset.subset(&fitted), params, watch)?;
+            Some(evaluate::report(&part, dataset, &fitted, &tested))
+        }
+        None => None,
+    };
+    let mut calibrator = fit(dataset, params, watch)?;
+    calibrator.provenance.data = data.to_string();
+    calibrator.provenance.held_out = report;
+    Ok(calibrator)
+}
+
+/// The data set as flat rows.
+struct Rows {
+    /// `[pairs][30]`, raw.
+    global_conditions: Vec<f32>,
+    global_proposals: Vec<f32>,
+    global_targets: Vec<f32>,
+    /// `[cells][54]`, raw; the last 12 are the pair's true global operator.
+    local_conditions: Vec<f32>,
+    local_proposals: Vec<f32>,
+    local_targets: Vec<f32>,
+    confidence: Vec<f32>,
+    /// The pair of each cell.
+    pair: Vec<usize>,
+}
+
+impl Rows {
+    fn new(dataset: &Dataset) -> Self {
+        let mut rows = Self {
+            global_conditions: Vec::new(),
+            global_proposals: Vec::new(),
+            global_targets: Vec::new(),
+            local_conditions: Vec::with_capacity(LOCAL_CONDITION * dataset.cell_count()),
+            local_proposals: Vec::new(),
+            local_targets: Vec::new(),
+            confidence: Vec::new(),
+            pair: Vec::new(),
+        };
+        let extend = |to: &mut Vec<f32>, from: &[f64]| to.extend(from.iter().map(|&v| v as f32));
+        for (index, example) in dataset.examples.iter().enumerate() {
+            extend(&mut rows.global_conditions, &example.descriptor);
+            extend(&mut rows.global_conditions, &example.proposal);
+            extend(&mut rows.global_proposals, &example.proposal);
+            extend(&mut rows.global_targets, &example.target);
+            for cell in &example.cells {
+                push_local_condition(
+                    &mut rows.local_conditions,
+                    &cell.descriptor,
+                    &example.descriptor,
+                    &example.proposal,
+                    &cell.proposal,
+                    &example.target,
+                );
+                extend(&mut rows.local_proposals, &cell.proposal);
+                extend(&mut rows.local_targets, &cell.target);
+                rows.confidence.push(cell.confidence as f32);
+                rows.pair.push(index);
+            }
+        }
+        rows
+    }
+
+    fn cells(&self) -> usize {
+        self.pair.len()
+    }
+}
+
+fn difference(a: &[f32], b: &[f32]) -> Vec<f32> {
+    a.iter().zip(b).map(|(a, b)| a - b).collect()
+}
+
+fn gather(rows: &[f32], columns: usize, indices: &[usize], out: &mut Vec<f32>) {
+    out.clear();
+    for &i in indices {
+        out.extend_from_slice(&rows[i * columns..(i + 1) * columns]);
+    }
+}
+
+/// `count` rows of `available` drawn with replacement for `step`, or all if there are no more than that.
+fn draw(seed: u64, purpose: Purpose, step: u64, count: usize, available: usize) -> Vec<usize> {
+    if available <= count {
+        return (0..available).collect();
+    }
+    let stream = Stream::new(seed, purpose, step);
+    (0..count).map(|i| stream.below(i as u64, available)).collect()
+}
+
+/// Moments of one network's parameters.
+struct Moments {
+    first: Mlp,
+    second: Mlp,
+}
+
+impl Moments {
+    fn of(mlp: &Mlp) -> Self {
+        let zeros = Mlp::zeros(mlp.inputs(), mlp.layers[0].outputs(), mlp.outputs());
+        Self { first: zeros.clone(), second: zeros }
+    }
+
+    fn update(&mut self, step: u64, rate: f64, mlp: &mut Mlp, gradients: &Mlp) {
+        let moments = self.first.parameters_mut().zip(self.second.parameters_mut());
+        for ((p, g), (m, v)) in mlp.parameters_mut().zip(gradients.parameters()).zip(moments) {
+            Adam::CALIBRATOR.update(step, rate, p, g, m, v);
+        }
+    }
+}
+
+fn clear(gradients: &mut Mlp) {
+    gradients.parameters_mut().for_each(|g| g.fill(0.0));
+}
+
+/// Scales both gradients so that their joint norm is at most `limit`.
+fn clip(limit: f64, global: &mut Mlp, local: &mut Mlp) {
+    let square = |m: &Mlp| -> f64 { m.parameters().flatten().map(|&g| f64::from(g).powi(2)).sum() };
+    let norm = (square(global) + square(local)).sqrt();
+    if norm > limit {
+        let scale = (limit / norm) as f32;
+        for g in global.parameters_mut().chain(local.parameters_mut()).flatten() {
+            *g *= scale;
+        }
+    }
+}
+
+/// Statistics and random initialisation of both heads.
+fn initial_heads(rows: &Rows, params: &CalibratorParams) -> (Head, Head) {
+    let seed = params.seed;
+    let global = Head {
+        mlp: Mlp::random(
+            GLOBAL_CONDITION,
+            params.global_hidden,
+            12,
+            seed,
+            Purpose::new("calibrator global head"),
+        ),
+        condition: Statistics::of(&rows.global_conditions, GLOBAL_CONDITION),
+        residual: Statistics::of(&difference(&rows.global_targets, &rows.global_proposals), 12),
+    };
+    let purpose = Purpose::new("calibrator statistics");
+    let sample = draw(seed, purpose, 0, STATISTICS_CELLS, rows.cells());
+    let residual = difference(&rows.local_targets, &rows.local_proposals);
+    let mut conditions = Vec::new();
+    gather(&rows.local_conditions, LOCAL_CONDITION, &sample, &mut conditions);
+    let mut residuals = Vec::new();
+    gather(&residual, 6, &sample, &mut residuals);
+    let local = Head {
+        mlp: Mlp::random(
+            LOCAL_CONDITION,
+            params.local_hidden,
+            6,
+            seed,
+            Purpose::new("calibrator local head"),
+        ),
+        condition: Statistics::of(&conditions, LOCAL_CONDITION),
+        residual: Statistics::of(&residuals, 6),
+    };
+    (global, local)
+}
+
+/// Fits a calibrator to all pairs of a data set.
+pub fn fit(
+    dataset: &Dataset,
+    params: &CalibratorParams,
+    watch: &mut Watch<'_>,
+) -> Result<Calibrator, AtcError> {
+    params.validate()?;
+    let pairs = dataset.examples.len();
+    let rows = Rows::new(dataset);
+    if pairs < FEWEST_PAIRS || rows.cells() == 0 {
+        return Err(AtcError::TooFewPairs {
+            usable: pairs,
+            offered: pairs + dataset.skipped.len(),
+            needed: FEWEST_PAIRS,
+            first_problem: dataset.skipped.first().map(|s| format!("{}: {}", s.name, s.reason)),
+        });
+    }
+    let (mut global, mut local) = initial_heads(&rows, params);
+    let mut conditions = rows.global_conditions.clone();
+    global.condition.normalise(&mut conditions);
+    let (mut global_moments, mut local_moments) = (Moments::of(&global.mlp), Moments::of(&local.mlp));
+    let mut global_gradients = global_moments.first.clone();
+    let mut local_gradients = local_moments.first.clone();
+    let (mut global_trace, mut local_trace) = (Trace::default(), Trace::default());
+    let (mut c, mut p, mut t, mut w) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let mut last = 0.0;
+    for step in 1..=params.steps {
+        clear(&mut global_gradients);
+        clear(&mut local_gradients);
+
+        // What the global head says now about every pair: the local head's condition, without a gradient.
+        global.mlp.forward(&conditions, &mut global_trace);
+        let predicted: Vec<Affine> = global_trace
+            .output
+            .as_chunks::<12>()
+            .0
+            .iter()
+            .zip(&dataset.examples)
+            .map(|(out, e)| std::array::from_fn(|k| e.proposal[k] + global.residual_of(k, out[k])))
+            .collect();
+
+        let batch = draw(params.seed, Purpose::new("calibrator pairs"), step, params.pairs_per_step, pairs);
+        gather(&conditions, GLOBAL_CONDITION, &batch, &mut c);
+        gather(&rows.global_proposals, 12, &batch, &mut p);
+        gather(&rows.global_targets, 12, &batch, &mut t);
+        let samples = Batch { conditions: &c, proposals: &p, targets: &t, weights: None };
+        let global_loss = global.loss(&samples, &mut global_trace, &mut global_gradients);
+
+        let purpose = Purpose::new("calibrator cells");
+        let batch = draw(params.seed, purpose, step, params.cells_per_step, rows.cells());
+        gather(&rows.local_conditions, LOCAL_CONDITION, &batch, &mut c);
+        for (row, &cell) in c.chunks_exact_mut(LOCAL_CONDITION).zip(&batch) {
+            for (v, &g) in row[LOCAL_CONDITION - 12..].iter_mut().zip(&predicted[rows.pair[cell]]) {
+                *v = g as f32;
+            }
+        }
+        local.condition.normalise(&mut c);
+        gather(&rows.local_proposals, 6, &batch, &mut p);
+        gather(&rows.local_targets, 6, &batch, &mut t);
+        gather(&rows.confidence, 1, &batch, &mut w);
+        let samples = Batch { conditions: &c, proposals: &p, targets: &t, weights: Some(&w) };
+        let local_loss = local.loss(&samples, &mut local_trace, &mut local_gradients);
+
+        last = global_loss + local_loss;
+        if !last.is_finite() {
+            return Err(AtcError::Diverged { step, loss: last });
+        }
+        clip(params.gradient_limit, &mut global_gradients, &mut local_gradients);
+        let rate = params.rate(step);
+        global_moments.update(step, rate, &mut global.mlp, &global_gradients);
+        local_moments.update(step, rate, &mut local.mlp, &local_gradients);
+        report(watch, Progress::Step { step, steps: params.steps, loss: last })?;
+    }
+    Ok(Calibrator {
+        extractor: dataset.extractor.clone(),
+        proposer: dataset.proposer.clone(),
+        global,
+        local,
+        provenance: Provenance {
+            data: String::new(),
+            pairs,
+            cells: rows.cells(),
+            steps: params.steps,
+            seed: params.seed,
+            loss: last,
+            held_out: None,
+            tool: env!("CARGO_PKG_VERSION").to_string(),
+        },
+    })
+}

@@ -1,0 +1,173 @@
+//! The consensus: from one proposal per view to fixed targets for the scene.
+//!
+//! Every captured view is proposed, extracted and calibrated by itself ([`Recorder`]). The views' global operators become one
+//! scene operator ([`global_consensus`]); under that, each view's local operators are calibrated, centred, lifted to the
+//! Gaussians and fused ([`Lift`], [`LocalConsensus`]). The outcome, [`Targets`], is all that stage 2 learns from: one global
+//! operator, one local operator per Gaussian, and the scales that errors are measured in. Pixels are needed once and for one
+//! view at a time.
+
+mod global;
+mod local;
+mod order;
+mod preview;
+mod rasterise;
+mod targets;
+mod views;
+
+pub use global::{GlobalConsensus, PROBES, global_consensus, refit, response};
+pub use local::{Lift, LocalConsensus, SUPPORTING_VIEWS};
+pub use order::{OrderEffect, order_effect};
+pub use preview::{Preview, apply_transition, side_by_side};
+pub use rasterise::{ViewTarget, support_map, view_target};
+pub use targets::Targets;
+pub use views::{Proposals, Recorder, ViewInput, ViewRecord};
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use use3d_numerics::random::{Purpose, Stream};
+use use3d_splat::Gaussians;
+
+use crate::calibrator::Calibrator;
+use crate::error::AtcError;
+use crate::extractor::Affine;
+use crate::progress::{Progress, Watch, report};
+
+/// Parameters of the targets.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct TargetsParams {
+    /// Fuse the views a second time in a shuffled order and report how much the targets depend on it. Costs as much again as
+    /// the lifting.
+    pub measure_order: bool,
+    /// Seed of that shuffle.
+    pub seed: u64,
+}
+
+impl Default for TargetsParams {
+    fn default() -> Self {
+        Self { measure_order: false, seed: 42 }
+    }
+}
+
+/// What is known about one view.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ViewReport {
+    /// Its name.
+    pub name: String,
+    /// Its calibrated global operator.
+    pub candidate: Affine,
+    /// Distance of its responses to the probes from the consensus.
+    pub distance: f64,
+    /// Root mean square of its centred local operators, in units of `s_ℓ`.
+    pub local: f64,
+}
+
+/// What the consensus found.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TargetsReport {
+    /// View by view, in the order of fusion.
+    pub views: Vec<ViewReport>,
+    /// The median of the views' distances.
+    pub dispersion: f64,
+    /// Gaussians in the scene.
+    pub gaussians: usize,
+    /// Gaussians with a target.
+    pub supported: usize,
+    /// How much the targets depend on the order of the views, if it was measured.
+    pub order: Option<OrderEffect>,
+}
+
+/// Builds the targets of a scene. `views` are the training views in capture order; each is dropped before the next is taken.
+pub fn build_targets(
+    gaussians: &Gaussians,
+    views: impl IntoIterator<Item = Result<ViewInput, AtcError>>,
+    proposals: Proposals<'_>,
+    calibrator: &Calibrator,
+    params: &TargetsParams,
+    watch: &mut Watch<'_>,
+) -> Result<(Targets, TargetsReport), AtcError> {
+    calibrator.proposer.require(&proposals.id())?;
+    let mut recorder = Recorder::new();
+    let mut records = Vec::new();
+    for (index, view) in views.into_iter().enumerate() {
+        let view = view?;
+        report(watch, Progress::View { index, name: &view.name })?;
+        records.push(recorder.record(&view, proposals, calibrator)?);
+    }
+    targets_from_records(gaussians, &records, proposals.id(), calibrator, params, watch)
+}
+
+/// The second half of [`build_targets`], for a caller that keeps the records.
+pub fn targets_from_records(
+    gaussians: &Gaussians,
+    records: &[ViewRecord],
+    proposer: crate::proposers::ProposerId,
+    calibrator: &Calibrator,
+    params: &TargetsParams,
+    watch: &mut Watch<'_>,
+) -> Result<(Targets, TargetsReport), AtcError> {
+    let candidates: Vec<Affine> = records.iter().map(|r| r.candidate).collect();
+    let global = global_consensus(&candidates).ok_or(AtcError::NoViews)?;
+    let capture_order: Vec<usize> = (0..records.len()).collect();
+    let state = fuse_views(gaussians, records, &capture_order, calibrator, &global.operator, watch)?;
+    let targets = Targets {
+        extractor: calibrator.extractor.clone(),
+        proposer,
+        scene: global.operator,
+        dispersion: global.dispersion,
+        global_scales: calibrator.global_scales(),
+        local_scales: calibrator.local_scales(),
+        views: records.iter().map(|r| (r.name.clone(), r.candidate)).collect(),
+        state,
+    };
+    let order = if params.measure_order && records.len() > 1 {
+        let stream = Stream::new(params.seed, Purpose::new("shuffled view order"), 0);
+        let shuffled = stream.permutation(records.len());
+        let other = fuse_views(gaussians, records, &shuffled, calibrator, &global.operator, watch)?;
+        Some(order_effect(&targets.state, &other, &targets.local_scales))
+    } else {
+        None
+    };
+    let mut views = Vec::with_capacity(records.len());
+    for (record, &distance) in records.iter().zip(&global.distances) {
+        let cells = record.local(calibrator, &global.operator)?;
+        let square: f64 =
+            cells.iter().flat_map(|c| (0..6).map(|k| (c[k] / targets.local_scales[k]).powi(2))).sum();
+        views.push(ViewReport {
+            name: record.name.clone(),
+            candidate: record.candidate,
+            distance,
+            local: (square / (6 * cells.len()) as f64).sqrt(),
+        });
+    }
+    let report = TargetsReport {
+        views,
+        dispersion: global.dispersion,
+        gaussians: gaussians.len(),
+        supported: (0..gaussians.len()).filter(|&i| targets.state.supported(i)).count(),
+        order,
+    };
+    Ok((targets, report))
+}
+
+/// Lifts and fuses the local operators of some views, in the given order of their records.
+pub fn fuse_views(
+    gaussians: &Gaussians,
+    records: &[ViewRecord],
+    order: &[usize],
+    calibrator: &Calibrator,
+    scene: &Affine,
+    watch: &mut Watch<'_>,
+) -> Result<LocalConsensus, AtcError> {
+    let mut state = LocalConsensus::new(gaussians.len());
+    let mut lift = Lift::new();
+    let scales = calibrator.local_scales();
+    for (index, &which) in order.iter().enumerate() {
+        report(watch, Progress::Lift { index, views: order.len() })?;
+        let record = &records[which];
+        let cells = record.local(calibrator, scene)?;
+        lift.run(gaussians, &record.camera, record.grid, &cells);
+        state.fuse(&lift, &scales);
+    }
+    Ok(state)
+}

@@ -1,0 +1,205 @@
+//! The local operator: per cell and channel, a gain and a bias that explain what the global affine left over.
+//!
+//! Samples are adaptive means, 8 × 8 per cell, of `x' = M x̃` and of the target `y`. With `n = 64`, `ρ = 10⁻²` and
+//! `m₂ = max(mean x'², 10⁻⁴)` the fit minimises `Σ (g x' + b − y)² + ρ n m₂ (g − 1)² + ρ n b²`. With the samples' population
+//! moments — `var`, `mx` of `x'`; `mr` of the residual `r = y − x'`; `cov = cov(x', r)` — the solution without cancellation is
+//!
+//! ```text
+//! D     = (1+ρ) var + ρ mx² + ρ (1+ρ) m₂          (≥ 10⁻⁶, because m₂ has a floor)
+//! g − 1 = ((1+ρ) cov + ρ mx mr) / D
+//! b     = ((var + ρ m₂) mr − mx cov) / D
+//! ```
+//!
+//! and the cell's operator is `(ln max(g, 0.05), b)` (log form, R16) or `(g − 1, b)` (linear form). Below the gain floor the
+//! log-gain has no gradient; its bias keeps its own. Pooling is linear, so `x'` at the samples is `M` applied to the pooled
+//! source, which is computed once per source.
+
+use super::{Affine, Form, affine_apply};
+
+/// Samples along a side of a cell.
+pub(crate) const SIDE: usize = 8;
+const SAMPLES: usize = SIDE * SIDE;
+const RIDGE: f64 = 1e-2;
+const ENERGY_FLOOR: f64 = 1e-4;
+const GAIN_FLOOR: f64 = 0.05;
+
+/// Samples of one channel of one cell, their residual, and the moments the fit is made of.
+struct Fit {
+    x: [f64; SAMPLES],
+    r: [f64; SAMPLES],
+    mean_x: f64,
+    mean_r: f64,
+    variance: f64,
+    covariance: f64,
+    /// `max(mean x'², floor)` and whether the floor is inactive.
+    energy: f64,
+    energy_active: bool,
+    denominator: f64,
+    /// `g − 1`.
+    excess: f64,
+    bias: f64,
+}
+
+impl Fit {
+    #[inline(always)]
+    fn new(x: [f64; SAMPLES], y: &[f64; SAMPLES]) -> Self {
+        let n = SAMPLES as f64;
+        let r: [f64; SAMPLES] = std::array::from_fn(|i| y[i] - x[i]);
+        let mean_x = x.iter().sum::<f64>() / n;
+        let mean_r = r.iter().sum::<f64>() / n;
+        let (mut variance, mut covariance) = (0.0, 0.0);
+        for i in 0..SAMPLES {
+            let d = x[i] - mean_x;
+            variance += d * d;
+            covariance += d * (r[i] - mean_r);
+        }
+        let (variance, covariance) = (variance / n, covariance / n);
+        let raw_energy = variance + mean_x * mean_x;
+        let energy = raw_energy.max(ENERGY_FLOOR);
+        let denominator = (1.0 + RIDGE) * variance + RIDGE * mean_x * mean_x + RIDGE * (1.0 + RIDGE) * energy;
+        let excess = ((1.0 + RIDGE) * covariance + RIDGE * mean_x * mean_r) / denominator;
+        let bias = ((variance + RIDGE * energy) * mean_r - mean_x * covariance) / denominator;
+        Self {
+            x,
+            r,
+            mean_x,
+            mean_r,
+            variance,
+            covariance,
+            energy,
+            energy_active: raw_energy > ENERGY_FLOOR,
+            denominator,
+            excess,
+            bias,
+        }
+    }
+
+    /// Cotangents of `(g − 1, b)` to those of the samples of `x'` (with `y` fixed) and of `y`.
+    #[inline(always)]
+    fn backward(&self, excess_bar: f64, bias_bar: f64) -> ([f64; SAMPLES], [f64; SAMPLES]) {
+        let n = SAMPLES as f64;
+        let (p, q) = (excess_bar / self.denominator, bias_bar / self.denominator);
+        let denominator_bar = -(p * self.excess + q * self.bias);
+        let covariance_bar = (1.0 + RIDGE) * p - self.mean_x * q;
+        let mean_r_bar = RIDGE * self.mean_x * p + (self.variance + RIDGE * self.energy) * q;
+        let mut variance_bar = self.mean_r * q + (1.0 + RIDGE) * denominator_bar;
+        let mut mean_x_bar =
+            RIDGE * self.mean_r * p - self.covariance * q + 2.0 * RIDGE * self.mean_x * denominator_bar;
+        if self.energy_active {
+            let energy_bar = RIDGE * self.mean_r * q + RIDGE * (1.0 + RIDGE) * denominator_bar;
+            variance_bar += energy_bar;
+            mean_x_bar += 2.0 * self.mean_x * energy_bar;
+        }
+        let mut x_bar = [0.0; SAMPLES];
+        let mut y_bar = [0.0; SAMPLES];
+        for i in 0..SAMPLES {
+            let d = self.x[i] - self.mean_x;
+            y_bar[i] = (mean_r_bar + covariance_bar * d) / n;
+            // r = y − x', hence the last term.
+            x_bar[i] = (mean_x_bar + 2.0 * variance_bar * d + covariance_bar * (self.r[i] - self.mean_r)) / n
+                - y_bar[i];
+        }
+        (x_bar, y_bar)
+    }
+}
+
+/// One band of cells: eight rows of samples, `[8][3][columns]`, of the pooled source and of the pooled target.
+pub(crate) struct Band<'a> {
+    /// Pooled source.
+    pub(crate) source: &'a [f64],
+    /// Pooled target.
+    pub(crate) target: &'a [f64],
+    /// Sample columns, eight per cell.
+    pub(crate) columns: usize,
+}
+
+impl Band<'_> {
+    #[inline(always)]
+    fn gather(&self, plane: usize, cell: usize, from: &[f64]) -> [f64; SAMPLES] {
+        std::array::from_fn(|i| from[((i / SIDE) * 3 + plane) * self.columns + cell * SIDE + i % SIDE])
+    }
+
+    /// The fits of the three channels of `cell` under the global operator `global`.
+    #[inline(always)]
+    fn fits(&self, global: &Affine, cell: usize) -> ([[f64; SAMPLES]; 3], [Fit; 3]) {
+        let source: [[f64; SAMPLES]; 3] = std::array::from_fn(|c| self.gather(c, cell, self.source));
+        let mut mapped = [[0.0; SAMPLES]; 3];
+        for i in 0..SAMPLES {
+            let colour = affine_apply(global, [source[0][i], source[1][i], source[2][i]]);
+            for c in 0..3 {
+                mapped[c][i] = colour[c];
+            }
+        }
+        let fits = std::array::from_fn(|c| Fit::new(mapped[c], &self.gather(c, cell, self.target)));
+        (source, fits)
+    }
+
+    /// The operators of the band's cells.
+    #[inline(always)]
+    pub(crate) fn forward(&self, global: &Affine, form: Form, operators: &mut [[f64; 6]]) {
+        for (cell, operator) in operators.iter_mut().enumerate() {
+            let (_, fits) = self.fits(global, cell);
+            for c in 0..3 {
+                operator[c] = match form {
+                    Form::Log if fits[c].excess > GAIN_FLOOR - 1.0 => fits[c].excess.ln_1p(),
+                    Form::Log => GAIN_FLOOR.ln(),
+                    Form::Linear => fits[c].excess,
+                };
+                operator[3 + c] = fits[c].bias;
+            }
+        }
+    }
+
+    /// Cotangents of the operators to those of the pooled target (`[8][3][columns]`, overwritten); returns the cotangent of
+    /// the global operator through `x'`.
+    #[inline(always)]
+    pub(crate) fn backward(
+        &self,
+        global: &Affine,
+        form: Form,
+        cotangents: &[[f64; 6]],
+        target_bar: &mut [f64],
+    ) -> Affine {
+        let mut global_bar = [0.0; 12];
+        for (cell, bar) in cotangents.iter().enumerate() {
+            let (source, fits) = self.fits(global, cell);
+            for c in 0..3 {
+                let excess_bar = match form {
+                    Form::Log if fits[c].excess > GAIN_FLOOR - 1.0 => bar[c] / (1.0 + fits[c].excess),
+                    Form::Log => 0.0,
+                    Form::Linear => bar[c],
+                };
+                let (x_bar, y_bar) = fits[c].backward(excess_bar, bar[3 + c]);
+                for i in 0..SAMPLES {
+                    target_bar[((i / SIDE) * 3 + c) * self.columns + cell * SIDE + i % SIDE] = y_bar[i];
+                }
+                for j in 0..3 {
+                    let mut sum = 0.0;
+                    for i in 0..SAMPLES {
+                        sum += x_bar[i] * source[j][i];
+                    }
+                    global_bar[4 * c + j] += sum;
+                }
+                global_bar[4 * c + 3] += x_bar.iter().sum::<f64>();
+            }
+        }
+        global_bar
+    }
+
+    /// The calibration weight of the band's cells: `v / (v + 10⁻³) · exp(−mse / 0.02)`, clamped to `[0, 1]`; `v` is the mean over
+    /// channels of the samples' variance, `mse` the mean squared residual of the fit. No gradient.
+    pub(crate) fn confidence(&self, global: &Affine, confidence: &mut [f64]) {
+        for (cell, out) in confidence.iter_mut().enumerate() {
+            let (_, fits) = self.fits(global, cell);
+            let (mut variance, mut error) = (0.0, 0.0);
+            for fit in &fits {
+                variance += fit.variance / 3.0;
+                for i in 0..SAMPLES {
+                    let e = fit.excess * fit.x[i] + fit.bias - fit.r[i];
+                    error += e * e / (3 * SAMPLES) as f64;
+                }
+            }
+            *out = (variance / (variance + 1e-3) * (-error / 0.02).exp()).clamp(0.0, 1.0);
+        }
+    }
+}

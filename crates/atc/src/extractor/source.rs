@@ -1,0 +1,294 @@
+//! One source image, everything precomputed that depends on it alone, and the extractor's value and gradient.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+use use3d_capture::{Image, Map};
+
+use super::descriptors::describe;
+use super::global::{Ridge, pixel_weights};
+use super::local::{Band, SIDE};
+use super::resize::Resize;
+use super::{Affine, Descriptors, ExtractorSettings, Geometry, Transition};
+use crate::error::AtcError;
+use crate::lanes::vectorized;
+
+/// A source image as the extractor sees it: resized, weighted, with its inverted moments and pooled samples.
+///
+/// Takes about 20 bytes per working pixel, 2 MB at 384 × 256.
+#[derive(Clone, Debug)]
+pub struct Source {
+    geometry: Arc<Geometry>,
+    image: Image,
+    weights: Map,
+    ridge: Ridge,
+    /// `[8 rows][3][8 columns]` means of the resized source.
+    samples: Vec<f64>,
+}
+
+/// Working memory of [`Source::forward`] and [`Source::backward`], and the last transition. Reuse one over steps.
+#[derive(Clone, Debug)]
+pub struct Workspace {
+    transition: Transition,
+    target: Image,
+    samples: Vec<f64>,
+    samples_bar: Vec<f64>,
+    column_sums: Vec<f64>,
+    row_sums: Vec<Affine>,
+    band_sums: Vec<Affine>,
+    wide: Vec<f32>,
+    target_bar: Image,
+    resize_scratch: Vec<f32>,
+}
+
+impl Default for Workspace {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Workspace {
+    /// Empty; grows on first use.
+    pub fn new() -> Self {
+        Self {
+            transition: Transition { global: [0.0; 12], local: Vec::new() },
+            target: Image::new(0, 0),
+            samples: Vec::new(),
+            samples_bar: Vec::new(),
+            column_sums: Vec::new(),
+            row_sums: Vec::new(),
+            band_sums: Vec::new(),
+            wide: Vec::new(),
+            target_bar: Image::new(0, 0),
+            resize_scratch: Vec::new(),
+        }
+    }
+
+    /// The transition of the last [`Source::forward`].
+    pub fn transition(&self) -> &Transition {
+        &self.transition
+    }
+}
+
+fn check_size(image: &Image, (width, height): (usize, usize)) -> Result<(), AtcError> {
+    if (image.width(), image.height()) == (width, height) {
+        return Ok(());
+    }
+    Err(AtcError::Size { found_width: image.width(), found_height: image.height(), width, height })
+}
+
+impl Source {
+    /// From a whole image, with a geometry of its own.
+    pub fn from_image(image: &Image, settings: &ExtractorSettings) -> Result<Self, AtcError> {
+        let geometry = Geometry::new(image.width(), image.height(), settings)?;
+        Self::new(&Arc::new(geometry), image)
+    }
+
+    /// From a whole image of the geometry's size.
+    pub fn new(geometry: &Arc<Geometry>, image: &Image) -> Result<Self, AtcError> {
+        check_size(image, geometry.size)?;
+        Self::resized(geometry, &geometry.resize, image)
+    }
+
+    /// From an image that holds only the geometry's lattice ([`Geometry::columns`] × [`Geometry::rows`]).
+    pub fn on_lattice(geometry: &Arc<Geometry>, image: &Image) -> Result<Self, AtcError> {
+        check_size(image, geometry.lattice_resize.source_size())?;
+        Self::resized(geometry, &geometry.lattice_resize, image)
+    }
+
+    fn resized(geometry: &Arc<Geometry>, resize: &Resize, image: &Image) -> Result<Self, AtcError> {
+        let mut working = Image::new(0, 0);
+        resize.forward(image, &mut working);
+        if !working.data().par_iter().all(|v| v.is_finite()) {
+            return Err(AtcError::NonFiniteSource);
+        }
+        let weights = pixel_weights(&working);
+        let ridge = Ridge::new(&working, &weights).ok_or(AtcError::NonFiniteSource)?;
+        let mut samples = vec![0.0; 3 * SIDE * SIDE * geometry.grid.0 * geometry.grid.1];
+        geometry.samples.forward(3, working.data(), &mut samples, &mut Vec::new());
+        Ok(Self { geometry: geometry.clone(), image: working, weights, ridge, samples })
+    }
+
+    /// The geometry.
+    pub fn geometry(&self) -> &Arc<Geometry> {
+        &self.geometry
+    }
+
+    /// The source at the working resolution.
+    pub fn image(&self) -> &Image {
+        &self.image
+    }
+
+    /// The descriptors of the source. Computed on every call: tens of milliseconds.
+    pub fn descriptors(&self) -> Descriptors {
+        describe(&self.image, &self.geometry.cells)
+    }
+
+    /// `E(source, target)` for a target of the geometry's size, of the working size, or of any other (which is
+    /// resized to the working size in the same way).
+    pub fn forward<'w>(
+        &self,
+        target: &Image,
+        workspace: &'w mut Workspace,
+    ) -> Result<&'w Transition, AtcError> {
+        let size = (target.width(), target.height());
+        if size.0 == 0 || size.1 == 0 {
+            return Err(AtcError::EmptyImage { role: "target", width: size.0, height: size.1 });
+        }
+        if size == self.geometry.size {
+            self.geometry.resize.forward(target, &mut workspace.target);
+        } else {
+            Resize::between(size, self.geometry.working).forward(target, &mut workspace.target);
+        }
+        self.fit(workspace);
+        Ok(&workspace.transition)
+    }
+
+    /// As [`Source::forward`], for a target that holds only the geometry's lattice. The same bits.
+    pub fn forward_on_lattice<'w>(
+        &self,
+        target: &Image,
+        workspace: &'w mut Workspace,
+    ) -> Result<&'w Transition, AtcError> {
+        check_size(target, self.geometry.lattice_resize.source_size())?;
+        self.geometry.lattice_resize.forward(target, &mut workspace.target);
+        self.fit(workspace);
+        Ok(&workspace.transition)
+    }
+
+    fn fit(&self, ws: &mut Workspace) {
+        let (columns, rows) = self.geometry.grid;
+        ws.transition.global = self.ridge.forward(&self.image, &self.weights, &ws.target, &mut ws.row_sums);
+        ws.samples.resize(self.samples.len(), 0.0);
+        self.geometry.samples.forward(3, ws.target.data(), &mut ws.samples, &mut ws.column_sums);
+        ws.transition.local.resize(columns * rows, [0.0; 6]);
+        let (global, form) = (ws.transition.global, self.geometry.settings.form);
+        ws.transition
+            .local
+            .par_chunks_mut(columns)
+            .zip(self.bands(&ws.samples))
+            .for_each(|(out, band)| vectorized!(band.forward(&global, form, out)));
+    }
+
+    /// The bands of cells, over the pooled source and the pooled target.
+    fn bands<'a>(&'a self, target: &'a [f64]) -> impl IndexedParallelIterator<Item = Band<'a>> {
+        let columns = SIDE * self.geometry.grid.0;
+        let length = 3 * SIDE * columns;
+        self.samples.par_chunks(length).zip(target.par_chunks(length)).map(move |(source, target)| Band {
+            source,
+            target,
+            columns,
+        })
+    }
+
+    /// The weight of each cell in calibration, `[0, 1]`, for the target of the last forward call.
+    pub fn confidence(&self, workspace: &Workspace) -> Vec<f64> {
+        let (columns, rows) = self.geometry.grid;
+        let mut out = vec![0.0; columns * rows];
+        out.par_chunks_mut(columns)
+            .zip(self.bands(&workspace.samples))
+            .for_each(|(out, band)| band.confidence(&workspace.transition.global, out));
+        out
+    }
+
+    /// The gradient with respect to the target of the last [`Source::forward`], of the geometry's size, given the
+    /// cotangents of the global operator and of the local ones (not centred: see [`super::center`]). `gradient` is
+    /// overwritten.
+    pub fn backward(
+        &self,
+        global: &Affine,
+        local: &[[f64; 6]],
+        workspace: &mut Workspace,
+        gradient: &mut Image,
+    ) -> Result<(), AtcError> {
+        self.working_gradient(global, local, workspace)?;
+        self.geometry.resize.backward(&workspace.target_bar, gradient, &mut workspace.resize_scratch);
+        Ok(())
+    }
+
+    /// As [`Source::backward`], with the gradient on the lattice.
+    pub fn backward_on_lattice(
+        &self,
+        global: &Affine,
+        local: &[[f64; 6]],
+        workspace: &mut Workspace,
+        gradient: &mut Image,
+    ) -> Result<(), AtcError> {
+        self.working_gradient(global, local, workspace)?;
+        self.geometry.lattice_resize.backward(&workspace.target_bar, gradient, &mut workspace.resize_scratch);
+        Ok(())
+    }
+
+    /// The gradient at the working resolution, into `ws.target_bar`.
+    fn working_gradient(
+        &self,
+        global: &Affine,
+        local: &[[f64; 6]],
+        ws: &mut Workspace,
+    ) -> Result<(), AtcError> {
+        let (w, h) = self.geometry.working;
+        let (columns, rows) = self.geometry.grid;
+        check_size(&ws.target, (w, h))?;
+        if local.len() != columns * rows {
+            return Err(AtcError::artifact(
+                "cotangent of the local operators",
+                format!("{} cells, the grid has {columns}x{rows}", local.len()),
+            ));
+        }
+        let operator = ws.transition.global;
+        let form = self.geometry.settings.form;
+        let sample_columns = SIDE * columns;
+
+        ws.samples_bar.resize(self.samples.len(), 0.0);
+        ws.band_sums.resize(rows, [0.0; 12]);
+        ws.samples_bar
+            .par_chunks_mut(3 * SIDE * sample_columns)
+            .zip(&mut ws.band_sums)
+            .zip(local.par_chunks(columns))
+            .zip(self.bands(&ws.samples))
+            .for_each(|(((out, sum), cotangents), band)| {
+                *sum = vectorized!(band.backward(&operator, form, cotangents, out));
+            });
+        let mut operator_bar = *global;
+        for sum in &ws.band_sums {
+            for (o, s) in operator_bar.iter_mut().zip(sum) {
+                *o += s;
+            }
+        }
+        let k = self.ridge.backward(&operator_bar).map(|v| v as f32);
+
+        let pooling = &self.geometry.samples;
+        ws.wide.resize(3 * SIDE * rows * w, 0.0);
+        pooling.spread(3, &ws.samples_bar, &mut ws.wide);
+        ws.target_bar.resize(w, h);
+        let wide = &ws.wide;
+        ws.target_bar.data_mut().par_chunks_mut(w).enumerate().for_each(|(row, out)| {
+            let (c, y) = (row / h, row % h);
+            let x: [&[f32]; 3] = std::array::from_fn(|j| self.image.row(j, y));
+            let k = [k[4 * c], k[4 * c + 1], k[4 * c + 2], k[4 * c + 3]];
+            vectorized!(affine_row(out, x, self.weights.row(0, y), k));
+            for band in pooling.covering_rows(y) {
+                let spread = &wide[(band * 3 + c) * w..][..w];
+                vectorized!(add_row(out, spread));
+            }
+        });
+        Ok(())
+    }
+}
+
+/// `w K x̃` for one channel of one row.
+#[inline(always)]
+fn affine_row(out: &mut [f32], x: [&[f32]; 3], w: &[f32], k: [f32; 4]) {
+    let n = out.len();
+    let (r, g, b, w) = (&x[0][..n], &x[1][..n], &x[2][..n], &w[..n]);
+    for p in 0..n {
+        out[p] = w[p] * (k[0] * r[p] + k[1] * g[p] + k[2] * b[p] + k[3]);
+    }
+}
+
+#[inline(always)]
+fn add_row(out: &mut [f32], row: &[f32]) {
+    for (o, &v) in out.iter_mut().zip(row) {
+        *o += v;
+    }
+}

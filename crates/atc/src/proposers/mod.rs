@@ -1,0 +1,57 @@
+//! Proposers: 2D underwater enhancers that look at one photograph at a time.
+//!
+//! What a proposer yields is never a target. The extractor turns it into a transition, the calibrator corrects that towards
+//! what paired data say, and the consensus makes one scene operator of all views. A calibrator is fitted for one proposer
+//! and records its name and digest; another proposer with it is an error (R25).
+
+pub mod fusion;
+
+use serde::{Deserialize, Serialize};
+use use3d_capture::Image;
+
+use crate::error::AtcError;
+
+pub use fusion::Fusion;
+
+/// A deterministic function from a photograph to an enhanced version of it.
+pub trait Proposer: Sync {
+    /// A short fixed name, e.g. `fusion`.
+    fn name(&self) -> &str;
+
+    /// What makes this proposer give other results than one of the same name: the digest of its weights, or the version
+    /// of its formula.
+    fn digest(&self) -> String;
+
+    /// An enhanced image of the same size; display range, not necessarily within `[0, 1]`.
+    fn propose(&self, image: &Image) -> Result<Image, AtcError>;
+
+    /// Name and digest.
+    fn id(&self) -> ProposerId {
+        ProposerId { name: self.name().to_string(), digest: self.digest() }
+    }
+}
+
+/// Which proposer a calibrator belongs to.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ProposerId {
+    /// [`Proposer::name`].
+    pub name: String,
+    /// [`Proposer::digest`]; empty where a calibrator does not record it.
+    pub digest: String,
+}
+
+impl ProposerId {
+    /// An error unless `used` is this proposer. An empty digest on either side means that it was not recorded.
+    pub fn require(&self, used: &ProposerId) -> Result<(), AtcError> {
+        let unrecorded = self.digest.is_empty() || used.digest.is_empty();
+        if self.name == used.name && (unrecorded || self.digest == used.digest) {
+            return Ok(());
+        }
+        Err(AtcError::ProposerMismatch {
+            calibrator_proposer: self.name.clone(),
+            calibrator_digest: self.digest.clone(),
+            proposer: used.name.clone(),
+            digest: used.digest.clone(),
+        })
+    }
+}

@@ -1,0 +1,181 @@
+//! The calibrator end to end: data set, training, report, file.
+
+use std::ops::ControlFlow;
+
+use use3d_atc::AtcError;
+use use3d_atc::calibrator::{Calibrator, CalibratorParams, Dataset, PairImages, evaluate, train};
+use use3d_atc::extractor::{ExtractorSettings, Source, Workspace, affine_apply};
+use use3d_atc::progress::{Progress, unwatched};
+use use3d_atc::proposers::{Fusion, Proposer, ProposerId};
+use use3d_capture::Image;
+use use3d_numerics::random::{Purpose, Stream};
+
+/// A proposer that errs in a way that the source tells: it brightens by half of what is missing.
+struct Timid;
+
+impl Proposer for Timid {
+    fn name(&self) -> &str {
+        "timid"
+    }
+    fn digest(&self) -> String {
+        "1".into()
+    }
+    fn propose(&self, image: &Image) -> Result<Image, AtcError> {
+        Ok(image.map(|v| 1.2 * v + 0.02))
+    }
+}
+
+/// A photograph under water of some strength, and the clean one.
+fn pair(index: u64) -> (Image, Image) {
+    let stream = Stream::new(11, Purpose::new("pairs"), index);
+    let (w, h) = (72, 48);
+    let cast: [f32; 3] =
+        std::array::from_fn(|c| (0.35 + 0.2 * c as f64 + 0.15 * stream.uniform(c as u64)) as f32);
+    let veil = 0.15 * stream.uniform(7) as f32;
+    let (mut water, mut clean) = (Image::new(w, h), Image::new(w, h));
+    for y in 0..h {
+        for x in 0..w {
+            let k = 100 + 3 * (y * w + x) as u64;
+            let wave = 0.25 * ((x as f32 * 0.15 + index as f32).sin() + (y as f32 * 0.2).cos());
+            let colour: [f32; 3] = std::array::from_fn(|c| {
+                (0.5 + wave + 0.15 * stream.uniform(k + c as u64) as f32).clamp(0.0, 1.0)
+            });
+            clean.set_pixel(x, y, colour);
+            water.set_pixel(x, y, std::array::from_fn(|c| cast[c] * colour[c] + veil * c as f32 * 0.5));
+        }
+    }
+    (water, clean)
+}
+
+fn pairs(count: u64) -> impl Iterator<Item = PairImages> {
+    (0..count).map(|i| PairImages { name: format!("{i:03}.png"), images: Ok(pair(i)) })
+}
+
+fn quick() -> CalibratorParams {
+    CalibratorParams {
+        steps: 120,
+        cells_per_step: 256,
+        learning_rate: 3e-3,
+        global_hidden: 24,
+        local_hidden: 24,
+        ..CalibratorParams::default()
+    }
+}
+
+#[test]
+fn training_brings_held_out_transitions_nearer_and_is_deterministic() {
+    let dataset = Dataset::build(pairs(20), &Timid, &ExtractorSettings::default(), &mut unwatched).unwrap();
+    assert_eq!((dataset.examples.len(), dataset.skipped.len()), (20, 0));
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| train(&dataset, &quick(), "test pairs", &mut unwatched).unwrap())
+    };
+    let calibrator = run(1);
+    assert_eq!(calibrator.to_bytes().unwrap(), run(3).to_bytes().unwrap());
+    let report = calibrator.provenance.held_out.clone().unwrap();
+    assert_eq!((report.fitted, report.tested.len()), (16, 4));
+    for (what, change) in [("global", report.errors.global), ("local", report.errors.local)] {
+        assert!(change.ratio() < 0.6, "{what}: {change:?}");
+    }
+    // The final fit, on the pairs that it has seen.
+    let seen = evaluate(&calibrator, &dataset.examples);
+    assert!(seen.global.ratio() < 0.5, "{seen:?}");
+
+    let back = Calibrator::from_bytes(&calibrator.to_bytes().unwrap()).unwrap();
+    assert_eq!(back, calibrator);
+    assert_eq!((back.proposer.name.as_str(), back.provenance.pairs), ("timid", 20));
+    let bytes = calibrator.to_bytes().unwrap();
+    for cut in [0, 7, 100, bytes.len() - 1] {
+        assert!(Calibrator::from_bytes(&bytes[..cut]).is_err());
+    }
+}
+
+#[test]
+fn an_identity_calibrator_returns_the_proposal_exactly() {
+    let (water, _) = pair(3);
+    let source = Source::from_image(&water, &ExtractorSettings::default()).unwrap();
+    let mut workspace = Workspace::new();
+    let proposal = source.forward(&Fusion.propose(source.image()).unwrap(), &mut workspace).unwrap().clone();
+    let calibrator = Calibrator::identity(ExtractorSettings::default(), Fusion.id());
+    let descriptors = source.descriptors();
+    assert_eq!(calibrator.calibrate_global(&descriptors.global, &proposal.global), proposal.global);
+    let local = calibrator.calibrate_local(&descriptors, &proposal, &[0.7; 12]).unwrap();
+    assert_eq!(local, proposal.local);
+    let mut short = proposal;
+    short.local.pop();
+    assert!(calibrator.calibrate_local(&descriptors, &short, &[0.7; 12]).is_err());
+}
+
+#[test]
+fn bad_pairs_are_listed_and_too_few_are_an_error() {
+    let mut offered: Vec<PairImages> = pairs(2).collect();
+    offered.push(PairImages { name: "torn.png".into(), images: Err("unexpected end of file".into()) });
+    let (water, _) = pair(5);
+    offered.push(PairImages {
+        name: "other.png".into(),
+        images: Ok((water.clone(), Image::filled(48, 72, 0.5))),
+    });
+    offered.push(PairImages { name: "tiny.png".into(), images: Ok((water, Image::filled(3, 2, 0.5))) });
+    offered.push(PairImages {
+        name: "nan.png".into(),
+        images: Ok((Image::filled(30, 20, f32::NAN), Image::filled(30, 20, 0.5))),
+    });
+    let dataset = Dataset::build(offered, &Timid, &ExtractorSettings::default(), &mut unwatched).unwrap();
+    let skipped: Vec<&str> = dataset.skipped.iter().map(|s| s.name.as_str()).collect();
+    assert_eq!(skipped, ["torn.png", "other.png", "tiny.png", "nan.png"]);
+    assert!(dataset.skipped[1].reason.contains("72x48") && dataset.skipped[1].reason.contains("48x72"));
+    let error = train(&dataset.subset(&[0]), &quick(), "", &mut unwatched).unwrap_err();
+    assert!(error.to_string().contains("at least 2"), "{error}");
+    let none = Dataset { examples: Vec::new(), ..dataset };
+    let error = train(&none, &quick(), "", &mut unwatched).unwrap_err().to_string();
+    assert!(error.contains("torn.png"), "{error}");
+}
+
+#[test]
+fn a_watch_can_stop_training_and_bad_parameters_are_named() {
+    let dataset = Dataset::build(pairs(4), &Timid, &ExtractorSettings::default(), &mut unwatched).unwrap();
+    let mut last = 0;
+    let mut watch = |progress: Progress<'_>| {
+        if let Progress::Step { step, .. } = progress {
+            last = step;
+            if step == 5 {
+                return ControlFlow::Break(());
+            }
+        }
+        ControlFlow::Continue(())
+    };
+    assert_eq!(train(&dataset, &quick(), "", &mut watch).unwrap_err(), AtcError::Stopped);
+    assert_eq!(last, 5);
+    let bad = CalibratorParams { learning_rate: f64::NAN, ..quick() };
+    assert!(train(&dataset, &bad, "", &mut unwatched).unwrap_err().to_string().contains("learning_rate"));
+    let unknown: Result<CalibratorParams, _> = serde_json::from_str(r#"{"step": 3}"#);
+    assert!(unknown.unwrap_err().to_string().contains("step"));
+}
+
+#[test]
+fn another_proposer_is_refused_unless_digests_were_not_recorded() {
+    let recorded = ProposerId { name: "nu2net".into(), digest: "aa".into() };
+    let other = ProposerId { digest: "bb".into(), ..recorded.clone() };
+    let unrecorded = ProposerId { digest: String::new(), ..recorded.clone() };
+    assert!(recorded.require(&recorded).is_ok() && unrecorded.require(&other).is_ok());
+    assert!(recorded.require(&other).is_err() && unrecorded.require(&Fusion.id()).is_err());
+}
+
+/// The transition of a pair that differs by one affine says so at every cell.
+#[test]
+fn an_affine_pair_has_that_affine_as_its_target() {
+    let (water, _) = pair(9);
+    let t = [0.5, 0.0, 0.0, 0.05, 0.0, 0.1, 0.0, 0.0, 0.0, 0.0, -0.2, 0.1];
+    let mut target = water.clone();
+    for y in 0..water.height() {
+        for x in 0..water.width() {
+            target.set_pixel(x, y, affine_apply(&t, water.pixel(x, y).map(f64::from)).map(|v| v as f32));
+        }
+    }
+    let given = vec![PairImages { name: "a".into(), images: Ok((water, target)) }];
+    let dataset = Dataset::build(given, &Timid, &ExtractorSettings::default(), &mut unwatched).unwrap();
+    let found = &dataset.examples[0];
+    let direction: f64 = found.target.iter().zip(t).map(|(a, b)| a * b).sum();
+    let norm = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
+    assert!(direction / (norm(&found.target) * norm(&t)) > 0.9);
+}

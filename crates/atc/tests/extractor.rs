@@ -1,0 +1,260 @@
+//! The extractor against the golden cases, and by itself.
+
+use std::sync::Arc;
+
+use use3d_atc::extractor::{ExtractorSettings, Form, Geometry, Source, Workspace, center};
+use use3d_capture::Image;
+use use3d_golden::{Case, Part};
+
+fn image(case: &Case<'_>, tensor: &str) -> Image {
+    let (w, h, planes) = case.planes(tensor);
+    Image::from_planes(w, h, planes).expect("the golden image has its stated size")
+}
+
+fn settings(case: &Case<'_>) -> ExtractorSettings {
+    let form = match case.config()["form"].as_str() {
+        Some("log") => Form::Log,
+        Some("linear") => Form::Linear,
+        other => panic!("{}: unknown form {other:?}", case.name()),
+    };
+    ExtractorSettings { long_side: case.count("long_side"), cells: case.count("grid_long"), form }
+}
+
+fn cells(case: &Case<'_>, tensor: &str) -> Vec<[f64; 6]> {
+    case.f64(tensor).chunks_exact(6).map(|c| c.try_into().expect("six numbers")).collect()
+}
+
+#[test]
+fn golden_values() {
+    for case in Part::math("extractor").cases() {
+        let (a, b) = (image(&case, "in.a"), image(&case, "in.b"));
+        let source = Source::from_image(&a, &settings(&case)).unwrap();
+        let mut workspace = Workspace::new();
+        let transition = source.forward(&b, &mut workspace).unwrap().clone();
+        case.check_f64("out.t", &transition.global);
+        case.check_f64("out.delta", transition.local.as_flattened());
+        let gains: Vec<f64> = transition
+            .local
+            .iter()
+            .flat_map(|c| match source.geometry().settings().form {
+                Form::Log => [c[0].exp(), c[1].exp(), c[2].exp()],
+                Form::Linear => [c[0] + 1.0, c[1] + 1.0, c[2] + 1.0],
+            })
+            .collect();
+        let stated = case.f64("out.gain");
+        for (ours, golden) in gains.iter().zip(stated) {
+            assert!((ours - golden.max(0.05)).abs() <= case.tolerance("out.gain"));
+        }
+        let mut centered = transition.local.clone();
+        center(&mut centered);
+        case.check_f64("out.centered", centered.as_flattened());
+        case.check_f64("out.confidence", &source.confidence(&workspace));
+        let descriptors = source.descriptors();
+        case.check_f64("out.global_descriptor", &descriptors.global);
+        case.check_f64("out.local_descriptor", descriptors.local.as_flattened());
+    }
+}
+
+#[test]
+fn golden_gradients() {
+    for case in Part::math("extractor").cases() {
+        let (a, b) = (image(&case, "in.a"), image(&case, "in.b"));
+        let source = Source::from_image(&a, &settings(&case)).unwrap();
+        let mut workspace = Workspace::new();
+        source.forward(&b, &mut workspace).unwrap();
+        let mut pulled = 0;
+        for (pull, outputs) in case.pulls() {
+            let mut global = [0.0; 12];
+            let mut local = vec![[0.0; 6]; workspace.transition().local.len()];
+            for output in outputs {
+                match output.as_str() {
+                    "t" => global = case.f64("cot.t").try_into().expect("twelve numbers"),
+                    "delta" => local = cells(&case, "cot.delta"),
+                    "centered" => {
+                        local = cells(&case, "cot.centered");
+                        center(&mut local);
+                    }
+                    other => panic!("{}: no gradient through {other}", case.name()),
+                }
+            }
+            let mut gradient = Image::new(0, 0);
+            source.backward(&global, &local, &mut workspace, &mut gradient).unwrap();
+            case.check_planes(&format!("grad.{pull}.b"), gradient.data());
+
+            // The same through the lattice: the gradient at the pixels read, zero everywhere else.
+            let geometry = source.geometry().clone();
+            let mut on_lattice = Image::new(0, 0);
+            source.backward_on_lattice(&global, &local, &mut workspace, &mut on_lattice).unwrap();
+            let mut full = Image::new(b.width(), b.height());
+            for (j, &y) in geometry.rows().iter().enumerate() {
+                for (i, &x) in geometry.columns().iter().enumerate() {
+                    full.set_pixel(x, y, on_lattice.pixel(i, j));
+                }
+            }
+            assert_eq!(full, gradient);
+            pulled += 1;
+        }
+        assert!(pulled > 0, "{}: no pulls", case.name());
+    }
+}
+
+/// A smooth random image with some noise, colours in about [0.05, 0.95].
+fn random_image(width: usize, height: usize, seed: u64) -> Image {
+    use use3d_numerics::random::{Purpose, Stream};
+    let stream = Stream::new(seed, Purpose::new("extractor test image"), 0);
+    let mut image = Image::new(width, height);
+    for c in 0..3 {
+        let k: Vec<f64> = (0..6).map(|i| stream.uniform((c * 6 + i) as u64)).collect();
+        for y in 0..height {
+            for x in 0..width {
+                let (u, v) = (x as f64 / width as f64, y as f64 / height as f64);
+                let wave = (6.0 * k[0] * u + 9.0 * k[1] * v + 6.0 * k[2]).sin() * 0.25;
+                let noise = stream.uniform((100 + (c * height + y) * width + x) as u64) * 0.2;
+                image.plane_mut(c)[y * width + x] = (0.3 + 0.2 * k[3] + wave + noise) as f32;
+            }
+        }
+    }
+    image
+}
+
+#[test]
+fn gradients_agree_with_finite_differences() {
+    use use3d_numerics::random::{Purpose, Stream};
+    let shapes = [((50, 34), 384, 16), ((90, 61), 40, 6), ((9, 70), 33, 5), ((20, 12), 384, 16)];
+    for (case, ((w, h), long_side, grid)) in shapes.into_iter().enumerate() {
+        for form in [Form::Log, Form::Linear] {
+            let settings = ExtractorSettings { long_side, cells: grid, form };
+            let a = random_image(w, h, 2 * case as u64);
+            let b = random_image(w, h, 2 * case as u64 + 1);
+            let direction = random_image(w, h, 100 + case as u64).map(|v| v - 0.4);
+            let source = Source::from_image(&a, &settings).unwrap();
+            let mut workspace = Workspace::new();
+            source.forward(&b, &mut workspace).unwrap();
+            let stream = Stream::new(9, Purpose::new("cotangents"), case as u64);
+            let global: [f64; 12] = std::array::from_fn(|i| stream.normal(i as u64));
+            let local: Vec<[f64; 6]> = (0..workspace.transition().local.len())
+                .map(|c| std::array::from_fn(|k| stream.normal((100 + 6 * c + k) as u64)))
+                .collect();
+            let mut gradient = Image::new(0, 0);
+            source.backward(&global, &local, &mut workspace, &mut gradient).unwrap();
+            let analytic: f64 = gradient
+                .data()
+                .iter()
+                .zip(direction.data())
+                .map(|(&g, &d)| f64::from(g) * f64::from(d))
+                .sum();
+            let mut value = |step: f32| -> f64 {
+                let moved: Vec<f32> =
+                    b.data().iter().zip(direction.data()).map(|(v, d)| v + step * d).collect();
+                let moved = Image::from_planes(w, h, moved).unwrap();
+                let t = source.forward(&moved, &mut workspace).unwrap();
+                let sum = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).map(|(x, y)| x * y).sum() };
+                sum(&t.global, &global) + sum(t.local.as_flattened(), local.as_flattened())
+            };
+            let step = 1.0 / 512.0;
+            let numeric = (value(step) - value(-step)) / (2.0 * f64::from(step));
+            // The pixels are f32, so the difference quotient itself is good to about 1e-4 of the largest term.
+            let scale = numeric.abs().max(analytic.abs()).max(1.0);
+            assert!(
+                (numeric - analytic).abs() < 2e-3 * scale,
+                "case {case} {form}: {analytic} against {numeric}"
+            );
+        }
+    }
+}
+
+#[test]
+fn an_image_and_itself_have_the_zero_transition_exactly() {
+    for (w, h) in [(64, 48), (500, 333), (3, 5), (1, 1), (20, 700)] {
+        let image = random_image(w, h, 5);
+        let source = Source::from_image(&image, &ExtractorSettings::default()).unwrap();
+        let mut workspace = Workspace::new();
+        let transition = source.forward(&image, &mut workspace).unwrap();
+        assert_eq!(transition.global, [0.0; 12]);
+        assert!(transition.local.iter().all(|c| *c == [0.0; 6]));
+    }
+}
+
+#[test]
+fn a_known_affine_is_recovered_up_to_the_ridge() {
+    let image = random_image(96, 64, 3);
+    let t: [f64; 12] = [0.3, -0.1, 0.05, 0.02, 0.0, 0.2, 0.1, -0.05, -0.2, 0.1, 0.4, 0.1];
+    let mut target = image.clone();
+    for y in 0..64 {
+        for x in 0..96 {
+            let colour = image.pixel(x, y).map(f64::from);
+            target.set_pixel(x, y, use3d_atc::extractor::affine_apply(&t, colour).map(|v| v as f32));
+        }
+    }
+    let source = Source::from_image(&image, &ExtractorSettings::default()).unwrap();
+    let mut workspace = Workspace::new();
+    let found = source.forward(&target, &mut workspace).unwrap();
+    let norm = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let ratio = norm(&found.global) / norm(&t);
+    // A contraction towards the identity: shorter, not much.
+    assert!(ratio < 1.0 && ratio > 0.8, "{ratio}");
+    // And the local operators have little left to explain.
+    let largest = found.local.as_flattened().iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    assert!(largest < 0.05, "{largest}");
+}
+
+#[test]
+fn the_lattice_gives_the_same_bits_as_the_whole_image() {
+    let (a, b) = (random_image(700, 467, 1), random_image(700, 467, 2));
+    let settings = ExtractorSettings { long_side: 200, ..ExtractorSettings::default() };
+    let geometry = Arc::new(Geometry::new(700, 467, &settings).unwrap());
+    let sample = |image: &Image| {
+        let mut out = Image::new(geometry.columns().len(), geometry.rows().len());
+        for (j, &y) in geometry.rows().iter().enumerate() {
+            for (i, &x) in geometry.columns().iter().enumerate() {
+                out.set_pixel(i, j, image.pixel(x, y));
+            }
+        }
+        out
+    };
+    assert_eq!(geometry.lattice().width(), geometry.columns().len());
+    assert!(geometry.columns().len() <= 400 && geometry.columns().len() < 700);
+    let whole = Source::new(&geometry, &a).unwrap();
+    let lattice = Source::on_lattice(&geometry, &sample(&a)).unwrap();
+    let (mut one, mut two) = (Workspace::new(), Workspace::new());
+    let first = whole.forward(&b, &mut one).unwrap();
+    let second = lattice.forward_on_lattice(&sample(&b), &mut two).unwrap();
+    assert_eq!(first, second);
+}
+
+#[test]
+fn the_same_bits_on_any_number_of_threads() {
+    let (a, b) = (random_image(500, 333, 1), random_image(500, 333, 2));
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let source = Source::from_image(&a, &ExtractorSettings::default()).unwrap();
+            let mut workspace = Workspace::new();
+            let transition = source.forward(&b, &mut workspace).unwrap().clone();
+            let mut gradient = Image::new(0, 0);
+            let local = vec![[0.3; 6]; transition.local.len()];
+            source.backward(&[0.1; 12], &local, &mut workspace, &mut gradient).unwrap();
+            (transition, gradient, source.descriptors())
+        })
+    };
+    let one = run(1);
+    assert_eq!(one, run(2));
+    assert_eq!(one, run(5));
+}
+
+#[test]
+fn bad_images_are_errors() {
+    let settings = ExtractorSettings::default();
+    let mut bad = random_image(20, 10, 1);
+    bad.plane_mut(1)[7] = f32::NAN;
+    assert!(Source::from_image(&bad, &settings).unwrap_err().to_string().contains("not finite"));
+    assert!(Source::from_image(&Image::new(0, 4), &settings).is_err());
+    assert!(ExtractorSettings { cells: 1, ..ExtractorSettings::default() }.validate().is_err());
+    let source = Source::from_image(&random_image(20, 10, 1), &settings).unwrap();
+    let mut workspace = Workspace::new();
+    assert!(source.forward(&Image::new(3, 0), &mut workspace).is_err());
+    assert!(source.forward_on_lattice(&random_image(21, 10, 1), &mut workspace).is_err());
+    source.forward(&random_image(20, 10, 2), &mut workspace).unwrap();
+    let mut gradient = Image::new(0, 0);
+    assert!(source.backward(&[0.0; 12], &[[0.0; 6]; 3], &mut workspace, &mut gradient).is_err());
+}
