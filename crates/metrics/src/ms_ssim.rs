@@ -45,7 +45,8 @@ pub fn window() -> [f32; WINDOW] {
     raw.map(|v| (v / total) as f32)
 }
 
-/// The weights of the levels that an image of this size has, summing to 1; empty where its smaller side is below 11.
+/// The weights of the levels that an image of this size has: as given if it has them all, else those that remain, scaled to sum
+/// 1; empty where its smaller side is below 11.
 pub fn level_weights(weights: &[f64], width: usize, height: usize) -> Vec<f64> {
     let mut side = width.min(height);
     let mut kept = Vec::new();
@@ -56,8 +57,11 @@ pub fn level_weights(weights: &[f64], width: usize, height: usize) -> Vec<f64> {
         kept.push(w);
         side = side.div_ceil(2);
     }
-    let total: f64 = kept.iter().sum();
-    kept.iter().map(|w| w / total).collect()
+    if kept.len() < weights.len() {
+        let total: f64 = kept.iter().sum();
+        kept.iter_mut().for_each(|w| *w /= total);
+    }
+    kept
 }
 
 /// The measure with its scratch images: reuse it for images of one size and none is allocated again.
@@ -77,7 +81,9 @@ impl MsSsim {
 
     /// MS-SSIM of two images of one size, data range 1.
     pub fn value(&mut self, x: &Image, y: &Image, weights: &[f64]) -> f64 {
-        self.evaluate(x, y, 0.0, weights, None)
+        // Display range, centred on zero: a quarter of the cancellation.
+        let centred = |image: &Image| image.map(|v| v - 0.5);
+        self.evaluate(&centred(x), &centred(y), 0.5, weights, None)
     }
 
     /// MS-SSIM and its gradient with respect to `x`. Both images are given less `offset`: the measure is that of `x + offset` and

@@ -1,1 +1,27 @@
-//! Stage 1: losses, schedules, density control, checkpoints
+//! Stage 1: from a posed capture to a trained underwater scene.
+//!
+//! The loop ([`reconstruct`]) owns schedules and decides *what* happens at every step; an [`engine::Engine`] owns parameters, moments and
+//! buffers and does it. A step renders one training view through the water, compares it with the photograph ([`losses`]), and moves
+//! Gaussians and water by Adam. Now and then Gaussians are split, duplicated and removed (R9), and images grow from a quarter to full
+//! size (R11). Everything is a function of capture, parameters and seed: the same bits on any number of threads, and after any
+//! number of interruptions.
+
+pub mod engine;
+mod error;
+mod initialise;
+pub mod losses;
+mod parameters;
+mod profile;
+mod record;
+mod train;
+mod views;
+
+pub use error::ReconstructError;
+pub use parameters::{Densify, DepthPrior, LearningRates, Medium, Rate, ReconstructParams};
+pub use profile::{Part, Profile};
+pub use record::{Evaluation, LogEntry, ViewScore, plot};
+pub use train::{CHECKPOINT, Outcome, reconstruct};
+pub use views::{Dropped, LoadedView, Target, TrainingView, ViewLoader};
+
+#[cfg(test)]
+mod tests;

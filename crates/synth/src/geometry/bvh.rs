@@ -43,6 +43,8 @@ struct Pack {
 const EMPTY: u32 = u32::MAX;
 const LEAF: u32 = 1 << 31;
 const BINS: usize = 12;
+/// Triangles reach this share of an edge beyond themselves: rounding must not let a ray slip between two of them.
+const SLACK: f32 = 5e-5;
 
 /// The tree.
 #[derive(Clone, Debug, Default)]
@@ -291,7 +293,8 @@ impl Bvh {
             // Insertion by distance: the nearest child ends on top of the stack.
             let first = top;
             for k in 0..4 {
-                if entry[k] <= exit[k] && node.child[k] != EMPTY && top < stack.len() {
+                // A few units in the last place of tolerance: a flat box must not be missed by rounding.
+                if entry[k] <= exit[k] * 1.000_000_5 && node.child[k] != EMPTY && top < stack.len() {
                     let mut slot = top;
                     while slot > first && stack[slot - 1].1 < entry[k] {
                         stack[slot] = stack[slot - 1];
@@ -330,7 +333,8 @@ impl Pack {
             v[k] = (d[0] * q[0] + d[1] * q[1] + d[2] * q[2]) * inverse;
             t[k] = (e2[0][k] * q[0] + e2[1][k] * q[1] + e2[2][k] * q[2]) * inverse;
             // A determinant of 0 gives infinities or NaN, which fail these comparisons.
-            good[k] = (u[k] >= 0.0) & (v[k] >= 0.0) & (u[k] + v[k] <= 1.0) & (t[k] > 0.0) & (t[k] < limit);
+            let inside = (u[k] >= -SLACK) & (v[k] >= -SLACK) & (u[k] + v[k] <= 1.0 + SLACK);
+            good[k] = inside & (t[k] > 0.0) & (t[k] < limit);
         }
         let (mut best, mut nearest) = (None, limit);
         for k in 0..4 {
@@ -376,7 +380,8 @@ mod tests {
                     let inverse = 1.0 / e1.dot(p);
                     let (s, q) = (origin - a, (origin - a).cross(e1));
                     let (u, v, d) = (s.dot(p) * inverse, direction.dot(q) * inverse, e2.dot(q) * inverse);
-                    (u >= 0.0 && v >= 0.0 && u + v <= 1.0 && d > 0.0).then_some((d, t as u32))
+                    let inside = u >= -SLACK && v >= -SLACK && u + v <= 1.0 + SLACK;
+                    (inside && d > 0.0).then_some((d, t as u32))
                 })
                 .min_by(|a, b| a.0.total_cmp(&b.0));
             let fast = bvh.nearest(&ray, f32::INFINITY);
@@ -386,5 +391,33 @@ mod tests {
         }
         assert!(hits > 200);
         assert!(Bvh::build(&[], &[]).nearest(&Ray { origin: Vec3::ZERO, direction: Vec3::X }, 1.0).is_none());
+    }
+
+    #[test]
+    fn no_ray_slips_between_triangles() {
+        // A fine sheet far from the origin, where rounding is worst.
+        let (n, step) = (60usize, 0.05f32);
+        let positions: Vec<Vec3> = (0..=n * (n + 2))
+            .map(|i| Vec3::new(7.0 + step * (i % (n + 1)) as f32, 9.0 + step * (i / (n + 1)) as f32, 0.1))
+            .collect();
+        let mut triangles = Vec::new();
+        for j in 0..n {
+            for i in 0..n {
+                let at = |i: usize, j: usize| (j * (n + 1) + i) as u32;
+                triangles.push([at(i, j), at(i + 1, j), at(i + 1, j + 1)]);
+                triangles.push([at(i, j), at(i + 1, j + 1), at(i, j + 1)]);
+            }
+        }
+        let bvh = Bvh::build(&positions, &triangles);
+        let eye = Vec3::new(0.3, -0.7, 1.7);
+        for i in 0..60_000usize {
+            // Through the diagonals and the edges, on purpose.
+            let along = 0.1 + 2.8 * (i as f32 / 60_000.0);
+            let across = step * (1 + i % 58) as f32;
+            let target =
+                if i % 2 == 0 { Vec3::new(along, along, 0.0) } else { Vec3::new(along, across, 0.0) };
+            let direction = Vec3::new(7.0, 9.0, 0.1) + target - eye;
+            assert!(bvh.nearest(&Ray { origin: eye, direction }, 2.0).is_some(), "ray {i} slipped through");
+        }
     }
 }

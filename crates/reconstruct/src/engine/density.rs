@@ -1,0 +1,248 @@
+//! Where Gaussians are added and where they are removed (R9).
+//!
+//! Over the renders since the last refinement in which a Gaussian was visible, the mean of
+//!
+//! ```text
+//! | (½ W Σ_p |∂L_p/∂x|,  ½ H Σ_p |∂L_p/∂y|) |₂
+//! ```
+//!
+//! says how much the loss pulls at it on the screen without opposite pulls cancelling. Above a threshold, a Gaussian whose largest standard
+//! deviation exceeds a size is replaced by two drawn from it, 1.6 times smaller; a smaller one gets a twin. Faint and huge ones
+//! are removed, but never below a floor (the most opaque stay), and growth stops at a cap (the strongest pulls first). New Gaussians
+//! start with zero moments.
+
+use use3d_numerics::random::{Purpose, Stream};
+use use3d_splat::{GaussianGradients, Gaussians};
+
+use super::{RefineReport, RefineSettings};
+
+/// Screen gradients since the last refinement.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Statistics {
+    /// Sums of the norms.
+    pub(crate) norms: Vec<f32>,
+    /// Renders in which the Gaussian was visible.
+    pub(crate) renders: Vec<u32>,
+}
+
+impl Statistics {
+    pub(crate) fn new(n: usize) -> Self {
+        Self { norms: vec![0.0; n], renders: vec![0; n] }
+    }
+
+    /// Adds one render of `width × height` pixels.
+    pub(crate) fn gather(&mut self, gradients: &GaussianGradients, width: usize, height: usize) {
+        let (sx, sy) = (0.5 * width as f32, 0.5 * height as f32);
+        for (i, (screen, &visible)) in gradients.screen.iter().zip(&gradients.visible).enumerate() {
+            if visible {
+                let (x, y) = (sx * screen[0], sy * screen[1]);
+                self.norms[i] += (x * x + y * y).sqrt();
+                self.renders[i] += 1;
+            }
+        }
+    }
+
+    fn mean(&self, i: usize) -> f64 {
+        match self.renders[i] {
+            0 => 0.0,
+            n => f64::from(self.norms[i]) / f64::from(n),
+        }
+    }
+}
+
+/// Where a row of the refined scene comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Origin {
+    /// The Gaussian itself, with its moments.
+    Kept(usize),
+    /// A twin.
+    Twin(usize),
+    /// A child of a split: 0 or 1.
+    Child(usize, usize),
+}
+
+/// The rows of the refined scene: survivors in their order, then twins and children in the order of their parents.
+pub(crate) fn plan(
+    gaussians: &Gaussians,
+    statistics: &Statistics,
+    settings: &RefineSettings,
+) -> (Vec<Origin>, RefineReport) {
+    let n = gaussians.len();
+    let mut report = RefineReport::default();
+    let largest = |i: usize| {
+        let s = gaussians.log_scales[i];
+        f64::from(s[0].max(s[1]).max(s[2])).exp()
+    };
+    let faint = logit(settings.cull_opacity);
+    let mut keep: Vec<bool> =
+        (0..n).map(|i| gaussians.opacity_logits[i] >= faint && largest(i) <= settings.cull_scale).collect();
+    let survivors = keep.iter().filter(|k| **k).count();
+    let floor = settings.floor.min(n);
+    if survivors < floor {
+        let mut condemned: Vec<usize> = (0..n).filter(|&i| !keep[i]).collect();
+        let opacity = |i: usize| gaussians.opacity_logits[i];
+        condemned.sort_by(|&a, &b| opacity(b).total_cmp(&opacity(a)).then(a.cmp(&b)));
+        for &i in condemned.iter().take(floor - survivors) {
+            keep[i] = true;
+            report.spared += 1;
+        }
+    }
+    let survivors = keep.iter().filter(|k| **k).count();
+    report.culled = n - survivors;
+
+    let mut grow = vec![false; n];
+    if settings.grow {
+        let mut pulled: Vec<usize> =
+            (0..n).filter(|&i| keep[i] && statistics.mean(i) > settings.gradient_threshold).collect();
+        let room = settings.most.saturating_sub(survivors);
+        if pulled.len() > room {
+            report.held_back = pulled.len() - room;
+            pulled.sort_by(|&a, &b| statistics.mean(b).total_cmp(&statistics.mean(a)).then(a.cmp(&b)));
+            pulled.truncate(room);
+        }
+        for i in pulled {
+            grow[i] = true;
+        }
+    }
+    let splits = |i: usize| grow[i] && largest(i) > settings.split_scale;
+    let mut rows: Vec<Origin> = (0..n).filter(|&i| keep[i] && !splits(i)).map(Origin::Kept).collect();
+    for i in (0..n).filter(|&i| grow[i]) {
+        if splits(i) {
+            report.split += 1;
+            rows.extend([Origin::Child(i, 0), Origin::Child(i, 1)]);
+        } else {
+            report.duplicated += 1;
+            rows.push(Origin::Twin(i));
+        }
+    }
+    (rows, report)
+}
+
+/// The Gaussians of a plan.
+pub(crate) fn apply(gaussians: &Gaussians, rows: &[Origin], settings: &RefineSettings) -> Gaussians {
+    let sources: Vec<usize> = rows
+        .iter()
+        .map(|r| match *r {
+            Origin::Kept(i) | Origin::Twin(i) | Origin::Child(i, _) => i,
+        })
+        .collect();
+    let mut refined = gaussians.select(&sources);
+    let stream = Stream::new(settings.seed, Purpose::new("split Gaussians"), settings.step);
+    let smaller = settings.shrink.ln() as f32;
+    for (row, origin) in rows.iter().enumerate() {
+        let Origin::Child(parent, child) = *origin else { continue };
+        let local: [f64; 3] = std::array::from_fn(|axis| {
+            let draw = stream.normal((6 * parent + 3 * child + axis) as u64);
+            f64::from(gaussians.log_scales[parent][axis]).exp() * draw
+        });
+        let offset = rotate(gaussians.quaternions[parent], local);
+        for axis in 0..3 {
+            refined.means[row][axis] += offset[axis] as f32;
+            refined.log_scales[row][axis] -= smaller;
+        }
+    }
+    refined
+}
+
+/// `R(q) x` for a quaternion of any length.
+fn rotate(q: [f32; 4], x: [f64; 3]) -> [f64; 3] {
+    let q = glam::DQuat::from_xyzw(q[1].into(), q[2].into(), q[3].into(), q[0].into());
+    let norm = q.length();
+    if norm == 0.0 { x } else { ((q * (1.0 / norm)) * glam::DVec3::from(x)).to_array() }
+}
+
+/// `ln(p / (1 − p))`, with the ends at ±infinity.
+pub(crate) fn logit(p: f64) -> f32 {
+    (p / (1.0 - p)).ln() as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::adam::zeros;
+    use super::*;
+
+    const SETTINGS: RefineSettings = RefineSettings {
+        step: 700,
+        seed: 1,
+        grow: true,
+        gradient_threshold: 8e-4,
+        split_scale: 1e-3,
+        shrink: 1.6,
+        cull_opacity: 0.5,
+        cull_scale: 10.0,
+        floor: 2,
+        most: 1000,
+        reset_medium: true,
+    };
+
+    /// Gaussians with (opacity logit, standard deviation, mean screen gradient).
+    fn scene(rows: &[(f32, f32, f32)]) -> (Gaussians, Statistics) {
+        let mut g = zeros(rows.len(), 0);
+        let mut statistics = Statistics::new(rows.len());
+        for (i, &(logit, deviation, gradient)) in rows.iter().enumerate() {
+            g.opacity_logits[i] = logit;
+            g.log_scales[i] = [deviation.ln(), -9.0, -9.0];
+            g.quaternions[i] = [1.0, 0.0, 0.0, 0.0];
+            g.means[i] = [i as f32, 0.0, 0.0];
+            statistics.norms[i] = 4.0 * gradient;
+            statistics.renders[i] = 4;
+        }
+        (g, statistics)
+    }
+
+    #[test]
+    fn the_rules_in_turn() {
+        let (g, s) = scene(&[
+            (2.0, 0.1, 0.0),   // stays
+            (2.0, 0.1, 1e-3),  // splits
+            (2.0, 5e-4, 1e-3), // duplicates
+            (-0.1, 0.1, 1.0),  // faint: removed
+            (2.0, 11.0, 1.0),  // huge: removed
+        ]);
+        let (rows, report) = plan(&g, &s, &SETTINGS);
+        use Origin::*;
+        assert_eq!(rows, [Kept(0), Kept(2), Child(1, 0), Child(1, 1), Twin(2)]);
+        assert_eq!(report, RefineReport { split: 1, duplicated: 1, culled: 2, spared: 0, held_back: 0 });
+        let refined = apply(&g, &rows, &SETTINGS);
+        assert_eq!(refined.means[4], g.means[2]);
+        assert!((refined.log_scales[2][0] - (0.1f32 / 1.6).ln()).abs() < 1e-6);
+        assert!(refined.means[2] != refined.means[3] && (refined.means[2][0] - 1.0).abs() < 0.6);
+        // Drawn from the parent: next to nothing along its thin axes.
+        assert!(refined.means[2][1].abs() < 1e-2);
+        // Without growth only the removals remain.
+        let (rows, _) = plan(&g, &s, &RefineSettings { grow: false, ..SETTINGS });
+        assert_eq!(rows, [Kept(0), Kept(1), Kept(2)]);
+    }
+
+    #[test]
+    fn the_floor_spares_the_most_opaque_and_the_cap_prefers_the_strongest_pulls() {
+        let (g, s) = scene(&[(-3.0, 0.1, 0.0), (-1.0, 0.1, 0.0), (-2.0, 0.1, 0.0)]);
+        let (rows, report) = plan(&g, &s, &SETTINGS);
+        assert_eq!(rows, [Origin::Kept(1), Origin::Kept(2)]);
+        assert_eq!((report.culled, report.spared), (1, 2));
+        let (g, s) = scene(&[(2.0, 1e-4, 1e-3), (2.0, 1e-4, 3e-3), (2.0, 1e-4, 2e-3)]);
+        let (rows, report) = plan(&g, &s, &RefineSettings { most: 4, ..SETTINGS });
+        assert_eq!(rows.last(), Some(&Origin::Twin(1)));
+        assert_eq!((rows.len(), report.held_back), (4, 2));
+    }
+
+    #[test]
+    fn children_have_the_spread_of_their_parent() {
+        let n = 4000;
+        let (mut g, s) = scene(&vec![(2.0, 0.2, 1.0); n]);
+        let angle = std::f32::consts::FRAC_PI_4;
+        for i in 0..n {
+            g.means[i] = [0.0; 3];
+            // A quarter turn about z, of length 2: the long axis is y.
+            g.quaternions[i] = [2.0 * angle.cos(), 0.0, 0.0, 2.0 * angle.sin()];
+        }
+        let settings = RefineSettings { most: 10 * n, ..SETTINGS };
+        let (rows, _) = plan(&g, &s, &settings);
+        let refined = apply(&g, &rows, &settings);
+        let spread = |axis: usize| {
+            (refined.means.iter().map(|m| f64::from(m[axis]).powi(2)).sum::<f64>() / refined.len() as f64)
+                .sqrt()
+        };
+        assert!((spread(1) - 0.2).abs() < 0.01 && spread(0) < 1e-3, "{} {}", spread(0), spread(1));
+    }
+}

@@ -1,0 +1,83 @@
+//! What can go wrong in stage 1.
+
+use use3d_capture::{CameraError, CaptureError};
+use use3d_training::{CheckpointError, NonFinite};
+
+/// Why there is no reconstruction.
+#[derive(Debug, thiserror::Error)]
+pub enum ReconstructError {
+    /// Nothing to learn from.
+    #[error(transparent)]
+    Capture(#[from] CaptureError),
+    /// One view does not determine a scene.
+    #[error(
+        "only one training view (`{view}`); a scene needs at least 2 views from different places: add images, or hold out fewer (`split.every`)"
+    )]
+    OneView {
+        /// The view.
+        view: String,
+    },
+    /// A view's camera cannot be used.
+    #[error("view `{view}`: {source}")]
+    Camera {
+        /// The view.
+        view: String,
+        /// Why.
+        source: CameraError,
+    },
+    /// A view's pixels could not be loaded.
+    #[error("view `{view}`: {message}")]
+    Load {
+        /// The view.
+        view: String,
+        /// Why.
+        message: String,
+    },
+    /// An image, mask or prior that does not fit its camera.
+    #[error(
+        "view `{view}`: its {what} is {found_width}x{found_height} pixels, its camera {width}x{height}; scale the files or the camera (`size`, `image_dir`)"
+    )]
+    Size {
+        /// The view.
+        view: String,
+        /// `image`, `mask`, `depth prior`.
+        what: &'static str,
+        /// Width found.
+        found_width: usize,
+        /// Height found.
+        found_height: usize,
+        /// The camera's width.
+        width: usize,
+        /// The camera's height.
+        height: usize,
+    },
+    /// Points and poses do not belong together.
+    #[error(
+        "none of the {points} sparse points lies in front of any of the {views} training cameras: poses and points seem to be from different models, or poses are camera-to-world; check the sparse model"
+    )]
+    PointsBehindCameras {
+        /// Sparse points.
+        points: usize,
+        /// Training views.
+        views: usize,
+    },
+    /// A parameter out of range.
+    #[error("reconstruct: {0}")]
+    Parameter(String),
+    /// The run diverged.
+    #[error(transparent)]
+    NonFinite(#[from] NonFinite),
+    /// The checkpoint could not be written or read.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    /// The observer asked to stop; the checkpoint is written.
+    #[error("stopped at step {step} of {steps}{}", if *saved { "; run again to go on from there" } else { "" })]
+    Interrupted {
+        /// Steps done.
+        step: u64,
+        /// Steps in all.
+        steps: u64,
+        /// Whether a checkpoint holds the state.
+        saved: bool,
+    },
+}

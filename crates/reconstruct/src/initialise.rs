@@ -1,0 +1,199 @@
+//! The Gaussians that training starts from.
+//!
+//! One per sparse point: its colour as the constant coefficient, an isotropic size of the mean distance to its three nearest other
+//! points, a uniformly random rotation, opacity 0.1. Equal points count as one neighbour, so that a heap of duplicates does not make
+//! Gaussians of size zero. A capture with fewer than 100 points gets random ones in what its cameras see.
+
+use std::num::NonZero;
+
+use glam::DVec3;
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use rayon::prelude::*;
+use use3d_capture::{Camera, Capture};
+use use3d_numerics::random::{Purpose, Stream};
+use use3d_numerics::spherical_harmonics::C0;
+use use3d_splat::{Gaussians, NEAR};
+
+use crate::{ReconstructError, ReconstructParams};
+
+/// Fewer sparse points than this are not a start.
+const FEWEST_POINTS: usize = 100;
+const NEIGHBOURS: usize = 3;
+/// Sizes are kept within this range, normalised scene units.
+const SMALLEST: f64 = 1e-5;
+const LARGEST: f64 = 2.0;
+
+/// The initial Gaussians; messages for a person go to `notice`.
+pub(crate) fn gaussians(
+    capture: &Capture,
+    params: &ReconstructParams,
+    mut notice: impl FnMut(&str),
+) -> Result<Gaussians, ReconstructError> {
+    let cameras: Vec<Camera> = capture.training_views().map(|v| v.camera).collect();
+    let finite = capture.points.iter().filter(|p| p.position.is_finite());
+    let mut points: Vec<(DVec3, [f64; 3])> =
+        finite.map(|p| (p.position, p.color.map(|c| f64::from(c) / 255.0))).collect();
+    if points.len() < capture.points.len() {
+        notice(&format!(
+            "{} sparse points are not finite and are left out",
+            capture.points.len() - points.len()
+        ));
+    }
+    let in_front = |p: &DVec3| cameras.iter().any(|c| c.project(*p).is_some_and(|(_, z)| z > NEAR));
+    if !points.is_empty() && !points.par_iter().any(|(p, _)| in_front(p)) {
+        return Err(ReconstructError::PointsBehindCameras { points: points.len(), views: cameras.len() });
+    }
+    if points.len() < FEWEST_POINTS {
+        let added = random_points(&cameras, &points, params);
+        notice(&format!(
+            "the capture has only {} sparse points; {} random ones are added in what the cameras see (`random_points`)",
+            points.len(),
+            added.len()
+        ));
+        points.extend(added);
+    }
+    let positions: Vec<DVec3> = points.iter().map(|p| p.0).collect();
+    let spacing = spacing(&positions);
+    let stream = Stream::new(params.seed, Purpose::new("initial rotations"), 0);
+    let mut gaussians = Gaussians::empty(params.sh_degree);
+    let logit = (params.initial_opacity / (1.0 - params.initial_opacity)).ln() as f32;
+    for (i, ((position, color), spacing)) in points.iter().zip(&spacing).enumerate() {
+        let mut sh = [[0.0; 3]; 16];
+        sh[0] = color.map(|c| ((c - 0.5) / f64::from(C0)) as f32);
+        gaussians.means.push(position.as_vec3().to_array());
+        gaussians.log_scales.push([spacing.clamp(SMALLEST, LARGEST).ln() as f32; 3]);
+        gaussians.quaternions.push(rotation(&stream, i as u64));
+        gaussians.opacity_logits.push(logit);
+        gaussians.sh.push(sh);
+    }
+    Ok(gaussians)
+}
+
+/// A uniformly random unit quaternion: four normals over their length.
+fn rotation(stream: &Stream, index: u64) -> [f32; 4] {
+    let q: [f64; 4] = std::array::from_fn(|k| stream.normal(4 * index + k as u64));
+    let norm = q.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-12);
+    q.map(|v| (v / norm) as f32)
+}
+
+/// Random positions on random pixel rays, at depths spread log-uniformly about those of the known points (or about the size of the
+/// normalised scene), grey.
+fn random_points(
+    cameras: &[Camera],
+    known: &[(DVec3, [f64; 3])],
+    params: &ReconstructParams,
+) -> Vec<(DVec3, [f64; 3])> {
+    let stream = Stream::new(params.seed, Purpose::new("random points"), 0);
+    let mut depths: Vec<f64> = known
+        .iter()
+        .flat_map(|(p, _)| cameras.iter().filter_map(|c| c.project(*p).map(|(_, z)| z)))
+        .filter(|z| *z > NEAR)
+        .collect();
+    depths.sort_unstable_by(f64::total_cmp);
+    let (near, far) = match (depths.get(depths.len() / 20), depths.get(depths.len() * 19 / 20)) {
+        (Some(&near), Some(&far)) => (0.7 * near, 1.4 * far),
+        _ => (0.2, 4.0),
+    };
+    (0..params.random_points)
+        .map(|i| {
+            let draw = |k: u64| stream.uniform(4 * i as u64 + k);
+            let camera = &cameras[((draw(0) * cameras.len() as f64) as usize).min(cameras.len() - 1)];
+            let k = &camera.intrinsics;
+            let depth = near * (far / near).powf(draw(3));
+            let in_camera = camera.ray(draw(1) * k.width as f64, draw(2) * k.height as f64) * depth;
+            (camera.pose.rotation.transpose() * (in_camera - camera.pose.translation), [0.5; 3])
+        })
+        .collect()
+}
+
+/// For every point the mean distance to its three nearest points elsewhere.
+fn spacing(points: &[DVec3]) -> Vec<f64> {
+    // Equal positions are one place.
+    let mut order: Vec<usize> = (0..points.len()).collect();
+    let key = |i: usize| points[i].to_array().map(|v| v + 0.0);
+    order.sort_by(|&a, &b| {
+        let (a, b) = (key(a), key(b));
+        a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2]))
+    });
+    let mut places: Vec<[f64; 3]> = Vec::new();
+    let mut place_of = vec![0; points.len()];
+    for i in order {
+        if places.last() != Some(&key(i)) {
+            places.push(key(i));
+        }
+        place_of[i] = places.len() - 1;
+    }
+    let by_place = place_spacing(&places);
+    place_of.into_iter().map(|p| by_place[p]).collect()
+}
+
+fn place_spacing(places: &[[f64; 3]]) -> Vec<f64> {
+    let lone = 0.1;
+    if places.len() < 2 {
+        return vec![lone; places.len()];
+    }
+    let mean = |distances: &mut dyn Iterator<Item = f64>| {
+        let (sum, count) = distances.fold((0.0, 0), |(s, c), d| (s + d, c + 1));
+        if count == 0 { lone } else { sum / f64::from(count) }
+    };
+    // The tree refuses some degenerate sets; those are small or planar, and the plain search then does.
+    match (NonZero::new(NEIGHBOURS + 1), ImmutableKdTree::<f64, 3>::new_from_slice(places)) {
+        (Some(count), Ok(tree)) => places
+            .par_iter()
+            .map(|p| {
+                let found = tree.query(p).nearest_n::<SquaredEuclidean<f64>>(count).execute();
+                let mut distances: Vec<f64> = found.iter().map(|n| n.distance).collect();
+                distances.sort_unstable_by(f64::total_cmp);
+                // The nearest is the point itself.
+                mean(&mut distances.iter().skip(1).map(|d| d.sqrt()))
+            })
+            .collect(),
+        _ => places
+            .par_iter()
+            .map(|p| {
+                let mut nearest = [f64::INFINITY; NEIGHBOURS + 1];
+                for q in places {
+                    let d: f64 = (0..3).map(|a| (p[a] - q[a]).powi(2)).sum();
+                    let at = nearest.partition_point(|n| *n <= d);
+                    if at < nearest.len() {
+                        nearest[at..].rotate_right(1);
+                        nearest[at] = d;
+                    }
+                }
+                mean(&mut nearest.iter().skip(1).filter(|d| d.is_finite()).map(|d| d.sqrt()))
+            })
+            .collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spacing_is_the_mean_distance_to_three_neighbours() {
+        let stream = Stream::new(1, Purpose::new("spacing"), 0);
+        let points: Vec<DVec3> = (0..400u64)
+            .map(|i| DVec3::new(stream.normal(3 * i), stream.normal(3 * i + 1), stream.normal(3 * i + 2)))
+            .collect();
+        let fast = spacing(&points);
+        for (i, p) in points.iter().enumerate().step_by(17) {
+            let mut d: Vec<f64> = points.iter().map(|q| p.distance(*q)).collect();
+            d.sort_unstable_by(f64::total_cmp);
+            assert!((fast[i] - (d[1] + d[2] + d[3]) / 3.0).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn heaps_lines_and_planes_of_points_get_a_size() {
+        let heap = vec![DVec3::ONE; 5000];
+        assert!(spacing(&heap).iter().all(|s| *s == 0.1));
+        let line: Vec<DVec3> = (0..3000).map(|i| DVec3::new(0.5, 0.5, f64::from(i / 3))).collect();
+        assert!(spacing(&line).iter().all(|s| (1.0..=2.0).contains(s)));
+        let mut plane: Vec<DVec3> =
+            (0..2500).map(|i| DVec3::new(f64::from(i % 50), 3.0, f64::from(i / 50))).collect();
+        plane.extend(vec![DVec3::new(7.0, 3.0, 7.0); 2000]);
+        assert!(spacing(&plane).iter().all(|s| (1.0..1.5).contains(s)));
+        assert_eq!(spacing(&[DVec3::ZERO, DVec3::X]), [1.0, 1.0]);
+    }
+}

@@ -1,0 +1,210 @@
+//! Reg-L1 and Reg-MS-SSIM, fused: one pass before the structure measure and one after it.
+//!
+//! ```text
+//! W = 1 / (sg(Î) + ε),  ε = 1e-3                      per pixel and channel, no gradient
+//! Reg-L1 = mean |W (Î − I)|                            (R13)
+//! Reg-MS-SSIM = 1 − MS-SSIM(W I, W Î)                   (R12)
+//! L = (1 − λ) Reg-L1 + λ Reg-MS-SSIM
+//! ```
+//!
+//! Where the fit is good `W Î` is nearly 1 and `W I` is the ratio of target to prediction, so the structure term works on relative error
+//! and its variances would cancel in f32. Both are therefore formed *less one* without ever being near one:
+//! `W Î − 1 = −ε W` and `W I − 1 = W (I − Î) − ε W`. The first also carries `W` to the last pass, which needs no other image.
+//!
+//! A mask multiplies prediction and target before anything else; means stay over all pixels.
+
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, Simd, dispatch, f32x16};
+use rayon::prelude::*;
+use use3d_capture::{Image, Map};
+use use3d_metrics::ms_ssim::{MsSsim, RECONSTRUCTION_WEIGHTS};
+
+/// `ε` of the weight.
+const EPSILON: f32 = 1e-3;
+const LANES: usize = 16;
+/// Elements per task.
+const BLOCK: usize = 1 << 14;
+
+/// The values of one evaluation.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PhotometricValue {
+    /// `(1 − λ) Reg-L1 + λ Reg-MS-SSIM`.
+    pub total: f64,
+    /// Reg-L1.
+    pub reg_l1: f64,
+    /// Reg-MS-SSIM.
+    pub reg_ms_ssim: f64,
+    /// Mean squared error of the prediction clamped to `[0, 1]` (masked like the rest), for a PSNR.
+    pub squared_error: f64,
+}
+
+/// The loss with its scratch images.
+#[derive(Clone, Debug)]
+pub struct PhotometricLoss {
+    lambda: f64,
+    weights: Vec<f64>,
+    measure: MsSsim,
+    /// `W Î − 1` and `W I − 1`.
+    prediction: Image,
+    target: Image,
+}
+
+impl PhotometricLoss {
+    /// With structure weight `lambda` and the method's three levels.
+    pub fn new(lambda: f64) -> Self {
+        Self::with_levels(lambda, &RECONSTRUCTION_WEIGHTS)
+    }
+
+    /// With other level weights.
+    pub fn with_levels(lambda: f64, weights: &[f64]) -> Self {
+        Self {
+            lambda,
+            weights: weights.to_vec(),
+            measure: MsSsim::new(),
+            prediction: Image::new(0, 0),
+            target: Image::new(0, 0),
+        }
+    }
+
+    /// Value, and the gradient with respect to `prediction`. The images (and the mask, weights in `[0, 1]`) have one size.
+    pub fn evaluate(
+        &mut self,
+        prediction: &Image,
+        target: &Image,
+        mask: Option<&Map>,
+        gradient: &mut Image,
+    ) -> PhotometricValue {
+        let (w, h) = (prediction.width(), prediction.height());
+        assert_eq!((w, h), (target.width(), target.height()), "the loss compares images of one size");
+        self.prediction.resize(w, h);
+        self.target.resize(w, h);
+        let level = Level::new();
+        let n = w * h;
+        let count = (3 * n) as f64;
+        let mask = mask.map(Map::data);
+
+        let blocks_per_plane = n.div_ceil(BLOCK);
+        let inputs = prediction.data().chunks(n.max(1)).zip(target.data().chunks(n.max(1)));
+        let outputs =
+            self.prediction.data_mut().chunks_mut(n.max(1)).zip(self.target.data_mut().chunks_mut(n.max(1)));
+        let tasks: Vec<_> = inputs
+            .zip(outputs)
+            .flat_map(|((p, t), (x, y))| {
+                let inputs = p.chunks(BLOCK).zip(t.chunks(BLOCK));
+                inputs.zip(x.chunks_mut(BLOCK).zip(y.chunks_mut(BLOCK)))
+            })
+            .collect();
+        let partial: Vec<[f64; 2]> = tasks
+            .into_par_iter()
+            .enumerate()
+            .map(|(task, ((p, t), (x, y)))| {
+                let from = (task % blocks_per_plane) * BLOCK;
+                let mask = mask.map(|m| &m[from..from + p.len()]);
+                dispatch!(level, simd => weigh(simd, p, t, mask, x, y))
+            })
+            .collect();
+        let reg_l1 = partial.iter().map(|s| s[0]).sum::<f64>() / count;
+        let squared_error = partial.iter().map(|s| s[1]).sum::<f64>() / count;
+
+        let similarity =
+            self.measure.value_and_gradient(&self.prediction, &self.target, 1.0, &self.weights, gradient);
+        let reg_ms_ssim = 1.0 - similarity;
+
+        let absolute = ((1.0 - self.lambda) / count) as f32;
+        let structure = -self.lambda as f32;
+        gradient
+            .data_mut()
+            .par_chunks_mut(n.max(1))
+            .zip(self.prediction.data().par_chunks(n.max(1)).zip(self.target.data().par_chunks(n.max(1))))
+            .for_each(|(g, (x, y))| {
+                g.par_chunks_mut(BLOCK)
+                    .zip(x.par_chunks(BLOCK).zip(y.par_chunks(BLOCK)))
+                    .enumerate()
+                    .for_each(|(block, (g, (x, y)))| {
+                        let mask = mask.map(|m| &m[block * BLOCK..][..g.len()]);
+                        dispatch!(level, simd => pull(simd, x, y, mask, absolute, structure, g));
+                    });
+            });
+        let total = (1.0 - self.lambda) * reg_l1 + self.lambda * reg_ms_ssim;
+        PhotometricValue { total, reg_l1, reg_ms_ssim, squared_error }
+    }
+}
+
+#[inline(always)]
+fn load<S: Simd>(simd: S, values: &[f32], i: usize) -> f32x16<S> {
+    match values.get(i..i + LANES) {
+        Some(full) => f32x16::from_slice(simd, full),
+        None => {
+            let mut padded = [0.0; LANES];
+            padded[..values.len() - i].copy_from_slice(&values[i..]);
+            f32x16::from_slice(simd, &padded)
+        }
+    }
+}
+
+#[inline(always)]
+fn store<S: Simd>(value: f32x16<S>, values: &mut [f32], i: usize) {
+    match values.get_mut(i..i + LANES) {
+        Some(full) => value.store_slice(full),
+        None => {
+            let rest = values.len() - i;
+            values[i..].copy_from_slice(&value.as_slice()[..rest]);
+        }
+    }
+}
+
+/// `x = W Î − 1`, `y = W I − 1`; sums of `|W (Î − I)|` and of the squared error. Lanes past the end add nothing.
+#[inline(always)]
+fn weigh<S: Simd>(
+    simd: S,
+    prediction: &[f32],
+    target: &[f32],
+    mask: Option<&[f32]>,
+    x: &mut [f32],
+    y: &mut [f32],
+) -> [f64; 2] {
+    let zero = f32x16::splat(simd, 0.0);
+    let one = f32x16::splat(simd, 1.0);
+    let (mut absolute, mut squared) = (zero, zero);
+    for i in (0..prediction.len()).step_by(LANES) {
+        let (mut p, mut t) = (load(simd, prediction, i), load(simd, target, i));
+        if let Some(mask) = mask {
+            let m = load(simd, mask, i);
+            (p, t) = (p * m, t * m);
+        }
+        let w = one / (p.max(zero) + EPSILON);
+        let off = w * (t - p);
+        let from_one = w * -EPSILON;
+        store(from_one, x, i);
+        store(off + from_one, y, i);
+        absolute += off.abs();
+        let e = p.max(zero).min(one) - t;
+        squared = e.mul_add(e, squared);
+    }
+    [absolute, squared].map(|v| v.as_slice().iter().map(|&v| f64::from(v)).sum())
+}
+
+/// `g ← m W ((1 − λ)/N sign(Î − I) − λ g)`, where `W = −x / ε` and the sign is that of `x − y`.
+#[inline(always)]
+fn pull<S: Simd>(
+    simd: S,
+    x: &[f32],
+    y: &[f32],
+    mask: Option<&[f32]>,
+    absolute: f32,
+    structure: f32,
+    g: &mut [f32],
+) {
+    let zero = f32x16::splat(simd, 0.0);
+    let (plus, minus) = (f32x16::splat(simd, absolute), f32x16::splat(simd, -absolute));
+    for i in (0..g.len()).step_by(LANES) {
+        let (a, b) = (load(simd, x, i), load(simd, y, i));
+        let mut w = a * (-1.0 / EPSILON);
+        if let Some(mask) = mask {
+            w *= load(simd, mask, i);
+        }
+        let sign = a.simd_gt(b).select(plus, a.simd_lt(b).select(minus, zero));
+        let slope = load(simd, g, i).mul_add(structure, sign);
+        store(w * slope, g, i);
+    }
+}

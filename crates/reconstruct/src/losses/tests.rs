@@ -1,0 +1,184 @@
+//! Goldens and finite differences of the losses.
+
+use use3d_capture::{Image, Map};
+use use3d_golden::{Case, Part};
+use use3d_metrics::ms_ssim::level_weights;
+use use3d_numerics::random::{Purpose, Stream};
+
+use super::*;
+
+fn image(case: &Case<'_>, name: &str) -> Image {
+    let (w, h, data) = case.planes(name);
+    Image::from_planes(w, h, data).unwrap()
+}
+
+fn map(case: &Case<'_>, name: &str) -> Map {
+    let (w, h, data) = case.planes(name);
+    Map::from_planes(w, h, data).unwrap()
+}
+
+/// Level weights before they are renormalised: the training ones, or the case's own.
+fn weights(case: &Case<'_>) -> Vec<f64> {
+    let listed: Vec<f64> = serde_json::from_value(case.config()["weights"].clone()).unwrap();
+    let (w, h) = (case.count("width"), case.count("height"));
+    let ours = level_weights(&use3d_metrics::ms_ssim::RECONSTRUCTION_WEIGHTS, w, h);
+    let same = ours.len() == listed.len() && ours.iter().zip(&listed).all(|(a, b)| (a - b).abs() < 1e-9);
+    if same { use3d_metrics::ms_ssim::RECONSTRUCTION_WEIGHTS.to_vec() } else { listed }
+}
+
+#[test]
+fn golden_losses() {
+    let part = Part::math("losses");
+    let mut seen = 0;
+    for case in part.cases() {
+        if !case.has("in.pred") {
+            continue; // a whole training step: tested beside the engine
+        }
+        seen += 1;
+        let (prediction, target) = (image(&case, "in.pred"), image(&case, "in.target"));
+        let (depth, prior) = (map(&case, "in.depth"), map(&case, "in.prior"));
+        let (lambda, depth_weight) = (case.number("lam"), case.number("lam_d"));
+        let levels = weights(&case);
+        let mut gradient = Image::new(1, 1);
+        let mut depth_gradient = Map::new(1, 1);
+        let value =
+            PhotometricLoss::with_levels(lambda, &levels).evaluate(&prediction, &target, None, &mut gradient);
+        let depth_loss = DepthPriorLoss.evaluate(&depth, &prior, 1.0, &mut depth_gradient);
+        case.check_f64("out.reg_l1", &[value.reg_l1]);
+        case.check_f64("out.reg_ms_ssim", &[value.reg_ms_ssim]);
+        case.check_f64("out.depth_loss", &[depth_loss]);
+        case.check_f64("out.total", &[value.total + depth_weight * depth_loss]);
+        let mut measure = use3d_metrics::ms_ssim::MsSsim::new();
+        case.check_f64("out.ms_ssim_plain", &[measure.value(&prediction, &target, &levels)]);
+
+        for pull in case.pulls().keys() {
+            let cotangent = case.f64(&format!("cot.{}", case.pulls()[pull][0]))[0];
+            // (structure share, photometric factor, depth factor)
+            let (lambda, photometric, depth_factor) = match pull.as_str() {
+                "reg_l1" => (0.0, 1.0, 0.0),
+                "reg_ms_ssim" => (1.0, 1.0, 0.0),
+                "depth" => (lambda, 0.0, 1.0),
+                "total" => (lambda, 1.0, depth_weight),
+                other => panic!("unknown pull {other}"),
+            };
+            PhotometricLoss::with_levels(lambda, &levels).evaluate(&prediction, &target, None, &mut gradient);
+            let scaled = gradient.map(|g| (f64::from(g) * cotangent * photometric) as f32);
+            case.check_planes(&format!("grad.{pull}.pred"), scaled.data());
+            DepthPriorLoss.evaluate(&depth, &prior, depth_factor * cotangent, &mut depth_gradient);
+            case.check_planes(&format!("grad.{pull}.depth"), depth_gradient.data());
+        }
+    }
+    assert!(seen >= 4);
+}
+
+fn random_image(stream: &Stream, w: usize, h: usize, from: u64) -> Image {
+    let values = (0..3 * w * h).map(|i| 0.1 + 0.8 * stream.uniform(from + i as u64) as f32).collect();
+    Image::from_planes(w, h, values).unwrap()
+}
+
+/// The loss with the weight held at `held`, in f64 and by the definition up to MS-SSIM, whose own test covers it.
+fn held(prediction: &Image, held: &Image, target: &Image, mask: &Map) -> f64 {
+    let n = mask.pixels();
+    let weight = |i: usize| 1.0 / (f64::from(held.data()[i] * mask.data()[i % n]) + 1e-3);
+    let weighted = |image: &Image| {
+        let values =
+            (0..3 * n).map(|i| (weight(i) * f64::from(image.data()[i] * mask.data()[i % n]) - 1.0) as f32);
+        Image::from_planes(image.width(), image.height(), values.collect()).unwrap()
+    };
+    let (x, y) = (weighted(prediction), weighted(target));
+    let absolute: f64 =
+        x.data().iter().zip(y.data()).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>() / (3 * n) as f64;
+    let mut scratch = Image::new(1, 1);
+    let similarity = use3d_metrics::ms_ssim::MsSsim::new().value_and_gradient(
+        &x,
+        &y,
+        1.0,
+        &use3d_metrics::ms_ssim::RECONSTRUCTION_WEIGHTS,
+        &mut scratch,
+    );
+    0.8 * absolute + 0.2 * (1.0 - similarity)
+}
+
+#[test]
+fn the_photometric_gradient_agrees_with_finite_differences_under_a_mask() {
+    for seed in 0..3 {
+        let (w, h) = (33 + seed as usize, 29);
+        let stream = Stream::new(seed, Purpose::new("photometric probes"), 0);
+        let prediction = random_image(&stream, w, h, 0);
+        let noise = random_image(&stream, w, h, 50_000);
+        // Never nearer to the prediction than a probe moves it, so that no pixel crosses the kink of |Î − I|.
+        let factor = |n: &f32| if *n < 0.5 { 0.95 - 0.1 * n } else { 1.05 + 0.1 * n };
+        let values = prediction.data().iter().zip(noise.data()).map(|(p, n)| p * factor(n)).collect();
+        let target = Image::from_planes(w, h, values).unwrap();
+        let mask_values = (0..w * h).map(|i| if i % w < 8 { 0.0 } else { 1.0 }).collect();
+        let mask = Map::from_planes(w, h, mask_values).unwrap();
+        let mut gradient = Image::new(1, 1);
+        let value = PhotometricLoss::new(0.2).evaluate(&prediction, &target, Some(&mask), &mut gradient);
+        assert!((value.total - held(&prediction, &prediction, &target, &mask)).abs() < 1e-5);
+        let norm = gradient.data().iter().map(|&g| f64::from(g).powi(2)).sum::<f64>().sqrt();
+        for probe in 0..6u64 {
+            let direction: Vec<f32> =
+                (0..3 * w * h).map(|i| stream.normal(900_000 + probe * 50_000 + i as u64) as f32).collect();
+            let moved = |by: f32| {
+                let values =
+                    prediction.data().iter().zip(&direction).map(|(p, d)| p + by * d.clamp(-2.0, 2.0));
+                let image = Image::from_planes(w, h, values.collect()).unwrap();
+                held(&image, &prediction, &target, &mask)
+            };
+            let numeric = (moved(1e-3) - moved(-1e-3)) / 2e-3;
+            let expected: f64 =
+                gradient.data().iter().zip(&direction).map(|(&g, d)| f64::from(g * d.clamp(-2.0, 2.0))).sum();
+            assert!((numeric - expected).abs() < 2e-2 * norm, "{numeric} against {expected}, norm {norm}");
+        }
+        for (i, &g) in gradient.data().iter().enumerate() {
+            assert!(i % w >= 8 || g == 0.0, "a masked pixel has a gradient");
+        }
+    }
+}
+
+#[test]
+fn the_depth_gradient_agrees_with_finite_differences() {
+    for seed in 0..3 {
+        let (w, h) = (23, 17);
+        let stream = Stream::new(seed, Purpose::new("depth probes"), 0);
+        let depth: Vec<f32> = (0..w * h).map(|i| 0.2 + 2.0 * stream.uniform(i as u64) as f32).collect();
+        let prior: Vec<f32> =
+            (0..w * h)
+                .map(|i| {
+                    if i % 7 == 0 {
+                        0.0
+                    } else {
+                        1.0 / depth[i] + 0.3 * stream.uniform(9000 + i as u64) as f32
+                    }
+                })
+                .collect();
+        let (mut depth, prior) =
+            (Map::from_planes(w, h, depth).unwrap(), Map::from_planes(w, h, prior).unwrap());
+        let (mut gradient, mut scratch) = (Map::new(1, 1), Map::new(1, 1));
+        DepthPriorLoss.evaluate(&depth, &prior, 1.0, &mut gradient);
+        let scale = gradient.data().iter().fold(0.0f32, |m, g| m.max(g.abs()));
+        for at in (0..w * h).step_by(11) {
+            let mut moved = |by: f32| {
+                depth.data_mut()[at] += by;
+                let value = DepthPriorLoss.evaluate(&depth, &prior, 1.0, &mut scratch);
+                depth.data_mut()[at] -= by;
+                value
+            };
+            let numeric = (moved(1e-3) - moved(-1e-3)) / 2e-3;
+            assert!((numeric - f64::from(gradient.data()[at])).abs() < 1e-2 * f64::from(scale));
+        }
+    }
+}
+
+#[test]
+fn worthless_priors_give_no_gradient_and_no_nan() {
+    let depth = Map::from_planes(8, 8, (0..64).map(|i| i as f32 * 0.1).collect()).unwrap();
+    let mut gradient = Map::new(1, 1);
+    for value in [0.5, 0.0, f32::NAN, f32::INFINITY, -1.0] {
+        let loss = DepthPriorLoss.evaluate(&depth, &Map::filled(8, 8, value), 0.1, &mut gradient);
+        assert!(loss.is_finite() && (0.0..=1.0).contains(&loss));
+        assert!(gradient.data().iter().all(|g| g.abs() < 1e-6), "prior {value}");
+    }
+    let loss = DepthPriorLoss.evaluate(&Map::filled(8, 8, f32::NAN), &depth, 0.1, &mut gradient);
+    assert!(loss == 0.0 && gradient.data().iter().all(|&g| g == 0.0));
+}

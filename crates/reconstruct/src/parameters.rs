@@ -1,0 +1,368 @@
+//! Every number of stage 1, with the method's value as default.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Which model of the water is fitted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Medium {
+    /// Anchored spherical harmonics: the method's own.
+    #[default]
+    Rbf,
+    /// A network of the viewing direction (WaterSplatting's water).
+    Mlp,
+    /// One set of spherical harmonics (Plenodium's water).
+    Global,
+    /// No water: plain Gaussian splatting.
+    None,
+}
+
+/// Where depth priors come from (R14).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum DepthPrior {
+    /// No depth term.
+    Off,
+    /// Files beside the images; none there: no depth term, said aloud.
+    #[default]
+    Folder,
+    /// Made by Depth Anything V2 before training.
+    DepthAnythingV2,
+}
+
+/// A learning rate that decays log-linearly over the run.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Rate(
+    /// At the first step.
+    pub f64,
+    /// At the last step.
+    pub f64,
+);
+
+impl Rate {
+    /// The rate at `step` of `steps`.
+    pub fn at(self, step: u64, steps: u64) -> f64 {
+        use3d_numerics::adam::exponential_decay(self.0, self.1, step, steps)
+    }
+}
+
+/// Adam's learning rates, first and last, per group of parameters.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct LearningRates {
+    /// Centres, normalised scene units.
+    pub means: Rate,
+    /// Constant colour coefficients.
+    pub sh_constant: Rate,
+    /// Directional colour coefficients.
+    pub sh_directional: Rate,
+    /// Opacity logits.
+    pub opacity: Rate,
+    /// Log scales.
+    pub scales: Rate,
+    /// Quaternions.
+    pub quaternions: Rate,
+    /// The water's constant coefficients.
+    pub medium_constant: Rate,
+    /// The water's directional coefficients, anchor centres and log widths.
+    pub medium_directional: Rate,
+    /// The weights of the `mlp` water.
+    pub medium_network: Rate,
+}
+
+impl Default for LearningRates {
+    fn default() -> Self {
+        Self {
+            means: Rate(1.6e-4, 5e-5),
+            sh_constant: Rate(2.5e-3, 2.5e-4),
+            sh_directional: Rate(1.25e-4, 1.25e-5),
+            opacity: Rate(0.05, 0.05),
+            scales: Rate(5e-3, 5e-3),
+            quaternions: Rate(1e-3, 1e-3),
+            medium_constant: Rate(2.5e-3, 2.5e-4),
+            medium_directional: Rate(1.25e-4, 1.25e-5),
+            medium_network: Rate(1e-3, 1.5e-4),
+        }
+    }
+}
+
+/// When and how Gaussians are added and removed (R9).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Densify {
+    /// Whether the number of Gaussians changes at all.
+    pub enabled: bool,
+    /// Gradient statistics are gathered from this step on.
+    pub statistics_from: u64,
+    /// No refinement up to this step (at most a quarter of the run).
+    pub warm_up: u64,
+    /// Steps between refinements.
+    pub every: u64,
+    /// Steps between opacity ceilings.
+    pub period: u64,
+    /// Longest pause after a ceiling: densification waits until `step mod period` reaches the smaller of this and the number of
+    /// training views + `every`.
+    pub pause: u64,
+    /// Share of the run after which nothing is added any more.
+    pub until: f64,
+    /// Mean absolute screen gradient above which a Gaussian is split or duplicated.
+    pub gradient_threshold: f64,
+    /// Largest standard deviation up to which it is duplicated rather than split, scene units.
+    pub split_scale: f64,
+    /// Factor by which the children of a split are smaller.
+    pub shrink: f64,
+    /// Gaussians below this opacity are removed while densifying.
+    pub cull_opacity: f64,
+    /// The same afterwards, at every refinement to the end.
+    pub cull_opacity_late: f64,
+    /// Gaussians with a standard deviation above this are removed, scene units.
+    pub cull_scale: f64,
+    /// Opacities are lowered to this at every ceiling.
+    pub opacity_ceiling: f64,
+    /// Culling never leaves fewer Gaussians than this …
+    pub floor: usize,
+    /// … nor a smaller share of the initial ones.
+    pub floor_share: f64,
+    /// Whether Adam's moments of the water's coefficients are zeroed at every refinement.
+    pub reset_medium: bool,
+}
+
+impl Default for Densify {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            statistics_from: 100,
+            warm_up: 600,
+            every: 100,
+            period: 500,
+            pause: 250,
+            until: 2.0 / 3.0,
+            gradient_threshold: 8e-4,
+            split_scale: 1e-3,
+            shrink: 1.6,
+            cull_opacity: 0.5,
+            cull_opacity_late: 0.1,
+            cull_scale: 10.0,
+            opacity_ceiling: 0.45,
+            floor: 100,
+            floor_share: 0.1,
+            reset_medium: true,
+        }
+    }
+}
+
+/// The parameters of stage 1.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ReconstructParams {
+    /// Training steps, one view each.
+    pub iterations: u64,
+    /// The model of the water.
+    pub medium: Medium,
+    /// Anchors of the `rbf` water.
+    pub anchors: usize,
+    /// Anchors that share a view.
+    pub top_k: usize,
+    /// Where depth priors come from.
+    pub depth_prior: DepthPrior,
+    /// Weight of the depth term.
+    pub depth_weight: f64,
+    /// Whether gradients flow through the ray distances of the water's terms (R2).
+    pub depth_gradient: bool,
+    /// Weight λ of Reg-MS-SSIM against Reg-L1.
+    pub structure_weight: f64,
+    /// Degree of the Gaussians' and the water's spherical harmonics, 0 to 3.
+    pub sh_degree: usize,
+    /// Share of the run after which the active degree grows by one, again and again.
+    pub sh_every: f64,
+    /// Image divisors and the share of the run from which each holds (R11); the first starts at 0.
+    pub resolution_schedule: Vec<(f64, usize)>,
+    /// Opacity of the initial Gaussians.
+    pub initial_opacity: f64,
+    /// Initial Gaussians where the capture has fewer than 100 sparse points.
+    pub random_points: usize,
+    /// Adam's learning rates.
+    pub learning_rates: LearningRates,
+    /// Density control.
+    pub densify: Densify,
+    /// Most Gaussians; 0: as many as half of the free memory holds, at most four million.
+    pub max_gaussians: usize,
+    /// Seed of every random draw.
+    pub seed: u64,
+    /// Steps between held-out evaluations (0: only at the end).
+    pub evaluate_every: u64,
+    /// Steps between lines of the training log.
+    pub log_every: u64,
+    /// Most steps between checkpoints.
+    pub checkpoint_steps: u64,
+    /// Most minutes between checkpoints.
+    pub checkpoint_minutes: f64,
+}
+
+impl Default for ReconstructParams {
+    fn default() -> Self {
+        Self {
+            iterations: 15_000,
+            medium: Medium::Rbf,
+            anchors: 8,
+            top_k: 4,
+            depth_prior: DepthPrior::Folder,
+            depth_weight: 0.1,
+            depth_gradient: true,
+            structure_weight: 0.2,
+            sh_degree: 3,
+            sh_every: 1.0 / 15.0,
+            resolution_schedule: vec![(0.0, 4), (0.2, 2), (0.4, 1)],
+            initial_opacity: 0.1,
+            random_points: 10_000,
+            learning_rates: LearningRates::default(),
+            densify: Densify::default(),
+            max_gaussians: 0,
+            seed: 42,
+            evaluate_every: 0,
+            log_every: 100,
+            checkpoint_steps: 1000,
+            checkpoint_minutes: 3.0,
+        }
+    }
+}
+
+impl ReconstructParams {
+    /// Checks every range; the message names the field.
+    pub fn validate(&self) -> Result<(), String> {
+        let positive = |name: &str, value: f64| {
+            if value.is_finite() && value > 0.0 {
+                Ok(())
+            } else {
+                Err(format!("{name} is {value}; expected a positive number"))
+            }
+        };
+        let share = |name: &str, value: f64| {
+            if (0.0..=1.0).contains(&value) {
+                Ok(())
+            } else {
+                Err(format!("{name} is {value}; expected 0 to 1"))
+            }
+        };
+        let at_least = |name: &str, value: u64, least: u64| {
+            if value >= least { Ok(()) } else { Err(format!("{name} is {value}; expected at least {least}")) }
+        };
+        at_least("iterations", self.iterations, 1)?;
+        at_least("anchors", self.anchors as u64, 1)?;
+        at_least("log_every", self.log_every, 1)?;
+        at_least("checkpoint_steps", self.checkpoint_steps, 1)?;
+        at_least("densify.every", self.densify.every, 1)?;
+        at_least("densify.period", self.densify.period, 1)?;
+        at_least("random_points", self.random_points as u64, 1)?;
+        positive("checkpoint_minutes", self.checkpoint_minutes)?;
+        if self.top_k == 0 || self.top_k > self.anchors {
+            return Err(format!("top_k is {}; expected 1 to anchors, which is {}", self.top_k, self.anchors));
+        }
+        if self.sh_degree > 3 {
+            return Err(format!("sh_degree is {}; expected 0 to 3", self.sh_degree));
+        }
+        share("structure_weight", self.structure_weight)?;
+        share("initial_opacity", self.initial_opacity)?;
+        positive("initial_opacity", self.initial_opacity)?;
+        positive("1 - initial_opacity", 1.0 - self.initial_opacity)?;
+        if !(self.depth_weight.is_finite() && self.depth_weight >= 0.0) {
+            return Err(format!("depth_weight is {}; expected 0 or more", self.depth_weight));
+        }
+        positive("sh_every", self.sh_every)?;
+        let schedule = &self.resolution_schedule;
+        let starts_at_zero = schedule.first().is_some_and(|s| s.0 == 0.0);
+        let ascends = schedule.windows(2).all(|w| w[0].0 < w[1].0);
+        if !starts_at_zero || !ascends || schedule.iter().any(|s| s.1 == 0 || !(0.0..=1.0).contains(&s.0)) {
+            return Err(format!(
+                "resolution_schedule is {schedule:?}; expected pairs of (share of the run, divisor), the first at 0, ascending, divisors at least 1"
+            ));
+        }
+        let d = &self.densify;
+        share("densify.until", d.until)?;
+        share("densify.cull_opacity", d.cull_opacity)?;
+        share("densify.cull_opacity_late", d.cull_opacity_late)?;
+        share("densify.floor_share", d.floor_share)?;
+        positive("densify.gradient_threshold", d.gradient_threshold)?;
+        positive("densify.split_scale", d.split_scale)?;
+        positive("densify.shrink", d.shrink)?;
+        positive("densify.cull_scale", d.cull_scale)?;
+        if !(d.opacity_ceiling > 0.0 && d.opacity_ceiling < 1.0) {
+            return Err(format!(
+                "densify.opacity_ceiling is {}; expected between 0 and 1",
+                d.opacity_ceiling
+            ));
+        }
+        let r = &self.learning_rates;
+        for (name, rate) in [
+            ("means", r.means),
+            ("sh_constant", r.sh_constant),
+            ("sh_directional", r.sh_directional),
+            ("opacity", r.opacity),
+            ("scales", r.scales),
+            ("quaternions", r.quaternions),
+            ("medium_constant", r.medium_constant),
+            ("medium_directional", r.medium_directional),
+            ("medium_network", r.medium_network),
+        ] {
+            positive(&format!("learning_rates.{name}[0]"), rate.0)?;
+            positive(&format!("learning_rates.{name}[1]"), rate.1)?;
+        }
+        Ok(())
+    }
+
+    /// The image divisor at `step`.
+    pub fn divisor(&self, step: u64) -> usize {
+        let reached =
+            self.resolution_schedule.iter().rev().find(|s| step as f64 >= s.0 * self.iterations as f64);
+        reached.map_or(1, |s| s.1)
+    }
+
+    /// The active spherical-harmonics degree at `step`.
+    pub fn active_degree(&self, step: u64) -> usize {
+        let every = (self.sh_every * self.iterations as f64).round().max(1.0) as u64;
+        ((step / every) as usize).min(self.sh_degree)
+    }
+
+    /// The step from which nothing is added any more.
+    pub fn densify_end(&self) -> u64 {
+        (self.densify.until * self.iterations as f64).round() as u64
+    }
+
+    /// The step up to which nothing is refined: the preset, but at most a quarter of a short run.
+    pub fn warm_up(&self) -> u64 {
+        self.densify.warm_up.min(self.iterations / 4)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn schedules_are_those_of_the_method_at_fifteen_thousand_steps() {
+        let p = ReconstructParams::default();
+        p.validate().unwrap();
+        let divisors = [0, 2999, 3000, 5999, 6000, 14_999].map(|s| p.divisor(s));
+        assert_eq!(divisors, [4, 4, 2, 2, 1, 1]);
+        assert_eq!([0, 999, 1000, 2000, 3000, 9000].map(|s| p.active_degree(s)), [0, 0, 1, 2, 3, 3]);
+        assert_eq!((p.densify_end(), p.warm_up()), (10_000, 600));
+        let short = ReconstructParams { iterations: 1500, ..p };
+        assert_eq!((short.divisor(299), short.divisor(300), short.active_degree(100)), (4, 2, 1));
+        assert_eq!((short.densify_end(), short.warm_up()), (1000, 375));
+    }
+
+    #[test]
+    fn a_wrong_value_is_named() {
+        let wrong = |change: fn(&mut ReconstructParams)| {
+            let mut p = ReconstructParams::default();
+            change(&mut p);
+            p.validate().unwrap_err()
+        };
+        assert!(wrong(|p| p.top_k = 9).contains("top_k"));
+        assert!(wrong(|p| p.resolution_schedule.clear()).contains("resolution_schedule"));
+        assert!(wrong(|p| p.learning_rates.means.1 = f64::NAN).contains("means[1]"));
+        assert!(wrong(|p| p.densify.opacity_ceiling = 1.0).contains("opacity_ceiling"));
+        assert!(wrong(|p| p.iterations = 0).contains("iterations"));
+    }
+}

@@ -1,0 +1,388 @@
+//! The whole of stage 1: one golden step, and short runs on a tiny scene.
+
+use std::path::PathBuf;
+
+use glam::{DMat3, DVec3};
+use use3d_capture::{
+    Camera, Capture, Frame, Intrinsics, Lattice, MediumMaps, Pixels, Pose, SparsePoint, Split, View,
+};
+use use3d_golden::Part;
+use use3d_medium::{MediumModel, MediumRbf};
+use use3d_numerics::random::{Purpose, Stream};
+use use3d_splat::{Colors, Gaussians, Options, Prepared, Rasterizer, Rendered};
+use use3d_training::{Observer, Progress, Silent};
+
+use crate::engine::{CpuEngine, Engine, StepRates, StepSettings};
+use crate::{
+    DepthPrior, LoadedView, LogEntry, Medium, Outcome, ReconstructError, ReconstructParams, TrainingView,
+    reconstruct,
+};
+
+const NO_RATES: StepRates = StepRates {
+    means: 0.0,
+    sh_constant: 0.0,
+    sh_directional: 0.0,
+    opacity: 0.0,
+    scales: 0.0,
+    quaternions: 0.0,
+    medium_constant: 0.0,
+    medium_directional: 0.0,
+    medium_network: 0.0,
+};
+
+fn view_named(name: String, camera: Camera) -> View {
+    View { name, id: 0, image: PathBuf::new(), mask: None, depth_prior: None, camera }
+}
+
+#[test]
+fn golden_stage1_step() {
+    let part = Part::math("losses");
+    let mut seen = 0;
+    for case in part.cases() {
+        if !case.has("in.means") {
+            continue;
+        }
+        seen += 1;
+        let rotation = DMat3::from_cols_slice(&case.f64("in.R_cw")).transpose();
+        let camera = Camera {
+            intrinsics: Intrinsics {
+                width: case.count("width"),
+                height: case.count("height"),
+                fx: case.number("fx"),
+                fy: case.number("fy"),
+                cx: case.number("cx"),
+                cy: case.number("cy"),
+            },
+            pose: Pose { rotation, translation: DVec3::from_slice(&case.f64("in.t_cw")) },
+        };
+        let sh = case.f32("in.sh");
+        let gaussians = Gaussians {
+            sh_degree: case.count("sh_degree"),
+            means: case.rows("in.means"),
+            log_scales: case.rows("in.log_scales"),
+            quaternions: case.rows("in.quats"),
+            opacity_logits: case.f32("in.opacity_logits"),
+            sh: bytemuck::cast_slice(&sh).to_vec(),
+        };
+        let coefficients = case.f32("in.coeffs");
+        let water = MediumRbf {
+            centers: case.rows("in.centers"),
+            log_widths: case.f32("in.log_widths"),
+            coefficients: bytemuck::cast_slice(&coefficients).to_vec(),
+            top_k: case.count("top_k"),
+        };
+        let mut engine = CpuEngine::new(gaussians, MediumModel::Rbf(water), case.number("lam"));
+        let (w, h, target) = case.planes("in.target");
+        let (_, _, prior) = case.planes("in.prior");
+        let view = TrainingView::exact(
+            camera,
+            use3d_capture::Image::from_planes(w, h, target).unwrap(),
+            use3d_capture::Map::from_planes(w, h, prior).unwrap(),
+        );
+        let view = engine.upload(view);
+        let settings = StepSettings {
+            step: 0,
+            divisor: 1,
+            degree: case.count("medium_degree"),
+            rates: NO_RATES,
+            depth_weight: case.number("lam_d"),
+            depth_gradient: true,
+            gather: false,
+        };
+        let (value, depth_loss) = engine.differentiate(view, &settings);
+        case.check_planes("out.rgb", engine.rendered().image.data());
+        case.check_planes("out.depth", engine.rendered().depth.data());
+        case.check_f64("out.reg_l1", &[value.reg_l1]);
+        case.check_f64("out.reg_ms_ssim", &[value.reg_ms_ssim]);
+        case.check_f64("out.depth_loss", &[depth_loss.unwrap()]);
+        case.check_f64("out.total", &[value.total + settings.depth_weight * depth_loss.unwrap()]);
+        let cotangent = case.f64("cot.total")[0];
+        let (g, water) = engine.gradients();
+        let MediumModel::Rbf(water) = water else { panic!("the water is an RBF") };
+        let check = |name: &str, values: &[f32]| {
+            let scaled: Vec<f64> = values.iter().map(|&v| f64::from(v) * cotangent).collect();
+            case.check_f64(&format!("grad.total.{name}"), &scaled);
+        };
+        check("means", g.means.as_flattened());
+        check("log_scales", g.log_scales.as_flattened());
+        check("quats", g.quaternions.as_flattened());
+        check("opacity_logits", &g.opacity_logits);
+        check("sh", g.sh.as_flattened().as_flattened());
+        check("centers", water.centers.as_flattened());
+        check("log_widths", &water.log_widths);
+        check("coeffs", bytemuck::cast_slice(&water.coefficients));
+    }
+    assert!(seen > 0, "no whole step among the cases");
+}
+
+/// A tiny reef of known truth: a wall of Gaussians in blue water, seen by a row of cameras.
+fn tiny_capture(views: usize) -> (Capture, Vec<LoadedView>) {
+    let stream = Stream::new(11, Purpose::new("tiny reef"), 0);
+    let n = 260;
+    let mut truth = Gaussians::empty(0);
+    let mut points = Vec::new();
+    for i in 0..n as u64 {
+        let u = |k: u64| stream.uniform(10 * i + k);
+        let position = [2.4 * u(0) - 1.2, 1.8 * u(1) - 0.9, 1.5 + 0.8 * u(2)];
+        let color = [0.2 + 0.7 * u(3), 0.2 + 0.6 * u(4), 0.2 + 0.6 * u(5)];
+        truth.means.push(position.map(|v| v as f32));
+        truth.log_scales.push([0; 3].map(|_: i32| (0.09f64 + 0.05 * u(6)).ln() as f32));
+        truth.quaternions.push([1.0, 0.0, 0.0, 0.0]);
+        truth.opacity_logits.push(2.5);
+        let mut sh = [[0.0; 3]; 16];
+        sh[0] = color.map(|c| ((c - 0.5) / 0.282_094_79) as f32);
+        truth.sh.push(sh);
+        points.push(SparsePoint {
+            position: DVec3::from(position) + 0.01 * DVec3::new(u(7) - 0.5, u(8) - 0.5, u(9) - 0.5),
+            color: color.map(|c| (c * 255.0) as u8),
+            error: 0.5,
+            track_length: 3,
+        });
+    }
+    let mut water = MediumRbf::new(8, 4);
+    for a in &mut water.coefficients {
+        a[0][0] = [-1.4, -0.6, 0.2];
+        a[1][0] = [-2.0, -1.5, -1.0];
+        a[2][0] = [1.0, -1.5, -3.0];
+    }
+    let water = MediumModel::Rbf(water);
+    let intrinsics = Intrinsics { width: 56, height: 44, fx: 50.0, fy: 50.0, cx: 28.0, cy: 22.0 };
+    let (mut rasterizer, mut prepared) = (Rasterizer::new(), Prepared::new());
+    let (mut maps, mut rendered) = (MediumMaps::zeros(0, 0), Rendered::new());
+    let mut loaded = Vec::new();
+    let views: Vec<View> = (0..views)
+        .map(|i| {
+            let t = i as f64 / views.max(2) as f64 - 0.5;
+            let eye = DVec3::new(1.2 * t, 0.3 * (7.0 * t).sin(), -0.2 * t);
+            let camera =
+                Camera { intrinsics, pose: Pose::look_at(eye, DVec3::new(0.2 * t, 0.0, 2.0), -DVec3::Y) };
+            let lattice = Lattice::full(&intrinsics);
+            water.maps(&camera, &lattice, 3, &mut maps);
+            prepared.prepare(&truth, &camera, &lattice, Colors::Sh { degree: 0 });
+            rasterizer.forward(&prepared, Some(&maps), &Options::default(), &mut rendered);
+            let prior = rendered.depth.map(|d| if d > 0.0 { 1.0 / d } else { 0.0 });
+            loaded.push(LoadedView {
+                pixels: Pixels::Eight(rendered.image.to_8bit()),
+                alpha: None,
+                mask: None,
+                depth_prior: Some(prior),
+            });
+            view_named(format!("{i:03}.png"), camera)
+        })
+        .collect();
+    let split = Split::every(views.len(), 5);
+    (Capture { name: "tiny".into(), views, split, points, frame: Frame::IDENTITY }, loaded)
+}
+
+fn loader(loaded: &[LoadedView]) -> impl Fn(&View) -> Result<LoadedView, String> + Sync + '_ {
+    |view| {
+        let index: usize = view.name[..3].parse().map_err(|e| format!("{e}"))?;
+        Ok(loaded[index].clone())
+    }
+}
+
+fn tiny_params(iterations: u64) -> ReconstructParams {
+    let mut params = ReconstructParams { iterations, log_every: 10, ..ReconstructParams::default() };
+    params.resolution_schedule = vec![(0.0, 2), (0.3, 1)];
+    params.densify.statistics_from = 0;
+    params.densify.warm_up = iterations / 3;
+    params.densify.every = 5;
+    params.densify.period = 25;
+    params.densify.pause = 10;
+    params.densify.cull_opacity = 0.05;
+    params.densify.gradient_threshold = 2e-4;
+    params
+}
+
+/// Stops after some steps, and keeps what it was told.
+#[derive(Default)]
+struct Watcher {
+    stop_at: Option<u64>,
+    panic_at: Option<u64>,
+    step: u64,
+    notices: Vec<String>,
+}
+
+impl Observer for Watcher {
+    fn progress(&mut self, progress: &Progress) {
+        self.step = progress.step;
+        assert!(self.panic_at != Some(self.step), "killed");
+    }
+
+    fn notice(&mut self, message: &str) {
+        self.notices.push(message.into());
+    }
+
+    fn should_stop(&self) -> bool {
+        self.stop_at == Some(self.step)
+    }
+}
+
+fn same(a: &Outcome, b: &Outcome) -> bool {
+    a.scene == b.scene && a.log == b.log && a.evaluation == b.evaluation
+}
+
+#[test]
+fn a_short_run_learns_the_scene_and_its_water() {
+    let (capture, loaded) = tiny_capture(10);
+    let run = |medium, iterations| {
+        let mut params = ReconstructParams { medium, ..tiny_params(iterations) };
+        // The method's rate is made for fifteen thousand steps: in so few, the water would stay what it was at the start.
+        params.learning_rates.medium_constant = crate::Rate(0.1, 0.02);
+        reconstruct(&capture, &loader(&loaded), &params, None, &mut Silent).unwrap()
+    };
+    let (wet, dry) = (run(Medium::Rbf, 160), run(Medium::None, 160));
+    let psnr = |o: &Outcome| o.evaluation.as_ref().unwrap().psnr;
+    assert!(psnr(&wet) > 18.5, "held-out PSNR {:.2} dB", psnr(&wet));
+    assert!(psnr(&wet) > psnr(&dry) + 0.5, "with water {:.2} dB, without {:.2} dB", psnr(&wet), psnr(&dry));
+    assert!(wet.log.iter().any(|e| matches!(e, LogEntry::Refine { split, .. } if *split > 0)));
+    assert!(wet.log.iter().any(|e| matches!(e, LogEntry::Ceiling { .. })));
+    assert_eq!(wet.evaluation.as_ref().unwrap().views.len(), 2);
+    wet.scene.gaussians.validate().unwrap();
+    assert!(wet.log_lines().lines().count() == wet.log.len() && wet.plot().contains("</svg>"));
+    for medium in [Medium::Global, Medium::Mlp] {
+        let other = run(medium, 40);
+        let first = |o: &Outcome| {
+            o.log.iter().find_map(|e| if let LogEntry::Steps { psnr, .. } = e { Some(*psnr) } else { None })
+        };
+        assert!(psnr(&other) > first(&other).unwrap() + 1.0, "{medium:?}: {:.2} dB", psnr(&other));
+    }
+}
+
+#[test]
+fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
+    let (capture, loaded) = tiny_capture(7);
+    let params = ReconstructParams { checkpoint_steps: 8, ..tiny_params(60) };
+    let on = |threads: usize, dir: Option<&std::path::Path>, observer: &mut Watcher| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let work = || reconstruct(&capture, &loader(&loaded), &params, dir, observer);
+        pool.install(work)
+    };
+    let whole = on(1, None, &mut Watcher::default()).unwrap();
+    assert!(same(&whole, &on(3, None, &mut Watcher::default()).unwrap()), "threads change the scene");
+
+    let dir = tempfile::tempdir().unwrap();
+    // Asked to stop: the state of that very step is kept.
+    let stopped = on(2, Some(dir.path()), &mut Watcher { stop_at: Some(27), ..Watcher::default() });
+    assert!(matches!(stopped, Err(ReconstructError::Interrupted { step: 27, steps: 60, saved: true })));
+    // Killed without a word: the last checkpoint is taken up.
+    let killed = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+        on(1, Some(dir.path()), &mut Watcher { panic_at: Some(46), ..Watcher::default() })
+    }));
+    assert!(killed.is_err());
+    let mut watcher = Watcher::default();
+    let resumed = on(2, Some(dir.path()), &mut watcher).unwrap();
+    assert!(watcher.notices.iter().any(|n| n.contains("going on from step 43")), "{:?}", watcher.notices);
+    assert!(same(&whole, &resumed), "interruptions change the scene");
+    // A finished run is not run again.
+    assert!(same(
+        &whole,
+        &on(1, Some(dir.path()), &mut Watcher { panic_at: Some(1), ..Watcher::default() }).unwrap()
+    ));
+
+    // A checkpoint of other parameters, and a damaged one, are left alone aloud.
+    let other = ReconstructParams { seed: 7, iterations: 3, ..params.clone() };
+    let mut watcher = Watcher::default();
+    reconstruct(&capture, &loader(&loaded), &other, Some(dir.path()), &mut watcher).unwrap();
+    assert!(watcher.notices.iter().any(|n| n.contains("other parameters")), "{:?}", watcher.notices);
+    std::fs::write(dir.path().join(crate::CHECKPOINT), b"3d-use state v01 nonsense").unwrap();
+    let mut watcher = Watcher::default();
+    reconstruct(&capture, &loader(&loaded), &other, Some(dir.path()), &mut watcher).unwrap();
+    assert!(watcher.notices.iter().any(|n| n.contains("starting anew")), "{:?}", watcher.notices);
+}
+
+#[test]
+fn bad_captures_get_a_clear_word() {
+    let (capture, loaded) = tiny_capture(6);
+    let params = tiny_params(2);
+    let run = |capture: &Capture, params: &ReconstructParams| {
+        let mut watcher = Watcher::default();
+        let result = reconstruct(capture, &loader(&loaded), params, None, &mut watcher);
+        (result.map_err(|e| e.to_string()), watcher.notices)
+    };
+    let error = |capture: &Capture| run(capture, &params).0.unwrap_err();
+
+    let nothing = Capture { views: Vec::new(), split: Split::default(), ..capture.clone() };
+    assert!(error(&nothing).contains("no views"));
+    let held_out = Capture { split: Split::every(6, 1), ..capture.clone() };
+    assert!(error(&held_out).contains("all 6 views are in the test split"));
+    let one = Capture { split: Split { train: vec![2], test: vec![] }, ..capture.clone() };
+    assert!(error(&one).contains("only one training view (`002.png`)"));
+    let mut behind = capture.clone();
+    behind.points.iter_mut().for_each(|p| p.position.z = -9.0);
+    assert!(error(&behind).contains("in front of any"));
+    let mut wrong_size = capture.clone();
+    wrong_size.views[3].camera.intrinsics.width = 57;
+    assert!(error(&wrong_size).contains("`003.png`: its image is 56x44 pixels, its camera 57x44"));
+    let wrong = ReconstructParams { top_k: 0, ..params.clone() };
+    assert!(run(&capture, &wrong).0.unwrap_err().contains("top_k"));
+
+    let few = Capture { points: capture.points[..9].to_vec(), ..capture.clone() };
+    let (result, notices) = run(&few, &ReconstructParams { random_points: 300, ..params.clone() });
+    assert_eq!(result.unwrap().initial_gaussians, 309);
+    assert!(notices.iter().any(|n| n.contains("only 9 sparse points")), "{notices:?}");
+    let none = Capture { points: Vec::new(), ..capture.clone() };
+    assert_eq!(
+        run(&none, &ReconstructParams { random_points: 250, ..params.clone() }).0.unwrap().initial_gaussians,
+        250
+    );
+
+    let mut bad_priors = loaded.clone();
+    bad_priors[1].depth_prior = Some(use3d_capture::Map::filled(56, 44, 0.3));
+    bad_priors[2].depth_prior = Some(use3d_capture::Map::filled(56, 44, f32::NAN));
+    let mut watcher = Watcher::default();
+    reconstruct(&capture, &loader(&bad_priors), &params, None, &mut watcher).unwrap();
+    for part in [
+        "`001.png`: its depth prior is the same everywhere",
+        "`002.png`: its depth prior has no finite",
+        "only 2 of 4",
+    ] {
+        assert!(watcher.notices.iter().any(|n| n.contains(part)), "{part}: {:?}", watcher.notices);
+    }
+}
+
+#[test]
+fn a_run_that_diverges_says_where_and_keeps_the_last_checkpoint() {
+    let (capture, loaded) = tiny_capture(5);
+    let dir = tempfile::tempdir().unwrap();
+    let mut params = ReconstructParams { checkpoint_steps: 1, ..tiny_params(30) };
+    // Past what f32 holds about two thirds of the way.
+    params.learning_rates.means = crate::Rate(1e-4, 1e60);
+    let result = reconstruct(&capture, &loader(&loaded), &params, Some(dir.path()), &mut Silent);
+    let Err(ReconstructError::NonFinite(found)) = result.map(|_| ()) else { panic!("the run goes on") };
+    assert!(found.step > 1 && found.view.ends_with(".png") && found.what == "means", "{found}");
+    assert!(found.index.is_some(), "{found}");
+    assert!(dir.path().join(crate::CHECKPOINT).exists());
+}
+
+#[test]
+fn the_cap_bites_aloud_and_masks_hide_pixels() {
+    let (capture, mut loaded) = tiny_capture(6);
+    let params = ReconstructParams { max_gaussians: 270, ..tiny_params(60) };
+    let mut watcher = Watcher::default();
+    let outcome = reconstruct(&capture, &loader(&loaded), &params, None, &mut watcher).unwrap();
+    assert!(outcome.scene.gaussians.len() <= 270);
+    assert!(watcher.notices.iter().any(|n| n.contains("max_gaussians")), "{:?}", watcher.notices);
+
+    // Whatever lies under the mask does not reach the scene.
+    let half = |x: usize| if x < 28 { 0.0 } else { 1.0 };
+    let mask = (0..56 * 44).map(|p| half(p % 56)).collect();
+    let mask = use3d_capture::Map::from_planes(56, 44, mask).unwrap();
+    for view in &mut loaded {
+        view.mask = Some(mask.clone());
+        view.depth_prior = None;
+    }
+    let mut scribbled = loaded.clone();
+    for view in &mut scribbled {
+        let Pixels::Eight(pixels) = &mut view.pixels else { panic!("8-bit pixels") };
+        for y in 0..44 {
+            for x in 0..28 {
+                pixels.set_pixel(x, y, [255, 0, 255]);
+            }
+        }
+    }
+    let params = ReconstructParams { depth_prior: DepthPrior::Off, ..tiny_params(12) };
+    let clean = reconstruct(&capture, &loader(&loaded), &params, None, &mut Silent).unwrap();
+    let masked = reconstruct(&capture, &loader(&scribbled), &params, None, &mut Silent).unwrap();
+    assert!(clean.scene == masked.scene);
+}

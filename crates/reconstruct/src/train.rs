@@ -1,0 +1,493 @@
+//! The loop of stage 1: what happens when. The work is the engine's.
+
+use std::path::Path;
+use std::time::Instant;
+
+use serde::{Deserialize, Serialize};
+use use3d_capture::{Capture, Image, MediumMaps, View};
+use use3d_medium::{MediumGlobal, MediumMlp, MediumModel, MediumRbf};
+use use3d_metrics::ms_ssim::MsSsim;
+use use3d_numerics::random::Purpose;
+use use3d_scene::Scene;
+use use3d_splat::Rendered;
+use use3d_training::{CheckpointFile, NonFinite, Observer, Progress, ViewOrder};
+
+use crate::engine::{CpuEngine, Engine, EngineState, RefineSettings, StepRates, StepReport, StepSettings};
+use crate::profile::Profile;
+use crate::record::{Evaluation, LogEntry, ViewScore, plot};
+use crate::views::{Dropped, TrainingView, ViewLoader};
+use crate::{DepthPrior, Medium, ReconstructError, ReconstructParams, initialise};
+
+/// The checkpoint's name in its folder.
+pub const CHECKPOINT: &str = "reconstruct.checkpoint";
+
+/// What stage 1 leaves.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// The scene.
+    pub scene: Scene,
+    /// The training log.
+    pub log: Vec<LogEntry>,
+    /// Held-out scores; `None` if no view is held out.
+    pub evaluation: Option<Evaluation>,
+    /// Gaussians at the start.
+    pub initial_gaussians: usize,
+    /// Time per part of a step, of this process.
+    pub profile: Profile,
+    /// Bytes of parameters, moments, views and buffers at the end, about.
+    pub memory: usize,
+}
+
+impl Outcome {
+    /// The training log, one JSON object per line.
+    pub fn log_lines(&self) -> String {
+        self.log.iter().map(|entry| entry.to_json() + "\n").collect()
+    }
+
+    /// Loss, PSNR and number of Gaussians over the steps, as SVG.
+    pub fn plot(&self) -> String {
+        plot(&self.log)
+    }
+}
+
+/// Everything a checkpoint holds.
+#[derive(Serialize, Deserialize)]
+struct RunState {
+    fingerprint: [u8; 32],
+    step: u64,
+    initial: usize,
+    engine: EngineState,
+    log: Vec<LogEntry>,
+    window: Window,
+}
+
+/// Sums since the last log line, and the smoothed numbers that a person sees.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Window {
+    steps: u64,
+    loss: f64,
+    reg_l1: f64,
+    reg_ms_ssim: f64,
+    depth: (f64, u64),
+    psnr: f64,
+    smooth_loss: Option<f64>,
+    smooth_psnr: Option<f64>,
+}
+
+impl Window {
+    fn add(&mut self, report: &StepReport) {
+        self.steps += 1;
+        self.loss += report.loss;
+        self.reg_l1 += report.reg_l1;
+        self.reg_ms_ssim += report.reg_ms_ssim;
+        self.psnr += report.psnr;
+        if let Some(depth) = report.depth_loss {
+            self.depth = (self.depth.0 + depth, self.depth.1 + 1);
+        }
+        let smooth = |old: Option<f64>, new: f64| Some(old.map_or(new, |old| 0.97 * old + 0.03 * new));
+        self.smooth_loss = smooth(self.smooth_loss, report.loss);
+        self.smooth_psnr = smooth(self.smooth_psnr, report.psnr);
+    }
+
+    /// The log line of the window, which starts anew.
+    fn flush(&mut self, step: u64, gaussians: usize, divisor: usize, degree: usize) -> LogEntry {
+        let n = self.steps.max(1) as f64;
+        let entry = LogEntry::Steps {
+            step,
+            loss: self.loss / n,
+            reg_l1: self.reg_l1 / n,
+            reg_ms_ssim: self.reg_ms_ssim / n,
+            depth_loss: (self.depth.1 > 0).then(|| self.depth.0 / self.depth.1 as f64),
+            psnr: self.psnr / n,
+            gaussians,
+            divisor,
+            degree,
+        };
+        *self = Self { smooth_loss: self.smooth_loss, smooth_psnr: self.smooth_psnr, ..Self::default() };
+        entry
+    }
+}
+
+/// Reconstructs an underwater scene from a capture.
+///
+/// Views are loaded once, through `loader`, at the size of their cameras. With a `checkpoint_dir` the run writes checkpoints there
+/// and goes on from the last one that belongs to the same capture and parameters; the result is the same to the last bit. The
+/// checkpoint stays there when the run is done: whoever has stored the outcome removes the folder.
+pub fn reconstruct(
+    capture: &Capture,
+    loader: &dyn ViewLoader,
+    params: &ReconstructParams,
+    checkpoint_dir: Option<&Path>,
+    observer: &mut dyn Observer,
+) -> Result<Outcome, ReconstructError> {
+    params.validate().map_err(ReconstructError::Parameter)?;
+    capture.validate()?;
+    if let [only] = capture.split.train[..] {
+        return Err(ReconstructError::OneView { view: capture.views[only].name.clone() });
+    }
+    let gaussians = initialise::gaussians(capture, params, |message| observer.notice(message))?;
+    let initial = gaussians.len();
+    let mut engine = CpuEngine::new(gaussians, water(params), params.structure_weight);
+    let views = load(capture, loader, params, observer)?;
+    let fingerprint = fingerprint(capture, params, &views);
+    let names: Vec<String> = views.train.iter().map(|v| v.name.clone()).collect();
+    for view in views.train {
+        engine.upload(view);
+    }
+    let mut run = Run {
+        params,
+        observer,
+        names,
+        held_out: views.test,
+        engine: &mut engine,
+        checkpoint: checkpoint_dir.map(|dir| CheckpointFile::new(dir, CHECKPOINT)),
+        fingerprint,
+        initial,
+        step: 0,
+        log: Vec::new(),
+        window: Window::default(),
+        most: most_gaussians(params),
+        cap_told: false,
+    };
+    run.resume()?;
+    run.go()?;
+    let evaluation = run.evaluate();
+    let log = std::mem::take(&mut run.log);
+    let initial_gaussians = run.initial;
+    let (gaussians, medium) = engine.download();
+    let medium_degree = params.active_degree(params.iterations.saturating_sub(1));
+    let scene = Scene { gaussians, frame: capture.frame, medium, medium_degree, enhancement: None };
+    let (profile, memory) = (engine.profile().clone(), engine.memory());
+    Ok(Outcome { scene, log, evaluation, initial_gaussians, profile, memory })
+}
+
+/// The water at the start.
+fn water(params: &ReconstructParams) -> MediumModel {
+    match params.medium {
+        Medium::Rbf => MediumModel::Rbf(MediumRbf::new(params.anchors, params.top_k)),
+        Medium::Mlp => MediumModel::Mlp(MediumMlp::new(params.seed)),
+        Medium::Global => MediumModel::Global(MediumGlobal::new()),
+        Medium::None => MediumModel::None,
+    }
+}
+
+struct Views {
+    train: Vec<TrainingView>,
+    test: Vec<TrainingView>,
+}
+
+/// Loads every view once; priors without information are named.
+fn load(
+    capture: &Capture,
+    loader: &dyn ViewLoader,
+    params: &ReconstructParams,
+    observer: &mut dyn Observer,
+) -> Result<Views, ReconstructError> {
+    let mut one = |view: &View, training: bool| -> Result<TrainingView, ReconstructError> {
+        let mut loaded = loader
+            .load(view)
+            .map_err(|message| ReconstructError::Load { view: view.name.clone(), message })?;
+        if params.depth_prior == DepthPrior::Off || !training {
+            loaded.depth_prior = None;
+        }
+        let (packed, dropped) = TrainingView::new(view, loaded)?;
+        if let Some(dropped) = dropped {
+            let why = match dropped {
+                Dropped::EmptyPrior => "has no finite positive pixel",
+                Dropped::ConstantPrior => "is the same everywhere",
+            };
+            observer.notice(&format!(
+                "view `{}`: its depth prior {why}; it is left out of the depth term",
+                view.name
+            ));
+        }
+        Ok(packed)
+    };
+    let train = capture.training_views().map(|v| one(v, true)).collect::<Result<Vec<_>, _>>()?;
+    let test = capture.test_views().map(|v| one(v, false)).collect::<Result<Vec<_>, _>>()?;
+    let with_prior = train.iter().filter(|v| v.has_prior()).count();
+    if params.depth_prior != DepthPrior::Off && params.depth_weight > 0.0 && with_prior < train.len() {
+        let message = match with_prior {
+            0 => "no training view has a depth prior: the depth term is off".to_string(),
+            n => format!(
+                "only {n} of {} training views have a depth prior; the depth term is off for the others",
+                train.len()
+            ),
+        };
+        observer.notice(&message);
+    }
+    Ok(Views { train, test })
+}
+
+/// What a checkpoint must agree with to be gone on from: parameters, cameras, points and pixels.
+fn fingerprint(capture: &Capture, params: &ReconstructParams, views: &Views) -> [u8; 32] {
+    let mut hasher = blake3::Hasher::new();
+    // How often checkpoints are written changes nothing.
+    let params = ReconstructParams { checkpoint_steps: 1, checkpoint_minutes: 1.0, ..params.clone() };
+    hasher.update(format!("{params:?}").as_bytes());
+    for view in views.train.iter().chain(&views.test) {
+        hasher.update(format!("{:?}", view.camera).as_bytes());
+        view.fingerprint(&mut hasher);
+    }
+    for point in &capture.points {
+        hasher.update(bytemuck::bytes_of(&point.position.to_array()));
+        hasher.update(&point.color);
+    }
+    *hasher.finalize().as_bytes()
+}
+
+/// The cap: the parameter, or what half of the free memory holds.
+fn most_gaussians(params: &ReconstructParams) -> usize {
+    const MOST: usize = 4_000_000;
+    /// Parameters, gradients, two moments, tile lists, the checkpoint's copy.
+    const BYTES_PER_GAUSSIAN: usize = 2500;
+    if params.max_gaussians > 0 {
+        return params.max_gaussians;
+    }
+    let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    let line = text.lines().find_map(|l| l.strip_prefix("MemAvailable:"));
+    let kilobytes: Option<usize> = line.and_then(|l| l.trim().trim_end_matches("kB").trim().parse().ok());
+    kilobytes.map_or(MOST, |k| (k * 1024 / 2 / BYTES_PER_GAUSSIAN).clamp(10_000, MOST))
+}
+
+/// A run between its first and last step.
+struct Run<'a> {
+    params: &'a ReconstructParams,
+    observer: &'a mut dyn Observer,
+    names: Vec<String>,
+    held_out: Vec<TrainingView>,
+    engine: &'a mut CpuEngine,
+    checkpoint: Option<CheckpointFile>,
+    fingerprint: [u8; 32],
+    initial: usize,
+    step: u64,
+    log: Vec<LogEntry>,
+    window: Window,
+    most: usize,
+    cap_told: bool,
+}
+
+impl Run<'_> {
+    /// Goes on from the checkpoint, if there is one of this run.
+    fn resume(&mut self) -> Result<(), ReconstructError> {
+        let Some(file) = &self.checkpoint else { return Ok(()) };
+        let state: RunState = match file.load() {
+            Ok(Some(state)) => state,
+            Ok(None) => return Ok(()),
+            Err(error) => {
+                self.observer.notice(&format!("{error}; starting anew"));
+                return Ok(());
+            }
+        };
+        if state.fingerprint != self.fingerprint || !self.engine.restore(&state.engine) {
+            self.observer
+                .notice("the checkpoint belongs to another capture or other parameters; starting anew");
+            return Ok(());
+        }
+        self.observer.notice(&format!("going on from step {} of {}", state.step, self.params.iterations));
+        self.step = state.step;
+        self.initial = state.initial;
+        self.log = state.log;
+        self.window = state.window;
+        Ok(())
+    }
+
+    fn save(&self) -> Result<(), ReconstructError> {
+        if let Some(file) = &self.checkpoint {
+            file.save(&RunState {
+                fingerprint: self.fingerprint,
+                step: self.step,
+                initial: self.initial,
+                engine: self.engine.state(),
+                log: self.log.clone(),
+                window: self.window.clone(),
+            })?;
+        }
+        Ok(())
+    }
+
+    fn go(&mut self) -> Result<(), ReconstructError> {
+        let params = self.params;
+        let mut order = ViewOrder::new(params.seed, Purpose::new("training views"), self.names.len());
+        let (started, first) = (Instant::now(), self.step);
+        let (mut saved_at, mut saved_step) = (Instant::now(), self.step);
+        while self.step < params.iterations {
+            let view = order.view(self.step);
+            self.one_step(view)?;
+            let done = self.step + 1;
+            // Refinements look at the state after the step's update.
+            self.control_density();
+            self.step = done;
+            if done.is_multiple_of(params.log_every) || done == params.iterations {
+                let (divisor, degree) = (params.divisor(done - 1), params.active_degree(done - 1));
+                let entry = self.window.flush(done, self.engine.gaussians(), divisor, degree);
+                self.log.push(entry);
+            }
+            if params.evaluate_every > 0
+                && done.is_multiple_of(params.evaluate_every)
+                && done < params.iterations
+            {
+                self.evaluate();
+            }
+            let pace = (done - first) as f64 / started.elapsed().as_secs_f64().max(1e-9);
+            self.observer.progress(&Progress {
+                step: done,
+                steps: params.iterations,
+                loss: self.window.smooth_loss,
+                psnr: self.window.smooth_psnr,
+                gaussians: Some(self.engine.gaussians()),
+                steps_per_second: Some(pace),
+                seconds_left: Some((params.iterations - done) as f64 / pace),
+            });
+            let stop = self.observer.should_stop() && done < params.iterations;
+            let due = done - saved_step >= params.checkpoint_steps
+                || saved_at.elapsed().as_secs_f64() >= 60.0 * params.checkpoint_minutes;
+            if due || stop || done == params.iterations {
+                self.save()?;
+                (saved_at, saved_step) = (Instant::now(), done);
+            }
+            if stop {
+                let saved = self.checkpoint.is_some();
+                return Err(ReconstructError::Interrupted { step: done, steps: params.iterations, saved });
+            }
+        }
+        Ok(())
+    }
+
+    fn one_step(&mut self, view: usize) -> Result<(), ReconstructError> {
+        let (params, step, r) = (self.params, self.step, &self.params.learning_rates);
+        let rate = |rate: crate::Rate| rate.at(step, params.iterations);
+        let settings = StepSettings {
+            step,
+            divisor: params.divisor(step),
+            degree: params.active_degree(step),
+            rates: StepRates {
+                means: rate(r.means),
+                sh_constant: rate(r.sh_constant),
+                sh_directional: rate(r.sh_directional),
+                opacity: rate(r.opacity),
+                scales: rate(r.scales),
+                quaternions: rate(r.quaternions),
+                medium_constant: rate(r.medium_constant),
+                medium_directional: rate(r.medium_directional),
+                medium_network: rate(r.medium_network),
+            },
+            depth_weight: if params.depth_prior == DepthPrior::Off { 0.0 } else { params.depth_weight },
+            depth_gradient: params.depth_gradient,
+            gather: params.densify.enabled
+                && step >= params.densify.statistics_from.min(params.warm_up())
+                && step < params.densify_end(),
+        };
+        let report = self.engine.step(view, &settings);
+        if let Some((what, index)) = report.non_finite {
+            let view = self.names[view].clone();
+            return Err(NonFinite { step, view, what: what.into(), index }.into());
+        }
+        self.window.add(&report);
+        Ok(())
+    }
+
+    /// The refinement or the opacity ceiling that is due after this step (R9).
+    fn control_density(&mut self) {
+        let (params, d, step) = (self.params, &self.params.densify, self.step);
+        if !d.enabled || step <= params.warm_up() {
+            return;
+        }
+        let growing = step < params.densify_end();
+        let phase = step % d.period;
+        if step.is_multiple_of(d.every) {
+            // Densification waits after a ceiling; culling alone goes on to the end.
+            let pause = d.pause.min(self.names.len() as u64 + d.every);
+            if !growing || phase >= pause {
+                self.refine(growing);
+            } else {
+                self.engine.forget_statistics();
+            }
+        }
+        if growing && phase == d.every % d.period {
+            self.engine.limit_opacity(d.opacity_ceiling);
+            self.log.push(LogEntry::Ceiling { step: step + 1 });
+        }
+    }
+
+    fn refine(&mut self, growing: bool) {
+        let (params, d) = (self.params, &self.params.densify);
+        let report = self.engine.refine(&RefineSettings {
+            step: self.step,
+            seed: params.seed,
+            grow: growing,
+            gradient_threshold: d.gradient_threshold,
+            split_scale: d.split_scale,
+            shrink: d.shrink,
+            cull_opacity: if growing { d.cull_opacity } else { d.cull_opacity_late },
+            cull_scale: d.cull_scale,
+            floor: d.floor.max((d.floor_share * self.initial as f64) as usize),
+            most: self.most,
+            reset_medium: d.reset_medium && growing,
+        });
+        if report.held_back > 0 && !self.cap_told {
+            self.cap_told = true;
+            self.observer.notice(&format!(
+                "step {}: the scene has reached its cap of {} Gaussians (`max_gaussians`); only the strongest {} of {} candidates were split or duplicated",
+                self.step,
+                self.most,
+                report.split + report.duplicated,
+                report.split + report.duplicated + report.held_back
+            ));
+        }
+        self.log.push(LogEntry::Refine {
+            step: self.step + 1,
+            split: report.split,
+            duplicated: report.duplicated,
+            culled: report.culled,
+            spared: report.spared,
+            held_back: report.held_back,
+            gaussians: self.engine.gaussians(),
+        });
+    }
+
+    /// PSNR and SSIM of the held-out views at full size, also into the log; `None` if there are none.
+    fn evaluate(&mut self) -> Option<Evaluation> {
+        if self.held_out.is_empty() {
+            return None;
+        }
+        let degree = self.params.active_degree(self.step.saturating_sub(1));
+        let (mut rendered, mut water) = (Rendered::new(), MediumMaps::zeros(0, 0));
+        let mut measure = MsSsim::new();
+        let mut scores = Vec::with_capacity(self.held_out.len());
+        let mut target = crate::Target::default();
+        for view in &self.held_out {
+            let camera = view.target(1, &mut target);
+            self.engine.render(&camera, degree, &mut rendered, &mut water);
+            let mut image = rendered.image.map(|v| v.clamp(0.0, 1.0));
+            if let Some(mask) = &target.mask {
+                for masked in [&mut image, &mut target.image] {
+                    multiply(masked, mask.data());
+                }
+            }
+            let squared = use3d_numerics::sums::sum(image.data().len(), |i| {
+                f64::from(image.data()[i] - target.image.data()[i]).powi(2)
+            });
+            let error = squared / image.data().len() as f64;
+            scores.push(ViewScore {
+                view: view.name.clone(),
+                psnr: -10.0 * error.max(1e-12).log10(),
+                ssim: measure.value(&image, &target.image, &[1.0]),
+            });
+        }
+        let evaluation = Evaluation::of(scores);
+        self.log.push(LogEntry::Evaluation {
+            step: self.step,
+            psnr: evaluation.psnr,
+            ssim: evaluation.ssim,
+            gaussians: self.engine.gaussians(),
+        });
+        Some(evaluation)
+    }
+}
+
+fn multiply(image: &mut Image, mask: &[f32]) {
+    for plane in image.data_mut().chunks_mut(mask.len().max(1)) {
+        plane.iter_mut().zip(mask).for_each(|(v, m)| *v *= m);
+    }
+}

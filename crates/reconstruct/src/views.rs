@@ -1,0 +1,348 @@
+//! The training images as the loop keeps them, and what a step sees of them.
+//!
+//! Photographs stay as they were stored (8 or 16 bits), priors and masks as 16 and 8 bits, so that hundreds of views fit in memory. A
+//! step's target is made when it is needed: `divisor × divisor` means of the stored values (R11).
+
+use rayon::prelude::*;
+use use3d_capture::{Camera, Image, Map, Pixels, Raster, View};
+
+use crate::ReconstructError;
+
+/// A view's files, read. Sizes must be those of the view's camera.
+#[derive(Clone, Debug)]
+pub struct LoadedView {
+    /// The photograph.
+    pub pixels: Pixels,
+    /// Its opacity in `[0, 1]`, if it has any: transparent pixels take the water's colour.
+    pub alpha: Option<Map>,
+    /// What counts, in `[0, 1]`.
+    pub mask: Option<Map>,
+    /// Disparity-like prior: larger is nearer, 0 is unknown.
+    pub depth_prior: Option<Map>,
+}
+
+/// Reads views. The loop knows no file formats.
+pub trait ViewLoader: Sync {
+    /// The view's photograph, mask and prior; the error is for a person to read.
+    fn load(&self, view: &View) -> Result<LoadedView, String>;
+}
+
+impl<F: Fn(&View) -> Result<LoadedView, String> + Sync> ViewLoader for F {
+    fn load(&self, view: &View) -> Result<LoadedView, String> {
+        self(view)
+    }
+}
+
+/// A training view in memory.
+#[derive(Clone, Debug)]
+pub struct TrainingView {
+    /// Its name.
+    pub name: String,
+    /// Its camera at full size.
+    pub camera: Camera,
+    pixels: Pixels,
+    alpha: Option<Raster<u8, 1>>,
+    mask: Option<Raster<u8, 1>>,
+    prior: Option<Raster<u16, 1>>,
+    #[cfg(test)]
+    exact: Option<(Image, Map)>,
+}
+
+/// What a step sees of a view; reused from step to step.
+#[derive(Clone, Debug)]
+pub struct Target {
+    /// The photograph at the step's size.
+    pub image: Image,
+    /// Its opacity.
+    pub alpha: Option<Map>,
+    /// What counts.
+    pub mask: Option<Map>,
+    /// The depth prior, 0 where unknown.
+    pub prior: Option<Map>,
+}
+
+impl Default for Target {
+    fn default() -> Self {
+        Self { image: Image::new(0, 0), alpha: None, mask: None, prior: None }
+    }
+}
+
+/// What [`TrainingView::new`] left out, for a person to know.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Dropped {
+    /// The prior has no valid pixel.
+    EmptyPrior,
+    /// The prior is the same everywhere.
+    ConstantPrior,
+}
+
+impl TrainingView {
+    /// Checks sizes and camera, and packs the data. A prior without information is dropped.
+    pub fn new(view: &View, loaded: LoadedView) -> Result<(Self, Option<Dropped>), ReconstructError> {
+        let camera = view.camera;
+        camera.validate().map_err(|source| ReconstructError::Camera { view: view.name.clone(), source })?;
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let fits = |what, found: (usize, usize)| {
+            if found == (width, height) {
+                return Ok(());
+            }
+            let (found_width, found_height) = found;
+            let view = view.name.clone();
+            Err(ReconstructError::Size { view, what, found_width, found_height, width, height })
+        };
+        fits("image", loaded.pixels.size())?;
+        for (what, map) in
+            [("alpha", &loaded.alpha), ("mask", &loaded.mask), ("depth prior", &loaded.depth_prior)]
+        {
+            if let Some(map) = map {
+                fits(what, (map.width(), map.height()))?;
+            }
+        }
+        let byte = |m: &Map| m.map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8);
+        let (prior, dropped) = match &loaded.depth_prior {
+            None => (None, None),
+            Some(map) => match pack_prior(map) {
+                Ok(prior) => (Some(prior), None),
+                Err(dropped) => (None, Some(dropped)),
+            },
+        };
+        let view = Self {
+            name: view.name.clone(),
+            camera,
+            pixels: loaded.pixels,
+            alpha: loaded.alpha.as_ref().filter(|a| a.data().iter().any(|&v| v < 1.0)).map(byte),
+            mask: loaded.mask.as_ref().filter(|m| m.data().iter().any(|&v| v < 1.0)).map(byte),
+            prior,
+            #[cfg(test)]
+            exact: None,
+        };
+        Ok((view, dropped))
+    }
+
+    /// A view whose target is exactly these floats, at full size only: goldens are not 8-bit.
+    #[cfg(test)]
+    pub(crate) fn exact(camera: Camera, image: Image, prior: Map) -> Self {
+        let (w, h) = (image.width(), image.height());
+        let pixels = Pixels::Eight(Raster::new(w, h));
+        let exact = Some((image, prior));
+        Self { name: "exact".into(), camera, pixels, alpha: None, mask: None, prior: None, exact }
+    }
+
+    /// Whether it has a depth prior.
+    pub fn has_prior(&self) -> bool {
+        self.prior.is_some()
+    }
+
+    /// The photograph at full size.
+    pub fn image(&self) -> Image {
+        self.pixels.to_image()
+    }
+
+    /// Bytes held.
+    pub fn memory(&self) -> usize {
+        let (w, h) = self.pixels.size();
+        let pixels = match &self.pixels {
+            Pixels::Eight(_) => 3,
+            Pixels::Sixteen(_) => 6,
+        };
+        let maps = usize::from(self.alpha.is_some()) + usize::from(self.mask.is_some());
+        w * h * (pixels + maps + 2 * usize::from(self.prior.is_some()))
+    }
+
+    /// Adds everything that training depends on to a digest.
+    pub(crate) fn fingerprint(&self, hasher: &mut blake3::Hasher) {
+        hasher.update(self.name.as_bytes());
+        match &self.pixels {
+            Pixels::Eight(r) => hasher.update(r.data()),
+            Pixels::Sixteen(r) => hasher.update(bytemuck::cast_slice(r.data())),
+        };
+        for map in [&self.alpha, &self.mask].into_iter().flatten() {
+            hasher.update(map.data());
+        }
+        if let Some(prior) = &self.prior {
+            hasher.update(bytemuck::cast_slice(prior.data()));
+        }
+    }
+
+    /// The view over `divisor` (less where the image is smaller than that), and its camera.
+    pub fn target(&self, divisor: usize, out: &mut Target) -> Camera {
+        let k = &self.camera.intrinsics;
+        let divisor = divisor.clamp(1, k.width.min(k.height));
+        let camera = self.camera.downscaled(divisor);
+        let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
+        #[cfg(test)]
+        if let Some((image, prior)) = &self.exact {
+            (out.image, out.prior) = (image.clone(), Some(prior.clone()));
+            return camera;
+        }
+        match &self.pixels {
+            Pixels::Eight(r) => means(r, divisor, w, h, 255.0, &mut out.image),
+            Pixels::Sixteen(r) => means(r, divisor, w, h, 65535.0, &mut out.image),
+        }
+        for (from, to) in [(&self.alpha, &mut out.alpha), (&self.mask, &mut out.mask)] {
+            match from {
+                Some(raster) => means(raster, divisor, w, h, 255.0, to.get_or_insert_with(|| Map::new(0, 0))),
+                None => *to = None,
+            }
+        }
+        match &self.prior {
+            Some(raster) => {
+                known_means(raster, divisor, w, h, out.prior.get_or_insert_with(|| Map::new(0, 0)));
+            }
+            None => out.prior = None,
+        }
+        camera
+    }
+}
+
+/// The prior stretched to 1…65535 (the loss does not see scale or shift), 0 where it is not finite or not positive.
+fn pack_prior(map: &Map) -> Result<Raster<u16, 1>, Dropped> {
+    let known = |v: f32| v.is_finite() && v > 0.0;
+    let (mut low, mut high) = (f32::INFINITY, 0.0f32);
+    for &v in map.data() {
+        if known(v) {
+            (low, high) = (low.min(v), high.max(v));
+        }
+    }
+    if high == 0.0 {
+        return Err(Dropped::EmptyPrior);
+    }
+    if high - low <= 1e-6 * high {
+        return Err(Dropped::ConstantPrior);
+    }
+    let scale = 65534.0 / f64::from(high - low);
+    Ok(map.map(|v| if known(v) { (f64::from(v - low) * scale + 1.5) as u16 } else { 0 }))
+}
+
+/// `divisor × divisor` means over `full`, per plane.
+fn means<T: Copy + Into<i32> + Sync, const C: usize>(
+    fine: &Raster<T, C>,
+    divisor: usize,
+    w: usize,
+    h: usize,
+    full: f32,
+    out: &mut Raster<f32, C>,
+) where
+    Raster<T, C>: Sync,
+{
+    out.resize(w, h);
+    let (fw, fh) = (fine.width(), fine.height());
+    let scale = 1.0 / (full * (divisor * divisor) as f32);
+    out.data_mut().par_chunks_mut(w).enumerate().for_each(|(line, out)| {
+        let (c, j) = (line / h, line % h);
+        let rows = &fine.data()[(c * fh + j * divisor) * fw..(c * fh + (j + 1) * divisor) * fw];
+        if divisor == 1 {
+            for (o, &v) in out.iter_mut().zip(rows) {
+                *o = Into::<i32>::into(v) as f32 * scale;
+            }
+            return;
+        }
+        for (i, o) in out.iter_mut().enumerate() {
+            let mut sum = 0i32;
+            for row in rows.chunks_exact(fw) {
+                for &v in &row[i * divisor..(i + 1) * divisor] {
+                    sum += Into::<i32>::into(v);
+                }
+            }
+            *o = sum as f32 * scale;
+        }
+    });
+}
+
+/// Means over the known values only; 0 where none is known.
+fn known_means(fine: &Raster<u16, 1>, divisor: usize, w: usize, h: usize, out: &mut Map) {
+    out.resize(w, h);
+    let fw = fine.width();
+    out.data_mut().par_chunks_mut(w).enumerate().for_each(|(j, out)| {
+        let rows = &fine.data()[j * divisor * fw..(j + 1) * divisor * fw];
+        for (i, o) in out.iter_mut().enumerate() {
+            let (mut sum, mut count) = (0u32, 0u32);
+            for row in rows.chunks_exact(fw) {
+                for &v in &row[i * divisor..(i + 1) * divisor] {
+                    sum += u32::from(v);
+                    count += u32::from(v > 0);
+                }
+            }
+            *o = if count == 0 { 0.0 } else { sum as f32 / (count as f32 * 65535.0) };
+        }
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use use3d_capture::{Intrinsics, Pose};
+
+    use super::*;
+
+    fn view(width: usize, height: usize) -> View {
+        let intrinsics = Intrinsics { width, height, fx: 9.0, fy: 9.0, cx: 4.0, cy: 3.0 };
+        View {
+            name: "a.png".into(),
+            id: 1,
+            image: PathBuf::new(),
+            mask: None,
+            depth_prior: None,
+            camera: Camera { intrinsics, pose: Pose::IDENTITY },
+        }
+    }
+
+    fn loaded(w: usize, h: usize) -> LoadedView {
+        let data = (0..3 * w * h).map(|i| (i * 7 % 256) as u8).collect();
+        let pixels = Pixels::Eight(Raster::from_planes(w, h, data).unwrap());
+        LoadedView { pixels, alpha: None, mask: None, depth_prior: None }
+    }
+
+    #[test]
+    fn targets_are_box_means_of_the_stored_values() {
+        let (view, dropped) = TrainingView::new(&view(7, 5), loaded(7, 5)).unwrap();
+        assert_eq!(dropped, None);
+        let full = view.image();
+        let mut target = Target::default();
+        view.target(1, &mut target);
+        for (a, b) in target.image.data().iter().zip(full.data()) {
+            assert!((a - b).abs() < 1e-7);
+        }
+        let camera = view.target(2, &mut target);
+        assert_eq!((target.image.width(), target.image.height()), (3, 2));
+        assert_eq!(camera.intrinsics.width, 3);
+        for c in 0..3 {
+            let mean = (0..4).map(|k| full.pixel(2 + k % 2, 2 + k / 2)[c]).sum::<f32>() / 4.0;
+            assert!((target.image.pixel(1, 1)[c] - mean).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn unknown_prior_pixels_do_not_pull_a_mean_down() {
+        let mut prior = Map::filled(4, 2, 2.0);
+        prior.set_pixel(0, 0, [f32::NAN]);
+        prior.set_pixel(1, 0, [-3.0]);
+        prior.set_pixel(3, 0, [1.0]);
+        let (view, dropped) =
+            TrainingView::new(&view(4, 2), LoadedView { depth_prior: Some(prior), ..loaded(4, 2) }).unwrap();
+        assert_eq!(dropped, None);
+        let mut target = Target::default();
+        view.target(2, &mut target);
+        let prior = target.prior.unwrap();
+        assert!((prior.pixel(0, 0)[0] - 1.0).abs() < 1e-3 && (prior.pixel(1, 0)[0] - 0.75).abs() < 1e-3);
+    }
+
+    #[test]
+    fn what_does_not_fit_or_says_nothing_is_told() {
+        let error = TrainingView::new(&view(4, 2), loaded(2, 4)).unwrap_err().to_string();
+        for part in ["a.png", "image", "2x4", "4x2"] {
+            assert!(error.contains(part), "{error}");
+        }
+        let with = |prior: Map| LoadedView { depth_prior: Some(prior), ..loaded(4, 2) };
+        let dropped = |prior| TrainingView::new(&view(4, 2), with(prior)).unwrap().1;
+        assert_eq!(dropped(Map::filled(4, 2, 0.7)), Some(Dropped::ConstantPrior));
+        assert_eq!(dropped(Map::filled(4, 2, f32::NAN)), Some(Dropped::EmptyPrior));
+        let error = TrainingView::new(&view(4, 2), with(Map::new(9, 9))).unwrap_err().to_string();
+        assert!(error.contains("depth prior"), "{error}");
+        let mut skewed = view(4, 2);
+        skewed.camera.intrinsics.fx = f64::NAN;
+        let error = TrainingView::new(&skewed, loaded(4, 2)).unwrap_err().to_string();
+        assert!(error.contains("fx") && error.contains("a.png"), "{error}");
+    }
+}
