@@ -1,1 +1,39 @@
-//! Stage 2: objective, loop, the enhanced scene
+//! Stage 2: the reconstructed scene learns a persistent enhanced appearance, its geometry untouched.
+//!
+//! Per step one training view is rendered with the field's colours and water, the extractor `E` reads what transition that
+//! render makes of the stage-1 render of the same view, and the transition is drawn to the fixed targets:
+//!
+//! ```text
+//! (t, Δ) = E(sg(I_rec), I⁺)      e_g = (t - t̄)/s_g      e_ℓ = (Δ - mean Δ - Δ̄)/s_ℓ
+//! L = λ_g mean φ(e_g) + λ_ℓ Σ_p W_p mean φ(e_ℓ,p) / Σ_p W_p + λ_tv TV          φ: Smooth-L1
+//! ```
+//!
+//! Only the field's parameters learn. Everything that does not depend on them is computed once per view: projection and tile
+//! lists, base colours, the frozen water, the extractor's source, the rasterised local target. Only pixels that the
+//! extractor's resize reads are rendered at all.
+//!
+//! [`enhance`] is the loop; [`Renderer`] draws a scene with or without its enhancement; [`bake`] writes the
+//! enhancement into spherical harmonics for viewers that know nothing of it.
+
+mod bake;
+mod engine;
+mod error;
+mod fingerprint;
+#[cfg(test)]
+mod golden;
+mod objective;
+mod params;
+mod render;
+mod report;
+mod run;
+mod view;
+
+pub use bake::{BakeReport, bake};
+pub use engine::{Engine, StepLosses};
+pub use error::EnhanceError;
+pub use objective::{Realised, global_loss, local_loss, smooth_l1};
+pub use params::{EnhanceParams, Objective, PixelLoss};
+pub use render::{Look, Renderer};
+pub use report::{LogEntry, Outcome, Report, ViewErrors, ViewReport};
+pub use run::enhance;
+pub use view::{EnhanceView, Guidance, LabelSource};

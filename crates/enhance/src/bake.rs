@@ -1,0 +1,123 @@
+//! The enhancement written into spherical harmonics, for viewers that know only 3D Gaussian splatting.
+//!
+//! A Gaussian's enhanced radiance is `c⁺(ω) = M c(ω) + m` with one matrix per Gaussian, and `c(ω) = max(SH(ω) + ½, 0)`. Where that
+//! clamp is inactive, `SH⁺ = M SH` in every band, plus `(M ½ + m - ½)/C₀` in band 0, gives the same radiance exactly. Where it is
+//! active the baked colour differs, because a viewer clamps after the matrix instead of before; [`BakeReport`] says by how
+//! much. Water is not part of a baked file: it shows the enhanced object radiance.
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use use3d_numerics::spherical_harmonics::{C0, bands, basis};
+use use3d_numerics::sums::sums;
+use use3d_scene::Scene;
+use use3d_splat::Gaussians;
+
+use crate::EnhanceError;
+use crate::render::grades;
+
+/// Directions on which the bake is checked, spread evenly over the sphere.
+const DIRECTIONS: usize = 48;
+
+/// How far a baked scene is from the enhanced one. Colours as a viewer shows them, `max(c, 0)`, display range; every Gaussian is
+/// weighted by its opacity.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BakeReport {
+    /// Share of (Gaussian, direction, channel) samples where the stage-1 clamp is active, so that the bake may differ.
+    pub clamped_share: f64,
+    /// Mean absolute colour error over all samples.
+    pub mean_error: f64,
+    /// Mean absolute colour error over the samples with an active clamp.
+    pub mean_error_clamped: f64,
+    /// Largest absolute colour error.
+    pub max_error: f64,
+    /// Largest absolute colour error where no channel is clamped: rounding only.
+    pub max_error_unclamped: f64,
+}
+
+/// Gaussians whose plain spherical harmonics are the enhanced object radiance at `strength`, in the scene's frame.
+pub fn bake(scene: &Scene, strength: f32) -> Result<(Gaussians, BakeReport), EnhanceError> {
+    let grades = grades(scene, strength)?;
+    let mut baked = scene.gaussians.clone();
+    let used = bands(baked.sh_degree.min(3));
+    baked.sh.par_iter_mut().enumerate().with_min_len(1024).for_each(|(i, sh)| {
+        let m = grades.matrix(i);
+        for (k, band) in sh.iter_mut().enumerate().take(used) {
+            let old = *band;
+            *band = std::array::from_fn(|c| {
+                let turned = m[c][0] * old[0] + m[c][1] * old[1] + m[c][2] * old[2];
+                if k > 0 {
+                    return turned;
+                }
+                turned + (0.5 * (m[c][0] + m[c][1] + m[c][2]) + m[c][3] - 0.5) / C0
+            });
+        }
+    });
+    let report = compare(&scene.gaussians, &baked, |i| grades.matrix(i));
+    Ok((baked, report))
+}
+
+fn compare(
+    before: &Gaussians,
+    after: &Gaussians,
+    matrix: impl Fn(usize) -> [[f32; 4]; 3] + Sync,
+) -> BakeReport {
+    let degree = before.sh_degree.min(3);
+    let directions: Vec<[f32; 16]> = (0..DIRECTIONS)
+        .map(|k| {
+            let z = 1.0 - (2.0 * k as f64 + 1.0) / DIRECTIONS as f64;
+            let (r, phi) = ((1.0 - z * z).sqrt(), k as f64 * std::f64::consts::PI * (3.0 - 5f64.sqrt()));
+            basis(degree, [(r * phi.cos()) as f32, (r * phi.sin()) as f32, z as f32])
+        })
+        .collect();
+    let color = |sh: &[[f32; 3]; 16], y: &[f32; 16]| -> [f32; 3] {
+        std::array::from_fn(|c| 0.5 + (0..bands(degree)).map(|k| y[k] * sh[k][c]).sum::<f32>())
+    };
+    // Per sample: its error per channel, and whether any channel's clamp is active.
+    let errors = |i: usize, y: &[f32; 16]| -> ([f64; 3], bool, usize) {
+        let raw = color(&before.sh[i], y);
+        let base = raw.map(|v| v.max(0.0));
+        let m = matrix(i);
+        let shown = color(&after.sh[i], y);
+        let error = std::array::from_fn(|c| {
+            let exact = m[c][0] * base[0] + m[c][1] * base[1] + m[c][2] * base[2] + m[c][3];
+            f64::from((exact.max(0.0) - shown[c].max(0.0)).abs())
+        });
+        let clamped = raw.iter().filter(|&&v| v < 0.0).count();
+        (error, clamped > 0, clamped)
+    };
+    let opacity = |i: usize| 1.0 / (1.0 + f64::from(-before.opacity_logits[i]).exp());
+    // Weighted sums: weight, error, clamped samples, error of samples with a clamp, their weight.
+    let n = before.len();
+    let [weight, error, clamped, error_clamped, weight_clamped] = sums::<5>(n, |i, t| {
+        let w = opacity(i) / 3.0;
+        for y in &directions {
+            let (e, any, count) = errors(i, y);
+            let e: f64 = w * e.iter().sum::<f64>();
+            t[0] += 3.0 * w;
+            t[1] += e;
+            t[2] += w * count as f64;
+            if any {
+                t[3] += e;
+                t[4] += 3.0 * w;
+            }
+        }
+    });
+    let (max_error, max_error_unclamped) = (0..n)
+        .into_par_iter()
+        .map(|i| {
+            directions.iter().fold((0.0f64, 0.0f64), |(all, free), y| {
+                let (e, any, _) = errors(i, y);
+                let worst = e.iter().fold(0.0f64, |m, v| m.max(*v));
+                (all.max(worst), if any { free } else { free.max(worst) })
+            })
+        })
+        .reduce(|| (0.0, 0.0), |a, b| (a.0.max(b.0), a.1.max(b.1)));
+    let over = |sum: f64, weight: f64| if weight > 0.0 { sum / weight } else { 0.0 };
+    BakeReport {
+        clamped_share: over(clamped, weight),
+        mean_error: over(error, weight),
+        mean_error_clamped: over(error_clamped, weight_clamped),
+        max_error,
+        max_error_unclamped,
+    }
+}

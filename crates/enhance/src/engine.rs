@@ -1,0 +1,381 @@
+//! One step of stage 2: field → colours and water → compositor → extractor → losses, and all the way back.
+//!
+//! Gradients reach the field's parameters only; Gaussians, medium, targets and the stage-1 render are constants. The engine owns
+//! every buffer, so that a step allocates nothing once the largest view was seen.
+
+use use3d_atc::extractor::{Affine, Workspace};
+use use3d_capture::{Image, MediumMaps};
+use use3d_scene::Scene;
+use use3d_splat::{Options, Rasterizer, Rendered};
+use use3d_training::Observer;
+use use3d_ubaf::objects::guide_color;
+use use3d_ubaf::{Field, FieldBox, Gradient, ObjectPass, WaterPass, variation};
+
+use crate::objective::{Realised, global_loss, local_loss};
+use crate::params::{Objective, PixelLoss};
+use crate::report::ViewErrors;
+use crate::view::{EnhanceView, Frozen, Guidance, Preparer, Reference, ViewConstants};
+use crate::{EnhanceError, EnhanceParams};
+
+/// The losses of one step.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StepLosses {
+    /// Weighted total.
+    pub total: f64,
+    /// Global term.
+    pub global: Realised,
+    /// Local term.
+    pub local: Realised,
+    /// Pseudo-label term.
+    pub pixels: f64,
+    /// Total variation of the factors.
+    pub variation: f64,
+}
+
+/// What a step aims at, apart from the view's own reference.
+#[derive(Clone, Debug)]
+pub(crate) struct Goals {
+    pub(crate) operator: Affine,
+    pub(crate) global_scales: [f64; 12],
+    pub(crate) local_scales: [f64; 6],
+    pub(crate) lambda_global: f64,
+    pub(crate) lambda_local: f64,
+    pub(crate) lambda_variation: f64,
+    pub(crate) pixel_loss: PixelLoss,
+}
+
+impl Goals {
+    fn new(guidance: Guidance<'_>, params: &EnhanceParams) -> Self {
+        let (lambda_global, lambda_local) = params.transition_weights();
+        let (operator, global_scales, local_scales) = match guidance {
+            Guidance::Targets(t) => (t.scene, t.global_scales, t.local_scales),
+            Guidance::Labels(_) => ([0.0; 12], [1.0; 12], [1.0; 6]),
+        };
+        Self {
+            operator,
+            global_scales,
+            local_scales,
+            lambda_global,
+            lambda_local,
+            lambda_variation: params.lambda_variation,
+            pixel_loss: params.pixel_loss,
+        }
+    }
+}
+
+/// The buffers of a step.
+pub(crate) struct Step {
+    pub(crate) objects: ObjectPass,
+    water: WaterPass,
+    pub(crate) enhanced_water: MediumMaps,
+    pub(crate) colors: Vec<[f32; 3]>,
+    d_colors: Vec<[f32; 3]>,
+    d_water: MediumMaps,
+    rasterizer: Rasterizer,
+    pub(crate) rendered: Rendered,
+    workspace: Workspace,
+    cells: Vec<[f64; 6]>,
+    d_cells: Vec<[f64; 6]>,
+    d_image: Image,
+    pub(crate) gradient: Gradient,
+}
+
+impl Step {
+    pub(crate) fn new(field: &Field, objects: ObjectPass) -> Self {
+        Self {
+            objects,
+            water: WaterPass::new(),
+            enhanced_water: MediumMaps::zeros(0, 0),
+            colors: Vec::new(),
+            d_colors: Vec::new(),
+            d_water: MediumMaps::zeros(0, 0),
+            rasterizer: Rasterizer::new(),
+            rendered: Rendered::new(),
+            workspace: Workspace::new(),
+            cells: Vec::new(),
+            d_cells: Vec::new(),
+            d_image: Image::new(0, 0),
+            gradient: Gradient::new(field.shape()),
+        }
+    }
+
+    /// The enhanced render of a view on its lattice, into `self.rendered`.
+    pub(crate) fn render(&mut self, field: &Field, view: &ViewConstants, frozen: &mut Frozen) {
+        self.objects.forward(field);
+        self.objects.colors(field, &frozen.base, &mut self.colors);
+        frozen.prepared.set_colors(&self.colors);
+        let water = frozen.water.as_ref().map(|water| {
+            self.water.forward(field, view.center, water, 1.0, &mut self.enhanced_water);
+            &self.enhanced_water
+        });
+        self.rasterizer.forward(&frozen.prepared, water, &Options::default(), &mut self.rendered);
+    }
+
+    /// Losses of the rendered view, and their gradient in the image if `differentiate`.
+    pub(crate) fn losses(
+        &mut self,
+        view: &ViewConstants,
+        goals: &Goals,
+        differentiate: bool,
+    ) -> Result<StepLosses, EnhanceError> {
+        let mut losses = StepLosses::default();
+        match &view.reference {
+            Reference::Transition(source, target) => {
+                let realised = source.forward_on_lattice(&self.rendered.image, &mut self.workspace)?;
+                let mut d_operator = [0.0; 12];
+                losses.global = global_loss(
+                    &realised.global,
+                    &goals.operator,
+                    &goals.global_scales,
+                    goals.lambda_global,
+                    &mut d_operator,
+                );
+                self.cells.clear();
+                self.cells.extend_from_slice(&realised.local);
+                losses.local = local_loss(
+                    &mut self.cells,
+                    &target.local,
+                    &target.weight,
+                    &goals.local_scales,
+                    goals.lambda_local,
+                    &mut self.d_cells,
+                );
+                if differentiate {
+                    self.d_image.resize(self.rendered.image.width(), self.rendered.image.height());
+                    source.backward_on_lattice(
+                        &d_operator,
+                        &self.d_cells,
+                        &mut self.workspace,
+                        &mut self.d_image,
+                    )?;
+                }
+            }
+            Reference::Label(label) => {
+                let image = &self.rendered.image;
+                self.d_image.resize(image.width(), image.height());
+                let scale = 1.0 / image.data().len().max(1) as f64;
+                let mut total = 0.0;
+                let pixels = image.data().iter().zip(label.data()).zip(self.d_image.data_mut());
+                for ((&value, &wanted), d) in pixels {
+                    let e = f64::from(value) - f64::from(wanted) / 65535.0;
+                    let (term, slope) = match goals.pixel_loss {
+                        PixelLoss::L1 => (e.abs(), if e == 0.0 { 0.0 } else { e.signum() }),
+                        PixelLoss::L2 => (e * e, 2.0 * e),
+                    };
+                    total += term;
+                    *d = (slope * scale) as f32;
+                }
+                losses.pixels = total * scale;
+            }
+        }
+        losses.total =
+            goals.lambda_global * losses.global.loss + goals.lambda_local * losses.local.loss + losses.pixels;
+        Ok(losses)
+    }
+
+    /// The transition that the last `losses` read off the render.
+    #[cfg(test)]
+    pub(crate) fn transition(&self) -> &use3d_atc::extractor::Transition {
+        self.workspace.transition()
+    }
+
+    /// The whole gradient, into `self.gradient`; needs `render` and `losses` of the same view just before.
+    pub(crate) fn backward(
+        &mut self,
+        field: &Field,
+        view: &ViewConstants,
+        frozen: &Frozen,
+        lambda_variation: f64,
+    ) {
+        self.gradient.clear();
+        self.d_colors.resize(frozen.base.len(), [0.0; 3]);
+        let image = &self.rendered.image;
+        self.d_water.resize(image.width(), image.height());
+        self.rasterizer.backward_colors(
+            &frozen.prepared,
+            frozen.water.as_ref().map(|_| &self.enhanced_water),
+            &self.d_image,
+            &mut self.d_colors,
+            &mut self.d_water,
+        );
+        self.objects.backward(field, &frozen.base, &self.d_colors, &mut self.gradient);
+        if let Some(water) = &frozen.water {
+            self.water.backward(field, view.center, water, &self.d_water, &mut self.gradient);
+        }
+        variation::backward(field, lambda_variation, &mut self.gradient);
+    }
+}
+
+/// Stage 2's state that does not fit a checkpoint: the frozen scene as every view sees it, the field, the buffers.
+pub struct Engine<'a> {
+    pub(crate) field: Field,
+    pub(crate) views: Vec<ViewConstants>,
+    goals: Goals,
+    scene: &'a Scene,
+    step: Step,
+    kept: Vec<Option<Frozen>>,
+    spare: Option<(usize, Frozen)>,
+}
+
+impl<'a> Engine<'a> {
+    /// Prepares every view once. Views whose constants do not fit `params.cache_mib` are prepared again when needed; the observer is
+    /// told.
+    pub fn new(
+        scene: &'a Scene,
+        views: &[EnhanceView],
+        guidance: Guidance<'a>,
+        params: &EnhanceParams,
+        observer: &mut dyn Observer,
+    ) -> Result<Self, EnhanceError> {
+        params.validate()?;
+        check_guidance(guidance, params.objective)?;
+        if scene.gaussians.is_empty() {
+            return Err(EnhanceError::EmptyScene);
+        }
+        if views.is_empty() {
+            return Err(EnhanceError::NoViews);
+        }
+        if let Guidance::Targets(targets) = guidance {
+            targets.check_scene(&scene.gaussians)?;
+        }
+        let anchors = match &scene.medium {
+            use3d_medium::MediumModel::Rbf(rbf) => rbf.centers.as_slice(),
+            _ => &[],
+        };
+        let bounds = FieldBox::of_scene(&scene.gaussians.means, anchors);
+        let field = Field::identity(params.shape(), bounds, params.seed)?;
+        let guides = scene.gaussians.sh.iter().map(|sh| guide_color(sh[0]));
+        let objects =
+            ObjectPass::with_guides(use3d_ubaf::Level::new(), &field, &scene.gaussians.means, guides);
+        let mut preparer = Preparer::new(scene, guidance);
+        let mut room = params.cache_mib.saturating_mul(1 << 20);
+        let (mut constants, mut kept) = (Vec::with_capacity(views.len()), Vec::with_capacity(views.len()));
+        for (index, view) in views.iter().enumerate() {
+            let (small, large) = preparer.view(index, view)?;
+            constants.push(small);
+            // First come, first kept: in shuffled epochs every view is as likely as any other, so no policy does better.
+            let bytes = large.bytes();
+            kept.push((bytes <= room).then_some(large));
+            if kept[index].is_some() {
+                room -= bytes;
+            }
+        }
+        let stays = kept.iter().flatten().count();
+        if stays < views.len() {
+            let message = format!(
+                "the constants of {stays} of {} views fit {} MiB; the others are prepared again in every step (raise `cache_mib` to avoid that)",
+                views.len(),
+                params.cache_mib
+            );
+            tracing::warn!("{message}");
+            observer.notice(&message);
+        }
+        Ok(Self {
+            step: Step::new(&field, objects),
+            goals: Goals::new(guidance, params),
+            field,
+            views: constants,
+            scene,
+            kept,
+            spare: None,
+        })
+    }
+
+    /// The field.
+    pub fn field(&self) -> &Field {
+        &self.field
+    }
+
+    /// The field, to be changed between steps.
+    pub fn field_mut(&mut self) -> &mut Field {
+        &mut self.field
+    }
+
+    /// `∂L/∂` the field's parameters, of the last [`Engine::step`].
+    pub fn gradient(&self) -> &Gradient {
+        &self.step.gradient
+    }
+
+    /// Views whose large constants are kept.
+    pub fn views_in_memory(&self) -> usize {
+        self.kept.iter().flatten().count()
+    }
+
+    /// Rendered pixels of all views over all their pixels.
+    pub fn rendered_share(&self) -> f64 {
+        let (mut rendered, mut all) = (0.0, 0.0);
+        for view in &self.views {
+            rendered += (view.lattice.width() * view.lattice.height()) as f64;
+            let (w, h) = view.geometry.size();
+            all += (w * h) as f64;
+        }
+        rendered / all
+    }
+
+    /// Losses and gradient at view `index`.
+    pub fn step(&mut self, index: usize) -> Result<StepLosses, EnhanceError> {
+        let (frozen, view) = frozen_of(self.scene, &self.views, &mut self.kept, &mut self.spare, index);
+        self.step.render(&self.field, view, frozen);
+        let mut losses = self.step.losses(view, &self.goals, true)?;
+        self.step.backward(&self.field, view, frozen, self.goals.lambda_variation);
+        losses.variation = variation::forward(&self.field);
+        losses.total += self.goals.lambda_variation * losses.variation;
+        Ok(losses)
+    }
+
+    /// How far view `index` is from its reference.
+    pub fn evaluate(&mut self, index: usize) -> Result<ViewErrors, EnhanceError> {
+        let (frozen, view) = frozen_of(self.scene, &self.views, &mut self.kept, &mut self.spare, index);
+        self.step.render(&self.field, view, frozen);
+        let losses = self.step.losses(view, &self.goals, false)?;
+        Ok(ViewErrors { global: losses.global, local: losses.local, pixels: losses.pixels })
+    }
+
+    /// The render of the last [`Engine::step`] or [`Engine::evaluate`], on the view's lattice.
+    pub fn rendered(&self) -> &Rendered {
+        &self.step.rendered
+    }
+
+    /// The constant mode of the current field over the scene's Gaussians (R22).
+    pub(crate) fn centre(&mut self) -> [f32; use3d_ubaf::OUTPUTS] {
+        self.step.objects.forward(&self.field);
+        self.step.objects.mean()
+    }
+}
+
+/// The kept constants of a view, or the spare ones made to be its.
+fn frozen_of<'e>(
+    scene: &Scene,
+    views: &'e [ViewConstants],
+    kept: &'e mut [Option<Frozen>],
+    spare: &'e mut Option<(usize, Frozen)>,
+    index: usize,
+) -> (&'e mut Frozen, &'e ViewConstants) {
+    let view = &views[index];
+    if let Some(frozen) = &mut kept[index] {
+        return (frozen, view);
+    }
+    let made = match spare.take() {
+        Some((of, frozen)) if of == index => frozen,
+        _ => Frozen::new(scene, &view.camera, &view.lattice),
+    };
+    (&mut spare.insert((index, made)).1, view)
+}
+
+fn check_guidance(guidance: Guidance<'_>, objective: Objective) -> Result<(), EnhanceError> {
+    let (objective, needed, fits) = match objective {
+        Objective::Full => ("full", "transition targets", matches!(guidance, Guidance::Targets(_))),
+        Objective::GlobalOnly => {
+            ("global-only", "transition targets", matches!(guidance, Guidance::Targets(_)))
+        }
+        Objective::LocalOnly => {
+            ("local-only", "transition targets", matches!(guidance, Guidance::Targets(_)))
+        }
+        Objective::PseudoLabels => (
+            "pseudo-labels",
+            "enhanced images of the training views",
+            matches!(guidance, Guidance::Labels(_)),
+        ),
+    };
+    if fits { Ok(()) } else { Err(EnhanceError::Guidance { objective, needed }) }
+}

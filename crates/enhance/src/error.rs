@@ -1,0 +1,72 @@
+//! What can go wrong in stage 2.
+
+use use3d_atc::AtcError;
+use use3d_training::{CheckpointError, NonFinite};
+use use3d_ubaf::FieldError;
+
+/// An error of stage 2.
+#[derive(Debug, thiserror::Error)]
+pub enum EnhanceError {
+    /// A parameter outside its range.
+    #[error("enhance parameter `{field}` is {value}; expected {expected}")]
+    Parameter {
+        /// The field.
+        field: &'static str,
+        /// Value found.
+        value: f64,
+        /// What it should be.
+        expected: &'static str,
+    },
+    /// Sizes of the field that are not supported.
+    #[error(transparent)]
+    Field(#[from] FieldError),
+    /// Nothing to learn from.
+    #[error("there are no training views to enhance the scene from; check the capture's split")]
+    NoViews,
+    /// A scene without Gaussians.
+    #[error("the scene has no Gaussians, so there is nothing to enhance; reconstruct it first")]
+    EmptyScene,
+    /// Guidance of another kind than the objective asks for.
+    #[error("the objective `{objective}` needs {needed}; give it or choose another objective")]
+    Guidance {
+        /// The objective.
+        objective: &'static str,
+        /// What is missing.
+        needed: &'static str,
+    },
+    /// The targets or the extractor refused.
+    #[error(transparent)]
+    Transition(#[from] AtcError),
+    /// A pseudo-label that cannot be used.
+    #[error("pseudo-label of view `{view}`: {problem}")]
+    Label {
+        /// The view's name.
+        view: String,
+        /// What is wrong.
+        problem: String,
+    },
+    /// Numbers left the finite range.
+    #[error(transparent)]
+    NonFinite(#[from] NonFinite),
+    /// A checkpoint could not be written.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    /// Somebody asked to stop; the state is in the checkpoint.
+    #[error("stopped on request after step {step}; run again to go on from there")]
+    Stopped {
+        /// Steps done.
+        step: u64,
+    },
+    /// A scene that stage 2 has not seen.
+    #[error("the scene has no enhancement; run `use3d enhance` on it first")]
+    NotEnhanced,
+    /// A strength outside `[0, 1]`.
+    #[error("strength is {0}; expected 0 (the reconstruction) to 1 (fully enhanced)")]
+    Strength(f32),
+}
+
+impl EnhanceError {
+    pub(crate) fn parameter(field: &'static str, value: f64, expected: &'static str) -> Self {
+        Self::Parameter { field, value, expected }
+    }
+}

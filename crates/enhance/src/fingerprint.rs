@@ -1,0 +1,61 @@
+//! Whether a checkpoint belongs to this run: a digest of everything that shapes a step.
+
+use use3d_scene::Scene;
+
+use crate::view::{EnhanceView, Guidance, Reference, ViewConstants};
+use crate::{EnhanceError, EnhanceParams};
+
+/// The digest. How long to train, how often to log or save and how much to keep in memory are left out: they may change between
+/// two sessions of one run.
+pub(crate) fn fingerprint(
+    scene: &Scene,
+    views: &[EnhanceView],
+    guidance: Guidance<'_>,
+    constants: &[ViewConstants],
+    params: &EnhanceParams,
+) -> Result<[u8; 32], EnhanceError> {
+    let mut hash = blake3::Hasher::new();
+    let defaults = EnhanceParams::default();
+    let shaping = EnhanceParams {
+        iterations: defaults.iterations,
+        checkpoint_every: defaults.checkpoint_every,
+        cache_mib: defaults.cache_mib,
+        ..params.clone()
+    };
+    hash.update(format!("{shaping:?}").as_bytes());
+    let g = &scene.gaussians;
+    hash.update(&(g.len() as u64).to_le_bytes());
+    hash.update(&[g.sh_degree as u8, scene.medium_degree as u8, scene.medium.kind() as u8]);
+    for rows in [&g.means, &g.log_scales] {
+        hash.update(bytemuck::cast_slice(rows));
+    }
+    hash.update(bytemuck::cast_slice(&g.quaternions));
+    hash.update(bytemuck::cast_slice(&g.opacity_logits));
+    hash.update(bytemuck::cast_slice(&g.sh));
+    hash.update(bytemuck::cast_slice(&scene.medium.flat()));
+    for view in views {
+        hash.update(&(view.name.len() as u64).to_le_bytes());
+        hash.update(view.name.as_bytes());
+        let (k, pose) = (&view.camera.intrinsics, &view.camera.pose);
+        for v in [k.width as f64, k.height as f64, k.fx, k.fy, k.cx, k.cy]
+            .into_iter()
+            .chain(pose.rotation.to_cols_array())
+            .chain(pose.translation.to_array())
+        {
+            hash.update(&v.to_le_bytes());
+        }
+    }
+    match guidance {
+        Guidance::Targets(targets) => {
+            hash.update(&targets.to_bytes()?);
+        }
+        Guidance::Labels(_) => {
+            for view in constants {
+                if let Reference::Label(pixels) = &view.reference {
+                    hash.update(bytemuck::cast_slice(pixels.data()));
+                }
+            }
+        }
+    }
+    Ok(*hash.finalize().as_bytes())
+}

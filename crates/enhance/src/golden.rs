@@ -1,0 +1,231 @@
+//! One whole step against the float64 oracle and against differences of itself.
+
+use std::sync::Arc;
+
+use glam::{DMat3, DVec3};
+use use3d_atc::consensus::ViewTarget;
+use use3d_atc::extractor::{ExtractorSettings, Form, Geometry, Source};
+use use3d_capture::{Camera, Image, Intrinsics, MediumMaps, Pose};
+use use3d_golden::{Case, Part};
+use use3d_numerics::random::{Purpose, Stream};
+use use3d_splat::{Colors, Gaussians, Options, Prepared, Rasterizer, Rendered, view_colors};
+use use3d_ubaf::objects::guide_color;
+use use3d_ubaf::{Field, FieldBox, Level, ObjectPass, Shape, Water, variation};
+
+use crate::engine::{Goals, Step};
+use crate::params::PixelLoss;
+use crate::view::{Frozen, Reference, ViewConstants};
+
+struct Example {
+    field: Field,
+    step: Step,
+    view: ViewConstants,
+    frozen: Frozen,
+    goals: Goals,
+    stage1: Image,
+}
+
+fn array<const N: usize>(case: &Case<'_>, name: &str) -> [f64; N] {
+    case.f64(name).try_into().expect("a tensor of that length")
+}
+
+fn image(case: &Case<'_>, name: &str) -> Image {
+    let (w, h, planes) = case.planes(name);
+    Image::from_planes(w, h, planes).expect("planes of that size")
+}
+
+impl Example {
+    fn new(case: &Case<'_>) -> Self {
+        let sh = case.rows::<48>("in.sh");
+        let gaussians = Gaussians {
+            sh_degree: case.count("sh_degree"),
+            means: case.rows("in.means"),
+            log_scales: case.rows("in.log_scales"),
+            quaternions: case.rows("in.quats"),
+            opacity_logits: case.f32("in.opacity_logits"),
+            sh: sh.iter().map(|r| std::array::from_fn(|k| std::array::from_fn(|c| r[3 * k + c]))).collect(),
+        };
+        let intrinsics = Intrinsics {
+            width: case.count("width"),
+            height: case.count("height"),
+            fx: case.number("fx"),
+            fy: case.number("fy"),
+            cx: case.number("cx"),
+            cy: case.number("cy"),
+        };
+        let rotation = DMat3::from_cols_array(&array(case, "in.R_cw")).transpose();
+        let camera =
+            Camera { intrinsics, pose: Pose { rotation, translation: DVec3::from(array(case, "in.t_cw")) } };
+        let form = if case.config()["form"] == "log" { Form::Log } else { Form::Linear };
+        let settings = ExtractorSettings { form, ..ExtractorSettings::default() };
+        let geometry = Arc::new(Geometry::new(intrinsics.width, intrinsics.height, &settings).unwrap());
+        let lattice = geometry.lattice();
+        let maps = MediumMaps {
+            color: image(case, "in.c_m"),
+            backscatter: image(case, "in.beta_bs"),
+            attenuation: image(case, "in.beta_attn"),
+        };
+        let mut base = Vec::new();
+        view_colors(&gaussians, &camera, gaussians.sh_degree, &mut base);
+        let mut prepared = Prepared::new();
+        prepared.prepare(&gaussians, &camera, &lattice, Colors::Given(&base));
+        let mut rendered = Rendered::new();
+        Rasterizer::new().forward(&prepared, Some(&maps), &Options::default(), &mut rendered);
+        let source = Source::on_lattice(&geometry, &rendered.image).unwrap();
+        let shape = case.shape("in.delta_target");
+        let target = ViewTarget {
+            grid: (shape[1], shape[0]),
+            local: case.f64("in.delta_target").as_chunks::<6>().0.to_vec(),
+            weight: case.f64("in.W_support"),
+        };
+        let factors = case.shape("in.factors");
+        let shape = Shape { resolution: factors[1], rank: factors[2], width: case.shape("in.b1")[0] };
+        let parameters = ["factors", "W1", "b1", "W2", "b2", "guide", "affine", "transport"]
+            .iter()
+            .flat_map(|name| case.f32(&format!("in.{name}")))
+            .collect();
+        let corners = case.rows::<3>("in.box");
+        let field = Field::from_parameters(shape, FieldBox { low: corners[0], high: corners[1] }, parameters)
+            .unwrap();
+        let guides = gaussians.sh.iter().map(|sh| guide_color(sh[0]));
+        let objects = ObjectPass::with_guides(Level::new(), &field, &gaussians.means, guides);
+        let lambdas = case.config()["lam"].as_array().expect("three weights");
+        let lambda = |i: usize| lambdas[i].as_f64().expect("a number");
+        let goals = Goals {
+            operator: array(case, "in.t_target"),
+            global_scales: array(case, "in.s_g"),
+            local_scales: array(case, "in.s_l"),
+            lambda_global: lambda(0),
+            lambda_local: lambda(1),
+            lambda_variation: lambda(2),
+            pixel_loss: PixelLoss::L1,
+        };
+        let view = ViewConstants {
+            camera,
+            center: camera.pose.center().as_vec3().to_array(),
+            geometry,
+            lattice,
+            reference: Reference::Transition(Box::new(source), target),
+        };
+        Self {
+            step: Step::new(&field, objects),
+            frozen: Frozen { prepared, base, water: Some(Water::new(maps)) },
+            stage1: rendered.image,
+            field,
+            view,
+            goals,
+        }
+    }
+
+    fn total(&mut self) -> f64 {
+        self.step.render(&self.field, &self.view, &mut self.frozen);
+        let losses = self.step.losses(&self.view, &self.goals, false).unwrap();
+        losses.total + self.goals.lambda_variation * variation::forward(&self.field)
+    }
+}
+
+fn steps(part: &Part) -> Vec<Case<'_>> {
+    let cases: Vec<_> = part.cases().into_iter().filter(|c| c.has("in.t_target")).collect();
+    assert!(!cases.is_empty(), "no whole steps");
+    cases
+}
+
+#[test]
+fn golden_whole_steps() {
+    let part = Part::math("ubaf");
+    for case in steps(&part) {
+        let mut e = Example::new(&case);
+        case.check_planes("out.rec", e.stage1.data());
+        e.step.render(&e.field, &e.view, &mut e.frozen);
+        case.check("out.colors_plus", e.step.colors.as_flattened());
+        case.check_planes("out.plus", e.step.rendered.image.data());
+        let losses = e.step.losses(&e.view, &e.goals, true).unwrap();
+        let realised = e.step.transition().clone();
+        case.check_f64("out.t", &realised.global);
+        case.check_f64("out.delta", realised.local.as_flattened());
+        case.check_f64("out.l_global", &[losses.global.loss]);
+        case.check_f64("out.l_local", &[losses.local.loss]);
+        let variation = variation::forward(&e.field);
+        case.check_f64("out.l_tv", &[variation]);
+        let lambdas = (e.goals.lambda_global, e.goals.lambda_local, e.goals.lambda_variation);
+        case.check_f64("out.total", &[losses.total + lambdas.2 * variation]);
+        for (pull, outputs) in case.pulls() {
+            let cotangent = |name: &str| {
+                if outputs.iter().any(|o| o == name) { case.f64(&format!("cot.{name}"))[0] } else { 0.0 }
+            };
+            let total = cotangent("total");
+            e.goals.lambda_global = cotangent("l_global") + total * lambdas.0;
+            e.goals.lambda_local = cotangent("l_local") + total * lambdas.1;
+            e.goals.lambda_variation = total * lambdas.2;
+            e.step.render(&e.field, &e.view, &mut e.frozen);
+            e.step.losses(&e.view, &e.goals, true).unwrap();
+            e.step.backward(&e.field, &e.view, &e.frozen, e.goals.lambda_variation);
+            let s = e.field.shape();
+            for (name, range) in [
+                ("factors", s.factors()),
+                ("W1", s.hidden_weight()),
+                ("b1", s.hidden_bias()),
+                ("W2", s.output_weight()),
+                ("b2", s.output_bias()),
+                ("guide", s.guide()),
+                ("affine", s.affine()),
+                ("transport", s.transport()),
+            ] {
+                case.check_f64(&format!("grad.{pull}.{name}"), &e.step.gradient.values[range]);
+            }
+        }
+    }
+}
+
+/// Random fields on the golden's scene: the slope along random directions of each group is the gradient's.
+#[test]
+fn whole_steps_agree_with_their_differences() {
+    let part = Part::math("ubaf");
+    for case in steps(&part) {
+        for seed in 0..4 {
+            let mut e = Example::new(&case);
+            let draw = Stream::new(seed, Purpose::new("step differences"), 0);
+            for (i, p) in e.field.parameters.iter_mut().enumerate() {
+                *p += 0.1 * draw.normal(i as u64) as f32;
+            }
+            e.total();
+            e.step.losses(&e.view, &e.goals, true).unwrap();
+            e.step.backward(&e.field, &e.view, &e.frozen, e.goals.lambda_variation);
+            let gradient = e.step.gradient.values.clone();
+            let s = e.field.shape();
+            for (group, range) in [
+                ("factors", s.factors()),
+                ("hidden", s.hidden_weight().start..s.hidden_bias().end),
+                ("output", s.output_weight()),
+                ("guide", s.guide()),
+                ("affine", s.affine()),
+                ("transport", s.transport()),
+            ] {
+                let start = e.field.parameters.clone();
+                let direction: Vec<f64> =
+                    range.clone().map(|i| draw.normal(50_000 + i as u64).signum()).collect();
+                let step = 1e-3;
+                let mut at = |sign: f64| {
+                    for (i, d) in range.clone().zip(&direction) {
+                        e.field.parameters[i] = (f64::from(start[i]) + sign * step * d) as f32;
+                    }
+                    // What the f32 parameters really moved by.
+                    let value = e.total();
+                    let moved: f64 = range
+                        .clone()
+                        .map(|i| gradient[i] * (f64::from(e.field.parameters[i]) - f64::from(start[i])))
+                        .sum();
+                    (value, moved)
+                };
+                let ((up, moved_up), (down, moved_down)) = (at(1.0), at(-1.0));
+                e.field.parameters.copy_from_slice(&start);
+                let (found, expected) = (up - down, moved_up - moved_down);
+                let scale: f64 = range.clone().map(|i| gradient[i].abs() * step).sum();
+                assert!(
+                    (found - expected).abs() < 0.02 * scale + 3e-6,
+                    "seed {seed}, {group}: the loss moved by {found:e}, the gradient says {expected:e}"
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,137 @@
+//! What a user may choose about stage 2.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use use3d_ubaf::Shape;
+
+use crate::EnhanceError;
+
+/// What stage 2 learns from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Objective {
+    /// Scene-global and Gaussian-local transition targets: the method.
+    #[default]
+    Full,
+    /// The global term alone (ablation).
+    GlobalOnly,
+    /// The local term alone (ablation).
+    LocalOnly,
+    /// The proposer's images, view by view, as colours to reproduce: the baseline that the method is compared with.
+    PseudoLabels,
+}
+
+/// How a rendered image is compared with a pseudo-label.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum PixelLoss {
+    /// Mean absolute difference.
+    #[default]
+    L1,
+    /// Mean squared difference.
+    L2,
+}
+
+/// Parameters of stage 2. The defaults are the method's.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct EnhanceParams {
+    /// Optimisation steps, one view each.
+    pub iterations: u64,
+    /// What to learn from.
+    pub objective: Objective,
+    /// Weight λ_g of the global term.
+    pub lambda_global: f64,
+    /// Weight λ_ℓ of the local term.
+    pub lambda_local: f64,
+    /// Weight λ_tv of the factors' total variation.
+    pub lambda_variation: f64,
+    /// How pseudo-labels are compared (objective `pseudo-labels` only).
+    pub pixel_loss: PixelLoss,
+    /// Nodes per axis of the field, 2 to 256.
+    pub resolution: usize,
+    /// Rank of the field, 1 to 16.
+    pub rank: usize,
+    /// Hidden width of the decoder, 1 to 1024.
+    pub width: usize,
+    /// Adam's constant learning rate of the field.
+    pub learning_rate: f64,
+    /// Adam's constant learning rate of the two transport ratios.
+    pub transport_learning_rate: f64,
+    /// Seed of the field's start and of the order of views.
+    pub seed: u64,
+    /// Steps between checkpoints.
+    pub checkpoint_every: u64,
+    /// Steps that one line of the log averages over.
+    pub log_every: u64,
+    /// Memory for what is constant per view, MiB. Views beyond it are prepared anew in every step that uses them.
+    pub cache_mib: usize,
+}
+
+impl Default for EnhanceParams {
+    fn default() -> Self {
+        let shape = Shape::default();
+        Self {
+            iterations: 5000,
+            objective: Objective::Full,
+            lambda_global: 1.0,
+            lambda_local: 1.0,
+            lambda_variation: 1e-4,
+            pixel_loss: PixelLoss::L1,
+            resolution: shape.resolution,
+            rank: shape.rank,
+            width: shape.width,
+            learning_rate: 1e-3,
+            transport_learning_rate: 2e-4,
+            seed: 42,
+            checkpoint_every: 500,
+            log_every: 50,
+            cache_mib: 2048,
+        }
+    }
+}
+
+impl EnhanceParams {
+    /// The field's sizes.
+    pub fn shape(&self) -> Shape {
+        Shape { resolution: self.resolution, rank: self.rank, width: self.width }
+    }
+
+    /// `(λ_g, λ_ℓ)` after the ablation switch.
+    pub fn transition_weights(&self) -> (f64, f64) {
+        match self.objective {
+            Objective::Full => (self.lambda_global, self.lambda_local),
+            Objective::GlobalOnly => (self.lambda_global, 0.0),
+            Objective::LocalOnly => (0.0, self.lambda_local),
+            Objective::PseudoLabels => (0.0, 0.0),
+        }
+    }
+
+    /// Checks ranges; the error names the first bad field.
+    pub fn validate(&self) -> Result<(), EnhanceError> {
+        self.shape().validate()?;
+        let weights = [
+            ("lambda_global", self.lambda_global),
+            ("lambda_local", self.lambda_local),
+            ("lambda_variation", self.lambda_variation),
+        ];
+        for (field, value) in weights {
+            if !(value >= 0.0 && value.is_finite()) {
+                return Err(EnhanceError::parameter(field, value, "a finite number, 0 or above"));
+            }
+        }
+        for (field, value) in
+            [("learning_rate", self.learning_rate), ("transport_learning_rate", self.transport_learning_rate)]
+        {
+            if !(value > 0.0 && value <= 1.0) {
+                return Err(EnhanceError::parameter(field, value, "above 0, at most 1"));
+            }
+        }
+        for (field, value) in [("checkpoint_every", self.checkpoint_every), ("log_every", self.log_every)] {
+            if value == 0 {
+                return Err(EnhanceError::parameter(field, 0.0, "at least 1 step"));
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,205 @@
+//! The loop on a small scene: it starts at the identity, reaches its targets, repeats itself bit for bit, and survives a kill.
+
+mod common;
+
+use common::{Labels, draw, mini, quick, targets, taught};
+use use3d_enhance::{
+    Engine, EnhanceError, EnhanceParams, Guidance, Look, Objective, Outcome, PixelLoss, enhance,
+};
+use use3d_training::{Observer, Progress, Silent};
+
+/// Stops after some steps and remembers what it was told.
+struct Watcher {
+    stop_after: u64,
+    seen: u64,
+    notices: Vec<String>,
+}
+
+impl Watcher {
+    fn new(stop_after: u64) -> Self {
+        Self { stop_after, seen: 0, notices: Vec::new() }
+    }
+}
+
+impl Observer for Watcher {
+    fn progress(&mut self, progress: &Progress) {
+        self.seen = progress.step;
+    }
+
+    fn notice(&mut self, message: &str) {
+        self.notices.push(message.into());
+    }
+
+    fn should_stop(&self) -> bool {
+        self.seen >= self.stop_after
+    }
+}
+
+#[test]
+fn it_starts_at_the_identity() {
+    let (scene, views) = mini();
+    let wanted = targets(&scene, &taught(&scene), &views);
+    let params = quick(1);
+    let mut engine = Engine::new(&scene, &views, Guidance::Targets(&wanted), &params, &mut Silent).unwrap();
+    let rms = (wanted.scene.iter().map(|t| (t / 0.2).powi(2)).sum::<f64>() / 12.0).sqrt();
+    for (index, view) in views.iter().enumerate() {
+        let errors = engine.evaluate(index).unwrap();
+        // The realised operator is zero, so all that remains is the target.
+        assert!((errors.global.error - rms).abs() < 1e-6, "{} {rms}", errors.global.error);
+        let stage1 = draw(&scene, Look::Reconstruction, &view.camera);
+        let plus = &engine.rendered().image;
+        for (a, b) in plus.data().iter().zip(stage1.data()) {
+            assert!((a - b).abs() < 1e-6, "{a} {b}");
+        }
+    }
+}
+
+#[test]
+fn losses_fall_and_the_realised_operators_reach_the_targets() {
+    let (scene, views) = mini();
+    let teacher = taught(&scene);
+    let wanted = targets(&scene, &teacher, &views);
+    let train: Vec<_> =
+        views.iter().enumerate().filter(|(i, _)| i % 4 != 0).map(|(_, v)| v.clone()).collect();
+    let run = |objective| {
+        let params = EnhanceParams { objective, ..quick(400) };
+        enhance(&scene, &train, Guidance::Targets(&wanted), &params, None, &mut Silent).unwrap()
+    };
+    let full = run(Objective::Full);
+    let (first, last) = (&full.log[0], &full.log[full.log.len() - 1]);
+    assert!(last.loss < 0.25 * first.loss, "{first:?} {last:?}");
+    let (before, after) = full.report.global_errors();
+    assert!(after < 0.3 * before, "global {before} -> {after}");
+    let (local_before, local_after) = full.report.local_errors();
+    assert!(local_after < 0.75 * local_before, "local {local_before} -> {local_after}");
+    // Geometry, radiance and water are untouched.
+    assert_eq!(full.scene.gaussians, scene.gaussians);
+    assert_eq!(full.scene.medium, scene.medium);
+    // Views that were never trained on come near the teacher too.
+    let distance = |a: &use3d_capture::Image, b: &use3d_capture::Image| {
+        a.data().iter().zip(b.data()).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>()
+            / a.data().len() as f64
+    };
+    for view in views.iter().step_by(4) {
+        let goal = draw(&teacher, Look::Enhanced { strength: 1.0 }, &view.camera);
+        let start = distance(&draw(&scene, Look::Reconstruction, &view.camera), &goal);
+        let end = distance(&draw(&full.scene, Look::Enhanced { strength: 1.0 }, &view.camera), &goal);
+        assert!(end < 0.5 * start, "{}: {start} -> {end}", view.name);
+    }
+    // The ablations leave the other term alone.
+    let global_only = run(Objective::GlobalOnly);
+    let local_only = run(Objective::LocalOnly);
+    assert!(global_only.report.global_errors().1 < 0.3 * before);
+    assert!(
+        local_only.report.global_errors().1 > 0.5 * before,
+        "no global pull: {:?}",
+        local_only.report.global_errors()
+    );
+    assert!(global_only.report.local_errors().1 > local_only.report.local_errors().1);
+}
+
+#[test]
+fn pseudo_labels_are_reproduced() {
+    let (scene, views) = mini();
+    let teacher = taught(&scene);
+    let labels = Labels { taught: &teacher, views: &views };
+    for pixel_loss in [PixelLoss::L1, PixelLoss::L2] {
+        let params = EnhanceParams { objective: Objective::PseudoLabels, pixel_loss, ..quick(150) };
+        let out = enhance(&scene, &views, Guidance::Labels(&labels), &params, None, &mut Silent).unwrap();
+        let sum =
+            |pick: &dyn Fn(&use3d_enhance::ViewReport) -> f64| out.report.views.iter().map(pick).sum::<f64>();
+        let (before, after) = (sum(&|v| v.before.pixels), sum(&|v| v.after.pixels));
+        assert!(after < 0.4 * before, "{pixel_loss:?}: {before} -> {after}");
+    }
+}
+
+fn same(a: &Outcome, b: &Outcome) {
+    assert_eq!(a.scene.enhancement, b.scene.enhancement);
+    assert_eq!(a.log_lines(), b.log_lines());
+    let errors = |o: &Outcome| o.report.views.clone();
+    assert_eq!(errors(a), errors(b));
+}
+
+#[test]
+fn threads_and_memory_do_not_change_a_bit() {
+    let (scene, views) = mini();
+    let wanted = targets(&scene, &taught(&scene), &views);
+    let run = |threads: usize, cache_mib: usize, observer: &mut dyn Observer| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let params = EnhanceParams { cache_mib, ..quick(25) };
+        // An observer need not be Send, so the loop runs here and its parallel parts in the pool of one call each.
+        let mut notices = Vec::new();
+        let out = pool.install(|| {
+            let mut watcher = Watcher::new(u64::MAX);
+            let out =
+                enhance(&scene, &views, Guidance::Targets(&wanted), &params, None, &mut watcher).unwrap();
+            notices = watcher.notices;
+            out
+        });
+        notices.iter().for_each(|n| observer.notice(n));
+        out
+    };
+    let one = run(1, 512, &mut Silent);
+    for threads in [2, 3] {
+        same(&one, &run(threads, 512, &mut Silent));
+    }
+    let mut watcher = Watcher::new(u64::MAX);
+    let starved = run(2, 0, &mut watcher);
+    same(&one, &starved);
+    assert_eq!((one.report.views_in_memory, starved.report.views_in_memory), (views.len(), 0));
+    assert!(watcher.notices.iter().any(|n| n.contains("cache_mib")), "{:?}", watcher.notices);
+}
+
+#[test]
+fn a_killed_run_goes_on_as_if_it_had_not_been() {
+    let (scene, views) = mini();
+    let wanted = targets(&scene, &taught(&scene), &views);
+    let guidance = Guidance::Targets(&wanted);
+    let params = EnhanceParams { checkpoint_every: 10, log_every: 7, ..quick(40) };
+    let whole = enhance(&scene, &views, guidance, &params, None, &mut Silent).unwrap();
+
+    let dir = tempfile::tempdir().unwrap();
+    let stopped =
+        enhance(&scene, &views, guidance, &params, Some(dir.path()), &mut Watcher::new(17)).unwrap_err();
+    assert!(matches!(stopped, EnhanceError::Stopped { step: 17 }), "{stopped}");
+    let mut watcher = Watcher::new(u64::MAX);
+    let resumed = enhance(&scene, &views, guidance, &params, Some(dir.path()), &mut watcher).unwrap();
+    assert!(watcher.notices.iter().any(|n| n.contains("step 17")), "{:?}", watcher.notices);
+    same(&whole, &resumed);
+
+    // Another parameter is another run; a damaged file is said aloud. Neither goes on from it.
+    let other = EnhanceParams { learning_rate: 4e-3, ..params.clone() };
+    let mut watcher = Watcher::new(u64::MAX);
+    enhance(&scene, &views, guidance, &other, Some(dir.path()), &mut watcher).unwrap();
+    assert!(watcher.notices.iter().any(|n| n.contains("starting anew")), "{:?}", watcher.notices);
+    std::fs::write(dir.path().join("enhance.checkpoint"), b"3d-use").unwrap();
+    let mut watcher = Watcher::new(u64::MAX);
+    let anew = enhance(&scene, &views, guidance, &params, Some(dir.path()), &mut watcher).unwrap();
+    assert!(watcher.notices.iter().any(|n| n.contains("starting anew")), "{:?}", watcher.notices);
+    same(&whole, &anew);
+}
+
+#[test]
+fn wrong_input_is_named() {
+    let (scene, views) = mini();
+    let teacher = taught(&scene);
+    let wanted = targets(&scene, &teacher, &views);
+    let guidance = Guidance::Targets(&wanted);
+    let message = |scene: &use3d_scene::Scene, views: &[_], guidance, params: &EnhanceParams| {
+        enhance(scene, views, guidance, params, None, &mut Silent).unwrap_err().to_string()
+    };
+    assert!(message(&scene, &[], guidance, &quick(1)).contains("no training views"));
+    let labels = Labels { taught: &teacher, views: &views };
+    assert!(message(&scene, &views, Guidance::Labels(&labels), &quick(1)).contains("transition targets"));
+    let params = EnhanceParams { objective: Objective::PseudoLabels, ..quick(1) };
+    assert!(message(&scene, &views, guidance, &params).contains("enhanced images"));
+    let params = EnhanceParams { lambda_local: f64::NAN, ..quick(1) };
+    assert!(message(&scene, &views, guidance, &params).contains("lambda_local"));
+    let params = EnhanceParams { rank: 99, ..quick(1) };
+    assert!(message(&scene, &views, guidance, &params).contains("rank"));
+    let mut fewer = scene.clone();
+    fewer.gaussians = scene.gaussians.select(&[0, 1, 2]);
+    assert!(message(&fewer, &views, guidance, &quick(1)).contains("Gaussians"));
+    let json = serde_json::json!({ "iterationz": 3 });
+    assert!(serde_json::from_value::<EnhanceParams>(json).unwrap_err().to_string().contains("iterationz"));
+}
