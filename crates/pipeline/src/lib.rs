@@ -1,1 +1,15 @@
-//! Stages, keys, cache, plans, batches, report
+//! Stages, keys, cache, plans, batches, tables and report: from captures to results, computing nothing twice.
+//!
+//! [`engine`] knows what a stage is and when it must run; [`config`] reads pipeline files; [`stages`] is the table of the method's
+//! stages. [`rendering`] and [`scoring`] are what several stages share; [`tables`] and [`report`] lay out what they found;
+//! [`results`] puts it where a person looks.
+
+pub mod config;
+pub mod engine;
+pub mod rendering;
+pub mod report;
+pub mod results;
+pub mod scores;
+pub mod scoring;
+pub mod stages;
+pub mod tables;

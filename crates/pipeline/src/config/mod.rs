@@ -1,0 +1,406 @@
+//! The pipeline file: which scenes, with which parameters, in which variants.
+//!
+//! ```toml
+//! name = "seathru4"
+//! seed = 42
+//! [models]
+//! dir = "models"
+//! [calibrator]
+//! pairs = { input = "uieb/raw-890", target = "uieb/reference-890" }
+//! [defaults.reconstruct]                     # parameters of a stage, for all scenes
+//! iterations = 15000
+//! [[scene]]
+//! name = "Panama"
+//! capture = "${SEATHRU}/Panama"
+//! reconstruct = { iterations = 20000 }       # for this scene only
+//! [[variant]]                                # every scene in every variant; unchanged stages are shared
+//! name = "mlp"
+//! reconstruct = { medium = "mlp" }
+//! ```
+//!
+//! Later ones win: a stage's defaults, `[defaults.<stage>]`, the scene's, the variant's, `--set`. Unknown and ill-typed keys
+//! are errors that point at line and column and name the nearest known key. Relative paths start at the file's folder. An
+//! environment variable that is not set only hurts the scenes that need it.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::de::DeserializeOwned;
+use serde_json::{Map, Value};
+
+use crate::engine::error::nearest;
+use crate::engine::graph::{External, Overrides};
+use crate::engine::{Batch, ParameterError, Registry, Scene, Source, Variant, canonical};
+
+mod document;
+mod file;
+mod schema;
+mod set;
+
+pub use document::ConfigError;
+use document::{Document, join, unknown_key};
+use file::{Calibrator, PipelineFile, SceneEntry, VariantEntry};
+pub use schema::{schema, schema_text};
+pub use set::stage_parameters;
+
+/// What the command line adds to a pipeline file.
+#[derive(Clone, Debug, Default)]
+pub struct LoadOptions {
+    /// `KEY=VALUE` of `--set`, in order.
+    pub sets: Vec<String>,
+    /// `--cache` or USE3D_CACHE.
+    pub cache: Option<PathBuf>,
+    /// `--models` or USE3D_MODELS.
+    pub models: Option<PathBuf>,
+    /// Only these scenes; all without.
+    pub scenes: Vec<String>,
+}
+
+/// A pipeline that is ready to be planned.
+#[derive(Clone, Debug)]
+pub struct Pipeline {
+    /// What is to be computed.
+    pub batch: Batch,
+    /// The cache folder.
+    pub cache: PathBuf,
+}
+
+/// Loads a pipeline file.
+pub fn load(registry: &Registry, file: &Path, options: &LoadOptions) -> Result<Pipeline, ConfigError> {
+    parse(registry, Document::read(file)?, file, options)
+}
+
+/// The whole pipeline with defaults on one capture folder.
+pub fn for_capture(
+    registry: &Registry,
+    folder: &Path,
+    options: &LoadOptions,
+) -> Result<Pipeline, ConfigError> {
+    let whole = std::fs::canonicalize(folder)
+        .map_err(|e| ConfigError::plain(format!("cannot open the capture {}: {e}", folder.display())))?;
+    if !whole.is_dir() {
+        return Err(ConfigError::plain(format!(
+            "{} is neither a pipeline file (.toml) nor a capture folder",
+            folder.display()
+        )));
+    }
+    let name = whole.file_name().map_or_else(|| "capture".to_string(), |n| n.to_string_lossy().into_owned());
+    let externals = BTreeMap::from([("capture".to_string(), Ok(whole))]);
+    let scene = Scene { name: name.clone(), externals, ..Scene::default() };
+    let batch = Batch { name, seed: file::default_seed(), scenes: vec![scene], ..Batch::default() };
+    finish(registry, batch, None, None, Path::new("."), options)
+}
+
+/// Loads a pipeline from its text, as if it stood in `file`.
+pub fn from_text(
+    registry: &Registry,
+    text: &str,
+    file: &Path,
+    options: &LoadOptions,
+) -> Result<Pipeline, ConfigError> {
+    parse(registry, Document::parse(file, text.to_string())?, file, options)
+}
+
+fn parse(
+    registry: &Registry,
+    document: Document,
+    file: &Path,
+    options: &LoadOptions,
+) -> Result<Pipeline, ConfigError> {
+    let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let reader = Reader { registry, document };
+    let mut top = reader.document.value.as_object().cloned().unwrap_or_default();
+    let mut batch = Batch::default();
+    let mut take = |name: &str| top.remove(name).unwrap_or(Value::Null);
+    let (defaults, scenes, variants) = (take("defaults"), take("scene"), take("variant"));
+    batch.defaults = reader.stages("defaults", reader.table("defaults", defaults)?)?;
+    if let Some(calibrator) = top.get_mut("calibrator") {
+        reader.shorthands("calibrator", "calibrator", calibrator, &mut batch.defaults)?;
+    }
+    if let Some(models) = top.get_mut("models") {
+        reader.shorthands("models", "models", models, &mut batch.defaults)?;
+    }
+    let mut top = Value::Object(top);
+    reader.shorthands("", "", &mut top, &mut batch.defaults)?;
+    let own: PipelineFile = reader.typed("", &top, &["defaults", "scene", "variant"])?;
+    reader.name("name", &own.name)?;
+    batch.name = own.name;
+    batch.seed = own.seed;
+    reader.calibrator(&own.calibrator, folder, &mut batch)?;
+    for (i, entry) in reader.list("scene", scenes)?.into_iter().enumerate() {
+        let base = format!("scene[{i}]");
+        let (rest, overrides) = reader.entry(&base, "scene", entry)?;
+        let entry: SceneEntry = reader.typed(&base, &rest, &reader.words("scene"))?;
+        reader.unique(&base, &entry.name, batch.scenes.iter().map(|s| &s.name))?;
+        let externals = BTreeMap::from([("capture".to_string(), expand(&entry.capture, folder))]);
+        batch.scenes.push(Scene {
+            name: entry.name,
+            group: entry.group,
+            externals,
+            overrides,
+            ..Scene::default()
+        });
+    }
+    if batch.scenes.is_empty() {
+        let hint =
+            "the pipeline has no scene; add one:\n[[scene]]\nname = \"reef\"\ncapture = \"path/to/reef\"";
+        return Err(reader.document.error("", hint));
+    }
+    for (i, entry) in reader.list("variant", variants)?.into_iter().enumerate() {
+        let base = format!("variant[{i}]");
+        let (rest, overrides) = reader.entry(&base, "variant", entry)?;
+        let entry: VariantEntry = reader.typed(&base, &rest, &reader.words("variant"))?;
+        reader.unique(&base, &entry.name, batch.variants.iter().map(|v| &v.name))?;
+        batch.variants.push(Variant { name: entry.name, seed: entry.seed, overrides, ..Variant::default() });
+    }
+    finish(registry, batch, own.cache, own.models.dir, folder, options)
+}
+
+/// What files and single captures have in common: the command line, the cache, the models, the choice of scenes.
+fn finish(
+    registry: &Registry,
+    mut batch: Batch,
+    cache: Option<String>,
+    models: Option<String>,
+    folder: &Path,
+    options: &LoadOptions,
+) -> Result<Pipeline, ConfigError> {
+    for setting in &options.sets {
+        set::apply(registry, &mut batch, setting)?;
+    }
+    if !options.scenes.is_empty() {
+        batch.keep_scenes(&options.scenes).map_err(|e| ConfigError::plain(e.to_string()))?;
+    }
+    let models = match (&options.models, models) {
+        (Some(path), _) => Some(Ok(path.clone())),
+        (None, Some(text)) => Some(expand(&text, folder)),
+        (None, None) => Some(PathBuf::from("models")).filter(|p| p.is_dir()).map(Ok),
+    };
+    if let Some(models) = models {
+        batch.externals.insert("models".to_string(), models);
+    }
+    let cache = match (&options.cache, cache) {
+        (Some(path), _) => path.clone(),
+        (None, Some(text)) => {
+            expand(&text, folder).map_err(|e| ConfigError::plain(format!("`cache`: {e}")))?
+        }
+        (None, None) => default_cache()?,
+    };
+    Ok(Pipeline { batch, cache })
+}
+
+/// Where the cache is unless somebody says otherwise: `$XDG_CACHE_HOME/use3d` or `~/.cache/use3d`.
+pub fn default_cache() -> Result<PathBuf, ConfigError> {
+    let set = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
+    let base = set("XDG_CACHE_HOME").or_else(|| home().map(|h| h.join(".cache")));
+    base.map(|b| b.join("use3d")).ok_or_else(|| {
+        ConfigError::plain(
+            "there is no home folder for the cache; say where it goes with --cache or USE3D_CACHE",
+        )
+    })
+}
+
+fn home() -> Option<PathBuf> {
+    ["HOME", "USERPROFILE"]
+        .iter()
+        .find_map(|n| std::env::var_os(n).filter(|v| !v.is_empty()))
+        .map(PathBuf::from)
+}
+
+/// A path of the file: `${NAME}` is an environment variable, `~` the home folder, relative ones start at `folder`.
+fn expand(text: &str, folder: &Path) -> External {
+    let mut out = String::new();
+    let mut rest = text;
+    while let Some(start) = rest.find("${") {
+        out.push_str(&rest[..start]);
+        let end = rest[start..].find('}').ok_or_else(|| format!("`{text}`: `${{` without `}}`"))? + start;
+        let name = &rest[start + 2..end];
+        let value = std::env::var(name).ok().filter(|v| !v.is_empty());
+        out.push_str(&value.ok_or_else(|| {
+            format!(
+                "the environment variable {name} is not set; set it to the folder that `{text}` starts with"
+            )
+        })?);
+        rest = &rest[end + 1..];
+    }
+    out.push_str(rest);
+    let path = match out.strip_prefix("~/") {
+        Some(below) => home().ok_or_else(|| format!("`{text}`: there is no home folder"))?.join(below),
+        None => PathBuf::from(out),
+    };
+    Ok(folder.join(path))
+}
+
+struct Reader<'r> {
+    registry: &'r Registry,
+    document: Document,
+}
+
+impl Reader<'_> {
+    fn table(&self, path: &str, value: Value) -> Result<Map<String, Value>, ConfigError> {
+        match value {
+            Value::Object(fields) => Ok(fields),
+            Value::Null => Ok(Map::new()),
+            _ => Err(self.document.error(path, format!("`{path}` is a table: write [{path}]"))),
+        }
+    }
+
+    fn list(&self, path: &str, value: Value) -> Result<Vec<Value>, ConfigError> {
+        match value {
+            Value::Array(items) => Ok(items),
+            Value::Null => Ok(Vec::new()),
+            _ => Err(self.document.error(path, format!("`{path}` is a list of tables: write [[{path}]]"))),
+        }
+    }
+
+    /// Tables of stages, each checked by its stage.
+    fn stages(&self, base: &str, tables: Map<String, Value>) -> Result<Overrides, ConfigError> {
+        for (name, given) in &tables {
+            let path = join(base, name);
+            let Ok(stage) = self.registry.stage(name) else {
+                let known: Vec<&str> = self.registry.stages().iter().map(|s| s.name()).collect();
+                return Err(self.document.key_error(&path, unknown_key(name, &known)));
+            };
+            if !given.is_object() {
+                return Err(self.document.error(&path, format!("the parameters of `{name}` are a table")));
+            }
+            stage.parameters(given).map_err(|e| self.document.parameter_error(&path, &e, &[]))?;
+        }
+        Ok(tables)
+    }
+
+    /// Moves the shorthands of a place out of `value` to the parameters they stand for.
+    fn shorthands(
+        &self,
+        place: &str,
+        base: &str,
+        value: &mut Value,
+        into: &mut Overrides,
+    ) -> Result<(), ConfigError> {
+        let Some(fields) = value.as_object_mut() else { return Ok(()) };
+        let mut used = Vec::new();
+        for short in self.registry.shorthands().iter().filter(|s| s.place == place) {
+            let Some(given) = fields.get(short.key) else { continue };
+            used.push(short.key);
+            let given = set::nested(short.parameter, given.clone());
+            let stage = self.registry.stage(short.stage).map_err(|e| ConfigError::plain(e.to_string()))?;
+            stage.parameters(&given).map_err(|e| {
+                let shown = ParameterError { path: String::new(), ..e };
+                self.document.error(&join(base, short.key), format!("`{}`: {shown}", short.key))
+            })?;
+            merge_into(into, short.stage, &given, false);
+        }
+        used.into_iter().for_each(|key| {
+            fields.remove(key);
+        });
+        Ok(())
+    }
+
+    /// A scene's or variant's table: its own keys, and the parameters of stages.
+    fn entry(&self, base: &str, place: &str, value: Value) -> Result<(Value, Overrides), ConfigError> {
+        let fields = self.table(base, value)?;
+        let is_stage = |name: &String| self.registry.stage(name).is_ok();
+        let (stages, own): (Map<_, _>, Map<_, _>) = fields.into_iter().partition(|(name, _)| is_stage(name));
+        let mut overrides = self.stages(base, stages)?;
+        let mut own = Value::Object(own);
+        self.shorthands(place, base, &mut own, &mut overrides)?;
+        Ok((own, overrides))
+    }
+
+    /// The words that a place knows beside its own keys.
+    fn words(&self, place: &str) -> Vec<&'static str> {
+        let stages = self.registry.stages().iter().map(|s| s.name());
+        let short = self.registry.shorthands().iter().filter(|s| s.place == place).map(|s| s.key);
+        stages.chain(short).collect()
+    }
+
+    fn typed<T: DeserializeOwned>(&self, base: &str, value: &Value, more: &[&str]) -> Result<T, ConfigError> {
+        serde_path_to_error::deserialize(value).map_err(|e| {
+            let error = ParameterError::from_path(&e);
+            if let Some(missing) = error.message.strip_prefix("missing field ") {
+                let place =
+                    if base.is_empty() { "the pipeline".to_string() } else { format!("[[{}]]", stem(base)) };
+                return self.document.error(base, format!("{place} needs {missing}"));
+            }
+            let calibrator =
+                ["calibrator", "models"].into_iter().find(|p| error.path.starts_with(&format!("{p}.")));
+            match calibrator {
+                Some(place) => self.document.parameter_error(base, &error, &self.short_words(place)),
+                None => self.document.parameter_error(base, &error, more),
+            }
+        })
+    }
+
+    fn short_words(&self, place: &str) -> Vec<&'static str> {
+        self.registry.shorthands().iter().filter(|s| s.place == place).map(|s| s.key).collect()
+    }
+
+    fn calibrator(&self, given: &Calibrator, folder: &Path, batch: &mut Batch) -> Result<(), ConfigError> {
+        if given.pairs.is_some() && given.file.is_some() {
+            let message = "`file` is a finished calibrator and `pairs` are for making one; give one of them";
+            return Err(self.document.key_error("calibrator.file", message));
+        }
+        if let Some(pairs) = &given.pairs {
+            batch.externals.insert("pairs.input".to_string(), expand(&pairs.input, folder));
+            batch.externals.insert("pairs.target".to_string(), expand(&pairs.target, folder));
+        }
+        if let Some(path) = &given.file {
+            let read = self.registry.stages().iter().flat_map(|s| s.inputs());
+            if !read.into_iter().any(|i| i.source == Source::External("calibrator")) {
+                let message = "no stage of this program reads a finished calibrator; give `pairs`";
+                return Err(self.document.key_error("calibrator.file", message));
+            }
+            batch.externals.insert("calibrator".to_string(), expand(path, folder));
+        }
+        Ok(())
+    }
+
+    fn name(&self, path: &str, name: &str) -> Result<(), ConfigError> {
+        let bad = |c: char| c.is_control() || "/\\:*?\"<>|".contains(c);
+        if name.is_empty() || name.starts_with('.') || name.contains(bad) {
+            let message = format!(
+                "`{name}` names folders too: letters, digits, spaces, `-`, `_` and inner `.`, please"
+            );
+            return Err(self.document.error(path, message));
+        }
+        Ok(())
+    }
+
+    fn unique<'n>(
+        &self,
+        base: &str,
+        name: &str,
+        mut before: impl Iterator<Item = &'n String>,
+    ) -> Result<(), ConfigError> {
+        let path = join(base, "name");
+        self.name(&path, name)?;
+        if before.any(|other| other == name) {
+            return Err(self.document.error(&path, format!("there is a `{name}` before; names are unique")));
+        }
+        Ok(())
+    }
+}
+
+fn stem(base: &str) -> &str {
+    base.split('[').next().unwrap_or(base)
+}
+
+/// Lays parameters onto those of a stage; `wins` says whether they win over what is there.
+fn merge_into(into: &mut Overrides, stage: &str, given: &Value, wins: bool) {
+    match into.get_mut(stage) {
+        Some(there) if wins => canonical::merge(there, given),
+        Some(there) => {
+            let mut base = given.clone();
+            canonical::merge(&mut base, there);
+            *there = base;
+        }
+        None => {
+            into.insert(stage.to_string(), given.clone());
+        }
+    }
+}
+
+/// The nearest of some names, as a question.
+fn did_you_mean<'n>(wrong: &str, names: impl IntoIterator<Item = &'n str>) -> String {
+    nearest(wrong, names).map(|n| format!("; did you mean `{n}`?")).unwrap_or_default()
+}

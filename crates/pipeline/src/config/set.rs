@@ -1,0 +1,128 @@
+//! `--set KEY=VALUE`.
+
+use serde_json::{Map, Value};
+
+use super::document::{ConfigError, loose_value};
+use super::{did_you_mean, merge_into};
+use crate::engine::error::EngineError;
+use crate::engine::graph::Overrides;
+use crate::engine::{Batch, ParameterError, Registry, Stage};
+
+/// Applies one setting: `seed=7`, `reconstruct.iterations=3000`, `calibrator.proposer=fusion`,
+/// `scene.Panama.reconstruct.iterations=3000`, `variant.mlp.enhance.steps=10`.
+pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Result<(), ConfigError> {
+    let (key, value) = split(setting)?;
+    let wrong = |message: String| ConfigError::plain(format!("--set {setting}: {message}"));
+    if let Some(rest) = key.strip_prefix("scene.") {
+        let names: Vec<String> = batch.scenes.iter().map(|s| s.name.clone()).collect();
+        let (index, rest) = named("scene", rest, &names).map_err(wrong)?;
+        return place(registry, "scene", rest, &value, &mut batch.scenes[index].forced).map_err(wrong);
+    }
+    if let Some(rest) = key.strip_prefix("variant.") {
+        let names: Vec<String> = batch.variants.iter().map(|v| v.name.clone()).collect();
+        let (index, rest) = named("variant", rest, &names).map_err(wrong)?;
+        return place(registry, "variant", rest, &value, &mut batch.variants[index].forced).map_err(wrong);
+    }
+    if key == "seed" {
+        batch.seed =
+            value.as_u64().ok_or_else(|| wrong("the seed is a whole number, 0 or more".to_string()))?;
+        return Ok(());
+    }
+    let key = key.strip_prefix("defaults.").unwrap_or(key);
+    let (top, rest) = key.split_once('.').unwrap_or(("", key));
+    let short = registry.shorthands().iter().any(|s| s.place == top && s.key == rest);
+    let scene_short =
+        top.is_empty() && registry.shorthands().iter().any(|s| s.place == "scene" && s.key == rest);
+    match (short, scene_short) {
+        (true, _) => place(registry, top, rest, &value, &mut batch.forced).map_err(wrong),
+        (_, true) => place(registry, "scene", rest, &value, &mut batch.forced).map_err(wrong),
+        _ => place(registry, "", key, &value, &mut batch.forced).map_err(wrong),
+    }
+}
+
+/// The parameters of one stage by itself: its defaults with `KEY=VALUE` settings, whose keys are the stage's own.
+pub fn stage_parameters(stage: &Stage, sets: &[String]) -> Result<Value, ConfigError> {
+    let mut given = Overrides::new();
+    for setting in sets {
+        let (key, value) = split(setting)?;
+        let own = key.strip_prefix(stage.name()).and_then(|k| k.strip_prefix('.')).unwrap_or(key);
+        let nested = nested(own, value);
+        stage
+            .parameters(&nested)
+            .map_err(|e| ConfigError::plain(format!("--set {setting}: {}", words(&e))))?;
+        merge_into(&mut given, stage.name(), &nested, true);
+    }
+    let given = given.remove(stage.name()).unwrap_or_else(|| Value::Object(Map::new()));
+    stage.parameters(&given).map_err(|e| ConfigError::plain(words(&e)))
+}
+
+fn split(setting: &str) -> Result<(&str, Value), ConfigError> {
+    let (key, value) = setting.split_once('=').ok_or_else(|| {
+        ConfigError::plain(format!(
+            "--set {setting}: KEY=VALUE is expected, e.g. reconstruct.iterations=3000"
+        ))
+    })?;
+    Ok((key.trim(), loose_value(value.trim())))
+}
+
+/// The scene or variant that `rest` starts with (its name may hold dots; letter case is forgiven), and what follows.
+fn named<'k>(kind: &str, rest: &'k str, names: &[String]) -> Result<(usize, &'k str), String> {
+    let after = |name: &String, exact: bool| {
+        let head = rest.get(..name.len())?;
+        let same = if exact { head == name } else { head.eq_ignore_ascii_case(name) };
+        if same { rest[name.len()..].strip_prefix('.') } else { None }
+    };
+    for exact in [true, false] {
+        let found = names.iter().enumerate().find_map(|(i, name)| after(name, exact).map(|rest| (i, rest)));
+        if let Some(found) = found {
+            return Ok(found);
+        }
+    }
+    let wrong = rest.split('.').next().unwrap_or(rest);
+    Err(format!("no {kind} `{wrong}`{}", did_you_mean(wrong, names.iter().map(String::as_str))))
+}
+
+fn place(
+    registry: &Registry,
+    place: &str,
+    key: &str,
+    value: &Value,
+    into: &mut Overrides,
+) -> Result<(), String> {
+    let mut targets: Vec<(&str, String)> = registry
+        .shorthands()
+        .iter()
+        .filter(|s| s.place == place && s.key == key)
+        .map(|s| (s.stage, s.parameter.to_string()))
+        .collect();
+    if targets.is_empty() {
+        let (stage, parameter) = key.split_once('.').ok_or_else(|| {
+            let known = registry.stages().iter().map(|s| s.name());
+            format!("a key is STAGE.PARAMETER{}", did_you_mean(key, known))
+        })?;
+        let stage = registry.stage(stage).map_err(|e: EngineError| e.to_string())?;
+        targets.push((stage.name(), parameter.to_string()));
+    }
+    for (stage, parameter) in targets {
+        let given = nested(&parameter, value.clone());
+        let stage = registry.stage(stage).map_err(|e| e.to_string())?;
+        stage.parameters(&given).map_err(|e| words(&e))?;
+        merge_into(into, stage.name(), &given, true);
+    }
+    Ok(())
+}
+
+fn words(error: &ParameterError) -> String {
+    match &error.unknown {
+        Some(unknown) if error.message.starts_with("unknown field") => {
+            let known: Vec<&str> = error.known.iter().map(String::as_str).collect();
+            super::unknown_key(unknown, &known)
+        }
+        _ => error.to_string(),
+    }
+}
+
+/// `split.every`, 8 → `{split: {every: 8}}`.
+pub(super) fn nested(path: &str, value: Value) -> Value {
+    path.rsplit('.').fold(value, |inner, name| Value::Object(Map::from_iter([(name.to_string(), inner)])))
+}

@@ -1,0 +1,120 @@
+//! One stage without the cache: `use3d reconstruct CAPTURE --out SCENE`, same code and defaults as in a pipeline.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+
+use serde_json::Value;
+
+use super::Engine;
+use super::cache::replace_folder;
+use super::context::{Log, StageContext, StageInput};
+use super::error::{EngineError, StageError};
+use super::events::Listener;
+use super::files;
+use super::graph::Graph;
+use super::job::in_pool;
+use super::manifest::FileRecord;
+use super::resolve::{self, Outcome};
+use super::run::RunOptions;
+use super::stage::Stage;
+
+/// A stage that is run by hand.
+#[derive(Clone, Debug)]
+pub struct Alone<'a> {
+    /// Its parameters, see [`Stage::parameters`].
+    pub parameters: &'a Value,
+    /// Its inputs: role and path.
+    pub inputs: Vec<(String, PathBuf)>,
+    /// The folder for its result; replaced only when the stage is done.
+    pub output: &'a Path,
+    /// Where a resumable stage keeps checkpoints; without, it keeps none.
+    pub checkpoints: Option<PathBuf>,
+    /// The seed.
+    pub seed: u64,
+    /// Threads to use.
+    pub threads: usize,
+    /// Set by whoever wants it to end.
+    pub stop: Arc<AtomicBool>,
+}
+
+impl Stage {
+    /// Runs the stage by itself.
+    pub fn run_alone(&self, alone: Alone<'_>, listener: &Arc<dyn Listener>) -> Result<(), StageError> {
+        let parent = alone.output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        files::at(parent, "create", std::fs::create_dir_all(parent))?;
+        let name = alone.output.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let sibling = parent.join(format!(".{name}.tmp-{}", files::unique()));
+        files::at(&sibling, "create", std::fs::create_dir_all(&sibling))?;
+        let inputs = alone.inputs.into_iter().map(|(role, path)| StageInput {
+            role,
+            path,
+            scene: String::new(),
+            group: String::new(),
+            variant: String::new(),
+        });
+        let context = StageContext {
+            inputs: inputs.collect(),
+            missing: Vec::new(),
+            output: sibling.clone(),
+            checkpoints: alone.checkpoints,
+            seed: if self.seeded { alone.seed } else { 0 },
+            threads: alone.threads.max(1),
+            stop: alone.stop,
+            node: 0,
+            label: self.name.to_string(),
+            listener: listener.clone(),
+            log: Log::new(Box::new(std::io::sink())),
+            resumed: AtomicU64::new(0),
+        };
+        let ran = in_pool(context.threads, || (self.run)(&context, alone.parameters));
+        let placed = ran.and_then(|()| Ok(replace_folder(&sibling, alone.output)?));
+        if placed.is_err() {
+            let _ = std::fs::remove_dir_all(&sibling);
+        }
+        placed
+    }
+}
+
+impl Engine {
+    /// Runs a node whose inputs are cached again, into `scratch`, from nothing (no checkpoints); the digests of its files.
+    pub(crate) fn run_again(
+        &self,
+        graph: &Graph,
+        node: usize,
+        outcomes: &[Outcome],
+        scratch: &Path,
+        options: &RunOptions,
+        listener: &Arc<dyn Listener>,
+    ) -> Result<Result<Vec<FileRecord>, StageError>, EngineError> {
+        let resolved =
+            resolve::resolve(&self.registry, &self.cache, &self.numeric_class, graph, node, outcomes);
+        let Ok(resolved) = resolved else {
+            return Ok(Err(StageError::message("its inputs are not there any more")));
+        };
+        let stage = &self.registry.stages()[graph.nodes[node].stage];
+        let output = scratch.join("artifact");
+        let checkpoints = if stage.length_like.is_empty() { None } else { Some(scratch.join("checkpoints")) };
+        if let Some(path) = &checkpoints {
+            files::at(path, "create", std::fs::create_dir_all(path))?;
+        }
+        files::at(&output, "create", std::fs::create_dir_all(&output))?;
+        let context = StageContext {
+            inputs: resolved.inputs,
+            missing: resolved.ingredients.missing,
+            output: output.clone(),
+            checkpoints,
+            seed: graph.nodes[node].seed.unwrap_or(0),
+            threads: options.cores.max(1),
+            stop: options.stop.clone(),
+            node,
+            label: graph.nodes[node].label(),
+            listener: listener.clone(),
+            log: Log::new(Box::new(std::io::sink())),
+            resumed: AtomicU64::new(0),
+        };
+        let ran = in_pool(context.threads, || (stage.run)(&context, &graph.nodes[node].parameters));
+        let sealed = ran.and_then(|()| self.cache.seal(&output).map_err(StageError::failed));
+        Ok(sealed)
+    }
+}

@@ -1,0 +1,388 @@
+//! The cache on disk.
+//!
+//! ```text
+//! <folder>/CACHEDIR.TAG                                  backup programs leave it out
+//! <folder>/v1/artifacts/<stage>/<key>/…, manifest.json   whole or not at all
+//! <folder>/v1/checkpoints/<stage>/<key without length>/  what long stages go on from
+//! <folder>/v1/history/<pipeline>/<scene>/<variant>/<stage>.json   the last record of a node
+//! <folder>/v1/logs/…  timings.jsonl  stat-table          logs, durations for forecasts, remembered digests
+//! <folder>/v1/leases/<key>                               who computes what now
+//! <folder>/v1/tmp/  damaged/                             being made; found damaged
+//! ```
+//!
+//! An artifact is made in `tmp`, its files synced, its manifest written last, and the folder renamed into place, so a
+//! crash at any moment leaves either no artifact or a whole one. Several processes may share a cache: the first to publish a key
+//! wins, and another one's different bytes raise an alarm. There is no lock to remove by hand.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::SystemTime;
+
+use rayon::prelude::*;
+
+use super::content::Contents;
+use super::digest::Digest;
+use super::error::FileError;
+use super::files::{self, Disk, Files};
+use super::key::{Ingredients, Key};
+use super::machine::ProcessId;
+use super::manifest::{Circumstances, FileRecord, MANIFEST, Manifest};
+
+const TAG: &str = "Signature: 8a477f597d28d172789f06886806bc55\n\
+    # This folder holds results of use3d that can be computed again.\n";
+
+/// A cache folder.
+#[derive(Clone)]
+pub struct Cache {
+    root: PathBuf,
+    files: Arc<dyn Files>,
+    contents: Arc<Contents>,
+    verified: Arc<Mutex<BTreeSet<Key>>>,
+}
+
+/// An artifact that is there.
+#[derive(Clone, Debug)]
+pub struct Artifact {
+    /// Its folder; to be read only.
+    pub path: PathBuf,
+    /// Its manifest.
+    pub manifest: Manifest,
+}
+
+/// What is there for a key.
+#[derive(Clone, Debug)]
+pub enum Lookup {
+    /// Nothing.
+    Missing,
+    /// The artifact.
+    Whole(Box<Artifact>),
+    /// An artifact that is not what its manifest says.
+    Damaged(String),
+}
+
+/// What became of a folder that was to be published.
+#[derive(Debug)]
+pub(crate) enum Published {
+    /// It is the artifact now.
+    Now(Artifact),
+    /// Another process was first, with the same bytes.
+    Already(Artifact),
+    /// Another process was first, with other bytes: the stage is not deterministic.
+    Differs(Artifact, String),
+}
+
+impl Cache {
+    /// Opens the cache in `folder`, creating it where it is missing. `rehash` reads all inputs again.
+    pub fn open(folder: &Path, rehash: bool) -> Result<Self, FileError> {
+        Self::with_files(folder, rehash, Arc::new(Disk))
+    }
+
+    /// As [`open`](Self::open), on other file operations; for tests.
+    pub fn with_files(folder: &Path, rehash: bool, files: Arc<dyn Files>) -> Result<Self, FileError> {
+        let root = folder.join("v1");
+        files::at(&root, "create", files.create_dir_all(&root))?;
+        let folder = files::at(folder, "open", std::fs::canonicalize(folder))?;
+        let tag = folder.join("CACHEDIR.TAG");
+        if !tag.exists() {
+            files::write_atomic(files.as_ref(), &tag, TAG.as_bytes())?;
+        }
+        let root = folder.join("v1");
+        for part in ["artifacts", "checkpoints", "history", "logs", "leases", "tmp"] {
+            let path = root.join(part);
+            if !path.is_dir() {
+                files::at(&path, "create", files.create_dir_all(&path))?;
+            }
+        }
+        let contents = Arc::new(Contents::open(files.clone(), root.join("stat-table"), rehash));
+        Ok(Self { root, files, contents, verified: Arc::default() })
+    }
+
+    /// The versioned folder.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    pub(crate) fn files(&self) -> &dyn Files {
+        self.files.as_ref()
+    }
+
+    /// Digests of inputs.
+    pub fn contents(&self) -> &Contents {
+        &self.contents
+    }
+
+    /// Where a key's artifact is, or would be.
+    pub fn artifact_path(&self, stage: &str, key: &Key) -> PathBuf {
+        self.root.join("artifacts").join(stage).join(key.to_string())
+    }
+
+    /// Where a resumable stage keeps its checkpoints.
+    pub fn checkpoint_path(&self, stage: &str, key: &Digest) -> PathBuf {
+        self.root.join("checkpoints").join(stage).join(key.to_string())
+    }
+
+    /// What is there for a key: the manifest, and every file's size; a file whose times changed since it was
+    /// last read is read again.
+    pub fn lookup(&self, stage: &str, key: &Key) -> Result<Lookup, FileError> {
+        let path = self.artifact_path(stage, key);
+        let manifest_path = path.join(MANIFEST);
+        let bytes = match self.files.read(&manifest_path) {
+            Ok(bytes) => bytes,
+            Err(e)
+                if matches!(e.kind(), std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory) =>
+            {
+                let left = std::fs::symlink_metadata(&path).is_ok();
+                return Ok(if left {
+                    Lookup::Damaged(format!("{MANIFEST} is missing"))
+                } else {
+                    Lookup::Missing
+                });
+            }
+            Err(source) => return Err(FileError { path: manifest_path, doing: "read", source }),
+        };
+        let manifest = match Manifest::parse(&bytes, *key) {
+            Ok(manifest) => manifest,
+            Err(reason) => return Ok(Lookup::Damaged(reason)),
+        };
+        let wrong = manifest.files.par_iter().find_map_first(|file| {
+            let found = self.contents.of_file(&path.join(&file.path));
+            wrong_file(file, found.map(|c| (c.bytes, c.digest)))
+        });
+        Ok(match wrong {
+            Some(reason) => Lookup::Damaged(reason),
+            None => Lookup::Whole(Box::new(Artifact { path, manifest })),
+        })
+    }
+
+    /// Reads every byte of an artifact and compares; the first difference in words. Once per process and key, unless
+    /// `again`.
+    pub fn verify(&self, artifact: &Artifact, again: bool) -> Result<(), String> {
+        let key = artifact.manifest.key;
+        if !again && self.verified.lock().unwrap_or_else(PoisonError::into_inner).contains(&key) {
+            return Ok(());
+        }
+        let wrong = artifact.manifest.files.par_iter().find_map_first(|file| {
+            let path = artifact.path.join(&file.path);
+            let size = files::at(&path, "read", std::fs::metadata(&path)).map(|m| m.len());
+            let found = size.and_then(|size| Ok((size, self.contents.read_digest(&path)?)));
+            wrong_file(file, found)
+        });
+        match wrong {
+            Some(reason) => Err(reason),
+            None => {
+                self.verified.lock().unwrap_or_else(PoisonError::into_inner).insert(key);
+                Ok(())
+            }
+        }
+    }
+
+    /// Moves what is in a key's place aside, to `damaged/`.
+    pub(crate) fn set_aside(&self, stage: &str, key: &Key) -> Result<PathBuf, FileError> {
+        let from = self.artifact_path(stage, key);
+        let to = self.root.join("damaged").join(format!("{stage}-{}-{}", key.short(), files::unique()));
+        let parent = self.root.join("damaged");
+        files::at(&parent, "create", self.files.create_dir_all(&parent))?;
+        files::at(&from, "move aside", self.files.rename(&from, &to))?;
+        self.verified.lock().unwrap_or_else(PoisonError::into_inner).remove(key);
+        Ok(to)
+    }
+
+    /// A new folder in `tmp`, owned by this process.
+    pub(crate) fn scratch(&self) -> Result<PathBuf, FileError> {
+        let folder = self.root.join("tmp").join(ProcessId::this().folder_name(&files::unique()));
+        files::at(&folder, "create", self.files.create_dir_all(&folder))?;
+        Ok(folder)
+    }
+
+    /// Digests of the files of a finished folder, in parallel; everything synced.
+    pub(crate) fn seal(&self, folder: &Path) -> Result<Vec<FileRecord>, FileError> {
+        let listed = files::list(folder)?;
+        let sealed: Vec<Result<FileRecord, FileError>> = listed
+            .into_par_iter()
+            .map(|(path, size)| {
+                let file = folder.join(&path);
+                files::at(&file, "sync", self.files.sync(&file))?;
+                Ok(FileRecord { digest: self.contents.read_digest(&file)?, path, size })
+            })
+            .collect();
+        let sealed = sealed.into_iter().collect::<Result<Vec<_>, _>>()?;
+        for entry in walkdir::WalkDir::new(folder).into_iter().filter_map(Result::ok) {
+            if entry.file_type().is_dir() {
+                files::at(entry.path(), "sync", self.files.sync(entry.path()))?;
+            }
+        }
+        Ok(sealed)
+    }
+
+    /// Makes the finished `folder` (in `tmp`) the artifact of `ingredients`.
+    pub(crate) fn publish(
+        &self,
+        folder: &Path,
+        ingredients: Ingredients,
+        how: Circumstances,
+    ) -> Result<Published, FileError> {
+        let sealed = self.seal(folder)?;
+        let manifest = Manifest::new(ingredients, sealed, how);
+        let bytes = serde_json::to_vec_pretty(&manifest).map_err(|e| FileError {
+            path: folder.join(MANIFEST),
+            doing: "write",
+            source: std::io::Error::other(e),
+        })?;
+        let record = folder.join(MANIFEST);
+        files::at(&record, "write", self.files.write(&record, &bytes))?;
+        files::at(folder, "sync", self.files.sync(folder))?;
+        let stage = manifest.ingredients.stage.clone();
+        let place = self.artifact_path(&stage, &manifest.key);
+        let parent = self.root.join("artifacts").join(&stage);
+        files::at(&parent, "create", self.files.create_dir_all(&parent))?;
+        if let Err(source) = self.files.rename(folder, &place) {
+            // Somebody was first, or something damaged is in the way.
+            return match self.lookup(&stage, &manifest.key)? {
+                Lookup::Whole(first) if first.manifest.content == manifest.content => {
+                    Ok(Published::Already(*first))
+                }
+                Lookup::Whole(first) => {
+                    let which = first_difference(&first.manifest.files, &manifest.files);
+                    Ok(Published::Differs(*first, which))
+                }
+                Lookup::Damaged(_) => {
+                    self.set_aside(&stage, &manifest.key)?;
+                    files::at(&place, "publish", self.files.rename(folder, &place))?;
+                    self.finish_publish(&parent, place, manifest)
+                }
+                Lookup::Missing => Err(FileError { path: place, doing: "publish", source }),
+            };
+        }
+        self.finish_publish(&parent, place, manifest)
+    }
+
+    fn finish_publish(
+        &self,
+        parent: &Path,
+        place: PathBuf,
+        manifest: Manifest,
+    ) -> Result<Published, FileError> {
+        files::at(parent, "sync", self.files.sync(parent))?;
+        for file in &manifest.files {
+            self.contents.remember_own(&place.join(&file.path), file.digest);
+        }
+        self.verified.lock().unwrap_or_else(PoisonError::into_inner).insert(manifest.key);
+        Ok(Published::Now(Artifact { path: place, manifest }))
+    }
+
+    /// Notes that an artifact is of use now, for the order of cleaning up. Failing to is harmless.
+    pub(crate) fn touch(&self, artifact: &Path) {
+        if let Ok(folder) = std::fs::File::open(artifact) {
+            let _ = folder.set_modified(SystemTime::now());
+        }
+    }
+
+    /// Removes what processes that are gone left behind: leases, halves of files, and folders in `tmp`, whose number it
+    /// returns.
+    pub fn sweep(&self) -> usize {
+        super::lease::in_use(self);
+        for folder in [self.root.clone(), self.root.join("leases")] {
+            for entry in std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok) {
+                let half = entry.file_name().to_string_lossy().contains(".tmp-");
+                let changed = entry.metadata().ok().and_then(|m| m.modified().ok());
+                let age = changed.and_then(|t| t.elapsed().ok()).unwrap_or_default();
+                if half && age.as_secs() > 3600 {
+                    let _ = self.files.remove_file(&entry.path());
+                }
+            }
+        }
+        let Ok(entries) = std::fs::read_dir(self.root.join("tmp")) else { return 0 };
+        let mut swept = 0;
+        for path in entries.filter_map(Result::ok).map(|e| e.path()) {
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let old = || {
+                let changed = std::fs::metadata(&path).and_then(|m| m.modified()).ok();
+                let age = changed.and_then(|t| t.elapsed().ok());
+                age.is_some_and(|a| a.as_secs() > 7 * 86_400)
+            };
+            let gone = ProcessId::owner_is_alive(&name).map_or_else(old, |alive| !alive);
+            if gone && self.files.remove_dir_all(&path).is_ok() {
+                swept += 1;
+            }
+        }
+        swept
+    }
+
+    /// Every artifact folder: stage, key, path; sorted.
+    pub fn artifacts(&self) -> Vec<(String, Key, PathBuf)> {
+        let mut out = Vec::new();
+        let list = |path: &Path| std::fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
+        for stage in list(&self.root.join("artifacts")) {
+            for entry in list(&stage.path()) {
+                if let Ok(key) = entry.file_name().to_string_lossy().parse() {
+                    out.push((stage.file_name().to_string_lossy().into_owned(), key, entry.path()));
+                }
+            }
+        }
+        out.sort();
+        out
+    }
+}
+
+impl Artifact {
+    /// Copies the payload to `folder`, replacing what is there only when all of the copy is made.
+    pub fn copy_to(&self, folder: &Path) -> Result<(), FileError> {
+        let parent = folder.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        files::at(parent, "create", std::fs::create_dir_all(parent))?;
+        let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let sibling = parent.join(format!(".{name}.tmp-{}", files::unique()));
+        let copied = self.manifest.files.iter().try_for_each(|file| {
+            let to = sibling.join(&file.path);
+            let inside = to.parent().unwrap_or(&sibling);
+            files::at(inside, "create", std::fs::create_dir_all(inside))?;
+            files::at(&to, "write", std::fs::copy(self.path.join(&file.path), &to)).map(|_| ())
+        });
+        let placed = copied.and_then(|()| replace_folder(&sibling, folder));
+        if placed.is_err() {
+            let _ = std::fs::remove_dir_all(&sibling);
+        }
+        placed
+    }
+}
+
+/// Puts the finished `sibling` in the place of `folder`.
+pub(crate) fn replace_folder(sibling: &Path, folder: &Path) -> Result<(), FileError> {
+    files::at(sibling, "create", std::fs::create_dir_all(sibling))?;
+    let old = folder.with_file_name(format!(
+        ".{}.old-{}",
+        folder.file_name().unwrap_or_default().to_string_lossy(),
+        files::unique()
+    ));
+    let had = folder.exists();
+    if had {
+        files::at(folder, "replace", std::fs::rename(folder, &old))?;
+    }
+    files::at(folder, "write", std::fs::rename(sibling, folder))?;
+    if had {
+        files::at(&old, "remove", std::fs::remove_dir_all(&old))?;
+    }
+    Ok(())
+}
+
+fn wrong_file(file: &FileRecord, found: Result<(u64, Digest), FileError>) -> Option<String> {
+    match found {
+        Err(error) if error.source.kind() == std::io::ErrorKind::NotFound => {
+            Some(format!("{} is missing", file.path))
+        }
+        Err(error) => Some(error.to_string()),
+        Ok((size, _)) if size != file.size => {
+            Some(format!("{} has {size} bytes, {} were written", file.path, file.size))
+        }
+        Ok((_, digest)) if digest != file.digest => Some(format!("the bytes of {} have changed", file.path)),
+        Ok(_) => None,
+    }
+}
+
+/// The first file that two artifacts differ in.
+pub(crate) fn first_difference(a: &[FileRecord], b: &[FileRecord]) -> String {
+    let paths: BTreeSet<&str> = a.iter().chain(b).map(|f| f.path.as_str()).collect();
+    let of = |files: &[FileRecord], path: &str| files.iter().find(|f| f.path == path).cloned();
+    let differs = paths.into_iter().find(|path| of(a, path) != of(b, path));
+    differs.map_or_else(|| "nothing".to_string(), String::from)
+}

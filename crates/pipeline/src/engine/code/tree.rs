@@ -1,0 +1,225 @@
+//! Reads a workspace's sources into a table of code digests. The build script runs this on the tree it is built from;
+//! tests run it on copies of a tree.
+//!
+//! Per crate: a digest of its tokens (every `.rs` below `src/` and the build script; other files below `src/` and
+//! `templates/` by their bytes, Markdown excepted), a digest of its dependency tables with the features they ask for,
+//! the crates of the workspace it depends on, and name, version and checksum of every third-party crate below it.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use serde_json::{Map, Value, json};
+use walkdir::WalkDir;
+
+use super::tokens::{module_files, tokens_of};
+
+const CONTEXT: &str = "use3d 2026 code digest v1";
+const DEPENDENCY_TABLES: [&str; 2] = ["dependencies", "build-dependencies"];
+
+/// The table of the workspace at `root`, as JSON: `crates.<package>.{tokens, manifest, workspace, third_party}` and
+/// `files.<path>`, the digests of the single files of the crate in folder `crates/<by_file>`.
+pub(crate) fn read(root: &Path, by_file: &str) -> Result<Value, String> {
+    let workspace = parse_toml(&root.join("Cargo.toml"))?;
+    let inherited = workspace.pointer("/workspace/dependencies").cloned().unwrap_or_default();
+    let lock = Lock::read(&root.join("Cargo.lock"))?;
+    let mut crates = Map::new();
+    let mut files = Map::new();
+    for folder in crate_folders(root)? {
+        let manifest = parse_toml(&folder.join("Cargo.toml"))?;
+        let Some(name) = manifest.pointer("/package/name").and_then(Value::as_str) else { continue };
+        let dependencies = dependency_tables(&manifest, &inherited);
+        let names: BTreeSet<String> = dependencies.values().flat_map(|t| t.keys().cloned()).collect();
+        let ours = |n: &String| lock.is_member(n);
+        let sources = source_digests(&folder)?;
+        let mut tokens = blake3::Hasher::new_derive_key(CONTEXT);
+        for (path, digest) in &sources {
+            field(&mut tokens, path.as_bytes());
+            field(&mut tokens, digest.as_bytes());
+        }
+        if folder.file_name().is_some_and(|n| n == by_file) {
+            files.extend(sources.iter().map(|(p, d)| (p.clone(), json!(d.to_hex().as_str()))));
+        }
+        let mut tables = blake3::Hasher::new_derive_key(CONTEXT);
+        let features = manifest.get("features").cloned().unwrap_or_default();
+        let edition = manifest.pointer("/package/edition").cloned().unwrap_or_default();
+        field(&mut tables, json!([dependencies, features, edition]).to_string().as_bytes());
+        let third_party = lock.closure(names.iter().filter(|n| !ours(n)).map(String::as_str))?;
+        crates.insert(
+            name.to_string(),
+            json!({
+                "tokens": tokens.finalize().to_hex().as_str(),
+                "manifest": tables.finalize().to_hex().as_str(),
+                "workspace": names.iter().filter(|n| ours(n)).collect::<Vec<_>>(),
+                "third_party": third_party,
+            }),
+        );
+    }
+    Ok(json!({ "crates": crates, "files": files }))
+}
+
+/// The folders with a crate, directly below `crates/`.
+pub(crate) fn crate_folders(root: &Path) -> Result<Vec<PathBuf>, String> {
+    let crates = root.join("crates");
+    let entries = std::fs::read_dir(&crates).map_err(|e| format!("{}: {e}", crates.display()))?;
+    let mut folders: Vec<PathBuf> =
+        entries.filter_map(Result::ok).map(|e| e.path()).filter(|p| p.join("Cargo.toml").is_file()).collect();
+    folders.sort();
+    Ok(folders)
+}
+
+fn field(hasher: &mut blake3::Hasher, bytes: &[u8]) {
+    hasher.update(&(bytes.len() as u64).to_le_bytes());
+    hasher.update(bytes);
+}
+
+fn parse_toml(path: &Path) -> Result<Value, String> {
+    let text = std::fs::read_to_string(path).map_err(|e| format!("{}: {e}", path.display()))?;
+    toml::from_str(&text).map_err(|e| format!("{}: {e}", path.display()))
+}
+
+/// Digest of every source file of a crate by its path with `/`, test-only files left out.
+fn source_digests(folder: &Path) -> Result<BTreeMap<String, blake3::Hash>, String> {
+    let mut sources = BTreeMap::new();
+    let mut test_only = BTreeSet::new();
+    let starts = [folder.join("src"), folder.join("templates"), folder.join("build.rs")];
+    for entry in starts.iter().filter(|p| p.exists()).flat_map(WalkDir::new) {
+        let entry = entry.map_err(|e| e.to_string())?;
+        let path = entry.path();
+        if !path.is_file() || path.extension().is_some_and(|e| e == "md") {
+            continue;
+        }
+        let content = std::fs::read(path).map_err(|e| format!("{}: {e}", path.display()))?;
+        let mut hasher = blake3::Hasher::new_derive_key(CONTEXT);
+        if path.extension().is_some_and(|e| e == "rs") {
+            let text = String::from_utf8(content).map_err(|e| format!("{}: {e}", path.display()))?;
+            let tokens = tokens_of(&text).map_err(|e| format!("{}: {e}", path.display()))?;
+            test_only.extend(tokens.test_modules.iter().flat_map(|m| module_files(path, m)));
+            field(&mut hasher, &tokens.bytes);
+        } else {
+            field(&mut hasher, &content);
+        }
+        sources.insert(path.to_path_buf(), hasher.finalize());
+    }
+    // `#[cfg(test)] mod tests;` may name `tests.rs` or `tests/mod.rs`, and that one may have files of its own below.
+    let test_folders: Vec<PathBuf> =
+        test_only
+            .iter()
+            .filter(|p| sources.contains_key(*p))
+            .map(|p| {
+                if p.ends_with("mod.rs") {
+                    p.parent().unwrap_or(p).to_path_buf()
+                } else {
+                    p.with_extension("")
+                }
+            })
+            .collect();
+    let relative = |path: &Path| {
+        let parts = path.strip_prefix(folder).unwrap_or(path).components();
+        parts.map(|c| c.as_os_str().to_string_lossy().into_owned()).collect::<Vec<_>>().join("/")
+    };
+    Ok(sources
+        .into_iter()
+        .filter(|(path, _)| !test_only.contains(path) && !test_folders.iter().any(|f| path.starts_with(f)))
+        .map(|(path, digest)| (relative(&path), digest))
+        .collect())
+}
+
+/// The dependency tables that reach the compiled library, `workspace = true` replaced by what it stands for.
+fn dependency_tables(manifest: &Value, inherited: &Value) -> BTreeMap<String, Map<String, Value>> {
+    let mut tables = BTreeMap::new();
+    let mut add = |prefix: &str, holder: &Value| {
+        for kind in DEPENDENCY_TABLES {
+            if let Some(table) = holder.get(kind).and_then(Value::as_object) {
+                let resolved =
+                    table.iter().map(|(name, spec)| (name.clone(), resolve(name, spec, inherited)));
+                tables.insert(format!("{prefix}{kind}"), resolved.collect());
+            }
+        }
+    };
+    add("", manifest);
+    for (target, holder) in manifest.get("target").and_then(Value::as_object).into_iter().flatten() {
+        add(&format!("{target}."), holder);
+    }
+    tables
+}
+
+fn resolve(name: &str, spec: &Value, inherited: &Value) -> Value {
+    let table = |value: &Value| match value {
+        Value::Object(fields) => fields.clone(),
+        version => Map::from_iter([("version".to_string(), version.clone())]),
+    };
+    let mut own = table(spec);
+    if own.remove("workspace").is_some() {
+        let mut base = inherited.get(name).map(table).unwrap_or_default();
+        let mut features: BTreeSet<String> = BTreeSet::new();
+        for list in [base.remove("features"), own.remove("features")].into_iter().flatten() {
+            features
+                .extend(list.as_array().into_iter().flatten().filter_map(|f| f.as_str().map(String::from)));
+        }
+        base.extend(own);
+        base.insert("features".to_string(), json!(features));
+        own = base;
+    }
+    own.remove("path");
+    Value::Object(own)
+}
+
+/// The lock file: which versions of third-party crates this tree is built with.
+struct Lock {
+    packages: Vec<Package>,
+}
+
+struct Package {
+    name: String,
+    version: String,
+    checksum: String,
+    member: bool,
+    dependencies: Vec<String>,
+}
+
+impl Lock {
+    fn read(path: &Path) -> Result<Self, String> {
+        let lock = parse_toml(path)?;
+        let text = |p: &Value, key: &str| p.get(key).and_then(Value::as_str).unwrap_or_default().to_string();
+        let packages = lock.get("package").and_then(Value::as_array).into_iter().flatten().map(|p| Package {
+            name: text(p, "name"),
+            version: text(p, "version"),
+            checksum: text(p, "checksum").chars().take(16).collect(),
+            member: p.get("source").is_none(),
+            dependencies: p
+                .get("dependencies")
+                .and_then(Value::as_array)
+                .into_iter()
+                .flatten()
+                .filter_map(|d| d.as_str().map(String::from))
+                .collect(),
+        });
+        Ok(Self { packages: packages.collect() })
+    }
+
+    fn is_member(&self, name: &str) -> bool {
+        self.packages.iter().any(|p| p.member && p.name == name)
+    }
+
+    /// Name → "version checksum" of everything reachable from the named packages; several versions are listed all.
+    fn closure<'a>(&self, names: impl Iterator<Item = &'a str>) -> Result<BTreeMap<String, String>, String> {
+        let mut open: Vec<String> = names.map(String::from).collect();
+        let mut seen = BTreeSet::new();
+        while let Some(entry) = open.pop() {
+            let mut parts = entry.split(' ');
+            let (name, version) = (parts.next().unwrap_or_default(), parts.next());
+            let fits = |p: &&Package| p.name == name && version.is_none_or(|v| p.version == v);
+            for (index, package) in self.packages.iter().enumerate().filter(|(_, p)| fits(p)) {
+                if seen.insert(index) {
+                    open.extend(package.dependencies.iter().cloned());
+                }
+            }
+        }
+        let mut closure: BTreeMap<String, Vec<String>> = BTreeMap::new();
+        for package in seen.into_iter().map(|i| &self.packages[i]).filter(|p| !p.member) {
+            let entry = format!("{} {}", package.version, package.checksum);
+            closure.entry(package.name.clone()).or_default().push(entry);
+        }
+        Ok(closure.into_iter().map(|(name, versions)| (name, versions.join(", "))).collect())
+    }
+}

@@ -1,0 +1,200 @@
+//! What a stage's function is given: inputs by role, a folder to fill, and nothing that its result may not depend on.
+
+use std::fmt::Display;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+use super::error::StageError;
+use super::events::{Event, Listener};
+
+/// One input as a stage sees it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StageInput {
+    /// What it is for.
+    pub role: String,
+    /// The file or folder; to be read only.
+    pub path: PathBuf,
+    /// In a stage over all scenes: the scene it comes from, else empty.
+    pub scene: String,
+    /// The scene's group, else empty.
+    pub group: String,
+    /// The variant it comes from, else empty.
+    pub variant: String,
+}
+
+/// What a stage's function is given.
+pub struct StageContext {
+    pub(crate) inputs: Vec<StageInput>,
+    pub(crate) missing: Vec<String>,
+    pub(crate) output: PathBuf,
+    pub(crate) checkpoints: Option<PathBuf>,
+    pub(crate) seed: u64,
+    pub(crate) threads: usize,
+    pub(crate) stop: Arc<AtomicBool>,
+    pub(crate) node: usize,
+    pub(crate) label: String,
+    pub(crate) listener: Arc<dyn Listener>,
+    pub(crate) log: Log,
+    /// Share of the work found done in checkpoints, in millionths.
+    pub(crate) resumed: AtomicU64,
+}
+
+impl StageContext {
+    /// The input of a role.
+    pub fn input(&self, role: &str) -> Result<&Path, StageError> {
+        self.optional_input(role).ok_or_else(|| {
+            let have: Vec<&str> = self.inputs.iter().map(|i| i.role.as_str()).collect();
+            StageError::message(format!("{} has no input `{role}`; it has: {}", self.label, have.join(", ")))
+        })
+    }
+
+    /// The input of a role, where there is one.
+    pub fn optional_input(&self, role: &str) -> Option<&Path> {
+        self.inputs.iter().find(|i| i.role == role).map(|i| i.path.as_path())
+    }
+
+    /// All inputs; in a stage over all scenes, one of each role per scene and variant, in the pipeline's order.
+    pub fn inputs(&self) -> &[StageInput] {
+        &self.inputs
+    }
+
+    /// In a stage over all scenes: which inputs could not be made, in words.
+    pub fn missing(&self) -> &[String] {
+        &self.missing
+    }
+
+    /// The empty folder to fill. Everything in it becomes the artifact; only bytes that follow from the inputs,
+    /// parameters and seed belong there (no times, no host names, no absolute paths).
+    pub fn output(&self) -> &Path {
+        &self.output
+    }
+
+    /// Where a resumable stage keeps its checkpoints. Another run may have left some, possibly beyond the length asked for
+    /// now, and another process may write the same ones at the same time: names should say the step, and files appear by
+    /// renaming.
+    pub fn checkpoints(&self) -> Option<&Path> {
+        self.checkpoints.as_deref()
+    }
+
+    /// The pipeline's seed; 0 for a stage that did not say it draws random numbers.
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
+    /// Threads to use. The function already runs inside a rayon pool of this size.
+    pub fn threads(&self) -> usize {
+        self.threads
+    }
+
+    /// Whether to stop: save a checkpoint and return [`StageError::Cancelled`].
+    pub fn cancelled(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    /// The flag behind [`cancelled`](Self::cancelled), for loops that take one.
+    pub fn stop_flag(&self) -> Arc<AtomicBool> {
+        self.stop.clone()
+    }
+
+    /// Returns [`StageError::Cancelled`] when asked to stop: `context.alive()?` in loops.
+    pub fn alive(&self) -> Result<(), StageError> {
+        if self.cancelled() { Err(StageError::Cancelled) } else { Ok(()) }
+    }
+
+    /// Reports how far the work is, e.g. `progress(300, 15_000, "steps")`.
+    pub fn progress(&self, done: u64, total: u64, unit: &str) {
+        self.listener.event(&Event::Progress {
+            node: self.node,
+            label: &self.label,
+            done,
+            total,
+            unit,
+            message: "",
+        });
+    }
+
+    /// As [`progress`](Self::progress), with a few words such as the present loss.
+    pub fn progress_with(&self, done: u64, total: u64, unit: &str, message: &str) {
+        self.listener.event(&Event::Progress {
+            node: self.node,
+            label: &self.label,
+            done,
+            total,
+            unit,
+            message,
+        });
+    }
+
+    /// Says that `done` of `total` steps were found in a checkpoint, so that the time taken is not mistaken for the whole.
+    pub fn resumed(&self, done: u64, total: u64) {
+        let share = if total == 0 { 0.0 } else { done as f64 / total as f64 };
+        self.resumed.store((share.clamp(0.0, 1.0) * 1e6) as u64, Ordering::Relaxed);
+        self.log(format_args!("going on from step {done} of {total}"));
+    }
+
+    /// Writes a line to the stage's log.
+    pub fn log(&self, line: impl Display) {
+        self.log.line(&line.to_string());
+    }
+
+    /// Writes a line to the log and tells the user at once.
+    pub fn say(&self, line: impl Display) {
+        let line = line.to_string();
+        self.log.line(&line);
+        self.listener.event(&Event::Note { label: &self.label, text: &line });
+    }
+
+    /// The stage's log as a writer.
+    pub fn log_writer(&self) -> impl Write + Send + use<> {
+        LogWriter { log: self.log.clone(), rest: Vec::new() }
+    }
+}
+
+/// A stage's log: lines with the seconds since its start. Losing a line is no reason to lose the work.
+#[derive(Clone)]
+pub(crate) struct Log {
+    sink: Arc<Mutex<Box<dyn Write + Send>>>,
+    start: Instant,
+}
+
+impl Log {
+    pub(crate) fn new(sink: Box<dyn Write + Send>) -> Self {
+        Self { sink: Arc::new(Mutex::new(sink)), start: Instant::now() }
+    }
+
+    pub(crate) fn line(&self, line: &str) {
+        let mut sink = self.sink.lock().unwrap_or_else(PoisonError::into_inner);
+        let _ = writeln!(sink, "{:>9.2} {line}", self.start.elapsed().as_secs_f64());
+    }
+}
+
+struct LogWriter {
+    log: Log,
+    rest: Vec<u8>,
+}
+
+impl Write for LogWriter {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.rest.extend_from_slice(bytes);
+        while let Some(end) = self.rest.iter().position(|b| *b == b'\n') {
+            let line: Vec<u8> = self.rest.drain(..=end).collect();
+            self.log.line(String::from_utf8_lossy(&line[..end]).as_ref());
+        }
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Drop for LogWriter {
+    fn drop(&mut self) {
+        if !self.rest.is_empty() {
+            self.log.line(String::from_utf8_lossy(&self.rest).as_ref());
+        }
+    }
+}

@@ -1,0 +1,146 @@
+//! The few file operations that the cache relies on, behind a trait, so that tests can make each of them fail.
+//!
+//! A published name is complete: bytes are synced before the rename that makes them visible, the folder after it.
+
+use std::fs::{self, File};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::error::FileError;
+
+/// File operations of the cache. Stages write their own files into the folder they are given.
+pub trait Files: Send + Sync {
+    /// The whole file.
+    fn read(&self, path: &Path) -> io::Result<Vec<u8>>;
+    /// Opens for reading in pieces.
+    fn open(&self, path: &Path) -> io::Result<Box<dyn Read>>;
+    /// Creates or replaces a file and syncs it.
+    fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
+    /// Appends to a file, creating it where it is missing.
+    fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
+    /// Creates a file that must not exist yet.
+    fn create_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
+    /// Creates a folder and its parents.
+    fn create_dir_all(&self, path: &Path) -> io::Result<()>;
+    /// Renames within a file system, replacing a file.
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
+    /// Syncs a file or folder.
+    fn sync(&self, path: &Path) -> io::Result<()>;
+    /// Removes a file.
+    fn remove_file(&self, path: &Path) -> io::Result<()>;
+    /// Removes a folder with everything below.
+    fn remove_dir_all(&self, path: &Path) -> io::Result<()>;
+}
+
+/// The real file system.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Disk;
+
+impl Files for Disk {
+    fn read(&self, path: &Path) -> io::Result<Vec<u8>> {
+        fs::read(path)
+    }
+
+    fn open(&self, path: &Path) -> io::Result<Box<dyn Read>> {
+        Ok(Box::new(File::open(path)?))
+    }
+
+    fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        let mut file = File::create(path)?;
+        file.write_all(bytes)?;
+        file.sync_all()
+    }
+
+    fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        File::options().append(true).create(true).open(path)?.write_all(bytes)
+    }
+
+    fn create_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        File::options().write(true).create_new(true).open(path)?.write_all(bytes)
+    }
+
+    fn create_dir_all(&self, path: &Path) -> io::Result<()> {
+        fs::create_dir_all(path)
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        fs::rename(from, to)
+    }
+
+    fn sync(&self, path: &Path) -> io::Result<()> {
+        if cfg!(unix) || path.is_file() { File::open(path)?.sync_all() } else { Ok(()) }
+    }
+
+    fn remove_file(&self, path: &Path) -> io::Result<()> {
+        fs::remove_file(path)
+    }
+
+    fn remove_dir_all(&self, path: &Path) -> io::Result<()> {
+        fs::remove_dir_all(path)
+    }
+}
+
+/// Adds the path to an error.
+pub(crate) fn at<T>(path: &Path, doing: &'static str, result: io::Result<T>) -> Result<T, FileError> {
+    result.map_err(|source| FileError { path: path.to_path_buf(), doing, source })
+}
+
+/// Writes a small file whole or not at all: a synced sibling, renamed.
+pub(crate) fn write_atomic(files: &dyn Files, path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+    let parent = path.parent().unwrap_or(Path::new("."));
+    at(parent, "create", files.create_dir_all(parent))?;
+    let mut name = path.file_name().unwrap_or_default().to_os_string();
+    name.push(format!(".tmp-{}", unique()));
+    let sibling = parent.join(name);
+    let written = at(path, "write", files.write(&sibling, bytes).and_then(|()| files.rename(&sibling, path)));
+    if written.is_err() {
+        // The error that matters is the one above; the sibling is swept with other leftovers.
+        let _ = files.remove_file(&sibling);
+    }
+    written
+}
+
+/// A name that no other process and no other call uses.
+pub(crate) fn unique() -> String {
+    static COUNTER: AtomicU64 = AtomicU64::new(0);
+    format!("{}-{}", std::process::id(), COUNTER.fetch_add(1, Ordering::Relaxed))
+}
+
+/// Every regular file below a folder with its path (`/` between folders) and size, sorted; symbolic links and special
+/// files are errors.
+pub(crate) fn list(root: &Path) -> Result<Vec<(String, u64)>, FileError> {
+    let mut out = Vec::new();
+    for entry in walkdir::WalkDir::new(root).sort_by_file_name() {
+        let entry = entry.map_err(|e| walk_error(root, e))?;
+        if entry.file_type().is_dir() {
+            continue;
+        }
+        let size = entry.metadata().map_err(|e| walk_error(root, e))?.len();
+        let relative = entry.path().strip_prefix(root).unwrap_or(entry.path());
+        let name = relative_name(relative);
+        let (true, Some(name)) = (entry.file_type().is_file(), name) else {
+            let source = io::Error::other("not a regular file with a UTF-8 name");
+            return Err(FileError { path: entry.path().to_path_buf(), doing: "store", source });
+        };
+        out.push((name, size));
+    }
+    out.sort();
+    Ok(out)
+}
+
+/// A relative path with `/` between folders, when it is UTF-8.
+pub(crate) fn relative_name(path: &Path) -> Option<String> {
+    let parts: Option<Vec<&str>> = path.components().map(|c| c.as_os_str().to_str()).collect();
+    Some(parts?.join("/"))
+}
+
+/// The error of a walk.
+pub(crate) fn walk_error(root: &Path, error: walkdir::Error) -> FileError {
+    let path = error.path().map_or_else(|| root.to_path_buf(), PathBuf::from);
+    let source = match error.loop_ancestor() {
+        Some(ancestor) => io::Error::other(format!("a symbolic link leads back to {}", ancestor.display())),
+        None => error.into_io_error().unwrap_or_else(|| io::Error::other("unreadable")),
+    };
+    FileError { path, doing: "read", source }
+}

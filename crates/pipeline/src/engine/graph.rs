@@ -1,0 +1,418 @@
+//! The static graph of a batch: every stage of every scene and variant, with its parameters and where its inputs come from.
+//!
+//! Variants that change nothing below a stage share it: such nodes are recognised before anything is known about content,
+//! by an identity made of stage, parameters, seed and the identities of the inputs, and point to the first of their kind.
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::PathBuf;
+
+use serde_json::{Map, Value};
+
+use super::canonical;
+use super::digest::{Digest, Encoder};
+use super::error::{EngineError, ParameterError};
+use super::registry::Registry;
+use super::stage::{AllParameters, Scope, Source};
+
+/// Parameters given for stages, by stage; whatever is not given has the stage's default.
+pub type Overrides = Map<String, Value>;
+
+/// A place outside the pipeline, or why it cannot be said where it is.
+pub type External = Result<PathBuf, String>;
+
+/// What is to be computed: scenes × stages × variants.
+#[derive(Clone, Debug, Default)]
+pub struct Batch {
+    /// The pipeline's name, for records and logs.
+    pub name: String,
+    /// The seed.
+    pub seed: u64,
+    /// Parameters for all scenes.
+    pub defaults: Overrides,
+    /// Parameters that win over everything: those of the command line.
+    pub forced: Overrides,
+    /// Files and folders for all scenes, by name.
+    pub externals: BTreeMap<String, External>,
+    /// The scenes.
+    pub scenes: Vec<Scene>,
+    /// The variants; none means one without a name.
+    pub variants: Vec<Variant>,
+}
+
+/// One scene of a batch.
+#[derive(Clone, Debug, Default)]
+pub struct Scene {
+    /// Its name, unique in the batch.
+    pub name: String,
+    /// The group whose mean it counts in.
+    pub group: String,
+    /// Its files and folders, by name.
+    pub externals: BTreeMap<String, External>,
+    /// Parameters for this scene only.
+    pub overrides: Overrides,
+    /// Parameters for this scene only that win over everything.
+    pub forced: Overrides,
+}
+
+/// A named set of changes that every scene is computed with.
+#[derive(Clone, Debug, Default)]
+pub struct Variant {
+    /// Its name, unique in the batch.
+    pub name: String,
+    /// Another seed.
+    pub seed: Option<u64>,
+    /// Parameters for this variant only.
+    pub overrides: Overrides,
+    /// Parameters for this variant only that win over all but a scene's forced ones.
+    pub forced: Overrides,
+}
+
+impl Batch {
+    /// Keeps only the named scenes.
+    pub fn keep_scenes(&mut self, names: &[String]) -> Result<(), EngineError> {
+        for name in names {
+            if !self.scenes.iter().any(|s| &s.name == name) {
+                return Err(EngineError::unknown("scene", name, self.scenes.iter().map(|s| s.name.as_str())));
+            }
+        }
+        self.scenes.retain(|s| names.contains(&s.name));
+        Ok(())
+    }
+}
+
+/// Where a node's input comes from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum From {
+    Node(usize),
+    External(External),
+}
+
+#[derive(Clone, Debug)]
+pub(crate) struct NodeInput {
+    pub(crate) role: &'static str,
+    pub(crate) from: From,
+    /// The input's place in the stage's list.
+    pub(crate) index: usize,
+    pub(crate) scene: String,
+    pub(crate) group: String,
+    pub(crate) variant: String,
+}
+
+/// One stage of one scene and variant.
+#[derive(Clone, Debug)]
+pub struct Node {
+    pub(crate) stage: usize,
+    /// The stage's name.
+    pub stage_name: &'static str,
+    /// The scene's name; empty for a stage over all scenes.
+    pub scene: String,
+    /// The variant's name; empty where there are none.
+    pub variant: String,
+    /// Its parameters, defaults filled in.
+    pub parameters: Value,
+    pub(crate) seed: Option<u64>,
+    pub(crate) inputs: Vec<NodeInput>,
+    pub(crate) identity: Digest,
+    /// The first node that is the same work, when this is not it.
+    pub same_as: Option<usize>,
+}
+
+impl Node {
+    /// Scene, variant and stage in words.
+    pub fn label(&self) -> String {
+        let parts: Vec<&str> =
+            [&self.scene, &self.variant].into_iter().map(String::as_str).filter(|p| !p.is_empty()).collect();
+        if parts.is_empty() {
+            self.stage_name.to_string()
+        } else {
+            format!("{} · {}", parts.join(" · "), self.stage_name)
+        }
+    }
+}
+
+/// The nodes in an order in which inputs come first.
+#[derive(Clone, Debug)]
+pub struct Graph {
+    /// The pipeline's name.
+    pub name: String,
+    /// The nodes.
+    pub nodes: Vec<Node>,
+}
+
+impl Graph {
+    /// The graph of `batch` over the stages of `registry`. Fails on parameters that a stage refuses and on unknown stages.
+    pub fn new(registry: &Registry, batch: &Batch) -> Result<Self, EngineError> {
+        check_names(registry, batch)?;
+        let unnamed = [Variant::default()];
+        let variants = if batch.variants.is_empty() { &unnamed[..] } else { &batch.variants };
+        let mut builder =
+            Builder { registry, batch, nodes: Vec::new(), place: HashMap::new(), first: HashMap::new() };
+        // Scene by scene, so that results come out early; what they share first, what gathers them last.
+        for variant in variants {
+            builder.add(None, variant, Scope::Shared)?;
+        }
+        for scene in &batch.scenes {
+            for variant in variants {
+                builder.add(Some(scene), variant, Scope::Scene)?;
+            }
+        }
+        builder.add_batch_stages(variants)?;
+        Ok(Self { name: batch.name.clone(), nodes: builder.nodes })
+    }
+
+    /// The node of a stage in a scene (empty for stages over all scenes) and variant (empty: the first).
+    pub fn find(&self, scene: &str, variant: &str, stage: &str) -> Option<usize> {
+        let fits = |n: &Node| n.stage_name == stage && (n.scene.is_empty() || n.scene == scene);
+        self.nodes
+            .iter()
+            .position(|n| fits(n) && (variant.is_empty() || n.variant == variant || n.variant.is_empty()))
+    }
+
+    /// Marks the named stages and all they need; `None` marks everything.
+    pub fn wanted(&self, until: Option<&[String]>) -> Vec<bool> {
+        let mut wanted: Vec<bool> = match until {
+            None => return vec![true; self.nodes.len()],
+            Some(stages) => self.nodes.iter().map(|n| stages.iter().any(|s| s == n.stage_name)).collect(),
+        };
+        for i in (0..self.nodes.len()).rev().filter(|i| wanted[*i]).collect::<Vec<_>>() {
+            let mut open = vec![i];
+            while let Some(node) = open.pop() {
+                wanted[node] = true;
+                open.extend(self.parents(node).filter(|p| !wanted[*p]).collect::<Vec<_>>());
+            }
+        }
+        wanted
+    }
+
+    /// The nodes whose artifacts a node reads; for a node that is the same work as another, that one.
+    pub(crate) fn parents(&self, node: usize) -> impl Iterator<Item = usize> + '_ {
+        let node = &self.nodes[node];
+        let inputs = node.inputs.iter().filter_map(|i| match i.from {
+            From::Node(parent) => Some(parent),
+            From::External(_) => None,
+        });
+        inputs.chain(node.same_as)
+    }
+}
+
+fn check_names(registry: &Registry, batch: &Batch) -> Result<(), EngineError> {
+    for scene in &batch.scenes {
+        for name in scene.overrides.keys().chain(scene.forced.keys()) {
+            let stage = registry.stage(name)?;
+            if stage.scope != Scope::Scene {
+                let message = format!("`{name}` is made once for all scenes; set it in [defaults.{name}]");
+                let error = ParameterError { path: name.clone(), message, unknown: None, known: Vec::new() };
+                return Err(EngineError::Parameters { place: format!("scene {}", scene.name), error });
+            }
+        }
+    }
+    let scenes = batch.scenes.iter().map(|s| &s.overrides);
+    let variants = batch.variants.iter().map(|v| &v.overrides);
+    for overrides in [&batch.defaults, &batch.forced].into_iter().chain(scenes).chain(variants) {
+        for stage in overrides.keys() {
+            registry.index(stage)?;
+        }
+    }
+    Ok(())
+}
+
+struct Builder<'a> {
+    registry: &'a Registry,
+    batch: &'a Batch,
+    nodes: Vec<Node>,
+    place: HashMap<(String, String, &'static str), usize>,
+    first: HashMap<Digest, usize>,
+}
+
+impl Builder<'_> {
+    /// Parameters of every stage for a scene and variant: defaults, scene, variant, command line, later ones winning.
+    fn parameters(&self, scene: Option<&Scene>, variant: &Variant) -> Result<AllParameters, EngineError> {
+        let mut all = AllParameters::new();
+        for stage in self.registry.stages() {
+            let scene = scene.filter(|_| stage.scope == Scope::Scene);
+            let variant = Some(variant).filter(|_| stage.scope != Scope::Batch);
+            let layers = [
+                Some(&self.batch.defaults),
+                scene.map(|s| &s.overrides),
+                variant.map(|v| &v.overrides),
+                Some(&self.batch.forced),
+                variant.map(|v| &v.forced),
+                scene.map(|s| &s.forced),
+            ];
+            let mut given = Value::Object(Map::new());
+            for layer in layers.into_iter().flatten().filter_map(|l| l.get(stage.name)) {
+                canonical::merge(&mut given, layer);
+            }
+            let parameters = stage.parameters(&given).map_err(|error| EngineError::Parameters {
+                place: place_label(scene, variant, stage.name),
+                error,
+            })?;
+            all.insert(stage.name.to_string(), parameters);
+        }
+        Ok(all)
+    }
+
+    fn add(&mut self, scene: Option<&Scene>, variant: &Variant, scope: Scope) -> Result<(), EngineError> {
+        let all = self.parameters(scene, variant)?;
+        for (index, stage) in self.registry.stages().iter().enumerate().filter(|(_, s)| s.scope == scope) {
+            if stage.condition.as_ref().is_some_and(|asked| !asked(&all)) {
+                continue;
+            }
+            let mut inputs = Vec::new();
+            for (i, input) in stage.inputs.iter().enumerate() {
+                let found = match input.source {
+                    Source::External(name) => {
+                        let own = scene.and_then(|s| s.externals.get(name));
+                        own.or_else(|| self.batch.externals.get(name)).cloned().map(From::External)
+                    }
+                    Source::Stage(name) => {
+                        let scene_name = scene.map(|s| s.name.clone()).unwrap_or_default();
+                        let here = self.place.get(&(scene_name, variant.name.clone(), name));
+                        here.or_else(|| self.place.get(&(String::new(), variant.name.clone(), name)))
+                            .map(|node| From::Node(*node))
+                    }
+                };
+                let from = match (found, input.optional) {
+                    (Some(from), _) => from,
+                    (None, true) => continue,
+                    (None, false) => From::External(Err(match input.source {
+                        Source::External(name) => format!("the pipeline does not say where `{name}` is"),
+                        Source::Stage(name) => {
+                            format!("it needs the stage `{name}`, which these parameters switch off")
+                        }
+                    })),
+                };
+                inputs.push(NodeInput {
+                    role: input.role,
+                    from,
+                    index: i,
+                    scene: String::new(),
+                    group: String::new(),
+                    variant: String::new(),
+                });
+            }
+            let seed = stage.seeded.then(|| variant.seed.unwrap_or(self.batch.seed));
+            let scene_name = scene.map(|s| s.name.clone()).unwrap_or_default();
+            self.push(index, scene_name, variant.name.clone(), all[stage.name].clone(), seed, inputs);
+        }
+        Ok(())
+    }
+
+    fn add_batch_stages(&mut self, variants: &[Variant]) -> Result<(), EngineError> {
+        let all = self.parameters(None, &Variant::default())?;
+        let groups: HashMap<&str, &str> =
+            self.batch.scenes.iter().map(|s| (s.name.as_str(), s.group.as_str())).collect();
+        for (index, stage) in
+            self.registry.stages().iter().enumerate().filter(|(_, s)| s.scope == Scope::Batch)
+        {
+            let given =
+                |v: &&Variant| v.overrides.contains_key(stage.name) || v.forced.contains_key(stage.name);
+            if let Some(variant) = variants.iter().find(given) {
+                return Err(EngineError::Parameters {
+                    place: format!("variant {}", variant.name),
+                    error: ParameterError {
+                        path: stage.name.to_string(),
+                        message: format!(
+                            "`{0}` is made once for all variants; set it in [defaults.{0}]",
+                            stage.name
+                        ),
+                        unknown: None,
+                        known: Vec::new(),
+                    },
+                });
+            }
+            if stage.condition.as_ref().is_some_and(|asked| !asked(&all)) {
+                continue;
+            }
+            let mut inputs = Vec::new();
+            for (i, input) in stage.inputs.iter().enumerate() {
+                let base = NodeInput {
+                    role: input.role,
+                    from: From::External(Err(String::new())),
+                    index: i,
+                    scene: String::new(),
+                    group: String::new(),
+                    variant: String::new(),
+                };
+                match input.source {
+                    Source::External(name) => match (self.batch.externals.get(name), input.optional) {
+                        (Some(external), _) => {
+                            inputs.push(NodeInput { from: From::External(external.clone()), ..base });
+                        }
+                        (None, true) => {}
+                        (None, false) => {
+                            let reason = format!("the pipeline does not say where `{name}` is");
+                            inputs.push(NodeInput { from: From::External(Err(reason)), ..base });
+                        }
+                    },
+                    Source::Stage(name) => {
+                        for (n, node) in self.nodes.iter().enumerate().filter(|(_, n)| n.stage_name == name) {
+                            inputs.push(NodeInput {
+                                from: From::Node(n),
+                                scene: node.scene.clone(),
+                                group: groups
+                                    .get(node.scene.as_str())
+                                    .map(ToString::to_string)
+                                    .unwrap_or_default(),
+                                variant: node.variant.clone(),
+                                ..base.clone()
+                            });
+                        }
+                    }
+                }
+            }
+            let seed = stage.seeded.then_some(self.batch.seed);
+            self.push(index, String::new(), String::new(), all[stage.name].clone(), seed, inputs);
+        }
+        Ok(())
+    }
+
+    fn push(
+        &mut self,
+        stage: usize,
+        scene: String,
+        variant: String,
+        parameters: Value,
+        seed: Option<u64>,
+        inputs: Vec<NodeInput>,
+    ) {
+        let name = self.registry.stages()[stage].name;
+        let mut identity = Encoder::new("use3d 2026 node identity v1");
+        identity.text(name);
+        canonical::encode(&parameters, &mut identity);
+        identity.number(u64::from(seed.is_some())).number(seed.unwrap_or(0));
+        for input in &inputs {
+            identity.text(input.role).text(&input.scene).text(&input.variant);
+            match &input.from {
+                From::Node(node) => identity.bytes(self.nodes[*node].identity.as_bytes()),
+                From::External(Ok(path)) => identity.text(&path.to_string_lossy()),
+                // What one scene cannot find is not what another cannot find.
+                From::External(Err(reason)) => identity.text(reason).text(&scene),
+            };
+        }
+        let identity = identity.finish();
+        let id = self.nodes.len();
+        let same_as = self.first.get(&identity).copied();
+        self.first.entry(identity).or_insert(id);
+        self.place.insert((scene.clone(), variant.clone(), name), id);
+        self.nodes.push(Node {
+            stage,
+            stage_name: name,
+            scene,
+            variant,
+            parameters,
+            seed,
+            inputs,
+            identity,
+            same_as,
+        });
+    }
+}
+
+fn place_label(scene: Option<&Scene>, variant: Option<&Variant>, stage: &str) -> String {
+    let mut parts = Vec::new();
+    parts.extend(scene.map(|s| format!("scene {}", s.name)));
+    parts.extend(variant.filter(|v| !v.name.is_empty()).map(|v| format!("variant {}", v.name)));
+    parts.push(format!("stage {stage}"));
+    parts.join(", ")
+}

@@ -1,0 +1,225 @@
+//! What happened to every node last: the memory behind `status`, `why` and the forecasts. Never part of a result.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+use super::cache::Cache;
+use super::digest::Digest;
+use super::error::FileError;
+use super::files;
+use super::graph::Node;
+use super::key::{Ingredients, Key};
+
+/// An artifact that a node once had.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Made {
+    /// Its key.
+    pub key: Key,
+    /// What the key is made of.
+    pub ingredients: Ingredients,
+    /// Digest of its payload.
+    pub content: Digest,
+    /// When it was used first (UTC).
+    pub at: String,
+}
+
+/// A failure.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Failure {
+    /// The key that was to be made; none when an input could not be read.
+    pub key: Option<Key>,
+    /// Why it failed.
+    pub reason: String,
+    /// Where its log is.
+    pub log: PathBuf,
+    /// When (UTC).
+    pub at: String,
+}
+
+/// The record of a node.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Record {
+    /// The artifact it had last.
+    pub last: Option<Made>,
+    /// The one before, with another key.
+    pub before: Option<Made>,
+    /// The failure since then, if the last run failed.
+    pub failure: Option<Failure>,
+}
+
+impl Record {
+    /// The failure, when it is of this key (or of an input).
+    pub fn failed(&self, key: Option<Key>) -> Option<&Failure> {
+        self.failure.as_ref().filter(|f| f.key.is_none() || key.is_none() || f.key == key)
+    }
+}
+
+impl Cache {
+    /// Where a node's record and log are; `kind` is `history` or `logs`.
+    fn node_path(&self, kind: &str, pipeline: &str, node: &Node, extension: &str) -> PathBuf {
+        let folder =
+            self.root().join(kind).join(safe(pipeline)).join(safe(&node.scene)).join(safe(&node.variant));
+        folder.join(format!("{}.{extension}", node.stage_name))
+    }
+
+    /// The path of a node's log.
+    pub fn log_path(&self, pipeline: &str, node: &Node) -> PathBuf {
+        self.node_path("logs", pipeline, node, "log")
+    }
+
+    /// The record of a node; an unreadable one is none.
+    pub fn record(&self, pipeline: &str, node: &Node) -> Record {
+        let path = self.node_path("history", pipeline, node, "json");
+        let bytes = self.files().read(&path).ok();
+        bytes.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
+    }
+
+    pub(crate) fn write_record(&self, pipeline: &str, node: &Node, record: &Record) -> Result<(), FileError> {
+        let bytes = serde_json::to_vec(record).unwrap_or_default();
+        files::write_atomic(self.files(), &self.node_path("history", pipeline, node, "json"), &bytes)
+    }
+
+    /// All records of a pipeline's nodes, for finding what is in use.
+    pub(crate) fn all_records(&self) -> Vec<Record> {
+        let walk = walkdir::WalkDir::new(self.root().join("history")).sort_by_file_name();
+        walk.into_iter()
+            .filter_map(Result::ok)
+            .filter(|e| e.path().extension().is_some_and(|x| x == "json"))
+            .filter_map(|e| serde_json::from_slice(&std::fs::read(e.path()).ok()?).ok())
+            .collect()
+    }
+
+    /// Adds a duration; a line that cannot be written is only a worse forecast.
+    pub(crate) fn add_timing(&self, timing: &Timing) {
+        if let Ok(mut line) = serde_json::to_vec(timing) {
+            line.push(b'\n');
+            let _ = self.files().append(&self.root().join("timings.jsonl"), &line);
+        }
+    }
+
+    pub(crate) fn timings(&self) -> Timings {
+        let text = self.files().read(&self.root().join("timings.jsonl")).unwrap_or_default();
+        let mut by_stage: BTreeMap<String, Vec<Timing>> = BTreeMap::new();
+        for timing in
+            String::from_utf8_lossy(&text).lines().filter_map(|l| serde_json::from_str::<Timing>(l).ok())
+        {
+            by_stage.entry(timing.stage.clone()).or_default().push(timing);
+        }
+        Timings { by_stage }
+    }
+}
+
+/// A name as a folder name: everything but letters, digits, `-`, `_` and inner dots as `%` and two hexadecimal digits.
+fn safe(name: &str) -> String {
+    if name.is_empty() {
+        return "_".to_string();
+    }
+    let mut out = String::new();
+    for (i, byte) in name.bytes().enumerate() {
+        let plain = byte.is_ascii_alphanumeric()
+            || byte == b'-'
+            || (byte == b'_' && name.len() > 1)
+            || (byte == b'.' && i > 0);
+        if plain {
+            out.push(char::from(byte));
+        } else {
+            out.push_str(&format!("%{byte:02X}"));
+        }
+    }
+    out
+}
+
+/// How long a stage took once, without what was found in checkpoints.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Timing {
+    pub(crate) stage: String,
+    pub(crate) scene: String,
+    /// The parameters that say how far it goes, multiplied; 1 without.
+    pub(crate) length: f64,
+    /// Bytes of its inputs.
+    pub(crate) bytes: u64,
+    pub(crate) seconds: f64,
+    pub(crate) peak_memory: u64,
+    /// Bytes of its artifact.
+    pub(crate) output: u64,
+}
+
+pub(crate) struct Timings {
+    by_stage: BTreeMap<String, Vec<Timing>>,
+}
+
+/// What a stage will probably take, from earlier records of the same stage.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Forecast {
+    /// Seconds (the median).
+    pub seconds: f64,
+    /// The shortest of the records, scaled alike.
+    pub least: f64,
+    /// The longest.
+    pub most: f64,
+    /// Bytes it will add to the cache.
+    pub output: u64,
+    /// Memory, bytes.
+    pub peak_memory: u64,
+    /// Records it is made from.
+    pub records: usize,
+}
+
+impl Timings {
+    /// The last records of the same scene if there are any, else of all scenes; scaled by length.
+    pub(crate) fn forecast(&self, stage: &str, scene: &str, length: f64) -> Option<Forecast> {
+        let all = self.by_stage.get(stage)?;
+        let own: Vec<&Timing> = all.iter().filter(|t| t.scene == scene && !scene.is_empty()).collect();
+        let used: Vec<&Timing> = if own.is_empty() { all.iter().collect() } else { own };
+        let used = &used[used.len().saturating_sub(9)..];
+        let mut seconds: Vec<f64> = used
+            .iter()
+            .map(|t| if t.length > 0.0 { t.seconds * length / t.length } else { t.seconds })
+            .collect();
+        seconds.sort_by(f64::total_cmp);
+        Some(Forecast {
+            seconds: seconds[seconds.len() / 2],
+            least: seconds[0],
+            most: seconds[seconds.len() - 1],
+            output: used.iter().map(|t| t.output).max()?,
+            peak_memory: used.iter().map(|t| t.peak_memory).max()?,
+            records: used.len(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_become_distinct_safe_folders() {
+        for (name, expected) in
+            [("", "_"), ("_", "%5F"), ("IUI3-RedSea", "IUI3-RedSea"), ("../x", "%2E.%2Fx"), ("é", "%C3%A9")]
+        {
+            assert_eq!(safe(name), expected);
+        }
+    }
+
+    #[test]
+    fn forecasts_prefer_the_scene_and_scale_with_length() {
+        let timing = |scene: &str, length: f64, seconds: f64| Timing {
+            stage: "reconstruct".to_string(),
+            scene: scene.to_string(),
+            length,
+            bytes: 0,
+            seconds,
+            peak_memory: 5,
+            output: 7,
+        };
+        let list = vec![timing("a", 100.0, 10.0), timing("b", 100.0, 30.0), timing("a", 200.0, 24.0)];
+        let timings = Timings { by_stage: BTreeMap::from([("reconstruct".to_string(), list)]) };
+        let own = timings.forecast("reconstruct", "b", 200.0).expect("records");
+        assert_eq!((own.seconds, own.records), (60.0, 1));
+        let all = timings.forecast("reconstruct", "new", 100.0).expect("records");
+        assert_eq!((all.seconds, all.least, all.most, all.records), (12.0, 10.0, 30.0, 3));
+        assert!(timings.forecast("import", "a", 1.0).is_none());
+    }
+}

@@ -1,0 +1,264 @@
+//! One node's work: wait for whoever does it already, run the stage in a scratch folder, publish.
+
+use std::fs::File;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, mpsc};
+use std::time::{Duration, Instant};
+
+use super::Engine;
+use super::cache::{Artifact, Lookup, Published};
+use super::context::{Log, StageContext};
+use super::error::{FileError, StageError};
+use super::events::{Event, Listener};
+use super::files;
+use super::graph::Node;
+use super::history::Timing;
+use super::key::Key;
+use super::lease::{Asked, HEARTBEAT, Lease};
+use super::machine;
+use super::manifest::{Circumstances, MANIFEST, MadeFor};
+use super::resolve::{self, Resolved};
+
+/// How a job ended.
+pub(crate) enum Ended {
+    /// Its artifact is there; `computed` by this process just now, or by another one meanwhile.
+    Ready { artifact: Box<Artifact>, computed: bool, seconds: f64 },
+    /// It failed.
+    Failed(String),
+    /// It was asked to stop.
+    Cancelled,
+    /// An input's artifact was damaged and is moved aside; the node that makes it.
+    DamagedInput(usize),
+}
+
+pub(crate) struct Job<'a> {
+    pub(crate) engine: &'a Engine,
+    pub(crate) pipeline: &'a str,
+    pub(crate) id: usize,
+    pub(crate) node: &'a Node,
+    pub(crate) resolved: Resolved,
+    pub(crate) threads: usize,
+    pub(crate) stop: Arc<AtomicBool>,
+    pub(crate) listener: Arc<dyn Listener>,
+}
+
+impl Job<'_> {
+    pub(crate) fn execute(self) -> Ended {
+        let label = self.node.label();
+        for (parent, artifact) in &self.resolved.artifacts {
+            if let Err(reason) = self.engine.cache.verify(artifact, false) {
+                let stage = &artifact.manifest.ingredients.stage;
+                let aside = self.engine.cache.set_aside(stage, &artifact.manifest.key);
+                let place = aside.map_or_else(|e| e.to_string(), |p| format!("moved to {}", p.display()));
+                let text = format!("its input {stage} is damaged: {reason}; {place}, computing it again");
+                self.listener.event(&Event::Warning { label: &label, text: &text });
+                return Ended::DamagedInput(*parent);
+            }
+        }
+        let lease = match self.wait_for_turn(&label) {
+            Ok(Turn::Ours(lease)) => lease,
+            Ok(Turn::Made(artifact)) => return Ended::Ready { artifact, computed: false, seconds: 0.0 },
+            Ok(Turn::Cancelled) => return Ended::Cancelled,
+            Err(error) => return Ended::Failed(error.to_string()),
+        };
+        let start = Instant::now();
+        match self.compute(&label, lease.as_ref()) {
+            Ok(artifact) => {
+                let seconds = start.elapsed().as_secs_f64();
+                Ended::Ready { artifact: Box::new(artifact), computed: true, seconds }
+            }
+            Err(StageError::Cancelled) => Ended::Cancelled,
+            Err(error) => Ended::Failed(error.to_string()),
+        }
+    }
+
+    fn wait_for_turn(&self, label: &str) -> Result<Turn, FileError> {
+        let reads: Vec<Key> = self.resolved.artifacts.iter().map(|(_, a)| a.manifest.key).collect();
+        let mut told = false;
+        loop {
+            if self.stop.load(Ordering::Relaxed) {
+                return Ok(Turn::Cancelled);
+            }
+            let asked = Lease::ask(&self.engine.cache, &self.resolved.key, &reads);
+            // Another process may have finished between this one's look and the lease.
+            let found = self.engine.cache.lookup(self.node.stage_name, &self.resolved.key)?;
+            match (found, asked) {
+                (Lookup::Whole(artifact), _) => return Ok(Turn::Made(artifact)),
+                (_, Asked::Granted(lease)) => return Ok(Turn::Ours(lease)),
+                (_, Asked::Held(holder)) => {
+                    if !told {
+                        self.listener.event(&Event::Waiting { node: self.id, label, holder: &holder });
+                        told = true;
+                    }
+                    std::thread::sleep(Duration::from_millis(50));
+                }
+            }
+        }
+    }
+
+    fn compute(&self, label: &str, lease: Option<&Lease>) -> Result<Artifact, StageError> {
+        let cache = &self.engine.cache;
+        let stage = &self.engine.registry.stages()[self.node.stage];
+        let log_path = cache.log_path(self.pipeline, self.node);
+        let log = open_log(&log_path)?;
+        log.line(&format!("{label}, key {}, {} threads", self.resolved.key, self.threads));
+        let scratch = Scratch { path: cache.scratch()?, cache };
+        let output = scratch.path.join("artifact");
+        files::at(&output, "create", cache.files().create_dir_all(&output))?;
+        let checkpoints = if stage.length_like.is_empty() {
+            None
+        } else {
+            let key = self.resolved.ingredients.checkpoint_key(stage.length_like);
+            let path = cache.checkpoint_path(stage.name, &key);
+            files::at(&path, "create", cache.files().create_dir_all(&path))?;
+            Some(path)
+        };
+        let context = StageContext {
+            inputs: self.resolved.inputs.clone(),
+            missing: self.resolved.ingredients.missing.clone(),
+            output: output.clone(),
+            checkpoints,
+            seed: self.node.seed.unwrap_or(0),
+            threads: self.threads,
+            stop: self.stop.clone(),
+            node: self.id,
+            label: label.to_string(),
+            listener: self.listener.clone(),
+            log: log.clone(),
+            resumed: AtomicU64::new(0),
+        };
+        self.listener.event(&Event::Started {
+            node: self.id,
+            label,
+            key: self.resolved.key,
+            threads: self.threads,
+        });
+        let start = Instant::now();
+        let (ran, peak_memory) =
+            watched(lease, || in_pool(self.threads, || (stage.run)(&context, &self.node.parameters)));
+        let seconds = start.elapsed().as_secs_f64();
+        if let Err(error) = ran {
+            log.line(&format!("failed: {error}"));
+            return Err(error);
+        }
+        if output.join(MANIFEST).exists() {
+            return Err(StageError::message(format!(
+                "the stage wrote `{MANIFEST}`, a name that is not its own to use"
+            )));
+        }
+        if files::list(&output)?.is_empty() {
+            return Err(StageError::message("the stage ended without an error and without writing anything"));
+        }
+        for (path, select, before) in &self.resolved.externals {
+            if cache.contents().of_now(path, select.as_deref())?.digest != *before {
+                let path = path.display();
+                return Err(StageError::message(format!(
+                    "{path} changed while it was being read; run again"
+                )));
+            }
+        }
+        let resumed = context.resumed.load(Ordering::Relaxed) as f64 / 1e6;
+        let made_for = MadeFor {
+            pipeline: self.pipeline.to_string(),
+            scene: self.node.scene.clone(),
+            variant: self.node.variant.clone(),
+        };
+        let how = Circumstances { seconds, resumed, threads: self.threads, peak_memory, made_for };
+        let published = cache.publish(&output, self.resolved.ingredients.clone(), how)?;
+        let artifact = match published {
+            Published::Now(artifact) | Published::Already(artifact) => artifact,
+            Published::Differs(artifact, file) => {
+                self.alarm(label, &format!("another process made other bytes of {file}"));
+                artifact
+            }
+        };
+        log.line(&format!("done in {}", machine::seconds(seconds)));
+        cache.add_timing(&Timing {
+            stage: stage.name.to_string(),
+            scene: self.node.scene.clone(),
+            length: resolve::length(stage, self.node),
+            bytes: self.resolved.bytes,
+            seconds: artifact.manifest.full_seconds(),
+            peak_memory,
+            output: artifact.manifest.bytes(),
+        });
+        Ok(artifact)
+    }
+
+    /// The same key with other bytes.
+    fn alarm(&self, label: &str, what: &str) {
+        let text = format!(
+            "determinism alarm: {what} for the same key {}; the first artifact is kept. A result must follow from the \
+             key's ingredients alone",
+            self.resolved.key.short()
+        );
+        self.listener.event(&Event::Warning { label, text: &text });
+    }
+}
+
+enum Turn {
+    Ours(Option<Lease>),
+    Made(Box<Artifact>),
+    Cancelled,
+}
+
+/// A scratch folder that goes when the job ends, however it ends.
+struct Scratch<'a> {
+    path: PathBuf,
+    cache: &'a super::cache::Cache,
+}
+
+impl Drop for Scratch<'_> {
+    fn drop(&mut self) {
+        // What cannot be removed now is swept by a later run.
+        let _ = self.cache.files().remove_dir_all(&self.path);
+    }
+}
+
+fn open_log(path: &std::path::Path) -> Result<Log, FileError> {
+    let parent = path.parent().unwrap_or(path);
+    files::at(parent, "create", std::fs::create_dir_all(parent))?;
+    let file = files::at(path, "create", File::create(path))?;
+    Ok(Log::new(Box::new(file)))
+}
+
+/// Runs `work` in a rayon pool of its own; a panic becomes an error.
+pub(crate) fn in_pool(
+    threads: usize,
+    work: impl FnOnce() -> Result<(), StageError> + Send,
+) -> Result<(), StageError> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
+    catch_unwind(AssertUnwindSafe(|| pool.install(work))).unwrap_or_else(|panic| {
+        let text = panic.downcast_ref::<&str>().map(ToString::to_string);
+        let text = text.or_else(|| panic.downcast_ref::<String>().cloned());
+        let text = text.unwrap_or_else(|| "no message".to_string());
+        Err(StageError::message(format!("internal error, please report it: {text}")))
+    })
+}
+
+/// Runs `work` while a companion renews the lease and watches the memory.
+fn watched<T>(lease: Option<&Lease>, work: impl FnOnce() -> T) -> (T, u64) {
+    const SAMPLE: Duration = Duration::from_millis(200);
+    let peak = AtomicU64::new(machine::resident_memory().unwrap_or(0));
+    let (finished, wait) = mpsc::channel::<()>();
+    let result = std::thread::scope(|scope| {
+        let peak = &peak;
+        scope.spawn(move || {
+            let mut renewed = Instant::now();
+            while let Err(mpsc::RecvTimeoutError::Timeout) = wait.recv_timeout(SAMPLE) {
+                peak.fetch_max(machine::resident_memory().unwrap_or(0), Ordering::Relaxed);
+                if renewed.elapsed() > HEARTBEAT {
+                    lease.iter().for_each(|l| l.renew());
+                    renewed = Instant::now();
+                }
+            }
+        });
+        let result = work();
+        drop(finished);
+        result
+    });
+    peak.fetch_max(machine::resident_memory().unwrap_or(0), Ordering::Relaxed);
+    (result, peak.into_inner())
+}

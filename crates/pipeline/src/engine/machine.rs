@@ -1,0 +1,187 @@
+//! The facts about this machine and moment that records carry and keys never do.
+
+use std::time::SystemTime;
+
+use serde::{Deserialize, Serialize};
+
+use super::digest::Digest;
+
+/// A machine, for the record.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Machine {
+    /// Its name.
+    pub host: String,
+    /// Operating system and processor architecture.
+    pub system: String,
+    /// Its cores.
+    pub cores: usize,
+}
+
+impl Machine {
+    /// This one.
+    pub fn this() -> Self {
+        let host = std::fs::read_to_string("/proc/sys/kernel/hostname")
+            .ok()
+            .or_else(|| std::env::var("HOSTNAME").ok())
+            .or_else(|| std::env::var("COMPUTERNAME").ok());
+        Self {
+            host: host.map_or_else(|| "unknown".to_string(), |h| h.trim().to_string()),
+            system: format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
+            cores: cores(),
+        }
+    }
+}
+
+/// Cores this process may use.
+pub fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+/// Memory that can be had without swapping, bytes; `None` where the system does not say.
+pub fn available_memory() -> Option<u64> {
+    field_kib("/proc/meminfo", "MemAvailable:")
+}
+
+/// Memory this process holds, bytes.
+pub(crate) fn resident_memory() -> Option<u64> {
+    field_kib("/proc/self/status", "VmRSS:")
+}
+
+fn field_kib(file: &str, name: &str) -> Option<u64> {
+    let text = std::fs::read_to_string(file).ok()?;
+    let line = text.lines().find(|l| l.starts_with(name))?;
+    line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
+}
+
+/// Identifies this running process among all that ever shared a cache: host and boot, id, start time.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ProcessId {
+    /// The machine since its last start, and the space that process ids are counted in.
+    pub place: String,
+    /// The process id.
+    pub pid: u32,
+    /// When it started, in the system's own units, so that a reused id is told apart.
+    pub started: u64,
+}
+
+impl ProcessId {
+    /// This process.
+    pub fn this() -> Self {
+        let pid = std::process::id();
+        Self { place: place(), pid, started: start_time(pid).unwrap_or(0) }
+    }
+
+    /// A name for a folder of this process; `unique` tells its folders apart.
+    pub(crate) fn folder_name(&self, unique: &str) -> String {
+        format!("{}-{}-{}-{unique}", Digest::of(self.place.as_bytes()).short(), self.pid, self.started)
+    }
+
+    /// Whether the process that named a folder so runs; `None` when it lives on another machine.
+    pub(crate) fn owner_is_alive(name: &str) -> Option<bool> {
+        let mut parts = name.split('-');
+        let here = place();
+        if parts.next()? != Digest::of(here.as_bytes()).short() {
+            return None;
+        }
+        let (pid, started) = (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
+        Self { place: here, pid, started }.is_alive()
+    }
+
+    /// Whether it is known to run or to have ended; `None` when it lives on another machine.
+    pub fn is_alive(&self) -> Option<bool> {
+        if self.place != place() {
+            return None;
+        }
+        if !std::path::Path::new("/proc/self/stat").exists() {
+            return if self.pid == std::process::id() { Some(true) } else { None };
+        }
+        Some(start_time(self.pid).is_some_and(|s| s == self.started))
+    }
+}
+
+fn place() -> String {
+    let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
+    let space = std::fs::read_link("/proc/self/ns/pid").map(|p| p.display().to_string()).unwrap_or_default();
+    format!("{} {} {}", Machine::this().host, boot.trim(), space)
+}
+
+/// Field 22 of `/proc/<pid>/stat`; a zombie has ended.
+fn start_time(pid: u32) -> Option<u64> {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+    let mut fields = stat[stat.rfind(')')? + 1..].split_whitespace();
+    if fields.next()? == "Z" {
+        return None;
+    }
+    fields.nth(18)?.parse().ok()
+}
+
+/// Seconds since 1970.
+pub fn now() -> u64 {
+    SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_secs())
+}
+
+/// Seconds since 1970 as `2026-11-21 03:04:05` (UTC), by the civil-calendar arithmetic on 400-year eras.
+pub fn utc(seconds: u64) -> String {
+    let (days, rest) = (seconds / 86_400, seconds % 86_400);
+    let z = days + 719_468;
+    let (era, day_of_era) = (z / 146_097, z % 146_097);
+    let year_of_era = (day_of_era - day_of_era / 1_460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let shifted = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * shifted + 2) / 5 + 1;
+    let month = if shifted < 10 { shifted + 3 } else { shifted - 9 };
+    let year = year_of_era + era * 400 + u64::from(month <= 2);
+    format!("{year:04}-{month:02}-{day:02} {:02}:{:02}:{:02}", rest / 3600, rest / 60 % 60, rest % 60)
+}
+
+/// A duration for people: `0.4 s`, `12 s`, `3 min 20 s`, `5 h 07 min`.
+pub fn seconds(value: f64) -> String {
+    let whole = value.round().max(0.0) as u64;
+    match whole {
+        0..10 => format!("{value:.1} s"),
+        10..120 => format!("{whole} s"),
+        120..7200 => format!("{} min {:02} s", whole / 60, whole % 60),
+        _ => format!("{} h {:02} min", whole / 3600, whole / 60 % 60),
+    }
+}
+
+/// A number of bytes for people, in decimal units.
+pub fn bytes(value: u64) -> String {
+    const UNITS: [&str; 5] = ["B", "kB", "MB", "GB", "TB"];
+    let mut scaled = value as f64;
+    let mut unit = 0;
+    while scaled >= 999.5 && unit + 1 < UNITS.len() {
+        scaled /= 1000.0;
+        unit += 1;
+    }
+    if unit == 0 { format!("{value} B") } else { format!("{scaled:.1} {}", UNITS[unit]) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dates_durations_and_sizes() {
+        assert_eq!(utc(0), "1970-01-01 00:00:00");
+        assert_eq!(utc(951_782_400), "2000-02-29 00:00:00");
+        assert_eq!(utc(1_795_226_645), "2026-11-21 02:04:05");
+        assert_eq!(seconds(0.04), "0.0 s");
+        assert_eq!(seconds(200.0), "3 min 20 s");
+        assert_eq!(seconds(18_420.0), "5 h 07 min");
+        assert_eq!(bytes(12), "12 B");
+        assert_eq!(bytes(1_500_000), "1.5 MB");
+    }
+
+    #[test]
+    fn this_process_is_alive_and_another_start_is_not() {
+        let this = ProcessId::this();
+        assert_eq!(this.is_alive(), Some(true));
+        assert_eq!(ProcessId::owner_is_alive(&this.folder_name("1-0")), Some(true));
+        assert_eq!(ProcessId::owner_is_alive("elsewhere-1-2-3"), None);
+        if this.started != 0 {
+            assert_eq!(ProcessId { started: this.started + 1, ..this.clone() }.is_alive(), Some(false));
+        }
+        assert_eq!(ProcessId { place: "elsewhere".to_string(), ..this }.is_alive(), None);
+    }
+}

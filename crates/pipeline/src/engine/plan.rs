@@ -1,0 +1,206 @@
+//! What would run, what is cached, and why: exact, without computing anything.
+//!
+//! A node below one that has to run has no key yet, since its inputs are not there: it *waits*, and will run unless what
+//! comes out is the same as before (early cut-off).
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use super::Engine;
+use super::cache::Lookup;
+use super::graph::Graph;
+use super::history::{Forecast, Record};
+use super::key::{Difference, Key};
+use super::resolve::{self, Outcome, Unresolved};
+
+/// What is to become of a node.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase", tag = "state", content = "detail")]
+pub enum State {
+    /// Its artifact is there.
+    Cached,
+    /// It would run: why.
+    Run(String),
+    /// It waits for inputs that would run, and runs unless they come out the same as before.
+    Waiting(Vec<String>),
+    /// It cannot run: an input outside the pipeline is missing or unreadable.
+    Unavailable(String),
+    /// It cannot run because of another node.
+    Blocked(String),
+    /// Nobody asked for it.
+    Unwanted,
+}
+
+/// A node of a plan.
+#[derive(Clone, Debug, Serialize)]
+pub struct PlannedNode {
+    /// The stage.
+    pub stage: &'static str,
+    /// The scene; empty for stages over all scenes.
+    pub scene: String,
+    /// The variant; empty where there are none.
+    pub variant: String,
+    /// What is to become of it.
+    #[serde(flatten)]
+    pub state: State,
+    /// Its key, where it is known.
+    pub key: Option<Key>,
+    /// Its artifact, where it is there.
+    pub artifact: Option<PathBuf>,
+    /// What changed since its last artifact.
+    pub changes: Vec<Difference>,
+    /// What it will probably cost.
+    pub forecast: Option<Forecast>,
+    /// The node that does the same work for it, in words.
+    pub shared_with: Option<String>,
+    /// Why the last attempt failed, when nothing has changed since.
+    pub failed: Option<String>,
+    /// Whether it ever had an artifact.
+    pub had: bool,
+}
+
+/// A plan.
+#[derive(Clone, Debug, Serialize)]
+pub struct Plan {
+    /// The pipeline's name.
+    pub pipeline: String,
+    /// The nodes, inputs first.
+    pub nodes: Vec<PlannedNode>,
+    /// How long making it took, seconds.
+    pub seconds: f64,
+}
+
+impl Plan {
+    /// How many nodes would run or may have to, without those that share another's work.
+    pub fn to_run(&self) -> usize {
+        self.own().filter(|n| matches!(n.state, State::Run(_) | State::Waiting(_))).count()
+    }
+
+    /// How many nodes are cached, without those that share another's work.
+    pub fn cached(&self) -> usize {
+        self.own().filter(|n| n.state == State::Cached).count()
+    }
+
+    /// The sum of the forecasts, and how many nodes that would run have none.
+    pub fn forecast(&self) -> (f64, usize) {
+        let would_run = self.own().filter(|n| matches!(n.state, State::Run(_) | State::Waiting(_)));
+        would_run.fold((0.0, 0), |(sum, without), node| match node.forecast {
+            Some(forecast) => (sum + forecast.seconds, without),
+            None => (sum, without + 1),
+        })
+    }
+
+    pub(crate) fn own(&self) -> impl Iterator<Item = &PlannedNode> {
+        self.nodes.iter().filter(|n| n.shared_with.is_none())
+    }
+}
+
+impl Engine {
+    /// Plans the nodes of `graph` up to the named stages (all without).
+    pub fn plan(&self, graph: &Graph, until: Option<&[String]>) -> Plan {
+        let start = std::time::Instant::now();
+        self.cache.contents().look_again();
+        let wanted = graph.wanted(until);
+        let timings = self.cache.timings();
+        let mut outcomes = vec![Outcome::Open; graph.nodes.len()];
+        let mut nodes: Vec<PlannedNode> = Vec::with_capacity(graph.nodes.len());
+        for (i, node) in graph.nodes.iter().enumerate() {
+            let record = self.cache.record(&graph.name, node);
+            let mut planned = PlannedNode {
+                stage: node.stage_name,
+                scene: node.scene.clone(),
+                variant: node.variant.clone(),
+                state: State::Unwanted,
+                key: None,
+                artifact: None,
+                changes: Vec::new(),
+                forecast: None,
+                shared_with: None,
+                failed: None,
+                had: record.last.is_some(),
+            };
+            if !wanted[i] {
+                outcomes[i] = Outcome::Unavailable(String::new());
+                nodes.push(planned);
+                continue;
+            }
+            if let Some(first) = node.same_as {
+                let twin = &nodes[first];
+                planned.state = twin.state.clone();
+                planned.key = twin.key;
+                planned.artifact = twin.artifact.clone();
+                planned.failed = twin.failed.clone();
+                planned.shared_with = Some(graph.nodes[first].label());
+                outcomes[i] = outcomes[first].clone();
+                nodes.push(planned);
+                continue;
+            }
+            outcomes[i] = self.plan_node(graph, i, &outcomes, &record, &mut planned);
+            if matches!(planned.state, State::Run(_) | State::Waiting(_)) {
+                let stage = &self.registry.stages()[node.stage];
+                planned.forecast = timings.forecast(stage.name, &node.scene, resolve::length(stage, node));
+            }
+            nodes.push(planned);
+        }
+        if let Err(error) = self.cache.contents().save() {
+            tracing::debug!("{error}");
+        }
+        Plan { pipeline: graph.name.clone(), nodes, seconds: start.elapsed().as_secs_f64() }
+    }
+
+    fn plan_node(
+        &self,
+        graph: &Graph,
+        i: usize,
+        outcomes: &[Outcome],
+        record: &Record,
+        planned: &mut PlannedNode,
+    ) -> Outcome {
+        let label = || graph.nodes[i].label();
+        let resolved = resolve::resolve(&self.registry, &self.cache, &self.numeric_class, graph, i, outcomes);
+        let resolved = match resolved {
+            Ok(resolved) => resolved,
+            Err(Unresolved::Waiting(parents)) => {
+                planned.failed = record.failed(None).map(|f| f.reason.clone());
+                planned.state = State::Waiting(parents.iter().map(|p| graph.nodes[*p].label()).collect());
+                return Outcome::Open;
+            }
+            Err(Unresolved::Blocked(by)) => {
+                planned.state = State::Blocked(by.clone());
+                return Outcome::Unavailable(by);
+            }
+            Err(Unresolved::Input(reason)) => {
+                planned.failed = record.failed(None).map(|f| f.reason.clone());
+                planned.state = State::Unavailable(reason);
+                return Outcome::Unavailable(label());
+            }
+        };
+        planned.key = Some(resolved.key);
+        let reason = match self.cache.lookup(planned.stage, &resolved.key) {
+            Ok(Lookup::Whole(artifact)) => {
+                planned.state = State::Cached;
+                planned.artifact = Some(artifact.path.clone());
+                return Outcome::Ready(artifact);
+            }
+            Ok(Lookup::Missing) => None,
+            Ok(Lookup::Damaged(reason)) => Some(format!("its artifact is damaged: {reason}")),
+            Err(error) => {
+                planned.state = State::Unavailable(error.to_string());
+                return Outcome::Unavailable(label());
+            }
+        };
+        planned.failed = record.failed(Some(resolved.key)).map(|f| f.reason.clone());
+        planned.changes = match &record.last {
+            Some(last) if last.key != resolved.key => last.ingredients.differences(&resolved.ingredients),
+            _ => Vec::new(),
+        };
+        planned.state = State::Run(reason.unwrap_or_else(|| match (&record.last, &planned.failed) {
+            (_, Some(_)) => "the last attempt failed".to_string(),
+            (None, _) => "never made".to_string(),
+            (Some(last), _) if last.key == resolved.key => "its artifact was removed".to_string(),
+            (Some(_), _) => "changed".to_string(),
+        }));
+        Outcome::Open
+    }
+}

@@ -1,0 +1,166 @@
+//! From a node and the artifacts of its inputs to its key.
+
+use std::path::{Path, PathBuf};
+
+use super::cache::{Artifact, Cache};
+use super::canonical;
+use super::content::Content;
+use super::context::StageInput;
+use super::digest::Digest;
+use super::graph::{From, Graph, Node, NodeInput};
+use super::key::{Ingredients, InputDigest, Key};
+use super::registry::Registry;
+use super::stage::{Scope, Stage};
+
+/// What is known of a node's artifact while a batch is planned or run.
+#[derive(Clone, Debug)]
+pub(crate) enum Outcome {
+    /// Not decided yet.
+    Open,
+    /// It is there.
+    Ready(Box<Artifact>),
+    /// It cannot be made; whose fault it is, in words.
+    Unavailable(String),
+}
+
+/// A node whose inputs are all there.
+#[derive(Clone, Debug)]
+pub(crate) struct Resolved {
+    pub(crate) ingredients: Ingredients,
+    pub(crate) key: Key,
+    pub(crate) inputs: Vec<StageInput>,
+    /// The artifacts among the inputs, with the nodes that made them.
+    pub(crate) artifacts: Vec<(usize, Artifact)>,
+    /// The external inputs, with the files that count and what was in them.
+    pub(crate) externals: Vec<(PathBuf, Option<Vec<PathBuf>>, Digest)>,
+    pub(crate) bytes: u64,
+}
+
+/// Why a node has no key yet.
+#[derive(Clone, Debug)]
+pub(crate) enum Unresolved {
+    /// These inputs are not made yet.
+    Waiting(Vec<usize>),
+    /// An input failed: the label of the node that did.
+    Blocked(String),
+    /// An external input cannot be read: why.
+    Input(String),
+}
+
+pub(crate) fn resolve(
+    registry: &Registry,
+    cache: &Cache,
+    numeric_class: &str,
+    graph: &Graph,
+    node: usize,
+    outcomes: &[Outcome],
+) -> Result<Resolved, Unresolved> {
+    let node = &graph.nodes[node];
+    let stage = &registry.stages()[node.stage];
+    let gathers = stage.scope == Scope::Batch;
+    let mut waiting = Vec::new();
+    let mut missing = Vec::new();
+    let mut list: Vec<(InputDigest, StageInput)> = Vec::new();
+    let mut artifacts = Vec::new();
+    let mut externals = Vec::new();
+    let mut bytes = 0;
+    for input in &node.inputs {
+        let (digest, path) = match &input.from {
+            From::Node(parent) => match &outcomes[*parent] {
+                Outcome::Open => {
+                    waiting.push(*parent);
+                    continue;
+                }
+                Outcome::Unavailable(_) if gathers => {
+                    missing.push(graph.nodes[*parent].label());
+                    continue;
+                }
+                Outcome::Unavailable(whose) => return Err(Unresolved::Blocked(whose.clone())),
+                Outcome::Ready(artifact) => {
+                    bytes += artifact.manifest.bytes();
+                    artifacts.push((*parent, artifact.as_ref().clone()));
+                    (artifact.manifest.content, artifact.path.clone())
+                }
+            },
+            From::External(Err(reason)) if stage.inputs[input.index].optional => {
+                tracing::debug!(role = input.role, reason, "optional input left out");
+                continue;
+            }
+            From::External(Err(reason)) => return Err(Unresolved::Input(input_error(input, reason))),
+            From::External(Ok(path)) => {
+                let optional = stage.inputs[input.index].optional;
+                if optional && !path.exists() {
+                    continue;
+                }
+                let found = external(stage, node, input, path, cache);
+                let (select, content) =
+                    found.map_err(|reason| Unresolved::Input(input_error(input, &reason)))?;
+                bytes += content.bytes;
+                externals.push((path.clone(), select, content.digest));
+                (content.digest, path.clone())
+            }
+        };
+        let (scene, group, variant) = (input.scene.clone(), input.group.clone(), input.variant.clone());
+        let role = input.role.to_string();
+        let stage_input = StageInput {
+            role: role.clone(),
+            path,
+            scene: scene.clone(),
+            group: group.clone(),
+            variant: variant.clone(),
+        };
+        list.push((InputDigest { role, scene, group, variant, digest }, stage_input));
+    }
+    if !waiting.is_empty() {
+        return Err(Unresolved::Waiting(waiting));
+    }
+    if gathers && list.is_empty() && !missing.is_empty() {
+        return Err(Unresolved::Blocked(format!("all of {}", missing.join(", "))));
+    }
+    let code = registry.code(node.stage);
+    let mut digests: Vec<InputDigest> = list.iter().map(|(digest, _)| digest.clone()).collect();
+    digests.sort();
+    let mut parameters = node.parameters.clone();
+    stage.without_effect.iter().for_each(|path| canonical::remove(&mut parameters, path));
+    let ingredients = Ingredients {
+        stage: stage.name.to_string(),
+        version: stage.version,
+        code: code.ours.clone(),
+        third_party: code.third_party.clone(),
+        parameters,
+        seed: node.seed,
+        numeric_class: numeric_class.to_string(),
+        inputs: digests,
+        missing,
+    };
+    let inputs = list.into_iter().map(|(_, input)| input).collect();
+    Ok(Resolved { key: ingredients.key(), ingredients, inputs, artifacts, externals, bytes })
+}
+
+fn external(
+    stage: &Stage,
+    node: &Node,
+    input: &NodeInput,
+    path: &Path,
+    cache: &Cache,
+) -> Result<(Option<Vec<PathBuf>>, Content), String> {
+    if !path.exists() {
+        return Err(format!("{} does not exist", path.display()));
+    }
+    let select = match &stage.inputs[input.index].select {
+        None => None,
+        Some(choose) => Some(choose(&node.parameters, path)?),
+    };
+    let content = cache.contents().of(path, select.as_deref()).map_err(|e| e.to_string())?;
+    Ok((select, content))
+}
+
+fn input_error(input: &NodeInput, reason: &str) -> String {
+    format!("input `{}`: {reason}", input.role)
+}
+
+/// The product of the parameters that say how far a stage goes.
+pub(crate) fn length(stage: &Stage, node: &Node) -> f64 {
+    let of = |path: &&str| canonical::at(&node.parameters, path).and_then(serde_json::Value::as_f64);
+    stage.length_like.iter().filter_map(of).product()
+}

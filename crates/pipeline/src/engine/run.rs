@@ -1,0 +1,489 @@
+//! Runs a batch: every node whose inputs are there, within the cores and the memory that there are.
+//!
+//! One thread decides, the others work. Nodes are started in the graph's order, so that scenes finish one after another.
+//! A failed node blocks what reads it and nothing else; stages over the whole batch go on with what there is.
+
+use std::collections::HashMap;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, mpsc};
+use std::time::Instant;
+
+use serde::Serialize;
+
+use super::Engine;
+use super::cache::{Artifact, Lookup};
+use super::digest::Digest;
+use super::events::{Event, Listener};
+use super::graph::Graph;
+use super::history::{Failure, Made, Record};
+use super::job::{Ended, Job};
+use super::key::{Ingredients, Key};
+use super::machine;
+use super::resolve::{self, Outcome, Unresolved};
+
+/// How to run.
+#[derive(Clone, Debug)]
+pub struct RunOptions {
+    /// Stages side by side.
+    pub jobs: usize,
+    /// Cores in all.
+    pub cores: usize,
+    /// Memory in all, bytes.
+    pub memory: u64,
+    /// Go on with the other scenes when one fails.
+    pub keep_going: bool,
+    /// Stop after these stages; all without.
+    pub until: Option<Vec<String>>,
+    /// Set by whoever wants the run to end: stages save their checkpoints and leave.
+    pub stop: Arc<AtomicBool>,
+}
+
+impl Default for RunOptions {
+    fn default() -> Self {
+        Self {
+            jobs: 1,
+            cores: machine::cores(),
+            memory: machine::available_memory().unwrap_or(u64::MAX),
+            keep_going: false,
+            until: None,
+            stop: Arc::default(),
+        }
+    }
+}
+
+/// What became of a node.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase", tag = "result", content = "detail")]
+pub enum Became {
+    /// Computed now.
+    Done,
+    /// There already.
+    Cached,
+    /// Failed.
+    Failed {
+        /// Why.
+        reason: String,
+        /// Its log.
+        log: PathBuf,
+    },
+    /// Not run because another node failed: which.
+    Blocked(String),
+    /// Not run because the run ended before.
+    NotRun,
+    /// Nobody asked for it.
+    Unwanted,
+}
+
+/// A node of a summary.
+#[derive(Clone, Debug, Serialize)]
+pub struct RanNode {
+    /// The stage.
+    pub stage: &'static str,
+    /// The scene; empty for stages over all scenes.
+    pub scene: String,
+    /// The variant; empty where there are none.
+    pub variant: String,
+    /// Scene, variant and stage in words.
+    pub label: String,
+    /// What became of it.
+    #[serde(flatten)]
+    pub result: Became,
+    /// How long it took, seconds.
+    pub seconds: f64,
+    /// Whether another node did its work.
+    pub shared: bool,
+    /// Its artifact.
+    #[serde(skip)]
+    pub artifact: Option<Artifact>,
+}
+
+/// What became of a batch.
+#[derive(Clone, Debug, Serialize)]
+pub struct Summary {
+    /// The pipeline's name.
+    pub pipeline: String,
+    /// The nodes, inputs first.
+    pub nodes: Vec<RanNode>,
+    /// Whether it was interrupted.
+    pub interrupted: bool,
+    /// How long it took, seconds.
+    pub seconds: f64,
+}
+
+impl Summary {
+    /// 0 all done, 1 something failed, 130 interrupted.
+    pub fn exit_code(&self) -> u8 {
+        let bad =
+            |n: &RanNode| matches!(n.result, Became::Failed { .. } | Became::Blocked(_) | Became::NotRun);
+        match (self.interrupted, self.nodes.iter().any(bad)) {
+            (true, _) => 130,
+            (false, failed) => u8::from(failed),
+        }
+    }
+
+    /// How many nodes were computed now.
+    pub fn done(&self) -> usize {
+        self.count(|r| *r == Became::Done)
+    }
+
+    /// How many were there already.
+    pub fn cached(&self) -> usize {
+        self.count(|r| *r == Became::Cached)
+    }
+
+    /// The nodes that failed.
+    pub fn failed(&self) -> impl Iterator<Item = &RanNode> {
+        self.nodes.iter().filter(|n| !n.shared && matches!(n.result, Became::Failed { .. }))
+    }
+
+    /// The artifact of a stage of a scene (empty for stages over all scenes) in a variant (empty: the first).
+    pub fn artifact(&self, scene: &str, variant: &str, stage: &str) -> Option<&Artifact> {
+        let fits = |n: &&RanNode| {
+            n.stage == stage
+                && (n.scene.is_empty() || n.scene == scene)
+                && (variant.is_empty() || n.variant.is_empty() || n.variant == variant)
+        };
+        self.nodes.iter().find(fits).and_then(|n| n.artifact.as_ref())
+    }
+
+    pub(crate) fn count(&self, which: impl Fn(&Became) -> bool) -> usize {
+        self.nodes.iter().filter(|n| !n.shared && which(&n.result)).count()
+    }
+}
+
+impl Engine {
+    /// Runs `graph`. Failures of stages are in the summary.
+    pub fn run(&self, graph: &Graph, options: &RunOptions, listener: &Arc<dyn Listener>) -> Summary {
+        let start = Instant::now();
+        self.cache.contents().look_again();
+        let swept = self.cache.sweep();
+        if swept > 0 {
+            let text = format!(
+                "removed {swept} unfinished result(s) of runs that were cut off; going on from there"
+            );
+            listener.event(&Event::Note { label: &graph.name, text: &text });
+        }
+        let nodes = std::thread::scope(|scope| {
+            let mut runner = Runner::new(self, graph, options, listener);
+            runner.drive(scope);
+            runner.nodes
+        });
+        if let Err(error) = self.cache.contents().save() {
+            listener.event(&Event::Warning { label: &graph.name, text: &error.to_string() });
+        }
+        let interrupted = options.stop.load(Ordering::Relaxed);
+        Summary { pipeline: graph.name.clone(), nodes, interrupted, seconds: start.elapsed().as_secs_f64() }
+    }
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    Pending,
+    Running,
+    Over,
+}
+
+struct Running {
+    cores: usize,
+    memory: u64,
+    key: Key,
+}
+
+struct Runner<'r> {
+    engine: &'r Engine,
+    graph: &'r Graph,
+    options: &'r RunOptions,
+    listener: &'r Arc<dyn Listener>,
+    phase: Vec<Phase>,
+    outcomes: Vec<Outcome>,
+    nodes: Vec<RanNode>,
+    running: HashMap<usize, Running>,
+    /// How often an artifact was found damaged, so that a bad disk does not keep the run going for ever.
+    damaged: HashMap<usize, usize>,
+    halted: bool,
+    sender: mpsc::Sender<(usize, Ended, Ingredients)>,
+    receiver: mpsc::Receiver<(usize, Ended, Ingredients)>,
+}
+
+impl<'r> Runner<'r> {
+    fn new(
+        engine: &'r Engine,
+        graph: &'r Graph,
+        options: &'r RunOptions,
+        listener: &'r Arc<dyn Listener>,
+    ) -> Self {
+        let wanted = graph.wanted(options.until.as_deref());
+        let nodes = graph.nodes.iter().zip(&wanted).map(|(node, wanted)| RanNode {
+            stage: node.stage_name,
+            scene: node.scene.clone(),
+            variant: node.variant.clone(),
+            label: node.label(),
+            result: if *wanted { Became::NotRun } else { Became::Unwanted },
+            seconds: 0.0,
+            shared: node.same_as.is_some(),
+            artifact: None,
+        });
+        let (sender, receiver) = mpsc::channel();
+        Self {
+            engine,
+            graph,
+            options,
+            listener,
+            phase: wanted.iter().map(|w| if *w { Phase::Pending } else { Phase::Over }).collect(),
+            outcomes: wanted
+                .iter()
+                .map(|w| if *w { Outcome::Open } else { Outcome::Unavailable("nobody".to_string()) })
+                .collect(),
+            nodes: nodes.collect(),
+            running: HashMap::new(),
+            damaged: HashMap::new(),
+            halted: false,
+            sender,
+            receiver,
+        }
+    }
+
+    fn drive<'s>(&mut self, scope: &'s std::thread::Scope<'s, 'r>) {
+        loop {
+            let mut moved = true;
+            while moved && !self.stopped() {
+                moved = false;
+                for i in 0..self.graph.nodes.len() {
+                    if self.phase[i] == Phase::Pending && !self.stopped() {
+                        moved |= self.advance(i, scope);
+                    }
+                }
+            }
+            if self.running.is_empty() {
+                return;
+            }
+            if let Ok((i, ended, ingredients)) = self.receiver.recv() {
+                self.finish(i, ended, ingredients);
+            }
+        }
+    }
+
+    fn stopped(&self) -> bool {
+        self.halted || self.options.stop.load(Ordering::Relaxed)
+    }
+
+    /// Decides about a pending node, if that is possible now.
+    fn advance<'s>(&mut self, i: usize, scope: &'s std::thread::Scope<'s, 'r>) -> bool {
+        if let Some(first) = self.graph.nodes[i].same_as {
+            if self.phase[first] != Phase::Over {
+                return false;
+            }
+            self.outcomes[i] = self.outcomes[first].clone();
+            self.nodes[i].result = match &self.nodes[first].result {
+                Became::Done => Became::Cached,
+                other => other.clone(),
+            };
+            self.nodes[i].artifact = self.nodes[first].artifact.clone();
+            if let (Outcome::Ready(artifact), Became::Cached) = (&self.outcomes[i], &self.nodes[i].result) {
+                let (ingredients, content) =
+                    (artifact.manifest.ingredients.clone(), artifact.manifest.content);
+                self.record_made(i, ingredients, content);
+            }
+            self.phase[i] = Phase::Over;
+            return true;
+        }
+        let engine = self.engine;
+        let resolved = resolve::resolve(
+            &engine.registry,
+            &engine.cache,
+            &engine.numeric_class,
+            self.graph,
+            i,
+            &self.outcomes,
+        );
+        let resolved = match resolved {
+            Ok(resolved) => resolved,
+            Err(Unresolved::Waiting(_)) => return false,
+            Err(Unresolved::Blocked(by)) => {
+                self.nodes[i].result = Became::Blocked(by.clone());
+                self.outcomes[i] = Outcome::Unavailable(by);
+                self.phase[i] = Phase::Over;
+                return true;
+            }
+            Err(Unresolved::Input(reason)) => {
+                self.fail(i, None, reason);
+                return true;
+            }
+        };
+        match engine.cache.lookup(self.graph.nodes[i].stage_name, &resolved.key) {
+            Ok(Lookup::Whole(artifact)) => {
+                engine.cache.touch(&artifact.path);
+                self.listener.event(&Event::Done {
+                    node: i,
+                    label: &self.nodes[i].label,
+                    cached: true,
+                    seconds: 0.0,
+                });
+                self.ready(i, artifact, Became::Cached, 0.0, resolved.ingredients);
+                return true;
+            }
+            Ok(Lookup::Missing) => {}
+            Ok(Lookup::Damaged(reason)) => {
+                let aside = engine.cache.set_aside(self.graph.nodes[i].stage_name, &resolved.key);
+                let place = aside.map_or_else(|e| e.to_string(), |p| format!("moved to {}", p.display()));
+                let text = format!("its artifact is damaged: {reason}; {place}, computing it again");
+                self.listener.event(&Event::Warning { label: &self.nodes[i].label, text: &text });
+            }
+            Err(error) => {
+                self.fail(i, Some(resolved.key), error.to_string());
+                return true;
+            }
+        }
+        self.start(i, resolved, scope)
+    }
+
+    /// Starts a node if there is room for it and nobody here computes the same key.
+    fn start<'s>(
+        &mut self,
+        i: usize,
+        resolved: resolve::Resolved,
+        scope: &'s std::thread::Scope<'s, 'r>,
+    ) -> bool {
+        let stage = &self.engine.registry.stages()[self.graph.nodes[i].stage];
+        let jobs = self.options.jobs.max(1);
+        let used_memory: u64 = self.running.values().map(|r| r.memory).sum();
+        let used_cores: usize = self.running.values().map(|r| r.cores).sum();
+        let fits = used_memory.saturating_add(stage.memory) <= self.options.memory;
+        let twin = self.running.values().any(|r| r.key == resolved.key);
+        if twin || self.running.len() >= jobs || (!fits && !self.running.is_empty()) {
+            return false;
+        }
+        if !fits {
+            let text = format!(
+                "needs about {} of memory, {} are free: running it alone",
+                machine::bytes(stage.memory),
+                machine::bytes(self.options.memory)
+            );
+            self.listener.event(&Event::Warning { label: &self.nodes[i].label, text: &text });
+        }
+        let share = self.options.cores.saturating_sub(used_cores) / (jobs - self.running.len());
+        let most = if stage.cores == 0 { usize::MAX } else { stage.cores };
+        let threads = share.clamp(1, most.max(1));
+        self.phase[i] = Phase::Running;
+        self.running.insert(i, Running { cores: threads, memory: stage.memory, key: resolved.key });
+        let job = Job {
+            engine: self.engine,
+            pipeline: &self.graph.name,
+            id: i,
+            node: &self.graph.nodes[i],
+            resolved,
+            threads,
+            stop: self.options.stop.clone(),
+            listener: self.listener.clone(),
+        };
+        let sender = self.sender.clone();
+        scope.spawn(move || {
+            let ingredients = job.resolved.ingredients.clone();
+            let ended = job.execute();
+            // The receiver outlives the scope.
+            let _ = sender.send((i, ended, ingredients));
+        });
+        true
+    }
+
+    fn finish(&mut self, i: usize, ended: Ended, ingredients: Ingredients) {
+        let key = self.running.remove(&i).map(|r| r.key);
+        match ended {
+            Ended::Ready { artifact, computed, seconds } => {
+                self.warn_if_changed(i, &artifact);
+                let label = &self.nodes[i].label;
+                self.listener.event(&Event::Done { node: i, label, cached: !computed, seconds });
+                let result = if computed { Became::Done } else { Became::Cached };
+                self.ready(i, artifact, result, seconds, ingredients);
+            }
+            Ended::Failed(reason) => self.fail(i, key, reason),
+            Ended::Cancelled => {
+                self.phase[i] = Phase::Over;
+                self.outcomes[i] = Outcome::Unavailable("the interruption".to_string());
+            }
+            Ended::DamagedInput(parent) => {
+                // What shares another node's work is made again by that one.
+                let maker = self.graph.nodes[parent].same_as.unwrap_or(parent);
+                let times = self.damaged.entry(maker).or_default();
+                *times += 1;
+                if *times > 2 {
+                    let whose = self.graph.nodes[maker].label();
+                    self.fail(i, key, format!("{whose} comes out damaged again and again; check the disk"));
+                    return;
+                }
+                for node in [i, parent, maker] {
+                    if self.phase[node] == Phase::Over || node == i {
+                        self.phase[node] = Phase::Pending;
+                        self.outcomes[node] = Outcome::Open;
+                    }
+                }
+            }
+        }
+    }
+
+    fn ready(
+        &mut self,
+        i: usize,
+        artifact: Box<Artifact>,
+        result: Became,
+        seconds: f64,
+        ingredients: Ingredients,
+    ) {
+        self.record_made(i, ingredients, artifact.manifest.content);
+        self.nodes[i].artifact = Some(artifact.as_ref().clone());
+        self.nodes[i].result = result;
+        self.nodes[i].seconds += seconds;
+        self.outcomes[i] = Outcome::Ready(artifact);
+        self.phase[i] = Phase::Over;
+    }
+
+    fn fail(&mut self, i: usize, key: Option<Key>, reason: String) {
+        let node = &self.graph.nodes[i];
+        let log = self.engine.cache.log_path(&self.graph.name, node);
+        let label = self.nodes[i].label.clone();
+        self.listener.event(&Event::Failed { node: i, label: &label, reason: &reason, log: &log });
+        let mut record = self.engine.cache.record(&self.graph.name, node);
+        let at = machine::utc(machine::now());
+        record.failure = Some(Failure { key, reason: reason.clone(), log: log.clone(), at });
+        self.write_record(i, &record);
+        self.nodes[i].result = Became::Failed { reason, log };
+        self.outcomes[i] = Outcome::Unavailable(label);
+        self.phase[i] = Phase::Over;
+        self.halted |= !self.options.keep_going;
+    }
+
+    fn record_made(&self, i: usize, ingredients: Ingredients, content: Digest) {
+        let mut record = self.engine.cache.record(&self.graph.name, &self.graph.nodes[i]);
+        let key = ingredients.key();
+        let same = record.last.as_ref().is_some_and(|last| last.key == key && last.content == content);
+        if same && record.failure.is_none() {
+            return;
+        }
+        record.failure = None;
+        if !same {
+            let made = Made { key, ingredients, content, at: machine::utc(machine::now()) };
+            let old = record.last.replace(made);
+            record.before = old.filter(|o| o.key != key).or(record.before);
+        }
+        self.write_record(i, &record);
+    }
+
+    fn write_record(&self, i: usize, record: &Record) {
+        // The artifact counts, not what is remembered about it.
+        if let Err(error) = self.engine.cache.write_record(&self.graph.name, &self.graph.nodes[i], record) {
+            self.listener.event(&Event::Warning { label: &self.nodes[i].label, text: &error.to_string() });
+        }
+    }
+
+    /// A key whose artifact was lost and came out different when it was made again.
+    fn warn_if_changed(&self, i: usize, artifact: &Artifact) {
+        let record = self.engine.cache.record(&self.graph.name, &self.graph.nodes[i]);
+        let other =
+            |made: &Made| made.key == artifact.manifest.key && made.content != artifact.manifest.content;
+        if record.last.as_ref().is_some_and(other) {
+            let text = "determinism alarm: made again for the same key, it came out with other bytes";
+            self.listener.event(&Event::Warning { label: &self.nodes[i].label, text });
+        }
+    }
+}

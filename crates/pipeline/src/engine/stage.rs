@@ -1,0 +1,275 @@
+//! A stage as data: what it is called, what it is made of, what it reads, and the pure function that fills its folder.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use schemars::{JsonSchema, Schema, SchemaGenerator};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::{Map, Value};
+
+use super::context::StageContext;
+use super::error::{ParameterError, StageError};
+
+/// Over what a stage is made once.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Scope {
+    /// Once per scene (and variant).
+    Scene,
+    /// Once for all scenes, e.g. the calibrator.
+    Shared,
+    /// Once, from the artifacts of all scenes and variants, e.g. the report.
+    Batch,
+}
+
+/// Where an input comes from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// The artifact of a stage.
+    Stage(&'static str),
+    /// A file or folder named by the pipeline: `capture`, `models`, `pairs.input`, …
+    External(&'static str),
+}
+
+/// Chooses the files of an external input that a stage reads, relative to the input's path, from the parameters.
+pub type Select = Arc<dyn Fn(&Value, &Path) -> Result<Vec<PathBuf>, String> + Send + Sync>;
+
+/// One input.
+#[derive(Clone)]
+pub struct Input {
+    /// What the stage uses it for; unique in the stage.
+    pub role: &'static str,
+    /// Where it comes from.
+    pub source: Source,
+    /// Whether the stage also runs without it (the pipeline names none, or the stage that makes it is not asked for).
+    pub optional: bool,
+    /// Which files count; `None` counts every file that is not hidden.
+    pub select: Option<Select>,
+}
+
+/// The parameters of all stages of one scene and variant, by stage, for [`Stage::when`].
+pub type AllParameters = Map<String, Value>;
+
+/// Parameters in, parameters with defaults filled in out, or what is wrong with them.
+type Canonicalise = Arc<dyn Fn(&Value) -> Result<Value, ParameterError> + Send + Sync>;
+type Condition = Arc<dyn Fn(&AllParameters) -> bool + Send + Sync>;
+type Run = Arc<dyn Fn(&StageContext, &Value) -> Result<(), StageError> + Send + Sync>;
+
+/// A stage; see the [module documentation](super) for an example.
+#[derive(Clone)]
+pub struct Stage {
+    pub(crate) name: &'static str,
+    pub(crate) about: &'static str,
+    pub(crate) version: u32,
+    pub(crate) scope: Scope,
+    pub(crate) crates: &'static [&'static str],
+    pub(crate) sources: &'static [&'static str],
+    pub(crate) inputs: Vec<Input>,
+    pub(crate) seeded: bool,
+    pub(crate) length_like: &'static [&'static str],
+    pub(crate) without_effect: &'static [&'static str],
+    pub(crate) cores: usize,
+    pub(crate) memory: u64,
+    pub(crate) condition: Option<Condition>,
+    pub(crate) canonicalise: Canonicalise,
+    pub(crate) schema: fn(&mut SchemaGenerator) -> Schema,
+    pub(crate) run: Run,
+}
+
+impl Stage {
+    /// A stage of `scope` with parameters `P`, which fills its folder with `run`.
+    ///
+    /// `P`'s default values are the stage's; unknown fields are refused when `P` says `deny_unknown_fields`, as it should.
+    pub fn new<P>(
+        name: &'static str,
+        scope: Scope,
+        run: impl Fn(&StageContext, &P) -> Result<(), StageError> + Send + Sync + 'static,
+    ) -> Self
+    where
+        P: Serialize + DeserializeOwned + JsonSchema + 'static,
+    {
+        Self {
+            name,
+            about: "",
+            version: 1,
+            scope,
+            crates: &[],
+            sources: &[],
+            inputs: Vec::new(),
+            seeded: false,
+            length_like: &[],
+            without_effect: &[],
+            cores: 0,
+            memory: 0,
+            condition: None,
+            canonicalise: Arc::new(canonicalise::<P>),
+            schema: |generator| generator.subschema_for::<P>(),
+            run: Arc::new(move |context, value| {
+                let parameters: P = serde_path_to_error::deserialize(value).map_err(StageError::failed)?;
+                run(context, &parameters)
+            }),
+        }
+    }
+
+    /// One line about it.
+    #[must_use]
+    pub fn about(mut self, about: &'static str) -> Self {
+        self.about = about;
+        self
+    }
+
+    /// Schema number of its artifact; raise it when the files change their meaning without a change of code.
+    #[must_use]
+    pub fn version(mut self, version: u32) -> Self {
+        self.version = version;
+        self
+    }
+
+    /// What it is made of: crates of the workspace (with all below them), and files or folders of this crate.
+    #[must_use]
+    pub fn made_of(mut self, crates: &'static [&'static str], sources: &'static [&'static str]) -> Self {
+        self.crates = crates;
+        self.sources = sources;
+        self
+    }
+
+    /// Reads the artifact of `stage` as `role`.
+    #[must_use]
+    pub fn input(self, role: &'static str, stage: &'static str) -> Self {
+        self.with_input(Input { role, source: Source::Stage(stage), optional: false, select: None })
+    }
+
+    /// As [`input`](Self::input), when that stage is asked for.
+    #[must_use]
+    pub fn optional_input(self, role: &'static str, stage: &'static str) -> Self {
+        self.with_input(Input { role, source: Source::Stage(stage), optional: true, select: None })
+    }
+
+    /// Reads a file or folder that the pipeline names `name` as `role`.
+    #[must_use]
+    pub fn external(self, role: &'static str, name: &'static str) -> Self {
+        self.with_input(Input { role, source: Source::External(name), optional: false, select: None })
+    }
+
+    /// As [`external`](Self::external), when the pipeline names it and it is there.
+    #[must_use]
+    pub fn optional_external(self, role: &'static str, name: &'static str) -> Self {
+        self.with_input(Input { role, source: Source::External(name), optional: true, select: None })
+    }
+
+    /// Adds an input.
+    #[must_use]
+    pub fn with_input(mut self, input: Input) -> Self {
+        self.inputs.push(input);
+        self
+    }
+
+    /// Lets the parameters choose which files of the input added last count (paths relative to it; folders count
+    /// with everything below). A path that does not exist is skipped.
+    #[must_use]
+    pub fn select(
+        mut self,
+        choose: impl Fn(&Value, &Path) -> Result<Vec<PathBuf>, String> + Send + Sync + 'static,
+    ) -> Self {
+        if let Some(input) = self.inputs.last_mut() {
+            input.select = Some(Arc::new(choose));
+        }
+        self
+    }
+
+    /// It draws random numbers: the pipeline's seed is part of its key.
+    #[must_use]
+    pub fn seeded(mut self) -> Self {
+        self.seeded = true;
+        self
+    }
+
+    /// It is long and leaves checkpoints; the parameters at these dotted paths only say how far it goes.
+    #[must_use]
+    pub fn resumable(mut self, length_like: &'static [&'static str]) -> Self {
+        self.length_like = length_like;
+        self
+    }
+
+    /// The parameters at these dotted paths change how it works but not one byte of what comes out, such as the steps between
+    /// checkpoints or a cache's size: they are no part of its key.
+    #[must_use]
+    pub fn without_effect(mut self, parameters: &'static [&'static str]) -> Self {
+        self.without_effect = parameters;
+        self
+    }
+
+    /// What it can use: at most `cores` (0: as many as there are), and about `memory` bytes.
+    #[must_use]
+    pub fn cost(mut self, cores: usize, memory: u64) -> Self {
+        self.cores = cores;
+        self.memory = memory;
+        self
+    }
+
+    /// It is only asked for when this holds for the parameters of all stages.
+    #[must_use]
+    pub fn when(mut self, condition: impl Fn(&AllParameters) -> bool + Send + Sync + 'static) -> Self {
+        self.condition = Some(Arc::new(condition));
+        self
+    }
+
+    /// Refuses parameters that parse but make no sense; the error names the field (dotted path) and says what is expected.
+    #[must_use]
+    pub fn check<P: DeserializeOwned + 'static>(
+        mut self,
+        check: impl Fn(&P) -> Result<(), (String, String)> + Send + Sync + 'static,
+    ) -> Self {
+        let inner = self.canonicalise;
+        self.canonicalise = Arc::new(move |value| {
+            let value = inner(value)?;
+            let parameters: P =
+                serde_json::from_value(value.clone()).map_err(|e| ParameterError::from_serde(&e))?;
+            check(&parameters).map_err(|(path, message)| ParameterError {
+                path,
+                message,
+                unknown: None,
+                known: vec![],
+            })?;
+            Ok(value)
+        });
+        self
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &'static str {
+        self.name
+    }
+
+    /// One line about it.
+    pub fn description(&self) -> &'static str {
+        self.about
+    }
+
+    /// Over what it is made once.
+    pub fn scope(&self) -> Scope {
+        self.scope
+    }
+
+    /// Its inputs.
+    pub fn inputs(&self) -> &[Input] {
+        &self.inputs
+    }
+
+    /// The given parameters with defaults filled in.
+    pub fn parameters(&self, given: &Value) -> Result<Value, ParameterError> {
+        (self.canonicalise)(given)
+    }
+}
+
+impl std::fmt::Debug for Stage {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Stage({})", self.name)
+    }
+}
+
+fn canonicalise<P: Serialize + DeserializeOwned>(given: &Value) -> Result<Value, ParameterError> {
+    let parameters: P = serde_path_to_error::deserialize(given).map_err(|e| ParameterError::from_path(&e))?;
+    serde_json::to_value(&parameters).map_err(|e| ParameterError::from_serde(&e))
+}

@@ -1,0 +1,207 @@
+//! Where every node stands, and what changed: `status` and `why`.
+
+use serde::Serialize;
+
+use super::Engine;
+use super::error::EngineError;
+use super::graph::Graph;
+use super::key::{Difference, Key};
+use super::plan::{Plan, PlannedNode, State};
+use super::resolve::Unresolved;
+use super::resolve::{self, Outcome};
+
+/// Where a node stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Standing {
+    /// Its artifact is there and fits.
+    Cached,
+    /// It had an artifact, but something changed.
+    Stale,
+    /// It was never made.
+    Missing,
+    /// Its last attempt failed, and nothing changed since.
+    Failed,
+}
+
+impl Standing {
+    /// In one word.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Cached => "cached",
+            Self::Stale => "stale",
+            Self::Missing => "missing",
+            Self::Failed => "failed",
+        }
+    }
+}
+
+/// One cell of the table.
+#[derive(Clone, Debug, Serialize)]
+pub struct Cell {
+    /// The stage.
+    pub stage: &'static str,
+    /// Where it stands.
+    pub standing: Standing,
+    /// Why, in a line; empty for what is cached.
+    pub reason: String,
+    /// The ingredients that changed, where they are known.
+    pub changes: Vec<Difference>,
+}
+
+/// One row: a scene and variant, or what all scenes share.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    /// The scene; empty for stages over all scenes.
+    pub scene: String,
+    /// The variant; empty where there are none.
+    pub variant: String,
+    /// Its stages.
+    pub cells: Vec<Cell>,
+}
+
+/// The table of scenes × stages.
+#[derive(Clone, Debug, Serialize)]
+pub struct Status {
+    /// The pipeline's name.
+    pub pipeline: String,
+    /// The rows in the pipeline's order.
+    pub rows: Vec<Row>,
+}
+
+impl Plan {
+    /// The plan as a table.
+    pub fn status(&self) -> Status {
+        let mut rows: Vec<Row> = Vec::new();
+        for node in self.nodes.iter().filter(|n| n.state != State::Unwanted) {
+            let cell = cell(node);
+            match rows.iter_mut().find(|r| r.scene == node.scene && r.variant == node.variant) {
+                Some(row) => row.cells.push(cell),
+                None => {
+                    rows.push(Row {
+                        scene: node.scene.clone(),
+                        variant: node.variant.clone(),
+                        cells: vec![cell],
+                    });
+                }
+            }
+        }
+        Status { pipeline: self.pipeline.clone(), rows }
+    }
+}
+
+/// Where a planned node stands.
+pub(crate) fn cell(node: &PlannedNode) -> Cell {
+    let before = if node.had { Standing::Stale } else { Standing::Missing };
+    let (standing, reason) = match (&node.state, &node.failed) {
+        (State::Cached, _) => (Standing::Cached, String::new()),
+        (State::Run(_), Some(reason)) => (Standing::Failed, reason.clone()),
+        (State::Unavailable(reason), _) => (Standing::Failed, reason.clone()),
+        (State::Run(reason), None) => (before, reason.clone()),
+        (State::Waiting(parents), _) => (before, format!("waits for {}", parents.join(", "))),
+        (State::Blocked(by), _) => (before, format!("needs {by}")),
+        (State::Unwanted, _) => (before, "not asked for".to_string()),
+    };
+    Cell { stage: node.stage, standing, reason, changes: node.changes.clone() }
+}
+
+impl Status {
+    /// How many cells stand so.
+    pub fn count(&self, standing: Standing) -> usize {
+        self.rows.iter().flat_map(|r| &r.cells).filter(|c| c.standing == standing).count()
+    }
+}
+
+/// What changed in a node.
+#[derive(Clone, Debug, Serialize)]
+pub struct Why {
+    /// Scene, variant and stage in words.
+    pub label: String,
+    /// Where it stands.
+    pub standing: Standing,
+    /// Why, in a line.
+    pub reason: String,
+    /// Its key now, where it is known.
+    pub key: Option<Key>,
+    /// The key of the record it is compared with.
+    pub earlier: Option<Key>,
+    /// When that record was made (UTC).
+    pub earlier_at: Option<String>,
+    /// The ingredients that differ; without a key, those of the inputs that wait are left out.
+    pub changes: Vec<Difference>,
+    /// The nodes upstream that have to run first, each with what changed there.
+    pub upstream: Vec<(String, Vec<Difference>)>,
+}
+
+impl Engine {
+    /// Compares a node's ingredients with those of its most recent earlier record, field by field.
+    pub fn why(&self, graph: &Graph, scene: &str, variant: &str, stage: &str) -> Result<Why, EngineError> {
+        self.registry.index(stage)?;
+        let node = match graph.find(scene, variant, stage) {
+            Some(node) => node,
+            None => {
+                let scenes = graph.nodes.iter().map(|n| n.scene.as_str()).filter(|s| !s.is_empty());
+                let mut known: Vec<&str> = scenes.collect();
+                known.dedup();
+                if known.contains(&scene) {
+                    let stages = graph.nodes.iter().filter(|n| n.scene == scene).map(|n| n.stage_name);
+                    return Err(EngineError::unknown("stage asked for by this scene", stage, stages));
+                }
+                return Err(EngineError::unknown("scene", scene, known));
+            }
+        };
+        let plan = self.plan(graph, None);
+        let planned = &plan.nodes[node];
+        let record = self.cache.record(&graph.name, &graph.nodes[node]);
+        let Cell { standing, reason, mut changes, .. } = cell(planned);
+        let outcomes = self.outcomes(&plan);
+        let now = resolve::resolve(&self.registry, &self.cache, &self.numeric_class, graph, node, &outcomes);
+        let mut earlier = record.last.clone();
+        if let (Ok(now), Some(last)) = (&now, &record.last)
+            && last.key == now.key
+        {
+            earlier = record.before.clone();
+        }
+        if let (Ok(now), Some(earlier)) = (&now, &earlier) {
+            changes = earlier.ingredients.differences(&now.ingredients);
+        }
+        let mut upstream = Vec::new();
+        if let Err(Unresolved::Waiting(_)) = now {
+            let mut open: Vec<usize> = graph.parents(node).collect();
+            let mut seen = Vec::new();
+            while let Some(parent) = open.pop() {
+                if seen.contains(&parent) {
+                    continue;
+                }
+                seen.push(parent);
+                open.extend(graph.parents(parent));
+                if let State::Run(_) = plan.nodes[parent].state {
+                    upstream.push((graph.nodes[parent].label(), plan.nodes[parent].changes.clone()));
+                }
+            }
+        }
+        Ok(Why {
+            label: graph.nodes[node].label(),
+            standing,
+            reason,
+            key: planned.key,
+            earlier: earlier.as_ref().map(|e| e.key),
+            earlier_at: earlier.map(|e| e.at),
+            changes,
+            upstream,
+        })
+    }
+
+    /// What a plan found there, for resolving its nodes.
+    pub(crate) fn outcomes(&self, plan: &Plan) -> Vec<Outcome> {
+        let of = |node: &PlannedNode| match (&node.state, node.key) {
+            (State::Cached, Some(key)) => match self.cache.lookup(node.stage, &key) {
+                Ok(super::cache::Lookup::Whole(artifact)) => Outcome::Ready(artifact),
+                _ => Outcome::Open,
+            },
+            (State::Blocked(by) | State::Unavailable(by), _) => Outcome::Unavailable(by.clone()),
+            _ => Outcome::Open,
+        };
+        plan.nodes.iter().map(of).collect()
+    }
+}

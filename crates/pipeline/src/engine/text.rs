@@ -1,0 +1,194 @@
+//! Plans, summaries, tables as plain text; the command line prints them.
+
+use std::fmt::{self, Display, Formatter};
+
+use super::gc::Cleaning;
+use super::machine::{bytes, seconds};
+use super::plan::{Plan, PlannedNode, State};
+use super::run::{Became, Summary};
+use super::status::{Standing, Status, Why};
+use super::verify::Verification;
+
+/// How many changed ingredients a line names.
+const SHOWN: usize = 3;
+
+impl Display for Plan {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        for node in self.own().filter(|n| !matches!(n.state, State::Cached | State::Unwanted)) {
+            let (mark, text) = describe(node);
+            write!(f, "{mark:<8} {}: {text}", label(node))?;
+            if let Some(forecast) = &node.forecast {
+                write!(f, " (about {})", seconds(forecast.seconds))?;
+            }
+            writeln!(f)?;
+        }
+        let shared = self.nodes.len() - self.own().count();
+        write!(f, "{}: {} to run, {} cached", self.pipeline, self.to_run(), self.cached())?;
+        if shared > 0 {
+            write!(f, ", {shared} shared between variants")?;
+        }
+        let (sum, without) = self.forecast();
+        if self.to_run() > without {
+            write!(f, "; about {}", seconds(sum))?;
+            if without > 0 {
+                write!(f, " and {without} that never ran before")?;
+            }
+        } else if without > 0 {
+            write!(f, "; no earlier run to forecast the time from")?;
+        }
+        writeln!(f)
+    }
+}
+
+fn label(node: &PlannedNode) -> String {
+    let parts = [node.scene.as_str(), node.variant.as_str(), node.stage];
+    parts.into_iter().filter(|p| !p.is_empty()).collect::<Vec<_>>().join(" · ")
+}
+
+fn describe(node: &PlannedNode) -> (&'static str, String) {
+    match &node.state {
+        State::Cached => ("cached", String::new()),
+        State::Unwanted => ("off", String::new()),
+        State::Run(reason) if node.changes.is_empty() => ("run", reason.clone()),
+        State::Run(_) => {
+            let named: Vec<String> = node.changes.iter().take(SHOWN).map(ToString::to_string).collect();
+            let more = node.changes.len().saturating_sub(SHOWN);
+            let more = if more > 0 { format!("; and {more} more") } else { String::new() };
+            ("run", format!("{}{more}", named.join("; ")))
+        }
+        State::Waiting(parents) => {
+            ("waits", format!("for {}; runs unless that comes out the same as before", parents.join(", ")))
+        }
+        State::Unavailable(reason) => ("cannot", reason.clone()),
+        State::Blocked(by) => ("blocked", format!("by {by}")),
+    }
+}
+
+impl Display for Summary {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        for node in self.failed() {
+            if let Became::Failed { reason, log } = &node.result {
+                writeln!(f, "failed   {}: {reason}\n         log: {}", node.label, log.display())?;
+            }
+        }
+        let blocked = self.count(|r| matches!(r, Became::Blocked(_)));
+        let not_run = self.count(|r| *r == Became::NotRun);
+        write!(f, "{}: {} done, {} cached", self.pipeline, self.done(), self.cached())?;
+        for (count, word) in
+            [(self.failed().count(), "failed"), (blocked, "not run because of these"), (not_run, "not run")]
+        {
+            if count > 0 {
+                write!(f, ", {count} {word}")?;
+            }
+        }
+        write!(f, ", in {}", seconds(self.seconds))?;
+        if self.interrupted {
+            write!(f, "; interrupted: the same command goes on from here")?;
+        }
+        writeln!(f)
+    }
+}
+
+impl Display for Status {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        let mut stages: Vec<&str> = Vec::new();
+        for cell in self.rows.iter().flat_map(|r| &r.cells) {
+            if !stages.contains(&cell.stage) {
+                stages.push(cell.stage);
+            }
+        }
+        let name = |scene: &str, variant: &str| match (scene.is_empty(), variant.is_empty()) {
+            (true, true) => "(all scenes)".to_string(),
+            (true, false) => format!("(all scenes) · {variant}"),
+            (false, true) => scene.to_string(),
+            (false, false) => format!("{scene} · {variant}"),
+        };
+        let names: Vec<String> = self.rows.iter().map(|r| name(&r.scene, &r.variant)).collect();
+        let wide = names.iter().map(|n| n.chars().count()).max().unwrap_or(0).max(5);
+        write!(f, "{:<wide$}", "scene")?;
+        for stage in &stages {
+            write!(f, "  {stage:<w$}", w = stage.len().max(7))?;
+        }
+        writeln!(f)?;
+        for (row, name) in self.rows.iter().zip(&names) {
+            let mut line = format!("{name:<wide$}");
+            for stage in &stages {
+                let word = row.cells.iter().find(|c| c.stage == *stage).map_or("", |c| c.standing.word());
+                line.push_str(&format!("  {word:<w$}", w = stage.len().max(7)));
+            }
+            writeln!(f, "{}", line.trim_end())?;
+        }
+        for (row, name) in self.rows.iter().zip(&names) {
+            for cell in row.cells.iter().filter(|c| c.standing == Standing::Failed) {
+                writeln!(f, "{name} · {}: {}", cell.stage, cell.reason)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Display for Why {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.label, self.standing.word())?;
+        if !self.reason.is_empty() {
+            write!(f, " ({})", self.reason)?;
+        }
+        writeln!(f)?;
+        match (&self.earlier_at, self.changes.is_empty()) {
+            (Some(at), false) => writeln!(f, "since the record of {at} UTC:")?,
+            (Some(at), true) if self.upstream.is_empty() => {
+                writeln!(f, "no ingredient changed since {at} UTC")?;
+            }
+            (None, _) if self.standing != Standing::Cached => {
+                writeln!(f, "there is no earlier record to compare with")?;
+            }
+            _ => {}
+        }
+        for change in &self.changes {
+            writeln!(f, "  {change}")?;
+        }
+        for (label, changes) in &self.upstream {
+            writeln!(f, "upstream {label} has to run:")?;
+            for change in changes {
+                writeln!(f, "  {change}")?;
+            }
+            if changes.is_empty() {
+                writeln!(f, "  never made, or its artifact is gone")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Display for Cleaning {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        let verb = if self.dry_run { "would remove" } else { "removed" };
+        for item in &self.removed {
+            writeln!(f, "{verb} {:>9}  {}: {} ({})", bytes(item.bytes), item.kind, item.name, item.reason)?;
+        }
+        for (name, reason) in &self.failed {
+            writeln!(f, "cannot remove {name}: {reason}")?;
+        }
+        let freed: u64 = self.removed.iter().map(|r| r.bytes).sum();
+        let state = if self.dry_run { "would be left" } else { "left" };
+        writeln!(f, "{verb} {} in {} items; {} {state}", bytes(freed), self.removed.len(), bytes(self.left))
+    }
+}
+
+impl Display for Verification {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        for problem in &self.problems {
+            writeln!(f, "{}: {}", problem.name, problem.what)?;
+        }
+        write!(f, "{} artifacts, {} read and compared", self.artifacts, bytes(self.bytes))?;
+        if let Some(recomputed) = self.recomputed {
+            write!(f, ", {recomputed} computed again")?;
+        }
+        let aside =
+            if self.repaired > 0 { format!(", {} moved aside", self.repaired) } else { String::new() };
+        match self.problems.len() {
+            0 => writeln!(f, ": all as written"),
+            n => writeln!(f, ": {n} problem(s){aside}"),
+        }
+    }
+}

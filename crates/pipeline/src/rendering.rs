@@ -1,0 +1,247 @@
+//! Every picture a scene can give, for one camera at a time.
+//!
+//! `reconstruction` is stage 1 with its water, `clear` its object radiance without water, `enhanced` stage 2's full composite. No
+//! 2D network is involved: the enhancement is in the scene.
+
+use use3d_capture::{Camera, Image, Lattice, Map, MediumMaps};
+use use3d_enhance::{EnhanceError, Look, Renderer};
+use use3d_medium::MediumModel;
+use use3d_scene::Scene;
+use use3d_splat::{Layers, Rendered};
+
+/// A kind of picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Mode {
+    /// Stage 1 with its water.
+    Reconstruction,
+    /// Object radiance without water.
+    Clear,
+    /// Stage 2: object, medium and transport enhanced.
+    Enhanced,
+    /// Expected depth along the optical axis, scene units; 0 where nothing is.
+    Depth,
+    /// Accumulated opacity.
+    Alpha,
+    /// Attenuated object radiance, the object part of `reconstruction`.
+    Object,
+    /// Backscatter, the water part of `reconstruction`.
+    Medium,
+    /// The backscatter coefficient per pixel.
+    Backscatter,
+    /// The attenuation coefficient per pixel.
+    Attenuation,
+}
+
+impl Mode {
+    /// All modes.
+    pub const ALL: [Self; 9] = [
+        Self::Reconstruction,
+        Self::Clear,
+        Self::Enhanced,
+        Self::Depth,
+        Self::Alpha,
+        Self::Object,
+        Self::Medium,
+        Self::Backscatter,
+        Self::Attenuation,
+    ];
+
+    /// Its name on the command line and as a folder.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Reconstruction => "reconstruction",
+            Self::Clear => "clear",
+            Self::Enhanced => "enhanced",
+            Self::Depth => "depth",
+            Self::Alpha => "alpha",
+            Self::Object => "object",
+            Self::Medium => "medium",
+            Self::Backscatter => "backscatter",
+            Self::Attenuation => "attenuation",
+        }
+    }
+
+    /// The mode of that name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|m| m.name() == name)
+    }
+
+    fn needs_layers(self) -> bool {
+        matches!(self, Self::Clear | Self::Object | Self::Medium)
+    }
+}
+
+/// What a mode gives.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Frame {
+    /// A colour image, unclamped.
+    Color(Image),
+    /// One number per pixel.
+    Scalar(Map),
+}
+
+/// A scene ready to be rendered from many cameras.
+pub struct SceneRenderer<'a> {
+    plain: Renderer<'a>,
+    enhanced: Option<Renderer<'a>>,
+    rendered: Rendered,
+}
+
+impl<'a> SceneRenderer<'a> {
+    /// Prepares a scene; `strength` in `[0, 1]` is how much of its enhancement, if it has one, `enhanced` shows.
+    pub fn new(scene: &'a Scene, strength: f32) -> Result<Self, EnhanceError> {
+        let enhanced = match scene.enhancement {
+            Some(_) => Some(Renderer::new(scene, Look::Enhanced { strength })?),
+            None => None,
+        };
+        Ok(Self { plain: Renderer::new(scene, Look::Reconstruction)?, enhanced, rendered: Rendered::new() })
+    }
+
+    /// Whether the scene can show [`Mode::Enhanced`].
+    pub fn is_enhanced(&self) -> bool {
+        self.enhanced.is_some()
+    }
+
+    /// Renders `modes` from a camera in the scene's normalised frame, in the order asked for. `Enhanced` of a scene without an
+    /// enhancement is its reconstruction.
+    pub fn render(&mut self, camera: &Camera, modes: &[Mode]) -> Vec<Frame> {
+        let lattice = Lattice::full(&camera.intrinsics);
+        let mut frames: Vec<Option<Frame>> = vec![None; modes.len()];
+        if let (true, Some(enhanced)) = (modes.contains(&Mode::Enhanced), &mut self.enhanced) {
+            enhanced.render(camera, &lattice, false, &mut self.rendered);
+            for (frame, _) in frames.iter_mut().zip(modes).filter(|(_, m)| **m == Mode::Enhanced) {
+                *frame = Some(Frame::Color(self.rendered.image.clone()));
+            }
+        }
+        if frames.iter().any(Option::is_none) {
+            let layers = modes.iter().any(|m| m.needs_layers());
+            self.plain.render(camera, &lattice, layers, &mut self.rendered);
+        }
+        frames
+            .into_iter()
+            .zip(modes)
+            .map(|(frame, mode)| frame.unwrap_or_else(|| self.frame(*mode)))
+            .collect()
+    }
+
+    /// One colour image; a convenience over [`SceneRenderer::render`].
+    pub fn color(&mut self, camera: &Camera, mode: Mode) -> Image {
+        match self.render(camera, &[mode]).pop() {
+            Some(Frame::Color(image)) => image,
+            Some(Frame::Scalar(map)) => spread(&map),
+            None => Image::new(0, 0),
+        }
+    }
+
+    fn frame(&self, mode: Mode) -> Frame {
+        let rendered = &self.rendered;
+        let none = || Image::new(rendered.image.width(), rendered.image.height());
+        let layer = |pick: fn(&Layers) -> &Image| {
+            Frame::Color(rendered.layers.as_ref().map_or_else(none, |l| pick(l).clone()))
+        };
+        let water = |pick: fn(&MediumMaps) -> &Image| {
+            Frame::Color(self.plain.medium().map_or_else(none, |maps| pick(maps).clone()))
+        };
+        match mode {
+            Mode::Reconstruction | Mode::Enhanced => Frame::Color(rendered.image.clone()),
+            Mode::Clear => layer(|l| &l.clear),
+            Mode::Object => layer(|l| &l.object),
+            Mode::Medium => {
+                let mut sum = rendered.layers.as_ref().map_or_else(none, |l| l.medium.clone());
+                if let Some(layers) = &rendered.layers {
+                    for (s, f) in sum.data_mut().iter_mut().zip(layers.far.data()) {
+                        *s += f;
+                    }
+                }
+                Frame::Color(sum)
+            }
+            Mode::Depth => Frame::Scalar(rendered.depth.clone()),
+            Mode::Alpha => Frame::Scalar(rendered.accumulation.clone()),
+            Mode::Backscatter => water(|maps| &maps.backscatter),
+            Mode::Attenuation => water(|maps| &maps.attenuation),
+        }
+    }
+}
+
+/// A map as a grey image.
+fn spread(map: &Map) -> Image {
+    let mut image = Image::new(map.width(), map.height());
+    let n = map.pixels();
+    for c in 0..3 {
+        image.data_mut()[c * n..(c + 1) * n].copy_from_slice(map.data());
+    }
+    image
+}
+
+/// A map for people: near is bright, far is deep blue, unknown (0) is black; scaled between the 2 % and 98 % quantiles of its
+/// positive values.
+pub fn depth_picture(depth: &Map) -> Image {
+    let mut known: Vec<f32> = depth.data().iter().copied().filter(|d| d.is_finite() && *d > 0.0).collect();
+    let mut image = Image::new(depth.width(), depth.height());
+    if known.is_empty() {
+        return image;
+    }
+    known.sort_unstable_by(f32::total_cmp);
+    let at = |share: f64| known[((known.len() - 1) as f64 * share) as usize];
+    let (near, far) = (at(0.02), at(0.98).max(at(0.02) * 1.0001));
+    // Inverse depth: what the eye reads as distance.
+    let scale = |d: f32| ((1.0 / d - 1.0 / far) / (1.0 / near - 1.0 / far)).clamp(0.0, 1.0);
+    for y in 0..depth.height() {
+        for x in 0..depth.width() {
+            let [d] = depth.pixel(x, y);
+            if d.is_finite() && d > 0.0 {
+                image.set_pixel(x, y, ramp(scale(d)));
+            }
+        }
+    }
+    image
+}
+
+/// Dark blue over teal and sand to pale yellow; lightness rises evenly.
+fn ramp(t: f32) -> [f32; 3] {
+    const STOPS: [[f32; 3]; 5] =
+        [[0.03, 0.05, 0.22], [0.06, 0.28, 0.47], [0.13, 0.55, 0.55], [0.62, 0.76, 0.45], [0.99, 0.95, 0.70]];
+    let place = t.clamp(0.0, 1.0) * (STOPS.len() - 1) as f32;
+    let i = (place as usize).min(STOPS.len() - 2);
+    let f = place - i as f32;
+    std::array::from_fn(|c| STOPS[i][c] * (1.0 - f) + STOPS[i + 1][c] * f)
+}
+
+/// Coefficients for people: divided by the largest value of the image, so that the hue shows which channel the water takes.
+pub fn coefficient_picture(map: &Image) -> Image {
+    let most = map.data().iter().copied().filter(|v| v.is_finite()).fold(1e-6f32, f32::max);
+    map.map(|v| v / most)
+}
+
+/// The water along one ray.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WaterSample {
+    /// Angle from the optical axis, degrees, right is positive.
+    pub degrees: f64,
+    /// `c_m`.
+    pub color: [f32; 3],
+    /// `β_bs`, per normalised scene unit.
+    pub backscatter: [f32; 3],
+    /// `β_attn`, per normalised scene unit.
+    pub attenuation: [f32; 3],
+}
+
+/// The water along the rays of the row through an image's middle; `None` for a scene without water.
+pub fn medium_profile(medium: &MediumModel, degree: usize, camera: &Camera) -> Option<Vec<WaterSample>> {
+    if medium.is_none() {
+        return None;
+    }
+    let k = &camera.intrinsics;
+    let mut columns: Vec<usize> = (0..64).map(|i| i * k.width / 64).collect();
+    columns.dedup();
+    let lattice = Lattice::subset(&columns, &[k.height / 2])?;
+    let mut maps = MediumMaps::zeros(0, 0);
+    medium.maps(camera, &lattice, degree, &mut maps);
+    let samples = lattice.columns().iter().enumerate().map(|(i, &u)| WaterSample {
+        degrees: ((f64::from(u) - k.cx) / k.fx).atan().to_degrees(),
+        color: maps.color.pixel(i, 0),
+        backscatter: maps.backscatter.pixel(i, 0),
+        attenuation: maps.attenuation.pixel(i, 0),
+    });
+    Some(samples.collect())
+}

@@ -1,0 +1,194 @@
+//! Small line and dot plots as SVG text: no fonts, no scripts, colours that follow the page's light or dark scheme.
+
+use std::fmt::Write;
+
+/// One curve or cloud of points.
+#[derive(Clone, Debug)]
+pub struct Series {
+    /// What it is, for the legend.
+    pub label: String,
+    /// Any CSS colour.
+    pub color: &'static str,
+    /// The points; non-finite ones are left out.
+    pub points: Vec<(f64, f64)>,
+    /// Dots instead of a line.
+    pub dots: bool,
+}
+
+/// A plot.
+#[derive(Clone, Debug)]
+pub struct Plot {
+    /// Above the plot.
+    pub title: String,
+    /// Below the horizontal axis.
+    pub x_label: String,
+    /// Logarithmic vertical axis (non-positive values are left out).
+    pub log_y: bool,
+    /// What is drawn.
+    pub series: Vec<Series>,
+}
+
+/// Colours of the three channels, readable on light and dark ground.
+pub const RGB: [&str; 3] = ["#e0525c", "#3aa76d", "#3d8fd1"];
+
+const WIDTH: f64 = 420.0;
+const HEIGHT: f64 = 240.0;
+const LEFT: f64 = 52.0;
+const RIGHT: f64 = 12.0;
+const TOP: f64 = 44.0;
+const BOTTOM: f64 = 34.0;
+
+impl Plot {
+    /// The SVG element.
+    pub fn svg(&self) -> String {
+        let y_of = |y: f64| if self.log_y { y.log10() } else { y };
+        let usable = |p: &&(f64, f64)| p.0.is_finite() && y_of(p.1).is_finite();
+        let all = || self.series.iter().flat_map(|s| s.points.iter().filter(usable));
+        let (mut x0, mut x1, mut y0, mut y1) = (f64::MAX, f64::MIN, f64::MAX, f64::MIN);
+        for p in all() {
+            (x0, x1) = (x0.min(p.0), x1.max(p.0));
+            (y0, y1) = (y0.min(y_of(p.1)), y1.max(y_of(p.1)));
+        }
+        let mut out = format!(
+            "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" xmlns=\"http://www.w3.org/2000/svg\" font-family=\"system-ui,sans-serif\" font-size=\"11\" fill=\"currentColor\"><title>{}</title>",
+            escape(&self.title)
+        );
+        let _ = write!(
+            out,
+            "<text x=\"{LEFT}\" y=\"16\" font-size=\"13\" font-weight=\"600\">{}</text>",
+            escape(&self.title)
+        );
+        if x0 > x1 {
+            let _ = write!(out, "<text x=\"{LEFT}\" y=\"{}\">no data</text></svg>", HEIGHT / 2.0);
+            return out;
+        }
+        if x1 - x0 < 1e-12 {
+            (x0, x1) = (x0 - 0.5, x1 + 0.5);
+        }
+        let margin = if y1 - y0 < 1e-12 { y1.abs().max(1e-6) * 0.05 } else { 0.04 * (y1 - y0) };
+        (y0, y1) = (y0 - margin, y1 + margin);
+        let px = |x: f64| LEFT + (x - x0) / (x1 - x0) * (WIDTH - LEFT - RIGHT);
+        let py = |y: f64| HEIGHT - BOTTOM - (y - y0) / (y1 - y0) * (HEIGHT - TOP - BOTTOM);
+
+        for tick in ticks(y0, y1, 5) {
+            let y = py(tick);
+            let value = if self.log_y { 10f64.powf(tick) } else { tick };
+            let _ = write!(
+                out,
+                "<line x1=\"{LEFT}\" x2=\"{}\" y1=\"{y:.1}\" y2=\"{y:.1}\" stroke=\"currentColor\" stroke-opacity=\".15\"/><text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
+                WIDTH - RIGHT,
+                LEFT - 6.0,
+                y + 4.0,
+                short(value)
+            );
+        }
+        for tick in ticks(x0, x1, 6) {
+            let _ = write!(
+                out,
+                "<text x=\"{:.1}\" y=\"{}\" text-anchor=\"middle\">{}</text>",
+                px(tick),
+                HEIGHT - BOTTOM + 15.0,
+                short(tick)
+            );
+        }
+        let _ = write!(
+            out,
+            "<text x=\"{}\" y=\"{}\" text-anchor=\"end\" fill-opacity=\".7\">{}</text>",
+            WIDTH - RIGHT,
+            HEIGHT - 5.0,
+            escape(&self.x_label)
+        );
+        let mut legend = LEFT;
+        for series in &self.series {
+            let points: Vec<(f64, f64)> =
+                series.points.iter().filter(usable).map(|p| (px(p.0), py(y_of(p.1)))).collect();
+            if series.dots {
+                for (x, y) in &points {
+                    let _ = write!(
+                        out,
+                        "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"2.6\" fill=\"{}\" fill-opacity=\".75\"/>",
+                        series.color
+                    );
+                }
+            } else {
+                let path: String = points.iter().map(|(x, y)| format!("{x:.1},{y:.1} ")).collect();
+                let _ = write!(
+                    out,
+                    "<polyline points=\"{}\" fill=\"none\" stroke=\"{}\" stroke-width=\"1.6\" stroke-linejoin=\"round\"/>",
+                    path.trim_end(),
+                    series.color
+                );
+            }
+            if !series.label.is_empty() {
+                let _ = write!(
+                    out,
+                    "<rect x=\"{legend}\" y=\"25\" width=\"10\" height=\"10\" rx=\"2\" fill=\"{}\"/><text x=\"{}\" y=\"34\">{}</text>",
+                    series.color,
+                    legend + 14.0,
+                    escape(&series.label)
+                );
+                legend += 26.0 + 6.2 * series.label.chars().count() as f64;
+            }
+        }
+        out.push_str("</svg>");
+        out
+    }
+}
+
+/// Round numbers between `low` and `high`, about `count` of them.
+fn ticks(low: f64, high: f64, count: usize) -> Vec<f64> {
+    let raw = (high - low) / count as f64;
+    let power = 10f64.powf(raw.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * power).find(|s| *s >= raw).unwrap_or(raw);
+    let first = (low / step).ceil() as i64;
+    let last = (high / step).floor() as i64;
+    (first..=last.min(first + 20)).map(|i| i as f64 * step).collect()
+}
+
+/// A number in at most about six characters.
+fn short(value: f64) -> String {
+    let magnitude = value.abs();
+    if value == 0.0 {
+        "0".into()
+    } else if !(1e-3..1e6).contains(&magnitude) {
+        format!("{value:.0e}")
+    } else if magnitude >= 1000.0 {
+        let thousands = value / 1000.0;
+        if thousands.fract().abs() < 1e-9 { format!("{thousands:.0}k") } else { format!("{thousands:.1}k") }
+    } else {
+        let text = format!("{value:.3}");
+        text.trim_end_matches('0').trim_end_matches('.').to_string()
+    }
+}
+
+/// Text that may stand in XML.
+pub(super) fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_plot_draws_finite_points_inside_its_frame_and_escapes_text() {
+        let points = vec![(0.0, 1.0), (1.0, f64::NAN), (2.0, 100.0), (3.0, -1.0)];
+        let series = Series { label: "a<b".into(), color: RGB[0], points, dots: true };
+        let plot = Plot { title: "t & u".into(), x_label: "step".into(), log_y: true, series: vec![series] };
+        let svg = plot.svg();
+        assert_eq!(svg.matches("<circle").count(), 2);
+        assert!(svg.contains("t &amp; u") && svg.contains("a&lt;b") && !svg.contains("NaN"));
+        let empty = Plot { series: Vec::new(), ..plot }.svg();
+        assert!(empty.contains("no data"));
+    }
+
+    #[test]
+    fn ticks_are_round_and_inside() {
+        assert_eq!(ticks(0.0, 10.0, 5), [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]);
+        assert!(ticks(0.013, 0.097, 5).iter().all(|t| (0.013..=0.097).contains(t)));
+        assert_eq!(
+            [short(15000.0), short(0.25), short(1e-5), short(1500.0)],
+            ["15k", "0.25", "1e-5", "1.5k"]
+        );
+    }
+}

@@ -1,0 +1,48 @@
+//! The calibrator: from proposed transitions towards those of paired data.
+
+use use3d_atc::calibrator::{CalibratorParams, Dataset, train};
+use use3d_atc::progress::Progress;
+
+use super::common::{read_json, write_json};
+use super::pairs::DATASET;
+use crate::engine::{Scope, Stage, StageContext, StageError};
+
+/// The calibrator's file in its artifact.
+pub const CALIBRATOR: &str = "calibrator.safetensors";
+
+pub(super) fn stage() -> Stage {
+    Stage::new("calibrate", Scope::Shared, run)
+        .about("learn from image pairs what \"enhanced\" means")
+        .made_of(&["use3d-atc"], &["src/stages/calibrate.rs"])
+        .check(|p: &CalibratorParams| p.validate().map_err(|e| (String::new(), e.to_string())))
+        .input("pairs", "pairs")
+}
+
+fn run(context: &StageContext, params: &CalibratorParams) -> Result<(), StageError> {
+    let dataset: Dataset = read_json(&context.input("pairs")?.join(DATASET))?;
+    // The pairs were extracted with their own settings; a calibrator cannot have others.
+    let params = CalibratorParams { extractor: dataset.extractor.clone(), ..params.clone() };
+    let data = format!("{} pairs, {} left out", dataset.examples.len(), dataset.skipped.len());
+    let calibrator = train(&dataset, &params, &data, &mut |progress| {
+        if let Progress::Step { step, steps, loss } = progress {
+            context.progress_with(step, steps, "steps", &format!("loss {loss:.4}"));
+        }
+        if context.cancelled() {
+            std::ops::ControlFlow::Break(())
+        } else {
+            std::ops::ControlFlow::Continue(())
+        }
+    });
+    context.alive()?;
+    let calibrator = calibrator?;
+    if let Some(held_out) = &calibrator.provenance.held_out {
+        let errors = &held_out.errors;
+        context.say(format_args!(
+            "held-out transition error, proposal → calibrated: global {:.3} → {:.3}, local {:.3} → {:.3}",
+            errors.global.before, errors.global.after, errors.local.before, errors.local.after
+        ));
+    }
+    let path = context.output().join(CALIBRATOR);
+    std::fs::write(&path, calibrator.to_bytes()?).map_err(|e| StageError::io(&path, e))?;
+    write_json(&context.output().join("report.json"), &calibrator.provenance)
+}

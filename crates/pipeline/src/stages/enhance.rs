@@ -1,0 +1,103 @@
+//! Stage 2: the enhancement moves into the scene.
+
+use std::path::Path;
+
+use use3d_atc::consensus::Targets;
+use use3d_capture::{Image, View};
+use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance, LabelSource, Objective, enhance};
+use use3d_io_colmap::load_pixels;
+
+use super::common::{Watch, capture, scene, write_json, write_text};
+use super::proposer::by_name;
+use super::targets::TARGETS;
+use crate::engine::{Scope, Stage, StageContext, StageError};
+use crate::report::plot::{Plot, Series};
+
+pub(super) fn stage() -> Stage {
+    Stage::new("enhance", Scope::Scene, run)
+        .about("stage 2: store the enhancement in the scene")
+        .made_of(PARTS, &["src/stages/enhance.rs", "src/stages/proposer.rs"])
+        .check(|p: &EnhanceParams| p.validate().map_err(|e| (String::new(), e.to_string())))
+        .input("import", "import")
+        .input("scene", "reconstruct")
+        .input("targets", "targets")
+        .optional_external("models", "models")
+        .select(|_, models| Ok(super::proposer_files(models)))
+        .seeded()
+        .resumable(&["iterations"])
+        .cost(0, 3 << 30)
+}
+
+#[cfg(feature = "nets")]
+const PARTS: &[&str] = &["use3d-enhance", "use3d-io-colmap", "use3d-nets"];
+#[cfg(not(feature = "nets"))]
+const PARTS: &[&str] = &["use3d-enhance", "use3d-io-colmap"];
+
+/// Reads targets from their file or from the folder that holds them.
+fn read_targets(path: &Path) -> Result<Targets, StageError> {
+    let file = if path.is_dir() { path.join(TARGETS) } else { path.to_path_buf() };
+    let bytes = std::fs::read(&file).map_err(|e| StageError::io(&file, e))?;
+    Targets::from_bytes(&bytes).map_err(|e| StageError::message(format!("{}: {e}", file.display())))
+}
+
+/// The proposer's images of the training views, made when they are asked for.
+struct Proposals<'a> {
+    views: Vec<&'a View>,
+    proposer: Box<dyn use3d_atc::proposers::Proposer>,
+}
+
+impl LabelSource for Proposals<'_> {
+    fn label(&self, index: usize) -> Result<Image, String> {
+        let image = load_pixels(self.views[index]).map_err(|e| e.to_string())?.to_image();
+        self.proposer.propose(&image).map_err(|e| e.to_string())
+    }
+}
+
+fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError> {
+    let capture = capture(context)?;
+    let scene = scene(context, "scene")?;
+    let targets = read_targets(context.input("targets")?)?;
+    let params =
+        EnhanceParams { seed: params.seed.wrapping_add(context.seed()).wrapping_sub(42), ..params.clone() };
+    let views: Vec<EnhanceView> = capture.training_views().map(EnhanceView::from).collect();
+    let labels;
+    let guidance = if params.objective == Objective::PseudoLabels {
+        let proposer =
+            by_name(&targets.proposer.name, context.optional_input("models")).map_err(StageError::message)?;
+        labels = Proposals { views: capture.training_views().collect(), proposer };
+        Guidance::Labels(&labels)
+    } else {
+        Guidance::Targets(&targets)
+    };
+    let outcome = enhance(&scene, &views, guidance, &params, context.checkpoints(), &mut Watch::new(context));
+    let outcome = match outcome {
+        Err(EnhanceError::Stopped { .. }) => return Err(StageError::Cancelled),
+        other => other?,
+    };
+    let (before, after) = outcome.report.global_errors();
+    let (local_before, local_after) = outcome.report.local_errors();
+    context.say(format_args!(
+        "realised transition, normalised error before → after: global {before:.3} → {after:.3}, local {local_before:.3} → {local_after:.3}"
+    ));
+    let out = context.output();
+    outcome.scene.save(out)?;
+    write_text(&out.join("training.jsonl"), &outcome.log_lines())?;
+    write_json(&out.join("report.json"), &outcome.report)?;
+    let line = |label: &str, color, pick: fn(&use3d_enhance::LogEntry) -> f64| Series {
+        label: label.into(),
+        color,
+        points: outcome.log.iter().map(|e| (e.step as f64, pick(e))).collect(),
+        dots: false,
+    };
+    let plot = Plot {
+        title: "Stage 2: losses".into(),
+        x_label: "step".into(),
+        log_y: true,
+        series: vec![
+            line("global", "#0b7285", |e| e.global),
+            line("local", "#e8590c", |e| e.local),
+            line("pseudo-label", "#845ef7", |e| e.pixels),
+        ],
+    };
+    write_text(&out.join("training.svg"), &plot.svg())
+}

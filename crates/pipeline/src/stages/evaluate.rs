@@ -1,0 +1,161 @@
+//! Held-out views scored: stage 1 against the photographs, every appearance for itself, and neighbouring views for consistency.
+//!
+//! Rendered images are scored as they are rendered (f32, clamped to the display range), not from files; the `render` stage shows
+//! the same images, and both are functions of the same artifacts.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use use3d_atc::proposers::Proposer;
+use use3d_capture::{Image, Map, View};
+use use3d_io_colmap::load_pixels;
+
+use super::common::{capture, scene, write_json};
+use super::proposer::{ProposerChoice, open};
+use crate::engine::{Scope, Stage, StageContext, StageError};
+use crate::rendering::{Frame, Mode, SceneRenderer};
+use crate::scores::{Method, MethodScores, PairScores, SceneScores, Scores, ViewScores};
+use crate::scoring::{Judges, Pairing};
+
+/// The scores' file in its artifact.
+pub const SCORES: &str = "scores.json";
+
+/// Parameters of the evaluation.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub(super) struct Params {
+    /// The proposer of the reference row; `auto` as in `pairs`.
+    pub(super) proposer: ProposerChoice,
+}
+
+pub(super) fn stage() -> Stage {
+    Stage::new("evaluate", Scope::Scene, run)
+        .about("score the held-out views")
+        .made_of(
+            PARTS,
+            &[
+                "src/stages/evaluate.rs",
+                "src/stages/proposer.rs",
+                "src/rendering.rs",
+                "src/scoring.rs",
+                "src/scores.rs",
+            ],
+        )
+        .input("import", "import")
+        .input("scene", "reconstruct")
+        .optional_input("enhanced", "enhance")
+        .optional_external("models", "models")
+        .select(|_, models| Ok(super::judge_files(models)))
+        .cost(0, 4 << 30)
+}
+
+#[cfg(feature = "nets")]
+const PARTS: &[&str] = &["use3d-enhance", "use3d-metrics", "use3d-io-colmap", "use3d-nets"];
+#[cfg(not(feature = "nets"))]
+const PARTS: &[&str] = &["use3d-enhance", "use3d-metrics", "use3d-io-colmap"];
+
+/// One held-out view in all its appearances.
+struct Appearances {
+    images: Vec<(Method, Image)>,
+    depth: Map,
+}
+
+fn look(
+    view: &View,
+    renderer: &mut SceneRenderer<'_>,
+    proposer: &dyn Proposer,
+) -> Result<Appearances, StageError> {
+    let captured = load_pixels(view)?.to_image();
+    let mut modes = vec![Mode::Reconstruction, Mode::Clear, Mode::Depth];
+    if renderer.is_enhanced() {
+        modes.push(Mode::Enhanced);
+    }
+    let proposal = proposer.propose(&captured)?;
+    let mut images = vec![(Method::Captured, captured), (Method::Proposal, proposal)];
+    let mut depth = Map::new(0, 0);
+    for (mode, frame) in modes.iter().zip(renderer.render(&view.camera, &modes)) {
+        match (mode, frame) {
+            (Mode::Reconstruction, Frame::Color(image)) => images.push((Method::Reconstruction, image)),
+            (Mode::Clear, Frame::Color(image)) => images.push((Method::Clear, image)),
+            (Mode::Enhanced, Frame::Color(image)) => images.push((Method::Enhanced, image)),
+            (Mode::Depth, Frame::Scalar(map)) => depth = map,
+            _ => {}
+        }
+    }
+    Ok(Appearances { images, depth })
+}
+
+fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
+    let capture = capture(context)?;
+    let role = if context.optional_input("enhanced").is_some() { "enhanced" } else { "scene" };
+    let scene = scene(context, role)?;
+    let models = context.optional_input("models");
+    let proposer =
+        open(params.proposer, models, &mut |line| context.log(line)).map_err(StageError::message)?;
+    let judges = Judges::open(models);
+    let mut renderer = SceneRenderer::new(&scene, 1.0)?;
+    let views: Vec<&View> = capture.test_views().collect();
+    if views.is_empty() {
+        context.say("no view is held out (split.every = 0): nothing to score");
+    }
+
+    let mut per_view: Vec<(Method, Vec<ViewScores>)> = Vec::new();
+    let mut per_pair: Vec<(Method, Vec<PairScores>)> = Vec::new();
+    let mut previous: Option<Appearances> = None;
+    for (i, view) in views.iter().enumerate() {
+        context.alive()?;
+        context.progress_with(i as u64, views.len() as u64, "views", &view.name);
+        let now = look(view, &mut renderer, proposer.as_ref())?;
+        let captured = &now.images[0].1;
+        for (method, image) in &now.images {
+            let mut scores: Scores = judges.alone(image);
+            if *method != Method::Captured {
+                scores.extend(judges.against(image, captured));
+            }
+            entry(&mut per_view, *method).push(ViewScores { view: view.name.clone(), scores });
+        }
+        if let Some(before) = &previous {
+            let earlier = views[i - 1];
+            let pairing = Pairing::new(
+                &judges,
+                (&before.images[0].1, captured),
+                (&earlier.camera, &view.camera),
+                (&before.depth, &now.depth),
+            );
+            for ((method, first), (_, second)) in before.images.iter().zip(&now.images) {
+                entry(&mut per_pair, *method).push(PairScores {
+                    first: earlier.name.clone(),
+                    second: view.name.clone(),
+                    scores: pairing.scores(&judges, first, second),
+                });
+            }
+        }
+        previous = Some(now);
+    }
+    let methods = per_view.into_iter().map(|(method, views)| {
+        let pairs = per_pair
+            .iter_mut()
+            .find(|(m, _)| *m == method)
+            .map(|(_, p)| std::mem::take(p))
+            .unwrap_or_default();
+        MethodScores::new(method, views, pairs)
+    });
+    let scores = SceneScores {
+        training_views: capture.split.train.len(),
+        held_out_views: views.len(),
+        size: views.first().map_or((0, 0), |v| (v.camera.intrinsics.width, v.camera.intrinsics.height)),
+        gaussians: scene.gaussians.len(),
+        methods: methods.collect(),
+    };
+    write_json(&context.output().join(SCORES), &scores)
+}
+
+fn entry<T>(lists: &mut Vec<(Method, Vec<T>)>, method: Method) -> &mut Vec<T> {
+    let place = match lists.iter().position(|(m, _)| *m == method) {
+        Some(place) => place,
+        None => {
+            lists.push((method, Vec::new()));
+            lists.len() - 1
+        }
+    };
+    &mut lists[place].1
+}

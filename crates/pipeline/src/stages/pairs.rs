@@ -1,0 +1,115 @@
+//! The paired images in operator space: what the extractor says about each pair and about the proposal for it.
+
+use std::path::{Path, PathBuf};
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use use3d_atc::calibrator::{Dataset, PairImages};
+use use3d_atc::extractor::ExtractorSettings;
+use use3d_atc::progress::Progress;
+use use3d_io_image::read_image;
+
+use super::common::write_json;
+use super::proposer::{ProposerChoice, open};
+use crate::engine::{Scope, Stage, StageContext, StageError};
+
+/// The data set's file.
+pub(super) const DATASET: &str = "dataset.json";
+
+/// Parameters of the paired data.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub(super) struct PairsParams {
+    /// The 2D enhancer that proposes.
+    pub(super) proposer: ProposerChoice,
+    /// The extractor; scenes follow it.
+    pub(super) extractor: ExtractorSettings,
+    /// The synthetic pairs that stand in when the pipeline names no pairs.
+    pub(super) synthetic: use3d_synth::PairsParams,
+}
+
+pub(super) fn stage() -> Stage {
+    Stage::new("pairs", Scope::Shared, run)
+        .about("transitions and proposals of the paired images")
+        .made_of(PARTS, &["src/stages/pairs.rs", "src/stages/proposer.rs"])
+        .optional_external("input", "pairs.input")
+        .optional_external("target", "pairs.target")
+        .optional_external("models", "models")
+        .select(|_, models| Ok(super::proposer_files(models)))
+}
+
+#[cfg(feature = "nets")]
+const PARTS: &[&str] = &["use3d-atc", "use3d-synth", "use3d-io-image", "use3d-nets"];
+#[cfg(not(feature = "nets"))]
+const PARTS: &[&str] = &["use3d-atc", "use3d-synth", "use3d-io-image"];
+
+fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
+    let models = context.optional_input("models");
+    let proposer =
+        open(params.proposer, models, &mut |line| context.say(line)).map_err(StageError::message)?;
+    let scratch;
+    let (input, target) = match (context.optional_input("input"), context.optional_input("target")) {
+        (Some(input), Some(target)) => (input.to_path_buf(), target.to_path_buf()),
+        (None, None) => {
+            context.say("no pairs given: the calibrator learns from synthetic ones");
+            scratch = tempfile::tempdir()?;
+            let dir = scratch.path().join("pairs");
+            use3d_synth::write_pairs(&params.synthetic, &dir, &mut |done, total| {
+                context.progress(done as u64, total as u64, "synthetic pairs");
+            })?;
+            (dir.join("input"), dir.join("reference"))
+        }
+        _ => return Err(StageError::message("pairs need both `input` and `target`; only one was given")),
+    };
+    let pairs = list(&input, &target)?;
+    if pairs.is_empty() {
+        return Err(StageError::message(format!(
+            "no file in {} has a counterpart of the same stem in {}; pairs are matched by file stem",
+            input.display(),
+            target.display()
+        )));
+    }
+    let total = pairs.len();
+    let images = pairs.into_iter().map(|(name, a, b)| PairImages {
+        images: read_image(&a).and_then(|a| Ok((a, read_image(&b)?))).map_err(|e| e.to_string()),
+        name,
+    });
+    let dataset = Dataset::build(images, proposer.as_ref(), &params.extractor, &mut |progress| {
+        if let Progress::Pair { index, name } = progress {
+            context.progress_with(index as u64, total as u64, "pairs", name);
+        }
+        if context.cancelled() {
+            std::ops::ControlFlow::Break(())
+        } else {
+            std::ops::ControlFlow::Continue(())
+        }
+    });
+    context.alive()?;
+    let dataset = dataset?;
+    for skipped in &dataset.skipped {
+        context.say(format_args!("pair {} is left out: {}", skipped.name, skipped.reason));
+    }
+    write_json(&context.output().join(DATASET), &dataset)
+}
+
+/// Pairs of files with equal stems, in name order.
+fn list(input: &Path, target: &Path) -> Result<Vec<(String, PathBuf, PathBuf)>, StageError> {
+    let images = |dir: &Path| -> Result<std::collections::BTreeMap<String, PathBuf>, StageError> {
+        let mut found = std::collections::BTreeMap::new();
+        for entry in std::fs::read_dir(dir).map_err(|e| StageError::io(dir, e))? {
+            let path = entry.map_err(|e| StageError::io(dir, e))?.path();
+            let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+            if let (true, Some(stem)) =
+                (["png", "jpg", "jpeg", "tif", "tiff"].contains(&extension.as_str()), path.file_stem())
+            {
+                found.insert(stem.to_string_lossy().into_owned(), path);
+            }
+        }
+        Ok(found)
+    };
+    let mut targets = images(target)?;
+    Ok(images(input)?
+        .into_iter()
+        .filter_map(|(stem, a)| targets.remove(&stem).map(|b| (stem, a, b)))
+        .collect())
+}

@@ -1,0 +1,100 @@
+//! Which 2D enhancer proposes, and how it is opened.
+
+use std::path::Path;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use use3d_atc::proposers::{Fusion, Proposer};
+
+/// The 2D enhancer that proposes (R25).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum ProposerChoice {
+    /// `nu2net` when its weights are in the models folder, else `fusion`; said aloud.
+    #[default]
+    Auto,
+    /// Nu2Net; an error when its weights are not there.
+    Nu2net,
+    /// The classical fusion enhancer; needs no weights.
+    Fusion,
+}
+
+#[cfg(feature = "nets")]
+mod network {
+    use super::*;
+    use use3d_atc::AtcError;
+    use use3d_capture::Image;
+    use use3d_nets::Nu2Net;
+
+    pub(super) struct Network {
+        pub(super) net: Nu2Net,
+        pub(super) digest: String,
+    }
+
+    impl Proposer for Network {
+        fn name(&self) -> &str {
+            "nu2net"
+        }
+
+        fn digest(&self) -> String {
+            self.digest.clone()
+        }
+
+        fn propose(&self, image: &Image) -> Result<Image, AtcError> {
+            self.net
+                .enhance(image)
+                .map_err(|e| AtcError::Proposer { proposer: "nu2net".into(), message: e.to_string() })
+        }
+    }
+}
+
+/// Opens a proposer. `models` is the models folder, if there is one; `say` hears which was taken when the choice was left open.
+pub fn open(
+    choice: ProposerChoice,
+    models: Option<&Path>,
+    say: &mut dyn FnMut(&str),
+) -> Result<Box<dyn Proposer>, String> {
+    let network = if choice == ProposerChoice::Fusion { Err("not asked for".into()) } else { nu2net(models) };
+    match (choice, network) {
+        (ProposerChoice::Fusion, _) => Ok(Box::new(Fusion)),
+        (_, Ok(network)) => {
+            say("proposer: nu2net");
+            Ok(network)
+        }
+        (ProposerChoice::Auto, Err(reason)) => {
+            say(&format!("proposer: fusion (nu2net is not available: {reason})"));
+            Ok(Box::new(Fusion))
+        }
+        (ProposerChoice::Nu2net, Err(reason)) => Err(format!("proposer nu2net: {reason}")),
+    }
+}
+
+/// The proposer of that name, as a calibrator records it.
+pub(super) fn by_name(name: &str, models: Option<&Path>) -> Result<Box<dyn Proposer>, String> {
+    match name {
+        "fusion" => Ok(Box::new(Fusion)),
+        "nu2net" => {
+            nu2net(models).map_err(|reason| format!("the calibrator was fitted for nu2net: {reason}"))
+        }
+        other => Err(format!(
+            "the calibrator was fitted for the proposer `{other}`, which this program does not have"
+        )),
+    }
+}
+
+#[cfg(feature = "nets")]
+fn nu2net(models: Option<&Path>) -> Result<Box<dyn Proposer>, String> {
+    use use3d_nets::{Models, Network};
+    let dir = models.ok_or("there is no models folder; name one with --models or USE3D_MODELS")?;
+    let models = Models::open(dir);
+    let net = models.nu2net().map_err(|e| e.to_string())?;
+    let found = [Network::Nu2NetReleased, Network::Nu2Net].into_iter().find_map(|n| models.find(n));
+    let path = found.ok_or("its file has gone away")?;
+    let bytes = std::fs::read(&path).map_err(|e| format!("{}: {e}", path.display()))?;
+    Ok(Box::new(network::Network { net, digest: blake3::hash(&bytes).to_hex().to_string() }))
+}
+
+#[cfg(not(feature = "nets"))]
+fn nu2net(_: Option<&Path>) -> Result<Box<dyn Proposer>, String> {
+    Err("this program was built without networks (cargo feature `nets`)".into())
+}

@@ -1,0 +1,93 @@
+//! The held-out views as pictures: captured, reconstruction, clear, enhanced, depth, and the water's maps.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use use3d_io_colmap::load_pixels;
+use use3d_io_image::{write_exr_map, write_png, write_png8};
+
+use super::common::{capture, folder, scene};
+use crate::engine::{Scope, Stage, StageContext, StageError};
+use crate::rendering::{Frame, Mode, SceneRenderer, coefficient_picture, depth_picture};
+
+/// Parameters of the pictures.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub(super) struct Params {
+    /// How much of the enhancement is shown, 0 to 1.
+    pub(super) strength: f32,
+    /// Whether depth is also written as EXR, in normalised scene units.
+    pub(super) depth_exr: bool,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self { strength: 1.0, depth_exr: true }
+    }
+}
+
+pub(super) fn stage() -> Stage {
+    Stage::new("render", Scope::Scene, run)
+        .about("pictures of the held-out views")
+        .made_of(
+            &["use3d-enhance", "use3d-io-colmap", "use3d-io-image"],
+            &["src/stages/render.rs", "src/rendering.rs"],
+        )
+        .check(|p: &Params| {
+            let fits = (0.0..=1.0).contains(&p.strength);
+            if fits {
+                Ok(())
+            } else {
+                Err(("strength".into(), format!("is {}; expected 0 to 1", p.strength)))
+            }
+        })
+        .input("import", "import")
+        .input("scene", "reconstruct")
+        .optional_input("enhanced", "enhance")
+        .cost(0, 1 << 30)
+}
+
+fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
+    let capture = capture(context)?;
+    let role = if context.optional_input("enhanced").is_some() { "enhanced" } else { "scene" };
+    let scene = scene(context, role)?;
+    let mut renderer = SceneRenderer::new(&scene, params.strength)?;
+    let mut modes = vec![Mode::Reconstruction, Mode::Clear, Mode::Depth];
+    if renderer.is_enhanced() {
+        modes.push(Mode::Enhanced);
+    }
+    if !scene.medium.is_none() {
+        modes.extend([Mode::Medium, Mode::Backscatter, Mode::Attenuation]);
+    }
+    let out = context.output();
+    for name in modes.iter().map(|m| m.name()).chain(["captured"]) {
+        folder(&out.join(name))?;
+    }
+    // With no held-out view there is still something to look at.
+    let views: Vec<_> = if capture.split.test.is_empty() {
+        capture.training_views().take(1).collect()
+    } else {
+        capture.test_views().collect()
+    };
+    for (i, view) in views.iter().enumerate() {
+        context.alive()?;
+        context.progress(i as u64, views.len() as u64, "views");
+        let stem = view.stem().replace('/', "_");
+        let file = |folder: &str| out.join(folder).join(format!("{stem}.png"));
+        write_png8(&file("captured"), &load_pixels(view)?.to_image().to_8bit())?;
+        for (mode, frame) in modes.iter().zip(renderer.render(&view.camera, &modes)) {
+            match frame {
+                Frame::Color(image) if matches!(mode, Mode::Backscatter | Mode::Attenuation) => {
+                    write_png(&file(mode.name()), &coefficient_picture(&image))?;
+                }
+                Frame::Color(image) => write_png(&file(mode.name()), &image)?,
+                Frame::Scalar(map) => {
+                    write_png(&file(mode.name()), &depth_picture(&map))?;
+                    if params.depth_exr {
+                        write_exr_map(&out.join(mode.name()).join(format!("{stem}.exr")), &map, "Z")?;
+                    }
+                }
+            }
+        }
+    }
+    Ok(())
+}

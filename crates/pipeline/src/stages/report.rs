@@ -1,0 +1,324 @@
+//! The page and the tables of a whole batch.
+
+use std::path::Path;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use use3d_atc::calibrator::Provenance;
+use use3d_atc::consensus::TargetsReport;
+use use3d_io_image::read_image;
+use use3d_scene::Scene;
+
+use super::common::{folder, read_json, write_json, write_text};
+use super::evaluate::SCORES;
+use crate::engine::{Digest, Scope, Stage, StageContext, StageError, StageInput};
+use crate::rendering::medium_profile;
+use crate::report::plot::{Plot, RGB, Series};
+use crate::report::{CalibratorSection, Page, Picture, PlotFigure, SceneSection, ViewSection};
+use crate::scores::{Method, SceneScores, ScoredScene};
+use crate::tables::{Table, paper};
+
+/// Parameters of the report.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub(super) struct Params {
+    /// The page's title.
+    pub(super) title: String,
+    /// Held-out views shown per scene.
+    pub(super) views: usize,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self { title: "3D-USE report".into(), views: 6 }
+    }
+}
+
+pub(super) fn stage() -> Stage {
+    Stage::new("report", Scope::Batch, run)
+        .about("tables and one page about the whole batch")
+        .made_of(
+            &["use3d-scene", "use3d-io-colmap", "use3d-atc"],
+            &[
+                "src/stages/report.rs",
+                "src/report",
+                "src/tables",
+                "src/scores.rs",
+                "src/rendering.rs",
+                "templates",
+            ],
+        )
+        .input("calibrator", "calibrate")
+        .input("import", "import")
+        .input("scene", "reconstruct")
+        .optional_input("targets", "targets")
+        .optional_input("enhanced", "enhance")
+        .optional_input("renders", "render")
+        .optional_input("scores", "evaluate")
+}
+
+/// The artifacts of one scene in one variant.
+struct Parts<'a> {
+    scene: &'a str,
+    group: &'a str,
+    variant: &'a str,
+    inputs: Vec<&'a StageInput>,
+}
+
+impl Parts<'_> {
+    fn path(&self, role: &str) -> Option<&Path> {
+        self.inputs.iter().find(|i| i.role == role).map(|i| i.path.as_path())
+    }
+
+    fn name(&self) -> String {
+        if self.variant.is_empty() {
+            self.scene.to_string()
+        } else {
+            format!("{} · {}", self.scene, self.variant)
+        }
+    }
+}
+
+fn parts(context: &StageContext) -> Vec<Parts<'_>> {
+    let mut all: Vec<Parts<'_>> = Vec::new();
+    for input in context.inputs().iter().filter(|i| !i.scene.is_empty()) {
+        match all.iter_mut().find(|p| p.scene == input.scene && p.variant == input.variant) {
+            Some(parts) => parts.inputs.push(input),
+            None => all.push(Parts {
+                scene: &input.scene,
+                group: &input.group,
+                variant: &input.variant,
+                inputs: vec![input],
+            }),
+        }
+    }
+    all
+}
+
+fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
+    let all = parts(context);
+    let mut scored = Vec::new();
+    let mut scenes = Vec::new();
+    for (i, parts) in all.iter().enumerate() {
+        context.alive()?;
+        context.progress_with(i as u64, all.len() as u64, "scenes", parts.scene);
+        let scores: Option<SceneScores> =
+            parts.path("scores").map(|p| read_json(&p.join(SCORES))).transpose()?;
+        scenes.push(section(parts, scores.as_ref(), params)?);
+        if let (Some(scores), Some(path)) = (scores, parts.path("scores")) {
+            let bytes = std::fs::read(path.join(SCORES)).map_err(|e| StageError::io(path, e))?;
+            scored.push(ScoredScene {
+                scene: parts.scene.into(),
+                group: parts.group.into(),
+                variant: parts.variant.into(),
+                source: format!("{} {}", parts.name(), Digest::of(&bytes).short()),
+                scores,
+                fps: None,
+            });
+        }
+    }
+    let tables = paper::tables(&scored);
+    write_tables(&context.output().join("tables"), &tables)?;
+    let calibrator = match context.optional_input("calibrator") {
+        Some(path) => Some(calibrator(&read_json(&path.join("report.json"))?)),
+        None => None,
+    };
+    let page = Page {
+        title: params.title.clone(),
+        subtitle: format!("{} scenes, {} scored", all.len(), scored.len()),
+        tables,
+        scenes,
+        calibrator,
+        parameters: missing(context),
+        footer: format!("use3d {}", env!("CARGO_PKG_VERSION")),
+    };
+    write_json(&context.output().join("scores.json"), &scored)?;
+    write_text(&context.output().join("index.html"), &page.html()?)
+}
+
+fn missing(context: &StageContext) -> String {
+    if context.missing().is_empty() {
+        return "All scenes of the batch are in this report.".into();
+    }
+    format!("Not in this report:\n{}", context.missing().join("\n"))
+}
+
+fn write_tables(dir: &Path, tables: &[Table]) -> Result<(), StageError> {
+    folder(dir)?;
+    for table in tables {
+        let file = |extension: &str| dir.join(format!("{}.{extension}", table.name));
+        write_text(&file("md"), &table.markdown())?;
+        write_text(&file("csv"), &table.csv())?;
+        write_text(&file("tex"), &table.latex())?;
+        write_json(&file("json"), &table.json())?;
+    }
+    Ok(())
+}
+
+fn calibrator(provenance: &Provenance) -> CalibratorSection {
+    let rows = provenance.held_out.iter().flat_map(|held_out| {
+        let e = &held_out.errors;
+        [("global", e.global), ("local", e.local), ("local, centred", e.centered)].map(|(name, change)| {
+            let ratio = format!("{:.2}×", change.ratio());
+            (name.to_string(), format!("{:.3}", change.before), format!("{:.3}", change.after), ratio)
+        })
+    });
+    CalibratorSection {
+        summary: format!(
+            "Fitted to {} pairs ({} cells) in {} steps; {}. The errors are those of a fit to a part of the pairs, on the others.",
+            provenance.pairs, provenance.cells, provenance.steps, provenance.data
+        ),
+        rows: rows.collect(),
+    }
+}
+
+fn section(
+    parts: &Parts<'_>,
+    scores: Option<&SceneScores>,
+    params: &Params,
+) -> Result<SceneSection, StageError> {
+    let mut section =
+        SceneSection { name: parts.name(), group: parts.group.into(), ..SceneSection::default() };
+    if let Some(scores) = scores {
+        let (w, h) = scores.size;
+        section.summary = format!(
+            "{} training views, {} held out, {w}×{h} pixels, {} Gaussians.",
+            scores.training_views, scores.held_out_views, scores.gaussians
+        );
+    }
+    if let Some(renders) = parts.path("renders") {
+        section.views = views(renders, scores, params.views)?;
+    }
+    for (role, file, caption) in [
+        ("scene", "training.svg", "Stage 1: loss, PSNR and number of Gaussians"),
+        ("enhanced", "training.svg", "Stage 2: losses"),
+    ] {
+        if let Some(svg) = parts.path(role).and_then(|p| std::fs::read_to_string(p.join(file)).ok()) {
+            section.plots.push(PlotFigure { svg: inline(&svg), caption: caption.into() });
+        }
+    }
+    section.plots.extend(water(parts)?);
+    if let Some(targets) = parts.path("targets") {
+        let report: TargetsReport = read_json(&targets.join("report.json"))?;
+        section.plots.push(dispersion(&report));
+        section.sheets = sheets(&targets.join("previews"))?;
+    }
+    Ok(section)
+}
+
+/// An SVG file as part of a page: without its XML declaration.
+fn inline(svg: &str) -> String {
+    svg.find("<svg").map_or_else(String::new, |start| svg[start..].to_string())
+}
+
+fn views(renders: &Path, scores: Option<&SceneScores>, most: usize) -> Result<Vec<ViewSection>, StageError> {
+    let captured = renders.join("captured");
+    let mut stems: Vec<String> = std::fs::read_dir(&captured)
+        .map_err(|e| StageError::io(&captured, e))?
+        .filter_map(|entry| Some(entry.ok()?.path().file_stem()?.to_string_lossy().into_owned()))
+        .collect();
+    stems.sort();
+    let count = stems.len().min(most);
+    let chosen: Vec<String> = (0..count).map(|k| stems[k * stems.len() / count.max(1)].clone()).collect();
+    let mut sections = Vec::new();
+    for stem in chosen {
+        let mut images = Vec::new();
+        for mode in [
+            "captured",
+            "reconstruction",
+            "clear",
+            "enhanced",
+            "depth",
+            "medium",
+            "attenuation",
+            "backscatter",
+        ] {
+            let path = renders.join(mode).join(format!("{stem}.png"));
+            if path.is_file() {
+                images.push(Picture::embed(mode, "", &read_image(&path)?)?);
+            }
+        }
+        sections.push(ViewSection { scores: view_scores(&stem, scores), name: stem, images });
+    }
+    Ok(sections)
+}
+
+fn view_scores(stem: &str, scores: Option<&SceneScores>) -> Vec<String> {
+    let wanted = [
+        (Method::Reconstruction, "psnr", "PSNR", 2),
+        (Method::Reconstruction, "ssim", "SSIM", 3),
+        (Method::Captured, "uciqe", "UCIQE captured", 3),
+        (Method::Enhanced, "uciqe", "UCIQE enhanced", 3),
+    ];
+    let of = |method: Method, metric: &str| -> Option<f64> {
+        let views = &scores?.methods.iter().find(|m| m.method == method)?.views;
+        let named = |name: &str| name.rsplit_once('.').map_or(name, |(s, _)| s).replace('/', "_") == stem;
+        views.iter().find(|v| named(&v.view))?.scores.get(metric)?.value()
+    };
+    let text = |(method, metric, label, decimals): (Method, &str, &str, usize)| {
+        of(method, metric).map(|value| format!("{label} {value:.decimals$}"))
+    };
+    wanted.into_iter().filter_map(text).collect()
+}
+
+/// The water along the horizontal of the first training view.
+fn water(parts: &Parts<'_>) -> Result<Vec<PlotFigure>, StageError> {
+    let (Some(scene), Some(import)) = (parts.path("scene"), parts.path("import")) else {
+        return Ok(Vec::new());
+    };
+    let scene = Scene::load(scene)?;
+    let capture = use3d_io_colmap::load_prepared(import)?.capture;
+    let Some(view) = capture.training_views().next() else { return Ok(Vec::new()) };
+    let Some(profile) = medium_profile(&scene.medium, scene.medium_degree, &view.camera) else {
+        return Ok(Vec::new());
+    };
+    let figure = |title: &str, pick: fn(&crate::rendering::WaterSample) -> [f32; 3]| {
+        let series = (0..3).map(|c| Series {
+            label: ["red", "green", "blue"][c].into(),
+            color: RGB[c],
+            points: profile.iter().map(|s| (s.degrees, f64::from(pick(s)[c]))).collect(),
+            dots: false,
+        });
+        let plot = Plot {
+            title: title.into(),
+            x_label: "degrees from the optical axis".into(),
+            log_y: false,
+            series: series.collect(),
+        };
+        PlotFigure { svg: plot.svg(), caption: format!("{title} along the horizontal of {}", view.name) }
+    };
+    Ok(vec![
+        figure("Attenuation", |s| s.attenuation),
+        figure("Backscatter", |s| s.backscatter),
+        figure("Medium colour", |s| s.color),
+    ])
+}
+
+fn dispersion(report: &TargetsReport) -> PlotFigure {
+    let points = report.views.iter().enumerate().map(|(i, v)| (i as f64, v.distance)).collect();
+    let plot = Plot {
+        title: "Distance of each view's operator from the consensus".into(),
+        x_label: "training view".into(),
+        log_y: false,
+        series: vec![Series { label: String::new(), color: "#0b7285", points, dots: true }],
+    };
+    let caption = format!(
+        "Median {:.4}; {} of {} Gaussians have a target.",
+        report.dispersion, report.supported, report.gaussians
+    );
+    PlotFigure { svg: plot.svg(), caption }
+}
+
+fn sheets(dir: &Path) -> Result<Vec<Picture>, StageError> {
+    let Ok(entries) = std::fs::read_dir(dir) else { return Ok(Vec::new()) };
+    let mut paths: Vec<_> = entries.filter_map(|e| Some(e.ok()?.path())).collect();
+    paths.sort();
+    paths
+        .iter()
+        .map(|path| {
+            let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+            let caption = "Left to right: captured, the proposal for this view alone, its own calibrated transition, the consensus of all views (2D previews).";
+            Ok(Picture::embed_wide(&format!("Consensus on {stem}"), caption, &read_image(path)?, 1600)?)
+        })
+        .collect()
+}

@@ -1,0 +1,147 @@
+//! The scene's targets: one global operator and one local operator per Gaussian, agreed by all training views.
+
+use std::path::Path;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use use3d_atc::AtcError;
+use use3d_atc::calibrator::Calibrator;
+use use3d_atc::consensus::{Preview, Proposals, Recorder, TargetsParams, ViewInput, targets_from_records};
+use use3d_atc::progress::Progress;
+use use3d_capture::{Capture, View};
+use use3d_io_colmap::load_pixels;
+use use3d_io_image::{write_png, write_png_map};
+use use3d_splat::Rasterizer;
+
+use super::calibrate::CALIBRATOR;
+use super::common::{capture, folder, scene, write_json};
+use super::proposer::by_name;
+use crate::engine::{Scope, Stage, StageContext, StageError};
+
+/// The targets' file in its artifact.
+pub const TARGETS: &str = "targets.safetensors";
+
+/// Parameters of the targets.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub(super) struct Params {
+    /// The consensus.
+    pub(super) consensus: TargetsParams,
+    /// Views shown side by side: captured, proposal, calibrated on its own, consensus.
+    pub(super) previews: usize,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self { consensus: TargetsParams::default(), previews: 4 }
+    }
+}
+
+pub(super) fn stage() -> Stage {
+    Stage::new("targets", Scope::Scene, run)
+        .about("appearance transition consensus: scene-global and Gaussian-local targets")
+        .made_of(PARTS, &["src/stages/targets.rs", "src/stages/proposer.rs"])
+        .input("import", "import")
+        .input("scene", "reconstruct")
+        .input("calibrator", "calibrate")
+        .optional_external("models", "models")
+        .select(|_, models| Ok(super::proposer_files(models)))
+        .cost(0, 2 << 30)
+}
+
+#[cfg(feature = "nets")]
+const PARTS: &[&str] = &["use3d-atc", "use3d-scene", "use3d-io-colmap", "use3d-nets"];
+#[cfg(not(feature = "nets"))]
+const PARTS: &[&str] = &["use3d-atc", "use3d-scene", "use3d-io-colmap"];
+
+/// Reads a calibrator from its file or from the folder that holds it.
+pub(super) fn read_calibrator(path: &Path) -> Result<Calibrator, StageError> {
+    let file = if path.is_dir() { path.join(CALIBRATOR) } else { path.to_path_buf() };
+    let bytes = std::fs::read(&file).map_err(|e| StageError::io(&file, e))?;
+    Calibrator::from_bytes(&bytes).map_err(|e| StageError::message(format!("{}: {e}", file.display())))
+}
+
+/// A captured view for the consensus.
+fn input(view: &View) -> Result<ViewInput, AtcError> {
+    let pixels =
+        load_pixels(view).map_err(|e| AtcError::View { view: view.name.clone(), problem: e.to_string() })?;
+    Ok(ViewInput { name: view.name.clone(), camera: view.camera, image: pixels.to_image(), proposal: None })
+}
+
+fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
+    let capture: Capture = capture(context)?;
+    let scene = scene(context, "scene")?;
+    let calibrator = read_calibrator(context.input("calibrator")?)?;
+    let proposer =
+        by_name(&calibrator.proposer.name, context.optional_input("models")).map_err(StageError::message)?;
+    calibrator.proposer.require(&proposer.id())?;
+
+    let views: Vec<&View> = capture.training_views().collect();
+    let total = 2 * views.len() as u64;
+    let mut recorder = Recorder::new();
+    let mut records = Vec::with_capacity(views.len());
+    for (i, view) in views.iter().enumerate() {
+        context.alive()?;
+        context.progress_with(i as u64, total, "views", "proposals and transitions");
+        records.push(recorder.record(&input(view)?, Proposals::From(proposer.as_ref()), &calibrator)?);
+    }
+    let built = targets_from_records(
+        &scene.gaussians,
+        &records,
+        proposer.id(),
+        &calibrator,
+        &params.consensus,
+        &mut |progress| {
+            if let Progress::Lift { index, .. } = progress {
+                context.progress_with(
+                    (views.len() + index) as u64,
+                    total,
+                    "views",
+                    "lifting to the Gaussians",
+                );
+            }
+            if context.cancelled() {
+                std::ops::ControlFlow::Break(())
+            } else {
+                std::ops::ControlFlow::Continue(())
+            }
+        },
+    );
+    context.alive()?;
+    let (targets, report) = built?;
+    context.say(format_args!(
+        "consensus of {} views: dispersion {:.4}, {} of {} Gaussians supported",
+        report.views.len(),
+        report.dispersion,
+        report.supported,
+        report.gaussians
+    ));
+    let path = context.output().join(TARGETS);
+    std::fs::write(&path, targets.to_bytes()?).map_err(|e| StageError::io(&path, e))?;
+    write_json(&context.output().join("report.json"), &report)?;
+
+    let shown = params.previews.min(views.len());
+    if shown > 0 {
+        let (sheets, support) = (context.output().join("previews"), context.output().join("support"));
+        folder(&sheets)?;
+        folder(&support)?;
+        let mut rasterizer = Rasterizer::new();
+        for k in 0..shown {
+            context.alive()?;
+            let i = k * views.len() / shown;
+            let preview = Preview::new(
+                &scene.gaussians,
+                &input(views[i])?,
+                &records[i],
+                proposer.as_ref(),
+                &calibrator,
+                &targets,
+                &mut rasterizer,
+            )?;
+            let name = format!("{}.png", views[i].stem().replace('/', "_"));
+            write_png(&sheets.join(&name), &preview.sheet())?;
+            write_png_map(&support.join(&name), &preview.support)?;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,195 @@
+//! The four forms of a table.
+
+use std::fmt::Write;
+
+use super::{Cell, Rank, Table};
+
+/// Shown where a number does not apply or is missing.
+const BLANK: &str = "–";
+const MISSING: &str = "n/a";
+
+impl Table {
+    fn text(&self, cell: &Cell, column: usize) -> String {
+        match cell {
+            Cell::Number { .. } => match cell.value() {
+                Some(value) => format!("{value:.*}", self.columns[column].decimals),
+                None => MISSING.into(),
+            },
+            Cell::NotAvailable { .. } => MISSING.into(),
+            Cell::Blank => BLANK.into(),
+        }
+    }
+
+    fn label(row: &super::Row) -> String {
+        if row.published { format!("{} (published)", row.label) } else { row.label.clone() }
+    }
+
+    /// GitHub Markdown: best bold, second best underlined; reasons for missing numbers below.
+    pub fn markdown(&self) -> String {
+        let escape = |text: &str| text.replace('|', "\\|");
+        let mut out = format!("**{}**\n\n| |", escape(&self.caption));
+        for column in &self.columns {
+            let group = if column.group.is_empty() { String::new() } else { format!("{} ", column.group) };
+            let _ = write!(out, " {}{}{} |", escape(&group), escape(&column.name), column.better.arrow());
+        }
+        out.push_str("\n|---|");
+        out.push_str(&"---:|".repeat(self.columns.len()));
+        out.push('\n');
+        for (row, ranks) in self.rows.iter().zip(self.ranks()) {
+            let _ = write!(out, "| {} |", escape(&Self::label(row)));
+            for (c, cell) in row.cells.iter().enumerate() {
+                let text = self.text(cell, c);
+                let _ = match ranks[c] {
+                    Rank::Best => write!(out, " **{text}** |"),
+                    Rank::Second => write!(out, " <u>{text}</u> |"),
+                    Rank::Other => write!(out, " {text} |"),
+                };
+            }
+            out.push('\n');
+        }
+        for reason in self.missing() {
+            let _ = writeln!(out, "\n{MISSING}: {reason}");
+        }
+        out
+    }
+
+    /// Comma-separated values, one head line, numbers as printed elsewhere but without marks; missing numbers are empty.
+    pub fn csv(&self) -> String {
+        let quote = |text: &str| {
+            if text.contains([',', '"', '\n']) {
+                format!("\"{}\"", text.replace('"', "\"\""))
+            } else {
+                text.to_string()
+            }
+        };
+        let mut out = String::from("method,published");
+        for column in &self.columns {
+            let name = if column.group.is_empty() {
+                column.name.clone()
+            } else {
+                format!("{} {}", column.group, column.name)
+            };
+            let _ = write!(out, ",{}", quote(&name));
+        }
+        out.push('\n');
+        for row in &self.rows {
+            let _ = write!(out, "{},{}", quote(&row.label), row.published);
+            for (c, cell) in row.cells.iter().enumerate() {
+                match cell.value() {
+                    Some(_) => {
+                        let _ = write!(out, ",{}", self.text(cell, c));
+                    }
+                    None => out.push(','),
+                }
+            }
+            out.push('\n');
+        }
+        out
+    }
+
+    /// A `booktabs` table: best bold, second best underlined.
+    pub fn latex(&self) -> String {
+        let escape = |text: &str| {
+            let mut out = String::new();
+            for c in text.chars() {
+                match c {
+                    '&' | '%' | '$' | '#' | '_' | '{' | '}' => {
+                        out.push('\\');
+                        out.push(c);
+                    }
+                    '–' => out.push_str("--"),
+                    'Δ' => out.push_str("$\\Delta$"),
+                    '²' => out.push_str("$^2$"),
+                    '×' => out.push_str("$\\times$"),
+                    other => out.push(other),
+                }
+            }
+            out
+        };
+        let n = self.columns.len();
+        let mut out = format!(
+            "\\begin{{table}}[t]\n\\centering\\small\n\\begin{{tabular}}{{@{{}}l*{{{n}}}{{c}}@{{}}}}\n\\toprule\n"
+        );
+        let mut spans: Vec<(&str, usize)> = Vec::new();
+        for column in &self.columns {
+            match spans.last_mut() {
+                Some((group, count)) if *group == column.group => *count += 1,
+                _ => spans.push((&column.group, 1)),
+            }
+        }
+        if spans.iter().any(|(group, _)| !group.is_empty()) {
+            let mut rules = String::new();
+            let mut start = 2;
+            for (group, count) in spans {
+                let _ = write!(out, " & \\multicolumn{{{count}}}{{c}}{{{}}}", escape(group));
+                if !group.is_empty() {
+                    let _ = write!(rules, "\\cmidrule(lr){{{start}-{}}}", start + count - 1);
+                }
+                start += count;
+            }
+            let _ = writeln!(out, " \\\\\n{rules}");
+        }
+        out.push_str("Method");
+        for column in &self.columns {
+            let arrow = match column.better {
+                super::Better::Higher => "$\\uparrow$",
+                super::Better::Lower => "$\\downarrow$",
+                super::Better::Neither => "",
+            };
+            let _ = write!(out, " & {}{arrow}", escape(&column.name));
+        }
+        out.push_str(" \\\\\n\\midrule\n");
+        for (row, ranks) in self.rows.iter().zip(self.ranks()) {
+            out.push_str(&escape(&Self::label(row)));
+            for (c, cell) in row.cells.iter().enumerate() {
+                let text = escape(&self.text(cell, c));
+                let _ = match ranks[c] {
+                    Rank::Best => write!(out, " & \\textbf{{{text}}}"),
+                    Rank::Second => write!(out, " & \\underline{{{text}}}"),
+                    Rank::Other => write!(out, " & {text}"),
+                };
+            }
+            out.push_str(" \\\\\n");
+        }
+        let _ = write!(
+            out,
+            "\\bottomrule\n\\end{{tabular}}\n\\caption{{{}}}\n\\label{{tab:{}}}\n\\end{{table}}\n",
+            escape(&self.caption),
+            self.name
+        );
+        out
+    }
+
+    /// JSON with unrounded values and the source of every cell.
+    pub fn json(&self) -> serde_json::Value {
+        serde_json::to_value(self).unwrap_or_default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::sample;
+
+    #[test]
+    fn markdown_marks_best_and_second_and_says_what_is_missing() {
+        let text = sample().markdown();
+        assert!(text.contains("| two | **30.00** | **0.100** | – |"), "{text}");
+        assert!(text.contains("| one (published) | **30.00** | <u>0.200</u> | 1.0 |"), "{text}");
+        assert!(text.contains("n/a: put lpips.pth into models/"), "{text}");
+    }
+
+    #[test]
+    fn csv_leaves_missing_numbers_empty() {
+        assert_eq!(
+            sample().csv(),
+            "method,published,A PSNR,A LPIPS,FPS\none,true,30.00,0.200,1.0\ntwo,false,30.00,0.100,\nthree,false,29.00,,2.0\n"
+        );
+    }
+
+    #[test]
+    fn latex_escapes_and_spans() {
+        let text = sample().latex();
+        assert!(text.contains("\\multicolumn{2}{c}{A} & \\multicolumn{1}{c}{}"), "{text}");
+        assert!(text.contains("50 \\% \\& more") && text.contains("\\textbf{0.100}"), "{text}");
+    }
+}

@@ -1,0 +1,207 @@
+//! Tables in the paper's own shape, as Markdown, CSV, LaTeX and JSON.
+//!
+//! A cell is a number with the artifact it came from, or the reason why there is none. Best and second best are marked per
+//! column among all rows that have a number, published ones included (they are labelled as published).
+
+mod format;
+pub mod paper;
+pub mod published;
+
+use serde::Serialize;
+
+/// Which direction is good.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Better {
+    /// Larger numbers are better.
+    Higher,
+    /// Smaller numbers are better.
+    Lower,
+    /// The number is information, not a score.
+    Neither,
+}
+
+impl Better {
+    /// The arrow of column heads.
+    pub fn arrow(self) -> &'static str {
+        match self {
+            Self::Higher => "↑",
+            Self::Lower => "↓",
+            Self::Neither => "",
+        }
+    }
+}
+
+/// One column.
+#[derive(Clone, Debug, Serialize)]
+pub struct Column {
+    /// The head over several columns (a data set, a scene); empty for none.
+    pub group: String,
+    /// The quantity.
+    pub name: String,
+    /// Which direction is good.
+    pub better: Better,
+    /// Decimals printed.
+    pub decimals: usize,
+}
+
+impl Column {
+    /// A column of a group.
+    pub fn new(group: &str, name: &str, better: Better, decimals: usize) -> Self {
+        Self { group: group.into(), name: name.into(), better, decimals }
+    }
+}
+
+/// One cell.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Cell {
+    /// A measured or published number and where it came from.
+    Number {
+        /// The value, unrounded.
+        value: f64,
+        /// The artifact's digest, or the publication.
+        source: String,
+    },
+    /// Why there is no number, e.g. which file is missing.
+    NotAvailable {
+        /// What to do about it.
+        reason: String,
+    },
+    /// The quantity does not apply to this row.
+    Blank,
+}
+
+impl Cell {
+    /// The number, if there is one.
+    pub fn value(&self) -> Option<f64> {
+        match self {
+            Self::Number { value, .. } if value.is_finite() => Some(*value),
+            _ => None,
+        }
+    }
+}
+
+/// One row.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    /// The method or variant.
+    pub label: String,
+    /// Copied from the paper rather than measured here.
+    pub published: bool,
+    /// One cell per column.
+    pub cells: Vec<Cell>,
+}
+
+/// A table.
+#[derive(Clone, Debug, Serialize)]
+pub struct Table {
+    /// File stem, e.g. `reconstruction`.
+    pub name: String,
+    /// What it shows, one line.
+    pub caption: String,
+    /// The columns.
+    pub columns: Vec<Column>,
+    /// The rows.
+    pub rows: Vec<Row>,
+}
+
+/// How a number ranks in its column.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Rank {
+    /// The best of its column (ties share it).
+    Best,
+    /// The second best.
+    Second,
+    /// Anything else.
+    Other,
+}
+
+impl Table {
+    /// The rank of every cell, rows × columns. A column with fewer than two numbers has no best.
+    pub fn ranks(&self) -> Vec<Vec<Rank>> {
+        let mut ranks = vec![vec![Rank::Other; self.columns.len()]; self.rows.len()];
+        for (c, column) in self.columns.iter().enumerate() {
+            let sign = match column.better {
+                Better::Higher => -1.0,
+                Better::Lower => 1.0,
+                Better::Neither => continue,
+            };
+            // Compared as printed: what looks equal ranks equal.
+            let scale = 10f64.powi(column.decimals as i32);
+            let printed =
+                |row: &Row| row.cells.get(c).and_then(Cell::value).map(|v| (sign * v * scale).round() as i64);
+            let mut values: Vec<i64> = self.rows.iter().filter_map(printed).collect();
+            if values.len() < 2 {
+                continue;
+            }
+            values.sort_unstable();
+            values.dedup();
+            for (r, row) in self.rows.iter().enumerate() {
+                if let Some(value) = printed(row) {
+                    if value == values[0] {
+                        ranks[r][c] = Rank::Best;
+                    } else if values.get(1) == Some(&value) {
+                        ranks[r][c] = Rank::Second;
+                    }
+                }
+            }
+        }
+        ranks
+    }
+
+    /// The distinct reasons for missing cells, in order of appearance.
+    pub fn missing(&self) -> Vec<&str> {
+        let mut reasons: Vec<&str> = Vec::new();
+        for cell in self.rows.iter().flat_map(|r| &r.cells) {
+            if let Cell::NotAvailable { reason } = cell
+                && !reasons.contains(&reason.as_str())
+            {
+                reasons.push(reason);
+            }
+        }
+        reasons
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    pub(super) fn sample() -> Table {
+        let n = |value| Cell::Number { value, source: "abc".into() };
+        Table {
+            name: "t".into(),
+            caption: "A caption with 50 % & more".into(),
+            columns: vec![
+                Column::new("A", "PSNR", Better::Higher, 2),
+                Column::new("A", "LPIPS", Better::Lower, 3),
+                Column::new("", "FPS", Better::Neither, 1),
+            ],
+            rows: vec![
+                Row { label: "one".into(), published: true, cells: vec![n(30.001), n(0.2), n(1.0)] },
+                Row { label: "two".into(), published: false, cells: vec![n(30.004), n(0.1), Cell::Blank] },
+                Row {
+                    label: "three".into(),
+                    published: false,
+                    cells: vec![
+                        n(29.0),
+                        Cell::NotAvailable { reason: "put lpips.pth into models/".into() },
+                        n(2.0),
+                    ],
+                },
+            ],
+        }
+    }
+
+    #[test]
+    fn ranks_follow_the_printed_digits_and_the_direction() {
+        let ranks = sample().ranks();
+        let column = |c: usize| ranks.iter().map(|r| r[c]).collect::<Vec<_>>();
+        assert_eq!(column(0), [Rank::Best, Rank::Best, Rank::Second]);
+        assert_eq!(column(1), [Rank::Second, Rank::Best, Rank::Other]);
+        assert_eq!(column(2), [Rank::Other; 3]);
+        assert_eq!(sample().missing(), ["put lpips.pth into models/"]);
+    }
+}

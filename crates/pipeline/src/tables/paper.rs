@@ -1,0 +1,380 @@
+//! The paper's tables from a batch's scores: reconstruction, enhancement, scene-wise, consistency, both ablations.
+//!
+//! A group's number is the unweighted mean over its scenes (scene-macro), as in the paper. Published rows appear for a group or
+//! scene only when this run has it, and a group only when it has as many scenes as the paper's.
+
+use super::published::{self, Published};
+use super::{Better, Cell, Column, Row, Table};
+use crate::scores::{Method, Score, ScoredScene};
+
+/// A quantity: its key in the scores, its name in heads, its direction, its decimals.
+type Quantity = (&'static str, &'static str, Better, usize);
+
+const RECONSTRUCTION: [Quantity; 3] = [
+    ("psnr", "PSNR", Better::Higher, 3),
+    ("ssim", "SSIM", Better::Higher, 3),
+    ("lpips", "LPIPS", Better::Lower, 3),
+];
+const ENHANCEMENT: [Quantity; 4] = [
+    ("uciqe", "UCIQE", Better::Higher, 3),
+    ("uranker", "URanker", Better::Higher, 3),
+    ("musiq", "MUSIQ", Better::Higher, 3),
+    ("uiqm", "UIQM", Better::Higher, 3),
+];
+const CONSISTENCY: [Quantity; 3] = [
+    ("wlpips", "wLPIPS", Better::Lower, 4),
+    ("w_delta_e", "wΔE", Better::Lower, 3),
+    ("w_ssim", "wSSIM", Better::Higher, 4),
+];
+
+/// How many scenes a published group has.
+fn published_scenes(group: &str) -> usize {
+    match group {
+        "SeaThru-4" => 4,
+        "DRUVA-20" => 20,
+        _ => 1,
+    }
+}
+
+/// Every table that the scenes can fill, in the paper's order. Empty for no scenes.
+pub fn tables(scenes: &[ScoredScene]) -> Vec<Table> {
+    if scenes.is_empty() {
+        return Vec::new();
+    }
+    let batch = Batch::new(scenes);
+    let mut tables = vec![
+        batch.reconstruction(),
+        batch.by_scene(
+            "reconstruction-scenes",
+            "Reconstruction of held-out views, scene by scene",
+            &RECONSTRUCTION,
+            &[Method::Reconstruction],
+            published::RECONSTRUCTION_SCENES,
+        ),
+        batch.enhancement(),
+        batch.by_scene(
+            "enhancement-scenes",
+            "Enhancement quality of held-out views, scene by scene",
+            &ENHANCEMENT,
+            &Method::ALL,
+            published::ENHANCEMENT_SCENES,
+        ),
+        batch.consistency(),
+    ];
+    if batch.variants.len() > 1 {
+        tables.push(batch.ablation(
+            "ablation-stage1",
+            "Variants, stage 1: reconstruction of held-out views",
+            &RECONSTRUCTION,
+            Method::Reconstruction,
+            published::ABLATION_STAGE1,
+        ));
+        tables.push(batch.ablation(
+            "ablation-stage2",
+            "Variants, stage 2: enhancement quality of held-out views",
+            &ENHANCEMENT,
+            Method::Enhanced,
+            published::ABLATION_STAGE2,
+        ));
+    }
+    tables
+}
+
+struct Batch<'a> {
+    scenes: &'a [ScoredScene],
+    /// Distinct groups (a scene without one forms its own), in order of appearance.
+    groups: Vec<String>,
+    /// Distinct variants, in order of appearance.
+    variants: Vec<&'a str>,
+}
+
+fn group_of(scene: &ScoredScene) -> &str {
+    if scene.group.is_empty() { &scene.scene } else { &scene.group }
+}
+
+impl<'a> Batch<'a> {
+    fn new(scenes: &'a [ScoredScene]) -> Self {
+        let (mut groups, mut variants): (Vec<String>, Vec<&str>) = (Vec::new(), Vec::new());
+        for scene in scenes {
+            if !groups.iter().any(|g| g == group_of(scene)) {
+                groups.push(group_of(scene).to_string());
+            }
+            if !variants.contains(&scene.variant.as_str()) {
+                variants.push(&scene.variant);
+            }
+        }
+        Self { scenes, groups, variants }
+    }
+
+    fn of_group(&self, group: &str, variant: &str) -> Vec<&'a ScoredScene> {
+        self.scenes.iter().filter(|s| group_of(s) == group && s.variant == variant).collect()
+    }
+
+    /// Whether the paper's numbers for this group may stand beside ours.
+    fn is_published(&self, group: &str) -> bool {
+        published::GROUPS.contains(&group)
+            && self.variants.iter().any(|v| self.of_group(group, v).len() == published_scenes(group))
+    }
+
+    fn label(method: Method, variant: &str) -> String {
+        if variant.is_empty() { method.label().into() } else { format!("{} · {variant}", method.label()) }
+    }
+
+    fn row(&self, method: Method, variant: &str, quantities: &[Quantity]) -> Row {
+        let cells = self.groups.iter().flat_map(|group| {
+            let scenes = self.of_group(group, variant);
+            quantities.iter().map(move |(key, ..)| macro_mean(&scenes, method, key))
+        });
+        Row { label: Self::label(method, variant), published: false, cells: cells.collect() }
+    }
+
+    fn columns(&self, quantities: &[Quantity]) -> Vec<Column> {
+        let column = |group: &str, q: &Quantity| Column::new(group, q.1, q.2, q.3);
+        self.groups.iter().flat_map(|g| quantities.iter().map(move |q| column(g, q))).collect()
+    }
+
+    /// Published rows over our groups; groups that the paper does not have stay blank.
+    fn published_rows(&self, source: &[Published], quantities: usize) -> Vec<Row> {
+        let mut methods: Vec<&str> = Vec::new();
+        for row in source.iter().filter(|r| self.groups.iter().any(|g| g == r.group && self.is_published(g)))
+        {
+            if !methods.contains(&row.method) {
+                methods.push(row.method);
+            }
+        }
+        let rows = methods.into_iter().map(|method| {
+            let cells = self.groups.iter().flat_map(|group| {
+                let found = source
+                    .iter()
+                    .find(|r| r.method == method && r.group == group && self.is_published(group));
+                (0..quantities).map(move |q| published_cell(found.and_then(|r| r.values.get(q).copied())))
+            });
+            Row { label: method.into(), published: true, cells: cells.collect() }
+        });
+        rows.collect()
+    }
+
+    fn reconstruction(&self) -> Table {
+        let mut columns = self.columns(&RECONSTRUCTION);
+        columns.push(Column::new("", "FPS", Better::Neither, 2));
+        let mut rows = self.published_rows(published::RECONSTRUCTION, 3);
+        for row in &mut rows {
+            let fps = published::FPS.iter().find(|(method, _)| *method == row.label).map(|(_, fps)| *fps);
+            row.cells.push(published_cell(fps));
+        }
+        for variant in &self.variants {
+            let mut row = self.row(Method::Reconstruction, variant, &RECONSTRUCTION);
+            row.label = Self::label(Method::Enhanced, variant);
+            let fps: Vec<f64> =
+                self.scenes.iter().filter(|s| s.variant == **variant).filter_map(|s| s.fps).collect();
+            row.cells.push(if fps.is_empty() {
+                Cell::Blank
+            } else {
+                Cell::Number {
+                    value: fps.iter().sum::<f64>() / fps.len() as f64,
+                    source: "measured on this machine".into(),
+                }
+            });
+            rows.push(row);
+        }
+        let caption = "Reconstruction of held-out views. FPS: this machine's processor for ours, the authors' graphics card for published rows";
+        Table { name: "reconstruction".into(), caption: caption.into(), columns, rows }
+    }
+
+    fn enhancement(&self) -> Table {
+        let mut rows = self.published_rows(published::ENHANCEMENT, ENHANCEMENT.len());
+        for variant in &self.variants {
+            rows.extend(Method::ALL.map(|method| self.row(method, variant, &ENHANCEMENT)));
+        }
+        Table {
+            name: "enhancement".into(),
+            caption: "Enhancement quality of held-out views (scene-macro means)".into(),
+            columns: self.columns(&ENHANCEMENT),
+            rows,
+        }
+    }
+
+    fn consistency(&self) -> Table {
+        let mut rows: Vec<Row> = Vec::new();
+        if self.groups.iter().any(|g| self.is_published(g)) {
+            rows.extend(published::CONSISTENCY.iter().map(|(method, values)| {
+                let cells = self.groups.iter().flat_map(|group| {
+                    let place = published::GROUPS
+                        .iter()
+                        .position(|g| g == group)
+                        .filter(|_| self.is_published(group));
+                    [published_cell(place.map(|i| values[i])), Cell::Blank, Cell::Blank]
+                });
+                Row { label: (*method).into(), published: true, cells: cells.collect() }
+            }));
+        }
+        for variant in &self.variants {
+            rows.extend(Method::ALL.map(|method| self.row(method, variant, &CONSISTENCY)));
+        }
+        Table {
+            name: "consistency".into(),
+            caption: "Consistency of neighbouring views. wLPIPS as in the paper; wΔE and wSSIM warp by the reconstructed depth and need no weights (not the paper's)".into(),
+            columns: self.columns(&CONSISTENCY),
+            rows,
+        }
+    }
+
+    fn by_scene(
+        &self,
+        name: &str,
+        caption: &str,
+        quantities: &[Quantity],
+        methods: &[Method],
+        source: &[Published],
+    ) -> Table {
+        let mut names: Vec<&str> = Vec::new();
+        for scene in self.scenes {
+            if !names.contains(&scene.scene.as_str()) {
+                names.push(&scene.scene);
+            }
+        }
+        let columns =
+            names.iter().flat_map(|n| quantities.iter().map(move |q| Column::new(n, q.1, q.2, q.3)));
+        let mut rows: Vec<Row> = Vec::new();
+        let mut published_methods: Vec<&str> = Vec::new();
+        for row in source.iter().filter(|r| names.contains(&r.group)) {
+            if !published_methods.contains(&row.method) {
+                published_methods.push(row.method);
+            }
+        }
+        for method in published_methods {
+            let cells = names.iter().flat_map(|name| {
+                let found = source.iter().find(|r| r.method == method && r.group == *name);
+                (0..quantities.len())
+                    .map(move |q| published_cell(found.and_then(|r| r.values.get(q).copied())))
+            });
+            rows.push(Row { label: method.into(), published: true, cells: cells.collect() });
+        }
+        for variant in &self.variants {
+            for &method in methods {
+                let cells = names.iter().flat_map(|name| {
+                    let found: Vec<&ScoredScene> =
+                        self.scenes.iter().filter(|s| s.scene == *name && s.variant == **variant).collect();
+                    quantities.iter().map(move |(key, ..)| macro_mean(&found, method, key))
+                });
+                let label = if methods.len() == 1 { Method::Enhanced } else { method };
+                rows.push(Row {
+                    label: Self::label(label, variant),
+                    published: false,
+                    cells: cells.collect(),
+                });
+            }
+        }
+        Table { name: name.into(), caption: caption.into(), columns: columns.collect(), rows }
+    }
+
+    /// One row per variant, averaged over all scenes of the run.
+    fn ablation(
+        &self,
+        name: &str,
+        caption: &str,
+        quantities: &[Quantity],
+        method: Method,
+        source: &[Published],
+    ) -> Table {
+        let columns = quantities.iter().map(|q| Column::new("", q.1, q.2, q.3)).collect();
+        let mut rows = Vec::new();
+        if self.groups.len() == 1 && self.is_published(&self.groups[0]) && self.groups[0] == "SeaThru-4" {
+            rows.extend(source.iter().map(|r| Row {
+                label: r.method.into(),
+                published: true,
+                cells: (0..quantities.len()).map(|q| published_cell(r.values.get(q).copied())).collect(),
+            }));
+        }
+        for variant in &self.variants {
+            let scenes: Vec<&ScoredScene> = self.scenes.iter().filter(|s| s.variant == **variant).collect();
+            rows.push(Row {
+                label: if variant.is_empty() { "full model".into() } else { (*variant).into() },
+                published: false,
+                cells: quantities.iter().map(|(key, ..)| macro_mean(&scenes, method, key)).collect(),
+            });
+        }
+        Table { name: name.into(), caption: caption.into(), columns, rows }
+    }
+}
+
+fn published_cell(value: Option<f64>) -> Cell {
+    value.map_or(Cell::Blank, |value| Cell::Number { value, source: published::SOURCE.into() })
+}
+
+/// The unweighted mean of the scenes' means; blank when no scene has the method or the metric.
+fn macro_mean(scenes: &[&ScoredScene], method: Method, metric: &str) -> Cell {
+    let scores: Vec<&Score> = scenes.iter().filter_map(|s| s.scores.mean(method, metric)).collect();
+    if scores.is_empty() {
+        return Cell::Blank;
+    }
+    match Score::mean(scores) {
+        Score::Value(value) => {
+            let sources: Vec<&str> = scenes.iter().map(|s| s.source.as_str()).collect();
+            Cell::Number { value, source: sources.join(" ") }
+        }
+        Score::NotAvailable(reason) => Cell::NotAvailable { reason },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scores::{MethodScores, SceneScores, Scores, ViewScores};
+
+    fn scene(name: &str, group: &str, variant: &str, psnr: f64) -> ScoredScene {
+        let view = |scores: Scores| vec![ViewScores { view: "v".into(), scores }];
+        let reconstruction = Scores::from([
+            ("psnr".to_string(), Score::Value(psnr)),
+            ("lpips".to_string(), Score::NotAvailable("put lpips_alex.pth into models/".into())),
+        ]);
+        let enhanced = Scores::from([("uciqe".to_string(), Score::Value(0.6))]);
+        ScoredScene {
+            scene: name.into(),
+            group: group.into(),
+            variant: variant.into(),
+            source: format!("digest-{name}"),
+            scores: SceneScores {
+                training_views: 7,
+                held_out_views: 1,
+                size: (4, 3),
+                gaussians: 10,
+                methods: vec![
+                    MethodScores::new(Method::Reconstruction, view(reconstruction), vec![]),
+                    MethodScores::new(Method::Enhanced, view(enhanced), vec![]),
+                ],
+            },
+            fps: Some(10.0),
+        }
+    }
+
+    #[test]
+    fn groups_are_scene_macro_means_and_published_rows_need_the_whole_group() {
+        let three = [
+            scene("IUI3-RedSea", "SeaThru-4", "", 30.0),
+            scene("Curasao", "SeaThru-4", "", 32.0),
+            scene("D3", "D3", "", 28.0),
+        ];
+        let table = &tables(&three)[0];
+        let ours = table.rows.iter().find(|r| !r.published).unwrap();
+        assert_eq!(ours.cells[0].value(), Some(31.0));
+        assert!(matches!(&ours.cells[2], Cell::NotAvailable { reason } if reason.contains("lpips_alex")));
+        let plenodium = table.rows.iter().find(|r| r.label == "Plenodium").unwrap();
+        assert_eq!(plenodium.cells[0], Cell::Blank, "two of four scenes are not SeaThru-4");
+        assert_eq!(plenodium.cells[3].value(), Some(28.686));
+        let scenes = &tables(&three)[1];
+        assert!(scenes.rows.iter().any(|r| r.published && r.cells[3].value() == Some(33.861)));
+    }
+
+    #[test]
+    fn own_captures_have_no_published_rows_and_variants_make_ablations() {
+        let mine = [scene("reef", "", "", 20.0), scene("reef", "", "vanilla", 18.0)];
+        let tables = tables(&mine);
+        assert!(tables.iter().all(|t| t.rows.iter().all(|r| !r.published)));
+        let ablation = tables.iter().find(|t| t.name == "ablation-stage1").unwrap();
+        assert_eq!(
+            ablation.rows.iter().map(|r| r.cells[0].value()).collect::<Vec<_>>(),
+            [Some(20.0), Some(18.0)]
+        );
+    }
+}

@@ -1,0 +1,10 @@
+//! The engine with synthetic stages: small, fast, and shaped like the real ones.
+
+mod batch;
+mod caching;
+mod code;
+mod config;
+mod crash;
+mod faults;
+mod shipped;
+mod stages;
