@@ -1,2 +1,73 @@
 //! The `use3d` command: arguments, progress, error texts. Nothing else.
-fn main() {}
+
+mod args;
+mod error;
+mod interrupt;
+mod listener;
+mod logging;
+mod size;
+mod verbs;
+mod video;
+
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use clap::Parser;
+use use3d_pipeline::engine::Listener;
+
+use args::{Cli, Synth, Verb};
+use error::Done;
+
+/// What every verb is given.
+pub(crate) struct App {
+    /// Say only what went wrong.
+    pub(crate) quiet: bool,
+    /// Threads to compute with.
+    pub(crate) threads: usize,
+    /// Raised by Ctrl-C and SIGTERM.
+    pub(crate) stop: Arc<AtomicBool>,
+    /// Draws what stages tell.
+    pub(crate) listener: Arc<dyn Listener>,
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    logging::start(cli.verbose, cli.quiet);
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = cli.threads.filter(|n| *n > 0).unwrap_or(cores);
+    if let Err(error) = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global() {
+        tracing::debug!("thread pool: {error}");
+    }
+    let listener: Arc<dyn Listener> = Arc::new(listener::Terminal::new(cli.quiet));
+    let app = App { quiet: cli.quiet, threads, stop: interrupt::install(), listener };
+    match run(&app, cli.verb) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => error.report(),
+    }
+}
+
+fn run(app: &App, verb: Verb) -> Done {
+    match verb {
+        Verb::Demo(args) => verbs::run::demo(app, &args),
+        Verb::Run(args) => verbs::run::run(app, &args),
+        Verb::Plan(args) => verbs::run::plan(&args),
+        Verb::Status(args) => verbs::run::status(&args),
+        Verb::Why(args) => verbs::run::why(&args),
+        Verb::Graph(args) => verbs::run::graph(&args),
+        Verb::Import(args) => verbs::stages::import(app, &args),
+        Verb::Reconstruct(args) => verbs::stages::reconstruct(app, &args),
+        Verb::Calibrate(args) => verbs::stages::calibrate(app, &args),
+        Verb::Targets(args) => verbs::stages::targets(app, &args),
+        Verb::Enhance(args) => verbs::stages::enhance(app, &args),
+        Verb::Evaluate(args) => verbs::evaluate::run(app, &args),
+        Verb::Render(args) => verbs::render::run(app, &args),
+        Verb::Export(args) => verbs::export::run(&args),
+        Verb::Synth { what: Synth::Capture(args) } => verbs::synth::capture(app, &args),
+        Verb::Synth { what: Synth::Pairs(args) } => verbs::synth::pairs(app, &args),
+        Verb::Models(args) => verbs::models::run(&args),
+        Verb::Gc(args) => verbs::cache::gc(&args),
+        Verb::Verify(args) => verbs::cache::verify(app, &args),
+        Verb::Generate(args) => verbs::generate::run(&args),
+    }
+}

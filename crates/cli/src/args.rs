@@ -1,0 +1,561 @@
+//! The words of the command line.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+/// Underwater 3D scenes that look clear, from any viewpoint, reproducibly.
+///
+/// Reconstructs a scene together with its water, learns from image pairs what "enhanced" means, and stores that
+/// enhancement in the scene itself, so that every new view comes out enhanced and consistent.
+#[derive(Debug, Parser)]
+#[command(
+    name = "use3d",
+    version,
+    max_term_width = 110,
+    subcommand_required = true,
+    arg_required_else_help = true
+)]
+#[command(after_help = "Start with `use3d demo`, then `use3d run CAPTURE_DIR` on your own COLMAP folder.")]
+pub(crate) struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub(crate) verb: Verb,
+    /// Say more (-v: details, -vv: everything).
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub(crate) verbose: u8,
+    /// Say only what went wrong.
+    #[arg(short, long, global = true)]
+    pub(crate) quiet: bool,
+    /// Threads to compute with (default: all cores). Never changes a result.
+    #[arg(long, global = true, value_name = "N", env = "USE3D_THREADS")]
+    pub(crate) threads: Option<usize>,
+}
+
+/// The verbs.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Verb {
+    /// A synthetic underwater capture, then the whole pipeline on it, then the report.
+    #[command(after_help = "Examples:\n  use3d demo\n  use3d demo --size full --out ~/use3d-demo")]
+    Demo(DemoArgs),
+    /// Run a pipeline file, or the whole pipeline with defaults on one capture folder.
+    #[command(
+        after_help = "Examples:\n  use3d run my-reef/                      results in ./use3d-out/my-reef\n  \
+        use3d run pipelines/seathru4.toml --jobs 2 --keep-going\n  \
+        use3d run pipelines/seathru4.toml --scene Panama --until reconstruct\n  \
+        use3d run my-reef/ --set reconstruct.iterations=3000 --set import.size=640x360"
+    )]
+    Run(RunArgs),
+    /// What would run, what is cached, why, and the forecast cost.
+    #[command(after_help = "Examples:\n  use3d plan pipelines/seathru4.toml\n  use3d plan my-reef/ --json")]
+    Plan(PlanArgs),
+    /// Scene × stage table: cached, stale, missing or failed.
+    #[command(after_help = "Example:\n  use3d status pipelines/seathru4.toml")]
+    Status(PlanArgs),
+    /// Which ingredient of a stage's key changed, with its old and new value.
+    #[command(after_help = "Example:\n  use3d why pipelines/seathru4.toml Panama enhance")]
+    Why(WhyArgs),
+    /// The pipeline's graph with its states, as Mermaid or SVG.
+    #[command(after_help = "Example:\n  use3d graph pipelines/seathru4.toml --format svg > graph.svg")]
+    Graph(GraphArgs),
+    /// Read a COLMAP folder: find model and images, undistort, resize, normalise, split.
+    #[command(after_help = "Examples:\n  use3d import my-reef/ --out prepared/\n  \
+        use3d import my-reef/ --out prepared/ --set size=1400x933 --set image_dir=images_wb")]
+    Import(ImportArgs),
+    /// Stage 1: reconstruct the scene with its water.
+    #[command(after_help = "Examples:\n  use3d reconstruct my-reef/ --out scene/\n  \
+        use3d reconstruct my-reef/ --out scene/ --set iterations=3000 --set medium=rbf --set image_dir=images_2")]
+    Reconstruct(ReconstructArgs),
+    /// Learn from image pairs what "enhanced" means.
+    #[command(
+        after_help = "Examples:\n  use3d calibrate --input uieb/raw-890 --target uieb/reference-890 --out calibrator.safetensors\n  \
+        use3d calibrate --input a/ --target b/ --out c.safetensors --proposer fusion"
+    )]
+    Calibrate(CalibrateArgs),
+    /// Build the scene-global and Gaussian-local targets (appearance transition consensus).
+    #[command(
+        after_help = "Example:\n  use3d targets scene/ my-reef/ --calibrator calibrator.safetensors --out targets.safetensors"
+    )]
+    Targets(TargetsArgs),
+    /// Stage 2: store the enhancement in the scene.
+    #[command(
+        after_help = "Example:\n  use3d enhance scene/ my-reef/ --targets targets.safetensors --out enhanced-scene/"
+    )]
+    Enhance(EnhanceArgs),
+    /// Score a scene on its held-out views, or plain folders of images.
+    #[command(
+        after_help = "Examples:\n  use3d evaluate enhanced-scene/ my-reef/\n  use3d evaluate --images renders/ --reference photos/ --format csv"
+    )]
+    Evaluate(EvaluateArgs),
+    /// Render a scene from given cameras.
+    #[command(
+        after_help = "Examples:\n  use3d render scene/ --cameras my-reef/ --out renders/ --modes reconstruction,clear,depth\n  \
+        use3d render enhanced-scene/ --cameras my-reef/ --path spiral --frames 120 --modes enhanced --video swim.mp4"
+    )]
+    Render(RenderArgs),
+    /// Write a scene as a 3D Gaussian splatting PLY for other viewers.
+    #[command(
+        after_help = "Example:\n  use3d export enhanced-scene/ --ply reef.ply --what enhanced --frame colmap"
+    )]
+    Export(ExportArgs),
+    /// Make synthetic underwater data with known truth.
+    Synth {
+        /// What to make.
+        #[command(subcommand)]
+        what: Synth,
+    },
+    /// Networks trained by others: which files are looked for, found or missing, licence, where to get them.
+    #[command(after_help = "Example:\n  use3d models --dir ~/use3d-models")]
+    Models(ModelsArgs),
+    /// Remove what is cheapest to make again from the cache.
+    #[command(after_help = "Examples:\n  use3d gc --max-bytes 50GB --dry-run\n  use3d gc --older-than 30d")]
+    Gc(GcArgs),
+    /// Check the cache's files against their digests, and optionally recompute a sample.
+    #[command(after_help = "Examples:\n  use3d verify\n  use3d verify pipelines/demo.toml --sample 5%")]
+    Verify(VerifyArgs),
+    /// Shell completions and man pages.
+    #[command(hide = true)]
+    Generate(GenerateArgs),
+}
+
+/// `--set` and friends.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct Settings {
+    /// Set a parameter, e.g. `iterations=3000`; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub(crate) set: Vec<String>,
+}
+
+/// The cache.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct CacheArgs {
+    /// The cache folder (default: the pipeline's, or ~/.cache/use3d).
+    #[arg(long, env = "USE3D_CACHE", value_name = "DIR")]
+    pub(crate) cache: Option<PathBuf>,
+    /// The models folder (default: the pipeline's, or ./models).
+    #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
+    pub(crate) models: Option<PathBuf>,
+    /// Read every input again instead of trusting unchanged sizes and times.
+    #[arg(long)]
+    pub(crate) rehash: bool,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum DemoSize {
+    /// A few minutes on two cores.
+    #[default]
+    Small,
+    /// The demo at the size of a real capture.
+    Full,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct DemoArgs {
+    /// Where the capture, the results and the report go.
+    #[arg(long, default_value = "use3d-out/demo", value_name = "DIR")]
+    pub(crate) out: PathBuf,
+    /// How big.
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) size: DemoSize,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+    #[command(flatten)]
+    pub(crate) cache: CacheArgs,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct RunArgs {
+    /// A pipeline file (.toml) or a capture folder.
+    #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
+    pub(crate) target: PathBuf,
+    /// Only this scene; may be repeated.
+    #[arg(long, value_name = "NAME")]
+    pub(crate) scene: Vec<String>,
+    /// Stop after this stage.
+    #[arg(long, value_name = "STAGE")]
+    pub(crate) until: Option<String>,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+    /// Stages to run side by side, within the cores and memory there are.
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    pub(crate) jobs: usize,
+    /// Go on with the other scenes when one fails.
+    #[arg(long)]
+    pub(crate) keep_going: bool,
+    /// Only say what would run (the same as `use3d plan`).
+    #[arg(long)]
+    pub(crate) dry_run: bool,
+    /// Where results go (default: ./use3d-out/<name>).
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) cache: CacheArgs,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct PlanArgs {
+    /// A pipeline file (.toml) or a capture folder.
+    #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
+    pub(crate) target: PathBuf,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+    #[command(flatten)]
+    pub(crate) cache: CacheArgs,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct WhyArgs {
+    /// A pipeline file (.toml) or a capture folder.
+    #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
+    pub(crate) target: PathBuf,
+    /// The scene's name.
+    pub(crate) scene: String,
+    /// The stage's name.
+    pub(crate) stage: String,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+    #[command(flatten)]
+    pub(crate) cache: CacheArgs,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum GraphFormat {
+    /// Text that many pages draw.
+    #[default]
+    Mermaid,
+    /// A picture.
+    Svg,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct GraphArgs {
+    /// A pipeline file (.toml) or a capture folder.
+    #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
+    pub(crate) target: PathBuf,
+    /// How to draw it.
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) format: GraphFormat,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+    #[command(flatten)]
+    pub(crate) cache: CacheArgs,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct ImportArgs {
+    /// The capture folder.
+    pub(crate) capture: PathBuf,
+    /// Where the prepared capture goes.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct ReconstructArgs {
+    /// The capture folder.
+    pub(crate) capture: PathBuf,
+    /// Where the scene goes.
+    #[arg(long, value_name = "SCENE_DIR")]
+    pub(crate) out: PathBuf,
+    /// Print where a step's time goes.
+    #[arg(long)]
+    pub(crate) profile: bool,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct CalibrateArgs {
+    /// Underwater images.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) input: PathBuf,
+    /// Their enhanced counterparts, with equal file stems.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) target: PathBuf,
+    /// The calibrator file.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: PathBuf,
+    /// The 2D enhancer that proposes: `nu2net` or `fusion` (default: nu2net when its weights are there).
+    #[arg(long, value_name = "NAME")]
+    pub(crate) proposer: Option<String>,
+    /// The models folder.
+    #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
+    pub(crate) models: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct TargetsArgs {
+    /// The reconstructed scene.
+    #[arg(value_name = "SCENE_DIR")]
+    pub(crate) scene: PathBuf,
+    /// The capture it was made from.
+    #[arg(value_name = "CAPTURE_DIR")]
+    pub(crate) capture: PathBuf,
+    /// The calibrator file.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) calibrator: PathBuf,
+    /// The targets file.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: PathBuf,
+    /// The models folder.
+    #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
+    pub(crate) models: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct EnhanceArgs {
+    /// The reconstructed scene.
+    #[arg(value_name = "SCENE_DIR")]
+    pub(crate) scene: PathBuf,
+    /// The capture it was made from.
+    #[arg(value_name = "CAPTURE_DIR")]
+    pub(crate) capture: PathBuf,
+    /// The targets file.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) targets: PathBuf,
+    /// Where the enhanced scene goes.
+    #[arg(long, value_name = "SCENE_DIR2")]
+    pub(crate) out: PathBuf,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum TableFormat {
+    /// A table for people.
+    #[default]
+    Table,
+    /// Comma-separated values.
+    Csv,
+    /// JSON.
+    Json,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct EvaluateArgs {
+    /// The scene to score.
+    #[arg(value_name = "SCENE_DIR", required_unless_present = "images", requires = "capture")]
+    pub(crate) scene: Option<PathBuf>,
+    /// The capture whose held-out views are scored.
+    #[arg(value_name = "CAPTURE_DIR")]
+    pub(crate) capture: Option<PathBuf>,
+    /// Score a plain folder of images instead.
+    #[arg(long, value_name = "DIR", conflicts_with = "scene")]
+    pub(crate) images: Option<PathBuf>,
+    /// What the images are compared with, by equal file stems.
+    #[arg(long, value_name = "DIR", requires = "images")]
+    pub(crate) reference: Option<PathBuf>,
+    /// The models folder.
+    #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
+    pub(crate) models: Option<PathBuf>,
+    /// How to print the scores.
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) format: TableFormat,
+    /// The same as `--format json`.
+    #[arg(long)]
+    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum FrameFormat {
+    /// 8-bit, clamped.
+    #[default]
+    Png,
+    /// 32-bit float, unclamped.
+    Exr,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum CameraPath {
+    /// Swim smoothly through the given cameras.
+    Interpolate,
+    /// Circle around the mean camera, looking at the scene.
+    Spiral,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct RenderArgs {
+    /// The scene to render.
+    #[arg(value_name = "SCENE_DIR")]
+    pub(crate) scene: PathBuf,
+    /// A COLMAP model folder, a capture folder, or a JSON list of cameras.
+    #[arg(long, value_name = "COLMAP_DIR|CAPTURE|FILE.json")]
+    pub(crate) cameras: PathBuf,
+    /// The folder for the frames; each mode gets a folder of its own.
+    #[arg(long, value_name = "DIR", required_unless_present = "video")]
+    pub(crate) out: Option<PathBuf>,
+    /// What to render: reconstruction, clear, enhanced, depth, alpha, object, medium, backscatter, attenuation.
+    #[arg(long, value_delimiter = ',', default_value = "reconstruction", value_name = "MODE,...")]
+    pub(crate) modes: Vec<String>,
+    /// How to write the frames.
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) format: FrameFormat,
+    /// Scale the cameras to this size.
+    #[arg(long, value_name = "WxH")]
+    pub(crate) size: Option<String>,
+    /// Only the capture's held-out views.
+    #[arg(long)]
+    pub(crate) held_out: bool,
+    /// Follow a path made from the cameras instead of the cameras themselves.
+    #[arg(long, value_enum)]
+    pub(crate) path: Option<CameraPath>,
+    /// Frames of the path.
+    #[arg(long, default_value_t = 120, value_name = "N")]
+    pub(crate) frames: usize,
+    /// Write the first mode as a video: .y4m directly, anything else through ffmpeg.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) video: Option<PathBuf>,
+    /// Frames per second of the video.
+    #[arg(long, default_value_t = 30, value_name = "N")]
+    pub(crate) fps: u32,
+    /// How much of the enhancement to apply, 0 (reconstruction) to 1.
+    #[arg(long, default_value_t = 1.0, value_name = "0..1")]
+    pub(crate) strength: f32,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ExportWhat {
+    /// Object radiance without water.
+    #[default]
+    Clear,
+    /// The enhanced field baked into the colours.
+    Enhanced,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ExportFrame {
+    /// The frame of the COLMAP model.
+    #[default]
+    Colmap,
+    /// The scene's own normalised frame.
+    Normalised,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct ExportArgs {
+    /// The scene to export.
+    #[arg(value_name = "SCENE_DIR")]
+    pub(crate) scene: PathBuf,
+    /// The PLY file.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) ply: PathBuf,
+    /// Which colours.
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) what: ExportWhat,
+    /// In which frame.
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) frame: ExportFrame,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Synth {
+    /// A swim over a procedural reef: images, COLMAP model, and the truth.
+    #[command(
+        after_help = "Example:\n  use3d synth capture --out reef/ --views 48 --size 640x360 --water 3C --seed 1"
+    )]
+    Capture(SynthArgs),
+    /// Clean and underwater images of the same places, to train a calibrator on.
+    #[command(after_help = "Example:\n  use3d synth pairs --out pairs/ --views 96")]
+    Pairs(SynthArgs),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct SynthArgs {
+    /// Where it goes.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+    /// Everything random follows from it.
+    #[arg(long, default_value_t = 42, value_name = "N")]
+    pub(crate) seed: u64,
+    /// Number of views or pairs.
+    #[arg(long, value_name = "N")]
+    pub(crate) views: Option<usize>,
+    /// Image size.
+    #[arg(long, value_name = "WxH")]
+    pub(crate) size: Option<String>,
+    /// Water type (Jerlov): I, IA, IB, II, III, 1C, 3C, 5C, 7C, 9C.
+    #[arg(long, value_name = "TYPE")]
+    pub(crate) water: Option<String>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct ModelsArgs {
+    /// The folder to look in.
+    #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
+    pub(crate) dir: Option<PathBuf>,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct GcArgs {
+    /// Keep the cache below this size, e.g. 50GB.
+    #[arg(long, value_name = "SIZE")]
+    pub(crate) max_bytes: Option<String>,
+    /// Remove what was not used for this long, e.g. 30d.
+    #[arg(long, value_name = "AGE")]
+    pub(crate) older_than: Option<String>,
+    /// Never touch what these pipelines use.
+    #[arg(long = "keep", value_name = "PIPELINE.toml")]
+    pub(crate) keep: Vec<PathBuf>,
+    /// Only say what would go.
+    #[arg(long)]
+    pub(crate) dry_run: bool,
+    #[command(flatten)]
+    pub(crate) cache: CacheArgs,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct VerifyArgs {
+    /// The pipeline whose stages may be recomputed (needed for --sample).
+    #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
+    pub(crate) target: Option<PathBuf>,
+    /// Recompute this share of the stages and compare, e.g. 5%.
+    #[arg(long, value_name = "SHARE")]
+    pub(crate) sample: Option<String>,
+    #[command(flatten)]
+    pub(crate) cache: CacheArgs,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Generated {
+    /// Man pages, one per verb.
+    Man,
+    /// Completions for bash.
+    Bash,
+    /// Completions for zsh.
+    Zsh,
+    /// Completions for fish.
+    Fish,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct GenerateArgs {
+    /// What.
+    #[arg(value_enum)]
+    pub(crate) what: Generated,
+    /// The folder to write to.
+    #[arg(long, default_value = ".", value_name = "DIR")]
+    pub(crate) out: PathBuf,
+}

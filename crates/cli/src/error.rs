@@ -1,0 +1,50 @@
+//! What a person reads when something went wrong, and the exit code a script sees.
+//!
+//! 0 done; 1 a stage failed; 2 wrong usage or bad input; 130 interrupted.
+
+use std::fmt::Display;
+use std::process::ExitCode;
+
+/// A failure on its way to the terminal.
+#[derive(Debug)]
+pub(crate) enum CliError {
+    /// Wrong usage or bad input: the message names file, field, expectation and next step.
+    Input(String),
+    /// A stage failed.
+    Failed(String),
+    /// SIGINT or SIGTERM; what was done so far is kept.
+    Interrupted,
+}
+
+/// What every verb returns.
+pub(crate) type Done = Result<(), CliError>;
+
+impl CliError {
+    /// Bad input, from any error with a message.
+    pub(crate) fn input(error: impl Display) -> Self {
+        Self::Input(error.to_string())
+    }
+
+    /// A failure of our own work, from any error with a message.
+    pub(crate) fn failed(error: impl Display) -> Self {
+        Self::Failed(error.to_string())
+    }
+
+    /// Prints itself to stderr and gives the exit code.
+    pub(crate) fn report(&self) -> ExitCode {
+        match self {
+            Self::Input(message) => {
+                eprintln!("error: {message}");
+                ExitCode::from(2)
+            }
+            Self::Failed(message) => {
+                eprintln!("error: {message}");
+                ExitCode::from(1)
+            }
+            Self::Interrupted => {
+                eprintln!("interrupted; what was done so far is kept, the same command continues from there");
+                ExitCode::from(130)
+            }
+        }
+    }
+}

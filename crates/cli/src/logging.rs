@@ -1,0 +1,43 @@
+//! Log lines go to stderr; `-v`, `-q` and `RUST_LOG` choose how many, `NO_COLOR` is honoured.
+
+use std::io::IsTerminal;
+
+use tracing_subscriber::EnvFilter;
+
+/// Starts logging.
+pub(crate) fn start(verbose: u8, quiet: bool) {
+    let default = match (quiet, verbose) {
+        (true, _) => "error",
+        (_, 0) => "warn,use3d=info",
+        (_, 1) => "info,use3d=debug",
+        (_, 2) => "debug",
+        _ => "trace",
+    };
+    let ours = [
+        "capture",
+        "io_image",
+        "io_colmap",
+        "splat",
+        "medium",
+        "atc",
+        "nets",
+        "synth",
+        "reconstruct",
+        "enhance",
+    ];
+    let mut filter = String::from(default);
+    if !quiet && verbose == 0 {
+        for name in ours.iter().chain(&["pipeline", "scene", "training"]) {
+            filter.push_str(&format!(",use3d_{name}=info"));
+        }
+    }
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(filter));
+    let color = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(color)
+        .with_target(verbose > 1)
+        .without_time()
+        .init();
+}

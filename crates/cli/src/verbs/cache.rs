@@ -1,0 +1,92 @@
+//! The cache: what may go, and whether what is there is whole.
+
+use std::collections::BTreeSet;
+
+use use3d_pipeline::config::default_cache;
+use use3d_pipeline::engine::gc::{CleanOptions, parse_age, parse_bytes};
+use use3d_pipeline::engine::{Cache, RunOptions};
+
+use crate::App;
+use crate::args::{CacheArgs, GcArgs, Settings, VerifyArgs};
+use crate::error::{CliError, Done};
+use crate::verbs::run::{json, open};
+
+fn cache(args: &CacheArgs) -> Result<Cache, CliError> {
+    let folder = match &args.cache {
+        Some(folder) => folder.clone(),
+        None => default_cache().map_err(CliError::input)?,
+    };
+    Cache::open(&folder, args.rehash).map_err(CliError::input)
+}
+
+pub(crate) fn gc(args: &GcArgs) -> Done {
+    let flag = |name: &str, error: String| CliError::Input(format!("{name}: {error}"));
+    let max_bytes =
+        args.max_bytes.as_deref().map(parse_bytes).transpose().map_err(|e| flag("--max-bytes", e))?;
+    let older_than =
+        args.older_than.as_deref().map(parse_age).transpose().map_err(|e| flag("--older-than", e))?;
+    let mut keep = BTreeSet::new();
+    for pipeline in &args.keep {
+        let loaded = open(pipeline, &[], &Settings::default(), &args.cache)?;
+        keep.extend(loaded.engine.plan(&loaded.graph, None).keys());
+    }
+    let options = CleanOptions { max_bytes, older_than, keep, dry_run: args.dry_run };
+    let cleaning = cache(&args.cache)?.clean(&options);
+    if args.json {
+        return json(&cleaning);
+    }
+    print!("{cleaning}");
+    Ok(())
+}
+
+/// A share as `5%` or `0.05`.
+fn share(text: &str) -> Result<f64, CliError> {
+    let number = match text.trim().strip_suffix('%') {
+        Some(percent) => percent.trim().parse::<f64>().map(|p| p / 100.0),
+        None => text.trim().parse::<f64>(),
+    };
+    match number {
+        Ok(share) if (0.0..=1.0).contains(&share) => Ok(share),
+        _ => Err(CliError::Input(format!("--sample {text}: expected a share such as 5% or 0.05"))),
+    }
+}
+
+pub(crate) fn verify(app: &App, args: &VerifyArgs) -> Done {
+    let mut found = cache(&args.cache)?.verify_all(true);
+    if let Some(sample) = &args.sample {
+        let share = share(sample)?;
+        let Some(target) = &args.target else {
+            let what = "recomputing needs the pipeline file or capture whose stages may be computed again";
+            return Err(CliError::Input(format!("--sample {sample}: {what}")));
+        };
+        let loaded = open(target, &[], &Settings::default(), &args.cache)?;
+        let options = RunOptions { cores: app.threads, stop: app.stop.clone(), ..RunOptions::default() };
+        let again = loaded.engine.verify_sample(&loaded.graph, share, &options, &app.listener);
+        let again = again.map_err(CliError::failed)?;
+        found.recomputed = again.recomputed;
+        found.problems.extend(again.problems);
+    }
+    if args.json {
+        json(&found)?;
+    } else {
+        print!("{found}");
+    }
+    if found.problems.is_empty() {
+        return Ok(());
+    }
+    Err(CliError::Failed(
+        "the cache has problems; damaged artifacts were moved aside and are made anew by the next run".into(),
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_are_percentages_or_fractions() {
+        assert_eq!(share("5%").unwrap(), 0.05);
+        assert_eq!(share("0.25").unwrap(), 0.25);
+        assert!(share("150%").is_err() && share("x").is_err());
+    }
+}

@@ -1,0 +1,186 @@
+//! Scores of a scene's held-out views, or of plain folders of images.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use use3d_io_image::read_image;
+use use3d_pipeline::scores::{Method, Score, Scores};
+use use3d_pipeline::scoring::Judges;
+use use3d_pipeline::stages::{evaluate::SCORES, read_json};
+
+use crate::App;
+use crate::args::{EvaluateArgs, TableFormat};
+use crate::error::{CliError, Done};
+use crate::verbs::stages::{imported, parameters, run_stage, scratch, stages};
+
+/// A named row of scores.
+struct Row {
+    method: String,
+    image: String,
+    scores: Scores,
+}
+
+pub(crate) fn run(app: &App, args: &EvaluateArgs) -> Done {
+    let rows = match (&args.images, &args.scene, &args.capture) {
+        (Some(images), _, _) => folders(images, args.reference.as_deref(), args.models.as_deref())?,
+        (None, Some(scene), Some(capture)) => scene_rows(app, args, scene, capture)?,
+        _ => return Err(CliError::Input("evaluate needs SCENE_DIR and CAPTURE_DIR, or --images DIR".into())),
+    };
+    let format = if args.json { TableFormat::Json } else { args.format };
+    print(&rows, format)
+}
+
+/// The images of a folder by stem.
+fn images(dir: &Path) -> Result<BTreeMap<String, PathBuf>, CliError> {
+    let failed = |e: std::io::Error| CliError::Input(format!("{}: {e}", dir.display()));
+    let mut found = BTreeMap::new();
+    for entry in std::fs::read_dir(dir).map_err(failed)? {
+        let path = entry.map_err(failed)?.path();
+        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+        if let (true, Some(stem)) =
+            (["png", "jpg", "jpeg", "tif", "tiff", "exr"].contains(&extension.as_str()), path.file_stem())
+        {
+            found.insert(stem.to_string_lossy().into_owned(), path);
+        }
+    }
+    if found.is_empty() {
+        return Err(CliError::Input(format!("{}: no images here (PNG, JPEG, TIFF, EXR)", dir.display())));
+    }
+    Ok(found)
+}
+
+fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Result<Vec<Row>, CliError> {
+    let judges = Judges::open(models);
+    let references = reference.map(images).transpose()?;
+    let mut rows = Vec::new();
+    for (stem, path) in images(dir)? {
+        let image = read_image(&path).map_err(CliError::input)?;
+        let mut scores = judges.alone(&image);
+        if let Some(references) = &references {
+            let Some(path) = references.get(&stem) else {
+                eprintln!("{stem}: no counterpart of this stem in the reference folder; scored without");
+                rows.push(Row { method: String::new(), image: stem, scores });
+                continue;
+            };
+            let reference = read_image(path).map_err(CliError::input)?;
+            if (image.width(), image.height()) != (reference.width(), reference.height()) {
+                return Err(CliError::Input(format!(
+                    "{stem}: the image is {}x{}, its reference {}x{}; scores need equal sizes",
+                    image.width(),
+                    image.height(),
+                    reference.width(),
+                    reference.height()
+                )));
+            }
+            scores.extend(judges.against(&image, &reference));
+        }
+        rows.push(Row { method: String::new(), image: stem, scores });
+    }
+    let mean = mean(rows.iter().map(|r| &r.scores));
+    rows.push(Row { method: String::new(), image: "mean".into(), scores: mean });
+    Ok(rows)
+}
+
+fn mean<'a>(all: impl Iterator<Item = &'a Scores>) -> Scores {
+    let all: Vec<&Scores> = all.collect();
+    let mut names: Vec<&String> = all.iter().flat_map(|s| s.keys()).collect();
+    names.sort();
+    names.dedup();
+    names.into_iter().map(|n| (n.clone(), Score::mean(all.iter().filter_map(|s| s.get(n))))).collect()
+}
+
+fn scene_rows(app: &App, args: &EvaluateArgs, scene: &Path, capture: &Path) -> Result<Vec<Row>, CliError> {
+    let registry = stages()?;
+    let parameters = parameters(&registry, &["evaluate", "import"], &args.settings.set)?;
+    let scratch = scratch()?;
+    let import = imported(app, &registry, capture, &parameters[1], scratch.path())?;
+    let mut inputs = vec![("import", import), ("scene", scene.to_path_buf())];
+    if scene.join("ubaf.safetensors").is_file() {
+        inputs.push(("enhanced", scene.to_path_buf()));
+    }
+    inputs.extend(args.models.clone().map(|dir| ("models", dir)));
+    let out = scratch.path().join("evaluate");
+    let stage = registry.stage("evaluate").map_err(CliError::failed)?;
+    run_stage(app, stage, &parameters[0], inputs, &out, None)?;
+    let scores: use3d_pipeline::scores::SceneScores =
+        read_json(&out.join(SCORES)).map_err(CliError::failed)?;
+    let mut rows = Vec::new();
+    for method in Method::ALL {
+        let Some(found) = scores.methods.iter().find(|m| m.method == method) else { continue };
+        let label = method.name().to_string();
+        for view in &found.views {
+            rows.push(Row { method: label.clone(), image: view.view.clone(), scores: view.scores.clone() });
+        }
+        for pair in &found.pairs {
+            let image = format!("{} → {}", pair.first, pair.second);
+            rows.push(Row { method: label.clone(), image, scores: pair.scores.clone() });
+        }
+        rows.push(Row { method: label, image: "mean".into(), scores: found.mean.clone() });
+    }
+    Ok(rows)
+}
+
+fn print(rows: &[Row], format: TableFormat) -> Done {
+    let mut names: Vec<&String> = rows.iter().flat_map(|r| r.scores.keys()).collect();
+    names.sort();
+    names.dedup();
+    match format {
+        TableFormat::Json => {
+            let list: Vec<_> = rows
+                .iter()
+                .map(|r| serde_json::json!({ "method": r.method, "image": r.image, "scores": r.scores }))
+                .collect();
+            return crate::verbs::run::json(&list);
+        }
+        TableFormat::Csv => {
+            let quote = |text: &str| {
+                if text.contains([',', '"']) {
+                    format!("\"{}\"", text.replace('"', "\"\""))
+                } else {
+                    text.to_string()
+                }
+            };
+            let heads: Vec<&str> = names.iter().map(|n| n.as_str()).collect();
+            println!("method,image,{}", heads.join(","));
+            for row in rows {
+                let cells: Vec<String> = (names.iter())
+                    .map(|n| {
+                        row.scores
+                            .get(*n)
+                            .and_then(Score::value)
+                            .map_or_else(String::new, |v| format!("{v:.6}"))
+                    })
+                    .collect();
+                println!("{},{},{}", quote(&row.method), quote(&row.image), cells.join(","));
+            }
+        }
+        TableFormat::Table => {
+            let wide = rows.iter().map(|r| r.image.chars().count()).max().unwrap_or(0).max(5);
+            let first = rows.iter().map(|r| r.method.chars().count()).max().unwrap_or(0);
+            print!("{:first$} {:wide$}", "", "image");
+            names.iter().for_each(|n| print!(" {n:>10}"));
+            println!();
+            for row in rows {
+                print!("{:first$} {:wide$}", row.method, row.image);
+                for name in &names {
+                    match row.scores.get(*name) {
+                        Some(Score::Value(value)) => print!(" {value:>10.4}"),
+                        Some(Score::NotAvailable(_)) => print!(" {:>10}", "n/a"),
+                        None => print!(" {:>10}", "–"),
+                    }
+                }
+                println!();
+            }
+        }
+    }
+    let mut reasons: Vec<(&str, &str)> = Vec::new();
+    for (name, score) in rows.iter().flat_map(|r| &r.scores) {
+        if let Score::NotAvailable(reason) = score
+            && !reasons.iter().any(|(n, r)| n == name && r == reason)
+        {
+            reasons.push((name, reason));
+        }
+    }
+    reasons.iter().for_each(|(name, reason)| eprintln!("{name}: {reason}"));
+    Ok(())
+}

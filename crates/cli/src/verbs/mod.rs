@@ -1,0 +1,11 @@
+//! One file per verb, or per family of verbs.
+
+pub(crate) mod cache;
+pub(crate) mod evaluate;
+pub(crate) mod export;
+pub(crate) mod generate;
+pub(crate) mod models;
+pub(crate) mod render;
+pub(crate) mod run;
+pub(crate) mod stages;
+pub(crate) mod synth;

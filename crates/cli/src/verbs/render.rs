@@ -1,0 +1,164 @@
+//! Pictures and films of a scene from any cameras.
+
+use std::path::Path;
+
+use use3d_capture::{Camera, Image, path};
+use use3d_io_colmap::read_cameras;
+use use3d_io_image::{write_exr, write_exr_map, write_png, write_png_map};
+use use3d_pipeline::engine::Event;
+use use3d_pipeline::rendering::{Frame, Mode, SceneRenderer, coefficient_picture, depth_picture};
+use use3d_scene::Scene;
+
+use crate::App;
+use crate::args::{CameraPath, FrameFormat, RenderArgs};
+use crate::error::{CliError, Done};
+use crate::interrupt;
+use crate::size::parse_size;
+use crate::video::Video;
+
+pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
+    let modes = modes(&args.modes)?;
+    if !(0.0..=1.0).contains(&args.strength) {
+        return Err(CliError::Input(format!("--strength {}: expected 0 to 1", args.strength)));
+    }
+    let scene = Scene::load(&args.scene).map_err(CliError::input)?;
+    if modes.contains(&Mode::Enhanced) && scene.enhancement.is_none() {
+        return Err(CliError::Input(format!(
+            "--modes enhanced: {} holds no enhancement; make one with `use3d enhance`",
+            args.scene.display()
+        )));
+    }
+    let cameras = cameras(args, &scene)?;
+    let mut renderer = SceneRenderer::new(&scene, args.strength).map_err(CliError::input)?;
+    let mut video = args.video.as_deref().map(|path| Video::create(path, args.fps)).transpose()?;
+    let total = cameras.len() as u64;
+    for (i, (name, camera)) in cameras.iter().enumerate() {
+        if interrupt::requested() {
+            return Err(CliError::Interrupted);
+        }
+        let label = "render";
+        app.listener.event(&Event::Progress {
+            node: 0,
+            label,
+            done: i as u64,
+            total,
+            unit: "frames",
+            message: name,
+        });
+        let frames = renderer.render(camera, &modes);
+        if let (Some(video), Some(frame), Some(mode)) = (&mut video, frames.first(), modes.first()) {
+            video.push(&picture(*mode, frame).to_8bit())?;
+        }
+        if let Some(out) = &args.out {
+            for (mode, frame) in modes.iter().zip(&frames) {
+                write(out, *mode, name, frame, args.format)?;
+            }
+        }
+    }
+    app.listener.event(&Event::Done { node: 0, label: "render", cached: true, seconds: 0.0 });
+    if let Some(video) = video {
+        video.finish()?;
+    }
+    eprintln!("{total} frames, modes {}", args.modes.join(", "));
+    Ok(())
+}
+
+fn modes(names: &[String]) -> Result<Vec<Mode>, CliError> {
+    let known = Mode::ALL.map(Mode::name).join(", ");
+    let find = |name: &String| {
+        let name = name.trim();
+        Mode::from_name(name)
+            .ok_or_else(|| CliError::Input(format!("--modes {name}: expected some of {known}")))
+    };
+    names.iter().map(find).collect()
+}
+
+/// The cameras asked for, in the scene's frame.
+fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(String, Camera)>, CliError> {
+    let mut cameras = read_cameras(&args.cameras).map_err(CliError::input)?;
+    for (_, camera) in &mut cameras {
+        camera.pose = scene.frame.apply_pose(&camera.pose);
+    }
+    if args.held_out {
+        let split = use3d_io_colmap::import(&args.cameras, &use3d_io_colmap::ImportParams::default());
+        let held_out = split.map_err(CliError::input)?.report.test;
+        cameras.retain(|(name, _)| held_out.contains(name));
+    }
+    if cameras.is_empty() {
+        return Err(CliError::Input(format!(
+            "--cameras {}: no cameras to render from",
+            args.cameras.display()
+        )));
+    }
+    if let Some(size) = &args.size {
+        let (width, height) = parse_size(size)?;
+        for (_, camera) in &mut cameras {
+            let k = camera.intrinsics;
+            let (sx, sy) = (width as f64 / k.width as f64, height as f64 / k.height as f64);
+            camera.intrinsics = k.scaled(sx, sy, width, height);
+        }
+    }
+    let keys: Vec<Camera> = cameras.iter().map(|(_, camera)| *camera).collect();
+    let film = match args.path {
+        None => return Ok(cameras),
+        Some(CameraPath::Interpolate) => path::interpolate(&keys, args.frames),
+        Some(CameraPath::Spiral) => {
+            let focus = focus(scene, &keys);
+            path::spiral(&keys, args.frames, 0.12 * focus, focus)
+        }
+    };
+    Ok(film.into_iter().enumerate().map(|(i, camera)| (format!("frame_{i:05}"), camera)).collect())
+}
+
+/// The median depth of the Gaussians in front of the first camera, scene units.
+fn focus(scene: &Scene, keys: &[Camera]) -> f64 {
+    let Some(camera) = keys.first() else { return 1.0 };
+    let point = |m: &[f32; 3]| glam::DVec3::new(m[0].into(), m[1].into(), m[2].into());
+    let mut depths: Vec<f64> =
+        scene.gaussians.means.iter().filter_map(|m| camera.project(point(m)).map(|(_, z)| z)).collect();
+    depths.sort_unstable_by(f64::total_cmp);
+    depths.get(depths.len() / 2).copied().filter(|d| d.is_finite() && *d > 0.0).unwrap_or(1.0)
+}
+
+/// A frame as people look at it.
+fn picture(mode: Mode, frame: &Frame) -> Image {
+    match frame {
+        Frame::Color(image) if matches!(mode, Mode::Backscatter | Mode::Attenuation) => {
+            coefficient_picture(image)
+        }
+        Frame::Color(image) => image.clone(),
+        Frame::Scalar(map) if mode == Mode::Depth => depth_picture(map),
+        Frame::Scalar(map) => {
+            let mut image = Image::new(map.width(), map.height());
+            let n = map.pixels();
+            for c in 0..3 {
+                image.data_mut()[c * n..(c + 1) * n].copy_from_slice(map.data());
+            }
+            image
+        }
+    }
+}
+
+fn write(out: &Path, mode: Mode, name: &str, frame: &Frame, format: FrameFormat) -> Done {
+    let stem = match name.rfind('.') {
+        Some(dot) if dot > name.rfind('/').map_or(0, |s| s + 1) => &name[..dot],
+        _ => name,
+    };
+    let extension = match format {
+        FrameFormat::Png => "png",
+        FrameFormat::Exr => "exr",
+    };
+    let path = out.join(mode.name()).join(format!("{stem}.{extension}"));
+    if let Some(parent) = path.parent() {
+        std::fs::create_dir_all(parent)
+            .map_err(|e| CliError::Input(format!("--out {}: {e}", parent.display())))?;
+    }
+    let channel = if mode == Mode::Alpha { "A" } else { "Z" };
+    let written = match (format, frame) {
+        (FrameFormat::Exr, Frame::Color(image)) => write_exr(&path, image),
+        (FrameFormat::Exr, Frame::Scalar(map)) => write_exr_map(&path, map, channel),
+        (FrameFormat::Png, Frame::Scalar(map)) if mode == Mode::Alpha => write_png_map(&path, map),
+        (FrameFormat::Png, frame) => write_png(&path, &picture(mode, frame)),
+    };
+    written.map_err(CliError::input)
+}

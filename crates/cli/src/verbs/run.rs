@@ -1,0 +1,198 @@
+//! Pipelines: run, plan, status, why, graph, and the demo.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use serde::Serialize;
+use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
+use use3d_pipeline::engine::{Cache, Engine, Graph, RunOptions, Summary, picture};
+use use3d_pipeline::results;
+
+use crate::App;
+use crate::args::{
+    CacheArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, RunArgs, Settings, WhyArgs,
+};
+use crate::error::{CliError, Done};
+use crate::verbs::stages::stages;
+
+/// A pipeline with the engine and graph to work on it.
+pub(crate) struct Loaded {
+    pub(crate) pipeline: Pipeline,
+    pub(crate) engine: Engine,
+    pub(crate) graph: Graph,
+}
+
+/// Loads a pipeline file, or makes one of a capture folder.
+pub(crate) fn open(
+    target: &Path,
+    scenes: &[String],
+    settings: &Settings,
+    cache: &CacheArgs,
+) -> Result<Loaded, CliError> {
+    let registry = stages()?;
+    let options = LoadOptions {
+        sets: settings.set.clone(),
+        cache: cache.cache.clone(),
+        models: cache.models.clone(),
+        scenes: scenes.to_vec(),
+    };
+    let pipeline = if target.is_dir() {
+        for_capture(&registry, target, &options)
+    } else if target.is_file() {
+        load(&registry, target, &options)
+    } else {
+        let what = "there is no such pipeline file (.toml) or capture folder";
+        return Err(CliError::Input(format!("{}: {what}", target.display())));
+    };
+    let pipeline = pipeline.map_err(CliError::input)?;
+    let cache = Cache::open(&pipeline.cache, cache.rehash).map_err(CliError::input)?;
+    let graph = Graph::new(&registry, &pipeline.batch).map_err(CliError::input)?;
+    Ok(Loaded { pipeline, engine: Engine::new(registry, cache), graph })
+}
+
+/// Prints one JSON document.
+pub(crate) fn json(value: &impl Serialize) -> Done {
+    let text = serde_json::to_string_pretty(value).map_err(CliError::failed)?;
+    println!("{text}");
+    Ok(())
+}
+
+fn planned(args: &PlanArgs) -> Result<(Loaded, use3d_pipeline::engine::Plan), CliError> {
+    let loaded = open(&args.target, &[], &args.settings, &args.cache)?;
+    let plan = loaded.engine.plan(&loaded.graph, None);
+    Ok((loaded, plan))
+}
+
+pub(crate) fn plan(args: &PlanArgs) -> Done {
+    let (_, plan) = planned(args)?;
+    if args.json {
+        return json(&plan);
+    }
+    print!("{plan}");
+    Ok(())
+}
+
+pub(crate) fn status(args: &PlanArgs) -> Done {
+    let (_, plan) = planned(args)?;
+    let status = plan.status();
+    if args.json {
+        return json(&status);
+    }
+    print!("{status}");
+    Ok(())
+}
+
+pub(crate) fn why(args: &WhyArgs) -> Done {
+    let loaded = open(&args.target, &[], &args.settings, &args.cache)?;
+    // `SCENE` or `SCENE@VARIANT`.
+    let (scene, variant) = args.scene.split_once('@').unwrap_or((&args.scene, ""));
+    let why = loaded.engine.why(&loaded.graph, scene, variant, &args.stage).map_err(CliError::input)?;
+    if args.json {
+        return json(&why);
+    }
+    print!("{why}");
+    Ok(())
+}
+
+pub(crate) fn graph(args: &GraphArgs) -> Done {
+    let loaded = open(&args.target, &[], &args.settings, &args.cache)?;
+    let plan = loaded.engine.plan(&loaded.graph, None);
+    match args.format {
+        GraphFormat::Mermaid => print!("{}", picture::mermaid(&loaded.graph, &plan)),
+        GraphFormat::Svg => print!("{}", picture::svg(&loaded.graph, &plan)),
+    }
+    Ok(())
+}
+
+pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
+    let loaded = open(&args.target, &args.scene, &args.settings, &args.cache)?;
+    let until = args.until.clone().map(|stage| vec![stage]);
+    if let Some(stage) = &args.until {
+        loaded.engine.registry.stage(stage).map_err(CliError::input)?;
+    }
+    if args.dry_run {
+        print!("{}", loaded.engine.plan(&loaded.graph, until.as_deref()));
+        return Ok(());
+    }
+    if args.jobs == 0 {
+        return Err(CliError::Input("--jobs 0: at least one stage must be able to run".into()));
+    }
+    let out =
+        args.out.clone().unwrap_or_else(|| PathBuf::from("use3d-out").join(&loaded.pipeline.batch.name));
+    execute(app, &loaded, until, args.jobs, args.keep_going, &out)
+}
+
+fn execute(
+    app: &App,
+    loaded: &Loaded,
+    until: Option<Vec<String>>,
+    jobs: usize,
+    keep_going: bool,
+    out: &Path,
+) -> Done {
+    let options = RunOptions {
+        jobs,
+        cores: app.threads,
+        keep_going,
+        until,
+        stop: app.stop.clone(),
+        ..RunOptions::default()
+    };
+    let summary = loaded.engine.run(&loaded.graph, &options, &app.listener);
+    print!("{summary}");
+    if !summary.interrupted {
+        deliver(app, &summary, out)?;
+    }
+    match summary.exit_code() {
+        0 => Ok(()),
+        130 => Err(CliError::Interrupted),
+        _ => Err(CliError::Failed("some stages failed; the summary above names them and their logs".into())),
+    }
+}
+
+/// Puts what a person wants to see into the results folder.
+fn deliver(app: &App, summary: &Summary, out: &Path) -> Done {
+    let delivered =
+        results::deliver(summary, out).map_err(|e| CliError::Input(format!("{}: {e}", out.display())))?;
+    if !app.quiet {
+        for (what, path) in delivered {
+            println!("{what:<10} {}", path.display());
+        }
+    }
+    Ok(())
+}
+
+pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
+    let started = Instant::now();
+    let (views, width, height, iterations, steps) = match args.size {
+        DemoSize::Small => (40, 320, 180, 3000, 1200),
+        DemoSize::Full => (48, 640, 360, 15_000, 5000),
+    };
+    let params = use3d_synth::CaptureParams { views, width, height, ..use3d_synth::CaptureParams::default() };
+    let capture = args.out.join("reef");
+    // The capture is a function of its parameters; one that is there with the same ones is taken as it is.
+    let stamp = args.out.join("reef.params.json");
+    let wanted = serde_json::to_string_pretty(&params).map_err(CliError::failed)?;
+    if !capture.is_dir() || std::fs::read_to_string(&stamp).ok().as_ref() != Some(&wanted) {
+        if capture.is_dir() {
+            std::fs::remove_dir_all(&capture)
+                .map_err(|e| CliError::Input(format!("{}: {e}", capture.display())))?;
+        }
+        std::fs::create_dir_all(&args.out)
+            .map_err(|e| CliError::Input(format!("--out {}: {e}", args.out.display())))?;
+        use3d_synth::write_capture(&params, &capture, &mut super::synth::tell(app, "synth capture"))
+            .map_err(CliError::input)?;
+        std::fs::write(&stamp, &wanted).map_err(|e| CliError::Input(format!("{}: {e}", stamp.display())))?;
+    }
+    let mut sets =
+        vec![format!("reconstruct.iterations={iterations}"), format!("enhance.iterations={steps}")];
+    sets.extend(args.settings.set.iter().cloned());
+    let mut cache = args.cache.clone();
+    cache.cache.get_or_insert_with(|| args.out.join("cache"));
+    let loaded = open(&capture, &[], &Settings { set: sets }, &cache)?;
+    execute(app, &loaded, None, 1, false, &args.out.join("results"))?;
+    if !app.quiet {
+        println!("the demo took {:.0} s", started.elapsed().as_secs_f64());
+    }
+    Ok(())
+}

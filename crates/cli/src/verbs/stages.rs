@@ -1,0 +1,217 @@
+//! One stage by hand, without a pipeline file: the same code and defaults.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+use use3d_pipeline::config::stage_parameters;
+use use3d_pipeline::engine::{Alone, Registry, Stage, StageError};
+use use3d_pipeline::stages::{CALIBRATOR, TARGETS, registry};
+
+use crate::App;
+use crate::args::{CalibrateArgs, EnhanceArgs, ImportArgs, ReconstructArgs, TargetsArgs};
+use crate::error::{CliError, Done};
+
+/// The seed of stages that are run by hand, as in a pipeline without one; `--set seed=N` moves it.
+const SEED: u64 = 42;
+
+/// A folder that goes away with the command.
+pub(crate) fn scratch() -> Result<tempfile::TempDir, CliError> {
+    tempfile::Builder::new().prefix("use3d-").tempdir().map_err(|e| {
+        CliError::Failed(format!("cannot make a temporary folder: {e}; set TMPDIR to one with space"))
+    })
+}
+
+/// The table of stages.
+pub(crate) fn stages() -> Result<Registry, CliError> {
+    registry().map_err(CliError::failed)
+}
+
+/// Runs one stage of the table into `output`.
+pub(crate) fn run_stage(
+    app: &App,
+    stage: &Stage,
+    parameters: &Value,
+    inputs: Vec<(&str, PathBuf)>,
+    output: &Path,
+    checkpoints: Option<PathBuf>,
+) -> Done {
+    let alone = Alone {
+        parameters,
+        inputs: inputs.into_iter().map(|(role, path)| (role.to_string(), path)).collect(),
+        output,
+        checkpoints,
+        seed: SEED,
+        threads: app.threads,
+        stop: app.stop.clone(),
+    };
+    stage.run_alone(alone, &app.listener).map_err(|error| match error {
+        StageError::Cancelled => CliError::Interrupted,
+        StageError::Failed(_) => CliError::Input(error.to_string()),
+    })
+}
+
+/// Settings sorted to the stages whose parameters they name: `STAGE.KEY`, or `KEY` of the first stage that has it.
+pub(crate) fn parameters(
+    registry: &Registry,
+    names: &[&str],
+    sets: &[String],
+) -> Result<Vec<Value>, CliError> {
+    let stages =
+        names.iter().map(|n| registry.stage(n).map_err(CliError::failed)).collect::<Result<Vec<_>, _>>()?;
+    let defaults: Vec<Value> =
+        stages.iter().map(|s| stage_parameters(s, &[]).map_err(CliError::input)).collect::<Result<_, _>>()?;
+    let mut sorted: Vec<Vec<String>> = vec![Vec::new(); stages.len()];
+    for set in sets {
+        let key = set.split(['=', '.']).next().unwrap_or_default().trim();
+        let named = names.iter().position(|n| *n == key && set.trim_start()[key.len()..].starts_with('.'));
+        let has = defaults.iter().position(|d| d.get(key).is_some());
+        // A key that no stage has is reported by the first one, which knows the nearest.
+        sorted[named.or(has).unwrap_or(0)].push(set.clone());
+    }
+    stages.iter().zip(&sorted).map(|(s, sets)| stage_parameters(s, sets).map_err(CliError::input)).collect()
+}
+
+/// Where an unfinished stage by hand keeps its checkpoints: beside its result, hidden.
+fn checkpoints(out: &Path) -> PathBuf {
+    let name = out.file_name().unwrap_or_default().to_string_lossy();
+    out.with_file_name(format!(".{name}.checkpoints"))
+}
+
+/// Removes checkpoints that have served.
+fn forget(folder: &Path) {
+    if let Err(error) = std::fs::remove_dir_all(folder)
+        && error.kind() != std::io::ErrorKind::NotFound
+    {
+        tracing::warn!("{}: {error}; the checkpoints there are no longer needed", folder.display());
+    }
+}
+
+/// Refuses to replace a folder that is not a result of ours.
+pub(crate) fn check_output(out: &Path) -> Done {
+    let refuse = |what: &str| {
+        Err(CliError::Input(format!(
+            "--out {}: {what}; choose another name or remove it first",
+            out.display()
+        )))
+    };
+    match std::fs::read_dir(out) {
+        Ok(mut entries) => {
+            let ours = ["scene.json", "capture.json", "scores.json"].iter().any(|f| out.join(f).is_file());
+            if entries.next().is_some() && !ours {
+                refuse("this folder exists and is not empty")
+            } else {
+                Ok(())
+            }
+        }
+        Err(_) if out.exists() => refuse("this is a file"),
+        Err(_) => Ok(()),
+    }
+}
+
+/// Imports a capture into a scratch folder (or takes one that was imported before as it is).
+pub(crate) fn imported(
+    app: &App,
+    registry: &Registry,
+    capture: &Path,
+    parameters: &Value,
+    scratch: &Path,
+) -> Result<PathBuf, CliError> {
+    if use3d_io_colmap::is_prepared(capture) {
+        return Ok(capture.to_path_buf());
+    }
+    let folder = scratch.join("import");
+    let stage = registry.stage("import").map_err(CliError::failed)?;
+    run_stage(app, stage, parameters, vec![("capture", capture.to_path_buf())], &folder, None)?;
+    Ok(folder)
+}
+
+/// Moves a stage's file out of its artifact.
+fn deliver(file: &Path, out: &Path) -> Done {
+    if let Some(parent) = out.parent().filter(|p| !p.as_os_str().is_empty()) {
+        std::fs::create_dir_all(parent)
+            .map_err(|e| CliError::Input(format!("--out {}: {e}", out.display())))?;
+    }
+    let name = out.file_name().unwrap_or_default().to_string_lossy();
+    let part = out.with_file_name(format!(".{name}.part"));
+    let moved = std::fs::copy(file, &part).and_then(|_| std::fs::rename(&part, out));
+    moved.map_err(|e| {
+        let _ = std::fs::remove_file(&part);
+        CliError::Input(format!("--out {}: {e}", out.display()))
+    })
+}
+
+pub(crate) fn import(app: &App, args: &ImportArgs) -> Done {
+    check_output(&args.out)?;
+    let registry = stages()?;
+    let parameters = parameters(&registry, &["import"], &args.settings.set)?;
+    let stage = registry.stage("import").map_err(CliError::failed)?;
+    run_stage(app, stage, &parameters[0], vec![("capture", args.capture.clone())], &args.out, None)
+}
+
+pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
+    check_output(&args.out)?;
+    let registry = stages()?;
+    let parameters = parameters(&registry, &["reconstruct", "import"], &args.settings.set)?;
+    let scratch = scratch()?;
+    let import = imported(app, &registry, &args.capture, &parameters[1], scratch.path())?;
+    let kept = checkpoints(&args.out);
+    let stage = registry.stage("reconstruct").map_err(CliError::failed)?;
+    run_stage(app, stage, &parameters[0], vec![("import", import)], &args.out, Some(kept.clone()))?;
+    forget(&kept);
+    Ok(())
+}
+
+pub(crate) fn calibrate(app: &App, args: &CalibrateArgs) -> Done {
+    let registry = stages()?;
+    let mut sets = args.settings.set.clone();
+    if let Some(proposer) = &args.proposer {
+        sets.push(format!("pairs.proposer={proposer}"));
+    }
+    let parameters = parameters(&registry, &["calibrate", "pairs"], &sets)?;
+    let scratch = scratch()?;
+    let pairs = scratch.path().join("pairs");
+    let mut inputs = vec![("input", args.input.clone()), ("target", args.target.clone())];
+    inputs.extend(args.models.clone().map(|dir| ("models", dir)));
+    run_stage(app, registry.stage("pairs").map_err(CliError::failed)?, &parameters[1], inputs, &pairs, None)?;
+    let out = scratch.path().join("calibrate");
+    let stage = registry.stage("calibrate").map_err(CliError::failed)?;
+    run_stage(app, stage, &parameters[0], vec![("pairs", pairs)], &out, None)?;
+    deliver(&out.join(CALIBRATOR), &args.out)
+}
+
+pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
+    let registry = stages()?;
+    let parameters = parameters(&registry, &["targets", "import"], &args.settings.set)?;
+    let scratch = scratch()?;
+    let import = imported(app, &registry, &args.capture, &parameters[1], scratch.path())?;
+    let mut inputs =
+        vec![("import", import), ("scene", args.scene.clone()), ("calibrator", args.calibrator.clone())];
+    inputs.extend(args.models.clone().map(|dir| ("models", dir)));
+    let out = scratch.path().join("targets");
+    run_stage(app, registry.stage("targets").map_err(CliError::failed)?, &parameters[0], inputs, &out, None)?;
+    // The pictures that show why consensus matters go beside the file.
+    let previews = args.out.with_extension("previews");
+    if out.join("previews").is_dir() {
+        std::fs::create_dir_all(&previews)
+            .map_err(|e| CliError::Input(format!("{}: {e}", previews.display())))?;
+        for entry in std::fs::read_dir(out.join("previews")).map_err(CliError::failed)? {
+            let entry = entry.map_err(CliError::failed)?;
+            deliver(&entry.path(), &previews.join(entry.file_name()))?;
+        }
+    }
+    deliver(&out.join(TARGETS), &args.out)
+}
+
+pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
+    check_output(&args.out)?;
+    let registry = stages()?;
+    let parameters = parameters(&registry, &["enhance", "import"], &args.settings.set)?;
+    let scratch = scratch()?;
+    let import = imported(app, &registry, &args.capture, &parameters[1], scratch.path())?;
+    let inputs = vec![("import", import), ("scene", args.scene.clone()), ("targets", args.targets.clone())];
+    let kept = checkpoints(&args.out);
+    let stage = registry.stage("enhance").map_err(CliError::failed)?;
+    run_stage(app, stage, &parameters[0], inputs, &args.out, Some(kept.clone()))?;
+    forget(&kept);
+    Ok(())
+}
