@@ -88,16 +88,25 @@ impl Convolution {
     pub(crate) fn forward_joined(&self, inputs: &[&Planes], activation: Activation) -> Planes {
         let (height, width) = self.output_size(inputs[0].height, inputs[0].width);
         let mut out = Planes::new(self.outputs(), height, width);
-        self.run(inputs, activation, false, &mut out);
+        self.run(inputs, Finish { activation, ..Finish::default() }, &mut out);
+        out
+    }
+
+    /// As [`forward_joined`](Self::forward_joined), with maps of the size of the output added before the activation: the part
+    /// of a convolution whose inputs do not change from call to call.
+    pub(crate) fn forward_onto(&self, inputs: &[&Planes], addend: &Planes, activation: Activation) -> Planes {
+        let mut out = Planes::new(addend.channels, addend.height, addend.width);
+        let finish = Finish { addend: Some(&addend.data), activation, ..Finish::default() };
+        self.run(inputs, finish, &mut out);
         out
     }
 
     /// Adds the convolution to `out`.
     pub(crate) fn add_to(&self, input: &Planes, out: &mut Planes) {
-        self.run(&[input], Activation::Identity, true, out);
+        self.run(&[input], Finish { accumulate: true, ..Finish::default() }, out);
     }
 
-    fn run(&self, inputs: &[&Planes], activation: Activation, accumulate: bool, out: &mut Planes) {
+    fn run<'a>(&'a self, inputs: &[&Planes], finish: Finish<'a>, out: &mut Planes) {
         let (height, width) = (inputs[0].height, inputs[0].width);
         assert!(inputs.iter().all(|p| p.height == height && p.width == width));
         assert_eq!(inputs.iter().map(|p| p.channels).sum::<usize>(), self.inputs, "input channels");
@@ -105,7 +114,7 @@ impl Convolution {
             (self.output_size(height, width), out.channels),
             ((out.height, out.width), self.outputs())
         );
-        let finish = Finish { bias: self.bias.as_deref(), activation, accumulate };
+        let finish = Finish { bias: self.bias.as_deref(), ..finish };
         let columns = out.area();
         let pointwise = self.kernel == (1, 1) && self.stride == 1 && self.padding == Padding::same(0);
         if let (true, [input]) = (pointwise, inputs) {
@@ -370,6 +379,24 @@ mod tests {
             // The same channels as two separate inputs.
             let (first, second) = (input.slice(0..1), input.slice(1..shape[1]));
             close(&conv.forward_joined(&[&first, &second], Activation::Identity).data, &expected);
+            // One of them as a part computed before.
+            let kernel = shape[2] * shape[3];
+            let part = |channels: std::ops::Range<usize>, bias: Option<Vec<f32>>| {
+                let picked: Vec<f32> = w
+                    .chunks_exact(shape[1] * kernel)
+                    .flat_map(|o| o[channels.start * kernel..channels.end * kernel].to_vec())
+                    .collect();
+                Convolution::new(
+                    [shape[0], channels.len(), shape[2], shape[3]],
+                    &picked,
+                    bias,
+                    stride,
+                    padding,
+                )
+            };
+            let before = part(0..1, Some(bias.clone())).forward(&first, Activation::Identity);
+            let rest = part(1..shape[1], None).forward_onto(&[&second], &before, Activation::Identity);
+            close(&rest.data, &expected);
         }
     }
 

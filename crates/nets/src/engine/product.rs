@@ -76,7 +76,9 @@ impl Packed {
 pub(crate) struct Finish<'a> {
     /// One value per row, or none.
     pub(crate) bias: Option<&'a [f32]>,
-    /// Applied to the sum with its bias.
+    /// A matrix of the shape of `out`, added to the sum with its bias, or none.
+    pub(crate) addend: Option<&'a [f32]>,
+    /// Applied to the sum with its bias and addend.
     pub(crate) activation: Activation,
     /// Add to what `out` holds instead of replacing it.
     pub(crate) accumulate: bool,
@@ -192,6 +194,10 @@ pub(crate) fn product(
                 let bias = finish.bias.map_or(0.0, |bias| bias[r]);
                 for (t, piece) in row.chunks_mut(LANES).enumerate() {
                     let sums = &mut tiles[t * height + r * LANES..][..LANES];
+                    if let Some(addend) = finish.addend {
+                        let addend = &addend[r * columns + first + t * LANES..][..piece.len()];
+                        sums.iter_mut().zip(addend).for_each(|(s, a)| *s += a);
+                    }
                     lanes::finish(level, finish.activation, bias, sums);
                     if finish.accumulate {
                         piece.iter_mut().zip(sums).for_each(|(o, s)| *o += *s);

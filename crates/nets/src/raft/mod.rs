@@ -95,6 +95,7 @@ impl Raft {
         let mut inputs = context.slice(HIDDEN..2 * HIDDEN);
         lanes::apply(Activation::Relu, &mut inputs.data);
         drop(context);
+        let inputs = self.update.context_part(&inputs);
         let mut flow = Planes::new(2, height, width);
         for step in 0..updates {
             let found = correlation.lookup(&flow);

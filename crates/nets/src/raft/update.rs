@@ -24,13 +24,23 @@ pub(crate) struct Update {
     head: [Convolution; 2],
 }
 
-/// One gated recurrent unit.
+/// One gated recurrent unit. The context is the same at every update, so its part of the sums is computed once.
 #[derive(Clone, Debug)]
 struct Gated {
     /// z and r in one convolution: they see the same input.
-    gates: Convolution,
-    candidate: Convolution,
+    gates: Split,
+    candidate: Split,
 }
+
+/// A convolution of `[h, context, motion]`, split into the part of the context and the rest.
+#[derive(Clone, Debug)]
+struct Split {
+    context: Convolution,
+    rest: Convolution,
+}
+
+/// The context's part of the gates and the candidate of both units.
+pub(crate) struct ContextPart([[Planes; 2]; 2]);
 
 impl Update {
     pub(crate) fn read(weights: &mut dyn Weights) -> Result<Self, NetError> {
@@ -61,14 +71,22 @@ impl Update {
         motion
     }
 
+    /// What the context adds to every update.
+    pub(crate) fn context_part(&self, context: &Planes) -> ContextPart {
+        ContextPart([0, 1].map(|i| {
+            let unit = &self.units[i];
+            [&unit.gates, &unit.candidate].map(|c| c.context.forward(context, Activation::Identity))
+        }))
+    }
+
     /// Updates the hidden state.
-    pub(crate) fn refine(&self, hidden: &mut Planes, context: &Planes, motion: &Planes) {
-        for unit in &self.units {
-            let gates = unit.gates.forward_joined(&[hidden, context, motion], Activation::Sigmoid);
+    pub(crate) fn refine(&self, hidden: &mut Planes, context: &ContextPart, motion: &Planes) {
+        for (unit, [for_gates, for_candidate]) in self.units.iter().zip(&context.0) {
+            let gates = unit.gates.rest.forward_onto(&[hidden, motion], for_gates, Activation::Sigmoid);
             let (z, r) = gates.data.split_at(hidden.data.len());
             let mut reset = hidden.clone();
             reset.data.iter_mut().zip(r).for_each(|(h, r)| *h *= r);
-            let q = unit.candidate.forward_joined(&[&reset, context, motion], Activation::Tanh);
+            let q = unit.candidate.rest.forward_onto(&[&reset, motion], for_candidate, Activation::Tanh);
             for ((h, z), q) in hidden.data.iter_mut().zip(z).zip(&q.data) {
                 *h = (1.0 - z) * *h + z * q;
             }
@@ -83,20 +101,35 @@ impl Update {
 
 impl Gated {
     fn read(name: &str, kernel: (usize, usize), weights: &mut dyn Weights) -> Result<Self, NetError> {
-        let shape = [HIDDEN, 3 * HIDDEN, kernel.0, kernel.1];
-        let padding = Padding::of(kernel.0 / 2, kernel.1 / 2);
         let part = |gate: &str| format!("update_block.recurrent_block.{name}.{gate}");
-        let mut both = Vec::new();
-        let mut bias = Vec::new();
-        for gate in ["convz", "convr"] {
-            both.extend(weights.tensor(&format!("{}.weight", part(gate)), &shape)?);
-            bias.extend(weights.tensor(&format!("{}.bias", part(gate)), &shape[..1])?);
-        }
-        let gates = [2 * HIDDEN, 3 * HIDDEN, kernel.0, kernel.1];
         Ok(Self {
-            gates: Convolution::new(gates, &both, Some(bias), 1, padding),
-            candidate: weights.convolution(&part("convq"), shape, 1, padding)?,
+            gates: Split::read(&[part("convz"), part("convr")], kernel, weights)?,
+            candidate: Split::read(&[part("convq")], kernel, weights)?,
         })
+    }
+}
+
+impl Split {
+    /// Reads convolutions of the same inputs as one.
+    fn read(names: &[String], kernel: (usize, usize), weights: &mut dyn Weights) -> Result<Self, NetError> {
+        let area = kernel.0 * kernel.1;
+        let padding = Padding::of(kernel.0 / 2, kernel.1 / 2);
+        let (mut context, mut rest, mut bias) = (Vec::new(), Vec::new(), Vec::new());
+        for name in names {
+            let shape = [HIDDEN, 3 * HIDDEN, kernel.0, kernel.1];
+            for output in weights.tensor(&format!("{name}.weight"), &shape)?.chunks_exact(3 * HIDDEN * area) {
+                let (hidden, others) = output.split_at(HIDDEN * area);
+                let (of_context, motion) = others.split_at(HIDDEN * area);
+                context.extend_from_slice(of_context);
+                rest.extend_from_slice(hidden);
+                rest.extend_from_slice(motion);
+            }
+            bias.extend(weights.tensor(&format!("{name}.bias"), &shape[..1])?);
+        }
+        let conv = |inputs, values: &[f32], bias| {
+            Convolution::new([names.len() * HIDDEN, inputs, kernel.0, kernel.1], values, bias, 1, padding)
+        };
+        Ok(Self { context: conv(HIDDEN, &context, Some(bias)), rest: conv(2 * HIDDEN, &rest, None) })
     }
 }
 
