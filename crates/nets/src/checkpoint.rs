@@ -2,8 +2,9 @@
 //!
 //! Nothing in a file is executed: `pytorch-reader` interprets the pickle's opcodes as data. Opening reads names and shapes only; a tensor's values are
 //! read when a network asks for it, after its shape was found to be the expected one, so a file cannot make us allocate more
-//! than the network it claims to be. A state dict may lie at the root or under one of [`NESTED`]; anything beside it (optimiser
-//! state) is left alone. `module.` in front of all names, as data-parallel training leaves it, is dropped.
+//! than the network it claims to be. A state dict may lie at the root or under `net`, `state_dict`, `model`, `params` or
+//! `model_state_dict`; anything beside it (optimiser state) is left alone. `module.` in front of all names, as data-parallel
+//! training leaves it, is dropped.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
