@@ -182,6 +182,7 @@ fn golden_whole_steps() {
 fn whole_steps_agree_with_their_differences() {
     let part = Part::math("ubaf");
     for case in steps(&part) {
+        let mut smooth = 0;
         for seed in 0..4 {
             let mut e = Example::new(&case);
             let draw = Stream::new(seed, Purpose::new("step differences"), 0);
@@ -217,15 +218,22 @@ fn whole_steps_agree_with_their_differences() {
                         .sum();
                     (value, moved)
                 };
-                let ((up, moved_up), (down, moved_down)) = (at(1.0), at(-1.0));
+                let ((up, moved_up), (down, moved_down), (here, _)) = (at(1.0), at(-1.0), at(0.0));
                 e.field.parameters.copy_from_slice(&start);
                 let (found, expected) = (up - down, moved_up - moved_down);
                 let scale: f64 = range.clone().map(|i| gradient[i].abs() * step).sum();
+                // The field is piecewise linear along the guide: where the slopes to both sides differ, a node is being crossed
+                // and a difference says nothing about the derivative.
+                if ((up - here) - (here - down)).abs() > 0.02 * scale + 3e-6 {
+                    continue;
+                }
+                smooth += 1;
                 assert!(
                     (found - expected).abs() < 0.02 * scale + 3e-6,
                     "seed {seed}, {group}: the loss moved by {found:e}, the gradient says {expected:e}"
                 );
             }
         }
+        assert!(smooth >= 12, "only {smooth} of 24 directions were smooth enough to judge");
     }
 }

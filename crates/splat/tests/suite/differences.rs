@@ -2,7 +2,7 @@
 
 use use3d_capture::MediumMaps;
 use use3d_numerics::random::{Purpose, Stream};
-use use3d_splat::{Cotangents, GaussianGradients, Gaussians, Options, Rasterizer, Rendered};
+use use3d_splat::{Cotangents, GaussianGradients, Gaussians, Options, Rasterizer, Rendered, view_colors};
 
 use crate::support::{prepared, random_camera, random_gaussians, random_image, random_map, random_medium};
 
@@ -16,8 +16,9 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
     a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
 }
 
-/// The loss is smooth but for the 1/255 contour and the stop; the scenes are made so that steps across those are small, and the
-/// median over many entries is asked to agree, with a bound for all.
+/// The loss jumps where a 1/255 contour crosses a pixel centre, where a pixel stops, and where two depths change order. Ten wide
+/// Gaussians put their contours outside the image and leave transmittance everywhere; what is left of the jumps is bounded
+/// by asking the median of eight random directions to agree, with a looser bound for all.
 fn check(scene: &mut Scene, options: Options, seed: u64) {
     let (w, h) = (scene.camera.intrinsics.width, scene.camera.intrinsics.height);
     let mut rasterizer = Rasterizer::new();
@@ -30,15 +31,17 @@ fn check(scene: &mut Scene, options: Options, seed: u64) {
         accumulation: Some(&accumulation),
         clear: Some(&clear),
     };
-    let loss = |scene: &Scene, rasterizer: &mut Rasterizer| {
+    // The view direction of a colour is detached from the mean (R28): moved means keep the colours of where they were.
+    let mut colors = Vec::new();
+    view_colors(&scene.gaussians, &scene.camera, scene.gaussians.sh_degree, &mut colors);
+    let loss = |scene: &Scene, rasterizer: &mut Rasterizer, detached: bool| {
         let mut out = Rendered::new();
         let with_layers = Options { layers: true, ..options };
-        rasterizer.forward(
-            &prepared(&scene.gaussians, &scene.camera),
-            scene.medium.as_ref(),
-            &with_layers,
-            &mut out,
-        );
+        let mut view = prepared(&scene.gaussians, &scene.camera);
+        if detached {
+            view.set_colors(&colors);
+        }
+        rasterizer.forward(&view, scene.medium.as_ref(), &with_layers, &mut out);
         dot(out.image.data(), image.data())
             + dot(out.depth.data(), depth.data())
             + dot(out.accumulation.data(), accumulation.data())
@@ -57,6 +60,13 @@ fn check(scene: &mut Scene, options: Options, seed: u64) {
         &mut grads,
         Some(&mut maps),
     );
+    // f32 images carry about this much rounding into the loss.
+    let rounding = 1e-7
+        * [image.data(), clear.data(), depth.data(), accumulation.data()]
+            .iter()
+            .flat_map(|cotangent| cotangent.iter())
+            .map(|c| f64::from(c.abs()))
+            .sum::<f64>();
     let stream = Stream::new(seed, Purpose::new("directions"), 0);
     let n = scene.gaussians.len();
     // Directional derivatives along random directions of each parameter group.
@@ -90,20 +100,27 @@ fn check(scene: &mut Scene, options: Options, seed: u64) {
                 for (v, (o, d)) in values(&mut scene.gaussians).iter_mut().zip(old.iter().zip(&direction)) {
                     *v = o + sign * step * d;
                 }
-                loss(scene, &mut rasterizer)
+                loss(scene, &mut rasterizer, name == "means")
             };
-            let numeric = (at(1.0) - at(-1.0)) / (2.0 * f64::from(step));
+            let (up, here, down) = (at(1.0), at(0.0), at(-1.0));
+            let numeric = (up - down) / (2.0 * f64::from(step));
             values(&mut scene.gaussians).copy_from_slice(&old);
+            // Two depths that change order make a jump: a difference across it says nothing about the derivative.
+            if (up - 2.0 * here + down).abs() > 0.1 * (up - down).abs() + 2.0 * rounding {
+                continue;
+            }
             let analytic = dot(&gradient, &direction);
             errors.push((numeric - analytic).abs());
             sizes.push(analytic.abs());
         }
+        assert!(errors.len() >= 2, "{name}: {} of 8 directions are smooth", errors.len());
         errors.sort_by(f64::total_cmp);
         sizes.sort_by(f64::total_cmp);
         let size = sizes[sizes.len() - 1];
         assert!(size > 0.0, "{name}: no gradient at all");
         assert!(
-            errors[4] < 0.01 * size && errors[7] < 0.08 * size,
+            errors[errors.len() / 2] < 0.01 * size + rounding / f64::from(step)
+                && errors[errors.len() - 1] < 0.08 * size + rounding / f64::from(step),
             "{name}, {n} Gaussians: {errors:?} of {sizes:?}"
         );
     }
@@ -126,7 +143,7 @@ fn check(scene: &mut Scene, options: Options, seed: u64) {
                 *v += step * d;
             }
             scene.medium = Some(moved);
-            loss(scene, &mut rasterizer)
+            loss(scene, &mut rasterizer, false)
         };
         let numeric = (at(1e-3) - at(-1e-3)) / 2e-3;
         assert!(
@@ -143,7 +160,7 @@ fn finite_differences_agree_under_water() {
     for seed in 0..3 {
         let mut scene = Scene {
             camera: random_camera(70, 45),
-            gaussians: random_gaussians(60, -1.2, seed),
+            gaussians: random_gaussians(10, 0.9, seed),
             medium: Some(random_medium(70, 45, seed % 2 == 0, seed)),
         };
         check(&mut scene, Options::default(), 100 * seed);
@@ -153,6 +170,6 @@ fn finite_differences_agree_under_water() {
 #[test]
 fn finite_differences_agree_without_a_medium() {
     let mut scene =
-        Scene { camera: random_camera(50, 70), gaussians: random_gaussians(60, -1.2, 9), medium: None };
+        Scene { camera: random_camera(50, 70), gaussians: random_gaussians(10, 0.9, 9), medium: None };
     check(&mut scene, Options::default(), 900);
 }
