@@ -169,16 +169,17 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
         DemoSize::Full => (48, 640, 360, 15_000, 5000),
     };
     let params = use3d_synth::CaptureParams { views, width, height, ..use3d_synth::CaptureParams::default() };
-    let capture = args.out.join("reef");
+    let captures = args.out.join("captures");
+    let capture = captures.join("reef");
     // The capture is a function of its parameters; one that is there with the same ones is taken as it is.
-    let stamp = args.out.join("reef.params.json");
+    let stamp = captures.join("reef.json");
     let wanted = serde_json::to_string_pretty(&params).map_err(CliError::failed)?;
     if !capture.is_dir() || std::fs::read_to_string(&stamp).ok().as_ref() != Some(&wanted) {
         if capture.is_dir() {
             std::fs::remove_dir_all(&capture)
                 .map_err(|e| CliError::Input(format!("{}: {e}", capture.display())))?;
         }
-        std::fs::create_dir_all(&args.out)
+        std::fs::create_dir_all(&captures)
             .map_err(|e| CliError::Input(format!("--out {}: {e}", args.out.display())))?;
         use3d_synth::write_capture(&params, &capture, &mut super::synth::tell(app, "synth capture"))
             .map_err(CliError::input)?;
@@ -190,7 +191,7 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     let mut cache = args.cache.clone();
     cache.cache.get_or_insert_with(|| args.out.join("cache"));
     let loaded = open(&capture, &[], &Settings { set: sets }, &cache)?;
-    execute(app, &loaded, None, 1, false, &args.out.join("results"))?;
+    execute(app, &loaded, None, 1, false, &args.out)?;
     if !app.quiet {
         println!("the demo took {:.0} s", started.elapsed().as_secs_f64());
     }

@@ -125,7 +125,10 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     };
     let page = Page {
         title: params.title.clone(),
-        subtitle: format!("{} scenes, {} scored", all.len(), scored.len()),
+        subtitle: match all.len() {
+            1 => "one scene".into(),
+            n => format!("{n} scenes, {} scored", scored.len()),
+        },
         tables,
         scenes,
         calibrator,

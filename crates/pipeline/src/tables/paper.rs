@@ -61,6 +61,10 @@ pub fn tables(scenes: &[ScoredScene]) -> Vec<Table> {
         ),
         batch.consistency(),
     ];
+    if batch.every_group_is_one_scene() {
+        // They would repeat the group tables.
+        tables.retain(|t| !t.name.ends_with("-scenes"));
+    }
     if batch.variants.len() > 1 {
         tables.push(batch.ablation(
             "ablation-stage1",
@@ -116,6 +120,11 @@ impl<'a> Batch<'a> {
             && self.variants.iter().any(|v| self.of_group(group, v).len() == published_scenes(group))
     }
 
+    fn every_group_is_one_scene(&self) -> bool {
+        let variants = self.variants.len();
+        self.groups.iter().all(|g| self.scenes.iter().filter(|s| group_of(s) == g).count() <= variants)
+    }
+
     fn label(method: Method, variant: &str) -> String {
         if variant.is_empty() { method.label().into() } else { format!("{} · {variant}", method.label()) }
     }
@@ -156,8 +165,11 @@ impl<'a> Batch<'a> {
 
     fn reconstruction(&self) -> Table {
         let mut columns = self.columns(&RECONSTRUCTION);
-        columns.push(Column::new("", "FPS", Better::Neither, 2));
         let mut rows = self.published_rows(published::RECONSTRUCTION, 3);
+        let timed = !rows.is_empty() || self.scenes.iter().any(|s| s.fps.is_some());
+        if timed {
+            columns.push(Column::new("", "FPS", Better::Neither, 2));
+        }
         for row in &mut rows {
             let fps = published::FPS.iter().find(|(method, _)| *method == row.label).map(|(_, fps)| *fps);
             row.cells.push(published_cell(fps));
@@ -167,17 +179,23 @@ impl<'a> Batch<'a> {
             row.label = Self::label(Method::Enhanced, variant);
             let fps: Vec<f64> =
                 self.scenes.iter().filter(|s| s.variant == **variant).filter_map(|s| s.fps).collect();
-            row.cells.push(if fps.is_empty() {
-                Cell::Blank
-            } else {
-                Cell::Number {
-                    value: fps.iter().sum::<f64>() / fps.len() as f64,
-                    source: "measured on this machine".into(),
-                }
-            });
+            if timed {
+                row.cells.push(if fps.is_empty() {
+                    Cell::Blank
+                } else {
+                    Cell::Number {
+                        value: fps.iter().sum::<f64>() / fps.len() as f64,
+                        source: "measured on this machine".into(),
+                    }
+                });
+            }
             rows.push(row);
         }
-        let caption = "Reconstruction of held-out views. FPS: this machine's processor for ours, the authors' graphics card for published rows";
+        let caption = if timed {
+            "Reconstruction of held-out views. FPS: this machine's processor for ours, the authors' graphics card for published rows"
+        } else {
+            "Reconstruction of held-out views"
+        };
         Table { name: "reconstruction".into(), caption: caption.into(), columns, rows }
     }
 

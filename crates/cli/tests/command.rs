@@ -1,0 +1,173 @@
+//! The command as a user meets it: exit codes, messages, golden renders, and the whole chain on a tiny capture.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use use3d_io_image::read_image;
+
+fn use3d(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_use3d"))
+        .args(arguments)
+        .env_remove("USE3D_CACHE")
+        .env_remove("USE3D_MODELS")
+        .env_remove("RUST_LOG")
+        .output()
+        .expect("the command starts")
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Runs and expects an exit code; gives stdout and stderr.
+fn expect(code: i32, arguments: &[&str]) -> (String, String) {
+    let output = use3d(arguments);
+    let (out, err) = (text(&output.stdout), text(&output.stderr));
+    assert_eq!(output.status.code(), Some(code), "use3d {arguments:?}\n{out}\n{err}");
+    (out, err)
+}
+
+fn path(parts: &[&Path]) -> String {
+    parts.iter().collect::<std::path::PathBuf>().to_string_lossy().into_owned()
+}
+
+#[test]
+fn wrong_usage_exits_with_2_and_names_the_next_step() {
+    let dir = tempfile::tempdir().unwrap();
+    let missing = path(&[dir.path(), Path::new("nowhere")]);
+    let out = path(&[dir.path(), Path::new("out")]);
+    let (_, err) = expect(2, &["import", &missing, "--out", &out]);
+    assert!(err.contains("nowhere"), "{err}");
+    let (_, err) = expect(2, &["reconstruct", &missing, "--out", &out, "--set", "itertions=3"]);
+    assert!(err.contains("did you mean `iterations`"), "{err}");
+    let (_, err) = expect(2, &["render", &missing, "--cameras", &missing, "--out", &out]);
+    assert!(err.contains("scene.json"), "{err}");
+    let (_, err) = expect(2, &["run", &missing]);
+    assert!(err.contains("no such pipeline file"), "{err}");
+    expect(2, &["no-such-verb"]);
+    let (help, _) = expect(0, &["render", "--help"]);
+    assert!(help.contains("Examples:"), "{help}");
+}
+
+#[test]
+fn golden_scene_mini_renders_to_its_images_from_both_forms_of_its_model() {
+    let golden = use3d_golden::root().join("scene-mini");
+    let dir = tempfile::tempdir().unwrap();
+    for form in ["binary", "text"] {
+        let out = path(&[dir.path(), Path::new(form)]);
+        let (scene, cameras) =
+            (path(&[&golden, Path::new("scene")]), path(&[&golden, Path::new("sparse"), Path::new(form)]));
+        expect(0, &["render", &scene, "--cameras", &cameras, "--out", &out, "--format", "exr"]);
+        let mut compared = 0;
+        for entry in std::fs::read_dir(golden.join("exr")).unwrap() {
+            let name = entry.unwrap().file_name();
+            let expected = read_image(&golden.join("exr").join(&name)).unwrap();
+            let actual = read_image(&Path::new(&out).join("reconstruction").join(&name)).unwrap();
+            let (mut square, mut worst) = (0.0f64, 0.0f32);
+            for (a, e) in actual.data().iter().zip(expected.data()) {
+                worst = worst.max((a - e).abs());
+                square += f64::from(a - e).powi(2);
+            }
+            let psnr = -10.0 * (square / actual.data().len() as f64).log10();
+            assert!(worst <= 4e-3 && psnr > 90.0, "{name:?}: off by {worst}, {psnr} dB");
+            compared += 1;
+        }
+        assert_eq!(compared, 12);
+    }
+}
+
+/// A capture so small that the whole chain takes seconds.
+fn tiny(dir: &Path) -> String {
+    let capture = path(&[dir, Path::new("tiny")]);
+    expect(0, &["-q", "synth", "capture", "--out", &capture, "--views", "9", "--size", "96x64"]);
+    capture
+}
+
+#[test]
+fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
+    let dir = tempfile::tempdir().unwrap();
+    let capture = tiny(dir.path());
+    let (cache, out) = (path(&[dir.path(), Path::new("cache")]), path(&[dir.path(), Path::new("out")]));
+    let run = |extra: &[&str]| {
+        let mut arguments = vec!["-q", "run", &capture, "--cache", &cache, "--out", &out];
+        for set in [
+            "reconstruct.iterations=30",
+            "enhance.iterations=10",
+            "pairs.synthetic.pairs=8",
+            "pairs.synthetic.width=64",
+            "pairs.synthetic.height=48",
+            "calibrate.steps=20",
+        ] {
+            arguments.extend(["--set", set]);
+        }
+        arguments.extend(extra);
+        expect(0, &arguments).0
+    };
+    let first = run(&[]);
+    assert!(first.contains("9 done, 0 cached"), "{first}");
+    for file in [
+        "report.html",
+        "tables/reconstruction.md",
+        "tiny/scene/scene.json",
+        "tiny/enhanced-scene/ubaf.safetensors",
+        "tiny/renders/enhanced",
+        "tiny/scores/scores.json",
+    ] {
+        assert!(Path::new(&out).join(file).exists(), "{file} is missing");
+    }
+    // Stage 2 leaves stage 1 untouched.
+    let bytes =
+        |scene: &str, file: &str| std::fs::read(Path::new(&out).join("tiny").join(scene).join(file)).unwrap();
+    for file in ["gaussians.ply", "medium.safetensors"] {
+        assert_eq!(bytes("scene", file), bytes("enhanced-scene", file), "{file}");
+    }
+    let second = run(&[]);
+    assert!(second.contains("0 done, 9 cached"), "{second}");
+    let changed = run(&["--set", "enhance.lambda_variation=0.001"]);
+    assert!(changed.contains("4 done, 5 cached"), "enhance, render, evaluate, report: {changed}");
+    let threads = run(&["--threads", "1"]);
+    assert!(threads.contains("0 done, 9 cached"), "{threads}");
+}
+
+#[test]
+fn stages_by_hand_make_the_same_scene_and_export_opens_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let capture = tiny(dir.path());
+    let at = |name: &str| path(&[dir.path(), Path::new(name)]);
+    let (one, two) = (at("one"), at("two"));
+    for (scene, threads) in [(&one, "1"), (&two, "3")] {
+        expect(
+            0,
+            &["-q", "--threads", threads, "reconstruct", &capture, "--out", scene, "--set", "iterations=20"],
+        );
+    }
+    for file in ["scene.json", "gaussians.ply", "medium.safetensors", "training.jsonl"] {
+        let read = |scene: &str| std::fs::read(Path::new(scene).join(file)).unwrap();
+        assert_eq!(read(&one), read(&two), "{file} depends on the number of threads");
+    }
+    let ply = at("scene.ply");
+    expect(0, &["export", &one, "--ply", &ply]);
+    let exported =
+        use3d_splat::ply::read(std::fs::File::open(&ply).map(std::io::BufReader::new).unwrap()).unwrap();
+    assert!(!exported.is_empty());
+    let (_, err) =
+        expect(2, &["render", &one, "--cameras", &capture, "--out", &at("r"), "--modes", "enhanced"]);
+    assert!(err.contains("use3d enhance"), "{err}");
+    expect(
+        0,
+        &[
+            "-q",
+            "render",
+            &one,
+            "--cameras",
+            &capture,
+            "--path",
+            "interpolate",
+            "--frames",
+            "3",
+            "--video",
+            &at("swim.y4m"),
+        ],
+    );
+    assert!(std::fs::read(at("swim.y4m")).unwrap().starts_with(b"YUV4MPEG2 W96 H64"));
+}
