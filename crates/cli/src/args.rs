@@ -185,7 +185,7 @@ pub(crate) struct RunArgs {
     /// Only say what would run (the same as `use3d plan`).
     #[arg(long)]
     pub(crate) dry_run: bool,
-    /// Where results go (default: ./use3d-out/<name>).
+    /// Where results go (default: ./use3d-out/NAME).
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
     #[command(flatten)]

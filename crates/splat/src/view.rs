@@ -64,7 +64,7 @@ impl Default for Rendered {
 }
 
 impl Rendered {
-    /// Empty; [`Rasterizer::forward`] sets the sizes.
+    /// Empty; [`Rasterizer::forward`](crate::Rasterizer::forward) sets the sizes.
     pub fn new() -> Self {
         Self { image: Image::new(0, 0), depth: Map::new(0, 0), accumulation: Map::new(0, 0), layers: None }
     }
@@ -91,7 +91,7 @@ impl Rendered {
     }
 }
 
-/// The loss's derivatives with respect to what [`Rasterizer::forward`] rendered.
+/// The loss's derivatives with respect to what [`Rasterizer::forward`](crate::Rasterizer::forward) rendered.
 #[derive(Clone, Copy, Debug)]
 pub struct Cotangents<'a> {
     /// With respect to the image.

@@ -2,7 +2,7 @@
 //!
 //! An appearance transition is a *global operator*, one affine `c ↦ (I + ΔA) c + Δb` for the image, and a *local operator*
 //! per cell of a coarse grid, a gain and a bias per channel that act on what the global one yields:
-//! `I_b(p) ≈ exp(a_p) ⊙ T(I_a(p)) + b_p`. Both come from ridge fits drawn to the identity ([`global`], [`local`]), so
+//! `I_b(p) ≈ exp(a_p) ⊙ T(I_a(p)) + b_p`. Both come from ridge fits drawn to the identity (`global`, `local`), so
 //! `E(I, I)` is exactly zero. Colours are display-encoded and unclamped.
 //!
 //! Everything that depends on the source alone is in [`Source`] (per image) and [`Geometry`] (per size);

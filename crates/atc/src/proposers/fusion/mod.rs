@@ -3,10 +3,10 @@
 //! After the ideas of C. O. Ancuti, C. Ancuti, C. De Vleeschouwer and P. Bekaert, "Color Balance and Fusion for Underwater
 //! Image Enhancement", IEEE Transactions on Image Processing 27(1), 2018:
 //!
-//! 1. white balance, with red (and in turbid water blue) compensated from green first ([`white_balance`]);
+//! 1. white balance, with red (and in turbid water blue) compensated from green first (`white_balance`);
 //! 2. two inputs made of it: one brought to a middle brightness by a gamma curve, one sharpened;
-//! 3. a weight map for each, from contrast, saliency and saturation ([`weights`]), normalised to sum 1 per pixel;
-//! 4. the Laplacian pyramids of the inputs blended with the Gaussian pyramids of the weights ([`pyramid`]), which leaves no
+//! 3. a weight map for each, from contrast, saliency and saturation (`weights`), normalised to sum 1 per pixel;
+//! 4. the Laplacian pyramids of the inputs blended with the Gaussian pyramids of the weights (`pyramid`), which leaves no
 //!    halos where the weights change quickly.
 //!
 //! Differences from the article: opponent colours in place of CIELab in the saliency map; bounded grey-world gains; a plain
