@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use use3d_atc::calibrator::{
-    CalibratorParams, Dataset, PairImages, TransitionErrors, evaluate, fit, held_out, train,
+    CalibratorParams, Dataset, PairImages, TransitionErrors, evaluate, held_out, train,
 };
 use use3d_atc::progress::unwatched;
 use use3d_atc::proposers::Fusion;
@@ -65,7 +65,7 @@ fn main() -> Result<(), Anyhow> {
     everything.examples = sets.iter().flat_map(|(_, d)| d.examples.clone()).collect();
     sets.push(("all three".into(), everything));
     for (name, dataset) in &sets {
-        // Five folds, so that every pair is tested once.
+        // Five folds, so that every pair is tested once; each fit chooses its last step on pairs of its own.
         let folds = 5;
         let mut sum = [[0.0; 2]; 3];
         let started = Instant::now();
@@ -80,7 +80,7 @@ fn main() -> Result<(), Anyhow> {
             for (i, &pair) in order.iter().enumerate() {
                 if i % folds == fold { tested.push(pair) } else { fitted.push(pair) }
             }
-            let calibrator = fit(&dataset.subset(&fitted), &params, &mut unwatched)?;
+            let calibrator = train(&dataset.subset(&fitted), &params, name, &mut unwatched)?;
             let e = evaluate(&calibrator, tested.iter().map(|&i| &dataset.examples[i]));
             let share = tested.len() as f64 / count as f64;
             for (s, e) in sum.iter_mut().zip([e.global, e.local, e.centered]) {
@@ -102,7 +102,7 @@ fn main() -> Result<(), Anyhow> {
 
     println!("\n| trained on | tested on | global | local | local, centred |\n|---|---|---|---|---|");
     for (trained, dataset) in &sets[..3] {
-        let calibrator = fit(dataset, &params, &mut unwatched)?;
+        let calibrator = train(dataset, &params, trained, &mut unwatched)?;
         for (tested, other) in sets[..3].iter().filter(|(tested, _)| tested != trained) {
             println!("| {trained} | {tested} | {} |", row(&evaluate(&calibrator, &other.examples)));
         }
@@ -110,7 +110,7 @@ fn main() -> Result<(), Anyhow> {
     for left_out in 0..3 {
         let mut rest = sets[0].1.subset(&[]);
         rest.examples = (0..3).filter(|&i| i != left_out).flat_map(|i| sets[i].1.examples.clone()).collect();
-        let calibrator = fit(&rest, &params, &mut unwatched)?;
+        let calibrator = train(&rest, &params, "two sets", &mut unwatched)?;
         let (name, dataset) = &sets[left_out];
         println!("| the other two | {name} | {} |", row(&evaluate(&calibrator, &dataset.examples)));
     }

@@ -161,6 +161,27 @@ fn another_proposer_is_refused_unless_digests_were_not_recorded() {
     assert!(recorded.require(&other).is_err() && unrecorded.require(&Fusion.id()).is_err());
 }
 
+/// Targets that have nothing to do with their sources can only be learned by heart.
+#[test]
+fn early_stopping_does_less_harm_where_there_is_nothing_to_learn() {
+    let mut dataset =
+        Dataset::build(pairs(16), &Timid, &ExtractorSettings::default(), &mut unwatched).unwrap();
+    let stream = Stream::new(2, Purpose::new("unlearnable"), 0);
+    for (i, example) in dataset.examples.iter_mut().enumerate() {
+        for (k, t) in example.target.iter_mut().enumerate() {
+            *t = example.proposal[k] + 0.2 * stream.normal((12 * i + k) as u64);
+        }
+    }
+    let params = CalibratorParams { learning_rate: 1e-2, held_out: 0.5, ..quick() };
+    let calibrator = train(&dataset, &params, "", &mut unwatched).unwrap();
+    let report = calibrator.provenance.held_out.unwrap();
+    assert!(report.stopped[0] < params.steps, "{:?}", report.stopped);
+    assert!(report.errors.global.after < report.all_steps.global.after);
+    let all = CalibratorParams { stop_early: false, ..params };
+    let report = train(&dataset, &all, "", &mut unwatched).unwrap().provenance.held_out.unwrap();
+    assert_eq!((report.errors, report.stopped), (report.all_steps, [all.steps; 2]));
+}
+
 /// The transition of a pair that differs by one affine says so at every cell.
 #[test]
 fn an_affine_pair_has_that_affine_as_its_target() {

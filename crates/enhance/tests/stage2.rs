@@ -61,11 +61,11 @@ fn losses_fall_and_the_realised_operators_reach_the_targets() {
     let wanted = targets(&scene, &teacher, &views);
     let train: Vec<_> =
         views.iter().enumerate().filter(|(i, _)| i % 4 != 0).map(|(_, v)| v.clone()).collect();
-    let run = |objective| {
-        let params = EnhanceParams { objective, ..quick(400) };
+    let run = |objective, steps| {
+        let params = EnhanceParams { objective, ..quick(steps) };
         enhance(&scene, &train, Guidance::Targets(&wanted), &params, None, &mut Silent).unwrap()
     };
-    let full = run(Objective::Full);
+    let full = run(Objective::Full, 300);
     let (first, last) = (&full.log[0], &full.log[full.log.len() - 1]);
     // The teacher's local part is finer than the field's 16 nodes can follow in so few steps; its global part is not.
     assert!(last.loss < 0.5 * first.loss && last.global < 0.1 * first.global, "{first:?} {last:?}");
@@ -88,8 +88,8 @@ fn losses_fall_and_the_realised_operators_reach_the_targets() {
         assert!(end < 0.5 * start, "{}: {start} -> {end}", view.name);
     }
     // The ablations leave the other term alone.
-    let global_only = run(Objective::GlobalOnly);
-    let local_only = run(Objective::LocalOnly);
+    let global_only = run(Objective::GlobalOnly, 120);
+    let local_only = run(Objective::LocalOnly, 120);
     assert!(global_only.report.global_errors().1 < 0.3 * before);
     assert!(
         local_only.report.global_errors().1 > 0.5 * before,

@@ -12,14 +12,17 @@ const TO_XYZ: [[f64; 3]; 3] =
 /// D65: the sums of the rows above.
 const WHITE: [f64; 3] = [0.950456, 1.0, 1.088754];
 
+/// Where the cube root begins, (6/29)³.
+const KNEE: f64 = 216.0 / 24389.0;
+
 fn decode(v: f64) -> f64 {
     if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
 }
 
-fn lab_of_linear(rgb: [f64; 3]) -> [f64; 3] {
+fn lab_of_linear(rgb: [f64; 3], cube_root: impl Fn(f64) -> f64) -> [f64; 3] {
     let f = |i: usize| {
         let t = (TO_XYZ[i][0] * rgb[0] + TO_XYZ[i][1] * rgb[1] + TO_XYZ[i][2] * rgb[2]) / WHITE[i];
-        if t > 216.0 / 24389.0 { t.cbrt() } else { (24389.0 / 27.0 * t + 16.0) / 116.0 }
+        if t > KNEE { cube_root(t) } else { (24389.0 / 27.0 * t + 16.0) / 116.0 }
     };
     let (x, y, z) = (f(0), f(1), f(2));
     [116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)]
@@ -27,18 +30,40 @@ fn lab_of_linear(rgb: [f64; 3]) -> [f64; 3] {
 
 /// CIELAB of display values (clamped to `[0, 1]`): L in `[0, 100]`.
 pub fn lab_of_srgb(rgb: [f32; 3]) -> [f64; 3] {
-    lab_of_linear(rgb.map(|v| decode(f64::from(v.clamp(0.0, 1.0)))))
+    lab_of_linear(rgb.map(|v| decode(f64::from(v.clamp(0.0, 1.0)))), f64::cbrt)
 }
 
-/// The decoded value of each 8-bit code.
-pub(crate) fn decode_table() -> [f64; 256] {
-    std::array::from_fn(|i| decode(i as f64 / 255.0))
+/// CIELAB of 8-bit pixels by tables: the decoded value of each code, and cube roots to start from.
+pub(crate) struct LabTable {
+    decoded: [f64; 256],
+    roots: Vec<f32>,
 }
 
-/// CIELAB of an 8-bit pixel through a [`decode_table`].
-#[inline]
-pub(crate) fn lab_of_codes(table: &[f64; 256], rgb: [u8; 3]) -> [f64; 3] {
-    lab_of_linear(rgb.map(|v| table[v as usize]))
+impl LabTable {
+    /// Intervals of the table of cube roots over `[0, 1]`.
+    const INTERVALS: usize = 16384;
+
+    pub(crate) fn new() -> Self {
+        let middle = |i: usize| ((i as f64 + 0.5) / Self::INTERVALS as f64).cbrt() as f32;
+        Self {
+            decoded: std::array::from_fn(|i| decode(i as f64 / 255.0)),
+            roots: (0..=Self::INTERVALS).map(middle).collect(),
+        }
+    }
+
+    /// One step of Halley's iteration from the table: above the knee the start is off by at most 0.12 %, the result by 2e-9.
+    #[inline]
+    fn cube_root(&self, t: f64) -> f64 {
+        let index = ((t * Self::INTERVALS as f64) as usize).min(Self::INTERVALS);
+        let y = f64::from(self.roots[index]);
+        let cube = y * y * y;
+        y * (cube + 2.0 * t) / (2.0 * cube + t)
+    }
+
+    #[inline]
+    pub(crate) fn lab(&self, rgb: [u8; 3]) -> [f64; 3] {
+        lab_of_linear(rgb.map(|v| self.decoded[v as usize]), |t| self.cube_root(t))
+    }
 }
 
 /// 8-bit CIELAB as image libraries store it: `L 255/100`, `a + 128`, `b + 128`, rounded (to even) and clamped.
@@ -49,11 +74,11 @@ pub(crate) fn quantise(lab: [f64; 3]) -> [u8; 3] {
 
 /// 8-bit CIELAB of an 8-bit image.
 pub fn lab8_of_srgb8(image: &Image8) -> Image8 {
-    let table = decode_table();
+    let table = LabTable::new();
     let mut out = Image8::new(image.width(), image.height());
     for y in 0..image.height() {
         for x in 0..image.width() {
-            out.set_pixel(x, y, quantise(lab_of_codes(&table, image.pixel(x, y))));
+            out.set_pixel(x, y, quantise(table.lab(image.pixel(x, y))));
         }
     }
     out
@@ -75,5 +100,19 @@ mod tests {
         close([1.0; 3], [100.0, 0.0, 0.0]);
         close([1.0, 0.0, 0.0], [53.24, 80.09, 67.20]);
         close([0.0, 0.0, 1.0], [32.30, 79.19, -107.86]);
+    }
+
+    #[test]
+    fn the_tables_agree_with_the_formula() {
+        let table = LabTable::new();
+        for i in 0..20_000u32 {
+            let bits = i.wrapping_mul(2_654_435_761);
+            let rgb = [bits as u8, (bits >> 8) as u8, (bits >> 16) as u8];
+            let exact = lab_of_srgb(rgb.map(|v| f32::from(v) / 255.0));
+            for (a, b) in table.lab(rgb).iter().zip(exact) {
+                // The display value of the formula is rounded to f32.
+                assert!((a - b).abs() < 5e-5, "{rgb:?}: {a} {b}");
+            }
+        }
     }
 }

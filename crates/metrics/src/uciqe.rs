@@ -23,7 +23,7 @@ use use3d_capture::{Image, Image8};
 use use3d_numerics::sums;
 
 use crate::error::{MetricError, finite, large_enough};
-use crate::lab::{decode_table, lab_of_codes, quantise};
+use crate::lab::{LabTable, quantise};
 
 /// Which implementation is followed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -136,21 +136,22 @@ fn per_pixel<T: Send + Copy + Default>(image: &Image8, f: impl Fn([u8; 3]) -> T 
 
 /// Lightness and chroma of every pixel in the variant's scale.
 fn lightness_and_chroma(image: &Image8, variant: UciqeVariant) -> Vec<[f64; 2]> {
-    let table = decode_table();
+    let table = LabTable::new();
+    let length = |a: f64, b: f64| (a * a + b * b).sqrt();
     let (per_l, per_c) = match variant {
         UciqeVariant::CielabUnit => (0.01, 0.01),
         UciqeVariant::Cielab255 => (1.0 / 255.0, 1.0 / 255.0),
         UciqeVariant::CielabRaw => (1.0, 1.0),
         _ => {
             return per_pixel(image, |rgb| {
-                let [l, a, b] = quantise(lab_of_codes(&table, rgb)).map(|v| f64::from(v) / 255.0);
-                [l, a.hypot(b)]
+                let [l, a, b] = quantise(table.lab(rgb)).map(|v| f64::from(v) / 255.0);
+                [l, length(a, b)]
             });
         }
     };
     per_pixel(image, |rgb| {
-        let [l, a, b] = lab_of_codes(&table, rgb);
-        [l * per_l, a.hypot(b) * per_c]
+        let [l, a, b] = table.lab(rgb);
+        [l * per_l, length(a, b) * per_c]
     })
 }
 
@@ -163,7 +164,7 @@ fn of_lab(image: &Image8, variant: UciqeVariant) -> (f64, f64, f64) {
     let [chroma, saturation] = sums::sums::<2>(n, |i, t| {
         let [l, c] = pixels[i];
         t[0] += c;
-        let length = if normalised { c.hypot(l) } else { l };
+        let length = if normalised { (c * c + l * l).sqrt() } else { l };
         t[1] += if length > 0.0 { c / length } else { 0.0 };
     });
     let mean = chroma / count;

@@ -40,13 +40,19 @@ pub struct TransitionErrors {
 
 /// The result of a fit to a part of the pairs, on the others.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct HeldOutReport {
     /// Pairs fitted to.
     pub fitted: usize,
     /// Names of the pairs tested on.
     pub tested: Vec<String>,
-    /// Errors on them.
+    /// Errors on them, each head at the step at which it stopped. That step was chosen on these pairs, so with few of them the
+    /// figure flatters a little.
     pub errors: TransitionErrors,
+    /// Errors on them after all steps of the recipe.
+    pub all_steps: TransitionErrors,
+    /// The last steps of the global and of the local head.
+    pub stopped: [u64; 2],
 }
 
 /// Indices of the pairs to fit to and to test on, or `None` if nothing is to be held out or there are too few pairs.
@@ -61,19 +67,6 @@ pub fn held_out(dataset: &Dataset, params: &CalibratorParams) -> Option<(Vec<usi
     order.sort_unstable();
     fitted.sort_unstable();
     Some((fitted, order))
-}
-
-pub(super) fn report(
-    calibrator: &Calibrator,
-    dataset: &Dataset,
-    fitted: &[usize],
-    tested: &[usize],
-) -> HeldOutReport {
-    HeldOutReport {
-        fitted: fitted.len(),
-        tested: tested.iter().map(|&i| dataset.examples[i].name.clone()).collect(),
-        errors: evaluate(calibrator, tested.iter().map(|&i| &dataset.examples[i])),
-    }
 }
 
 /// A confidence-weighted mean in the making.

@@ -10,9 +10,9 @@ use use3d_numerics::random::{Purpose, Stream};
 
 use super::head::{Batch, Head};
 use super::mlp::{Mlp, Trace};
+use super::stopping::Stop;
 use super::{
-    Calibrator, Dataset, GLOBAL_CONDITION, LOCAL_CONDITION, Provenance, Statistics, evaluate, held_out,
-    push_local_condition,
+    Calibrator, Dataset, GLOBAL_CONDITION, LOCAL_CONDITION, Provenance, Statistics, push_local_condition,
 };
 use crate::error::AtcError;
 use crate::extractor::{Affine, ExtractorSettings};
@@ -45,8 +45,11 @@ pub struct CalibratorParams {
     pub global_hidden: usize,
     /// Width of the local head's hidden layers.
     pub local_hidden: usize,
-    /// Share of the pairs held out for the report (0: no report). The final fit uses all pairs.
+    /// Share of the pairs held out for the report (0: no report, and no early stopping). The final fit uses all pairs.
     pub held_out: f64,
+    /// Stop each head of the final fit at the step at which the fit without the held-out pairs was best on them. A few
+    /// dozen pairs are learned by heart long before the last step; with many the last step is the best.
+    pub stop_early: bool,
     /// Seed.
     pub seed: u64,
 }
@@ -64,6 +67,7 @@ impl Default for CalibratorParams {
             global_hidden: 128,
             local_hidden: 256,
             held_out: 0.2,
+            stop_early: true,
             seed: 42,
         }
     }
@@ -105,27 +109,6 @@ impl CalibratorParams {
         let cosine = 0.5 * (1.0 + (std::f64::consts::PI * t).cos());
         self.learning_rate * (self.final_fraction + (1.0 - self.final_fraction) * cosine)
     }
-}
-
-/// Fits a calibrator to all pairs of a data set, with a held-out report from a fit to a part of them. `data` says where the
-/// pairs come from.
-pub fn train(
-    dataset: &Dataset,
-    params: &CalibratorParams,
-    data: &str,
-    watch: &mut Watch<'_>,
-) -> Result<Calibrator, AtcError> {
-    let report = match held_out(dataset, params) {
-        Some((fitted, tested)) => {
-            let part = fit(&dataset.subset(&fitted), params, watch)?;
-            Some(evaluate::report(&part, dataset, &fitted, &tested))
-        }
-        None => None,
-    };
-    let mut calibrator = fit(dataset, params, watch)?;
-    calibrator.provenance.data = data.to_string();
-    calibrator.provenance.held_out = report;
-    Ok(calibrator)
 }
 
 /// The data set as flat rows.
@@ -275,11 +258,22 @@ fn initial_heads(rows: &Rows, params: &CalibratorParams) -> (Head, Head) {
     (global, local)
 }
 
-/// Fits a calibrator to all pairs of a data set.
+/// Fits a calibrator to all pairs of a data set by the whole recipe: nothing held out, every step taken.
 pub fn fit(
     dataset: &Dataset,
     params: &CalibratorParams,
     watch: &mut Watch<'_>,
+) -> Result<Calibrator, AtcError> {
+    fit_until(dataset, params, Stop::never(params), watch, &mut |_, _| {})
+}
+
+/// As [`fit`], each head only up to its own last step; `look` sees the calibrator after every step.
+pub(super) fn fit_until(
+    dataset: &Dataset,
+    params: &CalibratorParams,
+    stop: Stop,
+    watch: &mut Watch<'_>,
+    look: &mut dyn FnMut(u64, &Calibrator),
 ) -> Result<Calibrator, AtcError> {
     params.validate()?;
     let pairs = dataset.examples.len();
@@ -292,16 +286,30 @@ pub fn fit(
             first_problem: dataset.skipped.first().map(|s| format!("{}: {}", s.name, s.reason)),
         });
     }
-    let (mut global, mut local) = initial_heads(&rows, params);
+    let (global, local) = initial_heads(&rows, params);
     let mut conditions = rows.global_conditions.clone();
     global.condition.normalise(&mut conditions);
     let (mut global_moments, mut local_moments) = (Moments::of(&global.mlp), Moments::of(&local.mlp));
+    let mut calibrator = Calibrator {
+        extractor: dataset.extractor.clone(),
+        proposer: dataset.proposer.clone(),
+        global,
+        local,
+        provenance: Provenance {
+            pairs,
+            cells: rows.cells(),
+            steps: params.steps.min(stop.last()),
+            seed: params.seed,
+            tool: env!("CARGO_PKG_VERSION").to_string(),
+            ..Provenance::default()
+        },
+    };
     let mut global_gradients = global_moments.first.clone();
     let mut local_gradients = local_moments.first.clone();
     let (mut global_trace, mut local_trace) = (Trace::default(), Trace::default());
     let (mut c, mut p, mut t, mut w) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let mut last = 0.0;
-    for step in 1..=params.steps {
+    for step in 1..=calibrator.provenance.steps {
+        let Calibrator { global, local, .. } = &mut calibrator;
         clear(&mut global_gradients);
         clear(&mut local_gradients);
 
@@ -338,30 +346,28 @@ pub fn fit(
         let samples = Batch { conditions: &c, proposals: &p, targets: &t, weights: Some(&w) };
         let local_loss = local.loss(&samples, &mut local_trace, &mut local_gradients);
 
-        last = global_loss + local_loss;
-        if !last.is_finite() {
-            return Err(AtcError::Diverged { step, loss: last });
+        let loss = global_loss + local_loss;
+        if !loss.is_finite() {
+            return Err(AtcError::Diverged { step, loss });
+        }
+        // A head that has stopped neither moves nor takes part in the joint norm.
+        if step > stop.global {
+            clear(&mut global_gradients);
+        }
+        if step > stop.local {
+            clear(&mut local_gradients);
         }
         clip(params.gradient_limit, &mut global_gradients, &mut local_gradients);
         let rate = params.rate(step);
-        global_moments.update(step, rate, &mut global.mlp, &global_gradients);
-        local_moments.update(step, rate, &mut local.mlp, &local_gradients);
-        report(watch, Progress::Step { step, steps: params.steps, loss: last })?;
+        if step <= stop.global {
+            global_moments.update(step, rate, &mut global.mlp, &global_gradients);
+        }
+        if step <= stop.local {
+            local_moments.update(step, rate, &mut local.mlp, &local_gradients);
+        }
+        calibrator.provenance.loss = loss;
+        look(step, &calibrator);
+        report(watch, Progress::Step { step, steps: calibrator.provenance.steps, loss })?;
     }
-    Ok(Calibrator {
-        extractor: dataset.extractor.clone(),
-        proposer: dataset.proposer.clone(),
-        global,
-        local,
-        provenance: Provenance {
-            data: String::new(),
-            pairs,
-            cells: rows.cells(),
-            steps: params.steps,
-            seed: params.seed,
-            loss: last,
-            held_out: None,
-            tool: env!("CARGO_PKG_VERSION").to_string(),
-        },
-    })
+    Ok(calibrator)
 }
