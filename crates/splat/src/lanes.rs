@@ -8,7 +8,7 @@
 use fearless_simd::{Simd, SimdBase, SimdFloat, SimdMask, f32x4, f32x16, i32x16, mask32x16};
 use use3d_numerics::lanes::{SMALL_COEFFICIENTS, exp2_lanes, exp2_unclamped_lanes};
 
-use crate::prepared::{LOG2_255, Splat, TILE};
+use crate::prepared::{LOG2_255, Span, Splat, TILE};
 use crate::tile::{
     ALPHA_MAX, BackwardTile, CHANNELS, ForwardRow, ForwardTile, Input, Lanes, NEVER, Record, STOP, Sink,
     Water, WaterRow, moments,
@@ -46,6 +46,19 @@ fn rows_of<S: Simd>(simd: S, splat: &Splat, rows: f32x16<S>, columns: &Lanes) ->
     RowsOf { live, peak: peak.to_array(), power: power.to_array() }
 }
 
+/// Entry `k` (the last one, past the end) with its rows. Callers look one entry ahead: how many rows the next entry has is then known before
+/// its turn, and the processor does not stall where it guessed wrong.
+#[inline(always)]
+fn entry_rows<'a, S: Simd>(
+    simd: S,
+    input: &Input<'a>,
+    k: usize,
+    rows: f32x16<S>,
+) -> (&'a Span, &'a Splat, RowsOf) {
+    let (span, splat) = input.entry(k.min(input.list.len() - 1));
+    (span, splat, rows_of(simd, splat, rows, input.columns))
+}
+
 /// The rows' bit mask as an iterator.
 struct Bits(u32);
 
@@ -81,7 +94,13 @@ impl<S: Simd> Decay<S> {
         let depth = f32x16::splat(simd, z);
         let exponent = load(simd, &water.centre) * depth;
         let factor = exp2_lanes(simd, exponent) * load(simd, &scale);
-        let coefficients = SMALL_COEFFICIENTS.map(|q| (factor * f32x16::splat(simd, q)).to_array());
+        let [_, q1, q2, q3] = SMALL_COEFFICIENTS;
+        let coefficients = [
+            factor.to_array(),
+            (factor * f32x16::splat(simd, q1)).to_array(),
+            (factor * f32x16::splat(simd, q2)).to_array(),
+            (factor * f32x16::splat(simd, q3)).to_array(),
+        ];
         Self { z: depth, coefficients, exponent: exponent.to_array(), scale }
     }
 
@@ -181,9 +200,13 @@ pub(crate) fn forward<S: Simd, const WATER: bool, const LAYERS: bool>(
 ) {
     let (columns, rows) = (load(simd, input.columns), load(simd, input.rows));
     let mut alive = filled(input);
+    if input.list.is_empty() {
+        return;
+    }
+    let mut next = entry_rows(simd, input, 0, rows);
     for k in 0..input.list.len() {
-        let splat = input.entry(k).1;
-        let mut of = rows_of(simd, splat, rows, input.columns);
+        let (_, splat, mut of) = next;
+        next = entry_rows(simd, input, k + 1, rows);
         of.live &= alive;
         if of.live == 0 {
             continue;
@@ -287,9 +310,13 @@ pub(crate) fn backward<S: Simd, const WATER: bool, const EXTRAS: bool>(
         *stop = row.stop.iter().copied().max().unwrap_or(NEVER);
     }
     let stops = i32x16::load_array_ref(simd, &stops);
+    if input.list.is_empty() {
+        return;
+    }
+    let mut next = entry_rows(simd, input, input.list.len() - 1, rows);
     for k in (0..input.list.len()).rev() {
-        let (span, splat) = input.entry(k);
-        let mut of = rows_of(simd, splat, rows, input.columns);
+        let (span, splat, mut of) = next;
+        next = entry_rows(simd, input, k.saturating_sub(1), rows);
         of.live &= stops.simd_gt(i32x16::splat(simd, k as i32)).to_bitmask() as u32;
         if of.live == 0 {
             sink.put(span, [0.0; 12]);
@@ -421,15 +448,19 @@ fn backward_rows<S: Simd, const WATER: bool, const EXTRAS: bool, const SMALL: bo
     lanes
 }
 
+/// Sums of lanes four apart, in the order of [`use3d_numerics::lanes::sum`].
+#[inline(always)]
+fn quarter<S: Simd>(simd: S, v: f32x16<S>) -> f32x4<S> {
+    let (low, high) = simd.split_f32x16(v);
+    let (a, b) = simd.split_f32x8(low + high);
+    a + b
+}
+
 /// Four sums at once, each in the order of [`use3d_numerics::lanes::sum`].
 #[inline(always)]
-fn sums<S: Simd>(simd: S, lanes: [f32x16<S>; 4]) -> [f32; 4] {
-    let quarter = |v: f32x16<S>| -> f32x4<S> {
-        let (low, high) = simd.split_f32x16(v);
-        let (a, b) = simd.split_f32x8(low + high);
-        a + b
-    };
-    let [a, b, c, d] = lanes.map(quarter);
+fn sums<S: Simd>(simd: S, [a, b, c, d]: [f32x16<S>; 4]) -> [f32; 4] {
+    // Named one by one: `array::map` is a call that the instruction set does not reach into.
+    let (a, b, c, d) = (quarter(simd, a), quarter(simd, b), quarter(simd, c), quarter(simd, d));
     let ab = (a.zip_low(b) + a.zip_high(b)).to_array();
     let cd = (c.zip_low(d) + c.zip_high(d)).to_array();
     [ab[0] + ab[2], ab[1] + ab[3], cd[0] + cd[2], cd[1] + cd[3]]
@@ -465,9 +496,13 @@ pub(crate) fn backward_colors<S: Simd, const WATER: bool>(
     let mut state = ForwardTile::new(input.filled_rows, input.filled_columns);
     let forward = &mut state;
     let mut alive = filled(input);
+    if input.list.is_empty() {
+        return;
+    }
+    let mut next = entry_rows(simd, input, 0, rows);
     for k in 0..input.list.len() {
-        let (span, splat) = input.entry(k);
-        let mut of = rows_of(simd, splat, rows, input.columns);
+        let (span, splat, mut of) = next;
+        next = entry_rows(simd, input, k + 1, rows);
         of.live &= alive;
         let mut out = [0.0; 12];
         if of.live != 0 {
@@ -563,9 +598,13 @@ pub(crate) fn splat<S: Simd, const C: usize>(
 ) {
     let (columns, rows) = (load(simd, input.columns), load(simd, input.rows));
     let mut alive = filled(input);
+    if input.list.is_empty() {
+        return;
+    }
+    let mut next = entry_rows(simd, input, 0, rows);
     for k in 0..input.list.len() {
-        let splat = input.entry(k).1;
-        let mut of = rows_of(simd, splat, rows, input.columns);
+        let (_, splat, mut of) = next;
+        next = entry_rows(simd, input, k + 1, rows);
         of.live &= alive;
         if of.live == 0 {
             continue;
@@ -594,9 +633,13 @@ pub(crate) fn splat_adjoint<S: Simd, const C: usize>(
     let (columns, rows) = (load(simd, input.columns), load(simd, input.rows));
     let zero = f32x16::splat(simd, 0.0);
     let mut alive = filled(input);
+    if input.list.is_empty() {
+        return;
+    }
+    let mut next = entry_rows(simd, input, 0, rows);
     for k in 0..input.list.len() {
-        let (span, splat) = input.entry(k);
-        let mut of = rows_of(simd, splat, rows, input.columns);
+        let (span, splat, mut of) = next;
+        next = entry_rows(simd, input, k + 1, rows);
         of.live &= alive;
         let mut out = [0.0; 12];
         if of.live != 0 {

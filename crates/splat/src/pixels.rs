@@ -32,7 +32,7 @@ pub(crate) fn input(prepared: &Prepared, row: usize, column: usize) -> Input<'_>
 fn get(row: &[f32], start: usize, n: usize) -> Lanes {
     match row[start..].first_chunk() {
         Some(lanes) => *lanes,
-        None => std::array::from_fn(|l| row[start + l.min(n - 1)]),
+        None => each(|l| row[start + l.min(n - 1)]),
     }
 }
 
@@ -45,9 +45,14 @@ fn put<T: Copy>(pixels: &mut [T], lanes: &[T; TILE]) {
     }
 }
 
+/// A loop, since `array::from_fn` is a call that the instruction set does not reach into.
 #[inline(always)]
-fn each(f: impl FnMut(usize) -> f32) -> Lanes {
-    std::array::from_fn(f)
+fn each(mut f: impl FnMut(usize) -> f32) -> Lanes {
+    let mut lanes = [0.0; TILE];
+    for (l, lane) in lanes.iter_mut().enumerate() {
+        *lane = f(l);
+    }
+    lanes
 }
 
 /// `|d(p)|` of the 16 pixels of a tile's row.
@@ -257,8 +262,9 @@ pub(crate) fn store_layers<const WATER: bool>(
             let (mut interval, mut far) = ([0.0; TILE], [0.0; TILE]);
             if WATER && let Some(medium) = medium {
                 let color = get(medium.color.row(c, y), columns.start, columns.len());
-                let exponent = water.rows[r].backscatter[c].map(|v| v + water.centre[3 + c]);
-                far = each(|l| from.transmittance[l] * color[l] * exp2(exponent[l] * from.last[l]));
+                let (deviation, centre) = (&water.rows[r].backscatter[c], water.centre[3 + c]);
+                far =
+                    each(|l| from.transmittance[l] * color[l] * exp2((deviation[l] + centre) * from.last[l]));
                 interval = each(|l| color[l].mul_add(1.0 - from.veil[c][l], -far[l]));
             }
             for (image, lanes) in

@@ -18,7 +18,7 @@
 //! ```
 //!
 //! walked from the farthest Gaussian to the nearest, so that `Σ_{j>i}` grows from zero (no cancellation) and the transmittance
-//! is recovered by division. The cost per pixel is one running number, not a list.
+//! is recovered by division (its reciprocal by three Newton steps). The cost per pixel is one running number, not a list.
 //!
 //! The lane code performs the same operations in the same order, so both give the same bits where multiply-add is fused.
 //! Per-Gaussian sums run over rows within a pixel column, then over columns by [`sum`], then over tiles.

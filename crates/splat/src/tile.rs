@@ -25,10 +25,10 @@ pub(crate) struct Input<'a> {
     pub(crate) filled_columns: usize,
 }
 
-impl Input<'_> {
+impl<'a> Input<'a> {
     /// The Gaussian of entry `k`, with its span.
     #[inline(always)]
-    pub(crate) fn entry(&self, k: usize) -> (&Span, &Splat) {
+    pub(crate) fn entry(&self, k: usize) -> (&'a Span, &'a Splat) {
         let span = &self.spans[self.list[k] as usize];
         (span, &self.splats[span.rank as usize])
     }
@@ -126,6 +126,24 @@ pub(crate) struct ForwardRow {
     pub(crate) stop: [i32; TILE],
 }
 
+impl ForwardRow {
+    /// Nothing composed, every pixel stopped.
+    const STOPPED: Self = {
+        let zero = [0.0; TILE];
+        Self {
+            threshold: [f32::INFINITY; TILE],
+            transmittance: [1.0; TILE],
+            object: [zero; 3],
+            veil: [zero; 3],
+            depth: zero,
+            accumulation: zero,
+            clear: [zero; 3],
+            last: zero,
+            stop: [0; TILE],
+        }
+    };
+}
+
 /// The stop of a pixel that never stopped.
 pub(crate) const NEVER: i32 = i32::MAX;
 
@@ -139,22 +157,12 @@ impl ForwardTile {
     /// Before the first Gaussian; padding pixels have stopped.
     #[inline(always)]
     pub(crate) fn new(filled_rows: usize, filled_columns: usize) -> Self {
-        let zero = [0.0; TILE];
-        let row = |r: usize| {
-            let pixel = |l: usize| r < filled_rows && l < filled_columns;
-            ForwardRow {
-                threshold: std::array::from_fn(|l| if pixel(l) { -LOG2_255 } else { f32::INFINITY }),
-                transmittance: [1.0; TILE],
-                object: [zero; 3],
-                veil: [zero; 3],
-                depth: zero,
-                accumulation: zero,
-                clear: [zero; 3],
-                last: zero,
-                stop: std::array::from_fn(|l| if pixel(l) { NEVER } else { 0 }),
-            }
-        };
-        Self { rows: std::array::from_fn(row) }
+        let mut tile = Self { rows: [ForwardRow::STOPPED; TILE] };
+        for row in &mut tile.rows[..filled_rows] {
+            row.threshold[..filled_columns].fill(-LOG2_255);
+            row.stop[..filled_columns].fill(NEVER);
+        }
+        tile
     }
 }
 
@@ -271,7 +279,9 @@ impl Splat {
 /// `t = X + shear η + τ` and `dy = η + δ`. Returned: `[ΣG, ΣG t, ΣG dy, ΣG t², ΣG t dy, ΣG dy²]`. f64, since the terms may cancel.
 #[inline(always)]
 pub(crate) fn moments(splat: &Splat, origin: [f32; 2], sums: [f32; 6]) -> [f32; 6] {
-    let [s0, sx, sxx, s1, sx1, s2] = sums.map(f64::from);
+    let [s0, sx, sxx, s1, sx1, s2] = sums;
+    let (s0, sx, sxx) = (f64::from(s0), f64::from(sx), f64::from(sxx));
+    let (s1, sx1, s2) = (f64::from(s1), f64::from(sx1), f64::from(s2));
     let k = f64::from(splat.shear);
     let delta = f64::from(origin[1]) - f64::from(splat.y);
     let tau = f64::from(origin[0]) - f64::from(splat.x) + k * delta;
@@ -280,5 +290,5 @@ pub(crate) fn moments(splat: &Splat, origin: [f32; 2], sums: [f32; 6]) -> [f32; 
     let tt = sxx + k * (k * s2 + 2.0 * sx1) + tau * (tau * s0 + 2.0 * sx + 2.0 * k * s1);
     let y = s1 + delta * s0;
     let yy = s2 + delta * (2.0 * s1 + delta * s0);
-    [s0, t, y, tt, ty, yy].map(|v| v as f32)
+    [s0 as f32, t as f32, y as f32, tt as f32, ty as f32, yy as f32]
 }
