@@ -55,7 +55,8 @@ impl ModelError {
     /// The reason text for a camera model that is not one of the eleven.
     pub(crate) fn unknown_model(shown: &str, id: i32) -> String {
         let newer = &LensModel::NEWER;
-        let by_id = usize::try_from(id - LensModel::ALL.len() as i32).ok().and_then(|i| newer.get(i));
+        let beyond = usize::try_from(id).ok().and_then(|id| id.checked_sub(LensModel::ALL.len()));
+        let by_id = beyond.and_then(|i| newer.get(i));
         let named = by_id.map_or_else(|| shown.to_string(), |name| format!("{name} ({shown})"));
         let known: Vec<&str> = LensModel::ALL.iter().map(|m| m.name()).collect();
         let hint = if by_id.is_some() || newer.contains(&shown) {

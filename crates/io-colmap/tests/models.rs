@@ -139,6 +139,10 @@ fn newer_camera_models_are_named() {
         message.contains("RAD_TAN_THIN_PRISM_FISHEYE") && message.contains("image_undistorter"),
         "{message}"
     );
+    // Found by fuzzing: the id next to the smallest number overflowed.
+    bytes[12..16].copy_from_slice(&(i32::MIN + 1).to_le_bytes());
+    let message = binary::cameras(&bytes, path).unwrap_err().to_string();
+    assert!(message.contains("damaged"), "{message}");
     let message = text::cameras(b"1 DIVISION 10 10 1 1 1 1 1", path).unwrap_err().to_string();
     assert!(message.contains("DIVISION") && message.contains("OPENCV_FISHEYE"), "{message}");
     let message = text::cameras(b"1 NONSENSE 10 10 1", path).unwrap_err().to_string();
