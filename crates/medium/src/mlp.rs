@@ -247,20 +247,33 @@ impl Gradients {
     }
 }
 
+/// The first four vectors.
+#[inline(always)]
+fn quads<S: Simd>(simd: S, values: &[f32]) -> [f32x16<S>; 4] {
+    let values = &values[..4 * LANES];
+    let (low, high) = values.split_at(2 * LANES);
+    let load = |v: &[f32]| f32x16::from_slice(simd, v);
+    [load(&low[..LANES]), load(&low[LANES..]), load(&high[..LANES]), load(&high[LANES..])]
+}
+
 /// `out = weights · input (+ bias)`: `[out][in] × [in][BLOCK]`, four outputs by four vectors at a time.
 #[inline(always)]
 fn product<S: Simd>(simd: S, weights: &[f32], bias: Option<&[f32]>, input: &[f32], out: &mut [f32]) {
     let inputs = input.len() / BLOCK;
     for (group, rows) in out.chunks_exact_mut(4 * BLOCK).enumerate() {
-        let w: [&[f32]; 4] = std::array::from_fn(|j| &weights[(group * 4 + j) * inputs..][..inputs]);
-        let start: [f32; 4] = std::array::from_fn(|j| bias.map_or(0.0, |b| b[group * 4 + j]));
-        let mut sums: [[f32x16<S>; 4]; 4] = start.map(|b| [f32x16::splat(simd, b); 4]);
+        // Loops: `array::from_fn` and `map` are calls that the instruction set does not reach into.
+        let mut sums = [[f32x16::splat(simd, 0.0); 4]; 4];
+        if let Some(bias) = bias {
+            for j in 0..4 {
+                sums[j] = [f32x16::splat(simd, bias[group * 4 + j]); 4];
+            }
+        }
+        let weights = &weights[group * 4 * inputs..][..4 * inputs];
         for k in 0..inputs {
-            let x: [f32x16<S>; 4] =
-                std::array::from_fn(|v| f32x16::from_slice(simd, &input[k * BLOCK + v * LANES..][..LANES]));
+            let x = quads(simd, &input[k * BLOCK..]);
             for j in 0..4 {
                 for v in 0..4 {
-                    sums[j][v] = x[v].mul_add(w[j][k], sums[j][v]);
+                    sums[j][v] = x[v].mul_add(weights[j * inputs + k], sums[j][v]);
                 }
             }
         }
@@ -277,7 +290,7 @@ fn product<S: Simd>(simd: S, weights: &[f32], bias: Option<&[f32]>, input: &[f32
 fn accumulate<S: Simd>(simd: S, pull: &[f32], input: &[f32], weights: &mut [f32], bias: &mut [f32]) {
     let inputs = input.len() / BLOCK;
     for (j, row) in pull.chunks_exact(BLOCK).enumerate() {
-        let g: [f32x16<S>; 4] = std::array::from_fn(|v| f32x16::from_slice(simd, &row[v * LANES..][..LANES]));
+        let g = quads(simd, row);
         for (k, x) in input.chunks_exact(BLOCK).enumerate() {
             let mut sum = g[0] * f32x16::from_slice(simd, &x[..LANES]);
             for v in 1..4 {

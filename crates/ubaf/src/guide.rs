@@ -16,8 +16,9 @@ pub(crate) fn signed_log(c: f32) -> f32 {
 /// `γ` of 16 colours given by the planes of their signed logs.
 #[inline(always)]
 pub(crate) fn gamma<S: Simd>(simd: S, guide: &[f32; 4], h: [f32x16<S>; 3]) -> f32x16<S> {
-    let [wr, wg, wb, b] = guide.map(|g| f32x16::splat(simd, g));
-    lanes::tanh(simd, wr.mul_add(h[0], wg.mul_add(h[1], wb.mul_add(h[2], b))))
+    let [wr, wg, wb, b] = *guide;
+    let c = |v: f32| f32x16::splat(simd, v);
+    lanes::tanh(simd, c(wr).mul_add(h[0], c(wg).mul_add(h[1], c(wb).mul_add(h[2], c(b)))))
 }
 
 /// Scalar twin of [`gamma`].

@@ -1,9 +1,9 @@
 //! Code and decoder over tiles of Gaussians, sixteen lanes at a time: `raw = W₂ silu(W₁ z + b₁) + b₂`, `z = f_x ⊙ f_y ⊙ f_z ⊙ f_γ`.
 //!
-//! A tile is 256 Gaussians. Its codes are gathered one Gaussian at a time (the rank is the vector), transposed, and then each
-//! hidden unit passes over the whole tile with its weights in registers, so that the backward pass accumulates the unit's
-//! weight gradients in registers too. The hidden activations are computed again in the backward pass: cheaper than 64 floats
-//! of memory per Gaussian. Lane sums are f32 over a block of 2048 Gaussians, then f64.
+//! A tile is 256 Gaussians. Its codes are gathered one Gaussian at a time (the rank is the vector) and transposed. Forward, all
+//! hidden units pass over sixteen Gaussians whose codes and outputs stay in registers; backward, each hidden unit passes over the
+//! whole tile with its weight gradients in registers. The logistic values of the hidden units, a third of the work, may be kept
+//! from the forward to the backward pass; without them the backward pass computes them again, to the same bits. Lane sums are f32 over a block of 2048 Gaussians, then f64.
 //!
 //! Ranks are padded with zero factors to 8 or 16; a zero code entry adds nothing anywhere.
 
@@ -74,26 +74,43 @@ impl Packed {
         self.output_bias.copy_from_slice(&p[shape.output_bias()]);
     }
 
-    /// The decoder's raw outputs for one tile of lookups.
-    pub(crate) fn forward(&self, level: Level, lookups: Lookups<'_>, out: &mut TileOutputs) {
+    /// How many logistic values a lookup has.
+    pub(crate) fn width(&self) -> usize {
+        self.shape.width
+    }
+
+    /// The decoder's raw outputs for one tile of lookups. `kept` takes the logistic values, [`Packed::width`] per lookup, or is empty.
+    pub(crate) fn forward(
+        &self,
+        level: Level,
+        lookups: Lookups<'_>,
+        out: &mut TileOutputs,
+        kept: &mut [f32],
+    ) {
         match self.rank {
-            8 => dispatch!(level, simd => forward_tile::<_, 8>(simd, self, lookups, out)),
-            _ => dispatch!(level, simd => forward_tile::<_, 16>(simd, self, lookups, out)),
+            8 => dispatch!(level, simd => forward_tile::<_, 8>(simd, self, lookups, out, kept)),
+            _ => dispatch!(level, simd => forward_tile::<_, 16>(simd, self, lookups, out, kept)),
         }
     }
 
-    /// Adds the tile's parameter derivatives to `sums` and writes `∂L/∂γ`, given `∂L/∂raw` (zero in padding lanes).
+    /// Adds the tile's parameter derivatives to `sums` and writes `∂L/∂γ`, given `∂L/∂raw` (zero in padding lanes) and what
+    /// [`Packed::forward`] kept, or nothing.
     pub(crate) fn backward(
         &self,
         level: Level,
         lookups: Lookups<'_>,
         d_out: &TileOutputs,
+        kept: &[f32],
         sums: &mut Accumulator,
         d_gamma: &mut [f32; TILE],
     ) {
         match self.rank {
-            8 => dispatch!(level, simd => backward_tile::<_, 8>(simd, self, lookups, d_out, sums, d_gamma)),
-            _ => dispatch!(level, simd => backward_tile::<_, 16>(simd, self, lookups, d_out, sums, d_gamma)),
+            8 => {
+                dispatch!(level, simd => backward_tile::<_, 8>(simd, self, lookups, d_out, kept, sums, d_gamma));
+            }
+            _ => {
+                dispatch!(level, simd => backward_tile::<_, 16>(simd, self, lookups, d_out, kept, sums, d_gamma));
+            }
         }
     }
 }
@@ -141,11 +158,16 @@ fn factor_rows<const P: usize>(
     resolution: usize,
     at: &[(usize, f32); 4],
 ) -> [[f32; P]; 4] {
-    std::array::from_fn(|axis| {
+    // Loops, here and below: `array::from_fn` is a call that the instruction set does not reach into.
+    let mut rows = [[0.0; P]; 4];
+    for (axis, row) in rows.iter_mut().enumerate() {
         let (node, t) = at[axis];
         let (low, high) = (&table[axis * resolution + node], &table[axis * resolution + node + 1]);
-        std::array::from_fn(|r| low[r] + t * (high[r] - low[r]))
-    })
+        for r in 0..P {
+            row[r] = low[r] + t * (high[r] - low[r]);
+        }
+    }
+    rows
 }
 
 #[inline(always)]
@@ -170,13 +192,22 @@ fn codes<const P: usize>(packed: &Packed, lookups: Lookups<'_>) -> [[f32; TILE];
     z
 }
 
-/// Pre-activation of one hidden unit in the lanes from `at` on.
+/// Sixteen lookups of every plane.
 #[inline(always)]
-fn activation<S: Simd, const P: usize>(simd: S, unit: &[f32], z: &[[f32; TILE]; P], at: usize) -> f32x16<S> {
+fn lanes_at<S: Simd, const P: usize>(simd: S, planes: &[[f32; TILE]; P], at: usize) -> [f32x16<S>; P] {
+    let mut lanes = [f32x16::splat(simd, 0.0); P];
+    for r in 0..P {
+        lanes[r] = f32x16::from_slice(simd, &planes[r][at..at + LANES]);
+    }
+    lanes
+}
+
+/// Pre-activation of one hidden unit.
+#[inline(always)]
+fn activation<S: Simd, const P: usize>(simd: S, unit: &[f32], z: &[f32x16<S>; P]) -> f32x16<S> {
     let mut pre = f32x16::splat(simd, unit[P]);
     for r in 0..P {
-        let code = f32x16::from_slice(simd, &z[r][at..at + LANES]);
-        pre = code.mul_add(f32x16::splat(simd, unit[r]), pre);
+        pre = z[r].mul_add(f32x16::splat(simd, unit[r]), pre);
     }
     pre
 }
@@ -187,20 +218,30 @@ fn forward_tile<S: Simd, const P: usize>(
     packed: &Packed,
     lookups: Lookups<'_>,
     out: &mut TileOutputs,
+    kept: &mut [f32],
 ) {
     let z = codes::<P>(packed, lookups);
-    for (plane, &bias) in out.iter_mut().zip(&packed.output_bias) {
-        plane.fill(bias);
-    }
-    for unit in packed.units.chunks_exact(P + 1 + OUTPUTS) {
-        for at in (0..lookups.gamma.len()).step_by(LANES) {
-            let pre = activation(simd, unit, &z, at);
-            let hidden = pre * lanes::logistic(simd, pre);
-            for o in 0..OUTPUTS {
-                let sum = f32x16::from_slice(simd, &out[o][at..at + LANES]);
-                let weight = f32x16::splat(simd, unit[P + 1 + o]);
-                hidden.mul_add(weight, sum).store_slice(&mut out[o][at..at + LANES]);
+    let keeps = !kept.is_empty();
+    for at in (0..lookups.gamma.len()).step_by(LANES) {
+        let z = lanes_at(simd, &z, at);
+        let mut sums = [f32x16::splat(simd, 0.0); OUTPUTS];
+        for o in 0..OUTPUTS {
+            sums[o] = f32x16::splat(simd, packed.output_bias[o]);
+        }
+        for (k, unit) in packed.units.chunks_exact(P + 1 + OUTPUTS).enumerate() {
+            let pre = activation(simd, unit, &z);
+            let s = lanes::logistic(simd, pre);
+            if keeps {
+                // Unit by unit, as the backward pass reads them.
+                s.store_slice(&mut kept[k * lookups.gamma.len() + at..][..LANES]);
             }
+            let hidden = pre * s;
+            for o in 0..OUTPUTS {
+                sums[o] = hidden.mul_add(f32x16::splat(simd, unit[P + 1 + o]), sums[o]);
+            }
+        }
+        for o in 0..OUTPUTS {
+            sums[o].store_slice(&mut out[o][at..at + LANES]);
         }
     }
 }
@@ -211,21 +252,26 @@ fn backward_tile<S: Simd, const P: usize>(
     packed: &Packed,
     lookups: Lookups<'_>,
     d_out: &TileOutputs,
+    kept: &[f32],
     sums: &mut Accumulator,
     d_gamma: &mut [f32; TILE],
 ) {
     let z = codes::<P>(packed, lookups);
+    let count = lookups.gamma.len();
     let mut d_z = [[0.0f32; TILE]; P];
     let record = P + 1 + OUTPUTS;
     let one = f32x16::splat(simd, 1.0);
-    for (unit, sums) in packed.units.chunks_exact(record).zip(sums.units.chunks_exact_mut(record * LANES)) {
-        let load = |sums: &[f32], i: usize| f32x16::from_slice(simd, &sums[i * LANES..(i + 1) * LANES]);
-        let mut d_weight: [f32x16<S>; P] = std::array::from_fn(|r| load(sums, r));
-        let mut d_bias = load(sums, P);
-        let mut d_output: [f32x16<S>; OUTPUTS] = std::array::from_fn(|o| load(sums, P + 1 + o));
-        for at in (0..lookups.gamma.len()).step_by(LANES) {
-            let pre = activation(simd, unit, &z, at);
-            let s = lanes::logistic(simd, pre);
+    let units = packed.units.chunks_exact(record).zip(sums.units.chunks_exact_mut(record * LANES));
+    for (k, (unit, sums)) in units.enumerate() {
+        let zero = f32x16::splat(simd, 0.0);
+        let (mut d_weight, mut d_bias, mut d_output) = ([zero; P], zero, [zero; OUTPUTS]);
+        for at in (0..count).step_by(LANES) {
+            let z = lanes_at(simd, &z, at);
+            let pre = activation(simd, unit, &z);
+            let s = match kept.get(k * count + at..k * count + at + LANES) {
+                Some(s) => f32x16::from_slice(simd, s),
+                None => lanes::logistic(simd, pre),
+            };
             let hidden = pre * s;
             let mut d_hidden = f32x16::splat(simd, 0.0);
             for o in 0..OUTPUTS {
@@ -237,17 +283,25 @@ fn backward_tile<S: Simd, const P: usize>(
             let d_pre = d_hidden * (s * pre.mul_add(one - s, one));
             d_bias += d_pre;
             for r in 0..P {
-                let code = f32x16::from_slice(simd, &z[r][at..at + LANES]);
-                d_weight[r] = code.mul_add(d_pre, d_weight[r]);
+                d_weight[r] = z[r].mul_add(d_pre, d_weight[r]);
                 let d_code = f32x16::from_slice(simd, &d_z[r][at..at + LANES]);
                 d_pre.mul_add(f32x16::splat(simd, unit[r]), d_code).store_slice(&mut d_z[r][at..at + LANES]);
             }
         }
-        for (r, d) in d_weight.iter().chain([&d_bias]).chain(&d_output).enumerate() {
-            d.store_slice(&mut sums[r * LANES..(r + 1) * LANES]);
+        for r in 0..P {
+            add(simd, d_weight[r], &mut sums[r * LANES..(r + 1) * LANES]);
+        }
+        add(simd, d_bias, &mut sums[P * LANES..(P + 1) * LANES]);
+        for o in 0..OUTPUTS {
+            add(simd, d_output[o], &mut sums[(P + 1 + o) * LANES..(P + 2 + o) * LANES]);
         }
     }
     codes_backward(packed, lookups, &d_z, &mut sums.factors, d_gamma);
+}
+
+#[inline(always)]
+fn add<S: Simd>(simd: S, d: f32x16<S>, sum: &mut [f32]) {
+    (f32x16::from_slice(simd, sum) + d).store_slice(sum);
 }
 
 /// `∂L/∂factors` and `∂L/∂γ` from `∂L/∂z`.
@@ -266,7 +320,10 @@ fn codes_backward<const P: usize>(
     for i in 0..lookups.gamma.len() {
         let at = location(lookups, i, resolution);
         let [x, y, w, g] = factor_rows(table, resolution, &at);
-        let d: [f32; P] = std::array::from_fn(|r| d_z[r][i]);
+        let mut d = [0.0; P];
+        for r in 0..P {
+            d[r] = d_z[r][i];
+        }
         let (mut dx, mut dy, mut dw, mut dg) = ([0.0; P], [0.0; P], [0.0; P], [0.0; P]);
         for r in 0..P {
             let (xy, wg) = (d[r] * (x[r] * y[r]), d[r] * (w[r] * g[r]));

@@ -22,6 +22,9 @@ use crate::sites::{BLOCK, LANES, Sites};
 
 pub use crate::sites::guide_color;
 
+/// Most bytes of kept logistic values: two million Gaussians at the method's width.
+const KEPT: usize = 512 << 20;
+
 /// The field evaluated at every Gaussian of a frozen scene, forward and backward.
 #[derive(Debug)]
 pub struct ObjectPass {
@@ -31,6 +34,8 @@ pub struct ObjectPass {
     /// Per block, six planes of [`BLOCK`] raw outputs.
     raw: Vec<f32>,
     mean: [f32; OUTPUTS],
+    /// Per block, what the kernel keeps from forward to backward; empty if that were more than [`KEPT`].
+    kept: Vec<f32>,
     /// `∂L/∂local`, then `∂L/∂raw`, in the layout of `raw`.
     d_raw: Vec<f32>,
     sums: Vec<BlockSums>,
@@ -88,6 +93,7 @@ impl ObjectPass {
         Self {
             level,
             raw: vec![0.0; blocks * OUTPUTS * BLOCK],
+            kept: Vec::new(),
             d_raw: Vec::new(),
             sums: vec![BlockSums::default(); blocks],
             partials: Vec::new(),
@@ -114,13 +120,21 @@ impl ObjectPass {
         self.prepare_scratch();
         let (level, sites, packed, scratch) = (self.level, &self.sites, &self.packed, &self.scratch);
         let guide = field.guide();
-        self.raw.par_chunks_mut(OUTPUTS * BLOCK).zip(&mut self.sums).enumerate().for_each(
-            |(block, (raw, sums))| {
+        let width = packed.width();
+        let kept = self.sites.blocks() * BLOCK * width;
+        self.kept.resize(if kept * size_of::<f32>() <= KEPT { kept } else { 0 }, 0.0);
+        // Without a place to keep them every block gets the empty slice.
+        let mut places = self.kept.chunks_mut(BLOCK * width);
+        let places: Vec<&mut [f32]> =
+            (0..self.sites.blocks()).map(|_| places.next().unwrap_or_default()).collect();
+        self.raw.par_chunks_mut(OUTPUTS * BLOCK).zip(&mut self.sums).zip(places).enumerate().for_each(
+            |(block, ((raw, sums), kept))| {
                 with_scratch(scratch, |scratch| {
                     for tile in tiles(sites, block) {
                         dispatch!(level, simd => gammas(simd, &guide, sites, &tile, &mut scratch.gamma));
                         let lookups = tile.lookups(sites, &scratch.gamma);
-                        packed.forward(level, lookups, &mut scratch.outputs);
+                        let kept = kept.get_mut(tile.kept(width)).unwrap_or_default();
+                        packed.forward(level, lookups, &mut scratch.outputs, kept);
                         for (plane, values) in raw.chunks_exact_mut(BLOCK).zip(&scratch.outputs) {
                             plane[tile.offset..tile.offset + tile.padded]
                                 .copy_from_slice(&values[..tile.padded]);
@@ -214,6 +228,7 @@ impl ObjectPass {
         self.partials.resize(self.sites.blocks() * parameters, 0.0);
         let (level, sites, packed, scratch) = (self.level, &self.sites, &self.packed, &self.scratch);
         let guide = field.guide();
+        let (width, kept) = (packed.width(), &self.kept);
         self.partials
             .par_chunks_mut(parameters)
             .zip(self.d_raw.par_chunks(OUTPUTS * BLOCK))
@@ -235,7 +250,9 @@ impl ObjectPass {
                             values[tile.real..tile.padded].fill(0.0);
                         }
                         let lookups = tile.lookups(sites, gamma);
-                        packed.backward(level, lookups, outputs, sums, d_gamma);
+                        let kept = kept.get(block * BLOCK * width..).unwrap_or_default();
+                        let kept = kept.get(tile.kept(width)).unwrap_or_default();
+                        packed.backward(level, lookups, outputs, kept, sums, d_gamma);
                         for i in 0..tile.real {
                             let d = f64::from(d_gamma[i] * (1.0 - gamma[i] * gamma[i]));
                             for (g, h) in d_guide.iter_mut().zip(&sites.signed_logs) {
@@ -281,6 +298,11 @@ struct Tile {
 }
 
 impl Tile {
+    /// Where a block keeps the tile's logistic values.
+    fn kept(&self, width: usize) -> std::ops::Range<usize> {
+        self.offset * width..(self.offset + self.padded) * width
+    }
+
     fn lookups<'a>(&self, sites: &'a Sites, gamma: &'a [f32; TILE]) -> Lookups<'a> {
         let range = self.first..self.first + self.padded;
         Lookups {
@@ -307,7 +329,8 @@ fn tiles(sites: &Sites, block: usize) -> impl Iterator<Item = Tile> {
 fn gammas<S: Simd>(simd: S, guide: &[f32; 4], sites: &Sites, tile: &Tile, out: &mut [f32; TILE]) {
     for at in (0..tile.padded).step_by(LANES) {
         let i = tile.first + at;
-        let h = [0, 1, 2].map(|c| f32x16::from_slice(simd, &sites.signed_logs[c][i..i + LANES]));
-        guide::gamma(simd, guide, h).store_slice(&mut out[at..at + LANES]);
+        let [r, g, b] = &sites.signed_logs;
+        let load = |plane: &[f32]| f32x16::from_slice(simd, &plane[i..i + LANES]);
+        guide::gamma(simd, guide, [load(r), load(g), load(b)]).store_slice(&mut out[at..at + LANES]);
     }
 }

@@ -19,12 +19,12 @@ pub(crate) struct BlockSums {
 /// `exp(raw - centre)` of the three log-gains of sixteen Gaussians of a block.
 #[inline(always)]
 fn gains<S: Simd>(simd: S, raw: &[f32], centre: &[f32; OUTPUTS], at: usize) -> [[f32; LANES]; 3] {
-    std::array::from_fn(|c| {
+    let mut gains = [[0.0; LANES]; 3];
+    for (c, gain) in gains.iter_mut().enumerate() {
         let raw = f32x16::from_slice(simd, &raw[c * BLOCK + at..c * BLOCK + at + LANES]);
-        let mut out = [0.0; LANES];
-        lanes::exp(simd, raw - f32x16::splat(simd, centre[c])).store_slice(&mut out);
-        out
-    })
+        lanes::exp(simd, raw - f32x16::splat(simd, centre[c])).store_slice(gain);
+    }
+    gains
 }
 
 /// Colours of a block: `raw` are its six planes, `base` and `out` its Gaussians' colours.
