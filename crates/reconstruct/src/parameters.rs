@@ -108,6 +108,10 @@ pub struct Densify {
     pub until: f64,
     /// Mean absolute screen gradient above which a Gaussian is split or duplicated.
     pub gradient_threshold: f64,
+    /// Pixels of the training images for which `gradient_threshold` is meant (the method's 1400×933). The pull of a Gaussian of a given
+    /// size in pixels falls with the images' side; for other images it is scaled by √(pixels / this), so that a scene grows to
+    /// about as many Gaussians per pixel at any size. 0: never scaled.
+    pub reference_pixels: u64,
     /// Largest standard deviation up to which it is duplicated rather than split, scene units.
     pub split_scale: f64,
     /// Factor by which the children of a split are smaller.
@@ -139,6 +143,7 @@ impl Default for Densify {
             pause: 250,
             until: 2.0 / 3.0,
             gradient_threshold: 8e-4,
+            reference_pixels: 1400 * 933,
             split_scale: 1e-3,
             shrink: 1.6,
             cull_opacity: 0.5,
@@ -158,6 +163,9 @@ impl Default for Densify {
 pub struct ReconstructParams {
     /// Training steps, one view each.
     pub iterations: u64,
+    /// Steps over which rates, resolution, degrees and density control run their course. A shorter run compresses them; a longer
+    /// one goes on with their last values, so that its first steps are those of the shorter run.
+    pub schedule: u64,
     /// The model of the water.
     pub medium: Medium,
     /// Anchors of the `rbf` water.
@@ -204,6 +212,7 @@ impl Default for ReconstructParams {
     fn default() -> Self {
         Self {
             iterations: 15_000,
+            schedule: 15_000,
             medium: Medium::Rbf,
             anchors: 8,
             top_k: 4,
@@ -249,6 +258,7 @@ impl ReconstructParams {
             if value >= least { Ok(()) } else { Err(format!("{name} is {value}; expected at least {least}")) }
         };
         at_least("iterations", self.iterations, 1)?;
+        at_least("schedule", self.schedule, 1)?;
         at_least("anchors", self.anchors as u64, 1)?;
         at_least("log_every", self.log_every, 1)?;
         at_least("checkpoint_steps", self.checkpoint_steps, 1)?;
@@ -311,27 +321,32 @@ impl ReconstructParams {
         Ok(())
     }
 
+    /// The steps that the schedules span.
+    pub fn course(&self) -> u64 {
+        self.iterations.min(self.schedule)
+    }
+
     /// The image divisor at `step`.
     pub fn divisor(&self, step: u64) -> usize {
         let reached =
-            self.resolution_schedule.iter().rev().find(|s| step as f64 >= s.0 * self.iterations as f64);
+            self.resolution_schedule.iter().rev().find(|s| step as f64 >= s.0 * self.course() as f64);
         reached.map_or(1, |s| s.1)
     }
 
     /// The active spherical-harmonics degree at `step`.
     pub fn active_degree(&self, step: u64) -> usize {
-        let every = (self.sh_every * self.iterations as f64).round().max(1.0) as u64;
+        let every = (self.sh_every * self.course() as f64).round().max(1.0) as u64;
         ((step / every) as usize).min(self.sh_degree)
     }
 
     /// The step from which nothing is added any more.
     pub fn densify_end(&self) -> u64 {
-        (self.densify.until * self.iterations as f64).round() as u64
+        (self.densify.until * self.course() as f64).round() as u64
     }
 
     /// The step up to which nothing is refined: the preset, but at most a quarter of a short run.
     pub fn warm_up(&self) -> u64 {
-        self.densify.warm_up.min(self.iterations / 4)
+        self.densify.warm_up.min(self.course() / 4)
     }
 }
 
@@ -347,6 +362,8 @@ mod tests {
         assert_eq!(divisors, [4, 4, 2, 2, 1, 1]);
         assert_eq!([0, 999, 1000, 2000, 3000, 9000].map(|s| p.active_degree(s)), [0, 0, 1, 2, 3, 3]);
         assert_eq!((p.densify_end(), p.warm_up()), (10_000, 600));
+        let long = ReconstructParams { iterations: 20_000, ..p.clone() };
+        assert_eq!((long.divisor(5999), long.divisor(6000), long.densify_end()), (2, 1, 10_000));
         let short = ReconstructParams { iterations: 1500, ..p };
         assert_eq!((short.divisor(299), short.divisor(300), short.active_degree(100)), (4, 2, 1));
         assert_eq!((short.densify_end(), short.warm_up()), (1000, 375));

@@ -87,7 +87,7 @@ fn golden_stage1_step() {
             rates: NO_RATES,
             depth_weight: case.number("lam_d"),
             depth_gradient: true,
-            gather: false,
+            gather: None,
         };
         let (value, depth_loss) = engine.differentiate(view, &settings);
         case.check_planes("out.rgb", engine.rendered().image.data());
@@ -191,6 +191,7 @@ fn tiny_params(iterations: u64) -> ReconstructParams {
     params.densify.pause = 10;
     params.densify.cull_opacity = 0.05;
     params.densify.gradient_threshold = 2e-4;
+    params.densify.reference_pixels = 0;
     params
 }
 
@@ -280,8 +281,18 @@ fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
         &on(1, Some(dir.path()), &mut Watcher { panic_at: Some(1), ..Watcher::default() }).unwrap()
     ));
 
+    // Twenty steps more cost twenty steps, and end where an uninterrupted longer run ends.
+    let longer = ReconstructParams { iterations: 80, schedule: 60, ..params.clone() };
+    let run_longer = |dir: Option<&std::path::Path>, observer: &mut Watcher| {
+        reconstruct(&capture, &loader(&loaded), &longer, dir, observer).unwrap()
+    };
+    let mut watcher = Watcher::default();
+    let extended = run_longer(Some(dir.path()), &mut watcher);
+    assert!(watcher.notices.iter().any(|n| n.contains("going on from step 60")), "{:?}", watcher.notices);
+    assert!(same(&run_longer(None, &mut Watcher::default()), &extended), "extending changes the scene");
+
     // A checkpoint of other parameters, and a damaged one, are left alone aloud.
-    let other = ReconstructParams { seed: 7, iterations: 3, ..params.clone() };
+    let other = ReconstructParams { seed: 7, iterations: 90, schedule: 60, ..params.clone() };
     let mut watcher = Watcher::default();
     reconstruct(&capture, &loader(&loaded), &other, Some(dir.path()), &mut watcher).unwrap();
     assert!(watcher.notices.iter().any(|n| n.contains("other parameters")), "{:?}", watcher.notices);

@@ -222,8 +222,15 @@ fn load(
 /// What a checkpoint must agree with to be gone on from: parameters, cameras, points and pixels.
 fn fingerprint(capture: &Capture, params: &ReconstructParams, views: &Views) -> [u8; 32] {
     let mut hasher = blake3::Hasher::new();
-    // How often checkpoints are written changes nothing.
-    let params = ReconstructParams { checkpoint_steps: 1, checkpoint_minutes: 1.0, ..params.clone() };
+    // How often checkpoints are written changes nothing, nor does the length beyond the schedules.
+    let (iterations, schedule) = (params.course(), params.course());
+    let params = ReconstructParams {
+        iterations,
+        schedule,
+        checkpoint_steps: 1,
+        checkpoint_minutes: 1.0,
+        ..params.clone()
+    };
     hasher.update(format!("{params:?}").as_bytes());
     for view in views.train.iter().chain(&views.test) {
         hasher.update(format!("{:?}", view.camera).as_bytes());
@@ -279,6 +286,13 @@ impl Run<'_> {
                 return Ok(());
             }
         };
+        if state.step > self.params.iterations {
+            self.observer.notice(&format!(
+                "the checkpoint is of step {}, beyond the {} steps asked for; starting anew",
+                state.step, self.params.iterations
+            ));
+            return Ok(());
+        }
         if state.fingerprint != self.fingerprint || !self.engine.restore(&state.engine) {
             self.observer
                 .notice("the checkpoint belongs to another capture or other parameters; starting anew");
@@ -356,7 +370,7 @@ impl Run<'_> {
 
     fn one_step(&mut self, view: usize) -> Result<(), ReconstructError> {
         let (params, step, r) = (self.params, self.step, &self.params.learning_rates);
-        let rate = |rate: crate::Rate| rate.at(step, params.iterations);
+        let rate = |rate: crate::Rate| rate.at(step, params.course());
         let settings = StepSettings {
             step,
             divisor: params.divisor(step),
@@ -374,9 +388,10 @@ impl Run<'_> {
             },
             depth_weight: if params.depth_prior == DepthPrior::Off { 0.0 } else { params.depth_weight },
             depth_gradient: params.depth_gradient,
-            gather: params.densify.enabled
+            gather: (params.densify.enabled
                 && step >= params.densify.statistics_from.min(params.warm_up())
-                && step < params.densify_end(),
+                && step < params.densify_end())
+            .then_some(params.densify.reference_pixels),
         };
         let report = self.engine.step(view, &settings);
         if let Some((what, index)) = report.non_finite {

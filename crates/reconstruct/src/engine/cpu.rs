@@ -225,9 +225,13 @@ impl Engine for CpuEngine {
             report.non_finite = Some(("the water's parameters", index));
         }
         self.profile.lap(Part::Adam);
-        if settings.gather {
+        if let Some(reference) = settings.gather {
             let image = &self.buffers.rendered.image;
-            self.statistics.gather(&self.buffers.gradients, image.width(), image.height());
+            let (width, height) = (image.width(), image.height());
+            // At every divisor as at full size: the pyramid's stronger pulls are part of the method.
+            let pixels = (width * settings.divisor) as f64 * (height * settings.divisor) as f64;
+            let scale = if reference == 0 { 1.0 } else { (pixels / reference as f64).sqrt() as f32 };
+            self.statistics.gather(&self.buffers.gradients, width, height, scale);
         }
         self.profile.lap(Part::Density);
         self.profile.steps += 1;

@@ -6,7 +6,8 @@
 //! | (½ W Σ_p |∂L_p/∂x|,  ½ H Σ_p |∂L_p/∂y|) |₂
 //! ```
 //!
-//! says how much the loss pulls at it on the screen without opposite pulls cancelling. Above a threshold, a Gaussian whose largest standard
+//! says how much the loss pulls at it on the screen without opposite pulls cancelling; it is scaled to the image size that the threshold
+//! is meant for. Above a threshold, a Gaussian whose largest standard
 //! deviation exceeds a size is replaced by two drawn from it, 1.6 times smaller; a smaller one gets a twin. Faint and huge ones
 //! are removed, but never below a floor (the most opaque stay), and growth stops at a cap (the strongest pulls first). New Gaussians
 //! start with zero moments.
@@ -30,9 +31,9 @@ impl Statistics {
         Self { norms: vec![0.0; n], renders: vec![0; n] }
     }
 
-    /// Adds one render of `width × height` pixels.
-    pub(crate) fn gather(&mut self, gradients: &GaussianGradients, width: usize, height: usize) {
-        let (sx, sy) = (0.5 * width as f32, 0.5 * height as f32);
+    /// Adds one render of `width × height` pixels, norms times `scale`.
+    pub(crate) fn gather(&mut self, gradients: &GaussianGradients, width: usize, height: usize, scale: f32) {
+        let (sx, sy) = (0.5 * scale * width as f32, 0.5 * scale * height as f32);
         for (i, (screen, &visible)) in gradients.screen.iter().zip(&gradients.visible).enumerate() {
             if visible {
                 let (x, y) = (sx * screen[0], sy * screen[1]);

@@ -56,8 +56,8 @@ pub struct StepSettings {
     pub depth_weight: f64,
     /// Whether gradients flow through ray distances (R2).
     pub depth_gradient: bool,
-    /// Whether screen gradients are gathered for density control.
-    pub gather: bool,
+    /// Whether screen gradients are gathered for density control, and for how many pixels its threshold is meant (0: not scaled).
+    pub gather: Option<u64>,
 }
 
 /// What came of a step.
