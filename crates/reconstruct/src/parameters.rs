@@ -63,7 +63,8 @@ pub struct LearningRates {
     pub scales: Rate,
     /// Quaternions.
     pub quaternions: Rate,
-    /// The water's constant coefficients.
+    /// The water's constant coefficients. Rates of the water are for a whole `schedule`; a compressed run multiplies them by what it is
+    /// shorter, at most tenfold.
     pub medium_constant: Rate,
     /// The water's directional coefficients, anchor centres and log widths.
     pub medium_directional: Rate,

@@ -228,8 +228,8 @@ fn a_short_run_learns_the_scene_and_its_water() {
     let (capture, loaded) = tiny_capture(10);
     let run = |medium, iterations| {
         let mut params = ReconstructParams { medium, ..tiny_params(iterations) };
-        // The method's rate is made for fifteen thousand steps: in so few, the water would stay what it was at the start.
-        params.learning_rates.medium_constant = crate::Rate(0.1, 0.02);
+        // In so few steps even ten times the method's rate would leave the water where it was at the start.
+        params.learning_rates.medium_constant = crate::Rate(0.01, 0.002);
         reconstruct(&capture, &loader(&loaded), &params, None, &mut Silent).unwrap()
     };
     let (wet, dry) = (run(Medium::Rbf, 160), run(Medium::None, 160));

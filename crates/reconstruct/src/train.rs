@@ -21,6 +21,9 @@ use crate::{DepthPrior, Medium, ReconstructError, ReconstructParams, initialise}
 /// The checkpoint's name in its folder.
 pub const CHECKPOINT: &str = "reconstruct.checkpoint";
 
+/// The most by which a short run multiplies the rates of the water.
+const MOST_COMPRESSED: f64 = 10.0;
+
 /// What stage 1 leaves.
 #[derive(Clone, Debug)]
 pub struct Outcome {
@@ -371,6 +374,10 @@ impl Run<'_> {
     fn one_step(&mut self, view: usize) -> Result<(), ReconstructError> {
         let (params, step, r) = (self.params, self.step, &self.params.learning_rates);
         let rate = |rate: crate::Rate| rate.at(step, params.course());
+        // The water starts far from where it ends and Adam's steps are as long as the rate, whatever the gradient: a compressed run
+        // takes longer steps to get as far, within reason. (The Gaussians start where they belong.)
+        let compressed = (params.schedule as f64 / params.course() as f64).min(MOST_COMPRESSED);
+        let water = |rate: crate::Rate| compressed * rate.at(step, params.course());
         let settings = StepSettings {
             step,
             divisor: params.divisor(step),
@@ -382,9 +389,9 @@ impl Run<'_> {
                 opacity: rate(r.opacity),
                 scales: rate(r.scales),
                 quaternions: rate(r.quaternions),
-                medium_constant: rate(r.medium_constant),
-                medium_directional: rate(r.medium_directional),
-                medium_network: rate(r.medium_network),
+                medium_constant: water(r.medium_constant),
+                medium_directional: water(r.medium_directional),
+                medium_network: water(r.medium_network),
             },
             depth_weight: if params.depth_prior == DepthPrior::Off { 0.0 } else { params.depth_weight },
             depth_gradient: params.depth_gradient,

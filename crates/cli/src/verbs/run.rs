@@ -111,7 +111,11 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         loaded.engine.registry.stage(stage).map_err(CliError::input)?;
     }
     if args.dry_run {
-        print!("{}", loaded.engine.plan(&loaded.graph, until.as_deref()));
+        let plan = loaded.engine.plan(&loaded.graph, until.as_deref());
+        if args.json {
+            return json(&plan);
+        }
+        print!("{plan}");
         return Ok(());
     }
     if args.jobs == 0 {
@@ -119,7 +123,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     }
     let out =
         args.out.clone().unwrap_or_else(|| PathBuf::from("use3d-out").join(&loaded.pipeline.batch.name));
-    execute(app, &loaded, until, args.jobs, args.keep_going, &out)
+    execute(app, &loaded, until, args.jobs, args.keep_going, &out, args.json)
 }
 
 fn execute(
@@ -129,6 +133,7 @@ fn execute(
     jobs: usize,
     keep_going: bool,
     out: &Path,
+    as_json: bool,
 ) -> Done {
     let options = RunOptions {
         jobs,
@@ -139,9 +144,13 @@ fn execute(
         ..RunOptions::default()
     };
     let summary = loaded.engine.run(&loaded.graph, &options, &app.listener);
-    print!("{summary}");
+    if as_json {
+        json(&summary)?;
+    } else {
+        print!("{summary}");
+    }
     if !summary.interrupted {
-        deliver(app, &summary, out)?;
+        deliver(app, &summary, out, as_json)?;
     }
     match summary.exit_code() {
         0 => Ok(()),
@@ -151,10 +160,10 @@ fn execute(
 }
 
 /// Puts what a person wants to see into the results folder.
-fn deliver(app: &App, summary: &Summary, out: &Path) -> Done {
+fn deliver(app: &App, summary: &Summary, out: &Path, silent: bool) -> Done {
     let delivered =
         results::deliver(summary, out).map_err(|e| CliError::Input(format!("{}: {e}", out.display())))?;
-    if !app.quiet {
+    if !app.quiet && !silent {
         for (what, path) in delivered {
             println!("{what:<10} {}", path.display());
         }
@@ -191,7 +200,7 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     let mut cache = args.cache.clone();
     cache.cache.get_or_insert_with(|| args.out.join("cache"));
     let loaded = open(&capture, &[], &Settings { set: sets }, &cache)?;
-    execute(app, &loaded, None, 1, false, &args.out)?;
+    execute(app, &loaded, None, 1, false, &args.out, false)?;
     if !app.quiet {
         println!("the demo took {:.0} s", started.elapsed().as_secs_f64());
     }
