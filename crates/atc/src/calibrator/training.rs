@@ -226,7 +226,7 @@ fn clip(limit: f64, global: &mut Mlp, local: &mut Mlp) {
 /// Statistics and random initialisation of both heads.
 fn initial_heads(rows: &Rows, params: &CalibratorParams) -> (Head, Head) {
     let seed = params.seed;
-    let global = Head {
+    let mut global = Head {
         mlp: Mlp::random(
             GLOBAL_CONDITION,
             params.global_hidden,
@@ -244,7 +244,7 @@ fn initial_heads(rows: &Rows, params: &CalibratorParams) -> (Head, Head) {
     gather(&rows.local_conditions, LOCAL_CONDITION, &sample, &mut conditions);
     let mut residuals = Vec::new();
     gather(&residual, 6, &sample, &mut residuals);
-    let local = Head {
+    let mut local = Head {
         mlp: Mlp::random(
             LOCAL_CONDITION,
             params.local_hidden,
@@ -255,6 +255,13 @@ fn initial_heads(rows: &Rows, params: &CalibratorParams) -> (Head, Head) {
         condition: Statistics::of(&conditions, LOCAL_CONDITION),
         residual: Statistics::of(&residuals, 6),
     };
+    // Both begin as the best constant, the median residual: with a few dozen pairs, what a random last layer says of pairs that it was
+    // not fitted to is noise from which the fit may never recover.
+    for head in [&mut global, &mut local] {
+        let last = &mut head.mlp.layers[2];
+        last.weight.fill(0.0);
+        last.bias.fill(0.0);
+    }
     (global, local)
 }
 
