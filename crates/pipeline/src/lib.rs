@@ -13,3 +13,4 @@ pub mod scores;
 pub mod scoring;
 pub mod stages;
 pub mod tables;
+pub mod truth;

@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use crate::truth::WaterScores;
+
 /// A number, or why there is none. Never zero for "unknown", never silently absent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -42,7 +44,8 @@ impl Score {
     }
 }
 
-/// Scores by metric name (`psnr`, `ssim`, `lpips`, `uciqe`, `uiqm`, `uranker`, `musiq`, `wlpips`, `w_delta_e`, `w_ssim`, …).
+/// Scores by metric name (`psnr`, `ssim`, `lpips`, `uciqe`, `uiqm`, `uranker`, `musiq`, `wlpips`, `w_delta_e`, `w_ssim`,
+/// `truth_psnr`, `truth_delta_e`, `depth_error`, …).
 pub type Scores = BTreeMap<String, Score>;
 
 /// What is scored.
@@ -151,6 +154,8 @@ pub struct SceneScores {
     pub size: (usize, usize),
     /// Number of Gaussians.
     pub gaussians: usize,
+    /// The recovered water beside the true one; only for synthetic captures with their truth, and scenes with water.
+    pub water: Option<WaterScores>,
     /// The methods that were scored.
     pub methods: Vec<MethodScores>,
 }

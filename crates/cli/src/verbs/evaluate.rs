@@ -99,6 +99,8 @@ fn scene_rows(app: &App, args: &EvaluateArgs, scene: &Path, capture: &Path) -> R
         inputs.push(("enhanced", scene.to_path_buf()));
     }
     inputs.extend(args.models.clone().map(|dir| ("models", dir)));
+    // A synthetic capture has its truth beside its images.
+    inputs.push(("truth", capture.to_path_buf()));
     let out = scratch.path().join("evaluate");
     let stage = registry.stage("evaluate").map_err(CliError::failed)?;
     run_stage(app, stage, &parameters[0], inputs, &out, None)?;

@@ -1,7 +1,8 @@
 //! Held-out views scored: stage 1 against the photographs, every appearance for itself, and neighbouring views for consistency.
 //!
 //! Rendered images are scored as they are rendered (f32, clamped to the display range), not from files; the `render` stage shows
-//! the same images, and both are functions of the same artifacts.
+//! the same images, and both are functions of the same artifacts. Where the capture is synthetic and has its truth beside it,
+//! appearances, depth and water are also measured against that ([`crate::truth`]).
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -15,6 +16,7 @@ use crate::engine::{Scope, Stage, StageContext, StageError};
 use crate::rendering::{Frame, Mode, SceneRenderer};
 use crate::scores::{Method, MethodScores, PairScores, SceneScores, Scores, ViewScores};
 use crate::scoring::{Judges, Pairing};
+use crate::truth::{Truth, files};
 
 /// The scores' file in its artifact.
 pub const SCORES: &str = "scores.json";
@@ -38,6 +40,7 @@ pub(super) fn stage() -> Stage {
                 "src/rendering.rs",
                 "src/scoring.rs",
                 "src/scores.rs",
+                "src/truth.rs",
             ],
         )
         .input("import", "import")
@@ -45,18 +48,27 @@ pub(super) fn stage() -> Stage {
         .optional_input("enhanced", "enhance")
         .optional_external("models", "models")
         .select(|_, models| Ok(super::judge_files(models)))
+        .optional_external("truth", "capture")
+        .select(|_, capture| files(capture).map_err(|e| e.to_string()))
         .cost(0, 4 << 30)
 }
 
 #[cfg(feature = "nets")]
-const PARTS: &[&str] = &["use3d-enhance", "use3d-metrics", "use3d-io-colmap", "use3d-nets"];
+const PARTS: &[&str] = &["use3d-enhance", "use3d-metrics", "use3d-io-colmap", "use3d-synth", "use3d-nets"];
 #[cfg(not(feature = "nets"))]
-const PARTS: &[&str] = &["use3d-enhance", "use3d-metrics", "use3d-io-colmap"];
+const PARTS: &[&str] = &["use3d-enhance", "use3d-metrics", "use3d-io-colmap", "use3d-synth"];
 
 /// One held-out view in all its appearances.
 struct Appearances {
     images: Vec<(Method, Image)>,
     depth: Map,
+    /// Attenuation and backscatter of every ray, where the scene has water.
+    water: Option<[Image; 2]>,
+}
+
+/// Means of an image's channels.
+fn channel_means(image: &Image) -> [f64; 3] {
+    image.planes().map(|plane| plane.iter().map(|v| f64::from(*v)).sum::<f64>() / plane.len().max(1) as f64)
 }
 
 fn look(
@@ -65,23 +77,26 @@ fn look(
     proposer: &dyn Proposer,
 ) -> Result<Appearances, StageError> {
     let captured = load_pixels(view)?.to_image();
-    let mut modes = vec![Mode::Reconstruction, Mode::Clear, Mode::Depth];
+    let mut modes =
+        vec![Mode::Reconstruction, Mode::Clear, Mode::Depth, Mode::Attenuation, Mode::Backscatter];
     if renderer.is_enhanced() {
         modes.push(Mode::Enhanced);
     }
     let proposal = proposer.propose(&captured)?;
     let mut images = vec![(Method::Captured, captured), (Method::Proposal, proposal)];
     let mut depth = Map::new(0, 0);
+    let mut water = Vec::new();
     for (mode, frame) in modes.iter().zip(renderer.render(&view.camera, &modes)) {
         match (mode, frame) {
             (Mode::Reconstruction, Frame::Color(image)) => images.push((Method::Reconstruction, image)),
             (Mode::Clear, Frame::Color(image)) => images.push((Method::Clear, image)),
             (Mode::Enhanced, Frame::Color(image)) => images.push((Method::Enhanced, image)),
             (Mode::Depth, Frame::Scalar(map)) => depth = map,
+            (Mode::Attenuation | Mode::Backscatter, Frame::Color(image)) => water.push(image),
             _ => {}
         }
     }
-    Ok(Appearances { images, depth })
+    Ok(Appearances { images, depth, water: water.try_into().ok() })
 }
 
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
@@ -98,6 +113,14 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         context.say("no view is held out (split.every = 0): nothing to score");
     }
 
+    let size = views.first().map_or((0, 0), |v| (v.camera.intrinsics.width, v.camera.intrinsics.height));
+    let truth = match context.optional_input("truth") {
+        Some(folder) if !views.is_empty() => Truth::open(folder, size)?,
+        _ => None,
+    };
+    let scale = capture.frame.scale;
+    let mut water = [[0.0; 3]; 2];
+
     let mut per_view: Vec<(Method, Vec<ViewScores>)> = Vec::new();
     let mut per_pair: Vec<(Method, Vec<PairScores>)> = Vec::new();
     let mut previous: Option<Appearances> = None;
@@ -106,12 +129,24 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         context.progress_with(i as u64, views.len() as u64, "views", &view.name);
         let now = look(view, &mut renderer, proposer.as_ref())?;
         let captured = &now.images[0].1;
+        let true_view = truth.as_ref().map(|t| t.view(view.stem())).transpose()?.flatten();
         for (method, image) in &now.images {
             let mut scores: Scores = judges.alone(image);
             if *method != Method::Captured {
                 scores.extend(judges.against(image, captured));
             }
+            match (&true_view, method) {
+                (Some(truth), Method::Reconstruction) => {
+                    scores.insert("depth_error".into(), truth.depth_error(&now.depth, scale));
+                }
+                (Some(truth), _) => scores.extend(truth.scores(image)),
+                (None, _) => {}
+            }
             entry(&mut per_view, *method).push(ViewScores { view: view.name.clone(), scores });
+        }
+        for (sum, map) in water.iter_mut().zip(now.water.iter().flatten()) {
+            let means = channel_means(map);
+            (0..3).for_each(|c| sum[c] += means[c] / views.len() as f64);
         }
         if let Some(before) = &previous {
             let earlier = views[i - 1];
@@ -142,8 +177,9 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let scores = SceneScores {
         training_views: capture.split.train.len(),
         held_out_views: views.len(),
-        size: views.first().map_or((0, 0), |v| (v.camera.intrinsics.width, v.camera.intrinsics.height)),
+        size,
         gaussians: scene.gaussians.len(),
+        water: truth.filter(|_| !scene.medium.is_none()).map(|truth| truth.water(water[0], water[1], scale)),
         methods: methods.collect(),
     };
     write_json(&context.output().join(SCORES), &scores)

@@ -99,6 +99,8 @@ impl Table {
                     }
                     '–' => out.push_str("--"),
                     'Δ' => out.push_str("$\\Delta$"),
+                    'β' => out.push_str("$\\beta$"),
+                    '₀' => out.push_str("$_0$"),
                     '²' => out.push_str("$^2$"),
                     '×' => out.push_str("$\\times$"),
                     other => out.push(other),

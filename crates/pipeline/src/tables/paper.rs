@@ -27,6 +27,12 @@ const CONSISTENCY: [Quantity; 3] = [
     ("w_ssim", "wSSIM", Better::Higher, 4),
 ];
 
+/// Against the truth of synthetic captures.
+const TRUTH: [Quantity; 2] =
+    [("truth_psnr", "PSNR", Better::Higher, 2), ("truth_delta_e", "ΔE₀₀", Better::Lower, 2)];
+/// What is compared with the true clean images.
+const CLEAN: [Method; 4] = [Method::Captured, Method::Proposal, Method::Clear, Method::Enhanced];
+
 /// How many scenes a published group has.
 fn published_scenes(group: &str) -> usize {
     match group {
@@ -65,6 +71,8 @@ pub fn tables(scenes: &[ScoredScene]) -> Vec<Table> {
         // They would repeat the group tables.
         tables.retain(|t| !t.name.ends_with("-scenes"));
     }
+    tables.extend(batch.truth());
+    tables.extend(batch.recovered());
     if batch.variants.len() > 1 {
         tables.push(batch.ablation(
             "ablation-stage1",
@@ -237,6 +245,100 @@ impl<'a> Batch<'a> {
         }
     }
 
+    /// Appearances against the true clean images, over the groups that have them.
+    fn truth(&self) -> Option<Table> {
+        let known = |s: &&ScoredScene| CLEAN.iter().any(|m| s.scores.mean(*m, TRUTH[0].0).is_some());
+        let groups: Vec<&String> = self
+            .groups
+            .iter()
+            .filter(|g| self.scenes.iter().filter(known).any(|s| group_of(s) == *g))
+            .collect();
+        if groups.is_empty() {
+            return None;
+        }
+        let rows = self.variants.iter().flat_map(|variant| {
+            CLEAN.map(|method| {
+                let cells = groups.iter().flat_map(|group| {
+                    let scenes: Vec<&ScoredScene> =
+                        self.of_group(group, variant).into_iter().filter(known).collect();
+                    TRUTH.map(|(key, ..)| macro_mean(&scenes, method, key))
+                });
+                Row { label: Self::label(method, variant), published: false, cells: cells.collect() }
+            })
+        });
+        let columns = groups.iter().flat_map(|g| TRUTH.map(|q| Column::new(g, q.1, q.2, q.3)));
+        Some(Table {
+            name: "truth".into(),
+            caption: "Against the truth (synthetic captures): held-out views against the true clean images, where they show a surface, after one least-squares gain per image".into(),
+            columns: columns.collect(),
+            rows: rows.collect(),
+        })
+    }
+
+    /// Recovered water and depth beside the true ones, scene by scene.
+    fn recovered(&self) -> Option<Table> {
+        const DEPTH: &str = "depth_error";
+        let mut names: Vec<&str> = Vec::new();
+        for scene in self.scenes {
+            let known = scene.scores.mean(Method::Reconstruction, DEPTH).is_some();
+            if known && !names.contains(&scene.scene.as_str()) {
+                names.push(&scene.scene);
+            }
+        }
+        let first = |name: &str| self.scenes.iter().find(|s| s.scene == name && s.scores.water.is_some());
+        let row = |label: String, cells: &dyn Fn(&str) -> Vec<Cell>| Row {
+            label,
+            published: false,
+            cells: names.iter().flat_map(|name| cells(name)).collect(),
+        };
+        let numbers = |values: [[f64; 3]; 2], source: &str| -> Vec<Cell> {
+            let cell = |value| Cell::Number { value, source: source.into() };
+            values.into_iter().flatten().map(cell).collect()
+        };
+        let mut rows = vec![row("Truth".into(), &|name| {
+            let mut cells = vec![Cell::Blank];
+            cells.extend(match first(name).and_then(|s| s.scores.water) {
+                Some(w) => {
+                    numbers([w.true_attenuation, w.true_backscatter], "truth/water.json of the capture")
+                }
+                None => vec![Cell::Blank; 6],
+            });
+            cells
+        })];
+        for variant in &self.variants {
+            let label =
+                if variant.is_empty() { "Recovered".into() } else { format!("Recovered · {variant}") };
+            rows.push(row(label, &|name| {
+                let found: Vec<&ScoredScene> =
+                    self.scenes.iter().filter(|s| s.scene == name && s.variant == **variant).collect();
+                let mut cells = vec![macro_mean(&found, Method::Reconstruction, DEPTH)];
+                cells.extend(match found.first().and_then(|s| Some((s, s.scores.water?))) {
+                    Some((s, w)) => numbers([w.attenuation, w.backscatter], &s.source),
+                    None => vec![Cell::Blank; 6],
+                });
+                cells
+            }));
+        }
+        let quantities: [(&str, Better); 7] = [
+            ("depth error", Better::Lower),
+            ("β_attn R", Better::Neither),
+            ("β_attn G", Better::Neither),
+            ("β_attn B", Better::Neither),
+            ("β_bs R", Better::Neither),
+            ("β_bs G", Better::Neither),
+            ("β_bs B", Better::Neither),
+        ];
+        let columns =
+            names.iter().flat_map(|n| quantities.map(|(name, better)| Column::new(n, name, better, 4)));
+        let columns: Vec<Column> = columns.collect();
+        (!names.is_empty()).then(|| Table {
+            name: "truth-scene".into(),
+            caption: "Against the truth (synthetic captures): median relative error of stage 1's depth, and the water's coefficients in 1/m, means over the rays of held-out views".into(),
+            columns,
+            rows,
+        })
+    }
+
     fn by_scene(
         &self,
         name: &str,
@@ -339,6 +441,7 @@ fn macro_mean(scenes: &[&ScoredScene], method: Method, metric: &str) -> Cell {
 mod tests {
     use super::*;
     use crate::scores::{MethodScores, SceneScores, Scores, ViewScores};
+    use crate::truth::WaterScores;
 
     fn scene(name: &str, group: &str, variant: &str, psnr: f64) -> ScoredScene {
         let view = |scores: Scores| vec![ViewScores { view: "v".into(), scores }];
@@ -357,6 +460,7 @@ mod tests {
                 held_out_views: 1,
                 size: (4, 3),
                 gaussians: 10,
+                water: None,
                 methods: vec![
                     MethodScores::new(Method::Reconstruction, view(reconstruction), vec![]),
                     MethodScores::new(Method::Enhanced, view(enhanced), vec![]),
@@ -382,6 +486,37 @@ mod tests {
         assert_eq!(plenodium.cells[3].value(), Some(28.686));
         let scenes = &tables(&three)[1];
         assert!(scenes.rows.iter().any(|r| r.published && r.cells[3].value() == Some(33.861)));
+    }
+
+    #[test]
+    fn only_captures_with_their_truth_have_tables_of_it() {
+        let real = scene("reef", "", "", 20.0);
+        assert!(tables(std::slice::from_ref(&real)).iter().all(|t| !t.name.starts_with("truth")));
+        let mut synthetic = scene("synthetic", "", "", 20.0);
+        let methods = &mut synthetic.scores.methods;
+        methods[0].mean.insert("depth_error".into(), Score::Value(0.05));
+        methods[1].mean.extend([
+            ("truth_psnr".to_string(), Score::Value(25.0)),
+            ("truth_delta_e".to_string(), Score::Value(4.0)),
+        ]);
+        synthetic.scores.water = Some(WaterScores {
+            attenuation: [0.3, 0.2, 0.1],
+            backscatter: [0.2, 0.1, 0.05],
+            true_attenuation: [0.31, 0.21, 0.11],
+            true_backscatter: [0.21, 0.11, 0.06],
+        });
+        let tables = tables(&[real, synthetic]);
+        let table = |name: &str| tables.iter().find(|t| t.name == name).unwrap();
+        let truth = table("truth");
+        assert_eq!(truth.columns.len(), 2, "the real capture has no columns");
+        let enhanced = truth.rows.iter().find(|r| r.label == Method::Enhanced.label()).unwrap();
+        assert_eq!(enhanced.cells.iter().map(Cell::value).collect::<Vec<_>>(), [Some(25.0), Some(4.0)]);
+        let scene = table("truth-scene");
+        let values = |row: usize| scene.rows[row].cells.iter().map(Cell::value).collect::<Vec<_>>();
+        assert_eq!(values(0)[..3], [None, Some(0.31), Some(0.21)]);
+        assert_eq!(values(1)[..3], [Some(0.05), Some(0.3), Some(0.2)]);
+        let latex = scene.latex();
+        assert!(latex.contains("$\\beta$\\_attn R") && latex.is_ascii(), "{latex}");
     }
 
     #[test]
