@@ -90,7 +90,8 @@ pub(crate) enum Verb {
     /// Render a scene from given cameras.
     #[command(
         after_help = "Examples:\n  use3d render scene/ --cameras my-reef/ --out renders/ --modes reconstruction,clear,depth\n  \
-        use3d render enhanced-scene/ --cameras my-reef/ --path spiral --frames 120 --modes enhanced --video swim.mp4"
+        use3d render enhanced-scene/ --cameras my-reef/ --path spiral --frames 120 --modes enhanced --video swim.mp4\n  \
+        use3d render enhanced-scene/ --cameras my-reef/ --fps"
     )]
     Render(RenderArgs),
     /// Write a scene as a 3D Gaussian splatting PLY for other viewers.
@@ -399,7 +400,7 @@ pub(crate) struct RenderArgs {
     #[arg(long, value_name = "COLMAP_DIR|CAPTURE|FILE.json")]
     pub(crate) cameras: PathBuf,
     /// The folder for the frames; each mode gets a folder of its own.
-    #[arg(long, value_name = "DIR", required_unless_present = "video")]
+    #[arg(long, value_name = "DIR", required_unless_present_any = ["video", "fps"])]
     pub(crate) out: Option<PathBuf>,
     /// What to render: reconstruction, clear, enhanced, depth, alpha, object, medium, backscatter, attenuation.
     #[arg(long, value_delimiter = ',', default_value = "reconstruction", value_name = "MODE,...")]
@@ -424,7 +425,13 @@ pub(crate) struct RenderArgs {
     pub(crate) video: Option<PathBuf>,
     /// Frames per second of the video.
     #[arg(long, default_value_t = 30, value_name = "N")]
-    pub(crate) fps: u32,
+    pub(crate) frame_rate: u32,
+    /// Write nothing; time how fast held-out views are drawn (all given ones where none are held out).
+    #[arg(long, conflicts_with_all = ["out", "video", "path", "modes", "held_out"])]
+    pub(crate) fps: bool,
+    /// With --fps: one JSON document on stdout.
+    #[arg(long, requires = "fps")]
+    pub(crate) json: bool,
     /// How much of the enhancement to apply, 0 (reconstruction) to 1.
     #[arg(long, default_value_t = 1.0, value_name = "0..1")]
     pub(crate) strength: f32,

@@ -27,7 +27,7 @@ impl Video {
     pub(crate) fn create(path: &Path, fps: u32) -> Result<Self, CliError> {
         let shown = path.display();
         if fps == 0 {
-            return Err(CliError::Input("--fps 0: a film needs at least one frame per second".into()));
+            return Err(CliError::Input("--frame-rate 0: a film needs at least one frame per second".into()));
         }
         let sink = if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("y4m")) {
             let temporary = path.with_extension("y4m.part");

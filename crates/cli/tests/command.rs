@@ -166,6 +166,13 @@ fn stages_by_hand_make_the_same_scene_and_export_opens_again() {
     let exported =
         use3d_splat::ply::read(std::fs::File::open(&ply).map(std::io::BufReader::new).unwrap()).unwrap();
     assert!(!exported.is_empty());
+    let (measured, _) = expect(0, &["-q", "render", &one, "--cameras", &capture, "--fps", "--json"]);
+    let measured: serde_json::Value = serde_json::from_str(&measured).unwrap();
+    assert_eq!(
+        (&measured["width"], &measured["views"], &measured["which"]),
+        (&96.into(), &2.into(), &"held-out".into())
+    );
+    assert!(measured["modes"][0]["fps"].as_f64().unwrap() > 0.0, "{measured}");
     let (_, err) =
         expect(2, &["render", &one, "--cameras", &capture, "--out", &at("r"), "--modes", "enhanced"]);
     assert!(err.contains("use3d enhance"), "{err}");

@@ -1,7 +1,7 @@
 //! Stages, keys, cache, plans, batches, tables and report: from captures to results, computing nothing twice.
 //!
 //! [`engine`] knows what a stage is and when it must run; [`config`] reads pipeline files; [`stages`] is the table of the method's
-//! stages. [`rendering`] and [`scoring`] are what several stages share; [`tables`] and [`report`] lay out what they found;
+//! stages. [`rendering`] and [`scoring`] are what several stages share; [`truth`] and [`speed`] measure; [`tables`] and [`report`] lay out what they found;
 //! [`results`] puts it where a person looks.
 
 pub mod config;
@@ -11,6 +11,7 @@ pub mod report;
 pub mod results;
 pub mod scores;
 pub mod scoring;
+pub mod speed;
 pub mod stages;
 pub mod tables;
 pub mod truth;

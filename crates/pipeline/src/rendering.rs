@@ -124,6 +124,16 @@ impl<'a> SceneRenderer<'a> {
             .collect()
     }
 
+    /// Draws `Enhanced` or, for any other mode, `Reconstruction`, and lends the image: a frame at the least cost.
+    pub fn draw(&mut self, camera: &Camera, mode: Mode) -> &Image {
+        let renderer = match (mode, &mut self.enhanced) {
+            (Mode::Enhanced, Some(enhanced)) => enhanced,
+            _ => &mut self.plain,
+        };
+        renderer.render(camera, &Lattice::full(&camera.intrinsics), false, &mut self.rendered);
+        &self.rendered.image
+    }
+
     /// One colour image; a convenience over [`SceneRenderer::render`].
     pub fn color(&mut self, camera: &Camera, mode: Mode) -> Image {
         match self.render(camera, &[mode]).pop() {

@@ -7,5 +7,6 @@ pub(crate) mod generate;
 pub(crate) mod models;
 pub(crate) mod render;
 pub(crate) mod run;
+pub(crate) mod speed;
 pub(crate) mod stages;
 pub(crate) mod synth;

@@ -28,9 +28,12 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
             args.scene.display()
         )));
     }
+    if args.fps {
+        return super::speed::run(app, args, &scene);
+    }
     let cameras = cameras(args, &scene)?;
     let mut renderer = SceneRenderer::new(&scene, args.strength).map_err(CliError::input)?;
-    let mut video = args.video.as_deref().map(|path| Video::create(path, args.fps)).transpose()?;
+    let mut video = args.video.as_deref().map(|path| Video::create(path, args.frame_rate)).transpose()?;
     let total = cameras.len() as u64;
     for (i, (name, camera)) in cameras.iter().enumerate() {
         if interrupt::requested() {
@@ -74,7 +77,7 @@ fn modes(names: &[String]) -> Result<Vec<Mode>, CliError> {
 }
 
 /// The cameras asked for, in the scene's frame.
-fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(String, Camera)>, CliError> {
+pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(String, Camera)>, CliError> {
     let mut cameras = read_cameras(&args.cameras).map_err(CliError::input)?;
     for (_, camera) in &mut cameras {
         camera.pose = scene.frame.apply_pose(&camera.pose);
@@ -108,6 +111,12 @@ fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(String, Camera)>, Cl
         }
     };
     Ok(film.into_iter().enumerate().map(|(i, camera)| (format!("frame_{i:05}"), camera)).collect())
+}
+
+/// The names of the held-out views of a capture with default parameters; none of what is no capture.
+pub(crate) fn held_out(capture: &Path) -> Vec<String> {
+    use3d_io_colmap::import(capture, &use3d_io_colmap::ImportParams::default())
+        .map_or_else(|_| Vec::new(), |imported| imported.report.test)
 }
 
 /// The median depth of the Gaussians in front of the first camera, scene units.

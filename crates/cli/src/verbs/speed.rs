@@ -1,0 +1,90 @@
+//! Frames per second of a scene, with the protocol beside the figure.
+
+use serde::Serialize;
+use use3d_capture::Camera;
+use use3d_pipeline::rendering::{Mode, SceneRenderer};
+use use3d_pipeline::speed::{Speed, measure};
+use use3d_scene::Scene;
+
+use crate::App;
+use crate::args::RenderArgs;
+use crate::error::{CliError, Done};
+use crate::interrupt;
+use crate::verbs::render::{cameras, held_out};
+use crate::verbs::run::json;
+
+/// The figures and what they were measured on.
+#[derive(Serialize)]
+struct Measured {
+    width: usize,
+    height: usize,
+    /// Whether all views have that size.
+    one_size: bool,
+    views: usize,
+    /// `held-out` or `given`.
+    which: &'static str,
+    gaussians: usize,
+    threads: usize,
+    protocol: &'static str,
+    modes: Vec<Speed>,
+}
+
+const PROTOCOL: &str = "median over all timed views; 2 warm-up passes, then whole passes until 3 are done and 5 s have gone; \
+    camera to image in memory, no files";
+
+/// `use3d render --fps`.
+pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene) -> Done {
+    let given = cameras(args, scene)?;
+    let held_out = held_out(&args.cameras);
+    let is_held_out = |name: &String| held_out.contains(name);
+    let any = given.iter().any(|(name, _)| is_held_out(name));
+    let chosen: Vec<Camera> =
+        given.iter().filter(|(name, _)| !any || is_held_out(name)).map(|(_, camera)| *camera).collect();
+    let mut renderer = SceneRenderer::new(scene, args.strength).map_err(CliError::input)?;
+    let mut modes = vec![Mode::Reconstruction];
+    if renderer.is_enhanced() {
+        modes.push(Mode::Enhanced);
+    }
+    let mut speeds = Vec::new();
+    for mode in modes {
+        if !app.quiet {
+            eprintln!("timing {} of {} views", mode.name(), chosen.len());
+        }
+        let speed = measure(&mut renderer, &chosen, mode, &interrupt::requested);
+        speeds.push(speed.ok_or(CliError::Interrupted)?);
+    }
+    let size = chosen.first().map_or((0, 0), |c| (c.intrinsics.width, c.intrinsics.height));
+    let measured = Measured {
+        width: size.0,
+        height: size.1,
+        one_size: chosen.iter().all(|c| (c.intrinsics.width, c.intrinsics.height) == size),
+        views: chosen.len(),
+        which: if any { "held-out" } else { "given" },
+        gaussians: scene.gaussians.len(),
+        threads: app.threads,
+        protocol: PROTOCOL,
+        modes: speeds,
+    };
+    if args.json {
+        return json(&measured);
+    }
+    print(&measured);
+    Ok(())
+}
+
+fn print(measured: &Measured) {
+    println!("{:<16} {:>8} {:>10} {:>10} {:>10}", "mode", "FPS", "median ms", "fastest", "slowest");
+    for s in &measured.modes {
+        println!(
+            "{:<16} {:>8.2} {:>10.2} {:>10.2} {:>10.2}",
+            s.mode, s.fps, s.milliseconds, s.fastest, s.slowest
+        );
+    }
+    let Measured { width, height, views, which, gaussians, threads, .. } = measured;
+    let others = if measured.one_size { "" } else { " (the first; others differ)" };
+    let passes = measured.modes.iter().map(|s| s.passes).min().unwrap_or(0);
+    println!(
+        "{width}x{height}{others}, {views} {which} views, {gaussians} Gaussians, {threads} threads, {passes} passes"
+    );
+    println!("{}", measured.protocol);
+}

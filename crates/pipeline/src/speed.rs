@@ -1,0 +1,133 @@
+//! How fast a scene is drawn.
+//!
+//! Protocol: all views are drawn at their full size, one at a time, on all threads of the pool. Two passes over the views warm
+//! caches and buffers up and do not count. Then whole passes are timed until there are three and five seconds have gone by. The
+//! figure is the median over all timed views; frames per second are 1000 over its milliseconds. Drawing is everything from the
+//! camera to an image in memory (projection, sorting, water, compositing); loading the scene and writing files are not part of it.
+//!
+//! Times depend on the machine and the hour, so they never become part of an artifact.
+
+use std::time::{Duration, Instant};
+
+use serde::Serialize;
+use use3d_capture::Camera;
+
+use crate::rendering::{Mode, SceneRenderer};
+
+/// Passes that do not count.
+const WARM_UP: usize = 2;
+/// Fewest passes that do.
+const PASSES: usize = 3;
+/// Shortest time they take together.
+const SHORTEST: Duration = Duration::from_secs(5);
+
+/// What was measured.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Speed {
+    /// `reconstruction` or `enhanced`.
+    pub mode: &'static str,
+    /// Frames per second: 1000 over `milliseconds`.
+    pub fps: f64,
+    /// The median time of a view, milliseconds.
+    pub milliseconds: f64,
+    /// The fastest view.
+    pub fastest: f64,
+    /// The slowest view.
+    pub slowest: f64,
+    /// Passes over all views that were timed.
+    pub passes: usize,
+}
+
+/// Times the drawing of every camera's view. `None` without cameras, or when `stop` said so.
+pub fn measure(
+    renderer: &mut SceneRenderer<'_>,
+    cameras: &[Camera],
+    mode: Mode,
+    stop: &dyn Fn() -> bool,
+) -> Option<Speed> {
+    measure_for(renderer, cameras, mode, SHORTEST, stop)
+}
+
+fn measure_for(
+    renderer: &mut SceneRenderer<'_>,
+    cameras: &[Camera],
+    mode: Mode,
+    shortest: Duration,
+    stop: &dyn Fn() -> bool,
+) -> Option<Speed> {
+    if cameras.is_empty() {
+        return None;
+    }
+    let mut times = Vec::new();
+    let (mut passes, mut begin) = (0, Instant::now());
+    while passes < WARM_UP + PASSES || begin.elapsed() < shortest {
+        if passes == WARM_UP {
+            times.clear();
+            begin = Instant::now();
+        }
+        for camera in cameras {
+            if stop() {
+                return None;
+            }
+            let start = Instant::now();
+            std::hint::black_box(renderer.draw(camera, mode));
+            times.push(1e3 * start.elapsed().as_secs_f64());
+        }
+        passes += 1;
+    }
+    times.sort_unstable_by(f64::total_cmp);
+    let milliseconds = times[times.len() / 2];
+    Some(Speed {
+        mode: mode.name(),
+        fps: 1e3 / milliseconds,
+        milliseconds,
+        fastest: times[0],
+        slowest: times[times.len() - 1],
+        passes: passes - WARM_UP,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use use3d_capture::{Frame, Intrinsics, Pose};
+    use use3d_medium::MediumModel;
+    use use3d_scene::Scene;
+    use use3d_splat::Gaussians;
+
+    fn scene() -> Scene {
+        let gaussians = Gaussians {
+            sh_degree: 0,
+            means: vec![[0.0, 0.0, 2.0]],
+            log_scales: vec![[-2.0; 3]],
+            quaternions: vec![[1.0, 0.0, 0.0, 0.0]],
+            opacity_logits: vec![2.0],
+            sh: vec![[[0.5; 3]; 16]],
+        };
+        Scene {
+            gaussians,
+            frame: Frame::IDENTITY,
+            medium: MediumModel::None,
+            medium_degree: 0,
+            enhancement: None,
+        }
+    }
+
+    #[test]
+    fn three_passes_are_timed_and_the_drawn_image_is_the_rendered_one() {
+        let intrinsics = Intrinsics { width: 16, height: 12, fx: 12.0, fy: 12.0, cx: 8.0, cy: 6.0 };
+        let camera = Camera { intrinsics, pose: Pose::IDENTITY };
+        let scene = scene();
+        let mut renderer = SceneRenderer::new(&scene, 1.0).unwrap();
+        let speed = measure_for(&mut renderer, &[camera; 2], Mode::Reconstruction, Duration::ZERO, &|| false)
+            .unwrap();
+        assert_eq!((speed.mode, speed.passes), ("reconstruction", PASSES));
+        assert!(speed.fastest <= speed.milliseconds && speed.milliseconds <= speed.slowest);
+        assert_eq!(speed.fps, 1e3 / speed.milliseconds);
+        let drawn = renderer.draw(&camera, Mode::Reconstruction).clone();
+        assert_eq!(drawn, renderer.color(&camera, Mode::Reconstruction));
+        assert!(drawn.data().iter().any(|v| *v > 0.1), "the Gaussian is in the picture");
+        assert_eq!(measure(&mut renderer, &[camera], Mode::Reconstruction, &|| true), None);
+        assert_eq!(measure(&mut renderer, &[], Mode::Reconstruction, &|| false), None);
+    }
+}
