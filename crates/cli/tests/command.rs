@@ -114,6 +114,7 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
         "tiny/enhanced-scene/ubaf.safetensors",
         "tiny/renders/enhanced",
         "tiny/scores/scores.json",
+        "tiny/scores/strip.png",
     ] {
         assert!(Path::new(&out).join(file).exists(), "{file} is missing");
     }

@@ -7,8 +7,9 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::proposers::Proposer;
-use use3d_capture::{Image, Map, View};
+use use3d_capture::{Capture, Image, Map, View};
 use use3d_io_colmap::load_pixels;
+use use3d_io_image::write_png;
 
 use super::common::{capture, scene, write_json};
 use super::proposer::{ProposerChoice, open};
@@ -16,10 +17,13 @@ use crate::engine::{Scope, Stage, StageContext, StageError};
 use crate::rendering::{Frame, Mode, SceneRenderer};
 use crate::scores::{Method, MethodScores, PairScores, SceneScores, Scores, ViewScores};
 use crate::scoring::{Judges, Pairing};
+use crate::strip::{Seen, Strip, choose, sheet};
 use crate::truth::{Truth, files};
 
 /// The scores' file in its artifact.
 pub const SCORES: &str = "scores.json";
+/// The consistency strip, and what it shows.
+pub const STRIP: (&str, &str) = ("strip.png", "strip.json");
 
 /// Parameters of the evaluation.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -40,6 +44,7 @@ pub(super) fn stage() -> Stage {
                 "src/rendering.rs",
                 "src/scoring.rs",
                 "src/scores.rs",
+                "src/strip.rs",
                 "src/truth.rs",
             ],
         )
@@ -166,6 +171,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         }
         previous = Some(now);
     }
+    strip(context, &capture, &mut renderer, proposer.as_ref())?;
     let methods = per_view.into_iter().map(|(method, views)| {
         let pairs = per_pair
             .iter_mut()
@@ -183,6 +189,43 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         methods: methods.collect(),
     };
     write_json(&context.output().join(SCORES), &scores)
+}
+
+/// The same spot in three neighbouring views: captured, proposed view by view, and as the scene shows it.
+fn strip(
+    context: &StageContext,
+    capture: &Capture,
+    renderer: &mut SceneRenderer<'_>,
+    proposer: &dyn Proposer,
+) -> Result<(), StageError> {
+    context.alive()?;
+    let held_out = &capture.split.test;
+    let middle = held_out.get(held_out.len() / 2).copied().unwrap_or(capture.views.len() / 2);
+    let first = middle.saturating_sub(1).min(capture.views.len().saturating_sub(3));
+    let views: Vec<&View> = capture.views.iter().skip(first).take(3).collect();
+    let looks: Vec<Appearances> =
+        views.iter().map(|view| look(view, renderer, proposer)).collect::<Result<_, _>>()?;
+    let seen = views.iter().zip(&looks).map(|(view, look)| Seen {
+        camera: &view.camera,
+        depth: &look.depth,
+        photograph: &look.images[0].1,
+    });
+    let Some((side, corners)) = choose(&seen.collect::<Vec<_>>()) else {
+        context.log("no spot is seen by three neighbouring views: no consistency strip");
+        return Ok(());
+    };
+    let last = if renderer.is_enhanced() { Method::Enhanced } else { Method::Reconstruction };
+    let shown = [Method::Captured, Method::Proposal, last];
+    let of = |look: &'_ Appearances, method| look.images.iter().position(|(m, _)| *m == method);
+    let rows: Vec<Vec<&Image>> = shown
+        .iter()
+        .map(|method| looks.iter().filter_map(|l| Some(&l.images[of(l, *method)?].1)).collect())
+        .collect();
+    let (picture, moved) = sheet(&rows, &corners, side);
+    write_png(&context.output().join(STRIP.0), &picture)?;
+    let rows = shown.iter().map(|m| m.label().to_string()).zip(moved).collect();
+    let strip = Strip { views: views.iter().map(|v| v.name.clone()).collect(), rows, side, corners };
+    write_json(&context.output().join(STRIP.1), &strip)
 }
 
 fn entry<T>(lists: &mut Vec<(Method, Vec<T>)>, method: Method) -> &mut Vec<T> {

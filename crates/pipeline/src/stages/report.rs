@@ -10,12 +10,13 @@ use use3d_io_image::read_image;
 use use3d_scene::Scene;
 
 use super::common::{folder, read_json, write_json, write_text};
-use super::evaluate::SCORES;
+use super::evaluate::{SCORES, STRIP};
 use crate::engine::{Digest, Scope, Stage, StageContext, StageError, StageInput};
 use crate::rendering::medium_profile;
 use crate::report::plot::{Plot, RGB, Series};
 use crate::report::{CalibratorSection, Page, Picture, PlotFigure, SceneSection, ViewSection};
 use crate::scores::{Method, SceneScores, ScoredScene};
+use crate::strip::Strip;
 use crate::tables::{Table, paper};
 
 /// Parameters of the report.
@@ -44,6 +45,8 @@ pub(super) fn stage() -> Stage {
                 "src/report",
                 "src/tables",
                 "src/scores.rs",
+                "src/strip.rs",
+                "src/truth.rs",
                 "src/rendering.rs",
                 "templates",
             ],
@@ -201,10 +204,11 @@ fn section(
         }
     }
     section.plots.extend(water(parts)?);
+    section.sheets.extend(parts.path("scores").map(strip).transpose()?.flatten());
     if let Some(targets) = parts.path("targets") {
         let report: TargetsReport = read_json(&targets.join("report.json"))?;
         section.plots.push(dispersion(&report));
-        section.sheets = sheets(&targets.join("previews"))?;
+        section.sheets.extend(sheets(&targets.join("previews"))?);
     }
     Ok(section)
 }
@@ -295,6 +299,28 @@ fn water(parts: &Parts<'_>) -> Result<Vec<PlotFigure>, StageError> {
         figure("Backscatter", |s| s.backscatter),
         figure("Medium colour", |s| s.color),
     ])
+}
+
+/// The consistency strip of the scores, if there was a spot to show.
+fn strip(scores: &Path) -> Result<Option<Picture>, StageError> {
+    let (picture, description) = (scores.join(STRIP.0), scores.join(STRIP.1));
+    if !picture.is_file() {
+        return Ok(None);
+    }
+    let strip: Strip = read_json(&description)?;
+    let rows: Vec<String> =
+        strip.rows.iter().map(|(label, moved)| format!("{label} (ΔE {moved:.1})")).collect();
+    let caption = format!(
+        "One spot of the scene in neighbouring views, twice enlarged. Rows, from the top: {}; ΔE says how far its mean colour moves from view to view. Columns: {}.",
+        rows.join(", "),
+        strip.views.join(", ")
+    );
+    Ok(Some(Picture::embed_wide(
+        "Consistency of neighbouring views",
+        &caption,
+        &read_image(&picture)?,
+        1600,
+    )?))
 }
 
 fn dispersion(report: &TargetsReport) -> PlotFigure {
