@@ -269,7 +269,7 @@ pub(crate) struct ReconstructArgs {
     /// Where the scene goes.
     #[arg(long, value_name = "SCENE_DIR")]
     pub(crate) out: PathBuf,
-    /// Print where a step's time goes.
+    /// Print where a step's time goes: milliseconds and share of each part. Never stored.
     #[arg(long)]
     pub(crate) profile: bool,
     #[command(flatten)]

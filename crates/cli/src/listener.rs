@@ -91,6 +91,8 @@ impl Listener for Terminal {
                 self.end(label);
                 self.line(&format!("{label}: failed: {reason}\n  log: {}", log.display()));
             }
+            // Whoever asked for it listens itself.
+            Event::Profile { .. } => {}
             _ if self.quiet => {}
             Event::Started { label, .. } => self.line(&format!("{label}: started")),
             Event::Progress { label, done, total, unit, message, .. } => {

@@ -111,6 +111,7 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
         "tables/truth.tex",
         "tables/truth-scene.csv",
         "tiny/scene/scene.json",
+        "tiny/scene/contact.png",
         "tiny/enhanced-scene/ubaf.safetensors",
         "tiny/renders/enhanced",
         "tiny/scores/scores.json",
@@ -152,13 +153,23 @@ fn stages_by_hand_make_the_same_scene_and_export_opens_again() {
     let capture = tiny(dir.path());
     let at = |name: &str| path(&[dir.path(), Path::new(name)]);
     let (one, two) = (at("one"), at("two"));
-    for (scene, threads) in [(&one, "1"), (&two, "3")] {
-        expect(
-            0,
-            &["-q", "--threads", threads, "reconstruct", &capture, "--out", scene, "--set", "iterations=20"],
-        );
+    for (scene, threads, profile) in [(&one, "1", None), (&two, "3", Some("--profile"))] {
+        let mut arguments = vec![
+            "-q",
+            "--threads",
+            threads,
+            "reconstruct",
+            &capture,
+            "--out",
+            scene,
+            "--set",
+            "iterations=20",
+        ];
+        arguments.extend(profile);
+        let (out, _) = expect(0, &arguments);
+        assert_eq!(out.contains("20 steps") && out.contains("compose backward"), profile.is_some(), "{out}");
     }
-    for file in ["scene.json", "gaussians.ply", "medium.safetensors", "training.jsonl"] {
+    for file in ["scene.json", "gaussians.ply", "medium.safetensors", "training.jsonl", "contact.png"] {
         let read = |scene: &str| std::fs::read(Path::new(scene).join(file)).unwrap();
         assert_eq!(read(&one), read(&two), "{file} depends on the number of threads");
     }

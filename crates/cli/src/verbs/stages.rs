@@ -1,10 +1,11 @@
 //! One stage by hand, without a pipeline file: the same code and defaults.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use serde_json::Value;
 use use3d_pipeline::config::stage_parameters;
-use use3d_pipeline::engine::{Alone, Registry, Stage, StageError};
+use use3d_pipeline::engine::{Alone, Event, Registry, Stage, StageError};
 use use3d_pipeline::stages::{CALIBRATOR, TARGETS, registry};
 
 use crate::App;
@@ -148,6 +149,18 @@ pub(crate) fn import(app: &App, args: &ImportArgs) -> Done {
     run_stage(app, stage, &parameters[0], vec![("capture", args.capture.clone())], &args.out, None)
 }
 
+/// The same, printing on stdout where a stage's time went.
+fn profiling(app: &App) -> App {
+    let inner = app.listener.clone();
+    let listener = Arc::new(move |event: &Event<'_>| {
+        inner.event(event);
+        if let Event::Profile { text, .. } = event {
+            print!("{text}");
+        }
+    });
+    App { quiet: app.quiet, threads: app.threads, stop: app.stop.clone(), listener }
+}
+
 pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
     check_output(&args.out)?;
     let registry = stages()?;
@@ -156,6 +169,7 @@ pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
     let import = imported(app, &registry, &args.capture, &parameters[1], scratch.path())?;
     let kept = checkpoints(&args.out);
     let stage = registry.stage("reconstruct").map_err(CliError::failed)?;
+    let app = if args.profile { &profiling(app) } else { app };
     run_stage(app, stage, &parameters[0], vec![("import", import)], &args.out, Some(kept.clone()))?;
     forget(&kept);
     Ok(())

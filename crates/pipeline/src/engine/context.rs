@@ -147,6 +147,12 @@ impl StageContext {
         self.listener.event(&Event::Note { label: &self.label, text: &line });
     }
 
+    /// Writes to the log where the time went, and tells those who ask.
+    pub fn profile(&self, table: &str) {
+        self.log.line(table);
+        self.listener.event(&Event::Profile { label: &self.label, text: table });
+    }
+
     /// The stage's log as a writer.
     pub fn log_writer(&self) -> impl Write + Send + use<> {
         LogWriter { log: self.log.clone(), rest: Vec::new() }

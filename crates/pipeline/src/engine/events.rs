@@ -71,6 +71,13 @@ pub enum Event<'a> {
         /// What.
         text: &'a str,
     },
+    /// Where a stage's time went, for those who ask; no part of any artifact.
+    Profile {
+        /// What it is about.
+        label: &'a str,
+        /// A table.
+        text: &'a str,
+    },
     /// Something is wrong, and the engine goes on: a damaged artifact, a determinism alarm.
     Warning {
         /// What it is about.

@@ -10,6 +10,7 @@
 
 mod calibrate;
 mod common;
+mod contact;
 #[cfg(feature = "nets")]
 mod depth;
 mod enhance;

@@ -2,15 +2,23 @@
 
 use use3d_capture::View;
 use use3d_io_colmap::{load_depth_prior, load_mask, load_pixels};
+use use3d_io_image::write_png;
 use use3d_reconstruct::{LoadedView, ReconstructError, ReconstructParams, reconstruct};
 
 use super::common::{Watch, capture, write_json, write_text};
+use super::contact::sheet;
 use crate::engine::{Scope, Stage, StageContext, StageError};
+
+/// The contact sheet.
+pub(super) const CONTACT: &str = "contact.png";
 
 pub(super) fn stage() -> Stage {
     let stage = Stage::new("reconstruct", Scope::Scene, run)
         .about("stage 1: reconstruct the scene with its water")
-        .made_of(&["use3d-reconstruct", "use3d-io-colmap"], &["src/stages/reconstruct.rs"])
+        .made_of(
+            &["use3d-reconstruct", "use3d-io-colmap"],
+            &["src/stages/reconstruct.rs", "src/stages/contact.rs"],
+        )
         .check(|p: &ReconstructParams| p.validate().map_err(|e| (String::new(), e)))
         .input("import", "import");
     let stage = if cfg!(feature = "nets") { stage.optional_input("depth", "depth") } else { stage };
@@ -54,9 +62,13 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
             outcome.scene.gaussians.len()
         ));
     }
-    context.log(outcome.profile.table());
+    // Times are told, not stored: the artifact is the same on every machine.
+    context.profile(&outcome.profile.table());
     let out = context.output();
     outcome.scene.save(out)?;
+    if let Some(sheet) = sheet(&capture, &outcome.scene)? {
+        write_png(&out.join(CONTACT), &sheet)?;
+    }
     write_text(&out.join("training.jsonl"), &outcome.log_lines())?;
     write_text(&out.join("training.svg"), &outcome.plot())?;
     write_json(&out.join("evaluation.json"), &outcome.evaluation)

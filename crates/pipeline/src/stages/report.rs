@@ -11,6 +11,7 @@ use use3d_scene::Scene;
 
 use super::common::{folder, read_json, write_json, write_text};
 use super::evaluate::{SCORES, STRIP};
+use super::reconstruct::CONTACT;
 use crate::engine::{Digest, Scope, Stage, StageContext, StageError, StageInput};
 use crate::rendering::medium_profile;
 use crate::report::plot::{Plot, RGB, Series};
@@ -204,6 +205,7 @@ fn section(
         }
     }
     section.plots.extend(water(parts)?);
+    section.sheets.extend(parts.path("scene").map(contact).transpose()?.flatten());
     section.sheets.extend(parts.path("scores").map(strip).transpose()?.flatten());
     if let Some(targets) = parts.path("targets") {
         let report: TargetsReport = read_json(&targets.join("report.json"))?;
@@ -299,6 +301,16 @@ fn water(parts: &Parts<'_>) -> Result<Vec<PlotFigure>, StageError> {
         figure("Backscatter", |s| s.backscatter),
         figure("Medium colour", |s| s.color),
     ])
+}
+
+/// The contact sheet of stage 1.
+fn contact(scene: &Path) -> Result<Option<Picture>, StageError> {
+    let path = scene.join(CONTACT);
+    if !path.is_file() {
+        return Ok(None);
+    }
+    let caption = "Photographs on the left, on their right what stage 1 renders from the same places; held-out views where there are any.";
+    Ok(Some(Picture::embed_wide("Stage 1: captured and rendered", caption, &read_image(&path)?, 1640)?))
 }
 
 /// The consistency strip of the scores, if there was a spot to show.

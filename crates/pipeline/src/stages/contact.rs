@@ -1,0 +1,126 @@
+//! A contact sheet of stage 1: photographs beside what the scene shows from the same places.
+//!
+//! Drawn with the compositor alone, so that stage 1's artifact depends on nothing of stage 2.
+
+use use3d_capture::{Camera, Capture, Image, Lattice, MediumMaps, View};
+use use3d_io_colmap::{ImportError, load_pixels};
+use use3d_scene::Scene;
+use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered, view_colors};
+
+/// Most views on a sheet.
+const MOST: usize = 8;
+/// Longest side of a thumbnail, pixels.
+const SIDE: usize = 400;
+/// White between pictures, pixels.
+const GAP: usize = 8;
+/// Pairs beside each other when there are more than [`ONE_COLUMN`].
+const COLUMNS: usize = 2;
+/// Up to this many pairs stand below each other.
+const ONE_COLUMN: usize = 3;
+
+/// The views on the sheet: held-out ones, training ones where none are held out; evenly chosen from many.
+pub(super) fn chosen(capture: &Capture) -> Vec<&View> {
+    let mut views: Vec<&View> = capture.test_views().collect();
+    if views.is_empty() {
+        views = capture.training_views().collect();
+    }
+    let count = views.len().min(MOST);
+    (0..count).map(|k| views[k * views.len() / count]).collect()
+}
+
+/// What the scene shows from a camera, with its water.
+fn draw(scene: &Scene, camera: &Camera) -> Image {
+    let g = &scene.gaussians;
+    let lattice = Lattice::full(&camera.intrinsics);
+    let mut colors = Vec::new();
+    view_colors(g, camera, g.sh_degree, &mut colors);
+    let mut prepared = Prepared::new();
+    prepared.prepare(g, camera, &lattice, Colors::Given(&colors));
+    let mut maps = MediumMaps::zeros(0, 0);
+    let medium = (!scene.medium.is_none()).then(|| {
+        scene.medium.maps(camera, &lattice, scene.medium_degree, &mut maps);
+        &maps
+    });
+    let mut rendered = Rendered::new();
+    Rasterizer::new().forward(&prepared, medium, &Options::default(), &mut rendered);
+    rendered.image
+}
+
+/// Means of whole blocks of pixels, so that the longer side is at most [`SIDE`]; clamped to the display range.
+fn thumbnail(image: &Image) -> Image {
+    let block = image.width().max(image.height()).div_ceil(SIDE).max(1);
+    let (width, height) = ((image.width() / block).max(1), (image.height() / block).max(1));
+    let mut small = Image::new(width, height);
+    for y in 0..height {
+        for x in 0..width {
+            let mut sum = [0.0f32; 3];
+            for v in y * block..(y + 1) * block {
+                for u in x * block..(x + 1) * block {
+                    let pixel = image.pixel(u.min(image.width() - 1), v.min(image.height() - 1));
+                    (0..3).for_each(|c| sum[c] += pixel[c].clamp(0.0, 1.0));
+                }
+            }
+            small.set_pixel(x, y, sum.map(|s| s / (block * block) as f32));
+        }
+    }
+    small
+}
+
+/// Pairs of thumbnails in rows, photographs on the left. Rows are as high as their highest picture.
+fn lay_out(pairs: &[[Image; 2]]) -> Image {
+    let columns = if pairs.len() > ONE_COLUMN { COLUMNS } else { 1 };
+    let cell = pairs.iter().flatten().map(Image::width).max().unwrap_or(0) + GAP;
+    let heights: Vec<usize> = pairs
+        .chunks(columns)
+        .map(|row| row.iter().flatten().map(Image::height).max().unwrap_or(0) + GAP)
+        .collect();
+    let height: usize = heights.iter().sum();
+    let mut sheet = Image::filled((2 * columns * cell).saturating_sub(GAP), height.saturating_sub(GAP), 1.0);
+    let mut top = 0;
+    for (row, height) in pairs.chunks(columns).zip(heights) {
+        for (i, picture) in row.iter().flatten().enumerate() {
+            for y in 0..picture.height() {
+                for x in 0..picture.width() {
+                    sheet.set_pixel(i * cell + x, top + y, picture.pixel(x, y));
+                }
+            }
+        }
+        top += height;
+    }
+    sheet
+}
+
+/// The sheet of a capture and the scene made from it; `None` without views.
+pub(super) fn sheet(capture: &Capture, scene: &Scene) -> Result<Option<Image>, ImportError> {
+    let pair = |view: &View| -> Result<[Image; 2], ImportError> {
+        let captured = load_pixels(view)?.to_image();
+        Ok([thumbnail(&captured), thumbnail(&draw(scene, &view.camera))])
+    };
+    let pairs = chosen(capture).into_iter().map(pair).collect::<Result<Vec<_>, _>>()?;
+    Ok((!pairs.is_empty()).then(|| lay_out(&pairs)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn thumbnails_are_block_means_and_pairs_stand_in_rows() {
+        let mut large = Image::filled(900, 300, 0.25);
+        large.set_pixel(0, 0, [7.0, 0.25, 0.25]); // counts as 1
+        let small = thumbnail(&large);
+        assert_eq!((small.width(), small.height()), (300, 100));
+        assert!((small.pixel(0, 0)[0] - (8.0 * 0.25 + 1.0) / 9.0).abs() < 1e-6);
+        assert_eq!(small.pixel(1, 0), [0.25; 3]);
+
+        let pair = |value| [Image::filled(10, 6, value), Image::filled(10, 6, value + 0.1)];
+        let one = lay_out(&[pair(0.1), pair(0.3)]);
+        assert_eq!((one.width(), one.height()), (20 + GAP, 12 + GAP));
+        assert_eq!(one.pixel(10 + GAP, 6 + GAP), [0.4; 3]);
+        assert_eq!(one.pixel(10, 0), [1.0; 3], "white between");
+        let many: Vec<[Image; 2]> = (0..5).map(|i| pair(0.1 * i as f32)).collect();
+        let two = lay_out(&many);
+        assert_eq!((two.width(), two.height()), (40 + 3 * GAP, 18 + 2 * GAP));
+        assert_eq!(two.pixel(20 + 2 * GAP, 0), [0.1; 3], "the second pair");
+    }
+}
