@@ -148,6 +148,44 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
 }
 
 #[test]
+fn a_scene_can_be_learnt_from_proposals_and_is_scored_as_such() {
+    let dir = tempfile::tempdir().unwrap();
+    tiny(dir.path());
+    let at = |name: &str| path(&[dir.path(), Path::new(name)]);
+    let file = at("compare.toml");
+    let text = r#"
+        name = "compare"
+        [defaults.reconstruct]
+        iterations = 20
+        [[scene]]
+        name = "tiny"
+        capture = "tiny"
+        [[variant]]
+        name = "first"
+        reconstruct = { images = "proposed", medium = "none" }
+    "#;
+    std::fs::write(&file, text).unwrap();
+    let out = at("out");
+    expect(0, &["-q", "run", &file, "--cache", &at("cache"), "--out", &out, "--until", "evaluate"]);
+    let text = std::fs::read_to_string(Path::new(&out).join("tiny@first/scores/scores.json")).unwrap();
+    let scores: use3d_pipeline::scores::SceneScores = serde_json::from_str(&text).unwrap();
+    use use3d_pipeline::scores::Method;
+    assert!(scores.mean(Method::EnhanceThenReconstruct, "truth_psnr").and_then(|s| s.value()).is_some());
+    assert!(scores.mean(Method::Reconstruction, "psnr").is_none());
+    // By hand the same scene comes out.
+    let scene = at("scene");
+    let sets = ["--set", "images=proposed", "--set", "medium=none", "--set", "iterations=20"];
+    let mut arguments = vec!["-q", "reconstruct", &at("tiny"), "--out", &scene]
+        .into_iter()
+        .map(String::from)
+        .collect::<Vec<_>>();
+    arguments.extend(sets.map(String::from));
+    expect(0, &arguments.iter().map(String::as_str).collect::<Vec<_>>());
+    let read = |folder: &str| std::fs::read(Path::new(folder).join("gaussians.ply")).unwrap();
+    assert_eq!(read(&scene), read(&path(&[Path::new(&out), Path::new("tiny@first/scene")])));
+}
+
+#[test]
 fn stages_by_hand_make_the_same_scene_and_export_opens_again() {
     let dir = tempfile::tempdir().unwrap();
     let capture = tiny(dir.path());

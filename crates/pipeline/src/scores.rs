@@ -62,12 +62,20 @@ pub enum Method {
     Clear,
     /// Stage 2.
     Enhanced,
+    /// A scene reconstructed from per-view proposals, for comparison.
+    EnhanceThenReconstruct,
 }
 
 impl Method {
     /// All, in the order of tables.
-    pub const ALL: [Self; 5] =
-        [Self::Captured, Self::Proposal, Self::Reconstruction, Self::Clear, Self::Enhanced];
+    pub const ALL: [Self; 6] = [
+        Self::Captured,
+        Self::Proposal,
+        Self::Reconstruction,
+        Self::Clear,
+        Self::EnhanceThenReconstruct,
+        Self::Enhanced,
+    ];
 
     /// As tables call it.
     pub fn label(self) -> &'static str {
@@ -77,6 +85,7 @@ impl Method {
             Self::Reconstruction => "Stage 1",
             Self::Clear => "Stage 1, clear render",
             Self::Enhanced => "3D-USE, this program",
+            Self::EnhanceThenReconstruct => "Enhance, then reconstruct",
         }
     }
 
@@ -88,6 +97,7 @@ impl Method {
             Self::Reconstruction => "reconstruction",
             Self::Clear => "clear",
             Self::Enhanced => "enhanced",
+            Self::EnhanceThenReconstruct => "enhance-then-reconstruct",
         }
     }
 }

@@ -28,6 +28,24 @@ fn every_shipped_pipeline_fits_the_stages() {
     }
 }
 
+#[test]
+fn a_scene_learnt_from_proposals_has_no_second_stage() {
+    let registry = registry().expect("the stage table");
+    let file = folder().join("ablation-stage2.toml");
+    let pipeline = load(&registry, &file, &LoadOptions::default()).unwrap_or_else(|e| panic!("{e}"));
+    let graph = Graph::new(&registry, &pipeline.batch).expect("a graph");
+    let stages = |variant: &str| -> Vec<&str> {
+        let nodes = graph.nodes.iter().filter(|n| n.scene == "Panama" && n.variant == variant);
+        nodes.map(|n| n.stage_name).collect()
+    };
+    assert_eq!(
+        stages("enhance-then-reconstruct"),
+        ["import", "propose", "reconstruct", "render", "evaluate"]
+    );
+    let full = stages("full");
+    assert!(full.contains(&"enhance") && !full.contains(&"propose"), "{full:?}");
+}
+
 /// `USE3D_UPDATE_SCHEMA=1 cargo test -p use3d-pipeline --test shipped` writes it anew.
 #[test]
 fn the_schema_is_current() {

@@ -17,7 +17,7 @@ mod train;
 mod views;
 
 pub use error::ReconstructError;
-pub use parameters::{Densify, DepthPrior, LearningRates, Medium, Rate, ReconstructParams};
+pub use parameters::{Densify, DepthPrior, Images, LearningRates, Medium, Rate, ReconstructParams};
 pub use profile::{Part, Profile};
 pub use record::{Evaluation, LogEntry, ViewScore, plot};
 pub use train::{CHECKPOINT, Outcome, reconstruct};

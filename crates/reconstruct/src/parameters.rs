@@ -31,6 +31,17 @@ pub enum DepthPrior {
     DepthAnythingV2,
 }
 
+/// Which images a scene is learnt from. The loop itself is the same; whoever loads the views follows this.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Images {
+    /// The photographs.
+    #[default]
+    Captured,
+    /// Each photograph enhanced on its own, for comparison: what such images disagree about ends up in the scene.
+    Proposed,
+}
+
 /// A learning rate that decays log-linearly over the run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Rate(
@@ -167,6 +178,8 @@ pub struct ReconstructParams {
     /// Steps over which rates, resolution, degrees and density control run their course. A shorter run compresses them; a longer
     /// one goes on with their last values, so that its first steps are those of the shorter run.
     pub schedule: u64,
+    /// What the scene is learnt from.
+    pub images: Images,
     /// The model of the water.
     pub medium: Medium,
     /// Anchors of the `rbf` water.
@@ -214,6 +227,7 @@ impl Default for ReconstructParams {
         Self {
             iterations: 15_000,
             schedule: 15_000,
+            images: Images::Captured,
             medium: Medium::Rbf,
             anchors: 8,
             top_k: 4,

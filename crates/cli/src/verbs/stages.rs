@@ -164,13 +164,22 @@ fn profiling(app: &App) -> App {
 pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
     check_output(&args.out)?;
     let registry = stages()?;
-    let parameters = parameters(&registry, &["reconstruct", "import"], &args.settings.set)?;
+    let parameters = parameters(&registry, &["reconstruct", "import", "propose"], &args.settings.set)?;
     let scratch = scratch()?;
     let import = imported(app, &registry, &args.capture, &parameters[1], scratch.path())?;
+    let mut inputs = vec![("import", import.clone())];
+    if parameters[0]["images"] == "proposed" {
+        let folder = scratch.path().join("proposals");
+        let mut given = vec![("import", import)];
+        given.extend(args.models.clone().map(|dir| ("models", dir)));
+        let stage = registry.stage("propose").map_err(CliError::failed)?;
+        run_stage(app, stage, &parameters[2], given, &folder, None)?;
+        inputs.push(("proposals", folder));
+    }
     let kept = checkpoints(&args.out);
     let stage = registry.stage("reconstruct").map_err(CliError::failed)?;
     let app = if args.profile { &profiling(app) } else { app };
-    run_stage(app, stage, &parameters[0], vec![("import", import)], &args.out, Some(kept.clone()))?;
+    run_stage(app, stage, &parameters[0], inputs, &args.out, Some(kept.clone()))?;
     forget(&kept);
     Ok(())
 }

@@ -8,6 +8,7 @@ use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance, LabelSou
 use use3d_io_colmap::load_pixels;
 
 use super::common::{Watch, capture, scene, write_json, write_text};
+use super::propose::asked_for;
 use super::proposer::by_name;
 use super::targets::TARGETS;
 use crate::engine::{Scope, Stage, StageContext, StageError};
@@ -18,6 +19,7 @@ pub(super) fn stage() -> Stage {
         .about("stage 2: store the enhancement in the scene")
         .made_of(PARTS, &["src/stages/enhance.rs", "src/stages/proposer.rs"])
         .check(|p: &EnhanceParams| p.validate().map_err(|e| (String::new(), e.to_string())))
+        .when(|all| !asked_for(all))
         .input("import", "import")
         .input("scene", "reconstruct")
         .input("targets", "targets")

@@ -50,6 +50,7 @@ pub(super) fn stage() -> Stage {
         )
         .input("import", "import")
         .input("scene", "reconstruct")
+        .optional_input("proposals", "propose")
         .optional_input("enhanced", "enhance")
         .optional_external("models", "models")
         .select(|_, models| Ok(super::judge_files(models)))
@@ -80,10 +81,13 @@ fn look(
     view: &View,
     renderer: &mut SceneRenderer<'_>,
     proposer: &dyn Proposer,
+    learnt: Method,
 ) -> Result<Appearances, StageError> {
     let captured = load_pixels(view)?.to_image();
-    let mut modes =
-        vec![Mode::Reconstruction, Mode::Clear, Mode::Depth, Mode::Attenuation, Mode::Backscatter];
+    let mut modes = vec![Mode::Reconstruction, Mode::Depth, Mode::Attenuation, Mode::Backscatter];
+    if learnt == Method::Reconstruction {
+        modes.push(Mode::Clear);
+    }
     if renderer.is_enhanced() {
         modes.push(Mode::Enhanced);
     }
@@ -93,7 +97,7 @@ fn look(
     let mut water = Vec::new();
     for (mode, frame) in modes.iter().zip(renderer.render(&view.camera, &modes)) {
         match (mode, frame) {
-            (Mode::Reconstruction, Frame::Color(image)) => images.push((Method::Reconstruction, image)),
+            (Mode::Reconstruction, Frame::Color(image)) => images.push((learnt, image)),
             (Mode::Clear, Frame::Color(image)) => images.push((Method::Clear, image)),
             (Mode::Enhanced, Frame::Color(image)) => images.push((Method::Enhanced, image)),
             (Mode::Depth, Frame::Scalar(map)) => depth = map,
@@ -108,6 +112,11 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let capture = capture(context)?;
     let role = if context.optional_input("enhanced").is_some() { "enhanced" } else { "scene" };
     let scene = scene(context, role)?;
+    // What the scene shows as it was learnt: photographs, or proposals.
+    let learnt = match context.optional_input("proposals") {
+        Some(_) => Method::EnhanceThenReconstruct,
+        None => Method::Reconstruction,
+    };
     let models = context.optional_input("models");
     let proposer =
         open(params.proposer, models, &mut |line| context.log(line)).map_err(StageError::message)?;
@@ -132,7 +141,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     for (i, view) in views.iter().enumerate() {
         context.alive()?;
         context.progress_with(i as u64, views.len() as u64, "views", &view.name);
-        let now = look(view, &mut renderer, proposer.as_ref())?;
+        let now = look(view, &mut renderer, proposer.as_ref(), learnt)?;
         let captured = &now.images[0].1;
         let true_view = truth.as_ref().map(|t| t.view(view.stem())).transpose()?.flatten();
         for (method, image) in &now.images {
@@ -140,12 +149,14 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
             if *method != Method::Captured {
                 scores.extend(judges.against(image, captured));
             }
-            match (&true_view, method) {
-                (Some(truth), Method::Reconstruction) => {
+            if let Some(truth) = &true_view {
+                if *method == learnt {
                     scores.insert("depth_error".into(), truth.depth_error(&now.depth, scale));
                 }
-                (Some(truth), _) => scores.extend(truth.scores(image)),
-                (None, _) => {}
+                // The water is still in stage 1's images.
+                if *method != Method::Reconstruction {
+                    scores.extend(truth.scores(image));
+                }
             }
             entry(&mut per_view, *method).push(ViewScores { view: view.name.clone(), scores });
         }
@@ -171,7 +182,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         }
         previous = Some(now);
     }
-    strip(context, &capture, &mut renderer, proposer.as_ref())?;
+    strip(context, &capture, &mut renderer, proposer.as_ref(), learnt)?;
     let methods = per_view.into_iter().map(|(method, views)| {
         let pairs = per_pair
             .iter_mut()
@@ -197,6 +208,7 @@ fn strip(
     capture: &Capture,
     renderer: &mut SceneRenderer<'_>,
     proposer: &dyn Proposer,
+    learnt: Method,
 ) -> Result<(), StageError> {
     context.alive()?;
     let held_out = &capture.split.test;
@@ -204,7 +216,7 @@ fn strip(
     let first = middle.saturating_sub(1).min(capture.views.len().saturating_sub(3));
     let views: Vec<&View> = capture.views.iter().skip(first).take(3).collect();
     let looks: Vec<Appearances> =
-        views.iter().map(|view| look(view, renderer, proposer)).collect::<Result<_, _>>()?;
+        views.iter().map(|view| look(view, renderer, proposer, learnt)).collect::<Result<_, _>>()?;
     let seen = views.iter().zip(&looks).map(|(view, look)| Seen {
         camera: &view.camera,
         depth: &look.depth,
@@ -214,7 +226,7 @@ fn strip(
         context.log("no spot is seen by three neighbouring views: no consistency strip");
         return Ok(());
     };
-    let last = if renderer.is_enhanced() { Method::Enhanced } else { Method::Reconstruction };
+    let last = if renderer.is_enhanced() { Method::Enhanced } else { learnt };
     let shown = [Method::Captured, Method::Proposal, last];
     let of = |look: &'_ Appearances, method| look.images.iter().position(|(m, _)| *m == method);
     let rows: Vec<Vec<&Image>> = shown

@@ -6,7 +6,8 @@
 //! pairs ─▶ calibrate ────────────────────┴──────┘                             ┘
 //! ```
 //!
-//! `pairs` and `calibrate` are made once for all scenes; `report` once from everything.
+//! For comparison, `propose` can stand before `reconstruct`, which then learns from photographs enhanced one by one; `targets`
+//! and `enhance` are left out then. `pairs` and `calibrate` are made once for all scenes; `report` once from everything.
 
 mod calibrate;
 mod common;
@@ -17,6 +18,7 @@ mod enhance;
 pub mod evaluate;
 mod import;
 mod pairs;
+mod propose;
 mod proposer;
 mod reconstruct;
 mod render;
@@ -40,6 +42,7 @@ pub fn registry() -> Result<Registry, EngineError> {
         depth::stage(),
         pairs::stage(),
         calibrate::stage(),
+        propose::stage(),
         reconstruct::stage(),
         targets::stage(),
         enhance::stage(),

@@ -3,10 +3,11 @@
 use use3d_capture::View;
 use use3d_io_colmap::{load_depth_prior, load_mask, load_pixels};
 use use3d_io_image::write_png;
-use use3d_reconstruct::{LoadedView, ReconstructError, ReconstructParams, reconstruct};
+use use3d_reconstruct::{Images, LoadedView, ReconstructError, ReconstructParams, reconstruct};
 
 use super::common::{Watch, capture, write_json, write_text};
 use super::contact::sheet;
+use super::propose;
 use crate::engine::{Scope, Stage, StageContext, StageError};
 
 /// The contact sheet.
@@ -20,16 +21,17 @@ pub(super) fn stage() -> Stage {
             &["src/stages/reconstruct.rs", "src/stages/contact.rs"],
         )
         .check(|p: &ReconstructParams| p.validate().map_err(|e| (String::new(), e)))
-        .input("import", "import");
+        .input("import", "import")
+        .optional_input("proposals", "propose");
     let stage = if cfg!(feature = "nets") { stage.optional_input("depth", "depth") } else { stage };
     stage.seeded().resumable(&["iterations"]).cost(0, 4 << 30)
 }
 
-/// A view's files, at the size of its camera.
-fn load(view: &View) -> Result<LoadedView, String> {
+/// A view's files, at the size of its camera; its pixels are those of `pixels`, another image of the same view.
+fn load(view: &View, pixels: &View) -> Result<LoadedView, String> {
     let mask = load_mask(view).map_err(|e| e.to_string())?;
     Ok(LoadedView {
-        pixels: load_pixels(view).map_err(|e| e.to_string())?,
+        pixels: load_pixels(pixels).map_err(|e| e.to_string())?,
         alpha: None,
         mask,
         depth_prior: load_depth_prior(view).map_err(|e| e.to_string())?,
@@ -49,6 +51,16 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         seed: params.seed.wrapping_add(context.seed()).wrapping_sub(42),
         ..params.clone()
     };
+    // Masks and priors are the photographs' in any case.
+    let mut learnt_from = capture.clone();
+    if params.images == Images::Proposed {
+        let proposals = context.input("proposals")?;
+        learnt_from.views.iter_mut().for_each(|view| view.image = propose::file(proposals, view));
+    }
+    let load = |view: &View| {
+        let pixels = learnt_from.views.iter().find(|v| v.name == view.name);
+        load(view, pixels.unwrap_or(view))
+    };
     let outcome = reconstruct(&capture, &load, &params, context.checkpoints(), &mut Watch::new(context));
     let outcome = match outcome {
         Err(ReconstructError::Interrupted { .. }) => return Err(StageError::Cancelled),
@@ -66,7 +78,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     context.profile(&outcome.profile.table());
     let out = context.output();
     outcome.scene.save(out)?;
-    if let Some(sheet) = sheet(&capture, &outcome.scene)? {
+    if let Some(sheet) = sheet(&learnt_from, &outcome.scene)? {
         write_png(&out.join(CONTACT), &sheet)?;
     }
     write_text(&out.join("training.jsonl"), &outcome.log_lines())?;

@@ -309,7 +309,7 @@ fn contact(scene: &Path) -> Result<Option<Picture>, StageError> {
     if !path.is_file() {
         return Ok(None);
     }
-    let caption = "Photographs on the left, on their right what stage 1 renders from the same places; held-out views where there are any.";
+    let caption = "On the left the images that stage 1 learns from, on their right what it renders from the same places; held-out views where there are any.";
     Ok(Some(Picture::embed_wide("Stage 1: captured and rendered", caption, &read_image(&path)?, 1640)?))
 }
 

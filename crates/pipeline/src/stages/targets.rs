@@ -15,6 +15,7 @@ use use3d_splat::Rasterizer;
 
 use super::calibrate::CALIBRATOR;
 use super::common::{capture, folder, scene, write_json};
+use super::propose::asked_for;
 use super::proposer::by_name;
 use crate::engine::{Scope, Stage, StageContext, StageError};
 
@@ -41,6 +42,7 @@ pub(super) fn stage() -> Stage {
     Stage::new("targets", Scope::Scene, run)
         .about("appearance transition consensus: scene-global and Gaussian-local targets")
         .made_of(PARTS, &["src/stages/targets.rs", "src/stages/proposer.rs"])
+        .when(|all| !asked_for(all))
         .input("import", "import")
         .input("scene", "reconstruct")
         .input("calibrator", "calibrate")

@@ -31,7 +31,8 @@ const CONSISTENCY: [Quantity; 3] = [
 const TRUTH: [Quantity; 2] =
     [("truth_psnr", "PSNR", Better::Higher, 2), ("truth_delta_e", "ΔE₀₀", Better::Lower, 2)];
 /// What is compared with the true clean images.
-const CLEAN: [Method; 4] = [Method::Captured, Method::Proposal, Method::Clear, Method::Enhanced];
+const CLEAN: [Method; 5] =
+    [Method::Captured, Method::Proposal, Method::Clear, Method::EnhanceThenReconstruct, Method::Enhanced];
 
 /// How many scenes a published group has.
 fn published_scenes(group: &str) -> usize {
@@ -78,17 +79,22 @@ pub fn tables(scenes: &[ScoredScene]) -> Vec<Table> {
             "ablation-stage1",
             "Variants, stage 1: reconstruction of held-out views",
             &RECONSTRUCTION,
-            Method::Reconstruction,
+            &[Method::Reconstruction],
             published::ABLATION_STAGE1,
         ));
         tables.push(batch.ablation(
             "ablation-stage2",
             "Variants, stage 2: enhancement quality of held-out views",
             &ENHANCEMENT,
-            Method::Enhanced,
+            &[Method::Enhanced, Method::EnhanceThenReconstruct],
             published::ABLATION_STAGE2,
         ));
     }
+    // What a run does not have takes no room.
+    for table in &mut tables {
+        table.rows.retain(|row| row.published || row.cells.iter().any(|cell| *cell != Cell::Blank));
+    }
+    tables.retain(|table| !table.rows.is_empty());
     tables
 }
 
@@ -388,13 +394,13 @@ impl<'a> Batch<'a> {
         Table { name: name.into(), caption: caption.into(), columns: columns.collect(), rows }
     }
 
-    /// One row per variant, averaged over all scenes of the run.
+    /// One row per variant, averaged over all scenes of the run, of the first of some methods that the variant has.
     fn ablation(
         &self,
         name: &str,
         caption: &str,
         quantities: &[Quantity],
-        method: Method,
+        methods: &[Method],
         source: &[Published],
     ) -> Table {
         let columns = quantities.iter().map(|q| Column::new("", q.1, q.2, q.3)).collect();
@@ -408,6 +414,9 @@ impl<'a> Batch<'a> {
         }
         for variant in &self.variants {
             let scenes: Vec<&ScoredScene> = self.scenes.iter().filter(|s| s.variant == **variant).collect();
+            let has =
+                |m: &&Method| quantities.iter().any(|(key, ..)| macro_mean(&scenes, **m, key) != Cell::Blank);
+            let Some(method) = methods.iter().find(has).copied() else { continue };
             rows.push(Row {
                 label: if variant.is_empty() { "full model".into() } else { (*variant).into() },
                 published: false,
@@ -486,6 +495,27 @@ mod tests {
         assert_eq!(plenodium.cells[3].value(), Some(28.686));
         let scenes = &tables(&three)[1];
         assert!(scenes.rows.iter().any(|r| r.published && r.cells[3].value() == Some(33.861)));
+    }
+
+    #[test]
+    fn scenes_learnt_from_proposals_have_rows_of_their_own_and_nothing_blank_takes_room() {
+        let mut first = scene("reef", "", "first", 18.0);
+        for (method, to) in
+            first.scores.methods.iter_mut().zip([Method::Proposal, Method::EnhanceThenReconstruct])
+        {
+            method.method = to;
+        }
+        let tables = tables(&[scene("reef", "", "", 20.0), first]);
+        let labels = |name: &str| -> Vec<&str> {
+            tables
+                .iter()
+                .find(|t| t.name == name)
+                .map_or(vec![], |t| t.rows.iter().map(|r| r.label.as_str()).collect())
+        };
+        assert_eq!(labels("enhancement"), ["3D-USE, this program", "Enhance, then reconstruct · first"]);
+        assert_eq!(labels("ablation-stage2"), ["full model", "first"]);
+        assert_eq!(labels("ablation-stage1"), ["full model"]);
+        assert!(tables.iter().all(|t| !t.rows.is_empty()));
     }
 
     #[test]

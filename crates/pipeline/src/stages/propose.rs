@@ -1,0 +1,62 @@
+//! The proposals of all views as images, for the comparison that enhances every photograph and then reconstructs from those.
+//!
+//! Only asked for when stage 1 is to learn from them (`reconstruct.images = "proposed"`); such a scene needs no second stage.
+
+use std::path::{Path, PathBuf};
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use use3d_capture::View;
+use use3d_io_colmap::load_pixels;
+use use3d_io_image::write_png;
+
+use super::common::capture;
+use super::proposer::{ProposerChoice, open};
+use crate::engine::{AllParameters, Scope, Stage, StageContext, StageError};
+
+/// Parameters of the proposals.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub(super) struct Params {
+    /// The proposer; `auto` as in `pairs`.
+    pub(super) proposer: ProposerChoice,
+}
+
+/// Whether stage 1 learns from proposals.
+pub(super) fn asked_for(all: &AllParameters) -> bool {
+    all.get("reconstruct").is_some_and(|r| r["images"] == "proposed")
+}
+
+pub(super) fn stage() -> Stage {
+    Stage::new("propose", Scope::Scene, run)
+        .about("enhance every photograph on its own, to reconstruct from")
+        .made_of(PARTS, &["src/stages/propose.rs", "src/stages/proposer.rs"])
+        .input("import", "import")
+        .optional_external("models", "models")
+        .select(|_, models| Ok(super::proposer_files(models)))
+        .when(asked_for)
+        .cost(0, 2 << 30)
+}
+
+#[cfg(feature = "nets")]
+const PARTS: &[&str] = &["use3d-atc", "use3d-io-colmap", "use3d-io-image", "use3d-nets"];
+#[cfg(not(feature = "nets"))]
+const PARTS: &[&str] = &["use3d-atc", "use3d-io-colmap", "use3d-io-image"];
+
+/// A view's proposal in the artifact.
+pub(super) fn file(proposals: &Path, view: &View) -> PathBuf {
+    proposals.join(format!("{}.png", view.stem().replace('/', "_")))
+}
+
+fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
+    let capture = capture(context)?;
+    let proposer = open(params.proposer, context.optional_input("models"), &mut |line| context.log(line))
+        .map_err(StageError::message)?;
+    for (i, view) in capture.views.iter().enumerate() {
+        context.alive()?;
+        context.progress_with(i as u64, capture.views.len() as u64, "views", &view.name);
+        let proposal = proposer.propose(&load_pixels(view)?.to_image())?;
+        write_png(&file(context.output(), view), &proposal)?;
+    }
+    Ok(())
+}
