@@ -253,7 +253,7 @@ fn a_short_run_learns_the_scene_and_its_water() {
 #[test]
 fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
     let (capture, loaded) = tiny_capture(7);
-    let params = ReconstructParams { checkpoint_steps: 8, ..tiny_params(60) };
+    let params = ReconstructParams { checkpoint_steps: 8, schedule: 60, ..tiny_params(60) };
     let on = |threads: usize, dir: Option<&std::path::Path>, observer: &mut Watcher| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let work = || reconstruct(&capture, &loader(&loaded), &params, dir, observer);
@@ -282,7 +282,7 @@ fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
     ));
 
     // Twenty steps more cost twenty steps, and end where an uninterrupted longer run ends.
-    let longer = ReconstructParams { iterations: 80, schedule: 60, ..params.clone() };
+    let longer = ReconstructParams { iterations: 80, ..params.clone() };
     let run_longer = |dir: Option<&std::path::Path>, observer: &mut Watcher| {
         reconstruct(&capture, &loader(&loaded), &longer, dir, observer).unwrap()
     };
@@ -292,7 +292,7 @@ fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
     assert!(same(&run_longer(None, &mut Watcher::default()), &extended), "extending changes the scene");
 
     // A checkpoint of other parameters, and a damaged one, are left alone aloud.
-    let other = ReconstructParams { seed: 7, iterations: 90, schedule: 60, ..params.clone() };
+    let other = ReconstructParams { seed: 7, iterations: 90, ..params.clone() };
     let mut watcher = Watcher::default();
     reconstruct(&capture, &loader(&loaded), &other, Some(dir.path()), &mut watcher).unwrap();
     assert!(watcher.notices.iter().any(|n| n.contains("other parameters")), "{:?}", watcher.notices);

@@ -226,10 +226,8 @@ fn load(
 fn fingerprint(capture: &Capture, params: &ReconstructParams, views: &Views) -> [u8; 32] {
     let mut hasher = blake3::Hasher::new();
     // How often checkpoints are written changes nothing, nor does the length beyond the schedules.
-    let (iterations, schedule) = (params.course(), params.course());
     let params = ReconstructParams {
-        iterations,
-        schedule,
+        iterations: params.course(),
         checkpoint_steps: 1,
         checkpoint_minutes: 1.0,
         ..params.clone()
