@@ -366,12 +366,10 @@ fn bar_scene() -> (String, Gaussians, Vec<Camera>) {
     let s = Stream::new(9, Purpose::new("reef-like points"), 0);
     let points: Vec<(DVec3, [u8; 3])> = (0..20_091u64)
         .map(|i| {
-            // Three quarters lie densely on the near ground, the rest is spread far out.
-            let near = i % 4 != 0;
-            let (spread, depth) = if near { (0.55, 1.6) } else { (1.3, 3.0) };
-            let depth = depth * (0.35 * s.normal(i * 8)).exp();
-            let (u, v) =
-                ((s.uniform(i * 16 + 4) - 0.5) * 1.9 * spread, (s.uniform(i * 16 + 5) - 0.3) * spread);
+            // A rough ground that rises towards the horizon, with points off it as triangulation leaves them.
+            let (u, v) = ((s.uniform(i * 16 + 4) - 0.5) * 1.9, (s.uniform(i * 16 + 5) - 0.3) * 0.9);
+            let ground = 1.6 / (0.35 + v) * (1.0 + 0.15 * (9.0 * u).sin() * (7.0 * v).cos());
+            let depth = ground.min(8.0) * (0.02 * s.normal(i * 8)).exp();
             (DVec3::new(u * depth, v * depth, depth), [90, 120, 130])
         })
         .collect();
