@@ -24,13 +24,29 @@ pub struct View {
 }
 
 impl View {
-    /// The name without its extension, as output files use it.
+    /// [`stem`] of the name.
     pub fn stem(&self) -> &str {
-        match self.name.rfind('.') {
-            Some(dot) if dot > self.name.rfind('/').map_or(0, |s| s + 1) => &self.name[..dot],
-            _ => &self.name,
-        }
+        stem(&self.name)
     }
+
+    /// [`flat_stem`] of the name.
+    pub fn flat_stem(&self) -> String {
+        flat_stem(&self.name)
+    }
+}
+
+/// An image's name without its extension; its folders stay: `left/a.b.png` is `left/a.b`.
+pub fn stem(name: &str) -> &str {
+    match name.rfind('.') {
+        Some(dot) if dot > name.rfind('/').map_or(0, |s| s + 1) => &name[..dot],
+        _ => name,
+    }
+}
+
+/// The stem as one file name, for results that lie in one folder: `left/a.b.png` is `left_a.b`. A prepared capture has no two
+/// views with the same one.
+pub fn flat_stem(name: &str) -> String {
+    stem(name).replace('/', "_")
 }
 
 /// A triangulated point.
@@ -174,6 +190,8 @@ mod tests {
             camera,
         };
         assert_eq!(view("left/a.b.png").stem(), "left/a.b");
+        assert_eq!(view("left/a.b.png").flat_stem(), "left_a.b");
+        assert_eq!(view("x.d/plain").flat_stem(), "x.d_plain");
         assert_eq!(view("x.d/plain").stem(), "x.d/plain");
         assert_eq!(view(".hidden").stem(), ".hidden");
     }

@@ -16,6 +16,6 @@ pub mod path;
 mod raster;
 
 pub use camera::{Camera, CameraError, Frame, Intrinsics, Pose};
-pub use capture::{Capture, CaptureError, Pixels, SparsePoint, Split, View};
+pub use capture::{Capture, CaptureError, Pixels, SparsePoint, Split, View, flat_stem, stem};
 pub use lattice::{Lattice, MediumMaps, world_direction};
 pub use raster::{Image, Image8, Map, Raster};

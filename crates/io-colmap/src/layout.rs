@@ -2,6 +2,8 @@
 
 use std::path::{Component, Path, PathBuf};
 
+use use3d_capture::stem;
+
 use crate::error::{ImportError, ModelError};
 use crate::model::{Model, ModelForm, count_images};
 use crate::params::ImportParams;
@@ -179,14 +181,6 @@ impl Folder {
                 IMAGE_EXTENSIONS.contains(&extension.as_str()).then_some(name)
             })
             .collect()
-    }
-}
-
-/// A name without its extension.
-pub(crate) fn stem(name: &str) -> &str {
-    match name.rfind('.') {
-        Some(dot) if dot > name.rfind('/').map_or(0, |s| s + 1) => &name[..dot],
-        _ => name,
     }
 }
 

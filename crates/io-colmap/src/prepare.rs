@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use use3d_capture::{Capture, Map, Pixels, View};
+use use3d_capture::{Capture, Map, Pixels, View, flat_stem, stem};
 use use3d_io_image::{
     read_pixels_with_alpha, write_atomically, write_exr_map, write_png_map, write_png_pixels,
 };
@@ -16,7 +16,6 @@ use use3d_io_image::{
 use crate::error::ImportError;
 use crate::geometry::Geometry;
 use crate::import::{Imported, Plan, sparse_points};
-use crate::layout::stem;
 use crate::load::{read_depth_at, read_mask_at};
 use crate::model::{Keypoint, Model, ModelCamera, write_model_binary};
 use crate::params::WhiteBalance;
@@ -105,7 +104,8 @@ fn workers(imported: &Imported, threads: usize) -> usize {
     cores.min(BUDGET / (largest * BYTES_PER_PIXEL)).max(1)
 }
 
-/// File names of the results: PNG where pixels change, else the source's extension; made distinct where stems collide.
+/// File names of the results: PNG where pixels change, else the source's extension; made distinct where stems collide,
+/// also once folders are flattened (`left/1.png` and `left_1.png`).
 fn output_names(imported: &Imported, balanced: bool) -> Vec<String> {
     let mut taken = BTreeSet::new();
     let views = imported.capture.views.iter().zip(&imported.plans);
@@ -114,10 +114,10 @@ fn output_names(imported: &Imported, balanced: bool) -> Vec<String> {
             let own = view.image.extension().and_then(|e| e.to_str()).unwrap_or("png");
             let extension = if plan.geometry.resamples() || balanced { "png" } else { own };
             let mut name = format!("{}.{extension}", view.stem());
-            if taken.contains(stem(&name)) {
+            if taken.contains(&flat_stem(&name)) {
                 name = format!("{}.{extension}", view.name);
             }
-            while !taken.insert(stem(&name).to_string()) {
+            while !taken.insert(flat_stem(&name)) {
                 name = format!("{}_.{extension}", stem(&name));
             }
             name

@@ -3,10 +3,9 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use use3d_capture::{Split, View};
+use use3d_capture::{Split, View, stem};
 
 use crate::error::ImportError;
-use crate::layout::stem;
 use crate::params::{SplitOrder, SplitParams};
 
 /// How the split was made, in words, and the split.

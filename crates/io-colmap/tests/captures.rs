@@ -1,5 +1,6 @@
 //! Capture folders made here: every place a capture may live in, everything that may be missing, and what preparation does.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3};
@@ -431,6 +432,21 @@ fn stems_that_collide_and_cameras_of_two_sizes_are_kept_apart() {
     for view in &loaded.capture.views {
         load_pixels(view).unwrap();
     }
+}
+
+#[test]
+fn names_that_flatten_to_one_are_kept_apart() {
+    let fixture = Fixture::new(3, pinhole(1));
+    let mut model = read_model(&fixture.path("sparse/0")).unwrap();
+    std::fs::create_dir_all(fixture.path("images/left")).unwrap();
+    for (image, name) in model.images.iter_mut().zip(["left/1.png", "left_1.png", "right.png"]) {
+        image.name = name.into();
+        write_png8(&fixture.path("images").join(name), &picture(SIZE.0, SIZE.1, 0.0)).unwrap();
+    }
+    write_model_binary(&fixture.path("sparse/0"), &model).unwrap();
+    let prepared = prepare_all(&fixture.import(&ImportParams::default()).unwrap(), &fixture.path("out"));
+    let flat: BTreeSet<String> = prepared.capture.views.iter().map(|v| v.flat_stem()).collect();
+    assert_eq!(flat.len(), 3, "{flat:?}");
 }
 
 #[test]

@@ -110,7 +110,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         );
         let water = (!scene.medium.is_none()).then_some(&maps);
         rasterizer.forward(&prepared, water, &Options { layers: true, ..Options::default() }, &mut rendered);
-        let name = |mode: &str| out.join(format!("{}-{mode}.png", view.stem().replace('/', "_")));
+        let name = |mode: &str| out.join(format!("{}-{mode}.png", view.flat_stem()));
         use3d_io_image::write_png(&name("reconstruction"), &rendered.image)?;
         if let Some(layers) = &rendered.layers {
             use3d_io_image::write_png(&name("clear"), &layers.clear)?;

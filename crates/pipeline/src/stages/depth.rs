@@ -78,10 +78,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         for v in disparity.data_mut() {
             *v = ((*v - low) * scale).clamp(0.0, 1.0);
         }
-        write_png_map16(
-            &context.output().join(format!("{}.png", view.stem().replace('/', "_"))),
-            &disparity,
-        )?;
+        write_png_map16(&context.output().join(format!("{}.png", view.flat_stem())), &disparity)?;
     }
     Ok(())
 }

@@ -45,7 +45,7 @@ const PARTS: &[&str] = &["use3d-atc", "use3d-io-colmap", "use3d-io-image"];
 
 /// A view's proposal in the artifact.
 pub(super) fn file(proposals: &Path, view: &View) -> PathBuf {
-    proposals.join(format!("{}.png", view.stem().replace('/', "_")))
+    proposals.join(format!("{}.png", view.flat_stem()))
 }
 
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {

@@ -42,7 +42,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     let mut capture = capture(context)?;
     if let Some(depth) = context.optional_input("depth") {
         for view in &mut capture.views {
-            let file = depth.join(format!("{}.png", view.stem().replace('/', "_")));
+            let file = depth.join(format!("{}.png", view.flat_stem()));
             view.depth_prior = file.is_file().then_some(file);
         }
     }

@@ -71,7 +71,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     for (i, view) in views.iter().enumerate() {
         context.alive()?;
         context.progress(i as u64, views.len() as u64, "views");
-        let stem = view.stem().replace('/', "_");
+        let stem = view.flat_stem();
         let file = |folder: &str| out.join(folder).join(format!("{stem}.png"));
         write_png8(&file("captured"), &load_pixels(view)?.to_image().to_8bit())?;
         for (mode, frame) in modes.iter().zip(renderer.render(&view.camera, &modes)) {

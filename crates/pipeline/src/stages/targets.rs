@@ -140,7 +140,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
                 &targets,
                 &mut rasterizer,
             )?;
-            let name = format!("{}.png", views[i].stem().replace('/', "_"));
+            let name = format!("{}.png", views[i].flat_stem());
             write_png(&sheets.join(&name), &preview.sheet())?;
             write_png_map(&support.join(&name), &preview.support)?;
         }
