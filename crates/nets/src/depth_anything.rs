@@ -160,14 +160,14 @@ impl DepthAnythingV2 {
         let positions = with_class(&self.positions_for(rows, columns), &self.class_position);
         probe("pos_embed", &positions);
         tokens.add(&positions);
-        let mut taken = Vec::with_capacity(4);
+        let mut taken: [Planes; 4] = std::array::from_fn(|_| Planes::new(0, 0, 0));
         for (i, block) in self.blocks.iter().enumerate() {
             block.forward(&mut tokens, self.heads);
             if i == 0 {
                 probe("block0", &tokens);
             }
-            if self.taken.contains(&i) {
-                taken.push(without_class(&normalise::layer(&tokens, EPSILON, &self.norm), rows, columns));
+            if let Some(level) = self.taken.iter().position(|&taken| taken == i) {
+                taken[level] = without_class(&normalise::layer(&tokens, EPSILON, &self.norm), rows, columns);
             }
         }
         probe("block_last", &tokens);

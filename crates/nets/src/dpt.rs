@@ -91,12 +91,11 @@ impl DptHead {
     /// `taken` are the four levels as `[width, rows, columns]`, finest use first.
     pub(crate) fn forward(
         &self,
-        taken: Vec<Planes>,
+        taken: [Planes; 4],
         size: (usize, usize),
         probe: &mut dyn FnMut(&str, &Planes),
     ) -> Planes {
-        let mut levels: Vec<Planes> = Vec::with_capacity(4);
-        for (i, tokens) in taken.into_iter().enumerate() {
+        let level = |i: usize, tokens: Planes| {
             let projected = self.projects[i].forward(&tokens, Activation::Identity);
             let resized = match i {
                 0 => self.upsample4.forward(&projected),
@@ -104,22 +103,22 @@ impl DptHead {
                 2 => projected,
                 _ => self.halve.forward(&projected, Activation::Identity),
             };
-            levels.push(self.levels[i].forward(&resized, Activation::Identity));
-        }
-        let mut x: Option<Planes> = None;
-        for level in (0..4).rev() {
-            let target = match level {
-                0 => (2 * levels[0].height, 2 * levels[0].width),
-                _ => (levels[level - 1].height, levels[level - 1].width),
-            };
-            let here = levels.pop().expect("four levels");
-            let fused = self.fusions[level].forward(x, here, target);
-            if level == 3 {
-                probe("refinenet4", &fused);
-            }
-            x = Some(fused);
-        }
-        let x = x.expect("four levels");
+            self.levels[i].forward(&resized, Activation::Identity)
+        };
+        // Coarsest first; each comes out at the size of the next finer one, the finest at twice its own.
+        let [first, second, third, fourth] = taken;
+        let [first, second, third, fourth] =
+            [level(0, first), level(1, second), level(2, third), level(3, fourth)];
+        let size_of = |planes: &Planes| (planes.height, planes.width);
+        let target = size_of(&third);
+        let x = self.fusions[3].forward(None, fourth, target);
+        probe("refinenet4", &x);
+        let target = size_of(&second);
+        let x = self.fusions[2].forward(Some(x), third, target);
+        let target = size_of(&first);
+        let x = self.fusions[1].forward(Some(x), second, target);
+        let target = (2 * first.height, 2 * first.width);
+        let x = self.fusions[0].forward(Some(x), first, target);
         probe("refinenet1", &x);
         let x = self.reduce.forward(&x, Activation::Identity);
         probe("output_conv1", &x);

@@ -144,12 +144,10 @@ impl Convolution {
     ) {
         let last = (first + LANES).min(columns);
         let one_row = first / out_width == (last - 1) / out_width && last - first == LANES;
-        let (mut panel, _) = panel.as_chunks_mut::<LANES>();
-        for plane in channels {
-            for ky in 0..self.kernel.0 {
-                for kx in 0..self.kernel.1 {
-                    let (at_k, rest) = panel.split_first_mut().expect("a panel row per tap");
-                    panel = rest;
+        let (panel, _) = panel.as_chunks_mut::<LANES>();
+        for (plane, taps) in channels.iter().zip(panel.chunks_exact_mut(self.kernel.0 * self.kernel.1)) {
+            for (ky, row) in taps.chunks_exact_mut(self.kernel.1).enumerate() {
+                for (kx, at_k) in row.iter_mut().enumerate() {
                     if one_row && self.stride == 1 {
                         let y = (first / out_width + ky).wrapping_sub(self.padding.top);
                         let x = (first % out_width + kx).wrapping_sub(self.padding.left);

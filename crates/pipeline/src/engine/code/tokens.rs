@@ -7,7 +7,7 @@
 
 use std::path::{Path, PathBuf};
 
-use proc_macro2::{Delimiter, Spacing, TokenStream, TokenTree};
+use proc_macro2::{Delimiter, Group, Spacing, TokenStream, TokenTree};
 
 /// The canonical bytes of a source text, and the files of its `#[cfg(test)] mod name;` items.
 pub(crate) struct SourceTokens {
@@ -65,10 +65,7 @@ fn write_stream(stream: TokenStream, may_drop_only_comma: bool, out: &mut Source
     let commas = tokens.iter().filter(|t| is_punct(t, ',')).count();
     let mut i = 0;
     while i < tokens.len() {
-        if let Some(after) = attribute_end(&tokens, i) {
-            let TokenTree::Group(group) = &tokens[after - 1] else {
-                unreachable!("attribute_end saw a group")
-            };
+        if let Some((after, group)) = attribute(&tokens, i) {
             let outer = after - i == 2;
             if is_doc(&group.stream()) {
                 i = after;
@@ -159,21 +156,23 @@ fn joins(first: char, second: char) -> bool {
         || first == '\''
 }
 
-/// The index after `#[…]` or `#![…]` at `i`.
-fn attribute_end(tokens: &[TokenTree], i: usize) -> Option<usize> {
+/// The index after `#[…]` or `#![…]` at `i`, and the brackets.
+fn attribute(tokens: &[TokenTree], i: usize) -> Option<(usize, &Group)> {
     if !is_punct(&tokens[i], '#') {
         return None;
     }
     let bang = usize::from(tokens.get(i + 1).is_some_and(|t| is_punct(t, '!')));
     match tokens.get(i + 1 + bang) {
-        Some(TokenTree::Group(group)) if group.delimiter() == Delimiter::Bracket => Some(i + 2 + bang),
+        Some(TokenTree::Group(group)) if group.delimiter() == Delimiter::Bracket => {
+            Some((i + 2 + bang, group))
+        }
         _ => None,
     }
 }
 
 /// The index after the item that starts at `i`; `None` when it is no item (a field, an arm, an expression): it stays.
 fn item_end(tokens: &[TokenTree], mut i: usize, out: &mut SourceTokens) -> Option<usize> {
-    while let Some(after) = tokens.get(i).and_then(|_| attribute_end(tokens, i)) {
+    while let Some((after, _)) = tokens.get(i).and_then(|_| attribute(tokens, i)) {
         i = after;
     }
     if matches!(tokens.get(i), Some(TokenTree::Ident(name)) if name == "pub") {
