@@ -177,9 +177,15 @@ fn early_stopping_does_less_harm_where_there_is_nothing_to_learn() {
     let report = calibrator.provenance.held_out.unwrap();
     assert!(report.stopped[0] < params.steps, "{:?}", report.stopped);
     assert!(report.errors.global.after < report.all_steps.global.after);
+    // Where nothing helps, the proposal is what is left.
+    assert!(report.kept[0] < 1.0, "{:?}", report.kept);
+    for change in [report.errors.global, report.errors.centered] {
+        assert!(change.after <= change.before + 1e-12, "{change:?}");
+    }
     let all = CalibratorParams { stop_early: false, ..params };
     let report = train(&dataset, &all, "", &mut unwatched).unwrap().provenance.held_out.unwrap();
     assert_eq!((report.errors, report.stopped), (report.all_steps, [all.steps; 2]));
+    assert_eq!(report.kept, [1.0; 2]);
 }
 
 /// The transition of a pair that differs by one affine says so at every cell.

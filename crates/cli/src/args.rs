@@ -335,6 +335,12 @@ pub(crate) struct EnhanceArgs {
     /// Where the enhanced scene goes.
     #[arg(long, value_name = "SCENE_DIR2")]
     pub(crate) out: PathBuf,
+    /// The models folder, for `--set objective=pseudo-labels` with a network's targets.
+    #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
+    pub(crate) models: Option<PathBuf>,
+    /// Print where a step's time goes: milliseconds and share of each part. Never stored.
+    #[arg(long)]
+    pub(crate) profile: bool,
     #[command(flatten)]
     pub(crate) settings: Settings,
 }

@@ -7,15 +7,16 @@ use use3d_atc::extractor::{Affine, Workspace};
 use use3d_capture::{Image, MediumMaps};
 use use3d_scene::Scene;
 use use3d_splat::{Options, Rasterizer, Rendered};
-use use3d_training::Observer;
+use use3d_training::{Observer, Profile};
 use use3d_ubaf::objects::guide_color;
 use use3d_ubaf::{Field, FieldBox, Gradient, ObjectPass, WaterPass, variation};
 
 use crate::objective::{Realised, global_loss, local_loss};
 use crate::params::{Objective, PixelLoss};
+use crate::profile::StepPart;
 use crate::report::ViewErrors;
 use crate::view::{EnhanceView, Frozen, Guidance, Preparer, Reference, ViewConstants};
-use crate::{EnhanceError, EnhanceParams};
+use crate::{EnhanceError, EnhanceParams, Sampling};
 
 /// The losses of one step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -78,6 +79,7 @@ pub(crate) struct Step {
     d_cells: Vec<[f64; 6]>,
     d_image: Image,
     pub(crate) gradient: Gradient,
+    pub(crate) profile: Profile<StepPart>,
 }
 
 impl Step {
@@ -96,6 +98,7 @@ impl Step {
             d_cells: Vec::new(),
             d_image: Image::new(0, 0),
             gradient: Gradient::new(field.shape()),
+            profile: Profile::default(),
         }
     }
 
@@ -104,11 +107,14 @@ impl Step {
         self.objects.forward(field);
         self.objects.colors(field, &frozen.base, &mut self.colors);
         frozen.prepared.set_colors(&self.colors);
+        self.profile.lap(StepPart::Field);
         let water = frozen.water.as_ref().map(|water| {
             self.water.forward(field, view.center, water, 1.0, &mut self.enhanced_water);
             &self.enhanced_water
         });
+        self.profile.lap(StepPart::Water);
         self.rasterizer.forward(&frozen.prepared, water, &Options::default(), &mut self.rendered);
+        self.profile.lap(StepPart::Compose);
     }
 
     /// Losses of the rendered view, and their gradient in the image if `differentiate`.
@@ -170,6 +176,7 @@ impl Step {
         }
         losses.total =
             goals.lambda_global * losses.global.loss + goals.lambda_local * losses.local.loss + losses.pixels;
+        self.profile.lap(StepPart::Loss);
         Ok(losses)
     }
 
@@ -198,11 +205,14 @@ impl Step {
             &mut self.d_colors,
             &mut self.d_water,
         );
+        self.profile.lap(StepPart::ComposeBackward);
         self.objects.backward(field, &frozen.base, &self.d_colors, &mut self.gradient);
+        variation::backward(field, lambda_variation, &mut self.gradient);
+        self.profile.lap(StepPart::FieldBackward);
         if let Some(water) = &frozen.water {
             self.water.backward(field, view.center, water, &self.d_water, &mut self.gradient);
         }
-        variation::backward(field, lambda_variation, &mut self.gradient);
+        self.profile.lap(StepPart::WaterBackward);
     }
 }
 
@@ -247,7 +257,7 @@ impl<'a> Engine<'a> {
         let guides = scene.gaussians.sh.iter().map(|sh| guide_color(sh[0]));
         let objects =
             ObjectPass::with_guides(use3d_ubaf::Level::new(), &field, &scene.gaussians.means, guides);
-        let mut preparer = Preparer::new(scene, guidance);
+        let mut preparer = Preparer::new(scene, guidance, params.sampling);
         let mut room = params.cache_mib.saturating_mul(1 << 20);
         let (mut constants, mut kept) = (Vec::with_capacity(views.len()), Vec::with_capacity(views.len()));
         for (index, view) in views.iter().enumerate() {
@@ -306,20 +316,22 @@ impl<'a> Engine<'a> {
         let (mut rendered, mut all) = (0.0, 0.0);
         for view in &self.views {
             rendered += (view.lattice.width() * view.lattice.height()) as f64;
-            let (w, h) = view.geometry.size();
-            all += (w * h) as f64;
+            all += (view.camera.intrinsics.width * view.camera.intrinsics.height) as f64;
         }
         rendered / all
     }
 
     /// Losses and gradient at view `index`.
     pub fn step(&mut self, index: usize) -> Result<StepLosses, EnhanceError> {
+        self.step.profile.start();
         let (frozen, view) = frozen_of(self.scene, &self.views, &mut self.kept, &mut self.spare, index);
+        self.step.profile.lap(StepPart::Prepare);
         self.step.render(&self.field, view, frozen);
         let mut losses = self.step.losses(view, &self.goals, true)?;
         self.step.backward(&self.field, view, frozen, self.goals.lambda_variation);
         losses.variation = variation::forward(&self.field);
         losses.total += self.goals.lambda_variation * losses.variation;
+        self.step.profile.lap(StepPart::FieldBackward);
         Ok(losses)
     }
 
@@ -329,6 +341,32 @@ impl<'a> Engine<'a> {
         self.step.render(&self.field, view, frozen);
         let losses = self.step.losses(view, &self.goals, false)?;
         Ok(ViewErrors { global: losses.global, local: losses.local, pixels: losses.pixels })
+    }
+
+    /// How far a view is from its reference, as the extractor reads an image, however the steps sample it.
+    pub(crate) fn evaluate_whole(
+        &mut self,
+        index: usize,
+        view: &EnhanceView,
+        guidance: Guidance<'_>,
+    ) -> Result<ViewErrors, EnhanceError> {
+        let (constants, mut frozen) =
+            Preparer::new(self.scene, guidance, Sampling::Bilinear).view(index, view)?;
+        self.step.render(&self.field, &constants, &mut frozen);
+        let losses = self.step.losses(&constants, &self.goals, false)?;
+        Ok(ViewErrors { global: losses.global, local: losses.local, pixels: losses.pixels })
+    }
+
+    /// Ends a step: the time since its gradient was the optimiser's.
+    pub(crate) fn end_step(&mut self) {
+        self.step.profile.lap(StepPart::Adam);
+        self.step.profile.stop();
+        self.step.profile.steps += 1;
+    }
+
+    /// Where the time of the steps went.
+    pub fn profile(&self) -> &Profile<StepPart> {
+        &self.step.profile
     }
 
     /// The render of the last [`Engine::step`] or [`Engine::evaluate`], on the view's lattice.

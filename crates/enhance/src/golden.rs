@@ -103,7 +103,6 @@ impl Example {
         let view = ViewConstants {
             camera,
             center: camera.pose.center().as_vec3().to_array(),
-            geometry,
             lattice,
             reference: Reference::Transition(Box::new(source), target),
         };

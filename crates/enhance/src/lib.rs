@@ -9,8 +9,11 @@
 //! ```
 //!
 //! Only the field's parameters learn. Everything that does not depend on them is computed once per view: projection and tile
-//! lists, base colours, the frozen water, the extractor's source, the rasterised local target. Only pixels that the
-//! extractor's resize reads are rendered at all.
+//! lists, base colours, the frozen water, the extractor's source, the rasterised local target.
+//!
+//! Approximation: a step renders only the pixel nearest to each pixel of the extractor's working size (at most 384 on the long
+//! side), in place of the up to four that its bilinear resize weighs ([`Sampling`]). Source and render are sampled alike, so
+//! equal images still have the identity transition. What was reached is measured with the whole resize.
 //!
 //! [`enhance`] is the loop; [`Renderer`] draws a scene with or without its enhancement; [`bake`] writes the
 //! enhancement into spherical harmonics for viewers that know nothing of it.
@@ -23,6 +26,7 @@ mod fingerprint;
 mod golden;
 mod objective;
 mod params;
+mod profile;
 mod render;
 mod report;
 mod run;
@@ -32,7 +36,8 @@ pub use bake::{BakeReport, bake};
 pub use engine::{Engine, StepLosses};
 pub use error::EnhanceError;
 pub use objective::{Realised, global_loss, local_loss, smooth_l1};
-pub use params::{EnhanceParams, Objective, PixelLoss};
+pub use params::{EnhanceParams, Objective, PixelLoss, Sampling};
+pub use profile::StepPart;
 pub use render::{Look, Renderer};
 pub use report::{LogEntry, Outcome, Report, ViewErrors, ViewReport};
 pub use run::enhance;

@@ -32,6 +32,17 @@ pub enum PixelLoss {
     L2,
 }
 
+/// How a training view is brought to the extractor's working size.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Sampling {
+    /// Only the pixel nearest to each working pixel is rendered: 2.8 times fewer at 640×360, 4 times fewer from 768 pixels on.
+    #[default]
+    Nearest,
+    /// As the extractor reads an image: up to four pixels are rendered and weighted for each working pixel.
+    Bilinear,
+}
+
 /// Parameters of stage 2. The defaults are the method's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -46,6 +57,8 @@ pub struct EnhanceParams {
     pub lambda_local: f64,
     /// Weight λ_tv of the factors' total variation.
     pub lambda_variation: f64,
+    /// How a training view is sampled in a step. What was reached is always measured as the extractor reads an image.
+    pub sampling: Sampling,
     /// How pseudo-labels are compared (objective `pseudo-labels` only).
     pub pixel_loss: PixelLoss,
     /// Nodes per axis of the field, 2 to 256.
@@ -77,6 +90,7 @@ impl Default for EnhanceParams {
             lambda_global: 1.0,
             lambda_local: 1.0,
             lambda_variation: 1e-4,
+            sampling: Sampling::Nearest,
             pixel_loss: PixelLoss::L1,
             resolution: shape.resolution,
             rank: shape.rank,

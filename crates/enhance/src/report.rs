@@ -2,8 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 use use3d_scene::Scene;
+use use3d_training::Profile;
 
 use crate::objective::Realised;
+use crate::profile::StepPart;
 
 /// Means over a window of steps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -84,7 +86,7 @@ impl Report {
 }
 
 /// The result of stage 2.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Outcome {
     /// The scene as it was given, with its enhancement.
     pub scene: Scene,
@@ -92,6 +94,8 @@ pub struct Outcome {
     pub log: Vec<LogEntry>,
     /// What was reached.
     pub report: Report,
+    /// Where the time of the steps went.
+    pub profile: Profile<StepPart>,
 }
 
 impl Outcome {

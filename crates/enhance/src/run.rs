@@ -76,6 +76,7 @@ pub fn enhance(
             return Err(wrong("gradient", Some(at)).into());
         }
         state.update(&mut engine, &gradient, params);
+        engine.end_step();
         if let Some(at) = first_non_finite(&engine.field.parameters) {
             return Err(wrong("parameter", Some(at)).into());
         }
@@ -94,7 +95,7 @@ pub fn enhance(
             return Err(EnhanceError::Stopped { step: state.step });
         }
     }
-    finish(scene, views, &mut engine, state)
+    finish(scene, views, guidance, &mut engine, state)
 }
 
 /// The state in the checkpoint, if it is one of this run.
@@ -204,12 +205,13 @@ impl State {
 fn finish(
     scene: &Scene,
     views: &[EnhanceView],
+    guidance: Guidance<'_>,
     engine: &mut Engine<'_>,
     state: State,
 ) -> Result<Outcome, EnhanceError> {
     let mut reports = Vec::with_capacity(views.len());
     for (index, view) in views.iter().enumerate() {
-        let after = engine.evaluate(index)?;
+        let after = engine.evaluate_whole(index, view, guidance)?;
         reports.push(ViewReport { name: view.name.clone(), before: state.before[index], after });
     }
     let centre = engine.centre();
@@ -226,7 +228,7 @@ fn finish(
     };
     let enhancement = Enhancement { field: engine.field.clone(), centre };
     let scene = Scene { enhancement: Some(enhancement), ..scene.clone() };
-    Ok(Outcome { scene, log: state.log, report })
+    Ok(Outcome { scene, log: state.log, report, profile: engine.profile().clone() })
 }
 
 /// Pace and smoothed loss for progress displays; not part of the result.

@@ -9,7 +9,7 @@ use use3d_scene::Scene;
 use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered, view_colors};
 use use3d_ubaf::Water;
 
-use crate::EnhanceError;
+use crate::{EnhanceError, Sampling};
 
 /// A training view: its name for messages, its camera in the scene's frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -53,14 +53,13 @@ pub(crate) enum Reference {
 pub(crate) struct ViewConstants {
     pub(crate) camera: Camera,
     pub(crate) center: [f32; 3],
-    pub(crate) geometry: Arc<Geometry>,
     pub(crate) lattice: Lattice,
     pub(crate) reference: Reference,
 }
 
 /// The large constants of a view: kept while the budget lasts, else made anew for every step.
 pub(crate) struct Frozen {
-    /// Projection and tile lists; its colours change with every step.
+    /// Projection and trimmed tile lists; its colours change with every step.
     pub(crate) prepared: Prepared,
     /// Stage-1 colours of all Gaussians in this view.
     pub(crate) base: Vec<[f32; 3]>,
@@ -89,28 +88,37 @@ impl Frozen {
     }
 }
 
+/// Which pixels of views of one size are rendered, and how the extractor reads them.
+struct Sampled {
+    size: (usize, usize),
+    geometry: Arc<Geometry>,
+    lattice: Lattice,
+}
+
 /// Prepares views one after another; views of one size share what depends on the size alone.
 pub(crate) struct Preparer<'a> {
     pub(crate) scene: &'a Scene,
     pub(crate) guidance: Guidance<'a>,
-    geometries: Vec<Arc<Geometry>>,
+    sampling: Sampling,
+    samplings: Vec<Arc<Sampled>>,
     rasterizer: Rasterizer,
     rendered: Rendered,
 }
 
 impl<'a> Preparer<'a> {
-    pub(crate) fn new(scene: &'a Scene, guidance: Guidance<'a>) -> Self {
+    pub(crate) fn new(scene: &'a Scene, guidance: Guidance<'a>, sampling: Sampling) -> Self {
         Self {
             scene,
             guidance,
-            geometries: Vec::new(),
+            sampling,
+            samplings: Vec::new(),
             rasterizer: Rasterizer::new(),
             rendered: Rendered::new(),
         }
     }
 
-    fn geometry(&mut self, size: (usize, usize)) -> Result<Arc<Geometry>, EnhanceError> {
-        if let Some(known) = self.geometries.iter().find(|g| g.size() == size) {
+    fn sampled(&mut self, size: (usize, usize)) -> Result<Arc<Sampled>, EnhanceError> {
+        if let Some(known) = self.samplings.iter().find(|s| s.size == size) {
             return Ok(known.clone());
         }
         // Pseudo-labels are compared on the pixels that the default extractor would read.
@@ -118,9 +126,18 @@ impl<'a> Preparer<'a> {
             Guidance::Targets(targets) => targets.extractor.clone(),
             Guidance::Labels(_) => ExtractorSettings::default(),
         };
-        let geometry = Arc::new(Geometry::new(size.0, size.1, &settings)?);
-        self.geometries.push(geometry.clone());
-        Ok(geometry)
+        let whole = Geometry::new(size.0, size.1, &settings)?;
+        let (working, nearest) = (whole.working_size(), whole.nearest());
+        let (geometry, lattice) = match (self.sampling, nearest) {
+            (Sampling::Nearest, Some(lattice)) => (Geometry::new(working.0, working.1, &settings)?, lattice),
+            _ => {
+                let lattice = whole.lattice();
+                (whole, lattice)
+            }
+        };
+        let sampled = Arc::new(Sampled { size, geometry: Arc::new(geometry), lattice });
+        self.samplings.push(sampled.clone());
+        Ok(sampled)
     }
 
     pub(crate) fn view(
@@ -130,15 +147,16 @@ impl<'a> Preparer<'a> {
     ) -> Result<(ViewConstants, Frozen), EnhanceError> {
         let camera = view.camera;
         let size = (camera.intrinsics.width, camera.intrinsics.height);
-        let geometry = self.geometry(size)?;
-        let lattice = geometry.lattice();
-        let frozen = Frozen::new(self.scene, &camera, &lattice);
+        let sampled = self.sampled(size)?;
+        let Sampled { geometry, lattice, .. } = &*sampled;
+        let mut frozen = Frozen::new(self.scene, &camera, lattice);
+        self.rasterizer.trim(&mut frozen.prepared);
         let reference = match self.guidance {
             Guidance::Targets(targets) => {
                 let maps = frozen.water.as_ref().map(|w| &w.maps);
                 let options = Options::default();
                 self.rasterizer.forward(&frozen.prepared, maps, &options, &mut self.rendered);
-                let source = Source::on_lattice(&geometry, &self.rendered.image)?;
+                let source = Source::on_lattice(geometry, &self.rendered.image)?;
                 let target = targets.view_target(&self.scene.gaussians, &camera, &mut self.rasterizer)?;
                 Reference::Transition(Box::new(source), target)
             }
@@ -154,21 +172,20 @@ impl<'a> Preparer<'a> {
                         size.1
                     )));
                 }
-                Reference::Label(on_lattice(&label, &geometry))
+                Reference::Label(on_lattice(&label, lattice))
             }
         };
         let center = camera.pose.center().as_vec3().to_array();
-        Ok((ViewConstants { camera, center, geometry, lattice, reference }, frozen))
+        Ok((ViewConstants { camera, center, lattice: lattice.clone(), reference }, frozen))
     }
 }
 
 /// The pixels of a label that the lattice has, rounded to 16 bit.
-fn on_lattice(label: &Image, geometry: &Geometry) -> Raster<u16, 3> {
-    let (columns, rows) = (geometry.columns(), geometry.rows());
-    let mut out = Raster::new(columns.len(), rows.len());
-    for (y, &row) in rows.iter().enumerate() {
-        for (x, &column) in columns.iter().enumerate() {
-            let pixel = label.pixel(column, row);
+fn on_lattice(label: &Image, lattice: &Lattice) -> Raster<u16, 3> {
+    let mut out = Raster::new(lattice.width(), lattice.height());
+    for (y, &row) in lattice.rows().iter().enumerate() {
+        for (x, &column) in lattice.columns().iter().enumerate() {
+            let pixel = label.pixel(column as usize, row as usize);
             out.set_pixel(x, y, pixel.map(|v| (v.clamp(0.0, 1.0) * 65535.0 + 0.5) as u16));
         }
     }

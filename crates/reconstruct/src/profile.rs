@@ -1,10 +1,10 @@
-//! Where the time of a step goes.
+//! The parts of a step of stage 1.
 
-use std::time::{Duration, Instant};
+use use3d_training::Part;
 
 /// The parts of a step, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Part {
+pub enum StepPart {
     /// The target at the step's size.
     Target,
     /// The water's maps.
@@ -25,9 +25,8 @@ pub enum Part {
     Density,
 }
 
-impl Part {
-    /// All parts.
-    pub const ALL: [Self; 9] = [
+impl Part for StepPart {
+    const ALL: &'static [Self] = &[
         Self::Target,
         Self::Water,
         Self::Project,
@@ -39,8 +38,11 @@ impl Part {
         Self::Density,
     ];
 
-    /// A name for tables.
-    pub fn name(self) -> &'static str {
+    fn index(self) -> usize {
+        self as usize
+    }
+
+    fn name(self) -> &'static str {
         match self {
             Self::Target => "target",
             Self::Water => "water",
@@ -52,52 +54,5 @@ impl Part {
             Self::Adam => "adam",
             Self::Density => "density",
         }
-    }
-}
-
-/// Time per part, summed over steps.
-#[derive(Clone, Debug, Default)]
-pub struct Profile {
-    /// Steps measured.
-    pub steps: u64,
-    spent: [Duration; Part::ALL.len()],
-    last: Option<Instant>,
-}
-
-impl Profile {
-    /// Starts the clock.
-    pub(crate) fn start(&mut self) {
-        self.last = Some(Instant::now());
-    }
-
-    /// The time since the last call belongs to `part`.
-    pub(crate) fn lap(&mut self, part: Part) {
-        let now = Instant::now();
-        if let Some(last) = self.last {
-            self.spent[part as usize] += now - last;
-        }
-        self.last = Some(now);
-    }
-
-    /// Seconds per step of a part.
-    pub fn seconds(&self, part: Part) -> f64 {
-        self.spent[part as usize].as_secs_f64() / self.steps.max(1) as f64
-    }
-
-    /// Seconds per step of all parts.
-    pub fn total(&self) -> f64 {
-        Part::ALL.iter().map(|p| self.seconds(*p)).sum()
-    }
-
-    /// A table: milliseconds per step and share of each part.
-    pub fn table(&self) -> String {
-        let total = self.total();
-        let mut text = format!("{} steps, {:.2} ms per step\n", self.steps, 1e3 * total);
-        for part in Part::ALL {
-            let seconds = self.seconds(part);
-            let share = if total > 0.0 { 100.0 * seconds / total } else { 0.0 };
-            text += &format!("{:>17} {:>9.2} ms {share:>5.1} %\n", part.name(), 1e3 * seconds);
-        }
-        text
     }
 }

@@ -10,10 +10,10 @@ use use3d_metrics::ms_ssim::MsSsim;
 use use3d_numerics::random::Purpose;
 use use3d_scene::Scene;
 use use3d_splat::Rendered;
-use use3d_training::{CheckpointFile, NonFinite, Observer, Progress, ViewOrder};
+use use3d_training::{CheckpointFile, NonFinite, Observer, Profile, Progress, ViewOrder};
 
 use crate::engine::{CpuEngine, Engine, EngineState, RefineSettings, StepRates, StepReport, StepSettings};
-use crate::profile::Profile;
+use crate::profile::StepPart;
 use crate::record::{Evaluation, LogEntry, ViewScore, plot};
 use crate::views::{Dropped, TrainingView, ViewLoader};
 use crate::{DepthPrior, Medium, ReconstructError, ReconstructParams, initialise};
@@ -36,7 +36,7 @@ pub struct Outcome {
     /// Gaussians at the start.
     pub initial_gaussians: usize,
     /// Time per part of a step, of this process.
-    pub profile: Profile,
+    pub profile: Profile<StepPart>,
     /// Bytes of parameters, moments, views and buffers at the end, about.
     pub memory: usize,
 }

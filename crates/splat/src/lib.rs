@@ -29,6 +29,7 @@ mod sort;
 mod statistics;
 mod strips;
 mod tile;
+mod trim;
 mod view;
 
 pub use color::view_colors;

@@ -124,6 +124,11 @@ impl Saved {
         self.stamp == prepared.stamp && self.stop.len() == prepared.width * prepared.height
     }
 
+    /// Per pixel, the entry of its tile's list at which compositing stopped; `NEVER` where it did not.
+    pub(crate) fn stop(&self) -> &[i32] {
+        &self.stop
+    }
+
     pub(crate) fn memory(&self) -> usize {
         (self.values.capacity() + self.stop.capacity()) * 4
     }

@@ -88,6 +88,33 @@ impl TileRow {
     pub(crate) fn list(&self, column: usize) -> &[u32] {
         &self.entries[self.offsets[column] as usize..self.offsets[column + 1] as usize]
     }
+
+    /// Makes the lists of `tiles` tiles from the spans.
+    pub(crate) fn list_spans(&mut self, tiles: usize) {
+        self.offsets.clear();
+        self.offsets.resize(tiles + 1, 0);
+        for span in &self.spans {
+            for t in span.first..span.first + span.count {
+                self.offsets[t as usize + 1] += 1;
+            }
+        }
+        for t in 0..tiles {
+            self.offsets[t + 1] += self.offsets[t];
+        }
+        // Fill with the offsets as cursors, then shift them back.
+        self.entries.resize(self.offsets[tiles] as usize, 0);
+        for (i, span) in self.spans.iter().enumerate() {
+            for t in span.first..span.first + span.count {
+                let cursor = &mut self.offsets[t as usize];
+                self.entries[*cursor as usize] = i as u32;
+                *cursor += 1;
+            }
+        }
+        for t in (1..=tiles).rev() {
+            self.offsets[t] = self.offsets[t - 1];
+        }
+        self.offsets[0] = 0;
+    }
 }
 
 /// Where a view's colours come from, remembered for the backward pass.
@@ -301,6 +328,31 @@ impl Prepared {
         });
     }
 
+    /// Other lists of the same Gaussians. Lets go of Gaussians without entries, and of the buffers that only another `prepare` needs.
+    pub(crate) fn replace_lists(&mut self, tile_rows: Vec<TileRow>) {
+        self.tile_rows = tile_rows;
+        let mut ranks = vec![HIDDEN; self.splats.len()];
+        for span in self.tile_rows.iter().flat_map(|row| &row.spans) {
+            ranks[span.rank as usize] = 0;
+        }
+        let mut next = 0;
+        for rank in ranks.iter_mut().filter(|rank| **rank != HIDDEN) {
+            *rank = next;
+            next += 1;
+        }
+        let mut old = ranks.iter();
+        self.splats.retain(|_| old.next().is_some_and(|&rank| rank != HIDDEN));
+        self.splats.shrink_to_fit();
+        for span in self.tile_rows.iter_mut().flat_map(|row| &mut row.spans) {
+            span.rank = ranks[span.rank as usize];
+        }
+        for rank in self.ranks.iter_mut().filter(|rank| **rank != HIDDEN) {
+            *rank = ranks[*rank as usize];
+        }
+        (self.projected, self.bands, self.keys) = (Vec::new(), Vec::new(), sort::Keys::default());
+        self.stamp = STAMP.fetch_add(1, Ordering::Relaxed);
+    }
+
     /// Puts every visible Gaussian into every tile: what culling must not differ from.
     #[cfg(test)]
     pub(crate) fn list_everything(&mut self) {
@@ -384,8 +436,6 @@ fn fill_tile_row(
     let (first, last) = rows.tile(row);
     let tiles = columns.tiles();
     out.spans.clear();
-    out.offsets.clear();
-    out.offsets.resize(tiles + 1, 0);
     let mut start = 0u32;
     for &rank in ranks {
         let s = &splats[rank as usize];
@@ -396,30 +446,12 @@ fn fill_tile_row(
         }
         out.spans.push(Span { rank, first: t0 as u32, count: (t1 - t0) as u32, start });
         start += (t1 - t0) as u32;
-        for t in t0..t1 {
-            out.offsets[t + 1] += 1;
-        }
     }
-    for t in 0..tiles {
-        out.offsets[t + 1] += out.offsets[t];
-    }
-    // Fill with the offsets as cursors, then shift them back.
-    out.entries.resize(start as usize, 0);
-    for (i, span) in out.spans.iter().enumerate() {
-        for t in span.first..span.first + span.count {
-            let cursor = &mut out.offsets[t as usize];
-            out.entries[*cursor as usize] = i as u32;
-            *cursor += 1;
-        }
-    }
-    for t in (1..=tiles).rev() {
-        out.offsets[t] = out.offsets[t - 1];
-    }
-    out.offsets[0] = 0;
+    out.list_spans(tiles);
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
     /// The tangent formula against a dense walk around the contour.
@@ -450,23 +482,30 @@ mod tests {
         assert!(contour_range(&s, 30.0, 40.0).is_none());
     }
 
+    /// Random Gaussians in front of a camera at the origin, around a log-scale and an opacity logit.
+    pub(crate) fn cloud(n: u64, log_scale: f32, logit: f32) -> Gaussians {
+        use use3d_numerics::random::{Purpose, Stream};
+
+        let s = Stream::new(4, Purpose::new("culling"), 0);
+        let mut gaussians = Gaussians::empty(0);
+        for i in 0..n {
+            let z = |k: u64| s.normal(i * 32 + k) as f32;
+            gaussians.means.push([z(0), z(1), 3.0 + 0.8 * z(2)]);
+            gaussians.log_scales.push([log_scale + z(3), log_scale + z(4), log_scale + z(5)]);
+            gaussians.quaternions.push([z(6), z(7), z(8), z(9)]);
+            gaussians.opacity_logits.push(logit + 2.0 * z(10));
+            gaussians.sh.push([[z(11), z(12), z(13)]; 16]);
+        }
+        gaussians
+    }
+
     /// Culling must lose nothing: with every Gaussian in every tile the pictures and gradients are the same, bit for bit.
     #[test]
     fn culling_changes_nothing() {
         use crate::{Cotangents, GaussianGradients, Options, Rasterizer, Rendered};
         use use3d_capture::{Image, Intrinsics, Pose};
-        use use3d_numerics::random::{Purpose, Stream};
 
-        let s = Stream::new(4, Purpose::new("culling"), 0);
-        let mut gaussians = Gaussians::empty(0);
-        for i in 0..500u64 {
-            let z = |k: u64| s.normal(i * 32 + k) as f32;
-            gaussians.means.push([z(0), z(1), 3.0 + 0.8 * z(2)]);
-            gaussians.log_scales.push([-3.0 + z(3), -3.0 + z(4), -3.0 + z(5)]);
-            gaussians.quaternions.push([z(6), z(7), z(8), z(9)]);
-            gaussians.opacity_logits.push(2.0 * z(10));
-            gaussians.sh.push([[z(11), z(12), z(13)]; 16]);
-        }
+        let gaussians = cloud(500, -3.0, 0.0);
         let intrinsics = Intrinsics { width: 75, height: 58, fx: 60.0, fy: 62.0, cx: 35.0, cy: 30.0 };
         let camera = Camera { intrinsics, pose: Pose::IDENTITY };
         let mut view = Prepared::new();

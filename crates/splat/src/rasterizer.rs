@@ -118,6 +118,14 @@ impl Rasterizer {
         });
     }
 
+    /// Per pixel of the lattice, the list entry at which compositing stops.
+    pub(crate) fn stops(&mut self, prepared: &Prepared) -> &[i32] {
+        if !self.saved.is_of(prepared) {
+            self.forward_tiles::<false, false>(prepared, None, None);
+        }
+        self.saved.stop()
+    }
+
     /// The gradient of a loss with respect to every parameter of the Gaussians and to the medium's maps. `prepared` must come from
     /// `gaussians` and `camera`. `grads` and `medium_grads` are overwritten (and resized), not added to.
     pub fn backward(

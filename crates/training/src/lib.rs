@@ -1,4 +1,4 @@
-//! What both training loops share: observers, checkpoints, view order, the guard against non-finite numbers.
+//! What both training loops share: observers, checkpoints, view order, the guard against non-finite numbers, profiles.
 //!
 //! The loops themselves live in `reconstruct` and `enhance`. They tell an [`Observer`] what happens and ask it whether to stop,
 //! keep their state in a [`CheckpointFile`] that is whole or absent, draw views through a [`ViewOrder`] that is a function of
@@ -8,8 +8,10 @@ pub mod checkpoint;
 pub mod guard;
 mod observer;
 mod order;
+mod profile;
 
 pub use checkpoint::{CheckpointError, CheckpointFile};
 pub use guard::NonFinite;
 pub use observer::{Observer, Progress, Silent, StopFlag};
 pub use order::ViewOrder;
+pub use profile::{Part, Profile};

@@ -46,13 +46,15 @@ pub struct HeldOutReport {
     pub fitted: usize,
     /// Names of the pairs tested on.
     pub tested: Vec<String>,
-    /// Errors on them, each head at the step at which it stopped. That step was chosen on these pairs, so with few of them the
-    /// figure flatters a little.
+    /// Errors on them, each head at the step at which it stopped and with the share of its correction that was kept. Both were
+    /// chosen on these pairs, so with few of them the figure flatters a little.
     pub errors: TransitionErrors,
     /// Errors on them after all steps of the recipe.
     pub all_steps: TransitionErrors,
     /// The last steps of the global and of the local head.
     pub stopped: [u64; 2],
+    /// The shares of their corrections that the global and the local head keep, 0 to 1; 0 trusts the proposal.
+    pub kept: [f64; 2],
 }
 
 /// Indices of the pairs to fit to and to test on, or `None` if nothing is to be held out or there are too few pairs.

@@ -49,6 +49,15 @@ impl Head {
         }
     }
 
+    /// The same head with only a share of its correction: 0 returns the proposal. The ranges, which stage 2 scales by, stay.
+    pub(super) fn damped(&self, share: f32) -> Self {
+        let mut head = self.clone();
+        let [.., last] = &mut head.mlp.layers;
+        let correction = last.weight.iter_mut().chain(&mut last.bias).chain(&mut head.residual.median);
+        correction.for_each(|v| *v *= share);
+        head
+    }
+
     /// The residual of output `k` for the network's output `value`.
     #[inline]
     pub(super) fn residual_of(&self, k: usize, value: f32) -> f64 {

@@ -1,19 +1,24 @@
-//! When to stop: the held-out pairs decide.
+//! When to stop, and how far to trust the result: the held-out pairs decide.
 //!
 //! The recipe's 750 steps suit the 800 pairs that it was made for. A few dozen pairs are learned by heart long before, and a
 //! calibrator that knows its pairs by heart makes every other transition worse than the proposal was. So the fit to a part of
 //! the pairs is watched on the others, and each head of the final fit, which uses all pairs, stops at the step at which
 //! it was best there: the global head by its own error, the local head by that of the centred operators, which are what the
 //! consensus uses. The heads share no gradient, so they may stop apart. With many pairs the best step is the last one.
+//!
+//! Even the best step may do harm where the pairs have little in common. So each head keeps only the share of its correction,
+//! of [`SHARES`], that served the held-out pairs best: `proposal + share · correction`. A share of 0 falls back to the proposal.
 
 use super::evaluate::held_out;
 use super::training::fit_until;
-use super::{Calibrator, CalibratorParams, Dataset, HeldOutReport, TransitionErrors, evaluate};
+use super::{Calibrator, CalibratorParams, Dataset, Head, HeldOutReport, evaluate};
 use crate::error::AtcError;
 use crate::progress::Watch;
 
 /// Steps between two looks at the held-out pairs.
 const LOOK: u64 = 25;
+/// Shares of a correction that may be kept, the largest first: it wins a tie.
+const SHARES: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
 
 /// The last step of each head.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,8 +41,23 @@ impl Stop {
     }
 }
 
-/// Fits a calibrator to all pairs of a data set, with a held-out report from a fit to a part of them, and stops where that
-/// fit was best if the parameters say so. `data` says where the pairs come from.
+/// A head at the step at which it was best, and its error there.
+struct Best {
+    step: u64,
+    error: f64,
+    head: Head,
+}
+
+impl Best {
+    fn offer(best: &mut Option<Self>, step: u64, error: f64, head: &Head) {
+        if best.as_ref().is_none_or(|b| error < b.error) {
+            *best = Some(Self { step, error, head: head.clone() });
+        }
+    }
+}
+
+/// Fits a calibrator to all pairs of a data set, with a held-out report from a fit to a part of them; stops where that fit was
+/// best and keeps the share of it that was best, if the parameters say so. `data` says where the pairs come from.
 pub fn train(
     dataset: &Dataset,
     params: &CalibratorParams,
@@ -46,38 +66,58 @@ pub fn train(
 ) -> Result<Calibrator, AtcError> {
     params.validate()?;
     let mut stop = Stop::never(params);
+    let mut kept = [1.0; 2];
     let mut report = None;
     if let Some((fitted, tested)) = held_out(dataset, params) {
         let errors_of = |heads: &Calibrator| evaluate(heads, tested.iter().map(|&i| &dataset.examples[i]));
-        let mut curve: Vec<(u64, TransitionErrors)> = Vec::new();
-        let whole = fit_until(&dataset.subset(&fitted), params, stop, watch, &mut |step, heads| {
-            if step % LOOK == 0 && step < params.steps {
-                curve.push((step, errors_of(heads)));
+        let (mut global, mut local) = (None, None);
+        let mut whole = fit_until(&dataset.subset(&fitted), params, stop, watch, &mut |step, heads| {
+            if params.stop_early && (step % LOOK == 0 || step == params.steps) {
+                let errors = errors_of(heads);
+                Best::offer(&mut global, step, errors.global.after, &heads.global);
+                Best::offer(&mut local, step, errors.centered.after, &heads.local);
             }
         })?;
         let all_steps = errors_of(&whole);
-        curve.push((params.steps, all_steps));
-        let mut errors = all_steps;
-        let best = |of: fn(&TransitionErrors) -> f64| {
-            curve.iter().min_by(|a, b| of(&a.1).total_cmp(&of(&b.1))).copied()
-        };
-        if params.stop_early
-            && let Some((global, at_global)) = best(|e| e.global.after)
-            && let Some((local, at_local)) = best(|e| e.centered.after)
-        {
-            stop = Stop { global, local };
-            errors = TransitionErrors { global: at_global.global, ..at_local };
+        if let (Some(global), Some(local)) = (global, local) {
+            stop = Stop { global: global.step, local: local.step };
+            (whole.global, whole.local) = (global.head.clone(), local.head.clone());
+            // The global head first: what it says is a condition of the local one.
+            kept[0] = best_share(|share| {
+                whole.global = global.head.damped(share);
+                errors_of(&whole).global.after
+            });
+            whole.global = global.head.damped(kept[0] as f32);
+            kept[1] = best_share(|share| {
+                whole.local = local.head.damped(share);
+                errors_of(&whole).centered.after
+            });
+            whole.local = local.head.damped(kept[1] as f32);
         }
         report = Some(HeldOutReport {
             fitted: fitted.len(),
             tested: tested.iter().map(|&i| dataset.examples[i].name.clone()).collect(),
-            errors,
+            errors: errors_of(&whole),
             all_steps,
             stopped: [stop.global, stop.local],
+            kept,
         });
     }
     let mut calibrator = fit_until(dataset, params, stop, watch, &mut |_, _| {})?;
+    calibrator.global = calibrator.global.damped(kept[0] as f32);
+    calibrator.local = calibrator.local.damped(kept[1] as f32);
     calibrator.provenance.data = data.to_string();
     calibrator.provenance.held_out = report;
     Ok(calibrator)
+}
+
+fn best_share(mut error: impl FnMut(f32) -> f64) -> f64 {
+    let mut best = (f64::INFINITY, 1.0);
+    for share in SHARES {
+        let error = error(share as f32);
+        if error < best.0 {
+            best = (error, share);
+        }
+    }
+    best.1
 }

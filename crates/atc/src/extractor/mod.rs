@@ -197,6 +197,15 @@ impl Geometry {
         &self.rows
     }
 
+    /// Columns and rows of the pixels nearest to the working pixels' centres: an image of the working size without a resize. `None`
+    /// where they would repeat (an image of less than 8 pixels).
+    pub fn nearest(&self) -> Option<Lattice> {
+        let axis = |n: usize, working: usize| -> Vec<usize> {
+            (0..working).map(|i| (2 * i + 1) * n / (2 * working)).collect()
+        };
+        Lattice::subset(&axis(self.size.0, self.working.0), &axis(self.size.1, self.working.1))
+    }
+
     /// The pixels that the resize reads, as the lattice that a renderer takes.
     pub fn lattice(&self) -> Lattice {
         Lattice::subset(&self.columns, &self.rows).unwrap_or_else(|| Lattice::size(self.size.0, self.size.1))

@@ -231,7 +231,10 @@ pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
     let parameters = parameters(&registry, &["enhance", "import"], &args.settings.set)?;
     let scratch = scratch()?;
     let import = imported(app, &registry, &args.capture, &parameters[1], scratch.path())?;
-    let inputs = vec![("import", import), ("scene", args.scene.clone()), ("targets", args.targets.clone())];
+    let mut inputs =
+        vec![("import", import), ("scene", args.scene.clone()), ("targets", args.targets.clone())];
+    inputs.extend(args.models.clone().map(|dir| ("models", dir)));
+    let app = if args.profile { &profiling(app) } else { app };
     let kept = checkpoints(&args.out);
     let stage = registry.stage("enhance").map_err(CliError::failed)?;
     run_stage(app, stage, &parameters[0], inputs, &args.out, Some(kept.clone()))?;

@@ -39,8 +39,16 @@ fn run(context: &StageContext, params: &CalibratorParams) -> Result<(), StageErr
         let errors = &held_out.errors;
         context.say(format_args!(
             "held-out transition error, proposal → calibrated: global {:.3} → {:.3}, local {:.3} → {:.3}",
-            errors.global.before, errors.global.after, errors.local.before, errors.local.after
+            errors.global.before, errors.global.after, errors.centered.before, errors.centered.after
         ));
+        for (head, share) in ["global", "local"].into_iter().zip(held_out.kept) {
+            if share < 1.0 {
+                context.say(format_args!(
+                    "the {head} head keeps {:.0} % of its correction: more of it made the pairs kept aside worse (more pairs, or pairs of one kind, help)",
+                    100.0 * share
+                ));
+            }
+        }
     }
     let path = context.output().join(CALIBRATOR);
     std::fs::write(&path, calibrator.to_bytes()?).map_err(|e| StageError::io(&path, e))?;

@@ -76,6 +76,7 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
         Err(EnhanceError::Stopped { .. }) => return Err(StageError::Cancelled),
         other => other?,
     };
+    context.profile(&outcome.profile.table());
     let (before, after) = outcome.report.global_errors();
     let (local_before, local_after) = outcome.report.local_errors();
     context.say(format_args!(

@@ -6,6 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::calibrator::Provenance;
 use use3d_atc::consensus::TargetsReport;
+use use3d_capture::flat_stem;
 use use3d_io_image::read_image;
 use use3d_scene::Scene;
 
@@ -170,10 +171,14 @@ fn calibrator(provenance: &Provenance) -> CalibratorSection {
             (name.to_string(), format!("{:.3}", change.before), format!("{:.3}", change.after), ratio)
         })
     });
+    let kept = provenance.held_out.as_ref().map_or(String::new(), |held_out| {
+        let [global, local] = held_out.kept.map(|share| 100.0 * share);
+        format!(" The global head keeps {global:.0} % of its correction, the local head {local:.0} %.")
+    });
     CalibratorSection {
         summary: format!(
-            "Fitted to {} pairs ({} cells) in {} steps; {}. The errors are those of a fit to a part of the pairs, on the others.",
-            provenance.pairs, provenance.cells, provenance.steps, provenance.data
+            "Fitted to {} pairs ({} cells) in {} steps; {}.{} The errors are those of a fit to a part of the pairs, on the others.",
+            provenance.pairs, provenance.cells, provenance.steps, provenance.data, kept
         ),
         rows: rows.collect(),
     }
@@ -261,8 +266,7 @@ fn view_scores(stem: &str, scores: Option<&SceneScores>) -> Vec<String> {
     ];
     let of = |method: Method, metric: &str| -> Option<f64> {
         let views = &scores?.methods.iter().find(|m| m.method == method)?.views;
-        let named = |name: &str| name.rsplit_once('.').map_or(name, |(s, _)| s).replace('/', "_") == stem;
-        views.iter().find(|v| named(&v.view))?.scores.get(metric)?.value()
+        views.iter().find(|v| flat_stem(&v.view) == stem)?.scores.get(metric)?.value()
     };
     let text = |(method, metric, label, decimals): (Method, &str, &str, usize)| {
         of(method, metric).map(|value| format!("{label} {value:.decimals$}"))

@@ -6,12 +6,13 @@ use use3d_numerics::adam::Adam;
 use use3d_splat::{
     Colors, Cotangents, GaussianGradients, Gaussians, Options, Prepared, Rasterizer, Rendered,
 };
+use use3d_training::Profile;
 
 use super::adam::Moments;
 use super::density::{self, Origin, Statistics};
 use super::{Engine, EngineState, RefineReport, RefineSettings, StepReport, StepSettings};
 use crate::losses::{DepthPriorLoss, PhotometricLoss, PhotometricValue};
-use crate::profile::{Part, Profile};
+use crate::profile::StepPart;
 use crate::views::{Target, TrainingView};
 
 /// Parameters, moments and every buffer of a step, in main memory.
@@ -24,7 +25,7 @@ pub struct CpuEngine {
     medium_moments: [Vec<f32>; 2],
     views: Vec<TrainingView>,
     buffers: Buffers,
-    profile: Profile,
+    profile: Profile<StepPart>,
 }
 
 /// What a step computes on the way; kept from step to step.
@@ -82,7 +83,7 @@ impl CpuEngine {
         profile.start();
         let camera = self.views[view].target(settings.divisor, &mut b.target);
         let lattice = Lattice::full(&camera.intrinsics);
-        profile.lap(Part::Target);
+        profile.lap(StepPart::Target);
         let water = !self.medium.is_none();
         if water {
             self.medium.maps(&camera, &lattice, settings.degree, &mut b.maps);
@@ -91,12 +92,12 @@ impl CpuEngine {
         if let Some(alpha) = &b.target.alpha {
             over_water(&mut b.target.image, alpha, maps);
         }
-        profile.lap(Part::Water);
+        profile.lap(StepPart::Water);
         b.prepared.prepare(&self.gaussians, &camera, &lattice, Colors::Sh { degree: settings.degree });
-        profile.lap(Part::Project);
+        profile.lap(StepPart::Project);
         let options = Options { depth_gradient: settings.depth_gradient, layers: false };
         b.rasterizer.forward(&b.prepared, maps, &options, &mut b.rendered);
-        profile.lap(Part::Compose);
+        profile.lap(StepPart::Compose);
         let mask = b.target.mask.as_ref();
         let value = b.photometric.evaluate(&b.rendered.image, &b.target.image, mask, &mut b.image_gradient);
         let depth_loss = match &mut b.target.prior {
@@ -113,7 +114,7 @@ impl CpuEngine {
             }
             _ => None,
         };
-        profile.lap(Part::Loss);
+        profile.lap(StepPart::Loss);
         let cotangents = Cotangents {
             image: &b.image_gradient,
             depth: depth_loss.map(|_| &b.depth_gradient),
@@ -130,7 +131,7 @@ impl CpuEngine {
             &mut b.gradients,
             water.then_some(&mut b.map_gradients),
         );
-        profile.lap(Part::ComposeBackward);
+        profile.lap(StepPart::ComposeBackward);
         if water {
             b.medium_gradient.clear();
             self.medium.backward(
@@ -142,7 +143,7 @@ impl CpuEngine {
                 &mut b.medium_gradient,
             );
         }
-        profile.lap(Part::WaterBackward);
+        profile.lap(StepPart::WaterBackward);
         (value, depth_loss)
     }
 
@@ -224,7 +225,7 @@ impl Engine for CpuEngine {
             let index = use3d_training::guard::first_non_finite(&self.medium.flat());
             report.non_finite = Some(("the water's parameters", index));
         }
-        self.profile.lap(Part::Adam);
+        self.profile.lap(StepPart::Adam);
         if let Some(reference) = settings.gather {
             let image = &self.buffers.rendered.image;
             let (width, height) = (image.width(), image.height());
@@ -233,7 +234,7 @@ impl Engine for CpuEngine {
             let scale = if reference == 0 { 1.0 } else { (pixels / reference as f64).sqrt() as f32 };
             self.statistics.gather(&self.buffers.gradients, width, height, scale);
         }
-        self.profile.lap(Part::Density);
+        self.profile.lap(StepPart::Density);
         self.profile.steps += 1;
         report
     }
@@ -263,7 +264,7 @@ impl Engine for CpuEngine {
                 offset += values.len();
             }
         }
-        self.profile.lap(Part::Density);
+        self.profile.lap(StepPart::Density);
         report
     }
 
@@ -323,7 +324,7 @@ impl Engine for CpuEngine {
         (self.gaussians.clone(), self.medium.clone())
     }
 
-    fn profile(&self) -> &Profile {
+    fn profile(&self) -> &Profile<StepPart> {
         &self.profile
     }
 

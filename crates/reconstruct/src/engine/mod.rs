@@ -11,11 +11,12 @@ mod state;
 use use3d_capture::{Camera, MediumMaps};
 use use3d_medium::MediumModel;
 use use3d_splat::{Gaussians, Rendered};
+use use3d_training::Profile;
 
 pub use cpu::CpuEngine;
 pub use state::{EngineState, GaussianArrays};
 
-use crate::profile::Profile;
+use crate::profile::StepPart;
 use crate::views::TrainingView;
 
 /// This step's learning rates.
@@ -142,7 +143,7 @@ pub trait Engine {
     /// The scene as it is.
     fn download(&self) -> (Gaussians, MediumModel);
     /// Time spent per part of a step.
-    fn profile(&self) -> &Profile;
+    fn profile(&self) -> &Profile<StepPart>;
     /// Bytes of parameters, moments, views and buffers, about.
     fn memory(&self) -> usize;
 }

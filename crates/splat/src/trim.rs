@@ -1,0 +1,134 @@
+//! Tile lists without what no pixel sees, for views that are composed many times over with frozen geometry.
+//!
+//! An entry of a tile's list stays if some pixel of the tile is still being composed when its turn comes and lies within its
+//! 1/255 contour: it then adds to the pixel or ends it. Everything else is skipped by the compositor anyway, so images and
+//! gradients keep every bit. On a sparse lattice (stage 2) most small Gaussians fall between the pixels of their tiles.
+
+use fearless_simd::{Level, dispatch};
+use rayon::prelude::*;
+
+use crate::Rasterizer;
+use crate::pixels::input;
+use crate::prepared::{LOG2_255, Prepared, Span, TILE, TileRow};
+
+/// Added to the contour, so that an entry whose test rounds otherwise than the compositor's is kept.
+const MARGIN: f32 = 1e-3;
+
+impl Rasterizer {
+    /// Drops the entries of `prepared` that no pixel sees, and the Gaussians without entries. Images and gradients stay the
+    /// same to the bit.
+    pub fn trim(&mut self, prepared: &mut Prepared) {
+        let stop = self.stops(prepared);
+        let view = &*prepared;
+        let level = Level::new();
+        let rows: Vec<TileRow> = (0..view.tile_rows.len())
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|row| dispatch!(level, _simd => trimmed(view, stop, row)))
+            .collect();
+        prepared.replace_lists(rows);
+    }
+}
+
+/// One tile row with the entries that some pixel sees. A Gaussian's span is cut where a tile drops it.
+#[inline(always)]
+fn trimmed(prepared: &Prepared, stop: &[i32], row: usize) -> TileRow {
+    let old = &prepared.tile_rows[row];
+    let tiles = prepared.columns.tiles();
+    // One flag per entry, in the order of spans.
+    let mut seen = vec![false; old.entries.len()];
+    for column in 0..tiles {
+        let input = input(prepared, row, column);
+        let mut stops = [[-1i32; TILE]; TILE];
+        for (r, stops) in stops[..input.filled_rows].iter_mut().enumerate() {
+            let start = (row * TILE + r) * prepared.width + column * TILE;
+            let n = input.filled_columns;
+            stops[..n].copy_from_slice(&stop[start..start + n]);
+        }
+        for (k, &span) in old.list(column).iter().enumerate() {
+            let (splat, span) = (input.entry(k).1, &old.spans[span as usize]);
+            let mut sees = false;
+            for r in 0..input.filled_rows {
+                let terms = splat.row(input.rows[r]);
+                if terms.power < -LOG2_255 - MARGIN {
+                    continue;
+                }
+                // No early end: sixteen lanes at once.
+                for l in 0..TILE {
+                    let t = input.columns[l] - terms.peak;
+                    let power = terms.power - t * splat.steepness * t;
+                    sees |= stops[r][l] >= k as i32 && power >= -LOG2_255 - MARGIN;
+                }
+                if sees {
+                    break;
+                }
+            }
+            seen[(span.start + column as u32 - span.first) as usize] = sees;
+        }
+    }
+    let mut new = TileRow::default();
+    let mut start = 0;
+    for span in &old.spans {
+        let mut first = span.first;
+        let entries = &seen[span.start as usize..(span.start + span.count) as usize];
+        for run in entries.chunk_by(|a, b| a == b) {
+            let count = run.len() as u32;
+            if run[0] {
+                new.spans.push(Span { rank: span.rank, first, count, start });
+                start += count;
+            }
+            first += count;
+        }
+    }
+    new.list_spans(tiles);
+    new
+}
+
+#[cfg(test)]
+mod tests {
+    use use3d_capture::{Camera, Image, Intrinsics, Lattice, MediumMaps, Pose};
+
+    use super::*;
+    use crate::prepared::tests::cloud;
+    use crate::{Colors, Options, Rendered};
+
+    #[test]
+    fn trimming_changes_no_bit() {
+        let intrinsics = Intrinsics { width: 150, height: 116, fx: 120.0, fy: 124.0, cx: 70.0, cy: 60.0 };
+        let camera = Camera { intrinsics, pose: Pose::IDENTITY };
+        let every = |step: usize, n: usize| (0..n).step_by(step).collect::<Vec<_>>();
+        // Opaque enough that most pixels end, sparse enough that small Gaussians fall between them.
+        let gaussians = cloud(3000, -3.0, 3.0);
+        for lattice in [Lattice::full(&intrinsics), Lattice::subset(&every(3, 150), &every(4, 116)).unwrap()]
+        {
+            let mut view = Prepared::new();
+            view.prepare(&gaussians, &camera, &lattice, Colors::Sh { degree: 0 });
+            let (w, h) = (lattice.width(), lattice.height());
+            let wave = |k: usize| {
+                let data = (0..3 * w * h).map(|i| 0.3 + 0.2 * ((i + k) as f32).sin()).collect();
+                Image::from_planes(w, h, data).unwrap()
+            };
+            let water = MediumMaps { color: wave(1), backscatter: wave(2), attenuation: wave(3) };
+            for mut rasterizer in [Rasterizer::plain(), Rasterizer::new()] {
+                let mut trimmed = view.clone();
+                rasterizer.trim(&mut trimmed);
+                assert!(
+                    trimmed.entries() * 4 < view.entries() * 3,
+                    "{} {}",
+                    trimmed.entries(),
+                    view.entries()
+                );
+                let mut run = |view: &Prepared| {
+                    let mut out = Rendered::new();
+                    let mut colors = vec![[0.0; 3]; gaussians.len()];
+                    let mut d_water = MediumMaps::zeros(0, 0);
+                    rasterizer.forward(view, Some(&water), &Options::default(), &mut out);
+                    rasterizer.backward_colors(view, Some(&water), &wave(4), &mut colors, &mut d_water);
+                    (out, colors, d_water)
+                };
+                assert!(run(&view) == run(&trimmed));
+                assert_eq!(view.pairs().contributing, trimmed.pairs().contributing);
+            }
+        }
+    }
+}

@@ -1,0 +1,116 @@
+//! Where the time of a step goes.
+
+use std::time::{Duration, Instant};
+
+/// The parts of a loop's step.
+pub trait Part: Copy + 'static {
+    /// All parts, in order.
+    const ALL: &'static [Self];
+
+    /// Its place in [`Part::ALL`].
+    fn index(self) -> usize;
+
+    /// A name for tables.
+    fn name(self) -> &'static str;
+}
+
+/// Time per part, summed over steps. Never stored: it differs from run to run.
+#[derive(Clone, Debug)]
+pub struct Profile<P> {
+    /// Steps measured.
+    pub steps: u64,
+    parts: std::marker::PhantomData<P>,
+    spent: Vec<Duration>,
+    last: Option<Instant>,
+}
+
+impl<P: Part> Default for Profile<P> {
+    fn default() -> Self {
+        Self {
+            steps: 0,
+            parts: std::marker::PhantomData,
+            spent: vec![Duration::ZERO; P::ALL.len()],
+            last: None,
+        }
+    }
+}
+
+impl<P: Part> Profile<P> {
+    /// Starts the clock.
+    pub fn start(&mut self) {
+        self.last = Some(Instant::now());
+    }
+
+    /// The time since the last call belongs to `part`; nothing while the clock stands.
+    pub fn lap(&mut self, part: P) {
+        if let Some(last) = &mut self.last {
+            let now = Instant::now();
+            self.spent[part.index()] += now - *last;
+            *last = now;
+        }
+    }
+
+    /// Stops the clock: what follows is no part of a step.
+    pub fn stop(&mut self) {
+        self.last = None;
+    }
+
+    /// Seconds per step of a part.
+    pub fn seconds(&self, part: P) -> f64 {
+        self.spent[part.index()].as_secs_f64() / self.steps.max(1) as f64
+    }
+
+    /// Seconds per step of all parts.
+    pub fn total(&self) -> f64 {
+        P::ALL.iter().map(|p| self.seconds(*p)).sum()
+    }
+
+    /// A table: milliseconds per step and share of each part.
+    pub fn table(&self) -> String {
+        let total = self.total();
+        let mut text = format!("{} steps, {:.2} ms per step\n", self.steps, 1e3 * total);
+        for &part in P::ALL {
+            let seconds = self.seconds(part);
+            let share = if total > 0.0 { 100.0 * seconds / total } else { 0.0 };
+            text += &format!("{:>17} {:>9.2} ms {share:>5.1} %\n", part.name(), 1e3 * seconds);
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Clone, Copy)]
+    enum Half {
+        First,
+        Second,
+    }
+
+    impl Part for Half {
+        const ALL: &'static [Self] = &[Self::First, Self::Second];
+
+        fn index(self) -> usize {
+            self as usize
+        }
+
+        fn name(self) -> &'static str {
+            ["first", "second"][self.index()]
+        }
+    }
+
+    #[test]
+    fn time_goes_to_the_part_that_ended() {
+        let mut profile = Profile::default();
+        profile.lap(Half::First);
+        profile.start();
+        std::thread::sleep(Duration::from_millis(5));
+        profile.lap(Half::Second);
+        profile.steps = 1;
+        profile.stop();
+        profile.lap(Half::First);
+        assert!(profile.seconds(Half::First) == 0.0 && profile.seconds(Half::Second) >= 5e-3);
+        assert!(profile.table().contains("second"), "{}", profile.table());
+    }
+}
