@@ -5,6 +5,7 @@
 //! is active the gradient is 0.
 
 use crate::Gaussians;
+use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 use use3d_capture::Camera;
 use use3d_numerics::spherical_harmonics::{bands, basis};
@@ -65,12 +66,17 @@ pub(crate) fn color_backward(
 pub fn view_colors(gaussians: &Gaussians, camera: &Camera, degree: usize, out: &mut Vec<[f32; 3]>) {
     let (degree, center) = (degree.min(gaussians.sh_degree).min(3), center(camera));
     out.resize(gaussians.len(), [0.0; 3]);
+    let level = Level::new();
     out.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, out)| {
-        for (i, out) in out.iter_mut().enumerate() {
-            let i = chunk * CHUNK + i;
-            *out = color(degree, center, gaussians.means[i], &gaussians.sh[i]);
-        }
+        dispatch!(level, _simd => color_chunk(gaussians, degree, center, chunk * CHUNK, out));
     });
+}
+
+#[inline(always)]
+fn color_chunk(gaussians: &Gaussians, degree: usize, center: [f32; 3], first: usize, out: &mut [[f32; 3]]) {
+    for (out, i) in out.iter_mut().zip(first..) {
+        *out = color(degree, center, gaussians.means[i], &gaussians.sh[i]);
+    }
 }
 
 #[cfg(test)]

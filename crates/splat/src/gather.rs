@@ -6,6 +6,7 @@
 
 use std::ops::Range;
 
+use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 use use3d_capture::Camera;
 
@@ -72,24 +73,30 @@ pub(crate) fn in_groups<T: Strips>(
 
 /// Adds the records of some tile rows to the sums.
 fn add(rows: &[TileRow], records: &[Record], sums: &mut [Record]) {
+    let level = Level::new();
     sums.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, sums)| {
-        let base = (chunk * CHUNK) as u32;
-        let ranks: Range<u32> = base..base + sums.len() as u32;
-        let mut start = 0;
-        for row in rows {
-            let from = row.spans.partition_point(|s| s.rank < ranks.start);
-            for span in row.spans[from..].iter().take_while(|s| s.rank < ranks.end) {
-                let sum = &mut sums[(span.rank - base) as usize];
-                let first = start + span.start as usize;
-                for record in &records[first..first + span.count as usize] {
-                    for (s, r) in sum.iter_mut().zip(record) {
-                        *s += r;
-                    }
+        dispatch!(level, _simd => add_chunk(rows, records, (chunk * CHUNK) as u32, sums));
+    });
+}
+
+/// Adds the records of the Gaussians whose ranks begin at `base`.
+#[inline(always)]
+fn add_chunk(rows: &[TileRow], records: &[Record], base: u32, sums: &mut [Record]) {
+    let ranks: Range<u32> = base..base + sums.len() as u32;
+    let mut start = 0;
+    for row in rows {
+        let from = row.spans.partition_point(|s| s.rank < ranks.start);
+        for span in row.spans[from..].iter().take_while(|s| s.rank < ranks.end) {
+            let sum = &mut sums[(span.rank - base) as usize];
+            let first = start + span.start as usize;
+            for record in &records[first..first + span.count as usize] {
+                for (s, r) in sum.iter_mut().zip(record) {
+                    *s += r;
                 }
             }
-            start += row.entries.len();
         }
-    });
+        start += row.entries.len();
+    }
 }
 
 /// `out[index] = value(sum)` for every Gaussian; zero (the default) where it is not visible.
@@ -115,8 +122,9 @@ pub(crate) fn backward_gaussians(
     grads: &mut GaussianGradients,
 ) {
     grads.resize(gaussians.len());
-    let projector = Projector::new(camera);
-    let center = color::center(camera);
+    let (projector, center) = (Projector::new(camera), color::center(camera));
+    let view = View { prepared, sums, gaussians, projector, center };
+    let level = Level::new();
     let GaussianGradients { means, log_scales, quaternions, opacity_logits, sh, screen, visible } = grads;
     (
         means.par_chunks_mut(CHUNK),
@@ -131,54 +139,84 @@ pub(crate) fn backward_gaussians(
         .into_par_iter()
         .enumerate()
         .for_each(|(chunk, (means, scales, quats, logits, sh, screen, visible, ranks))| {
-            for (i, &rank) in ranks.iter().enumerate() {
-                visible[i] = rank != HIDDEN;
-                if rank == HIDDEN {
-                    (means[i], scales[i], quats[i]) = ([0.0; 3], [0.0; 3], [0.0; 4]);
-                    (logits[i], sh[i], screen[i]) = (0.0, [[0.0; 3]; 16], [0.0; 2]);
-                    continue;
-                }
-                let index = chunk * CHUNK + i;
-                let (splat, sum) = (&prepared.splats[rank as usize], &sums[rank as usize]);
-                let s = sum.map(f64::from);
-                // v = conic · (pixel − centre) = (a t, shear a t + dy / cov_yy), a = conic_xx.
-                let twice = 2.0 * std::f64::consts::LN_2;
-                let (k, a, b) = (
-                    f64::from(splat.shear),
-                    f64::from(splat.steepness) * twice,
-                    f64::from(splat.steepness_y) * twice,
-                );
-                let d_mean = [a * s[1], k * a * s[1] + b * s[2]];
-                let xx = a * a * s[3];
-                let xy = k * xx + a * b * s[4];
-                let yy = k * (2.0 * xy - k * xx) + b * b * s[5];
-                let d_z = s[6] * std::f64::consts::LN_2;
-                let g = projector.backward(
-                    gaussians.means[index],
-                    gaussians.log_scales[index],
-                    gaussians.quaternions[index],
-                    d_mean,
-                    d_z,
-                    [0.5 * xx, xy, 0.5 * yy],
-                );
-                means[i] = g.mean.map(|v| v as f32);
-                scales[i] = g.log_scale.map(|v| v as f32);
-                quats[i] = g.quaternion.map(|v| v as f32);
-                // α = o e^{-σ}, so ∂L/∂logit = (1 − o) Σ α ∂L/∂α.
-                let closed = 1.0 / (1.0 + f64::from(gaussians.opacity_logits[index]).exp());
-                logits[i] = (closed * s[0]) as f32;
-                screen[i] = [(a * s[10]) as f32, s[11] as f32];
-                match prepared.color_source {
-                    ColorSource::Harmonics(degree) => color::color_backward(
-                        degree,
-                        center,
-                        gaussians.means[index],
-                        &gaussians.sh[index],
-                        [sum[7], sum[8], sum[9]],
-                        &mut sh[i],
-                    ),
-                    ColorSource::Given => sh[i] = [[0.0; 3]; 16],
-                }
-            }
+            let out = Chunk { means, scales, quats, logits, sh, screen, visible };
+            dispatch!(level, _simd => backward_chunk(&view, chunk * CHUNK, ranks, out));
         });
+}
+
+/// What the gradients of a view's Gaussians are made from.
+struct View<'a> {
+    prepared: &'a Prepared,
+    sums: &'a [Record],
+    gaussians: &'a Gaussians,
+    projector: Projector,
+    center: [f32; 3],
+}
+
+/// The gradients of consecutive Gaussians.
+struct Chunk<'a> {
+    means: &'a mut [[f32; 3]],
+    scales: &'a mut [[f32; 3]],
+    quats: &'a mut [[f32; 4]],
+    logits: &'a mut [f32],
+    sh: &'a mut [[[f32; 3]; 16]],
+    screen: &'a mut [[f32; 2]],
+    visible: &'a mut [bool],
+}
+
+/// The gradients of the Gaussians from `first` on. Always inlined, so that the instruction set reaches it: multiply-add is a call
+/// without.
+#[inline(always)]
+fn backward_chunk(view: &View<'_>, first: usize, ranks: &[u32], out: Chunk<'_>) {
+    let View { prepared, sums, gaussians, projector, center } = view;
+    let Chunk { means, scales, quats, logits, sh, screen, visible } = out;
+    for (i, &rank) in ranks.iter().enumerate() {
+        visible[i] = rank != HIDDEN;
+        if rank == HIDDEN {
+            (means[i], scales[i], quats[i]) = ([0.0; 3], [0.0; 3], [0.0; 4]);
+            (logits[i], sh[i], screen[i]) = (0.0, [[0.0; 3]; 16], [0.0; 2]);
+            continue;
+        }
+        let index = first + i;
+        let (splat, sum) = (&prepared.splats[rank as usize], &sums[rank as usize]);
+        let s = sum.map(f64::from);
+        // v = conic · (pixel − centre) = (a t, shear a t + dy / cov_yy), a = conic_xx.
+        let twice = 2.0 * std::f64::consts::LN_2;
+        let (k, a, b) = (
+            f64::from(splat.shear),
+            f64::from(splat.steepness) * twice,
+            f64::from(splat.steepness_y) * twice,
+        );
+        let d_mean = [a * s[1], k * a * s[1] + b * s[2]];
+        let xx = a * a * s[3];
+        let xy = k * xx + a * b * s[4];
+        let yy = k * (2.0 * xy - k * xx) + b * b * s[5];
+        let d_z = s[6] * std::f64::consts::LN_2;
+        let g = projector.backward(
+            gaussians.means[index],
+            gaussians.log_scales[index],
+            gaussians.quaternions[index],
+            d_mean,
+            d_z,
+            [0.5 * xx, xy, 0.5 * yy],
+        );
+        means[i] = g.mean.map(|v| v as f32);
+        scales[i] = g.log_scale.map(|v| v as f32);
+        quats[i] = g.quaternion.map(|v| v as f32);
+        // α = o e^{-σ}, so ∂L/∂logit = (1 − o) Σ α ∂L/∂α.
+        let closed = 1.0 / (1.0 + f64::from(gaussians.opacity_logits[index]).exp());
+        logits[i] = (closed * s[0]) as f32;
+        screen[i] = [(a * s[10]) as f32, s[11] as f32];
+        match prepared.color_source {
+            ColorSource::Harmonics(degree) => color::color_backward(
+                degree,
+                *center,
+                gaussians.means[index],
+                &gaussians.sh[index],
+                [sum[7], sum[8], sum[9]],
+                &mut sh[i],
+            ),
+            ColorSource::Given => sh[i] = [[0.0; 3]; 16],
+        }
+    }
 }

@@ -12,6 +12,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 use use3d_capture::{Camera, Lattice};
 
@@ -264,31 +265,19 @@ impl Prepared {
     }
 
     fn project(&mut self, gaussians: &Gaussians, camera: &Camera, colors: Colors<'_>) {
-        let projector = Projector::new(camera);
-        let center = color::center(camera);
-        let (columns, rows) = (self.columns.range(), self.rows.range());
-        let source = self.color_source;
+        let projecting = Projecting {
+            gaussians,
+            colors,
+            source: self.color_source,
+            projector: Projector::new(camera),
+            center: color::center(camera),
+            columns: self.columns.range(),
+            rows: self.rows.range(),
+        };
         self.projected.resize(gaussians.len(), Splat::default());
+        let level = Level::new();
         self.projected.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, out)| {
-            for (i, out) in out.iter_mut().enumerate() {
-                let i = chunk * CHUNK + i;
-                let mean = gaussians.means[i];
-                let projection = projector.project(mean, gaussians.log_scales[i], gaussians.quaternions[i]);
-                let splat = projection.and_then(|p| splat_of(&p, gaussians.opacity_logits[i], columns, rows));
-                *out = match splat {
-                    Some(splat) => {
-                        let color = match (source, colors) {
-                            (ColorSource::Harmonics(degree), _) => {
-                                color::color(degree, center, mean, &gaussians.sh[i])
-                            }
-                            (_, Colors::Given(colors)) => colors[i],
-                            (ColorSource::Given, Colors::Sh { .. }) => [0.0; 3],
-                        };
-                        Splat { color, index: i as u32, ..splat }
-                    }
-                    None => Splat { z: f32::INFINITY, ..Splat::default() },
-                };
-            }
+            dispatch!(level, _simd => projecting.chunk(chunk * CHUNK, out));
         });
     }
 
@@ -321,10 +310,11 @@ impl Prepared {
                 s.y + s.reach_y >= first && s.y - s.reach_y <= last
             }));
         });
-        let bands = &self.bands;
+        let (bands, level) = (&self.bands, Level::new());
         self.tile_rows.resize_with(tile_rows, TileRow::default);
         self.tile_rows.par_iter_mut().enumerate().with_max_len(1).for_each(|(row, out)| {
-            fill_tile_row(out, row, &bands[row / BAND], splats, rows, columns);
+            let ranks = &bands[row / BAND];
+            dispatch!(level, _simd => fill_tile_row(out, row, ranks, splats, rows, columns));
         });
     }
 
@@ -365,6 +355,46 @@ impl Prepared {
             row.offsets = (0..=tiles).map(|t| (t * n) as u32).collect();
         }
         self.stamp = STAMP.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// What the Gaussians of a view are projected with.
+struct Projecting<'a> {
+    gaussians: &'a Gaussians,
+    colors: Colors<'a>,
+    source: ColorSource,
+    projector: Projector,
+    center: [f32; 3],
+    columns: [f32; 2],
+    rows: [f32; 2],
+}
+
+impl Projecting<'_> {
+    /// Projects the Gaussians from `first` on. Always inlined, so that the instruction set reaches it: multiply-add is a call without.
+    #[inline(always)]
+    fn chunk(&self, first: usize, out: &mut [Splat]) {
+        let gaussians = self.gaussians;
+        for (out, i) in out.iter_mut().zip(first..) {
+            let mean = gaussians.means[i];
+            let projection = self.projector.project(mean, gaussians.log_scales[i], gaussians.quaternions[i]);
+            let splat = match &projection {
+                Some(p) => splat_of(p, gaussians.opacity_logits[i], self.columns, self.rows),
+                None => None,
+            };
+            *out = match splat {
+                Some(splat) => {
+                    let color = match (self.source, self.colors) {
+                        (ColorSource::Harmonics(degree), _) => {
+                            color::color(degree, self.center, mean, &gaussians.sh[i])
+                        }
+                        (_, Colors::Given(colors)) => colors[i],
+                        (ColorSource::Given, Colors::Sh { .. }) => [0.0; 3],
+                    };
+                    Splat { color, index: i as u32, ..splat }
+                }
+                None => Splat { z: f32::INFINITY, ..Splat::default() },
+            };
+        }
     }
 }
 
@@ -425,6 +455,7 @@ fn contour_range(s: &Splat, low: f32, high: f32) -> Option<[f32; 2]> {
     Some([x0 - margin(x0), x1 + margin(x1)])
 }
 
+#[inline(always)]
 fn fill_tile_row(
     out: &mut TileRow,
     row: usize,
