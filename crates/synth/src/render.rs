@@ -2,7 +2,7 @@
 //!
 //! One ray through every pixel's centre; pixels at the edge of a surface (a neighbour shows another one, or another depth) get
 //! further rays spread over their area, and the colours are averaged; textures are limited to what a pixel resolves
-//! and need no more. Depth is that of the centre ray, never an average.
+//! and need no more. The lens then blurs by about a pixel. Depth is that of the centre ray, never an average.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -143,12 +143,31 @@ pub(crate) fn render(scene: &Scene, camera: &Camera, conditions: &[Condition], c
                     }
                 }
             }
+            blur(&mut image);
             image
         })
         .collect();
     // The raster has as many values as pixels.
     let depth = Map::from_planes(width, height, depth).unwrap_or_else(|| Map::new(width, height));
     Shot { images, depth }
+}
+
+/// The lens: it spreads every point over its neighbours, 1:2:1 along both axes, as real ones do to what is finer than a pixel.
+fn blur(image: &mut Image) {
+    let (width, height) = (image.width(), image.height());
+    for channel in 0..3 {
+        let plane = image.plane_mut(channel);
+        let sharp = plane.to_vec();
+        plane.par_chunks_mut(width.max(1)).enumerate().for_each(|(y, line)| {
+            let row = |y: usize| &sharp[y * width..(y + 1) * width];
+            let (above, here, below) = (row(y.saturating_sub(1)), row(y), row((y + 1).min(height - 1)));
+            let mixed = |x: usize| 0.25 * (above[x] + 2.0 * here[x] + below[x]);
+            for (x, value) in line.iter_mut().enumerate() {
+                let (left, right) = (x.saturating_sub(1), (x + 1).min(width - 1));
+                *value = 0.25 * (mixed(left) + 2.0 * mixed(x) + mixed(right));
+            }
+        });
+    }
 }
 
 /// The exposure at which the cameras' views have this mean luminance on display (bisection on a coarse grid of rays).
