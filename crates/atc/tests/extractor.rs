@@ -258,3 +258,49 @@ fn bad_images_are_errors() {
     let mut gradient = Image::new(0, 0);
     assert!(source.backward(&[0.0; 12], &[[0.0; 6]; 3], &mut workspace, &mut gradient).is_err());
 }
+
+/// A sampled view has the same grid, reads pixels of the whole one, and says nearly the same of a smooth pair.
+#[test]
+fn a_sampled_view_has_nearly_the_same_transition() {
+    let settings = ExtractorSettings::default();
+    let wave = |w: usize, h: usize, k: f32| {
+        let mut image = Image::new(w, h);
+        for y in 0..h {
+            for x in 0..w {
+                let (u, v) = (x as f32 / w as f32, y as f32 / h as f32);
+                let t = |c: f32| 0.5 + 0.3 * (7.0 * u + c).sin() * (5.0 * v - c).cos();
+                image.set_pixel(x, y, [t(0.0).powf(k), t(1.0), k * t(2.0)]);
+            }
+        }
+        image
+    };
+    let (source, target) = (wave(640, 360, 1.0), wave(640, 360, 0.8));
+    let whole = Geometry::new(640, 360, &settings).unwrap();
+    let (lattice, geometry) = whole.sampled(192).unwrap().unwrap();
+    assert_eq!(((lattice.width(), lattice.height()), geometry.grid()), ((192, 108), whole.grid()));
+    let pick = |image: &Image| {
+        let mut out = Image::new(lattice.width(), lattice.height());
+        for (y, &v) in lattice.rows().iter().enumerate() {
+            for (x, &u) in lattice.columns().iter().enumerate() {
+                out.set_pixel(x, y, image.pixel(u as usize, v as usize));
+            }
+        }
+        out
+    };
+    let transition = |geometry: Geometry, source: &Image, target: &Image| {
+        let mut workspace = Workspace::new();
+        let source = Source::on_lattice(&Arc::new(geometry), source).unwrap();
+        source.forward_on_lattice(target, &mut workspace).unwrap().clone()
+    };
+    let some = transition(geometry, &pick(&source), &pick(&target));
+    let all = Source::from_image(&source, &settings).unwrap();
+    let mut workspace = Workspace::new();
+    let all = all.forward(&target, &mut workspace).unwrap();
+    for (a, b) in some.global.iter().zip(&all.global) {
+        assert!((a - b).abs() < 5e-3, "{a} {b}");
+    }
+    // More samples than the extractor's own resize has pixels are not taken; pixels are never taken twice.
+    assert_eq!(whole.sampled(4000).unwrap().unwrap().1.working_size(), whole.working_size());
+    assert!(Geometry::new(5, 5, &settings).unwrap().sampled(192).unwrap().is_none());
+    assert!(whole.sampled(2).is_err());
+}

@@ -16,7 +16,7 @@ use crate::params::{Objective, PixelLoss};
 use crate::profile::StepPart;
 use crate::report::ViewErrors;
 use crate::view::{EnhanceView, Frozen, Guidance, Preparer, Reference, ViewConstants};
-use crate::{EnhanceError, EnhanceParams, Sampling};
+use crate::{EnhanceError, EnhanceParams};
 
 /// The losses of one step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -257,7 +257,7 @@ impl<'a> Engine<'a> {
         let guides = scene.gaussians.sh.iter().map(|sh| guide_color(sh[0]));
         let objects =
             ObjectPass::with_guides(use3d_ubaf::Level::new(), &field, &scene.gaussians.means, guides);
-        let mut preparer = Preparer::new(scene, guidance, params.sampling);
+        let mut preparer = Preparer::new(scene, guidance, params.sample_side);
         let mut room = params.cache_mib.saturating_mul(1 << 20);
         let (mut constants, mut kept) = (Vec::with_capacity(views.len()), Vec::with_capacity(views.len()));
         for (index, view) in views.iter().enumerate() {
@@ -350,8 +350,7 @@ impl<'a> Engine<'a> {
         view: &EnhanceView,
         guidance: Guidance<'_>,
     ) -> Result<ViewErrors, EnhanceError> {
-        let (constants, mut frozen) =
-            Preparer::new(self.scene, guidance, Sampling::Bilinear).view(index, view)?;
+        let (constants, mut frozen) = Preparer::new(self.scene, guidance, 0).view(index, view)?;
         self.step.render(&self.field, &constants, &mut frozen);
         let losses = self.step.losses(&constants, &self.goals, false)?;
         Ok(ViewErrors { global: losses.global, local: losses.local, pixels: losses.pixels })

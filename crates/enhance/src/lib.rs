@@ -11,9 +11,10 @@
 //! Only the field's parameters learn. Everything that does not depend on them is computed once per view: projection and tile
 //! lists, base colours, the frozen water, the extractor's source, the rasterised local target.
 //!
-//! Approximation: a step renders only the pixel nearest to each pixel of the extractor's working size (at most 384 on the long
-//! side), in place of the up to four that its bilinear resize weighs ([`Sampling`]). Source and render are sampled alike, so
-//! equal images still have the identity transition. What was reached is measured with the whole resize.
+//! Approximation: a step renders a view only at the pixels nearest to those of an image of
+//! [`sample_side`](EnhanceParams::sample_side) pixels on its long side, in place of all that the extractor's resize to 384
+//! weighs. Source and render are sampled alike, so equal images still have the identity transition, and operators are means
+//! over many pixels, which a tenth of them give as well. What was reached is measured with the whole resize.
 //!
 //! [`enhance`] is the loop; [`Renderer`] draws a scene with or without its enhancement; [`bake`] writes the
 //! enhancement into spherical harmonics for viewers that know nothing of it.
@@ -36,7 +37,7 @@ pub use bake::{BakeReport, bake};
 pub use engine::{Engine, StepLosses};
 pub use error::EnhanceError;
 pub use objective::{Realised, global_loss, local_loss, smooth_l1};
-pub use params::{EnhanceParams, Objective, PixelLoss, Sampling};
+pub use params::{EnhanceParams, Objective, PixelLoss};
 pub use profile::StepPart;
 pub use render::{Look, Renderer};
 pub use report::{LogEntry, Outcome, Report, ViewErrors, ViewReport};

@@ -32,17 +32,6 @@ pub enum PixelLoss {
     L2,
 }
 
-/// How a training view is brought to the extractor's working size.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Sampling {
-    /// Only the pixel nearest to each working pixel is rendered: 2.8 times fewer at 640×360, 4 times fewer from 768 pixels on.
-    #[default]
-    Nearest,
-    /// As the extractor reads an image: up to four pixels are rendered and weighted for each working pixel.
-    Bilinear,
-}
-
 /// Parameters of stage 2. The defaults are the method's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -57,8 +46,9 @@ pub struct EnhanceParams {
     pub lambda_local: f64,
     /// Weight λ_tv of the factors' total variation.
     pub lambda_variation: f64,
-    /// How a training view is sampled in a step. What was reached is always measured as the extractor reads an image.
-    pub sampling: Sampling,
+    /// In a step, a training view is sampled at its nearest pixels to at most this long side; 0 renders all that the extractor
+    /// weighs. What was reached is always measured as the extractor reads an image.
+    pub sample_side: usize,
     /// How pseudo-labels are compared (objective `pseudo-labels` only).
     pub pixel_loss: PixelLoss,
     /// Nodes per axis of the field, 2 to 256.
@@ -90,7 +80,7 @@ impl Default for EnhanceParams {
             lambda_global: 1.0,
             lambda_local: 1.0,
             lambda_variation: 1e-4,
-            sampling: Sampling::Nearest,
+            sample_side: 192,
             pixel_loss: PixelLoss::L1,
             resolution: shape.resolution,
             rank: shape.rank,
@@ -140,6 +130,13 @@ impl EnhanceParams {
             if !(value > 0.0 && value <= 1.0) {
                 return Err(EnhanceError::parameter(field, value, "above 0, at most 1"));
             }
+        }
+        if !(self.sample_side == 0 || (8..=8192).contains(&self.sample_side)) {
+            return Err(EnhanceError::parameter(
+                "sample_side",
+                self.sample_side as f64,
+                "0, or 8 to 8192 pixels",
+            ));
         }
         for (field, value) in [("checkpoint_every", self.checkpoint_every), ("log_every", self.log_every)] {
             if value == 0 {

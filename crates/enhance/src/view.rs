@@ -9,7 +9,7 @@ use use3d_scene::Scene;
 use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered, view_colors};
 use use3d_ubaf::Water;
 
-use crate::{EnhanceError, Sampling};
+use crate::EnhanceError;
 
 /// A training view: its name for messages, its camera in the scene's frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -99,18 +99,18 @@ struct Sampled {
 pub(crate) struct Preparer<'a> {
     pub(crate) scene: &'a Scene,
     pub(crate) guidance: Guidance<'a>,
-    sampling: Sampling,
+    sample_side: usize,
     samplings: Vec<Arc<Sampled>>,
     rasterizer: Rasterizer,
     rendered: Rendered,
 }
 
 impl<'a> Preparer<'a> {
-    pub(crate) fn new(scene: &'a Scene, guidance: Guidance<'a>, sampling: Sampling) -> Self {
+    pub(crate) fn new(scene: &'a Scene, guidance: Guidance<'a>, sample_side: usize) -> Self {
         Self {
             scene,
             guidance,
-            sampling,
+            sample_side,
             samplings: Vec::new(),
             rasterizer: Rasterizer::new(),
             rendered: Rendered::new(),
@@ -127,14 +127,8 @@ impl<'a> Preparer<'a> {
             Guidance::Labels(_) => ExtractorSettings::default(),
         };
         let whole = Geometry::new(size.0, size.1, &settings)?;
-        let (working, nearest) = (whole.working_size(), whole.nearest());
-        let (geometry, lattice) = match (self.sampling, nearest) {
-            (Sampling::Nearest, Some(lattice)) => (Geometry::new(working.0, working.1, &settings)?, lattice),
-            _ => {
-                let lattice = whole.lattice();
-                (whole, lattice)
-            }
-        };
+        let some = if self.sample_side > 0 { whole.sampled(self.sample_side)? } else { None };
+        let (lattice, geometry) = some.unwrap_or_else(|| (whole.lattice(), whole));
         let sampled = Arc::new(Sampled { size, geometry: Arc::new(geometry), lattice });
         self.samplings.push(sampled.clone());
         Ok(sampled)

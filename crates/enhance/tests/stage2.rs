@@ -99,6 +99,26 @@ fn losses_fall_and_the_realised_operators_reach_the_targets() {
     assert!(global_only.report.local_errors().1 > local_only.report.local_errors().1);
 }
 
+/// Operators are means over many pixels: a part of them must lead to the same field's transition, measured with all.
+#[test]
+fn a_sample_of_the_pixels_teaches_the_same() {
+    let (scene, views) = mini();
+    let wanted = targets(&scene, &taught(&scene), &views);
+    let run = |sample_side| {
+        let params = EnhanceParams { sample_side, ..quick(200) };
+        enhance(&scene, &views, Guidance::Targets(&wanted), &params, None, &mut Silent).unwrap().report
+    };
+    let (all, some) = (run(0), run(views[0].camera.intrinsics.width / 2));
+    assert!(some.rendered_share < 0.3 && all.rendered_share == 1.0, "{}", some.rendered_share);
+    let ((before, with_all), (_, with_some)) = (all.global_errors(), some.global_errors());
+    assert!(with_all < 0.3 * before && (with_some - with_all).abs() < 0.1 * before, "{with_all} {with_some}");
+    let ((before, with_all), (_, with_some)) = (all.local_errors(), some.local_errors());
+    assert!((with_some - with_all).abs() < 0.1 * before, "{before} {with_all} {with_some}");
+    let params = EnhanceParams { sample_side: 3, ..quick(1) };
+    let wrong = enhance(&scene, &views, Guidance::Targets(&wanted), &params, None, &mut Silent).unwrap_err();
+    assert!(wrong.to_string().contains("sample_side"), "{wrong}");
+}
+
 #[test]
 fn pseudo_labels_are_reproduced() {
     let (scene, views) = mini();

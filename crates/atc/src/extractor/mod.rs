@@ -197,13 +197,19 @@ impl Geometry {
         &self.rows
     }
 
-    /// Columns and rows of the pixels nearest to the working pixels' centres: an image of the working size without a resize. `None`
-    /// where they would repeat (an image of less than 8 pixels).
-    pub fn nearest(&self) -> Option<Lattice> {
-        let axis = |n: usize, working: usize| -> Vec<usize> {
-            (0..working).map(|i| (2 * i + 1) * n / (2 * working)).collect()
+    /// The same view sampled: the pixels nearest to those of an image of at most `long_side` pixels, and how operators over the
+    /// same grid are read off them. `None` where pixels would repeat or the grid would be another one (very small images).
+    pub fn sampled(&self, long_side: usize) -> Result<Option<(Lattice, Self)>, AtcError> {
+        let settings =
+            ExtractorSettings { long_side: long_side.min(self.settings.long_side), ..self.settings.clone() };
+        settings.validate()?;
+        let (width, height) = settings.working_size(self.size.0, self.size.1);
+        let axis = |n: usize, samples: usize| -> Vec<usize> {
+            (0..samples).map(|i| (2 * i + 1) * n / (2 * samples)).collect()
         };
-        Lattice::subset(&axis(self.size.0, self.working.0), &axis(self.size.1, self.working.1))
+        let lattice = Lattice::subset(&axis(self.size.0, width), &axis(self.size.1, height));
+        let geometry = Self::new(width, height, &settings)?;
+        Ok(lattice.filter(|_| geometry.grid == self.grid).map(|lattice| (lattice, geometry)))
     }
 
     /// The pixels that the resize reads, as the lattice that a renderer takes.
