@@ -269,7 +269,7 @@ pub(crate) struct ReconstructArgs {
     /// Where the scene goes.
     #[arg(long, value_name = "SCENE_DIR")]
     pub(crate) out: PathBuf,
-    /// The models folder, for `--set images=proposed`.
+    /// The models folder, for `--set images=proposed` and `--set depth_prior=depth-anything-v2`.
     #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
     pub(crate) models: Option<PathBuf>,
     /// Print where a step's time goes: milliseconds and share of each part. Never stored.

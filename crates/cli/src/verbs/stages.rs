@@ -164,7 +164,10 @@ fn profiling(app: &App) -> App {
 pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
     check_output(&args.out)?;
     let registry = stages()?;
-    let parameters = parameters(&registry, &["reconstruct", "import", "propose"], &args.settings.set)?;
+    let mut names = vec!["reconstruct", "import", "propose"];
+    // Absent where the program was built without networks.
+    names.extend(registry.stage("depth").ok().map(|_| "depth"));
+    let parameters = parameters(&registry, &names, &args.settings.set)?;
     let scratch = scratch()?;
     let import = imported(app, &registry, &args.capture, &parameters[1], scratch.path())?;
     let mut inputs = vec![("import", import.clone())];
@@ -175,6 +178,18 @@ pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
         let stage = registry.stage("propose").map_err(CliError::failed)?;
         run_stage(app, stage, &parameters[2], given, &folder, None)?;
         inputs.push(("proposals", folder));
+    }
+    if parameters[0]["depth_prior"] == "depth-anything-v2" {
+        let Some(models) = args.models.clone() else {
+            return Err(CliError::Input(
+                "depth_prior=depth-anything-v2 needs the network's weights: pass --models DIR, or set USE3D_MODELS (`use3d models` lists what is there)".into(),
+            ));
+        };
+        let folder = scratch.path().join("depth");
+        let stage = registry.stage("depth").map_err(CliError::failed)?;
+        let given = vec![("import", inputs[0].1.clone()), ("models", models)];
+        run_stage(app, stage, parameters.get(3).unwrap_or(&Value::Null), given, &folder, None)?;
+        inputs.push(("depth", folder));
     }
     let kept = checkpoints(&args.out);
     let stage = registry.stage("reconstruct").map_err(CliError::failed)?;

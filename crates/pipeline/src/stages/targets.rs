@@ -118,6 +118,12 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         report.supported,
         report.gaussians
     ));
+    if let Some(order) = &report.order {
+        context.say(format_args!(
+            "another order of the views moves {:.1} % of {} supported Gaussians by less than 0.1 interquartile units (95th percentile {:.3})",
+            100.0 * order.within_tenth, order.compared, order.percentile_95
+        ));
+    }
     let path = context.output().join(TARGETS);
     std::fs::write(&path, targets.to_bytes()?).map_err(|e| StageError::io(&path, e))?;
     write_json(&context.output().join("report.json"), &report)?;
