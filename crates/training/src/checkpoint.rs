@@ -19,7 +19,7 @@ const DIGEST: usize = 32;
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
     /// The file system refused.
-    #[error("checkpoint {}: {source}", path.display())]
+    #[error("checkpoint {}: {source}{}", path.display(), advice(source))]
     Io {
         /// The file.
         path: PathBuf,
@@ -37,6 +37,24 @@ pub enum CheckpointError {
     /// The state could not be encoded.
     #[error("the training state could not be encoded: {0}")]
     Encode(String),
+}
+
+/// What to do about a full disk.
+fn advice(error: &std::io::Error) -> &'static str {
+    match error.kind() {
+        std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded => {
+            " (the disk is full: free some space and run again; the last whole checkpoint is kept)"
+        }
+        _ => "",
+    }
+}
+
+fn write(path: &Path, body: &[u8]) -> std::io::Result<()> {
+    let mut file = File::create(path)?;
+    file.write_all(MAGIC)?;
+    file.write_all(blake3::hash(body).as_bytes())?;
+    file.write_all(body)?;
+    file.sync_all()
 }
 
 /// The place of a loop's checkpoint.
@@ -67,13 +85,12 @@ impl CheckpointFile {
         let mut name = self.path.file_name().unwrap_or_default().to_os_string();
         name.push(".part");
         let part = self.path.with_file_name(name);
-        let mut file = File::create(&part).map_err(io)?;
-        file.write_all(MAGIC).map_err(io)?;
-        file.write_all(blake3::hash(&body).as_bytes()).map_err(io)?;
-        file.write_all(&body).map_err(io)?;
-        file.sync_all().map_err(io)?;
-        drop(file);
-        fs::rename(&part, &self.path).map_err(io)?;
+        let written = write(&part, &body).and_then(|()| fs::rename(&part, &self.path));
+        if let Err(source) = written {
+            // What is left of it only takes up room.
+            let _ = fs::remove_file(&part);
+            return Err(io(source));
+        }
         // The rename itself must survive a power cut; some file systems cannot sync a folder, which is no reason to fail.
         if let Ok(folder) = File::open(dir) {
             let _ = folder.sync_all();
