@@ -325,10 +325,8 @@ impl Prepared {
         for span in self.tile_rows.iter().flat_map(|row| &row.spans) {
             ranks[span.rank as usize] = 0;
         }
-        let mut next = 0;
-        for rank in ranks.iter_mut().filter(|rank| **rank != HIDDEN) {
+        for (rank, next) in ranks.iter_mut().filter(|rank| **rank != HIDDEN).zip(0..) {
             *rank = next;
-            next += 1;
         }
         let mut old = ranks.iter();
         self.splats.retain(|_| old.next().is_some_and(|&rank| rank != HIDDEN));
