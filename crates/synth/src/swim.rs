@@ -30,30 +30,31 @@ fn floor(terrain: &Terrain, x: f32, y: f32) -> f32 {
 }
 
 /// At most this far from one view to the next, metres: neighbours must overlap.
-const STRIDE: f32 = 0.30;
+const STRIDE: f32 = 0.18;
 
-/// The swim out, metres; it goes back as far.
-const LENGTH: f32 = 6.0;
+/// The longest swim out, metres; it goes back as far.
+const LONGEST: f32 = 6.0;
 /// How much higher the way back is, metres.
 const RISE: f32 = 1.2;
 
-/// `views` cameras along the swim, in metres: six metres out, then back again higher up, still looking ahead, so that the reef is
-/// seen through different amounts of water. Less for few views.
+/// `views` cameras along the swim, in metres: out along the channel, then back again higher up, still looking ahead, so that the
+/// reef is seen through different amounts of water. As far as the stride allows, at most six metres.
 pub(crate) fn path(terrain: &Terrain, seed: u64, views: usize, intrinsics: &Intrinsics) -> Vec<Camera> {
     let mut draws = Draws::new(seed, "swim", 0);
     let tau = std::f32::consts::TAU;
     let phases: [f32; 5] = std::array::from_fn(|_| draws.range(0.0, tau));
     let side = if draws.below(2) == 0 { 1.0 } else { -1.0 };
-    let share = (STRIDE * views.saturating_sub(1) as f32 / (2.0 * LENGTH)).min(1.0);
+    let length = (0.5 * STRIDE * views.saturating_sub(1) as f32).min(LONGEST);
+    let part = length / LONGEST;
     (0..views)
         .map(|i| {
-            let way = 2.0 * share * i as f32 / views.saturating_sub(1).max(1) as f32;
-            let t = way.min(2.0 - way);
+            let way = 2.0 * i as f32 / views.saturating_sub(1).max(1) as f32;
+            let t = part * way.min(2.0 - way);
             // It rises over the last half metre out and the first of the way back.
-            let rise = ((way - 1.0) * LENGTH + 0.5).clamp(0.0, 1.0);
+            let rise = ((way - 1.0) * length + 0.5).clamp(0.0, 1.0);
             let back = rise * rise * (3.0 - 2.0 * rise);
             let sway = |cycles: f32, phase: f32| (tau * cycles * t + phase).sin();
-            let y = -0.7 + LENGTH * t + 0.05 * sway(6.0, phases[0]);
+            let y = -0.7 + LONGEST * t + 0.05 * sway(6.0, phases[0]);
             let x = terrain.channel_center(y)
                 + side * 0.75 * (tau * 1.25 * t).sin()
                 + 0.06 * sway(7.0, phases[1]);

@@ -174,7 +174,7 @@ fn deliver(app: &App, summary: &Summary, out: &Path, silent: bool) -> Done {
 pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     let started = Instant::now();
     let (views, width, height, iterations, steps) = match args.size {
-        DemoSize::Small => (40, 320, 180, 3000, 1000),
+        DemoSize::Small => (40, 320, 180, 3000, 600),
         DemoSize::Full => (48, 640, 360, 15_000, 5000),
     };
     let params = use3d_synth::CaptureParams { views, width, height, ..use3d_synth::CaptureParams::default() };
