@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use serde::Serialize;
 use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
+use use3d_pipeline::engine::code::CodeTable;
 use use3d_pipeline::engine::{Cache, Engine, Graph, RunOptions, Summary, picture};
 use use3d_pipeline::results;
 
@@ -180,9 +181,11 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     let params = use3d_synth::CaptureParams { views, width, height, ..use3d_synth::CaptureParams::default() };
     let captures = args.out.join("captures");
     let capture = captures.join("reef");
-    // The capture is a function of its parameters; one that is there with the same ones is taken as it is.
+    // The capture is a function of its parameters and of the code; one that is there with the same ones is taken as it is.
     let stamp = captures.join("reef.json");
-    let wanted = serde_json::to_string_pretty(&params).map_err(CliError::failed)?;
+    let code = CodeTable::built_in().stage(&["use3d-synth"], &[]).map_err(CliError::failed)?.digest();
+    let recipe = serde_json::json!({ "parameters": params, "code": code.to_string() });
+    let wanted = serde_json::to_string_pretty(&recipe).map_err(CliError::failed)?;
     if !capture.is_dir() || std::fs::read_to_string(&stamp).ok().as_ref() != Some(&wanted) {
         if capture.is_dir() {
             std::fs::remove_dir_all(&capture)
