@@ -26,33 +26,15 @@ pub enum StepPart {
 }
 
 impl Part for StepPart {
-    const ALL: &'static [Self] = &[
-        Self::Prepare,
-        Self::Field,
-        Self::Water,
-        Self::Compose,
-        Self::Loss,
-        Self::ComposeBackward,
-        Self::FieldBackward,
-        Self::WaterBackward,
-        Self::Adam,
+    const ALL: &'static [(Self, &'static str)] = &[
+        (Self::Prepare, "prepare"),
+        (Self::Field, "field"),
+        (Self::Water, "water"),
+        (Self::Compose, "compose"),
+        (Self::Loss, "loss"),
+        (Self::ComposeBackward, "compose backward"),
+        (Self::FieldBackward, "field backward"),
+        (Self::WaterBackward, "water backward"),
+        (Self::Adam, "adam"),
     ];
-
-    fn index(self) -> usize {
-        self as usize
-    }
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Prepare => "prepare",
-            Self::Field => "field",
-            Self::Water => "water",
-            Self::Compose => "compose",
-            Self::Loss => "loss",
-            Self::ComposeBackward => "compose backward",
-            Self::FieldBackward => "field backward",
-            Self::WaterBackward => "water backward",
-            Self::Adam => "adam",
-        }
-    }
 }

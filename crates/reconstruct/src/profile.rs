@@ -26,33 +26,15 @@ pub enum StepPart {
 }
 
 impl Part for StepPart {
-    const ALL: &'static [Self] = &[
-        Self::Target,
-        Self::Water,
-        Self::Project,
-        Self::Compose,
-        Self::Loss,
-        Self::ComposeBackward,
-        Self::WaterBackward,
-        Self::Adam,
-        Self::Density,
+    const ALL: &'static [(Self, &'static str)] = &[
+        (Self::Target, "target"),
+        (Self::Water, "water"),
+        (Self::Project, "project"),
+        (Self::Compose, "compose"),
+        (Self::Loss, "loss"),
+        (Self::ComposeBackward, "compose backward"),
+        (Self::WaterBackward, "water backward"),
+        (Self::Adam, "adam"),
+        (Self::Density, "density"),
     ];
-
-    fn index(self) -> usize {
-        self as usize
-    }
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Target => "target",
-            Self::Water => "water",
-            Self::Project => "project",
-            Self::Compose => "compose",
-            Self::Loss => "loss",
-            Self::ComposeBackward => "compose backward",
-            Self::WaterBackward => "water backward",
-            Self::Adam => "adam",
-            Self::Density => "density",
-        }
-    }
 }

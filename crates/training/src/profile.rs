@@ -3,15 +3,9 @@
 use std::time::{Duration, Instant};
 
 /// The parts of a loop's step.
-pub trait Part: Copy + 'static {
-    /// All parts, in order.
-    const ALL: &'static [Self];
-
-    /// Its place in [`Part::ALL`].
-    fn index(self) -> usize;
-
-    /// A name for tables.
-    fn name(self) -> &'static str;
+pub trait Part: Copy + PartialEq + 'static {
+    /// All parts in order, with their names for tables.
+    const ALL: &'static [(Self, &'static str)];
 }
 
 /// Time per part, summed over steps. Never stored: it differs from run to run.
@@ -22,6 +16,10 @@ pub struct Profile<P> {
     parts: std::marker::PhantomData<P>,
     spent: Vec<Duration>,
     last: Option<Instant>,
+}
+
+fn place<P: Part>(part: P) -> Option<usize> {
+    P::ALL.iter().position(|(known, _)| *known == part)
 }
 
 impl<P: Part> Default for Profile<P> {
@@ -45,7 +43,9 @@ impl<P: Part> Profile<P> {
     pub fn lap(&mut self, part: P) {
         if let Some(last) = &mut self.last {
             let now = Instant::now();
-            self.spent[part.index()] += now - *last;
+            if let Some(at) = place(part) {
+                self.spent[at] += now - *last;
+            }
             *last = now;
         }
     }
@@ -57,22 +57,23 @@ impl<P: Part> Profile<P> {
 
     /// Seconds per step of a part.
     pub fn seconds(&self, part: P) -> f64 {
-        self.spent[part.index()].as_secs_f64() / self.steps.max(1) as f64
+        let spent = place(part).map_or(Duration::ZERO, |at| self.spent[at]);
+        spent.as_secs_f64() / self.steps.max(1) as f64
     }
 
     /// Seconds per step of all parts.
     pub fn total(&self) -> f64 {
-        P::ALL.iter().map(|p| self.seconds(*p)).sum()
+        P::ALL.iter().map(|(part, _)| self.seconds(*part)).sum()
     }
 
     /// A table: milliseconds per step and share of each part.
     pub fn table(&self) -> String {
         let total = self.total();
         let mut text = format!("{} steps, {:.2} ms per step\n", self.steps, 1e3 * total);
-        for &part in P::ALL {
+        for &(part, name) in P::ALL {
             let seconds = self.seconds(part);
             let share = if total > 0.0 { 100.0 * seconds / total } else { 0.0 };
-            text += &format!("{:>17} {:>9.2} ms {share:>5.1} %\n", part.name(), 1e3 * seconds);
+            text += &format!("{:>17} {:>9.2} ms {share:>5.1} %\n", name, 1e3 * seconds);
         }
         text
     }
@@ -82,22 +83,14 @@ impl<P: Part> Profile<P> {
 mod tests {
     use super::*;
 
-    #[derive(Clone, Copy)]
+    #[derive(Clone, Copy, PartialEq)]
     enum Half {
         First,
         Second,
     }
 
     impl Part for Half {
-        const ALL: &'static [Self] = &[Self::First, Self::Second];
-
-        fn index(self) -> usize {
-            self as usize
-        }
-
-        fn name(self) -> &'static str {
-            ["first", "second"][self.index()]
-        }
+        const ALL: &'static [(Self, &'static str)] = &[(Self::First, "first"), (Self::Second, "second")];
     }
 
     #[test]
