@@ -261,7 +261,8 @@ impl<'a> Engine<'a> {
         let mut room = params.cache_mib.saturating_mul(1 << 20);
         let (mut constants, mut kept) = (Vec::with_capacity(views.len()), Vec::with_capacity(views.len()));
         for (index, view) in views.iter().enumerate() {
-            let (small, large) = preparer.view(index, view)?;
+            let (small, mut large) = preparer.view(index, view)?;
+            preparer.trim(&mut large);
             constants.push(small);
             // First come, first kept: in shuffled epochs every view is as likely as any other, so no policy does better.
             let bytes = large.bytes();
@@ -343,14 +344,14 @@ impl<'a> Engine<'a> {
         Ok(ViewErrors { global: losses.global, local: losses.local, pixels: losses.pixels })
     }
 
-    /// How far a view is from its reference, as the extractor reads an image, however the steps sample it.
-    pub(crate) fn evaluate_whole(
+    /// How far view `index` is from its reference, sampled as `whole` does and not as the steps do.
+    pub(crate) fn evaluate_with(
         &mut self,
+        whole: &mut Preparer<'_>,
         index: usize,
         view: &EnhanceView,
-        guidance: Guidance<'_>,
     ) -> Result<ViewErrors, EnhanceError> {
-        let (constants, mut frozen) = Preparer::new(self.scene, guidance, 0).view(index, view)?;
+        let (constants, mut frozen) = whole.view(index, view)?;
         self.step.render(&self.field, &constants, &mut frozen);
         let losses = self.step.losses(&constants, &self.goals, false)?;
         Ok(ViewErrors { global: losses.global, local: losses.local, pixels: losses.pixels })

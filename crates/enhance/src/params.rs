@@ -47,7 +47,7 @@ pub struct EnhanceParams {
     /// Weight λ_tv of the factors' total variation.
     pub lambda_variation: f64,
     /// In a step, a training view is sampled at its nearest pixels to at most this long side; 0 renders all that the extractor
-    /// weighs. What was reached is always measured as the extractor reads an image.
+    /// weighs. How near the targets came is always measured as the extractor reads an image.
     pub sample_side: usize,
     /// How pseudo-labels are compared (objective `pseudo-labels` only).
     pub pixel_loss: PixelLoss,

@@ -15,7 +15,7 @@ use use3d_ubaf::water::ratios;
 use crate::engine::{Engine, StepLosses};
 use crate::fingerprint::fingerprint;
 use crate::report::{LogEntry, Outcome, Report, ViewReport};
-use crate::view::{EnhanceView, Guidance};
+use crate::view::{EnhanceView, Guidance, Preparer};
 use crate::{EnhanceError, EnhanceParams};
 
 const VIEWS: Purpose = Purpose::new("stage 2 views");
@@ -210,8 +210,17 @@ fn finish(
     state: State,
 ) -> Result<Outcome, EnhanceError> {
     let mut reports = Vec::with_capacity(views.len());
+    // Operators are measured as the extractor reads an image. Labels keep their sample: making them again would cost a proposal per
+    // view, and before and after must be of the same pixels.
+    let mut whole = match guidance {
+        Guidance::Targets(_) => Some(Preparer::new(scene, guidance, 0)),
+        Guidance::Labels(_) => None,
+    };
     for (index, view) in views.iter().enumerate() {
-        let after = engine.evaluate_whole(index, view, guidance)?;
+        let after = match &mut whole {
+            Some(whole) => engine.evaluate_with(whole, index, view)?,
+            None => engine.evaluate(index)?,
+        };
         reports.push(ViewReport { name: view.name.clone(), before: state.before[index], after });
     }
     let centre = engine.centre();

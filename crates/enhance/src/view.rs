@@ -134,6 +134,11 @@ impl<'a> Preparer<'a> {
         Ok(sampled)
     }
 
+    /// Cuts the tile lists of a view down to what its pixels see: worth it for a view that is rendered again and again.
+    pub(crate) fn trim(&mut self, frozen: &mut Frozen) {
+        self.rasterizer.trim(&mut frozen.prepared);
+    }
+
     pub(crate) fn view(
         &mut self,
         index: usize,
@@ -143,8 +148,7 @@ impl<'a> Preparer<'a> {
         let size = (camera.intrinsics.width, camera.intrinsics.height);
         let sampled = self.sampled(size)?;
         let Sampled { geometry, lattice, .. } = &*sampled;
-        let mut frozen = Frozen::new(self.scene, &camera, lattice);
-        self.rasterizer.trim(&mut frozen.prepared);
+        let frozen = Frozen::new(self.scene, &camera, lattice);
         let reference = match self.guidance {
             Guidance::Targets(targets) => {
                 let maps = frozen.water.as_ref().map(|w| &w.maps);
