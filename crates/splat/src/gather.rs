@@ -10,7 +10,7 @@ use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 use use3d_capture::Camera;
 
-use crate::prepared::{ColorSource, HIDDEN, Prepared, TileRow};
+use crate::prepared::{ColorSource, HIDDEN, Prepared, Splat, TileRow};
 use crate::projection::Projector;
 use crate::strips::{Strips, for_each};
 use crate::tile::Record;
@@ -170,6 +170,13 @@ struct Chunk<'a> {
 fn backward_chunk(view: &View<'_>, first: usize, ranks: &[u32], out: Chunk<'_>) {
     let View { prepared, sums, gaussians, projector, center } = view;
     let Chunk { means, scales, quats, logits, sh, screen, visible } = out;
+    // Ranks are scattered over the view: fetched together, the waits for memory overlap.
+    let mut fetched = [(Splat::default(), [0.0; 12]); CHUNK];
+    for (fetched, &rank) in fetched.iter_mut().zip(ranks) {
+        if rank != HIDDEN {
+            *fetched = (prepared.splats[rank as usize], sums[rank as usize]);
+        }
+    }
     for (i, &rank) in ranks.iter().enumerate() {
         visible[i] = rank != HIDDEN;
         if rank == HIDDEN {
@@ -178,7 +185,7 @@ fn backward_chunk(view: &View<'_>, first: usize, ranks: &[u32], out: Chunk<'_>) 
             continue;
         }
         let index = first + i;
-        let (splat, sum) = (&prepared.splats[rank as usize], &sums[rank as usize]);
+        let (splat, sum) = &fetched[i];
         let s = sum.map(f64::from);
         // v = conic · (pixel − centre) = (a t, shear a t + dy / cov_yy), a = conic_xx.
         let twice = 2.0 * std::f64::consts::LN_2;

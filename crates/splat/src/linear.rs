@@ -5,7 +5,7 @@
 use fearless_simd::dispatch;
 
 use crate::gather::{in_groups, scatter};
-use crate::pixels::input;
+use crate::pixels::{input, row_splats};
 use crate::prepared::{Prepared, TILE};
 use crate::rasterizer::{Engine, Rasterizer};
 use crate::strips::{Strips, for_each};
@@ -53,8 +53,9 @@ impl Rasterizer {
                 std::array::from_fn(|c| row.get(c).copied().unwrap_or(0.0))
             };
             for_each(0..prepared.rows.tiles(), strips, &|row, mut strips: ChannelPlanes<'_>| {
+                let splats = row_splats(prepared, row);
                 for column in 0..prepared.columns.tiles() {
-                    let input = input(prepared, row, column);
+                    let input = input(prepared, &splats, row, column);
                     let mut state = ForwardTile::new(input.filled_rows, input.filled_columns);
                     let mut tile = [[[0.0; TILE]; CHANNELS]; TILE];
                     match engine {
@@ -90,8 +91,9 @@ impl Rasterizer {
             let count = (channels - first).min(CHANNELS);
             let planes = &maps[first * pixels..(first + count) * pixels];
             in_groups(prepared, &mut self.records, &mut self.sums, (), &|row, records: &mut [Record], ()| {
+                let splats = row_splats(prepared, row);
                 for column in 0..prepared.columns.tiles() {
-                    let input = input(prepared, row, column);
+                    let input = input(prepared, &splats, row, column);
                     let mut state = ForwardTile::new(input.filled_rows, input.filled_columns);
                     let mut tile = [[[0.0; TILE]; CHANNELS]; TILE];
                     load(prepared, planes, row, column, input.filled_rows, input.filled_columns, &mut tile);

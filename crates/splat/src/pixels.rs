@@ -7,17 +7,24 @@ use std::ops::Range;
 use use3d_capture::{Image, Map, MediumMaps};
 use use3d_numerics::lanes::exp2;
 
-use crate::prepared::{Prepared, TILE};
+use crate::prepared::{Prepared, Splat, TILE};
 use crate::strips::{Planes, Strips};
 use crate::tile::{BackwardTile, ForwardTile, Input, Lanes, Water};
 use crate::view::{Cotangents, Layers};
 
-/// The input of tile (`row`, `column`).
+/// The Gaussians of a tile row, one per span, side by side. A tile takes few of its row's Gaussians, each a wait for memory where
+/// they lie scattered over all of the view's; copied in one go the waits overlap, and the copy fits the second-level cache.
 #[inline(always)]
-pub(crate) fn input(prepared: &Prepared, row: usize, column: usize) -> Input<'_> {
+pub(crate) fn row_splats(prepared: &Prepared, row: usize) -> Vec<Splat> {
+    prepared.tile_rows[row].spans.iter().map(|span| prepared.splats[span.rank as usize]).collect()
+}
+
+/// The input of tile (`row`, `column`), with what [`row_splats`] gives for the row.
+#[inline(always)]
+pub(crate) fn input<'a>(prepared: &'a Prepared, splats: &'a [Splat], row: usize, column: usize) -> Input<'a> {
     let tile_row = &prepared.tile_rows[row];
     Input {
-        splats: &prepared.splats,
+        splats,
         spans: &tile_row.spans,
         list: tile_row.list(column),
         columns: prepared.columns.lanes(column),

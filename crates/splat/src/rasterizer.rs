@@ -10,7 +10,7 @@ use use3d_capture::{Camera, Image, MediumMaps};
 use crate::gather::{backward_gaussians, in_groups, scatter};
 use crate::pixels::{
     ImagePlanes, LayerPlanes, MediumPlanes, Saved, SavedPlanes, input, load_cotangents, load_water,
-    store_images, store_layers, store_medium_gradient,
+    row_splats, store_images, store_layers, store_medium_gradient,
 };
 use crate::prepared::{Prepared, TILE};
 use crate::strips::for_each;
@@ -281,8 +281,9 @@ fn forward_row<const WATER: bool>(
     compose: impl Fn(&Input<'_>, &Water, &mut ForwardTile),
 ) {
     let mut water = Water::default();
+    let splats = row_splats(prepared, row);
     for column in 0..prepared.columns.tiles() {
-        let input = input(prepared, row, column);
+        let input = input(prepared, &splats, row, column);
         if WATER && let Some(medium) = medium {
             load_water(prepared, medium, row, column, &mut water);
         }
@@ -313,8 +314,9 @@ fn backward_row<const WATER: bool>(
 ) {
     let mut water = Water::default();
     let mut tile = BackwardTile::ZERO;
+    let splats = row_splats(prepared, row);
     for column in 0..prepared.columns.tiles() {
-        let input = input(prepared, row, column);
+        let input = input(prepared, &splats, row, column);
         if WATER && let Some(medium) = medium {
             load_water(prepared, medium, row, column, &mut water);
         }

@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
-use crate::pixels::input;
-use crate::prepared::{LOG2_255, Prepared, TILE};
+use crate::pixels::{input, row_splats};
+use crate::prepared::{LOG2_255, Prepared, Splat, TILE};
 use crate::tile::{ForwardTile, NEVER};
 
 /// Numbers of (pixel, Gaussian) pairs of a prepared view.
@@ -21,9 +21,12 @@ impl Prepared {
     /// Counts the pairs of this view.
     pub fn pairs(&self) -> Pairs {
         let tiles = self.columns.tiles();
-        (0..self.rows.tiles() * tiles)
+        (0..self.rows.tiles())
             .into_par_iter()
-            .map(|tile| self.pairs_of(tile / tiles, tile % tiles))
+            .flat_map_iter(|row| {
+                let splats = row_splats(self, row);
+                (0..tiles).map(move |column| self.pairs_of(&splats, row, column))
+            })
             .reduce(Pairs::default, |a, b| Pairs {
                 contributing: a.contributing + b.contributing,
                 tested: a.tested + b.tested,
@@ -31,8 +34,8 @@ impl Prepared {
             })
     }
 
-    fn pairs_of(&self, row: usize, column: usize) -> Pairs {
-        let input = input(self, row, column);
+    fn pairs_of(&self, splats: &[Splat], row: usize, column: usize) -> Pairs {
+        let input = input(self, splats, row, column);
         let (rows, columns) = (input.filled_rows, input.filled_columns);
         let mut state = ForwardTile::new(rows, columns);
         let nothing = crate::tile::Water::default();

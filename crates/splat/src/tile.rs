@@ -15,6 +15,7 @@ pub(crate) const ALPHA_MAX: f32 = 0.999;
 /// One tile's input: its Gaussians in depth order and its pixel centres.
 #[derive(Clone, Copy)]
 pub(crate) struct Input<'a> {
+    /// The Gaussians of the tile row, one per span.
     pub(crate) splats: &'a [Splat],
     pub(crate) spans: &'a [Span],
     pub(crate) list: &'a [u32],
@@ -29,8 +30,8 @@ impl<'a> Input<'a> {
     /// The Gaussian of entry `k`, with its span.
     #[inline(always)]
     pub(crate) fn entry(&self, k: usize) -> (&'a Span, &'a Splat) {
-        let span = &self.spans[self.list[k] as usize];
-        (span, &self.splats[span.rank as usize])
+        let at = self.list[k] as usize;
+        (&self.spans[at], &self.splats[at])
     }
 }
 

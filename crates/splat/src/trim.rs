@@ -8,7 +8,7 @@ use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use crate::Rasterizer;
-use crate::pixels::input;
+use crate::pixels::{input, row_splats};
 use crate::prepared::{LOG2_255, Prepared, Span, TILE, TileRow};
 
 /// Added to the contour, so that an entry whose test rounds otherwise than the compositor's is kept.
@@ -37,8 +37,9 @@ fn trimmed(prepared: &Prepared, stop: &[i32], row: usize) -> TileRow {
     let tiles = prepared.columns.tiles();
     // One flag per entry, in the order of spans.
     let mut seen = vec![false; old.entries.len()];
+    let splats = row_splats(prepared, row);
     for column in 0..tiles {
-        let input = input(prepared, row, column);
+        let input = input(prepared, &splats, row, column);
         let mut stops = [[-1i32; TILE]; TILE];
         for (r, stops) in stops[..input.filled_rows].iter_mut().enumerate() {
             let start = (row * TILE + r) * prepared.width + column * TILE;
