@@ -261,7 +261,7 @@ impl<'a> Engine<'a> {
         let mut room = params.cache_mib.saturating_mul(1 << 20);
         let (mut constants, mut kept) = (Vec::with_capacity(views.len()), Vec::with_capacity(views.len()));
         for (index, view) in views.iter().enumerate() {
-            let (small, mut large) = preparer.view(index, view)?;
+            let (small, mut large) = preparer.view(index, view, None)?;
             preparer.trim(&mut large);
             constants.push(small);
             // First come, first kept: in shuffled epochs every view is as likely as any other, so no policy does better.
@@ -351,7 +351,11 @@ impl<'a> Engine<'a> {
         index: usize,
         view: &EnhanceView,
     ) -> Result<ViewErrors, EnhanceError> {
-        let (constants, mut frozen) = whole.view(index, view)?;
+        let local = match &self.views[index].reference {
+            Reference::Transition(_, target) => Some(target),
+            Reference::Label(_) => None,
+        };
+        let (constants, mut frozen) = whole.view(index, view, local)?;
         self.step.render(&self.field, &constants, &mut frozen);
         let losses = self.step.losses(&constants, &self.goals, false)?;
         Ok(ViewErrors { global: losses.global, local: losses.local, pixels: losses.pixels })

@@ -80,7 +80,7 @@ impl Default for EnhanceParams {
             lambda_global: 1.0,
             lambda_local: 1.0,
             lambda_variation: 1e-4,
-            sample_side: 192,
+            sample_side: 128,
             pixel_loss: PixelLoss::L1,
             resolution: shape.resolution,
             rank: shape.rank,

@@ -59,7 +59,7 @@ pub(crate) struct ViewConstants {
 
 /// The large constants of a view: kept while the budget lasts, else made anew for every step.
 pub(crate) struct Frozen {
-    /// Projection and trimmed tile lists; its colours change with every step.
+    /// Projection, trimmed tile lists; its colours change with every step.
     pub(crate) prepared: Prepared,
     /// Stage-1 colours of all Gaussians in this view.
     pub(crate) base: Vec<[f32; 3]>,
@@ -139,10 +139,12 @@ impl<'a> Preparer<'a> {
         self.rasterizer.trim(&mut frozen.prepared);
     }
 
+    /// The constants of a view. `local` is its local target where that is known already.
     pub(crate) fn view(
         &mut self,
         index: usize,
         view: &EnhanceView,
+        local: Option<&ViewTarget>,
     ) -> Result<(ViewConstants, Frozen), EnhanceError> {
         let camera = view.camera;
         let size = (camera.intrinsics.width, camera.intrinsics.height);
@@ -155,7 +157,10 @@ impl<'a> Preparer<'a> {
                 let options = Options::default();
                 self.rasterizer.forward(&frozen.prepared, maps, &options, &mut self.rendered);
                 let source = Source::on_lattice(geometry, &self.rendered.image)?;
-                let target = targets.view_target(&self.scene.gaussians, &camera, &mut self.rasterizer)?;
+                let target = match local {
+                    Some(known) => known.clone(),
+                    None => targets.view_target(&self.scene.gaussians, &camera, &mut self.rasterizer)?,
+                };
                 Reference::Transition(Box::new(source), target)
             }
             Guidance::Labels(labels) => {

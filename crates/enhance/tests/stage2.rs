@@ -39,7 +39,8 @@ impl Observer for Watcher {
 fn it_starts_at_the_identity() {
     let (scene, views) = mini();
     let wanted = targets(&scene, &taught(&scene), &views);
-    let params = quick(1);
+    // Every pixel, so that the render can be laid beside the whole view.
+    let params = EnhanceParams { sample_side: 0, ..quick(1) };
     let mut engine = Engine::new(&scene, &views, Guidance::Targets(&wanted), &params, &mut Silent).unwrap();
     let rms = (wanted.scene.iter().map(|t| (t / 0.2).powi(2)).sum::<f64>() / 12.0).sqrt();
     for (index, view) in views.iter().enumerate() {
