@@ -64,7 +64,7 @@ impl Default for CaptureParams {
             views: 48,
             width: 640,
             height: 360,
-            water: WaterType::Ii,
+            water: WaterType::Iii,
             depth: 8.0,
             white_balance: 0.8,
             noise: 0.008,
