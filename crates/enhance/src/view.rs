@@ -59,7 +59,7 @@ pub(crate) struct ViewConstants {
 
 /// The large constants of a view: kept while the budget lasts, else made anew for every step.
 pub(crate) struct Frozen {
-    /// Projection, trimmed tile lists; its colours change with every step.
+    /// Projection and trimmed tile lists; its colours change with every step.
     pub(crate) prepared: Prepared,
     /// Stage-1 colours of all Gaussians in this view.
     pub(crate) base: Vec<[f32; 3]>,

@@ -2,7 +2,8 @@
 //!
 //! Always inlined, so that the lane code's instruction set applies to these loops too.
 
-use std::ops::Range;
+use std::cell::Cell;
+use std::ops::{Deref, Range};
 
 use use3d_capture::{Image, Map, MediumMaps};
 use use3d_numerics::lanes::exp2;
@@ -12,11 +13,37 @@ use crate::strips::{Planes, Strips};
 use crate::tile::{BackwardTile, ForwardTile, Input, Lanes, Water};
 use crate::view::{Cotangents, Layers};
 
+thread_local! {
+    /// The memory of the thread's last [`RowSplats`], taken up again by its next one.
+    static SPARE: Cell<Vec<Splat>> = const { Cell::new(Vec::new()) };
+}
+
 /// The Gaussians of a tile row, one per span, side by side. A tile takes few of its row's Gaussians, each a wait for memory where
 /// they lie scattered over all of the view's; copied in one go the waits overlap, and the copy fits the second-level cache.
-#[inline(always)]
-pub(crate) fn row_splats(prepared: &Prepared, row: usize) -> Vec<Splat> {
-    prepared.tile_rows[row].spans.iter().map(|span| prepared.splats[span.rank as usize]).collect()
+pub(crate) struct RowSplats(Vec<Splat>);
+
+impl Deref for RowSplats {
+    type Target = [Splat];
+
+    #[inline(always)]
+    fn deref(&self) -> &[Splat] {
+        &self.0
+    }
+}
+
+impl Drop for RowSplats {
+    fn drop(&mut self) {
+        // Nothing to keep it for in a thread that ends.
+        let _ = SPARE.try_with(|spare| spare.set(std::mem::take(&mut self.0)));
+    }
+}
+
+/// Copies the Gaussians of a tile row.
+pub(crate) fn row_splats(prepared: &Prepared, row: usize) -> RowSplats {
+    let mut splats = SPARE.take();
+    splats.clear();
+    splats.extend(prepared.tile_rows[row].spans.iter().map(|span| prepared.splats[span.rank as usize]));
+    RowSplats(splats)
 }
 
 /// The input of tile (`row`, `column`), with what [`row_splats`] gives for the row.
