@@ -1,4 +1,6 @@
-//! The parts of a step of stage 1.
+//! Where the time of stage 1 goes: the parts of a step, and how a step grows with the scene.
+
+use std::time::Duration;
 
 use use3d_training::Part;
 
@@ -37,4 +39,42 @@ impl Part for StepPart {
         (Self::Adam, "adam"),
         (Self::Density, "density"),
     ];
+}
+
+/// A stretch of the run, and what a step of it took. Never stored: times differ from run to run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stretch {
+    /// The last step of the stretch, counted from 1.
+    pub step: u64,
+    /// Steps in it.
+    pub steps: u64,
+    /// Image divisor at its end.
+    pub divisor: usize,
+    /// Gaussians at its end.
+    pub gaussians: usize,
+    /// Millions of (pixel, Gaussian) pairs that contribute to the last step's view, counted at every fourth pixel both ways.
+    pub pairs: f64,
+    /// Time of all its steps.
+    pub spent: Duration,
+}
+
+/// A table of stretches: step time beside contributing pairs.
+pub fn growth(stretches: &[Stretch]) -> String {
+    let mut text = format!(
+        "{:>9} {:>7} {:>10} {:>9} {:>9} {:>8}\n",
+        "to step", "divisor", "Gaussians", "M pairs", "ms/step", "ns/pair"
+    );
+    for s in stretches {
+        let step = s.spent.as_secs_f64() / s.steps.max(1) as f64;
+        text += &format!(
+            "{:>9} {:>7} {:>10} {:>9.2} {:>9.2} {:>8.2}\n",
+            s.step,
+            s.divisor,
+            s.gaussians,
+            s.pairs,
+            1e3 * step,
+            if s.pairs > 0.0 { 1e3 * step / s.pairs } else { 0.0 },
+        );
+    }
+    text
 }

@@ -251,6 +251,31 @@ fn a_short_run_learns_the_scene_and_its_water() {
 }
 
 #[test]
+fn the_growth_of_a_step_is_told_beside_its_pairs() {
+    let (capture, loaded) = tiny_capture(6);
+    let mut params = tiny_params(45);
+    params.densify.enabled = false;
+    let outcome = reconstruct(&capture, &loader(&loaded), &params, None, &mut Silent).unwrap();
+    assert_eq!(outcome.growth.iter().map(|s| (s.step, s.steps)).collect::<Vec<_>>(), {
+        (1..=15).map(|k| (3 * k, 3)).collect::<Vec<_>>()
+    });
+    let spent: std::time::Duration = outcome.growth.iter().map(|s| s.spent).sum();
+    assert!(spent <= outcome.profile.spent() && outcome.growth.iter().all(|s| !s.spent.is_zero()));
+    // Every fourth pixel both ways stands for all pixels of the view, whichever it was.
+    let pairs = capture.training_views().map(|view| {
+        let lattice = use3d_capture::Lattice::full(&view.camera.intrinsics);
+        let mut prepared = use3d_splat::Prepared::new();
+        let colors = use3d_splat::Colors::Sh { degree: 0 };
+        prepared.prepare(&outcome.scene.gaussians, &view.camera, &lattice, colors);
+        1e-6 * prepared.pairs().contributing as f64
+    });
+    let (least, most) = pairs.fold((f64::INFINITY, 0.0f64), |(l, m), p| (l.min(p), m.max(p)));
+    let last = outcome.growth.last().unwrap();
+    assert!(0.9 * least < last.pairs && last.pairs < 1.1 * most, "{} of {least} to {most}", last.pairs);
+    assert_eq!(crate::growth(&outcome.growth).lines().count(), 16);
+}
+
+#[test]
 fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
     let (capture, loaded) = tiny_capture(7);
     let params = ReconstructParams { checkpoint_steps: 8, schedule: 60, ..tiny_params(60) };

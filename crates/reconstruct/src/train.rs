@@ -1,7 +1,7 @@
 //! The loop of stage 1: what happens when. The work is the engine's.
 
 use std::path::Path;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Capture, Image, MediumMaps, View};
@@ -13,13 +13,16 @@ use use3d_splat::Rendered;
 use use3d_training::{CheckpointFile, NonFinite, Observer, Profile, Progress, ViewOrder};
 
 use crate::engine::{CpuEngine, Engine, EngineState, RefineSettings, StepRates, StepReport, StepSettings};
-use crate::profile::StepPart;
+use crate::profile::{StepPart, Stretch};
 use crate::record::{Evaluation, LogEntry, ViewScore, plot};
 use crate::views::{Dropped, TrainingView, ViewLoader};
 use crate::{DepthPrior, Medium, ReconstructError, ReconstructParams, initialise};
 
 /// The checkpoint's name in its folder.
 pub const CHECKPOINT: &str = "reconstruct.checkpoint";
+
+/// Stretches of a run whose step times are told apart.
+const STRETCHES: u64 = 15;
 
 /// The most by which a short run multiplies the rates of the water.
 const MOST_COMPRESSED: f64 = 10.0;
@@ -37,6 +40,8 @@ pub struct Outcome {
     pub initial_gaussians: usize,
     /// Time per part of a step, of this process.
     pub profile: Profile<StepPart>,
+    /// The same over the course of the run: how a step grows with the scene.
+    pub growth: Vec<Stretch>,
     /// Bytes of parameters, moments, views and buffers at the end, about.
     pub memory: usize,
 }
@@ -151,17 +156,18 @@ pub fn reconstruct(
         window: Window::default(),
         most: most_gaussians(params),
         cap_told: false,
+        growth: Vec::new(),
     };
     run.resume()?;
     run.go()?;
     let evaluation = run.evaluate();
-    let log = std::mem::take(&mut run.log);
+    let (log, growth) = (std::mem::take(&mut run.log), std::mem::take(&mut run.growth));
     let initial_gaussians = run.initial;
     let (gaussians, medium) = engine.download();
     let medium_degree = params.active_degree(params.iterations.saturating_sub(1));
     let scene = Scene { gaussians, frame: capture.frame, medium, medium_degree, enhancement: None };
     let (profile, memory) = (engine.profile().clone(), engine.memory());
-    Ok(Outcome { scene, log, evaluation, initial_gaussians, profile, memory })
+    Ok(Outcome { scene, log, evaluation, initial_gaussians, profile, growth, memory })
 }
 
 /// The water at the start.
@@ -273,6 +279,7 @@ struct Run<'a> {
     window: Window,
     most: usize,
     cap_told: bool,
+    growth: Vec<Stretch>,
 }
 
 impl Run<'_> {
@@ -326,10 +333,14 @@ impl Run<'_> {
         let mut order = ViewOrder::new(params.seed, Purpose::new("training views"), self.names.len());
         let (started, first) = (Instant::now(), self.step);
         let (mut saved_at, mut saved_step) = (Instant::now(), self.step);
+        let stretch = (params.iterations / STRETCHES).max(1);
         while self.step < params.iterations {
             let view = order.view(self.step);
             self.one_step(view)?;
             let done = self.step + 1;
+            if done.is_multiple_of(stretch) {
+                self.look_at_pace(view, done - first);
+            }
             // Refinements look at the state after the step's update.
             self.control_density();
             self.step = done;
@@ -405,6 +416,21 @@ impl Run<'_> {
         }
         self.window.add(&report);
         Ok(())
+    }
+
+    /// Ends a stretch of the run at this step: `done` steps of this process.
+    fn look_at_pace(&mut self, view: usize, done: u64) {
+        let (divisor, degree) = (self.params.divisor(self.step), self.params.active_degree(self.step));
+        let told: u64 = self.growth.iter().map(|s| s.steps).sum();
+        let before: Duration = self.growth.iter().map(|s| s.spent).sum();
+        self.growth.push(Stretch {
+            step: self.step + 1,
+            steps: done - told,
+            divisor,
+            gaussians: self.engine.gaussians(),
+            pairs: 1e-6 * self.engine.contributing_pairs(view, divisor, degree),
+            spent: self.engine.profile().spent() - before,
+        });
     }
 
     /// The refinement or the opacity ceiling that is due after this step (R9).

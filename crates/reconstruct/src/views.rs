@@ -164,11 +164,16 @@ impl TrainingView {
         }
     }
 
-    /// The view over `divisor` (less where the image is smaller than that), and its camera.
-    pub fn target(&self, divisor: usize, out: &mut Target) -> Camera {
+    /// The camera over `divisor`, and the divisor taken: less where the image is smaller than that.
+    pub fn camera_over(&self, divisor: usize) -> (Camera, usize) {
         let k = &self.camera.intrinsics;
         let divisor = divisor.clamp(1, k.width.min(k.height));
-        let camera = self.camera.downscaled(divisor);
+        (self.camera.downscaled(divisor), divisor)
+    }
+
+    /// The view over `divisor` (less where the image is smaller than that), and its camera.
+    pub fn target(&self, divisor: usize, out: &mut Target) -> Camera {
+        let (camera, divisor) = self.camera_over(divisor);
         let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
         #[cfg(test)]
         if let Some((image, prior)) = &self.exact {

@@ -55,6 +55,11 @@ impl<P: Part> Profile<P> {
         self.last = None;
     }
 
+    /// Time of all parts, summed over steps.
+    pub fn spent(&self) -> Duration {
+        self.spent.iter().sum()
+    }
+
     /// Seconds per step of a part.
     pub fn seconds(&self, part: P) -> f64 {
         let spent = place(part).map_or(Duration::ZERO, |at| self.spent[at]);
@@ -104,6 +109,7 @@ mod tests {
         profile.stop();
         profile.lap(Half::First);
         assert!(profile.seconds(Half::First) == 0.0 && profile.seconds(Half::Second) >= 5e-3);
+        assert_eq!(profile.spent(), profile.spent[1]);
         assert!(profile.table().contains("second"), "{}", profile.table());
     }
 }

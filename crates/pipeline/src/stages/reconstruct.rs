@@ -3,7 +3,7 @@
 use use3d_capture::View;
 use use3d_io_colmap::{load_depth_prior, load_mask, load_pixels};
 use use3d_io_image::write_png;
-use use3d_reconstruct::{Images, LoadedView, ReconstructError, ReconstructParams, reconstruct};
+use use3d_reconstruct::{Images, LoadedView, ReconstructError, ReconstructParams, growth, reconstruct};
 
 use super::common::{Watch, capture, write_json, write_text};
 use super::contact::sheet;
@@ -75,7 +75,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         ));
     }
     // Times are told, not stored: the artifact is the same on every machine.
-    context.profile(&outcome.profile.table());
+    context.profile(&(outcome.profile.table() + &growth(&outcome.growth)));
     let out = context.output();
     outcome.scene.save(out)?;
     if let Some(sheet) = sheet(&learnt_from, &outcome.scene)? {

@@ -290,6 +290,20 @@ impl Engine for CpuEngine {
         b.rasterizer.forward(&b.prepared, maps, &Options::default(), out);
     }
 
+    fn contributing_pairs(&mut self, view: usize, divisor: usize, degree: usize) -> f64 {
+        const EVERY: usize = 4;
+        let (camera, _) = self.views[view].camera_over(divisor);
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let some = |n: usize| (0..n).skip(EVERY / 2).step_by(EVERY).collect::<Vec<_>>();
+        // An image below three pixels has no such pixel: then all of them.
+        let lattice =
+            Lattice::subset(&some(width), &some(height)).unwrap_or_else(|| Lattice::full(&camera.intrinsics));
+        let prepared = &mut self.buffers.prepared;
+        prepared.prepare(&self.gaussians, &camera, &lattice, Colors::Sh { degree });
+        let share = (lattice.width() * lattice.height()) as f64 / (width * height) as f64;
+        prepared.pairs().contributing as f64 / share
+    }
+
     fn state(&self) -> EngineState {
         let [first, second] = &self.medium_moments;
         EngineState {

@@ -136,6 +136,9 @@ pub trait Engine {
     fn limit_opacity(&mut self, ceiling: f64);
     /// Renders a camera with the present state; `water` receives the medium's maps.
     fn render(&mut self, camera: &Camera, degree: usize, out: &mut Rendered, water: &mut MediumMaps);
+    /// (pixel, Gaussian) pairs that contribute to an uploaded view with the present state, about: counted at every fourth pixel both
+    /// ways.
+    fn contributing_pairs(&mut self, view: usize, divisor: usize, degree: usize) -> f64;
     /// Everything a checkpoint needs.
     fn state(&self) -> EngineState;
     /// Takes a checkpoint's state; `false` (nothing changed) if it does not fit.
