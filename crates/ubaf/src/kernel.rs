@@ -246,6 +246,9 @@ fn forward_tile<S: Simd, const P: usize>(
     }
 }
 
+/// A tile's plane.
+type Plane = [f32; TILE];
+
 #[inline(always)]
 fn backward_tile<S: Simd, const P: usize>(
     simd: S,
@@ -254,49 +257,141 @@ fn backward_tile<S: Simd, const P: usize>(
     d_out: &TileOutputs,
     kept: &[f32],
     sums: &mut Accumulator,
-    d_gamma: &mut [f32; TILE],
+    d_gamma: &mut Plane,
 ) {
     let z = codes::<P>(packed, lookups);
     let count = lookups.gamma.len();
     let mut d_z = [[0.0f32; TILE]; P];
     let record = P + 1 + OUTPUTS;
-    let one = f32x16::splat(simd, 1.0);
-    let units = packed.units.chunks_exact(record).zip(sums.units.chunks_exact_mut(record * LANES));
-    for (k, (unit, sums)) in units.enumerate() {
-        let zero = f32x16::splat(simd, 0.0);
-        let (mut d_weight, mut d_bias, mut d_output) = ([zero; P], zero, [zero; OUTPUTS]);
-        for at in (0..count).step_by(LANES) {
-            let z = lanes_at(simd, &z, at);
-            let pre = activation(simd, unit, &z);
-            let s = match kept.get(k * count + at..k * count + at + LANES) {
-                Some(s) => f32x16::from_slice(simd, s),
-                None => lanes::logistic(simd, pre),
-            };
-            let hidden = pre * s;
-            let mut d_hidden = f32x16::splat(simd, 0.0);
-            for o in 0..OUTPUTS {
-                let d = f32x16::from_slice(simd, &d_out[o][at..at + LANES]);
-                d_hidden = d.mul_add(f32x16::splat(simd, unit[P + 1 + o]), d_hidden);
-                d_output[o] = d.mul_add(hidden, d_output[o]);
-            }
-            // silu' = s (1 + pre (1 - s)).
-            let d_pre = d_hidden * (s * pre.mul_add(one - s, one));
-            d_bias += d_pre;
-            for r in 0..P {
-                d_weight[r] = z[r].mul_add(d_pre, d_weight[r]);
-                let d_code = f32x16::from_slice(simd, &d_z[r][at..at + LANES]);
-                d_pre.mul_add(f32x16::splat(simd, unit[r]), d_code).store_slice(&mut d_z[r][at..at + LANES]);
-            }
-        }
-        for r in 0..P {
-            add(simd, d_weight[r], &mut sums[r * LANES..(r + 1) * LANES]);
-        }
-        add(simd, d_bias, &mut sums[P * LANES..(P + 1) * LANES]);
-        for o in 0..OUTPUTS {
-            add(simd, d_output[o], &mut sums[(P + 1 + o) * LANES..(P + 2 + o) * LANES]);
-        }
+    let whole = packed.shape.width / UNITS * UNITS;
+    let (units, rest) = packed.units.split_at(whole * record);
+    let (unit_sums, rest_sums) = sums.units.split_at_mut(whole * record * LANES);
+    let pass = Pass { z: &z, d_out, kept, count };
+    let groups = units.chunks_exact(UNITS * record).zip(unit_sums.chunks_exact_mut(UNITS * record * LANES));
+    for (group, (units, sums)) in groups.enumerate() {
+        units_backward::<S, P, UNITS>(simd, &pass, group * UNITS, units, sums, &mut d_z);
+    }
+    let singles = rest.chunks_exact(record).zip(rest_sums.chunks_exact_mut(record * LANES));
+    for (k, (unit, sums)) in singles.enumerate() {
+        units_backward::<S, P, 1>(simd, &pass, whole + k, unit, sums, &mut d_z);
     }
     codes_backward(packed, lookups, &d_z, &mut sums.factors, d_gamma);
+}
+
+/// Hidden units that go backward together: what they share is read once, and their sums fit the registers.
+const UNITS: usize = 4;
+
+/// What the backward passes of all hidden units of a tile read.
+struct Pass<'a, const P: usize> {
+    z: &'a [Plane; P],
+    d_out: &'a TileOutputs,
+    kept: &'a [f32],
+    count: usize,
+}
+
+/// `U` hidden units, the first being `first`, over the whole tile: three products with few operands each, so that a register file of
+/// sixteen does not spill.
+#[inline(always)]
+fn units_backward<S: Simd, const P: usize, const U: usize>(
+    simd: S,
+    pass: &Pass<'_, P>,
+    first: usize,
+    units: &[f32],
+    sums: &mut [f32],
+    d_z: &mut [Plane; P],
+) {
+    let record = P + 1 + OUTPUTS;
+    let (one, zero) = (f32x16::splat(simd, 1.0), f32x16::splat(simd, 0.0));
+    let (mut hidden, mut d_pre) = ([[0.0f32; TILE]; U], [[0.0f32; TILE]; U]);
+    for at in (0..pass.count).step_by(LANES) {
+        let mut pre = [zero; U];
+        for u in 0..U {
+            pre[u] = f32x16::splat(simd, units[u * record + P]);
+        }
+        for r in 0..P {
+            let z = f32x16::from_slice(simd, &pass.z[r][at..at + LANES]);
+            for u in 0..U {
+                pre[u] = z.mul_add(f32x16::splat(simd, units[u * record + r]), pre[u]);
+            }
+        }
+        for u in 0..U {
+            let place = (first + u) * pass.count + at;
+            let s = match pass.kept.get(place..place + LANES) {
+                Some(s) => f32x16::from_slice(simd, s),
+                None => lanes::logistic(simd, pre[u]),
+            };
+            (pre[u] * s).store_slice(&mut hidden[u][at..at + LANES]);
+            // silu' = s (1 + pre (1 - s)).
+            (s * pre[u].mul_add(one - s, one)).store_slice(&mut d_pre[u][at..at + LANES]);
+        }
+        let mut d_hidden = [zero; U];
+        for o in 0..OUTPUTS {
+            let d = f32x16::from_slice(simd, &pass.d_out[o][at..at + LANES]);
+            for u in 0..U {
+                let weight = f32x16::splat(simd, units[u * record + P + 1 + o]);
+                d_hidden[u] = d.mul_add(weight, d_hidden[u]);
+            }
+        }
+        for u in 0..U {
+            let slope = f32x16::from_slice(simd, &d_pre[u][at..at + LANES]);
+            d_hidden[u] *= slope;
+            d_hidden[u].store_slice(&mut d_pre[u][at..at + LANES]);
+        }
+        for r in 0..P {
+            let mut d_code = f32x16::from_slice(simd, &d_z[r][at..at + LANES]);
+            for u in 0..U {
+                d_code = d_hidden[u].mul_add(f32x16::splat(simd, units[u * record + r]), d_code);
+            }
+            d_code.store_slice(&mut d_z[r][at..at + LANES]);
+        }
+    }
+    // Weight gradients: products of two planes, summed lane by lane, a pair of units by a pair of planes at a time.
+    for (u, sums) in sums.chunks_mut(2 * record * LANES).enumerate() {
+        let (d_pre, hidden) = (&d_pre[2 * u..U.min(2 * u + 2)], &hidden[2 * u..U.min(2 * u + 2)]);
+        for r in (0..P).step_by(2) {
+            products(simd, d_pre, [&pass.z[r], &pass.z[r + 1]], pass.count, record, r, sums);
+        }
+        for o in (0..OUTPUTS).step_by(2) {
+            let planes = [&pass.d_out[o], &pass.d_out[o + 1]];
+            products(simd, hidden, planes, pass.count, record, P + 1 + o, sums);
+        }
+        for (u, d_pre) in d_pre.iter().enumerate() {
+            let mut d_bias = zero;
+            for at in (0..pass.count).step_by(LANES) {
+                d_bias += f32x16::from_slice(simd, &d_pre[at..at + LANES]);
+            }
+            add(simd, d_bias, &mut sums[(u * record + P) * LANES..][..LANES]);
+        }
+    }
+}
+
+/// Adds `Σ_lookups row ⊙ column`, lane by lane, for one or two rows and two columns to the records at `place` and after it.
+#[inline(always)]
+fn products<S: Simd>(
+    simd: S,
+    rows: &[Plane],
+    columns: [&Plane; 2],
+    count: usize,
+    record: usize,
+    place: usize,
+    sums: &mut [f32],
+) {
+    let zero = f32x16::splat(simd, 0.0);
+    let mut total = [[zero; 2]; 2];
+    let (first, second) = (&rows[0], &rows[rows.len() - 1]);
+    for at in (0..count).step_by(LANES) {
+        let load = |plane: &Plane| f32x16::from_slice(simd, &plane[at..at + LANES]);
+        let (a, b, c, d) = (load(first), load(second), load(columns[0]), load(columns[1]));
+        total[0][0] = c.mul_add(a, total[0][0]);
+        total[0][1] = d.mul_add(a, total[0][1]);
+        total[1][0] = c.mul_add(b, total[1][0]);
+        total[1][1] = d.mul_add(b, total[1][1]);
+    }
+    for (row, total) in total.iter().enumerate().take(rows.len()) {
+        for (column, &total) in total.iter().enumerate() {
+            add(simd, total, &mut sums[(row * record + place + column) * LANES..][..LANES]);
+        }
+    }
 }
 
 #[inline(always)]
