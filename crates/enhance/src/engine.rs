@@ -15,7 +15,7 @@ use crate::objective::{Realised, global_loss, local_loss};
 use crate::params::{Objective, PixelLoss};
 use crate::profile::StepPart;
 use crate::report::ViewErrors;
-use crate::view::{EnhanceView, Frozen, Guidance, Preparer, Reference, ViewConstants};
+use crate::view::{EnhanceView, Frozen, Guidance, Lookups, Preparer, Reference, ViewConstants};
 use crate::{EnhanceError, EnhanceParams};
 
 /// The losses of one step.
@@ -69,7 +69,10 @@ pub(crate) struct Step {
     pub(crate) objects: ObjectPass,
     water: WaterPass,
     pub(crate) enhanced_water: MediumMaps,
+    /// Enhanced colours of the Gaussians that the view lists.
     pub(crate) colors: Vec<[f32; 3]>,
+    /// The same at their places among all.
+    placed: Vec<[f32; 3]>,
     d_colors: Vec<[f32; 3]>,
     d_water: MediumMaps,
     rasterizer: Rasterizer,
@@ -89,6 +92,7 @@ impl Step {
             water: WaterPass::new(),
             enhanced_water: MediumMaps::zeros(0, 0),
             colors: Vec::new(),
+            placed: Vec::new(),
             d_colors: Vec::new(),
             d_water: MediumMaps::zeros(0, 0),
             rasterizer: Rasterizer::new(),
@@ -104,9 +108,11 @@ impl Step {
 
     /// The enhanced render of a view on its lattice, into `self.rendered`.
     pub(crate) fn render(&mut self, field: &Field, view: &ViewConstants, frozen: &mut Frozen) {
+        self.objects.move_to(&frozen.listed.sites);
         self.objects.forward(field);
         self.objects.colors(field, &frozen.base, &mut self.colors);
-        frozen.prepared.set_colors(&self.colors);
+        let count = frozen.prepared.gaussians();
+        frozen.prepared.set_colors(frozen.listed.scatter(&self.colors, count, &mut self.placed));
         self.profile.lap(StepPart::Field);
         let water = frozen.water.as_ref().map(|water| {
             self.water.forward(field, view.center, water, 1.0, &mut self.enhanced_water);
@@ -195,7 +201,7 @@ impl Step {
         lambda_variation: f64,
     ) {
         self.gradient.clear();
-        self.d_colors.resize(frozen.base.len(), [0.0; 3]);
+        self.d_colors.resize(frozen.prepared.gaussians(), [0.0; 3]);
         let image = &self.rendered.image;
         self.d_water.resize(image.width(), image.height());
         self.rasterizer.backward_colors(
@@ -206,7 +212,8 @@ impl Step {
             &mut self.d_water,
         );
         self.profile.lap(StepPart::ComposeBackward);
-        self.objects.backward(field, &frozen.base, &self.d_colors, &mut self.gradient);
+        let d_colors = frozen.listed.gather(&self.d_colors, &mut self.colors);
+        self.objects.backward(field, &frozen.base, d_colors, &mut self.gradient);
         variation::backward(field, lambda_variation, &mut self.gradient);
         self.profile.lap(StepPart::FieldBackward);
         if let Some(water) = &frozen.water {
@@ -222,6 +229,7 @@ pub struct Engine<'a> {
     pub(crate) views: Vec<ViewConstants>,
     goals: Goals,
     scene: &'a Scene,
+    lookups: Lookups,
     step: Step,
     kept: Vec<Option<Frozen>>,
     spare: Option<(usize, Frozen)>,
@@ -257,12 +265,12 @@ impl<'a> Engine<'a> {
         let guides = scene.gaussians.sh.iter().map(|sh| guide_color(sh[0]));
         let objects =
             ObjectPass::with_guides(use3d_ubaf::Level::new(), &field, &scene.gaussians.means, guides);
-        let mut preparer = Preparer::new(scene, guidance, params.sample_side);
+        let lookups = Lookups::new(objects.sites().clone(), params.centre_sample);
+        let mut preparer = Preparer::new(scene, guidance, lookups.clone(), params.sample_side);
         let mut room = params.cache_mib.saturating_mul(1 << 20);
         let (mut constants, mut kept) = (Vec::with_capacity(views.len()), Vec::with_capacity(views.len()));
         for (index, view) in views.iter().enumerate() {
-            let (small, mut large) = preparer.view(index, view, None)?;
-            preparer.trim(&mut large);
+            let (small, large) = preparer.view(index, view, None, true)?;
             constants.push(small);
             // First come, first kept: in shuffled epochs every view is as likely as any other, so no policy does better.
             let bytes = large.bytes();
@@ -287,6 +295,7 @@ impl<'a> Engine<'a> {
             field,
             views: constants,
             scene,
+            lookups,
             kept,
             spare: None,
         })
@@ -325,7 +334,15 @@ impl<'a> Engine<'a> {
     /// Losses and gradient at view `index`.
     pub fn step(&mut self, index: usize) -> Result<StepLosses, EnhanceError> {
         self.step.profile.start();
-        let (frozen, view) = frozen_of(self.scene, &self.views, &mut self.kept, &mut self.spare, index);
+        let (frozen, view) = frozen_of(
+            self.scene,
+            &self.lookups,
+            &self.views,
+            &mut self.kept,
+            &mut self.spare,
+            &mut self.step.rasterizer,
+            index,
+        );
         self.step.profile.lap(StepPart::Prepare);
         self.step.render(&self.field, view, frozen);
         let mut losses = self.step.losses(view, &self.goals, true)?;
@@ -338,7 +355,15 @@ impl<'a> Engine<'a> {
 
     /// How far view `index` is from its reference.
     pub fn evaluate(&mut self, index: usize) -> Result<ViewErrors, EnhanceError> {
-        let (frozen, view) = frozen_of(self.scene, &self.views, &mut self.kept, &mut self.spare, index);
+        let (frozen, view) = frozen_of(
+            self.scene,
+            &self.lookups,
+            &self.views,
+            &mut self.kept,
+            &mut self.spare,
+            &mut self.step.rasterizer,
+            index,
+        );
         self.step.render(&self.field, view, frozen);
         let losses = self.step.losses(view, &self.goals, false)?;
         Ok(ViewErrors { global: losses.global, local: losses.local, pixels: losses.pixels })
@@ -355,7 +380,7 @@ impl<'a> Engine<'a> {
             Reference::Transition(_, target) => Some(target),
             Reference::Label(_) => None,
         };
-        let (constants, mut frozen) = whole.view(index, view, local)?;
+        let (constants, mut frozen) = whole.view(index, view, local, false)?;
         self.step.render(&self.field, &constants, &mut frozen);
         let losses = self.step.losses(&constants, &self.goals, false)?;
         Ok(ViewErrors { global: losses.global, local: losses.local, pixels: losses.pixels })
@@ -378,8 +403,14 @@ impl<'a> Engine<'a> {
         &self.step.rendered
     }
 
-    /// The constant mode of the current field over the scene's Gaussians (R22).
+    /// Prepares views as the extractor reads an image, every pixel that it weighs.
+    pub(crate) fn whole<'s>(&self, scene: &'s Scene, guidance: Guidance<'s>) -> Preparer<'s> {
+        Preparer::new(scene, guidance, self.lookups.clone(), 0)
+    }
+
+    /// The constant mode of the current field over the Gaussians that define it (R22).
     pub(crate) fn centre(&mut self) -> [f32; use3d_ubaf::OUTPUTS] {
+        self.step.objects.move_to(&self.lookups.centre());
         self.step.objects.forward(&self.field);
         self.step.objects.mean()
     }
@@ -388,9 +419,11 @@ impl<'a> Engine<'a> {
 /// The kept constants of a view, or the spare ones made to be its.
 fn frozen_of<'e>(
     scene: &Scene,
+    lookups: &Lookups,
     views: &'e [ViewConstants],
     kept: &'e mut [Option<Frozen>],
     spare: &'e mut Option<(usize, Frozen)>,
+    rasterizer: &mut Rasterizer,
     index: usize,
 ) -> (&'e mut Frozen, &'e ViewConstants) {
     let view = &views[index];
@@ -399,7 +432,8 @@ fn frozen_of<'e>(
     }
     let made = match spare.take() {
         Some((of, frozen)) if of == index => frozen,
-        _ => Frozen::new(scene, &view.camera, &view.lattice),
+        // Trimmed like the kept ones: the same Gaussians in the same order give the same bits.
+        _ => Frozen::new(scene, lookups, &view.camera, &view.lattice, Some(rasterizer)),
     };
     (&mut spare.insert((index, made)).1, view)
 }

@@ -49,6 +49,9 @@ pub struct EnhanceParams {
     /// In a step, a training view is sampled at its nearest pixels to at most this long side; 0 renders all that the extractor
     /// weighs. How near the targets came is always measured as the extractor reads an image.
     pub sample_side: usize,
+    /// The field's constant mode is the mean over at most this many Gaussians, evenly chosen from all (0: over all). A step looks
+    /// the field up at those and at what its view sees.
+    pub centre_sample: usize,
     /// How pseudo-labels are compared (objective `pseudo-labels` only).
     pub pixel_loss: PixelLoss,
     /// Nodes per axis of the field, 2 to 256.
@@ -80,7 +83,8 @@ impl Default for EnhanceParams {
             lambda_global: 1.0,
             lambda_local: 1.0,
             lambda_variation: 1e-4,
-            sample_side: 128,
+            sample_side: 96,
+            centre_sample: 4096,
             pixel_loss: PixelLoss::L1,
             resolution: shape.resolution,
             rank: shape.rank,

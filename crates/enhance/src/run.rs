@@ -15,7 +15,7 @@ use use3d_ubaf::water::ratios;
 use crate::engine::{Engine, StepLosses};
 use crate::fingerprint::fingerprint;
 use crate::report::{LogEntry, Outcome, Report, ViewReport};
-use crate::view::{EnhanceView, Guidance, Preparer};
+use crate::view::{EnhanceView, Guidance};
 use crate::{EnhanceError, EnhanceParams};
 
 const VIEWS: Purpose = Purpose::new("stage 2 views");
@@ -213,7 +213,7 @@ fn finish(
     // Operators are measured as the extractor reads an image. Labels keep their sample: making them again would cost a proposal per
     // view, and before and after must be of the same pixels.
     let mut whole = match guidance {
-        Guidance::Targets(_) => Some(Preparer::new(scene, guidance, 0)),
+        Guidance::Targets(_) => Some(engine.whole(scene, guidance)),
         Guidance::Labels(_) => None,
     };
     for (index, view) in views.iter().enumerate() {

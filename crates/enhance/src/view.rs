@@ -7,7 +7,7 @@ use use3d_atc::extractor::{ExtractorSettings, Geometry, Source};
 use use3d_capture::{Camera, Image, Lattice, MediumMaps, Raster, View};
 use use3d_scene::Scene;
 use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered, view_colors};
-use use3d_ubaf::Water;
+use use3d_ubaf::{Sites, Water};
 
 use crate::EnhanceError;
 
@@ -57,32 +57,140 @@ pub(crate) struct ViewConstants {
     pub(crate) reference: Reference,
 }
 
+/// Where the scene's Gaussians look the field up, and which of them define its constant mode.
+#[derive(Clone)]
+pub(crate) struct Lookups {
+    all: Arc<Sites>,
+    /// The Gaussians that define it; `None`: all of them, and every view lists all of them.
+    centred: Option<Vec<u32>>,
+}
+
+impl Lookups {
+    /// With the mean over at most `sample` Gaussians, every so many; over all if `sample` is 0.
+    pub(crate) fn new(all: Arc<Sites>, sample: usize) -> Self {
+        let some = sample > 0 && sample < all.len();
+        let centred = some.then(|| {
+            let every = all.len().div_ceil(sample);
+            (0..all.len() as u32).step_by(every).collect()
+        });
+        Self { all, centred }
+    }
+
+    /// Those that define the mean, and no others.
+    pub(crate) fn centre(&self) -> Arc<Sites> {
+        match &self.centred {
+            Some(centred) => Arc::new(self.all.select(centred, centred.len())),
+            None => Arc::clone(&self.all),
+        }
+    }
+
+    /// Those that define the mean, then what else a view sees.
+    fn of(&self, prepared: &Prepared) -> Listed {
+        let Some(centred) = &self.centred else {
+            return Listed { gaussians: None, sites: Arc::clone(&self.all) };
+        };
+        let mut listed = vec![false; self.all.len()];
+        centred.iter().for_each(|&i| listed[i as usize] = true);
+        let mut gaussians = centred.clone();
+        gaussians.extend(prepared.visible().filter(|&i| !listed[i]).map(|i| i as u32));
+        gaussians[centred.len()..].sort_unstable();
+        let sites = Arc::new(self.all.select(&gaussians, centred.len()));
+        Listed { gaussians: Some(gaussians), sites }
+    }
+}
+
+/// The Gaussians whose appearance a step needs.
+pub(crate) struct Listed {
+    /// Their indices; `None`: all, in order.
+    gaussians: Option<Vec<u32>>,
+    /// Where they look the field up.
+    pub(crate) sites: Arc<Sites>,
+}
+
+impl Listed {
+    /// All of them.
+    #[cfg(test)]
+    pub(crate) fn all(sites: &Arc<Sites>) -> Self {
+        Self { gaussians: None, sites: Arc::clone(sites) }
+    }
+
+    /// The listed rows of `all`, in the list's order.
+    pub(crate) fn gather<'a>(&self, all: &'a [[f32; 3]], out: &'a mut Vec<[f32; 3]>) -> &'a [[f32; 3]] {
+        let Some(gaussians) = &self.gaussians else { return all };
+        out.clear();
+        out.extend(gaussians.iter().map(|&i| all[i as usize]));
+        out
+    }
+
+    /// The listed rows back at their places among `count`; rows that are not listed keep what they were.
+    pub(crate) fn scatter<'a>(
+        &self,
+        rows: &'a [[f32; 3]],
+        count: usize,
+        out: &'a mut Vec<[f32; 3]>,
+    ) -> &'a [[f32; 3]] {
+        let Some(gaussians) = &self.gaussians else { return rows };
+        out.resize(count, [0.0; 3]);
+        for (&i, row) in gaussians.iter().zip(rows) {
+            out[i as usize] = *row;
+        }
+        out
+    }
+}
+
 /// The large constants of a view: kept while the budget lasts, else made anew for every step.
 pub(crate) struct Frozen {
     /// Projection and trimmed tile lists; its colours change with every step.
     pub(crate) prepared: Prepared,
-    /// Stage-1 colours of all Gaussians in this view.
+    /// The Gaussians whose appearance it needs.
+    pub(crate) listed: Listed,
+    /// Their stage-1 colours in this view.
     pub(crate) base: Vec<[f32; 3]>,
     /// The frozen water; `None` in a scene without.
     pub(crate) water: Option<Water>,
 }
 
 impl Frozen {
-    pub(crate) fn new(scene: &Scene, camera: &Camera, lattice: &Lattice) -> Self {
-        let mut base = Vec::new();
-        view_colors(&scene.gaussians, camera, scene.gaussians.sh_degree, &mut base);
+    /// Without what no pixel sees if there is a `trimmer`.
+    pub(crate) fn new(
+        scene: &Scene,
+        lookups: &Lookups,
+        camera: &Camera,
+        lattice: &Lattice,
+        trimmer: Option<&mut Rasterizer>,
+    ) -> Self {
+        let mut colors = Vec::new();
+        view_colors(&scene.gaussians, camera, scene.gaussians.sh_degree, &mut colors);
         let mut prepared = Prepared::new();
-        prepared.prepare(&scene.gaussians, camera, lattice, Colors::Given(&base));
+        prepared.prepare(&scene.gaussians, camera, lattice, Colors::Given(&colors));
+        if let Some(rasterizer) = trimmer {
+            rasterizer.trim(&mut prepared);
+        }
+        let listed = lookups.of(&prepared);
+        let base = match &listed.gaussians {
+            Some(_) => listed.gather(&colors, &mut Vec::new()).to_vec(),
+            None => colors,
+        };
         let water = (!scene.medium.is_none()).then(|| {
             let mut maps = MediumMaps::zeros(0, 0);
             scene.medium.maps(camera, lattice, scene.medium_degree, &mut maps);
             Water::new(maps)
         });
-        Self { prepared, base, water }
+        Self { prepared, listed, base, water }
+    }
+
+    /// The same with another list.
+    #[cfg(test)]
+    pub(crate) fn relist(&mut self, lookups: &Lookups) {
+        assert!(self.listed.gaussians.is_none());
+        self.listed = lookups.of(&self.prepared);
+        self.base = self.listed.gather(&self.base, &mut Vec::new()).to_vec();
     }
 
     pub(crate) fn bytes(&self) -> usize {
+        let listed = self.listed.gaussians.as_ref().map_or(0, |g| 4 * g.len() + self.listed.sites.bytes());
         self.prepared.memory()
+            + listed
             + size_of_val(self.base.as_slice())
             + self.water.as_ref().map_or(0, Water::bytes)
     }
@@ -99,6 +207,7 @@ struct Sampled {
 pub(crate) struct Preparer<'a> {
     pub(crate) scene: &'a Scene,
     pub(crate) guidance: Guidance<'a>,
+    lookups: Lookups,
     sample_side: usize,
     samplings: Vec<Arc<Sampled>>,
     rasterizer: Rasterizer,
@@ -106,10 +215,16 @@ pub(crate) struct Preparer<'a> {
 }
 
 impl<'a> Preparer<'a> {
-    pub(crate) fn new(scene: &'a Scene, guidance: Guidance<'a>, sample_side: usize) -> Self {
+    pub(crate) fn new(
+        scene: &'a Scene,
+        guidance: Guidance<'a>,
+        lookups: Lookups,
+        sample_side: usize,
+    ) -> Self {
         Self {
             scene,
             guidance,
+            lookups,
             sample_side,
             samplings: Vec::new(),
             rasterizer: Rasterizer::new(),
@@ -134,23 +249,21 @@ impl<'a> Preparer<'a> {
         Ok(sampled)
     }
 
-    /// Cuts the tile lists of a view down to what its pixels see: worth it for a view that is rendered again and again.
-    pub(crate) fn trim(&mut self, frozen: &mut Frozen) {
-        self.rasterizer.trim(&mut frozen.prepared);
-    }
-
-    /// The constants of a view. `local` is its local target where that is known already.
+    /// The constants of a view, trimmed if it is to be rendered again and again. `local` is its local target where that is known
+    /// already.
     pub(crate) fn view(
         &mut self,
         index: usize,
         view: &EnhanceView,
         local: Option<&ViewTarget>,
+        trim: bool,
     ) -> Result<(ViewConstants, Frozen), EnhanceError> {
         let camera = view.camera;
         let size = (camera.intrinsics.width, camera.intrinsics.height);
         let sampled = self.sampled(size)?;
         let Sampled { geometry, lattice, .. } = &*sampled;
-        let frozen = Frozen::new(self.scene, &camera, lattice);
+        let trimmer = trim.then_some(&mut self.rasterizer);
+        let frozen = Frozen::new(self.scene, &self.lookups, &camera, lattice, trimmer);
         let reference = match self.guidance {
             Guidance::Targets(targets) => {
                 let maps = frozen.water.as_ref().map(|w| &w.maps);

@@ -120,6 +120,32 @@ fn a_sample_of_the_pixels_teaches_the_same() {
     assert!(wrong.to_string().contains("sample_side"), "{wrong}");
 }
 
+/// The mean over a part of the Gaussians splits the same appearance a little differently between field and affine.
+#[test]
+fn a_mean_over_some_gaussians_teaches_the_same() {
+    let (scene, views) = mini();
+    let wanted = targets(&scene, &taught(&scene), &views);
+    let run = |centre_sample| {
+        let params = EnhanceParams { centre_sample, ..quick(200) };
+        enhance(&scene, &views, Guidance::Targets(&wanted), &params, None, &mut Silent).unwrap()
+    };
+    let (all, some) = (run(0), run(scene.gaussians.len() / 3));
+    assert_ne!(all.scene.enhancement, some.scene.enhancement);
+    let ((before, with_all), (_, with_some)) = (all.report.global_errors(), some.report.global_errors());
+    assert!((with_some - with_all).abs() < 0.05 * before, "{before} {with_all} {with_some}");
+    let ((before, with_all), (_, with_some)) = (all.report.local_errors(), some.report.local_errors());
+    assert!((with_some - with_all).abs() < 0.05 * before, "{before} {with_all} {with_some}");
+    // What was trained is what is drawn: the stored centre is that of the steps.
+    let params = EnhanceParams { sample_side: 0, centre_sample: scene.gaussians.len() / 3, ..quick(1) };
+    let mut engine = Engine::new(&scene, &views, Guidance::Targets(&wanted), &params, &mut Silent).unwrap();
+    *engine.field_mut() = some.scene.enhancement.as_ref().unwrap().field.clone();
+    engine.evaluate(1).unwrap();
+    let drawn = draw(&some.scene, Look::Enhanced { strength: 1.0 }, &views[1].camera);
+    for (a, b) in engine.rendered().image.data().iter().zip(drawn.data()) {
+        assert!((a - b).abs() < 2e-5, "{a} {b}");
+    }
+}
+
 #[test]
 fn pseudo_labels_are_reproduced() {
     let (scene, views) = mini();
@@ -148,7 +174,7 @@ fn threads_and_memory_do_not_change_a_bit() {
     let wanted = targets(&scene, &taught(&scene), &views);
     let run = |threads: usize, cache_mib: usize, observer: &mut dyn Observer| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let params = EnhanceParams { cache_mib, ..quick(25) };
+        let params = EnhanceParams { cache_mib, centre_sample: 40, ..quick(25) };
         // An observer need not be Send, so the loop runs here and its parallel parts in the pool of one call each.
         let mut notices = Vec::new();
         let out = pool.install(|| {

@@ -31,6 +31,7 @@ pub use fearless_simd::Level;
 pub use field::{Field, FieldError, Gradient, Shape};
 pub use field_box::FieldBox;
 pub use objects::ObjectPass;
+pub use sites::Sites;
 pub use tensors::TensorError;
 pub use water::{Water, WaterPass};
 

@@ -1,14 +1,17 @@
 //! The field at the Gaussians: constant-mode removal and enhanced radiance.
 //!
-//! `local_i = raw_i - (1/N) Σ_j raw_j` over all Gaussians of the scene (R22), so that the global grade belongs to the affine
+//! `local_i = raw_i - (1/N) Σ_j raw_j` over the N Gaussians that define the mean (R22), so that the global grade belongs to the affine
 //! alone, and `c_i⁺ = exp(a_i) ⊙ (c_i + δA c_i + b_g) + b_i` with `(a_i, b_i) = local_i`; `c_i` is the clamped view-dependent
 //! Stage-1 colour, `c_i⁺` is not clamped. Gradients flow through the mean: with `g_i = ∂L/∂local_i`,
-//! `∂L/∂raw_i = g_i - (1/N) Σ_j g_j`, so every Gaussian matters in every step, seen or not.
+//! `∂L/∂raw_i = g_i - (1/N) Σ_j g_j` for these N, so they matter in every step, seen or not; `g_i` alone for the others.
+//!
+//! Training takes the mean over some Gaussians, evenly chosen, and looks the others up only where a view sees them
+//! ([`ObjectPass::move_to`]); whoever draws the scene is given that mean.
 //!
 //! Work is cut into blocks of 2048 Gaussians; their sums are added in block order, so the bits do not depend on the number of
 //! threads. Nothing is allocated after the first step.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 use rayon::prelude::*;
@@ -29,7 +32,7 @@ const KEPT: usize = 512 << 20;
 #[derive(Debug)]
 pub struct ObjectPass {
     level: Level,
-    sites: Sites,
+    sites: Arc<Sites>,
     packed: Packed,
     /// Per block, six planes of [`BLOCK`] raw outputs.
     raw: Vec<f32>,
@@ -88,7 +91,7 @@ impl ObjectPass {
     ) -> Self {
         assert_eq!(means.len(), guides.len(), "one guide colour per Gaussian");
         let points = means.iter().copied().zip(guides);
-        let sites = Sites::new(points, field.bounds(), field.shape().resolution);
+        let sites = Arc::new(Sites::new(points, field.bounds(), field.shape().resolution));
         let blocks = sites.blocks();
         Self {
             level,
@@ -104,6 +107,21 @@ impl ObjectPass {
         }
     }
 
+    /// Where it looks the field up.
+    pub fn sites(&self) -> &Arc<Sites> {
+        &self.sites
+    }
+
+    /// Looks the field up elsewhere from now on; [`ObjectPass::forward`] comes next.
+    pub fn move_to(&mut self, sites: &Arc<Sites>) {
+        if Arc::ptr_eq(&self.sites, sites) {
+            return;
+        }
+        self.sites = Arc::clone(sites);
+        self.raw.resize(sites.blocks() * OUTPUTS * BLOCK, 0.0);
+        self.sums.resize(sites.blocks(), BlockSums::default());
+    }
+
     /// Number of Gaussians.
     pub fn len(&self) -> usize {
         self.sites.len()
@@ -114,7 +132,7 @@ impl ObjectPass {
         self.len() == 0
     }
 
-    /// Evaluates the field everywhere and its mean.
+    /// Evaluates the field at every site, and its mean.
     pub fn forward(&mut self, field: &Field) {
         self.packed.pack(field);
         self.prepare_scratch();
@@ -141,15 +159,16 @@ impl ObjectPass {
                         }
                     }
                 });
-                sums.outputs = plane_sums(raw, real(sites, block));
+                let centred = sites.centred().saturating_sub(block * BLOCK).min(BLOCK);
+                sums.outputs = plane_sums(raw, centred);
             },
         );
-        let n = self.len().max(1) as f64;
+        let n = self.sites.centred().max(1) as f64;
         let totals = total(&self.sums);
         self.mean = totals.outputs.map(|t| (t / n) as f32);
     }
 
-    /// The mean over all Gaussians that was removed: what [`crate::Enhancement`] stores when training ends.
+    /// The mean that was removed: what [`crate::Enhancement`] stores when training ends.
     pub fn mean(&self) -> [f32; OUTPUTS] {
         self.mean
     }
@@ -222,7 +241,7 @@ impl ObjectPass {
     fn backward_raw(&mut self, field: &Field, gradient: &mut Gradient) {
         let shape = field.shape();
         let parameters = shape.parameters();
-        let n = self.len().max(1) as f64;
+        let n = self.sites.centred().max(1) as f64;
         let mean = total(&self.sums).outputs.map(|t| (t / n) as f32);
         self.partials.clear();
         self.partials.resize(self.sites.blocks() * parameters, 0.0);
@@ -243,10 +262,10 @@ impl ObjectPass {
                         for (o, (values, plane)) in
                             outputs.iter_mut().zip(d_raw.chunks_exact(BLOCK)).enumerate()
                         {
-                            let plane = &plane[tile.offset..tile.offset + tile.padded];
-                            for (v, d) in values.iter_mut().zip(plane) {
-                                *v = d - mean[o];
-                            }
+                            values[..tile.padded]
+                                .copy_from_slice(&plane[tile.offset..tile.offset + tile.padded]);
+                            let centred = sites.centred().saturating_sub(tile.first).min(tile.padded);
+                            values[..centred].iter_mut().for_each(|v| *v -= mean[o]);
                             values[tile.real..tile.padded].fill(0.0);
                         }
                         let lookups = tile.lookups(sites, gamma);

@@ -2,6 +2,9 @@
 //!
 //! Positions do not move, so the nodes and fractions on the x, y and z grids are found once; the guide coordinate depends on
 //! the learned `w, b`, so only the signed logs `h(c̄)` of the colour are stored. 27 bytes per Gaussian.
+//!
+//! The first [`Sites::centred`] of them define the constant mode that is removed. All of a scene's Gaussians do unless some are chosen
+//! ([`Sites::select`]): a training step needs those that its view sees and those that define the mean, and no others.
 
 use use3d_numerics::spherical_harmonics::C0;
 
@@ -15,8 +18,9 @@ pub(crate) const BLOCK: usize = 2048;
 
 /// The constant part of every Gaussian's lookup, padded to whole lanes with harmless entries.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Sites {
+pub struct Sites {
     len: usize,
+    centred: usize,
     /// Lower node on the x, y, z grids.
     pub(crate) nodes: Vec<[u8; 3]>,
     /// Fraction towards the next node, `[0, 1]`.
@@ -33,13 +37,7 @@ impl Sites {
         resolution: usize,
     ) -> Self {
         let len = points.len();
-        let padded = len.div_ceil(LANES) * LANES;
-        let mut out = Self {
-            len,
-            nodes: vec![[0; 3]; padded],
-            fractions: vec![[0.0; 3]; padded],
-            signed_logs: std::array::from_fn(|_| vec![0.0; padded]),
-        };
+        let mut out = Self::blank(len, len);
         for (i, (position, color)) in points.enumerate() {
             let u = bounds.normalise(position);
             for axis in 0..3 {
@@ -52,9 +50,55 @@ impl Sites {
         out
     }
 
+    fn blank(len: usize, centred: usize) -> Self {
+        let padded = len.div_ceil(LANES) * LANES;
+        Self {
+            len,
+            centred,
+            nodes: vec![[0; 3]; padded],
+            fractions: vec![[0.0; 3]; padded],
+            signed_logs: std::array::from_fn(|_| vec![0.0; padded]),
+        }
+    }
+
+    /// Some of these sites, in the order of `indices`; the first `centred` of them define the mean.
+    ///
+    /// # Panics
+    ///
+    /// If an index is not below [`Sites::len`], or `centred` above the number of indices.
+    pub fn select(&self, indices: &[u32], centred: usize) -> Self {
+        assert!(centred <= indices.len(), "{centred} of {} sites cannot define the mean", indices.len());
+        let mut out = Self::blank(indices.len(), centred);
+        for (to, &from) in indices.iter().enumerate() {
+            let from = from as usize;
+            assert!(from < self.len, "site {from} of {}", self.len);
+            out.nodes[to] = self.nodes[from];
+            out.fractions[to] = self.fractions[from];
+            for (to_plane, plane) in out.signed_logs.iter_mut().zip(&self.signed_logs) {
+                to_plane[to] = plane[from];
+            }
+        }
+        out
+    }
+
     /// Number of real sites.
-    pub(crate) fn len(&self) -> usize {
+    pub fn len(&self) -> usize {
         self.len
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// How many sites, from the first, define the mean.
+    pub fn centred(&self) -> usize {
+        self.centred
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        self.nodes.len() * (size_of::<[u8; 3]>() + size_of::<[f32; 3]>() + 3 * size_of::<f32>())
     }
 
     /// Number of blocks.

@@ -206,6 +206,52 @@ proptest! {
     }
 }
 
+/// `∂L/∂raw` sums to zero over all Gaussians either way, so a pass over all of them that is given it finds the same gradient.
+#[test]
+fn chosen_sites_do_what_all_do() {
+    let e = Example::new(12, Shape::default(), 3000, (1, 1));
+    let mut all = ObjectPass::new(&e.field, &e.means, e.sh_dc.iter().copied());
+    all.forward(&e.field);
+    let raw = all.locals([0.0; 6]);
+    let mut listed: Vec<u32> = (0..3000).step_by(4).collect();
+    let centred = listed.len();
+    listed.extend((0..3000).filter(|i| i % 4 == 1));
+    let mut some = ObjectPass::new(&e.field, &e.means, e.sh_dc.iter().copied());
+    let sites = std::sync::Arc::new(some.sites().select(&listed, centred));
+    some.move_to(&sites);
+    some.forward(&e.field);
+    assert_eq!(some.len(), listed.len());
+    let mean: [f64; 6] = std::array::from_fn(|o| {
+        listed[..centred].iter().map(|&i| f64::from(raw[i as usize][o])).sum::<f64>() / centred as f64
+    });
+    for (o, m) in mean.iter().enumerate() {
+        assert!((f64::from(some.mean()[o]) - m).abs() < 1e-6);
+    }
+    for (local, &i) in some.locals([0.0; 6]).iter().zip(&listed) {
+        assert_eq!(*local, raw[i as usize]);
+    }
+
+    let draw = Stream::new(12, Purpose::new("cotangents"), 0);
+    let d: Vec<[f32; 6]> = (0..listed.len())
+        .map(|i| std::array::from_fn(|o| 1.0 + draw.normal((6 * i + o) as u64) as f32))
+        .collect();
+    let mut found = Gradient::new(e.field.shape());
+    some.backward_locals(&e.field, &d, &mut found);
+    let mut d_raw = vec![[0.0f32; 6]; 3000];
+    for o in 0..6 {
+        let pull = d.iter().map(|d| f64::from(d[o])).sum::<f64>() / centred as f64;
+        for (k, &i) in listed.iter().enumerate() {
+            d_raw[i as usize][o] = d[k][o] - if k < centred { pull as f32 } else { 0.0 };
+        }
+    }
+    let mut wanted = Gradient::new(e.field.shape());
+    all.backward_locals(&e.field, &d_raw, &mut wanted);
+    let size = wanted.values.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    for (i, (a, b)) in found.values.iter().zip(&wanted.values).enumerate() {
+        assert!((a - b).abs() < 2e-5 * size, "parameter {i}: {a} {b}");
+    }
+}
+
 #[test]
 fn the_output_bias_shifts_nothing() {
     let e = Example::new(8, Shape::default(), 200, (6, 5));
