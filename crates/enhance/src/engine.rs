@@ -228,11 +228,8 @@ pub struct Engine<'a> {
     pub(crate) field: Field,
     pub(crate) views: Vec<ViewConstants>,
     goals: Goals,
-    scene: &'a Scene,
-    lookups: Lookups,
     step: Step,
-    kept: Vec<Option<Frozen>>,
-    spare: Option<(usize, Frozen)>,
+    store: Store<'a>,
 }
 
 impl<'a> Engine<'a> {
@@ -294,10 +291,7 @@ impl<'a> Engine<'a> {
             goals: Goals::new(guidance, params),
             field,
             views: constants,
-            scene,
-            lookups,
-            kept,
-            spare: None,
+            store: Store { scene, lookups, kept, spare: None },
         })
     }
 
@@ -318,7 +312,7 @@ impl<'a> Engine<'a> {
 
     /// Views whose large constants are kept.
     pub fn views_in_memory(&self) -> usize {
-        self.kept.iter().flatten().count()
+        self.store.kept.iter().flatten().count()
     }
 
     /// Rendered pixels of all views over all their pixels.
@@ -334,15 +328,8 @@ impl<'a> Engine<'a> {
     /// Losses and gradient at view `index`.
     pub fn step(&mut self, index: usize) -> Result<StepLosses, EnhanceError> {
         self.step.profile.start();
-        let (frozen, view) = frozen_of(
-            self.scene,
-            &self.lookups,
-            &self.views,
-            &mut self.kept,
-            &mut self.spare,
-            &mut self.step.rasterizer,
-            index,
-        );
+        let view = &self.views[index];
+        let frozen = self.store.of(index, view, &mut self.step.rasterizer);
         self.step.profile.lap(StepPart::Prepare);
         self.step.render(&self.field, view, frozen);
         let mut losses = self.step.losses(view, &self.goals, true)?;
@@ -355,15 +342,8 @@ impl<'a> Engine<'a> {
 
     /// How far view `index` is from its reference.
     pub fn evaluate(&mut self, index: usize) -> Result<ViewErrors, EnhanceError> {
-        let (frozen, view) = frozen_of(
-            self.scene,
-            &self.lookups,
-            &self.views,
-            &mut self.kept,
-            &mut self.spare,
-            &mut self.step.rasterizer,
-            index,
-        );
+        let view = &self.views[index];
+        let frozen = self.store.of(index, view, &mut self.step.rasterizer);
         self.step.render(&self.field, view, frozen);
         let losses = self.step.losses(view, &self.goals, false)?;
         Ok(ViewErrors { global: losses.global, local: losses.local, pixels: losses.pixels })
@@ -404,38 +384,42 @@ impl<'a> Engine<'a> {
     }
 
     /// Prepares views as the extractor reads an image, every pixel that it weighs.
-    pub(crate) fn whole<'s>(&self, scene: &'s Scene, guidance: Guidance<'s>) -> Preparer<'s> {
-        Preparer::new(scene, guidance, self.lookups.clone(), 0)
+    pub(crate) fn whole<'s>(&self, guidance: Guidance<'s>) -> Preparer<'s>
+    where
+        'a: 's,
+    {
+        Preparer::new(self.store.scene, guidance, self.store.lookups.clone(), 0)
     }
 
     /// The constant mode of the current field over the Gaussians that define it (R22).
     pub(crate) fn centre(&mut self) -> [f32; use3d_ubaf::OUTPUTS] {
-        self.step.objects.move_to(&self.lookups.centre());
+        self.step.objects.move_to(&self.store.lookups.centre());
         self.step.objects.forward(&self.field);
         self.step.objects.mean()
     }
 }
 
-/// The kept constants of a view, or the spare ones made to be its.
-fn frozen_of<'e>(
-    scene: &Scene,
-    lookups: &Lookups,
-    views: &'e [ViewConstants],
-    kept: &'e mut [Option<Frozen>],
-    spare: &'e mut Option<(usize, Frozen)>,
-    rasterizer: &mut Rasterizer,
-    index: usize,
-) -> (&'e mut Frozen, &'e ViewConstants) {
-    let view = &views[index];
-    if let Some(frozen) = &mut kept[index] {
-        return (frozen, view);
+/// The large constants of views: those that are kept, and the last one made besides.
+struct Store<'a> {
+    scene: &'a Scene,
+    lookups: Lookups,
+    kept: Vec<Option<Frozen>>,
+    spare: Option<(usize, Frozen)>,
+}
+
+impl Store<'_> {
+    /// The kept constants of view `index`, or the spare ones made to be its.
+    fn of(&mut self, index: usize, view: &ViewConstants, rasterizer: &mut Rasterizer) -> &mut Frozen {
+        if let Some(frozen) = &mut self.kept[index] {
+            return frozen;
+        }
+        let made = match self.spare.take() {
+            Some((of, frozen)) if of == index => frozen,
+            // Trimmed like the kept ones: the same Gaussians in the same order give the same bits.
+            _ => Frozen::new(self.scene, &self.lookups, &view.camera, &view.lattice, Some(rasterizer)),
+        };
+        &mut self.spare.insert((index, made)).1
     }
-    let made = match spare.take() {
-        Some((of, frozen)) if of == index => frozen,
-        // Trimmed like the kept ones: the same Gaussians in the same order give the same bits.
-        _ => Frozen::new(scene, lookups, &view.camera, &view.lattice, Some(rasterizer)),
-    };
-    (&mut spare.insert((index, made)).1, view)
 }
 
 fn check_guidance(guidance: Guidance<'_>, objective: Objective) -> Result<(), EnhanceError> {

@@ -213,7 +213,7 @@ fn finish(
     // Operators are measured as the extractor reads an image. Labels keep their sample: making them again would cost a proposal per
     // view, and before and after must be of the same pixels.
     let mut whole = match guidance {
-        Guidance::Targets(_) => Some(engine.whole(scene, guidance)),
+        Guidance::Targets(_) => Some(engine.whole(guidance)),
         Guidance::Labels(_) => None,
     };
     for (index, view) in views.iter().enumerate() {

@@ -115,6 +115,14 @@ impl Listed {
     }
 
     /// The listed rows of `all`, in the list's order.
+    fn rows(&self, all: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
+        match &self.gaussians {
+            Some(gaussians) => gaussians.iter().map(|&i| all[i as usize]).collect(),
+            None => all,
+        }
+    }
+
+    /// The same into a buffer, or `all` itself.
     pub(crate) fn gather<'a>(&self, all: &'a [[f32; 3]], out: &'a mut Vec<[f32; 3]>) -> &'a [[f32; 3]] {
         let Some(gaussians) = &self.gaussians else { return all };
         out.clear();
@@ -167,10 +175,7 @@ impl Frozen {
             rasterizer.trim(&mut prepared);
         }
         let listed = lookups.of(&prepared);
-        let base = match &listed.gaussians {
-            Some(_) => listed.gather(&colors, &mut Vec::new()).to_vec(),
-            None => colors,
-        };
+        let base = listed.rows(colors);
         let water = (!scene.medium.is_none()).then(|| {
             let mut maps = MediumMaps::zeros(0, 0);
             scene.medium.maps(camera, lattice, scene.medium_degree, &mut maps);
@@ -184,7 +189,8 @@ impl Frozen {
     pub(crate) fn relist(&mut self, lookups: &Lookups) {
         assert!(self.listed.gaussians.is_none());
         self.listed = lookups.of(&self.prepared);
-        self.base = self.listed.gather(&self.base, &mut Vec::new()).to_vec();
+        assert!(self.listed.gaussians.is_some(), "the scene is too small for a list");
+        self.base = self.listed.rows(std::mem::take(&mut self.base));
     }
 
     pub(crate) fn bytes(&self) -> usize {

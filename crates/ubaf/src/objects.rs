@@ -9,7 +9,7 @@
 //! ([`ObjectPass::move_to`]); whoever draws the scene is given that mean.
 //!
 //! Work is cut into blocks of 2048 Gaussians; their sums are added in block order, so the bits do not depend on the number of
-//! threads. Nothing is allocated after the first step.
+//! threads. Nothing is allocated once the largest list of Gaussians was seen.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -140,7 +140,12 @@ impl ObjectPass {
         let guide = field.guide();
         let width = packed.width();
         let kept = self.sites.blocks() * BLOCK * width;
-        self.kept.resize(if kept * size_of::<f32>() <= KEPT { kept } else { 0 }, 0.0);
+        if kept * size_of::<f32>() > KEPT {
+            self.kept.clear();
+        } else if self.kept.len() < kept {
+            // Never shrunk: lists differ from view to view, and growing again would write zeros over megabytes.
+            self.kept.resize(kept, 0.0);
+        }
         // Without a place to keep them every block gets the empty slice.
         let mut places = self.kept.chunks_mut(BLOCK * width);
         let places: Vec<&mut [f32]> =
