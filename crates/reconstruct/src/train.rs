@@ -21,7 +21,7 @@ use crate::{DepthPrior, Medium, ReconstructError, ReconstructParams, initialise}
 /// The checkpoint's name in its folder.
 pub const CHECKPOINT: &str = "reconstruct.checkpoint";
 
-/// Stretches of a run whose step times are told apart.
+/// Most stretches of a run whose step times are told apart.
 const STRETCHES: u64 = 15;
 
 /// The most by which a short run multiplies the rates of the water.
@@ -333,12 +333,12 @@ impl Run<'_> {
         let mut order = ViewOrder::new(params.seed, Purpose::new("training views"), self.names.len());
         let (started, first) = (Instant::now(), self.step);
         let (mut saved_at, mut saved_step) = (Instant::now(), self.step);
-        let stretch = (params.iterations / STRETCHES).max(1);
+        let stretch = params.iterations.div_ceil(STRETCHES);
         while self.step < params.iterations {
             let view = order.view(self.step);
             self.one_step(view)?;
             let done = self.step + 1;
-            if done.is_multiple_of(stretch) {
+            if done.is_multiple_of(stretch) || done == params.iterations {
                 self.look_at_pace(view, done - first);
             }
             // Refinements look at the state after the step's update.
