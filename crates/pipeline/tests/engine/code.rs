@@ -127,6 +127,27 @@ fn a_token_reaches_exactly_the_stages_that_contain_it() {
 
 /// The same on a copy of this very workspace.
 #[test]
+fn a_patched_dependency_counts_by_its_commit_and_from_a_path_is_refused() {
+    let dir = tempfile::tempdir().expect("folder");
+    let root = dir.path();
+    tree(root);
+    let lock = fs::read_to_string(root.join("Cargo.lock")).expect("lock");
+    let from_registry = "source = \"registry+x\"\nchecksum = \"either\"\n";
+    assert!(lock.contains(from_registry), "{lock}");
+    let with = |source: &str| {
+        write(root, "Cargo.lock", &lock.replace(from_registry, source));
+        code_digest_of(root, &["use3d-ubaf"])
+    };
+    let digests: Vec<_> =
+        [from_registry, "source = \"git+https://x/either#1a\"\n", "source = \"git+https://x/either#2b\"\n"]
+            .map(|source| with(source).expect("digest"))
+            .into();
+    assert!(digests[0] != digests[1] && digests[1] != digests[2], "{digests:?}");
+    let message = with("").expect_err("a path").to_string();
+    assert!(message.contains("`either` is taken from a path outside crates/"), "{message}");
+}
+
+#[test]
 fn a_token_in_ubaf_makes_the_second_training_stale_and_leaves_the_first_alone() {
     let here = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let dir = tempfile::tempdir().expect("folder");

@@ -3,7 +3,8 @@
 //!
 //! Per crate: a digest of its tokens (every `.rs` below `src/` and the build script; other files below `src/` and
 //! `templates/` by their bytes, Markdown excepted), a digest of its dependency tables with the features they ask for,
-//! the crates of the workspace it depends on, and name, version and checksum of every third-party crate below it.
+//! the crates of the workspace it depends on, and name, version and checksum (from git: commit) of every third-party
+//! crate below it. A dependency by path outside `crates/` would be code that no digest sees, so it is refused.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -24,13 +25,18 @@ pub(crate) fn read(root: &Path, by_file: &str) -> Result<Value, String> {
     let lock = Lock::read(&root.join("Cargo.lock"))?;
     let mut crates = Map::new();
     let mut files = Map::new();
+    let mut manifests = BTreeMap::new();
     for folder in crate_folders(root)? {
         let manifest = parse_toml(&folder.join("Cargo.toml"))?;
-        let Some(name) = manifest.pointer("/package/name").and_then(Value::as_str) else { continue };
-        let dependencies = dependency_tables(&manifest, &inherited);
+        if let Some(name) = manifest.pointer("/package/name").and_then(Value::as_str) {
+            manifests.insert(name.to_string(), (folder, manifest));
+        }
+    }
+    for (name, (folder, manifest)) in &manifests {
+        let ours = |n: &String| manifests.contains_key(n);
+        let dependencies = dependency_tables(manifest, &inherited);
         let names: BTreeSet<String> = dependencies.values().flat_map(|t| t.keys().cloned()).collect();
-        let ours = |n: &String| lock.is_member(n);
-        let sources = source_digests(&folder)?;
+        let sources = source_digests(folder)?;
         let mut tokens = blake3::Hasher::new_derive_key(CONTEXT);
         for (path, digest) in &sources {
             field(&mut tokens, path.as_bytes());
@@ -45,7 +51,7 @@ pub(crate) fn read(root: &Path, by_file: &str) -> Result<Value, String> {
         field(&mut tables, json!([dependencies, features, edition]).to_string().as_bytes());
         let third_party = lock.closure(names.iter().filter(|n| !ours(n)).map(String::as_str))?;
         crates.insert(
-            name.to_string(),
+            name.clone(),
             json!({
                 "tokens": tokens.finalize().to_hex().as_str(),
                 "manifest": tables.finalize().to_hex().as_str(),
@@ -172,8 +178,8 @@ struct Lock {
 struct Package {
     name: String,
     version: String,
-    checksum: String,
-    member: bool,
+    /// What its contents hang on: the start of the checksum, or the git address with the commit; none for a path.
+    origin: Option<String>,
     dependencies: Vec<String>,
 }
 
@@ -184,8 +190,10 @@ impl Lock {
         let packages = lock.get("package").and_then(Value::as_array).into_iter().flatten().map(|p| Package {
             name: text(p, "name"),
             version: text(p, "version"),
-            checksum: text(p, "checksum").chars().take(16).collect(),
-            member: p.get("source").is_none(),
+            origin: p.get("source").and_then(Value::as_str).map(|source| match p.get("checksum") {
+                Some(_) => text(p, "checksum").chars().take(16).collect(),
+                None => source.to_string(),
+            }),
             dependencies: p
                 .get("dependencies")
                 .and_then(Value::as_array)
@@ -197,11 +205,7 @@ impl Lock {
         Ok(Self { packages: packages.collect() })
     }
 
-    fn is_member(&self, name: &str) -> bool {
-        self.packages.iter().any(|p| p.member && p.name == name)
-    }
-
-    /// Name → "version checksum" of everything reachable from the named packages; several versions are listed all.
+    /// Name → "version origin" of everything reachable from the named packages; several versions are listed all.
     fn closure<'a>(&self, names: impl Iterator<Item = &'a str>) -> Result<BTreeMap<String, String>, String> {
         let mut open: Vec<String> = names.map(String::from).collect();
         let mut seen = BTreeSet::new();
@@ -216,8 +220,15 @@ impl Lock {
             }
         }
         let mut closure: BTreeMap<String, Vec<String>> = BTreeMap::new();
-        for package in seen.into_iter().map(|i| &self.packages[i]).filter(|p| !p.member) {
-            let entry = format!("{} {}", package.version, package.checksum);
+        for package in seen.into_iter().map(|i| &self.packages[i]) {
+            let origin = package.origin.as_ref().ok_or_else(|| {
+                format!(
+                    "Cargo.lock: `{}` is taken from a path outside crates/, so that its code is in no stage's digest; \
+                     move it below crates/, or take it from a registry or from git",
+                    package.name
+                )
+            })?;
+            let entry = format!("{} {origin}", package.version);
             closure.entry(package.name.clone()).or_default().push(entry);
         }
         Ok(closure.into_iter().map(|(name, versions)| (name, versions.join(", "))).collect())
