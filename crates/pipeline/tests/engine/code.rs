@@ -125,7 +125,6 @@ fn a_token_reaches_exactly_the_stages_that_contain_it() {
     assert!(missing.contains("use3d-ubaf"), "{missing}");
 }
 
-/// The same on a copy of this very workspace.
 #[test]
 fn a_patched_dependency_counts_by_its_commit_and_from_a_path_is_refused() {
     let dir = tempfile::tempdir().expect("folder");
@@ -147,6 +146,7 @@ fn a_patched_dependency_counts_by_its_commit_and_from_a_path_is_refused() {
     assert!(message.contains("`either` is taken from a path outside crates/"), "{message}");
 }
 
+/// The same on a copy of this very workspace.
 #[test]
 fn a_token_in_ubaf_makes_the_second_training_stale_and_leaves_the_first_alone() {
     let here = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
