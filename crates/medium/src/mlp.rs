@@ -190,13 +190,34 @@ impl Padded {
                 gradient.store_slice(&mut block.raw[q * BLOCK + v..][..LANES]);
             }
         }
-        accumulate(simd, &block.raw, &block.second, &mut sums.weights[2], &mut sums.biases[2]);
+        accumulate(
+            simd,
+            &block.raw,
+            &block.second,
+            &mut block.turned,
+            &mut sums.weights[2],
+            &mut sums.biases[2],
+        );
         product(simd, &self.transposed[2], None, &block.raw, &mut block.pull);
         through_activation(simd, &block.second, &mut block.pull);
-        accumulate(simd, &block.pull, &block.first, &mut sums.weights[1], &mut sums.biases[1]);
+        accumulate(
+            simd,
+            &block.pull,
+            &block.first,
+            &mut block.turned,
+            &mut sums.weights[1],
+            &mut sums.biases[1],
+        );
         product(simd, &self.transposed[1], None, &block.pull, &mut block.second);
         through_activation(simd, &block.first, &mut block.second);
-        accumulate(simd, &block.second, &block.input, &mut sums.weights[0], &mut sums.biases[0]);
+        accumulate(
+            simd,
+            &block.second,
+            &block.input,
+            &mut block.turned,
+            &mut sums.weights[0],
+            &mut sums.biases[0],
+        );
     }
 }
 
@@ -207,6 +228,8 @@ struct Block {
     second: Vec<f32>,
     raw: Vec<f32>,
     pull: Vec<f32>,
+    /// A layer's input as `[pixel][unit]`.
+    turned: Vec<f32>,
 }
 
 impl Block {
@@ -218,6 +241,7 @@ impl Block {
             second: zeros(HIDDEN),
             raw: zeros(PADDED),
             pull: zeros(HIDDEN),
+            turned: zeros(HIDDEN),
         }
     }
 }
@@ -247,58 +271,137 @@ impl Gradients {
     }
 }
 
-/// The first four vectors.
-#[inline(always)]
-fn quads<S: Simd>(simd: S, values: &[f32]) -> [f32x16<S>; 4] {
-    let values = &values[..4 * LANES];
-    let (low, high) = values.split_at(2 * LANES);
-    let load = |v: &[f32]| f32x16::from_slice(simd, v);
-    [load(&low[..LANES]), load(&low[LANES..]), load(&high[..LANES]), load(&high[LANES..])]
-}
+/// Outputs that one pass of a matrix product sums in registers: by two vectors where registers hold a whole one, else by one.
+const ROWS: usize = 4;
 
-/// `out = weights · input (+ bias)`: `[out][in] × [in][BLOCK]`, four outputs by four vectors at a time.
+/// `sums[r][v] += Σ_k left[r][k] right[k][start + v ..]`: a tile of a matrix product. Rows of `left` are `stride` apart, `right` has rows
+/// of `width`; there are as many terms as `right` has rows.
 #[inline(always)]
-fn product<S: Simd>(simd: S, weights: &[f32], bias: Option<&[f32]>, input: &[f32], out: &mut [f32]) {
-    let inputs = input.len() / BLOCK;
-    for (group, rows) in out.chunks_exact_mut(4 * BLOCK).enumerate() {
+fn tile<S: Simd, const V: usize>(
+    simd: S,
+    (left, stride): (&[f32], usize),
+    (right, width): (&[f32], usize),
+    start: usize,
+    sums: &mut [[f32x16<S>; V]; ROWS],
+) {
+    let count = right.len() / width;
+    // Slices of one length, and chunks: then nothing is checked inside the loop.
+    let mut rows = [left; ROWS];
+    for (r, row) in rows.iter_mut().enumerate() {
+        *row = &left[r * stride..][..count];
+    }
+    for (k, right) in right.chunks_exact(width).enumerate() {
         // Loops: `array::from_fn` and `map` are calls that the instruction set does not reach into.
-        let mut sums = [[f32x16::splat(simd, 0.0); 4]; 4];
-        if let Some(bias) = bias {
-            for j in 0..4 {
-                sums[j] = [f32x16::splat(simd, bias[group * 4 + j]); 4];
-            }
+        let mut x = [f32x16::splat(simd, 0.0); V];
+        for v in 0..V {
+            x[v] = f32x16::from_slice(simd, &right[start + v * LANES..][..LANES]);
         }
-        let weights = &weights[group * 4 * inputs..][..4 * inputs];
-        for k in 0..inputs {
-            let x = quads(simd, &input[k * BLOCK..]);
-            for j in 0..4 {
-                for v in 0..4 {
-                    sums[j][v] = x[v].mul_add(weights[j * inputs + k], sums[j][v]);
-                }
-            }
-        }
-        for j in 0..4 {
-            for v in 0..4 {
-                sums[j][v].store_slice(&mut rows[j * BLOCK + v * LANES..][..LANES]);
+        for r in 0..ROWS {
+            for v in 0..V {
+                sums[r][v] = x[v].mul_add(rows[r][k], sums[r][v]);
             }
         }
     }
 }
 
-/// `weights += pull · inputᵀ`, `bias += Σ pull`, over one block of pixels.
+/// Whether a register holds 16 numbers. Known when compiled.
 #[inline(always)]
-fn accumulate<S: Simd>(simd: S, pull: &[f32], input: &[f32], weights: &mut [f32], bias: &mut [f32]) {
+fn wide<S: Simd>() -> bool {
+    <S::f32s as SimdBase<S>>::LEN == LANES
+}
+
+/// `out = weights · input (+ bias)`: `[out][in] × [in][BLOCK]`.
+#[inline(always)]
+fn product<S: Simd>(simd: S, weights: &[f32], bias: Option<&[f32]>, input: &[f32], out: &mut [f32]) {
+    if wide::<S>() {
+        product_tiles::<S, 2>(simd, weights, bias, input, out);
+    } else {
+        product_tiles::<S, 1>(simd, weights, bias, input, out);
+    }
+}
+
+#[inline(always)]
+fn product_tiles<S: Simd, const V: usize>(
+    simd: S,
+    weights: &[f32],
+    bias: Option<&[f32]>,
+    input: &[f32],
+    out: &mut [f32],
+) {
     let inputs = input.len() / BLOCK;
-    for (j, row) in pull.chunks_exact(BLOCK).enumerate() {
-        let g = quads(simd, row);
-        for (k, x) in input.chunks_exact(BLOCK).enumerate() {
-            let mut sum = g[0] * f32x16::from_slice(simd, &x[..LANES]);
-            for v in 1..4 {
-                sum = g[v].mul_add(f32x16::from_slice(simd, &x[v * LANES..][..LANES]), sum);
+    // Pixels outermost: their columns of the input stay in the first-level cache, while the weights stream.
+    for start in (0..BLOCK).step_by(V * LANES) {
+        for (group, rows) in out.chunks_exact_mut(ROWS * BLOCK).enumerate() {
+            let mut sums = [[f32x16::splat(simd, 0.0); V]; ROWS];
+            if let Some(bias) = bias {
+                for r in 0..ROWS {
+                    sums[r] = [f32x16::splat(simd, bias[group * ROWS + r]); V];
+                }
             }
-            weights[j * inputs + k] += sum.reduce_sum();
+            let weights = &weights[group * ROWS * inputs..][..ROWS * inputs];
+            tile(simd, (weights, inputs), (input, BLOCK), start, &mut sums);
+            for r in 0..ROWS {
+                for v in 0..V {
+                    sums[r][v].store_slice(&mut rows[r * BLOCK + start + v * LANES..][..LANES]);
+                }
+            }
         }
-        bias[j] += (g[0] + g[1] + g[2] + g[3]).reduce_sum();
+    }
+}
+
+/// `weights += pull · inputᵀ`, `bias += Σ pull`, over one block of pixels. The input is turned to `[pixel][in]` first, so that
+/// vectors run along the inputs and no sum crosses its lanes.
+#[inline(always)]
+fn accumulate<S: Simd>(
+    simd: S,
+    pull: &[f32],
+    input: &[f32],
+    turned: &mut [f32],
+    weights: &mut [f32],
+    bias: &mut [f32],
+) {
+    let inputs = input.len() / BLOCK;
+    let turned = &mut turned[..input.len()];
+    for (p, pixel) in turned.chunks_exact_mut(inputs).enumerate() {
+        for (unit, value) in pixel.iter_mut().enumerate() {
+            *value = input[unit * BLOCK + p];
+        }
+    }
+    // The first layer has one vector of inputs only.
+    if wide::<S>() && inputs > LANES {
+        accumulate_tiles::<S, 2>(simd, pull, turned, inputs, weights);
+    } else {
+        accumulate_tiles::<S, 1>(simd, pull, turned, inputs, weights);
+    }
+    for (bias, pull) in bias.iter_mut().zip(pull.chunks_exact(BLOCK)) {
+        let mut sum = f32x16::splat(simd, 0.0);
+        for v in pull.chunks_exact(LANES) {
+            sum += f32x16::from_slice(simd, v);
+        }
+        *bias += sum.reduce_sum();
+    }
+}
+
+#[inline(always)]
+fn accumulate_tiles<S: Simd, const V: usize>(
+    simd: S,
+    pull: &[f32],
+    turned: &[f32],
+    inputs: usize,
+    weights: &mut [f32],
+) {
+    for start in (0..inputs).step_by(V * LANES) {
+        let outputs = pull.chunks_exact(ROWS * BLOCK).zip(weights.chunks_exact_mut(ROWS * inputs));
+        for (pull, weights) in outputs {
+            let mut sums = [[f32x16::splat(simd, 0.0); V]; ROWS];
+            tile(simd, (pull, BLOCK), (turned, inputs), start, &mut sums);
+            for r in 0..ROWS {
+                for v in 0..V {
+                    let out = &mut weights[r * inputs + start + v * LANES..][..LANES];
+                    (f32x16::from_slice(simd, out) + sums[r][v]).store_slice(out);
+                }
+            }
+        }
     }
 }
 
@@ -316,5 +419,60 @@ fn through_activation<S: Simd>(simd: S, hidden: &[f32], pull: &mut [f32]) {
         let h = f32x16::from_slice(simd, h);
         let slope = h * (f32x16::splat(simd, 1.0) - h);
         (f32x16::from_slice(simd, chunk) * slope).store_slice(chunk);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// `start + Σ_k left[k] right(k)`, in the tiles' order.
+    fn plain(left: &[f32], right: impl Fn(usize) -> f32, start: f32) -> f32 {
+        left.iter().enumerate().fold(start, |sum, (k, &l)| right(k).mul_add(l, sum))
+    }
+
+    /// Tiles of one and of two vectors, of which a processor takes one kind: the same bits, and the products that plain loops give.
+    #[test]
+    fn tiles_of_either_width_are_plain_products() {
+        let close = |found: f32, expected: f32, what: &str, j: usize, i: usize| {
+            assert!((found - expected).abs() < 1e-4, "{what} {j}, {i}: {found} for {expected}");
+        };
+        let stream = Stream::new(7, Purpose::new("products"), 0);
+        let draw = |from: usize, n: usize| -> Vec<f32> {
+            (0..n).map(|i| stream.normal((from + i) as u64) as f32).collect()
+        };
+        let weights = draw(0, PADDED * HIDDEN);
+        let bias = draw(10_000, PADDED);
+        let input = draw(20_000, HIDDEN * BLOCK);
+        let pull = draw(40_000, PADDED * BLOCK);
+        let turned: Vec<f32> = (0..HIDDEN * BLOCK).map(|i| input[i % HIDDEN * BLOCK + i / HIDDEN]).collect();
+
+        let mut products = [vec![0.0; PADDED * BLOCK], vec![0.0; PADDED * BLOCK]];
+        let mut sums = [weights.clone(), weights.clone(), weights.clone()];
+        let mut bias_sums = bias.clone();
+        let [one, two] = &mut products;
+        let [sums_one, sums_two, sums_turned] = &mut sums;
+        dispatch!(Level::new(), simd => {
+            product_tiles::<_, 1>(simd, &weights, Some(&bias), &input, one);
+            product_tiles::<_, 2>(simd, &weights, Some(&bias), &input, two);
+            accumulate_tiles::<_, 1>(simd, &pull, &turned, HIDDEN, sums_one);
+            accumulate_tiles::<_, 2>(simd, &pull, &turned, HIDDEN, sums_two);
+            accumulate(simd, &pull, &input, &mut vec![0.0; HIDDEN * BLOCK], sums_turned, &mut bias_sums);
+        });
+        for j in 0..PADDED {
+            for p in 0..BLOCK {
+                let expected = plain(&weights[j * HIDDEN..][..HIDDEN], |k| input[k * BLOCK + p], bias[j]);
+                close(one[j * BLOCK + p], expected, "output", j, p);
+            }
+            let pulls = &pull[j * BLOCK..][..BLOCK];
+            for k in 0..HIDDEN {
+                let at = j * HIDDEN + k;
+                let expected = weights[at] + plain(pulls, |p| input[k * BLOCK + p], 0.0);
+                close(sums_one[at], expected, "weight", j, k);
+            }
+            let expected = bias[j] + pulls.iter().sum::<f32>();
+            close(bias_sums[j], expected, "bias", j, 0);
+        }
+        assert!(one == two && sums_one == sums_two && sums_one == sums_turned);
     }
 }
