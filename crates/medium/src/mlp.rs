@@ -18,7 +18,7 @@ use use3d_numerics::random::{Purpose, Stream};
 use crate::directional::{Rays, STRIP, planes, strips};
 use crate::lanes::{self, LANES};
 
-/// Inputs, hidden units, outputs (padded to a multiple of four inside the kernels).
+/// Inputs, hidden units, outputs (padded to a multiple of [`ROWS`] inside the kernels).
 const INPUTS: usize = 16;
 const HIDDEN: usize = 128;
 const OUTPUTS: usize = 9;
@@ -190,34 +190,13 @@ impl Padded {
                 gradient.store_slice(&mut block.raw[q * BLOCK + v..][..LANES]);
             }
         }
-        accumulate(
-            simd,
-            &block.raw,
-            &block.second,
-            &mut block.turned,
-            &mut sums.weights[2],
-            &mut sums.biases[2],
-        );
+        accumulate(simd, &block.raw, &block.second, &mut block.turned, sums.layer(2));
         product(simd, &self.transposed[2], None, &block.raw, &mut block.pull);
         through_activation(simd, &block.second, &mut block.pull);
-        accumulate(
-            simd,
-            &block.pull,
-            &block.first,
-            &mut block.turned,
-            &mut sums.weights[1],
-            &mut sums.biases[1],
-        );
+        accumulate(simd, &block.pull, &block.first, &mut block.turned, sums.layer(1));
         product(simd, &self.transposed[1], None, &block.pull, &mut block.second);
         through_activation(simd, &block.first, &mut block.second);
-        accumulate(
-            simd,
-            &block.second,
-            &block.input,
-            &mut block.turned,
-            &mut sums.weights[0],
-            &mut sums.biases[0],
-        );
+        accumulate(simd, &block.second, &block.input, &mut block.turned, sums.layer(0));
     }
 }
 
@@ -259,6 +238,12 @@ impl Gradients {
             weights: std::array::from_fn(|l| vec![0.0; SHAPES[l].0 * outputs[l]]),
             biases: outputs.map(|n| vec![0.0; n]),
         }
+    }
+
+    /// Weights and biases of a layer.
+    #[inline(always)]
+    fn layer(&mut self, layer: usize) -> (&mut [f32], &mut [f32]) {
+        (&mut self.weights[layer], &mut self.biases[layer])
     }
 
     fn add(&mut self, other: &Self) {
@@ -357,8 +342,7 @@ fn accumulate<S: Simd>(
     pull: &[f32],
     input: &[f32],
     turned: &mut [f32],
-    weights: &mut [f32],
-    bias: &mut [f32],
+    (weights, bias): (&mut [f32], &mut [f32]),
 ) {
     let inputs = input.len() / BLOCK;
     let turned = &mut turned[..input.len()];
@@ -457,7 +441,7 @@ mod tests {
             product_tiles::<_, 2>(simd, &weights, Some(&bias), &input, two);
             accumulate_tiles::<_, 1>(simd, &pull, &turned, HIDDEN, sums_one);
             accumulate_tiles::<_, 2>(simd, &pull, &turned, HIDDEN, sums_two);
-            accumulate(simd, &pull, &input, &mut vec![0.0; HIDDEN * BLOCK], sums_turned, &mut bias_sums);
+            accumulate(simd, &pull, &input, &mut vec![0.0; HIDDEN * BLOCK], (sums_turned, &mut bias_sums));
         });
         for j in 0..PADDED {
             for p in 0..BLOCK {
