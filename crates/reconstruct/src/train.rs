@@ -1,5 +1,6 @@
 //! The loop of stage 1: what happens when. The work is the engine's.
 
+use std::borrow::Cow;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -60,12 +61,12 @@ impl Outcome {
 
 /// Everything a checkpoint holds.
 #[derive(Serialize, Deserialize)]
-struct RunState {
+struct RunState<'a> {
     fingerprint: [u8; 32],
     step: u64,
     initial: usize,
-    engine: EngineState,
-    log: Vec<LogEntry>,
+    engine: EngineState<'a>,
+    log: Cow<'a, [LogEntry]>,
     window: Window,
 }
 
@@ -253,7 +254,7 @@ fn fingerprint(capture: &Capture, params: &ReconstructParams, views: &Views) -> 
 /// The cap: the parameter, or what half of the free memory holds.
 fn most_gaussians(params: &ReconstructParams) -> usize {
     const MOST: usize = 4_000_000;
-    /// Parameters, gradients, two moments, tile lists, the checkpoint's copy.
+    /// Parameters, gradients, two moments, tile lists, and the state while a checkpoint is read.
     const BYTES_PER_GAUSSIAN: usize = 2500;
     if params.max_gaussians > 0 {
         return params.max_gaussians;
@@ -286,7 +287,7 @@ impl Run<'_> {
     /// Goes on from the checkpoint, if there is one of this run.
     fn resume(&mut self) -> Result<(), ReconstructError> {
         let Some(file) = &self.checkpoint else { return Ok(()) };
-        let state: RunState = match file.load() {
+        let state: RunState<'_> = match file.load() {
             Ok(Some(state)) => state,
             Ok(None) => return Ok(()),
             Err(error) => {
@@ -309,7 +310,7 @@ impl Run<'_> {
         self.observer.notice(&format!("going on from step {} of {}", state.step, self.params.iterations));
         self.step = state.step;
         self.initial = state.initial;
-        self.log = state.log;
+        self.log = state.log.into_owned();
         self.window = state.window;
         Ok(())
     }
@@ -321,7 +322,7 @@ impl Run<'_> {
                 step: self.step,
                 initial: self.initial,
                 engine: self.engine.state(),
-                log: self.log.clone(),
+                log: (&self.log).into(),
                 window: self.window.clone(),
             })?;
         }

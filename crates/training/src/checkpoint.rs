@@ -1,19 +1,23 @@
 //! Checkpoints of a training loop: one file, whole or absent.
 //!
 //! Layout: 16 bytes of magic and format version, the 32-byte BLAKE3 digest of everything after it, then the state in bincode's
-//! standard configuration. A new checkpoint is written to a sibling, synced and renamed over the old one, so that the machine may die at
-//! any moment and a good file remains. A file that is cut short, altered, or of another version is an error that says so; the loop
+//! standard configuration. State goes to the file and comes back through a small buffer: a checkpoint needs no memory of its own
+//! size. A new one is written to a sibling, synced and renamed over the old one, so that the machine may die at any moment and a good
+//! file remains. A file that is cut short, altered, or of another version is an error that says so; the loop
 //! then starts anew (and the caller says so aloud), never from half a state. Internal state only: exchange formats are open ones.
 
 use std::fs::{self, File};
-use std::io::Write;
+use std::io::{BufRead, BufReader, BufWriter, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use bincode::error::{DecodeError, EncodeError};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 const MAGIC: &[u8; 16] = b"3d-use state v01";
-const DIGEST: usize = 32;
+const DIGEST: usize = blake3::OUT_LEN;
+/// Bytes that are digested, written or read at a time.
+const BLOCK: usize = 1 << 20;
 
 /// Why a checkpoint could not be written or read.
 #[derive(Debug, thiserror::Error)]
@@ -42,19 +46,43 @@ pub enum CheckpointError {
 /// What to do about a full disk.
 fn advice(error: &std::io::Error) -> &'static str {
     match error.kind() {
-        std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded => {
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => {
             " (the disk is full: free some space and run again; the last whole checkpoint is kept)"
         }
         _ => "",
     }
 }
 
-fn write(path: &Path, body: &[u8]) -> std::io::Result<()> {
-    let mut file = File::create(path)?;
-    file.write_all(MAGIC)?;
-    file.write_all(blake3::hash(body).as_bytes())?;
-    file.write_all(body)?;
-    file.sync_all()
+/// Passes bytes on to a file and digests them.
+struct Digesting {
+    file: File,
+    hasher: blake3::Hasher,
+}
+
+impl Write for Digesting {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let written = self.file.write(bytes)?;
+        self.hasher.update(&bytes[..written]);
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.file.flush()
+    }
+}
+
+/// Writes and syncs a whole file. The digest is known last and put in its place then; until then the file has none that fits.
+fn write(path: &Path, state: &impl Serialize) -> Result<(), EncodeError> {
+    let io = |inner| EncodeError::Io { inner, index: 0 };
+    let mut file = File::create(path).map_err(io)?;
+    file.write_all(MAGIC).and_then(|()| file.write_all(&[0; DIGEST])).map_err(io)?;
+    let mut body = BufWriter::with_capacity(BLOCK, Digesting { file, hasher: blake3::Hasher::new() });
+    bincode::serde::encode_into_std_write(state, &mut body, bincode::config::standard())?;
+    let Digesting { mut file, hasher } = body.into_inner().map_err(|e| io(e.into_error()))?;
+    file.seek(SeekFrom::Start(MAGIC.len() as u64))
+        .and_then(|_| file.write_all(hasher.finalize().as_bytes()))
+        .and_then(|()| file.sync_all())
+        .map_err(io)
 }
 
 /// The place of a loop's checkpoint.
@@ -77,19 +105,21 @@ impl CheckpointFile {
     /// Writes the state in place of the last one.
     pub fn save<T: Serialize>(&self, state: &T) -> Result<(), CheckpointError> {
         let io = |source| CheckpointError::Io { path: self.path.clone(), source };
-        let body = bincode::serde::encode_to_vec(state, bincode::config::standard())
-            .map_err(|e| CheckpointError::Encode(e.to_string()))?;
         let dir = self.path.parent().unwrap_or(Path::new("."));
         fs::create_dir_all(dir).map_err(io)?;
         // Always the same sibling, so that a run killed while writing leaves at most one behind, and the next save overwrites it.
         let mut name = self.path.file_name().unwrap_or_default().to_os_string();
         name.push(".part");
         let part = self.path.with_file_name(name);
-        let written = write(&part, &body).and_then(|()| fs::rename(&part, &self.path));
-        if let Err(source) = written {
+        let written = match write(&part, state) {
+            Ok(()) => fs::rename(&part, &self.path).map_err(io),
+            Err(EncodeError::Io { inner, .. }) => Err(io(inner)),
+            Err(error) => Err(CheckpointError::Encode(error.to_string())),
+        };
+        if written.is_err() {
             // What is left of it only takes up room.
             let _ = fs::remove_file(&part);
-            return Err(io(source));
+            return written;
         }
         // The rename itself must survive a power cut; some file systems cannot sync a folder, which is no reason to fail.
         if let Ok(folder) = File::open(dir) {
@@ -100,28 +130,36 @@ impl CheckpointFile {
 
     /// Reads the state back; `None` if there is no checkpoint.
     pub fn load<T: DeserializeOwned>(&self) -> Result<Option<T>, CheckpointError> {
-        let bytes = match fs::read(&self.path) {
-            Ok(bytes) => bytes,
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-            Err(source) => return Err(CheckpointError::Io { path: self.path.clone(), source }),
-        };
+        let io = |source| CheckpointError::Io { path: self.path.clone(), source };
         let damaged =
             |reason: &str| CheckpointError::Damaged { path: self.path.clone(), reason: reason.into() };
-        let rest = bytes
-            .strip_prefix(MAGIC.as_slice())
-            .ok_or_else(|| damaged("it was written by another version, or is not a checkpoint"))?;
-        if rest.len() < DIGEST {
-            return Err(damaged("it is cut short"));
+        let mut file = match File::open(&self.path) {
+            Ok(file) => file,
+            Err(e) if e.kind() == ErrorKind::NotFound => return Ok(None),
+            Err(e) => return Err(io(e)),
+        };
+        let mut head = [0; MAGIC.len() + DIGEST];
+        file.read_exact(&mut head).map_err(|e| match e.kind() {
+            ErrorKind::UnexpectedEof => damaged("it is cut short"),
+            _ => io(e),
+        })?;
+        let (magic, digest) = head.split_at(MAGIC.len());
+        if magic != MAGIC {
+            return Err(damaged("it was written by another version, or is not a checkpoint"));
         }
-        let (digest, body) = rest.split_at(DIGEST);
-        if blake3::hash(body).as_bytes() != digest {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update_reader(&file).map_err(io)?;
+        if hasher.finalize().as_bytes() != digest {
             return Err(damaged("its digest does not match its contents"));
         }
-        // The digest vouches for the contents, the limit for a state of another shape with an absurd length in it.
-        let config = bincode::config::standard();
-        match bincode::serde::decode_from_slice::<T, _>(body, config) {
-            Ok((state, used)) if used == body.len() => Ok(Some(state)),
+        file.seek(SeekFrom::Start(head.len() as u64)).map_err(io)?;
+        let mut body = BufReader::with_capacity(BLOCK, file);
+        // The digest vouches for the contents; a state of another shape still cannot ask for absurd lengths, since arrays grow as they are
+        // read.
+        match bincode::serde::decode_from_std_read::<T, _, _>(&mut body, bincode::config::standard()) {
+            Ok(state) if body.fill_buf().map_err(io)?.is_empty() => Ok(Some(state)),
             Ok(_) => Err(damaged("it holds more than this version's state")),
+            Err(DecodeError::Io { inner, .. }) if inner.kind() != ErrorKind::UnexpectedEof => Err(io(inner)),
             Err(e) => Err(damaged(&format!("its state does not decode ({e})"))),
         }
     }
@@ -129,7 +167,7 @@ impl CheckpointFile {
     /// Removes the checkpoint, if there is one.
     pub fn remove(&self) -> Result<(), CheckpointError> {
         match fs::remove_file(&self.path) {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+            Err(e) if e.kind() != ErrorKind::NotFound => {
                 Err(CheckpointError::Io { path: self.path.clone(), source: e })
             }
             _ => Ok(()),
@@ -159,11 +197,40 @@ mod tests {
             file.save(&state).unwrap();
             assert_eq!(file.load::<State>().unwrap().unwrap(), state);
         }
+        // Another version's state, however whole, is not ours.
+        assert!(matches!(file.load::<(State, State)>(), Err(CheckpointError::Damaged { .. })));
+        assert!(matches!(file.load::<u64>(), Err(CheckpointError::Damaged { .. })));
         // Nothing but the checkpoint lies there.
         assert_eq!(fs::read_dir(dir.path().join("deep/down")).unwrap().count(), 1);
         file.remove().unwrap();
         file.remove().unwrap();
         assert!(file.load::<State>().unwrap().is_none());
+    }
+
+    #[test]
+    fn a_state_that_fails_halfway_leaves_the_last_one() {
+        struct Faulty;
+        impl Serialize for Faulty {
+            fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                use serde::ser::{Error, SerializeTuple};
+
+                // More than a block, so that part of it is in the file by then.
+                let mut tuple = serializer.serialize_tuple(BLOCK)?;
+                for _ in 0..BLOCK {
+                    tuple.serialize_element(&1.0f32)?;
+                }
+                Err(S::Error::custom("out of words"))
+            }
+        }
+
+        let dir = tempfile::tempdir().unwrap();
+        let file = CheckpointFile::new(dir.path(), "state.bin");
+        let good = State { step: 1, values: vec![0.25] };
+        file.save(&good).unwrap();
+        let error = file.save(&Faulty).unwrap_err();
+        assert!(error.to_string().contains("out of words"), "{error}");
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+        assert_eq!(file.load::<State>().unwrap().unwrap(), good);
     }
 
     #[test]

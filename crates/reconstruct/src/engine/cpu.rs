@@ -304,19 +304,19 @@ impl Engine for CpuEngine {
         prepared.pairs().contributing as f64 / share
     }
 
-    fn state(&self) -> EngineState {
+    fn state(&self) -> EngineState<'_> {
         let [first, second] = &self.medium_moments;
         EngineState {
             gaussians: (&self.gaussians).into(),
             first: (&self.moments.first).into(),
             second: (&self.moments.second).into(),
-            norms: self.statistics.norms.clone(),
-            renders: self.statistics.renders.clone(),
-            medium: [self.medium.flat(), first.clone(), second.clone()],
+            norms: (&self.statistics.norms).into(),
+            renders: (&self.statistics.renders).into(),
+            medium: [self.medium.flat().into(), first.into(), second.into()],
         }
     }
 
-    fn restore(&mut self, state: &EngineState) -> bool {
+    fn restore(&mut self, state: &EngineState<'_>) -> bool {
         let arrays = [&state.gaussians, &state.first, &state.second].map(|a| a.to_gaussians());
         let [Some(gaussians), Some(first), Some(second)] = arrays else { return false };
         let n = gaussians.len();
@@ -327,10 +327,10 @@ impl Engine for CpuEngine {
         }
         let [medium, medium_first, medium_second] = &state.medium;
         self.medium.set_flat(medium);
-        self.medium_moments = [medium_first.clone(), medium_second.clone()];
+        self.medium_moments = [medium_first.to_vec(), medium_second.to_vec()];
         self.gaussians = gaussians;
         self.moments = Moments { first, second };
-        self.statistics = Statistics { norms: state.norms.clone(), renders: state.renders.clone() };
+        self.statistics = Statistics { norms: state.norms.to_vec(), renders: state.renders.to_vec() };
         true
     }
 

@@ -140,9 +140,9 @@ pub trait Engine {
     /// ways.
     fn contributing_pairs(&mut self, view: usize, divisor: usize, degree: usize) -> f64;
     /// Everything a checkpoint needs.
-    fn state(&self) -> EngineState;
+    fn state(&self) -> EngineState<'_>;
     /// Takes a checkpoint's state; `false` (nothing changed) if it does not fit.
-    fn restore(&mut self, state: &EngineState) -> bool;
+    fn restore(&mut self, state: &EngineState<'_>) -> bool;
     /// The scene as it is.
     fn download(&self) -> (Gaussians, MediumModel);
     /// Time spent per part of a step.

@@ -1,33 +1,35 @@
-//! An engine's state as plain arrays: what a checkpoint holds.
+//! An engine's state as plain arrays: what a checkpoint holds. On the way out they are the engine's own, borrowed.
+
+use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
 use use3d_splat::Gaussians;
 
 /// The five arrays of [`Gaussians`], flat.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct GaussianArrays {
+pub struct GaussianArrays<'a> {
     sh_degree: usize,
-    means: Vec<f32>,
-    log_scales: Vec<f32>,
-    quaternions: Vec<f32>,
-    opacity_logits: Vec<f32>,
-    sh: Vec<f32>,
+    means: Cow<'a, [f32]>,
+    log_scales: Cow<'a, [f32]>,
+    quaternions: Cow<'a, [f32]>,
+    opacity_logits: Cow<'a, [f32]>,
+    sh: Cow<'a, [f32]>,
 }
 
-impl From<&Gaussians> for GaussianArrays {
-    fn from(g: &Gaussians) -> Self {
+impl<'a> From<&'a Gaussians> for GaussianArrays<'a> {
+    fn from(g: &'a Gaussians) -> Self {
         Self {
             sh_degree: g.sh_degree,
-            means: g.means.as_flattened().to_vec(),
-            log_scales: g.log_scales.as_flattened().to_vec(),
-            quaternions: g.quaternions.as_flattened().to_vec(),
-            opacity_logits: g.opacity_logits.clone(),
-            sh: g.sh.as_flattened().as_flattened().to_vec(),
+            means: g.means.as_flattened().into(),
+            log_scales: g.log_scales.as_flattened().into(),
+            quaternions: g.quaternions.as_flattened().into(),
+            opacity_logits: (&g.opacity_logits).into(),
+            sh: g.sh.as_flattened().as_flattened().into(),
         }
     }
 }
 
-impl GaussianArrays {
+impl GaussianArrays<'_> {
     /// The Gaussians, if the lengths agree.
     pub fn to_gaussians(&self) -> Option<Gaussians> {
         let n = self.opacity_logits.len();
@@ -41,7 +43,7 @@ impl GaussianArrays {
             means: bytemuck::cast_slice(&self.means).to_vec(),
             log_scales: bytemuck::cast_slice(&self.log_scales).to_vec(),
             quaternions: bytemuck::cast_slice(&self.quaternions).to_vec(),
-            opacity_logits: self.opacity_logits.clone(),
+            opacity_logits: self.opacity_logits.to_vec(),
             sh: bytemuck::cast_slice(&self.sh).to_vec(),
         })
     }
@@ -49,12 +51,12 @@ impl GaussianArrays {
 
 /// Parameters, moments and statistics of a run between two steps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct EngineState {
-    pub(crate) gaussians: GaussianArrays,
-    pub(crate) first: GaussianArrays,
-    pub(crate) second: GaussianArrays,
-    pub(crate) norms: Vec<f32>,
-    pub(crate) renders: Vec<u32>,
+pub struct EngineState<'a> {
+    pub(crate) gaussians: GaussianArrays<'a>,
+    pub(crate) first: GaussianArrays<'a>,
+    pub(crate) second: GaussianArrays<'a>,
+    pub(crate) norms: Cow<'a, [f32]>,
+    pub(crate) renders: Cow<'a, [u32]>,
     /// The water's flat parameters and moments.
-    pub(crate) medium: [Vec<f32>; 3],
+    pub(crate) medium: [Cow<'a, [f32]>; 3],
 }
