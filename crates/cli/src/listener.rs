@@ -6,6 +6,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use use3d_pipeline::engine::machine::seconds;
 use use3d_pipeline::engine::{Event, Listener};
 
 /// How often a plain line is printed when stderr is no terminal.
@@ -21,7 +22,22 @@ pub(crate) struct Terminal {
 struct Node {
     bar: Option<ProgressBar>,
     started: Instant,
+    /// What was done when it started: a run may go on from a checkpoint.
+    first: u64,
     last_line: Instant,
+}
+
+impl Node {
+    /// `[12 s, about 3 min 20 s left]`; by the pace since the start where the stage does not know.
+    fn times(&self, done: u64, total: u64, known: Option<f64>) -> String {
+        let elapsed = self.started.elapsed().as_secs_f64();
+        let since = done.saturating_sub(self.first);
+        let by_pace = (since > 0).then(|| elapsed * total.saturating_sub(done) as f64 / since as f64);
+        match known.or(by_pace) {
+            Some(left) => format!("[{}, about {} left]", seconds(elapsed), seconds(left)),
+            None => format!("[{}]", seconds(elapsed)),
+        }
+    }
 }
 
 impl Terminal {
@@ -46,32 +62,29 @@ impl Terminal {
 
     fn bar(&self, label: &str) -> Option<ProgressBar> {
         let bar = self.bars.as_ref()?.add(ProgressBar::new(0));
-        if let Ok(style) =
-            ProgressStyle::with_template("{prefix:<24} {bar:24} {pos}/{len} {msg} [{elapsed} < {eta}]")
-        {
+        if let Ok(style) = ProgressStyle::with_template("{prefix:<24} {bar:24} {pos}/{len} {msg}") {
             bar.set_style(style);
         }
         bar.set_prefix(label.to_string());
         Some(bar)
     }
 
-    fn progress(&self, label: &str, done: u64, total: u64, words: &str) {
+    fn progress(&self, label: &str, done: u64, total: u64, words: &str, left: Option<f64>) {
         let mut nodes = self.nodes.lock().unwrap_or_else(PoisonError::into_inner);
         let now = Instant::now();
         let node = nodes.entry(label.to_string()).or_insert_with(|| Node {
             bar: self.bar(label),
             started: now,
+            first: done,
             last_line: now,
         });
         if let Some(bar) = &node.bar {
             bar.set_length(total);
             bar.set_position(done);
-            bar.set_message(words.to_string());
+            bar.set_message(format!("{words} {}", node.times(done, total, left)));
         } else if node.last_line.elapsed() >= PLAIN_INTERVAL {
             node.last_line = now;
-            let elapsed = node.started.elapsed().as_secs_f64();
-            let left = if done > 0 { elapsed * total.saturating_sub(done) as f64 / done as f64 } else { 0.0 };
-            eprintln!("{label}: {done}/{total} {words} [{elapsed:.0} s, about {left:.0} s left]");
+            eprintln!("{label}: {done}/{total} {words} {}", node.times(done, total, left));
         }
     }
 
@@ -95,10 +108,10 @@ impl Listener for Terminal {
             Event::Profile { .. } => {}
             _ if self.quiet => {}
             Event::Started { label, .. } => self.line(&format!("{label}: started")),
-            Event::Progress { label, done, total, unit, message, .. } => {
+            Event::Progress { label, done, total, unit, message, seconds_left, .. } => {
                 let words =
                     if message.is_empty() { (*unit).to_string() } else { format!("{unit}, {message}") };
-                self.progress(label, *done, *total, &words);
+                self.progress(label, *done, *total, &words, *seconds_left);
             }
             Event::Waiting { label, holder, .. } => self.line(&format!("{label}: waiting for {holder}")),
             Event::Done { label, cached, seconds, .. } => {
@@ -109,5 +122,29 @@ impl Listener for Terminal {
             }
             Event::Note { label, text } => self.line(&format!("{label}: {text}")),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn node(first: u64, seconds_ago: u64) -> Node {
+        let now = Instant::now();
+        let started = now.checked_sub(Duration::from_secs(seconds_ago)).unwrap_or(now);
+        Node { bar: None, started, first, last_line: now }
+    }
+
+    #[test]
+    fn a_run_gone_on_from_a_checkpoint_counts_its_own_steps() {
+        // 100 steps in 20 s, after 9000 found; 900 to go.
+        assert_eq!(node(9000, 20).times(9100, 10_000, None), "[20 s, about 3 min 00 s left]");
+        // Nothing is known of the pace at the first word.
+        assert_eq!(node(9000, 20).times(9000, 10_000, None), "[20 s]");
+    }
+
+    #[test]
+    fn what_the_stage_knows_goes_before_the_pace() {
+        assert_eq!(node(0, 20).times(100, 200, Some(45.0)), "[20 s, about 45 s left]");
     }
 }

@@ -1,14 +1,13 @@
 //! The loop of stage 2.
 
 use std::path::Path;
-use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 use use3d_numerics::adam::Adam;
 use use3d_numerics::random::Purpose;
 use use3d_scene::Scene;
 use use3d_training::guard::first_non_finite;
-use use3d_training::{CheckpointError, CheckpointFile, NonFinite, Observer, Progress, ViewOrder};
+use use3d_training::{CheckpointError, CheckpointFile, NonFinite, Observer, Pace, Progress, ViewOrder};
 use use3d_ubaf::Enhancement;
 use use3d_ubaf::water::ratios;
 
@@ -62,7 +61,7 @@ pub fn enhance(
 
     let mut order = ViewOrder::new(params.seed, VIEWS, views.len());
     let mut gradient = vec![0.0f32; engine.field.parameters.len()];
-    let mut pace = Pace::new(state.step);
+    let mut display = Display::start();
     while state.step < params.iterations {
         let index = order.view(state.step);
         let losses = engine.step(index)?;
@@ -82,7 +81,12 @@ pub fn enhance(
         }
         state.step += 1;
         state.record(&losses, params);
-        observer.progress(&pace.progress(state.step, losses.total, params.iterations, scene.gaussians.len()));
+        observer.progress(&display.progress(
+            state.step,
+            losses.total,
+            params.iterations,
+            scene.gaussians.len(),
+        ));
 
         let stop = observer.should_stop() && state.step < params.iterations;
         if let Some(file) = &checkpoint
@@ -241,29 +245,28 @@ fn finish(
 }
 
 /// Pace and smoothed loss for progress displays; not part of the result.
-struct Pace {
-    started: Instant,
-    first: u64,
+struct Display {
+    pace: Pace,
     loss: Option<f64>,
 }
 
-impl Pace {
-    fn new(first: u64) -> Self {
-        Self { started: Instant::now(), first, loss: None }
+impl Display {
+    fn start() -> Self {
+        Self { pace: Pace::start(), loss: None }
     }
 
     fn progress(&mut self, step: u64, loss: f64, steps: u64, gaussians: usize) -> Progress {
         let smooth = self.loss.map_or(loss, |old| 0.95 * old + 0.05 * loss);
         self.loss = Some(smooth);
-        let rate = (step - self.first) as f64 / self.started.elapsed().as_secs_f64().max(1e-9);
+        self.pace.step(1.0);
         Progress {
             step,
             steps,
             loss: Some(smooth),
             psnr: None,
             gaussians: Some(gaussians),
-            steps_per_second: Some(rate),
-            seconds_left: Some((steps - step) as f64 / rate.max(1e-9)),
+            steps_per_second: self.pace.steps_per_second(),
+            seconds_left: self.pace.seconds_for((steps - step) as f64),
         }
     }
 }

@@ -11,7 +11,7 @@ use use3d_metrics::ms_ssim::MsSsim;
 use use3d_numerics::random::Purpose;
 use use3d_scene::Scene;
 use use3d_splat::Rendered;
-use use3d_training::{CheckpointFile, NonFinite, Observer, Profile, Progress, ViewOrder};
+use use3d_training::{CheckpointFile, NonFinite, Observer, Pace, Profile, Progress, ViewOrder};
 
 use crate::engine::{CpuEngine, Engine, EngineState, RefineSettings, StepRates, StepReport, StepSettings};
 use crate::profile::{StepPart, Stretch};
@@ -332,7 +332,9 @@ impl Run<'_> {
     fn go(&mut self) -> Result<(), ReconstructError> {
         let params = self.params;
         let mut order = ViewOrder::new(params.seed, Purpose::new("training views"), self.names.len());
-        let (started, first) = (Instant::now(), self.step);
+        let first = self.step;
+        let mut work_left: f64 = (first..params.iterations).map(|s| params.step_work(s)).sum();
+        let mut pace = Pace::start();
         let (mut saved_at, mut saved_step) = (Instant::now(), self.step);
         let stretch = params.iterations.div_ceil(STRETCHES);
         while self.step < params.iterations {
@@ -356,15 +358,17 @@ impl Run<'_> {
             {
                 self.evaluate();
             }
-            let pace = (done - first) as f64 / started.elapsed().as_secs_f64().max(1e-9);
+            let work = params.step_work(done - 1);
+            work_left -= work;
+            pace.step(work);
             self.observer.progress(&Progress {
                 step: done,
                 steps: params.iterations,
                 loss: self.window.smooth_loss,
                 psnr: self.window.smooth_psnr,
                 gaussians: Some(self.engine.gaussians()),
-                steps_per_second: Some(pace),
-                seconds_left: Some((params.iterations - done) as f64 / pace),
+                steps_per_second: pace.steps_per_second(),
+                seconds_left: pace.seconds_for(work_left),
             });
             let stop = self.observer.should_stop() && done < params.iterations;
             let due = done - saved_step >= params.checkpoint_steps

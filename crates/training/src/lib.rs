@@ -2,16 +2,18 @@
 //!
 //! The loops themselves live in `reconstruct` and `enhance`. They tell an [`Observer`] what happens and ask it whether to stop,
 //! keep their state in a [`CheckpointFile`] that is whole or absent, draw views through a [`ViewOrder`] that is a function of
-//! (seed, step), and hand numbers to the [`guard`] so that a run that has diverged says where.
+//! (seed, step), tell their [`Pace`], and hand numbers to the [`guard`] so that a run that has diverged says where.
 
 pub mod checkpoint;
 pub mod guard;
 mod observer;
 mod order;
+mod pace;
 mod profile;
 
 pub use checkpoint::{CheckpointError, CheckpointFile};
 pub use guard::NonFinite;
 pub use observer::{Observer, Progress, Silent, StopFlag};
 pub use order::ViewOrder;
+pub use pace::Pace;
 pub use profile::{Part, Profile};

@@ -16,9 +16,9 @@ pub struct Progress {
     pub psnr: Option<f64>,
     /// Gaussians in the scene.
     pub gaussians: Option<usize>,
-    /// Steps per second, smoothed.
+    /// Steps per second over the last seconds.
     pub steps_per_second: Option<f64>,
-    /// Seconds left at that pace.
+    /// Seconds left, by that pace and what the steps to come are known to cost.
     pub seconds_left: Option<f64>,
 }
 

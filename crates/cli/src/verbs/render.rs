@@ -47,6 +47,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
             total,
             unit: "frames",
             message: name,
+            seconds_left: None,
         });
         let frames = renderer.render(camera, &modes);
         if let (Some(video), Some(frame), Some(mode)) = (&mut video, frames.first(), modes.first()) {

@@ -12,7 +12,15 @@ use crate::size::parse_size;
 pub(crate) fn tell<'a>(app: &'a App, label: &'a str) -> impl FnMut(usize, usize) + 'a {
     move |done, total| {
         let (done, total) = (done as u64, total as u64);
-        app.listener.event(&Event::Progress { node: 0, label, done, total, unit: "images", message: "" });
+        app.listener.event(&Event::Progress {
+            node: 0,
+            label,
+            done,
+            total,
+            unit: "images",
+            message: "",
+            seconds_left: None,
+        });
         if done == total {
             app.listener.event(&Event::Done { node: 0, label, cached: true, seconds: 0.0 });
         }

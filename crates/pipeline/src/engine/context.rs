@@ -106,18 +106,16 @@ impl StageContext {
 
     /// Reports how far the work is, e.g. `progress(300, 15_000, "steps")`.
     pub fn progress(&self, done: u64, total: u64, unit: &str) {
-        self.listener.event(&Event::Progress {
-            node: self.node,
-            label: &self.label,
-            done,
-            total,
-            unit,
-            message: "",
-        });
+        self.progress_with(done, total, unit, "");
     }
 
     /// As [`progress`](Self::progress), with a few words such as the present loss.
     pub fn progress_with(&self, done: u64, total: u64, unit: &str, message: &str) {
+        self.progress_left(done, total, unit, message, None);
+    }
+
+    /// As [`progress_with`](Self::progress_with), for work of which the stage knows how many seconds are left.
+    pub fn progress_left(&self, done: u64, total: u64, unit: &str, message: &str, seconds_left: Option<f64>) {
         self.listener.event(&Event::Progress {
             node: self.node,
             label: &self.label,
@@ -125,6 +123,7 @@ impl StageContext {
             total,
             unit,
             message,
+            seconds_left,
         });
     }
 

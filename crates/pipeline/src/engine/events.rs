@@ -32,6 +32,8 @@ pub enum Event<'a> {
         unit: &'a str,
         /// A few words, or nothing.
         message: &'a str,
+        /// Seconds left, where the stage knows.
+        seconds_left: Option<f64>,
     },
     /// Another process computes the same thing; this one waits for it.
     Waiting {

@@ -71,7 +71,8 @@ impl Observer for Watch<'_> {
         if let Some(pace) = progress.steps_per_second {
             words.push(format!("{pace:.1} steps/s"));
         }
-        self.context.progress_with(progress.step, progress.steps, "steps", &words.join(", "));
+        let words = words.join(", ");
+        self.context.progress_left(progress.step, progress.steps, "steps", &words, progress.seconds_left);
     }
 
     fn notice(&mut self, message: &str) {

@@ -1,0 +1,87 @@
+//! How fast a loop goes now, and how long the rest will take.
+//!
+//! Steps are not alike: those on smaller images take less time. A loop therefore gives each step a weight, its *work*, in any unit that
+//! stays the same over the run, and says how much work is left. The pace is that of the last seconds, so that it follows growing scenes and
+//! a machine that slows down, and a run gone on from a checkpoint does not count the steps it did not do.
+//!
+//! For a person's eyes alone: nothing here may enter a result.
+
+use std::time::Instant;
+
+/// Older steps count by `e^(−age / WINDOW)`, seconds.
+const WINDOW: f64 = 20.0;
+
+/// Steps and work per second of the last seconds.
+#[derive(Clone, Copy, Debug)]
+pub struct Pace {
+    last: Instant,
+    seconds: f64,
+    steps: f64,
+    work: f64,
+}
+
+impl Pace {
+    /// Starts the clock.
+    pub fn start() -> Self {
+        Self { last: Instant::now(), seconds: 0.0, steps: 0.0, work: 0.0 }
+    }
+
+    /// A step of `work` ended now.
+    pub fn step(&mut self, work: f64) {
+        let now = Instant::now();
+        self.took(now.duration_since(self.last).as_secs_f64(), work);
+        self.last = now;
+    }
+
+    fn took(&mut self, seconds: f64, work: f64) {
+        let kept = (-seconds / WINDOW).exp();
+        self.seconds = kept * self.seconds + seconds;
+        self.steps = kept * self.steps + 1.0;
+        self.work = kept * self.work + work;
+    }
+
+    /// Steps per second; none before the first step.
+    pub fn steps_per_second(&self) -> Option<f64> {
+        (self.seconds > 0.0).then(|| self.steps / self.seconds)
+    }
+
+    /// Seconds that `work` will take; none before the first step.
+    pub fn seconds_for(&self, work: f64) -> Option<f64> {
+        (self.work > 0.0).then(|| work.max(0.0) * self.seconds / self.work)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn close(a: Option<f64>, b: f64) -> bool {
+        a.is_some_and(|a| (a - b).abs() < 1e-3 * b)
+    }
+
+    #[test]
+    fn knows_nothing_before_the_first_step() {
+        let pace = Pace::start();
+        assert_eq!((pace.steps_per_second(), pace.seconds_for(1.0)), (None, None));
+    }
+
+    #[test]
+    fn follows_the_last_seconds() {
+        let mut pace = Pace::start();
+        (0..1000).for_each(|_| pace.took(0.01, 1.0));
+        assert!(close(pace.steps_per_second(), 100.0));
+        // Ten times slower: after many windows the fast steps are forgotten.
+        (0..3000).for_each(|_| pace.took(0.1, 1.0));
+        assert!(close(pace.steps_per_second(), 10.0), "{pace:?}");
+        assert!(close(pace.seconds_for(50.0), 5.0));
+    }
+
+    #[test]
+    fn counts_work_to_come_by_its_weight() {
+        let mut pace = Pace::start();
+        // Small images: a quarter of the work, a quarter of the time.
+        (0..100).for_each(|_| pace.took(0.05, 0.25));
+        // A hundred steps on whole images.
+        assert!(close(pace.seconds_for(100.0), 20.0), "{pace:?}");
+    }
+}
