@@ -188,6 +188,30 @@ fn early_stopping_does_less_harm_where_there_is_nothing_to_learn() {
     assert_eq!(report.kept, [1.0; 2]);
 }
 
+/// Pairs made up for want of real ones bear out their own lesson; it is not applied to photographs unless someone asks.
+#[test]
+fn stand_ins_leave_the_proposal_as_it_is() {
+    let mut dataset =
+        Dataset::build(pairs(8), &Timid, &ExtractorSettings::default(), &mut unwatched).unwrap();
+    let learnt = train(&dataset, &quick(), "", &mut unwatched).unwrap();
+    dataset.stand_in = true;
+    for stop_early in [true, false] {
+        let params = CalibratorParams { stop_early, ..quick() };
+        let calibrator = train(&dataset, &params, "", &mut unwatched).unwrap();
+        let report = calibrator.provenance.held_out.as_ref().unwrap();
+        assert_eq!(report.kept, [0.0; 2]);
+        assert_eq!(report.errors.global.after, report.errors.global.before);
+        for example in &dataset.examples {
+            let said = calibrator.calibrate_global(&example.descriptor, &example.proposal);
+            let change = said.iter().zip(&example.proposal).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            assert!(change < 1e-6, "{change}");
+        }
+    }
+    let trusted = CalibratorParams { trust: Some(1.0), ..quick() };
+    let calibrator = train(&dataset, &trusted, "", &mut unwatched).unwrap();
+    assert_eq!(calibrator.provenance.held_out, learnt.provenance.held_out);
+}
+
 /// The transition of a pair that differs by one affine says so at every cell.
 #[test]
 fn an_affine_pair_has_that_affine_as_its_target() {

@@ -105,12 +105,15 @@ pub struct Dataset {
     pub examples: Vec<PairExample>,
     /// Pairs that were left out.
     pub skipped: Vec<Skipped>,
+    /// Whether the pairs were made up because there were no real ones.
+    #[serde(default)]
+    pub stand_in: bool,
 }
 
 impl Dataset {
     /// An empty data set.
     pub fn new(extractor: ExtractorSettings, proposer: ProposerId) -> Self {
-        Self { extractor, proposer, examples: Vec::new(), skipped: Vec::new() }
+        Self { extractor, proposer, examples: Vec::new(), skipped: Vec::new(), stand_in: false }
     }
 
     /// Runs proposer and extractor over `pairs`, one at a time. Fails only if the settings are bad or `watch` asks to stop.
@@ -140,6 +143,7 @@ impl Dataset {
     pub fn subset(&self, indices: &[usize]) -> Self {
         Self {
             examples: indices.iter().map(|&i| self.examples[i].clone()).collect(),
+            stand_in: self.stand_in,
             ..Self::new(self.extractor.clone(), self.proposer.clone())
         }
     }

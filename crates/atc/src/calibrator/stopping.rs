@@ -8,6 +8,9 @@
 //!
 //! Even the best step may do harm where the pairs have little in common. So each head keeps only the share of its correction,
 //! of [`SHARES`], that served the held-out pairs best: `proposal + share · correction`. A share of 0 falls back to the proposal.
+//!
+//! Pairs kept aside speak for pairs of their kind alone. Synthetic pairs that stand in for real ones bear out nearly all of a
+//! correction that turns a real reef cyan; so [`CalibratorParams::trust`] limits the share, to 0 for stand-ins if nobody says otherwise.
 
 use super::evaluate::held_out;
 use super::training::fit_until;
@@ -17,7 +20,7 @@ use crate::progress::Watch;
 
 /// Steps between two looks at the held-out pairs.
 const LOOK: u64 = 25;
-/// Shares of a correction that may be kept, the largest first: it wins a tie.
+/// Shares of the trusted part of a correction that may be kept, the largest first: it wins a tie.
 const SHARES: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
 
 /// The last step of each head.
@@ -66,7 +69,8 @@ pub fn train(
 ) -> Result<Calibrator, AtcError> {
     params.validate()?;
     let mut stop = Stop::never(params);
-    let mut kept = [1.0; 2];
+    let trust = params.trust.unwrap_or(if dataset.stand_in { 0.0 } else { 1.0 });
+    let mut kept = [trust; 2];
     let mut report = None;
     if let Some((fitted, tested)) = held_out(dataset, params) {
         let errors_of = |heads: &Calibrator| evaluate(heads, tested.iter().map(|&i| &dataset.examples[i]));
@@ -83,16 +87,19 @@ pub fn train(
             stop = Stop { global: global.step, local: local.step };
             (whole.global, whole.local) = (global.head.clone(), local.head.clone());
             // The global head first: what it says is a condition of the local one.
-            kept[0] = best_share(|share| {
+            kept[0] = best_share(trust, |share| {
                 whole.global = global.head.damped(share);
                 errors_of(&whole).global.after
             });
             whole.global = global.head.damped(kept[0] as f32);
-            kept[1] = best_share(|share| {
+            kept[1] = best_share(trust, |share| {
                 whole.local = local.head.damped(share);
                 errors_of(&whole).centered.after
             });
             whole.local = local.head.damped(kept[1] as f32);
+        } else {
+            (whole.global, whole.local) =
+                (whole.global.damped(trust as f32), whole.local.damped(trust as f32));
         }
         report = Some(HeldOutReport {
             fitted: fitted.len(),
@@ -111,9 +118,9 @@ pub fn train(
     Ok(calibrator)
 }
 
-fn best_share(mut error: impl FnMut(f32) -> f64) -> f64 {
-    let mut best = (f64::INFINITY, 1.0);
-    for share in SHARES {
+fn best_share(trust: f64, mut error: impl FnMut(f32) -> f64) -> f64 {
+    let mut best = (f64::INFINITY, trust);
+    for share in SHARES.map(|share| trust * share) {
         let error = error(share as f32);
         if error < best.0 {
             best = (error, share);

@@ -50,6 +50,9 @@ pub struct CalibratorParams {
     /// Stop each head of the final fit at the step at which the fit without the held-out pairs was best on them. A few
     /// dozen pairs are learned by heart long before the last step; with many the last step is the best.
     pub stop_early: bool,
+    /// Largest share of its correction that a head may keep, 0 (the proposal as it is) to 1. Unset: 1, but 0 for pairs that stand
+    /// in for real ones, whose water and whose hand are not those of the photographs to come.
+    pub trust: Option<f64>,
     /// Seed.
     pub seed: u64,
 }
@@ -68,6 +71,7 @@ impl Default for CalibratorParams {
             local_hidden: 256,
             held_out: 0.2,
             stop_early: true,
+            trust: None,
             seed: 42,
         }
     }
@@ -99,6 +103,11 @@ impl CalibratorParams {
         }
         if !(0.0..=0.9).contains(&self.held_out) {
             return bad("held_out", self.held_out.to_string(), "0 to 0.9");
+        }
+        if let Some(trust) = self.trust
+            && !(0.0..=1.0).contains(&trust)
+        {
+            return bad("trust", trust.to_string(), "0 to 1");
         }
         Ok(())
     }

@@ -197,8 +197,12 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
             .map_err(CliError::input)?;
         std::fs::write(&stamp, &wanted).map_err(|e| CliError::Input(format!("{}: {e}", stamp.display())))?;
     }
-    let mut sets =
-        vec![format!("reconstruct.iterations={iterations}"), format!("enhance.iterations={steps}")];
+    // The synthetic pairs are of the demo's own kinds of water.
+    let mut sets = vec![
+        format!("reconstruct.iterations={iterations}"),
+        format!("enhance.iterations={steps}"),
+        "calibrate.trust=1".to_string(),
+    ];
     sets.extend(args.settings.set.iter().cloned());
     let mut cache = args.cache.clone();
     cache.cache.get_or_insert_with(|| args.out.join("cache"));

@@ -36,7 +36,7 @@ pub(crate) struct Models {
     pub(crate) dir: Option<String>,
 }
 
-/// What "enhanced" is learnt from; without any, synthetic pairs.
+/// What "enhanced" is learnt from; without any, proposals stay as they are.
 #[derive(Clone, Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Calibrator {

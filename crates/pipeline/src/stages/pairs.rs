@@ -51,7 +51,7 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
     let (input, target) = match (context.optional_input("input"), context.optional_input("target")) {
         (Some(input), Some(target)) => (input.to_path_buf(), target.to_path_buf()),
         (None, None) => {
-            context.say("no pairs given: the calibrator learns from synthetic ones");
+            context.say("no pairs given: synthetic ones stand in");
             scratch = tempfile::tempdir()?;
             let dir = scratch.path().join("pairs");
             use3d_synth::write_pairs(&params.synthetic, &dir, &mut |done, total| {
@@ -85,7 +85,8 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
         }
     });
     context.alive()?;
-    let dataset = dataset?;
+    let mut dataset = dataset?;
+    dataset.stand_in = context.optional_input("input").is_none();
     for skipped in &dataset.skipped {
         context.say(format_args!("pair {} is left out: {}", skipped.name, skipped.reason));
     }
