@@ -148,6 +148,8 @@ fn a_watch_can_stop_training_and_bad_parameters_are_named() {
     assert_eq!(last, 5);
     let bad = CalibratorParams { learning_rate: f64::NAN, ..quick() };
     assert!(train(&dataset, &bad, "", &mut unwatched).unwrap_err().to_string().contains("learning_rate"));
+    let bad = CalibratorParams { trust: Some(1.5), ..quick() };
+    assert!(train(&dataset, &bad, "", &mut unwatched).unwrap_err().to_string().contains("trust"));
     let unknown: Result<CalibratorParams, _> = serde_json::from_str(r#"{"step": 3}"#);
     assert!(unknown.unwrap_err().to_string().contains("step"));
 }

@@ -350,7 +350,7 @@ impl ReconstructParams {
 
     /// What a step costs beside one on whole images, for telling the time left. Between two measurements: from a quarter to the whole
     /// side, a run's steps grew five times in a small scene and twelve times in a large one.
-    pub fn step_work(&self, step: u64) -> f64 {
+    pub(crate) fn step_work(&self, step: u64) -> f64 {
         (self.divisor(step) as f64).powf(-1.5)
     }
 

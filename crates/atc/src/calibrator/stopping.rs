@@ -69,7 +69,7 @@ pub fn train(
 ) -> Result<Calibrator, AtcError> {
     params.validate()?;
     let mut stop = Stop::never(params);
-    let trust = params.trust.unwrap_or(if dataset.stand_in { 0.0 } else { 1.0 });
+    let trust = params.trust_in(dataset);
     let mut kept = [trust; 2];
     let mut report = None;
     if let Some((fitted, tested)) = held_out(dataset, params) {

@@ -112,6 +112,11 @@ impl CalibratorParams {
         Ok(())
     }
 
+    /// The largest share of its correction that a head fitted to `dataset` may keep, 0 to 1.
+    pub fn trust_in(&self, dataset: &Dataset) -> f64 {
+        self.trust.unwrap_or(if dataset.stand_in { 0.0 } else { 1.0 })
+    }
+
     /// The learning rate of `step`, counted from 1.
     fn rate(&self, step: u64) -> f64 {
         let t = (step - 1) as f64 / self.steps.max(1) as f64;

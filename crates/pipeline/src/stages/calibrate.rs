@@ -35,8 +35,8 @@ fn run(context: &StageContext, params: &CalibratorParams) -> Result<(), StageErr
     });
     context.alive()?;
     let calibrator = calibrator?;
-    let untrusted = dataset.stand_in && params.trust.is_none();
-    if untrusted {
+    let trust = params.trust_in(&dataset);
+    if dataset.stand_in && trust == 0.0 {
         context.say(
             "proposals stay as they are: synthetic pairs do not say how this water should look; give real pairs (UIEB, LSUI, EUVP) with \
              `calibrator.pairs`, or trust these with calibrate.trust=1",
@@ -48,9 +48,8 @@ fn run(context: &StageContext, params: &CalibratorParams) -> Result<(), StageErr
             "held-out transition error, proposal → calibrated: global {:.3} → {:.3}, local {:.3} → {:.3}",
             errors.global.before, errors.global.after, errors.centered.before, errors.centered.after
         ));
-        let trust = params.trust.unwrap_or(1.0);
         for (head, share) in ["global", "local"].into_iter().zip(held_out.kept) {
-            if share < trust && !untrusted {
+            if share < trust {
                 context.say(format_args!(
                     "the {head} head keeps {:.0} % of its correction: more of it made the pairs kept aside worse (more pairs, or pairs of one kind, help)",
                     100.0 * share
