@@ -9,6 +9,7 @@ use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::progress::unwatched;
 use use3d_atc::proposers::{Fusion, Proposer};
 use use3d_capture::{Camera, Image, Intrinsics, Pose};
+use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::Gaussians;
 
@@ -33,14 +34,14 @@ fn scene() -> Gaussians {
 fn view(index: usize) -> ViewInput {
     let (width, height) = SIZE;
     let side = 0.6 * (index as f64 / (VIEWS - 1) as f64 - 0.5);
-    let eye = DVec3::new(side, 0.1 * (index as f64).sin(), -1.6);
+    let eye = DVec3::new(side, 0.1 * math::sin(index as f64), -1.6);
     let pose = Pose::look_at(eye, DVec3::new(0.3 * side, 0.0, 0.3), DVec3::NEG_Y);
     let intrinsics = Intrinsics { width, height, fx: 1000.0, fy: 1000.0, cx: 700.0, cy: 466.0 };
     let mut image = Image::new(width, height);
     for y in 0..height {
         for x in 0..width {
             let t = |k: f32| {
-                0.5 + 0.4 * (0.013 * x as f32 + k + 0.2 * index as f32).sin() * (0.011 * y as f32).cos()
+                0.5 + 0.4 * math::sin(0.013 * x as f32 + k + 0.2 * index as f32) * math::cos(0.011 * y as f32)
             };
             image.set_pixel(x, y, [0.3 * t(0.0), 0.8 * t(1.0), t(2.0)]);
         }

@@ -6,9 +6,10 @@ use std::sync::Arc;
 use criterion::{Criterion, criterion_group, criterion_main};
 use use3d_atc::extractor::{ExtractorSettings, Geometry, Source, Workspace};
 use use3d_capture::Image;
+use use3d_numerics::math;
 
 fn image(width: usize, height: usize, phase: f32) -> Image {
-    let data = (0..3 * width * height).map(|i| 0.5 + 0.4 * (i as f32 * 0.013 + phase).sin()).collect();
+    let data = (0..3 * width * height).map(|i| 0.5 + 0.4 * math::sin(i as f32 * 0.013 + phase)).collect();
     Image::from_planes(width, height, data).expect("three planes")
 }
 

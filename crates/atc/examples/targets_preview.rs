@@ -16,6 +16,7 @@ use use3d_atc::proposers::{Fusion, Proposer};
 use use3d_capture::{SparsePoint, View};
 use use3d_io_colmap::{ImportParams, import, load_pixels};
 use use3d_io_image::{write_png, write_png_map};
+use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Gaussians, Rasterizer};
 
@@ -40,7 +41,7 @@ fn gaussians(points: &[SparsePoint], count: usize) -> Gaussians {
             out.means.push(std::array::from_fn(|k| {
                 (point.position[k] + spread * stream.normal(3 * index + k as u64)) as f32
             }));
-            out.log_scales.push([(gap * 0.8 / (copies as f64).cbrt()).ln() as f32; 3]);
+            out.log_scales.push([math::ln(gap * 0.8 / math::cbrt(copies as f64)) as f32; 3]);
             out.quaternions.push([1.0, 0.0, 0.0, 0.0]);
             out.opacity_logits.push(1.0);
             out.sh.push([[0.0; 3]; 16]);

@@ -8,6 +8,7 @@ use use3d_atc::extractor::{ExtractorSettings, Source, Workspace, affine_apply};
 use use3d_atc::progress::{Progress, unwatched};
 use use3d_atc::proposers::{Fusion, Proposer, ProposerId};
 use use3d_capture::Image;
+use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 
 /// A proposer that errs in a way that the source tells: it brightens by half of what is missing.
@@ -36,7 +37,7 @@ fn pair(index: u64) -> (Image, Image) {
     for y in 0..h {
         for x in 0..w {
             let k = 100 + 3 * (y * w + x) as u64;
-            let wave = 0.25 * ((x as f32 * 0.15 + index as f32).sin() + (y as f32 * 0.2).cos());
+            let wave = 0.25 * (math::sin(x as f32 * 0.15 + index as f32) + math::cos(y as f32 * 0.2));
             let colour: [f32; 3] = std::array::from_fn(|c| {
                 (0.5 + wave + 0.15 * stream.uniform(k + c as u64) as f32).clamp(0.0, 1.0)
             });

@@ -12,6 +12,7 @@ use use3d_atc::proposers::{Fusion, Proposer, ProposerId};
 use use3d_atc::{AtcError, consensus};
 use use3d_capture::{Camera, Image, Intrinsics, Pose};
 use use3d_golden::{Case, Part};
+use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Gaussians, Rasterizer};
 
@@ -139,7 +140,7 @@ fn one_outlier_of_ten_hardly_moves_the_scene() {
         candidates[9] = std::array::from_fn(|k| far * (1.0 + 0.1 * k as f64));
         let after = global_consensus(&candidates).unwrap();
         let norm = |a: &[f64], b: &[f64]| -> f64 {
-            a.iter().zip(b).map(|(x, y)| (x - y).powi(2)).sum::<f64>().sqrt()
+            a.iter().zip(b).map(|(x, y)| math::powi(x - y, 2)).sum::<f64>().sqrt()
         };
         let moved = norm(&response(&after.operator), &response(&before.operator));
         let distance = norm(&response(&candidates[9]), &response(&before.operator));
@@ -268,7 +269,7 @@ fn photograph(width: usize, height: usize, seed: u64) -> Image {
         for x in 0..width {
             let noise = stream.uniform((y * width + x) as u64) as f32;
             let v = 0.4
-                + 0.2 * (x as f32 * 0.2 + seed as f32 * 0.3).sin() * (y as f32 * 0.13).cos()
+                + 0.2 * math::sin(x as f32 * 0.2 + seed as f32 * 0.3) * math::cos(y as f32 * 0.13)
                 + 0.1 * noise;
             image.set_pixel(x, y, [0.3 * v, 0.8 * v, v]);
         }

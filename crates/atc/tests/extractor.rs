@@ -5,6 +5,7 @@ use std::sync::Arc;
 use use3d_atc::extractor::{ExtractorSettings, Form, Geometry, Source, Workspace, center};
 use use3d_capture::Image;
 use use3d_golden::{Case, Part};
+use use3d_numerics::math;
 
 fn image(case: &Case<'_>, tensor: &str) -> Image {
     let (w, h, planes) = case.planes(tensor);
@@ -37,7 +38,7 @@ fn golden_values() {
             .local
             .iter()
             .flat_map(|c| match source.geometry().settings().form {
-                Form::Log => [c[0].exp(), c[1].exp(), c[2].exp()],
+                Form::Log => [math::exp(c[0]), math::exp(c[1]), math::exp(c[2])],
                 Form::Linear => [c[0] + 1.0, c[1] + 1.0, c[2] + 1.0],
             })
             .collect();
@@ -108,7 +109,7 @@ fn random_image(width: usize, height: usize, seed: u64) -> Image {
         for y in 0..height {
             for x in 0..width {
                 let (u, v) = (x as f64 / width as f64, y as f64 / height as f64);
-                let wave = (6.0 * k[0] * u + 9.0 * k[1] * v + 6.0 * k[2]).sin() * 0.25;
+                let wave = math::sin(6.0 * k[0] * u + 9.0 * k[1] * v + 6.0 * k[2]) * 0.25;
                 let noise = stream.uniform((100 + (c * height + y) * width + x) as u64) * 0.2;
                 image.plane_mut(c)[y * width + x] = (0.3 + 0.2 * k[3] + wave + noise) as f32;
             }
@@ -268,8 +269,8 @@ fn a_sampled_view_has_nearly_the_same_transition() {
         for y in 0..h {
             for x in 0..w {
                 let (u, v) = (x as f32 / w as f32, y as f32 / h as f32);
-                let t = |c: f32| 0.5 + 0.3 * (7.0 * u + c).sin() * (5.0 * v - c).cos();
-                image.set_pixel(x, y, [t(0.0).powf(k), t(1.0), k * t(2.0)]);
+                let t = |c: f32| 0.5 + 0.3 * math::sin(7.0 * u + c) * math::cos(5.0 * v - c);
+                image.set_pixel(x, y, [math::powf(t(0.0), k), t(1.0), k * t(2.0)]);
             }
         }
         image

@@ -1,6 +1,7 @@
 //! Camera paths for films: a smooth swim through given cameras, and a spiral around their mean.
 
 use glam::{DMat3, DQuat, DVec3};
+use use3d_numerics::math;
 
 use crate::{Camera, Pose};
 
@@ -86,7 +87,9 @@ pub fn spiral(keys: &[Camera], frames: usize, radius: f64, focus: f64) -> Vec<Ca
         .map(|f| {
             let phase = std::f64::consts::TAU * f as f64 / frames as f64;
             let offset = radius
-                * (phase.cos() * right + 0.5 * phase.sin() * up + 0.25 * (2.0 * phase).sin() * forward);
+                * (math::cos(phase) * right
+                    + 0.5 * math::sin(phase) * up
+                    + 0.25 * math::sin(2.0 * phase) * forward);
             Camera { intrinsics: first.intrinsics, pose: Pose::look_at(center + offset, target, up) }
         })
         .collect()

@@ -7,6 +7,7 @@
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use use3d_numerics::math;
 use use3d_numerics::spherical_harmonics::{C0, bands, basis};
 use use3d_numerics::sums::sums;
 use use3d_scene::Scene;
@@ -66,7 +67,7 @@ fn compare(
         .map(|k| {
             let z = 1.0 - (2.0 * k as f64 + 1.0) / DIRECTIONS as f64;
             let (r, phi) = ((1.0 - z * z).sqrt(), k as f64 * std::f64::consts::PI * (3.0 - 5f64.sqrt()));
-            basis(degree, [(r * phi.cos()) as f32, (r * phi.sin()) as f32, z as f32])
+            basis(degree, [(r * math::cos(phi)) as f32, (r * math::sin(phi)) as f32, z as f32])
         })
         .collect();
     let color = |sh: &[[f32; 3]; 16], y: &[f32; 16]| -> [f32; 3] {
@@ -85,7 +86,7 @@ fn compare(
         let clamped = raw.iter().filter(|&&v| v < 0.0).count();
         (error, clamped > 0, clamped)
     };
-    let opacity = |i: usize| 1.0 / (1.0 + f64::from(-before.opacity_logits[i]).exp());
+    let opacity = |i: usize| 1.0 / (1.0 + math::exp(f64::from(-before.opacity_logits[i])));
     // Weighted sums: weight, error, clamped samples, error of samples with a clamp, their weight.
     let n = before.len();
     let [weight, error, clamped, error_clamped, weight_clamped] = sums::<5>(n, |i, t| {

@@ -1,6 +1,7 @@
 //! What stage 2 says about itself: a log line per window of steps, and per view how near the targets were reached.
 
 use serde::{Deserialize, Serialize};
+use use3d_numerics::math;
 use use3d_scene::Scene;
 use use3d_training::Profile;
 
@@ -79,7 +80,7 @@ impl Report {
     fn over(&self, of: impl Fn(&ViewErrors) -> f64) -> (f64, f64) {
         let n = self.views.len().max(1) as f64;
         let rms = |pick: &dyn Fn(&ViewReport) -> f64| {
-            (self.views.iter().map(|v| pick(v).powi(2)).sum::<f64>() / n).sqrt()
+            (self.views.iter().map(|v| math::powi(pick(v), 2)).sum::<f64>() / n).sqrt()
         };
         (rms(&|v| of(&v.before)), rms(&|v| of(&v.after)))
     }

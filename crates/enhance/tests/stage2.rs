@@ -6,6 +6,7 @@ use common::{Labels, draw, mini, quick, targets, taught};
 use use3d_enhance::{
     Engine, EnhanceError, EnhanceParams, Guidance, Look, Objective, Outcome, PixelLoss, enhance,
 };
+use use3d_numerics::math;
 use use3d_training::{Observer, Progress, Silent};
 
 /// Stops after some steps and remembers what it was told.
@@ -42,7 +43,7 @@ fn it_starts_at_the_identity() {
     // Every pixel, so that the render can be laid beside the whole view.
     let params = EnhanceParams { sample_side: 0, ..quick(1) };
     let mut engine = Engine::new(&scene, &views, Guidance::Targets(&wanted), &params, &mut Silent).unwrap();
-    let rms = (wanted.scene.iter().map(|t| (t / 0.2).powi(2)).sum::<f64>() / 12.0).sqrt();
+    let rms = (wanted.scene.iter().map(|t| math::powi(t / 0.2, 2)).sum::<f64>() / 12.0).sqrt();
     for (index, view) in views.iter().enumerate() {
         let errors = engine.evaluate(index).unwrap();
         // The realised operator is zero, so all that remains is the target.

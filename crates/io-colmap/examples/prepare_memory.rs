@@ -10,6 +10,7 @@ use use3d_capture::{Image, Pose};
 use use3d_io_colmap::{
     ImportParams, LensModel, Model, ModelCamera, ModelImage, import, prepare, write_model_binary,
 };
+use use3d_numerics::math;
 
 const SIZE: (usize, usize) = (1920, 1080);
 
@@ -33,7 +34,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         for x in 0..SIZE.0 {
             let (u, v) = (x as f32 * 0.02, y as f32 * 0.02);
             let speckle = ((x * 7919 + y * 104_729) % 61) as f32 / 600.0;
-            picture.set_pixel(x, y, [0.2 + 0.1 * u.sin(), 0.45 + 0.2 * (u + v).cos(), 0.5 + speckle]);
+            picture.set_pixel(x, y, [0.2 + 0.1 * math::sin(u), 0.45 + 0.2 * math::cos(u + v), 0.5 + speckle]);
         }
     }
     std::fs::create_dir_all(capture.join("images"))?;

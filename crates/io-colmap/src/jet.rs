@@ -2,6 +2,8 @@
 
 use std::ops::{Add, Div, Mul, Sub};
 
+use use3d_numerics::math;
+
 /// What a lens formula needs of a number.
 pub(crate) trait Real:
     Copy
@@ -23,7 +25,7 @@ pub(crate) trait Real:
 
     fn atan(self) -> Self {
         let x = self.value();
-        self.chain(x.atan(), 1.0 / (1.0 + x * x))
+        self.chain(math::atan(x), 1.0 / (1.0 + x * x))
     }
 }
 

@@ -15,6 +15,7 @@
 //! Limit: rays at 90° or more from the axis (`z ≤ 0`) have no point on the plane; no pinhole could show them either.
 
 use use3d_capture::Intrinsics;
+use use3d_numerics::math;
 
 use crate::jet::{Jet, Real};
 
@@ -163,9 +164,9 @@ impl Distortion {
         };
         let (mut u, mut v) = target;
         let (mut ru, mut rv) = residual(u, v);
-        let goal = 1e-14 * (1.0 + target.0.hypot(target.1));
+        let goal = 1e-14 * (1.0 + math::hypot(target.0, target.1));
         for _ in 0..100 {
-            let norm = ru.hypot(rv);
+            let norm = math::hypot(ru, rv);
             if norm <= goal {
                 break;
             }
@@ -182,7 +183,7 @@ impl Distortion {
             loop {
                 let (nu, nv) = (u - share * step_u, v - share * step_v);
                 let (pu, pv) = residual(nu, nv);
-                if pu.hypot(pv) < norm {
+                if math::hypot(pu, pv) < norm {
                     (u, v, ru, rv) = (nu, nv, pu, pv);
                     break;
                 }
@@ -192,7 +193,7 @@ impl Distortion {
                 }
             }
         }
-        self.accept(u, v, ru.hypot(rv), goal)
+        self.accept(u, v, math::hypot(ru, rv), goal)
     }
 
     /// A solution counts if it is exact to about 1e-11 and nothing folds between the axis and it.
@@ -294,7 +295,7 @@ impl Lens {
             Projection::Equidistant => radially(u, v, 1.0, Real::atan),
             Projection::FieldOfView { omega } => {
                 // As ω goes to 0 the model goes to the perspective one.
-                let stretch = 2.0 * (0.5 * omega).tan();
+                let stretch = 2.0 * math::tan(0.5 * omega);
                 if stretch.abs() < 1e-9 {
                     (u, v)
                 } else {
@@ -324,7 +325,7 @@ impl Lens {
     pub fn unproject(&self, x: f64, y: f64) -> Option<(f64, f64)> {
         let bent = ((x - self.principal[0]) / self.focal[0], (y - self.principal[1]) / self.focal[1]);
         let (u, v) = self.distortion.invert(bent)?;
-        let radius = u.hypot(v);
+        let radius = math::hypot(u, v);
         if radius < 1e-300 {
             return Some((u, v));
         }
@@ -334,17 +335,17 @@ impl Lens {
                 if radius >= std::f64::consts::FRAC_PI_2 - 1e-6 {
                     return None;
                 }
-                radius.tan()
+                math::tan(radius)
             }
             Projection::FieldOfView { omega } => {
-                let stretch = 2.0 * (0.5 * omega).tan();
+                let stretch = 2.0 * math::tan(0.5 * omega);
                 if stretch.abs() < 1e-9 {
                     return Some((u, v));
                 }
                 if (radius * omega).abs() >= std::f64::consts::FRAC_PI_2 - 1e-6 {
                     return None;
                 }
-                (radius * omega).tan() / stretch
+                math::tan(radius * omega) / stretch
             }
         };
         Some((u * (unbent / radius), v * (unbent / radius)))
@@ -418,19 +419,19 @@ pub(crate) mod tests {
         assert!((lens.project(1.0, 0.0).0 - 100.0 * std::f64::consts::FRAC_PI_4).abs() < 1e-12);
         // FOV: r' = atan(2 r tan(ω/2)) / ω.
         let lens = Lens::new(M::Fov, &[1.0, 1.0, 0.0, 0.0, 0.8]).unwrap();
-        assert!((lens.project(0.0, 0.7).1 - (1.4 * 0.4f64.tan()).atan() / 0.8).abs() < 1e-15);
+        assert!((lens.project(0.0, 0.7).1 - math::atan(1.4 * math::tan(0.4f64)) / 0.8).abs() < 1e-15);
         // FULL_OPENCV's rational factor: k = (k1, k2, p1, p2, k3, k4, k5, k6).
         let lens =
             Lens::new(M::FullOpenCv, &[1.0, 1.0, 0.0, 0.0, 0.1, 0.2, 0.0, 0.0, 0.3, 0.4, 0.5, 0.6]).unwrap();
         let r2 = 0.25f64;
-        let factor = (1.0 + 0.1 * r2 + 0.2 * r2 * r2 + 0.3 * r2.powi(3))
-            / (1.0 + 0.4 * r2 + 0.5 * r2 * r2 + 0.6 * r2.powi(3));
+        let factor = (1.0 + 0.1 * r2 + 0.2 * r2 * r2 + 0.3 * math::powi(r2, 3))
+            / (1.0 + 0.4 * r2 + 0.5 * r2 * r2 + 0.6 * math::powi(r2, 3));
         assert!((lens.project(0.5, 0.0).0 - 0.5 * factor).abs() < 1e-15);
         // THIN_PRISM_FISHEYE's prism adds s r² to the equidistant point.
         let lens =
             Lens::new(M::ThinPrismFisheye, &[1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.01, 0.02])
                 .unwrap();
-        let theta = 0.5f64.atan();
+        let theta = math::atan(0.5f64);
         let (x, y) = lens.project(0.5, 0.0);
         assert!((x - (theta + 0.01 * theta * theta)).abs() < 1e-15);
         assert!((y - 0.02 * theta * theta).abs() < 1e-15);
@@ -445,7 +446,7 @@ pub(crate) mod tests {
         // A fisheye pixel at 90° and more.
         let lens = Lens::new(M::SimpleRadialFisheye, &[100.0, 0.0, 0.0, 0.0]).unwrap();
         assert_eq!(lens.unproject(158.0, 0.0), None);
-        assert!((lens.unproject(150.0, 0.0).unwrap().0 - 1.5f64.tan()).abs() < 1e-9);
+        assert!((lens.unproject(150.0, 0.0).unwrap().0 - math::tan(1.5f64)).abs() < 1e-9);
     }
 
     #[test]
@@ -461,7 +462,7 @@ pub(crate) mod tests {
             let lens = example(LensModel::ALL[model], amount);
             let (u, v) = lens.unproject(x, y).expect("every pixel of these lenses has a ray");
             let (px, py) = lens.project(u, v);
-            prop_assert!((px - x).hypot(py - y) < 1e-6, "{:?}: off by {}", LensModel::ALL[model], (px - x).hypot(py - y));
+            prop_assert!(math::hypot(px - x, py - y) < 1e-6, "{:?}: off by {}", LensModel::ALL[model], math::hypot(px - x, py - y));
         }
 
         /// Ray → pixel → ray.
@@ -470,7 +471,7 @@ pub(crate) mod tests {
             let lens = example(LensModel::ALL[model], amount);
             let (x, y) = lens.project(u, v);
             let (a, b) = lens.unproject(x, y).unwrap();
-            prop_assert!((a - u).hypot(b - v) < 1e-9);
+            prop_assert!(math::hypot(a - u, b - v) < 1e-9);
         }
 
         /// The Jacobian against central differences.

@@ -13,6 +13,7 @@
 use std::sync::OnceLock;
 
 use use3d_capture::{Intrinsics, Raster};
+use use3d_numerics::math;
 
 use crate::lens::Lens;
 use crate::resample::Sample;
@@ -44,7 +45,7 @@ pub(crate) fn is_pinhole(lens: &Lens, width: usize, height: usize) -> bool {
         (0..=32usize).all(|j| {
             let (x, y) = (width as f64 * i as f64 / 32.0, height as f64 * j as f64 / 32.0);
             let (px, py) = lens.project((x - cx) / fx, (y - cy) / fy);
-            (px - x).hypot(py - y) < NEGLIGIBLE
+            math::hypot(px - x, py - y) < NEGLIGIBLE
         })
     })
 }
@@ -69,14 +70,14 @@ pub(crate) fn choose_pinhole(lens: &Lens, width: usize, height: usize) -> Result
     let to_corners = corners
         .iter()
         .filter_map(|&(x, y)| lens.unproject(x, y))
-        .map(|(u, v)| (v - center.1).atan2(u - center.0));
+        .map(|(u, v)| math::atan2(v - center.1, u - center.0));
     let around = (0..DIRECTIONS).map(|i| std::f64::consts::TAU * i as f64 / DIRECTIONS as f64);
 
     let mut ends = Vec::with_capacity(DIRECTIONS + 4);
     for direction in around.chain(to_corners) {
-        let (sin, cos) = direction.sin_cos();
+        let (sin, cos) = math::sin_cos(direction);
         let at = |t: f64| {
-            let r = (t * WIDEST).tan();
+            let r = math::tan(t * WIDEST);
             (center.0 + r * cos, center.1 + r * sin)
         };
         let step = |i: usize| i as f64 / STEPS as f64;
@@ -293,7 +294,7 @@ mod tests {
     #[test]
     fn a_distorted_picture_comes_out_as_the_pinhole_would_have_taken_it() {
         let picture = |u: f64, v: f64| {
-            let s = |x: f64| 0.5 + 0.4 * x.sin();
+            let s = |x: f64| 0.5 + 0.4 * math::sin(x);
             [s(9.0 * u + 2.0 * v), s(7.0 * v - u), s(5.0 * (u + v)) * s(6.0 * u)]
         };
         for model in LensModel::ALL.into_iter().skip(2) {

@@ -7,6 +7,7 @@ use glam::{DMat3, DVec3};
 use use3d_capture::{Image, Image8, Intrinsics, Map, Pixels, Pose};
 use use3d_io_colmap::*;
 use use3d_io_image::*;
+use use3d_numerics::math;
 
 const SIZE: (usize, usize) = (120, 80);
 
@@ -23,7 +24,7 @@ fn picture(width: usize, height: usize, phase: f32) -> Image8 {
             image.set_pixel(
                 x,
                 y,
-                [0.6 * u, 0.5 + 0.3 * (6.0 * v + phase).sin(), 0.4 + 0.2 * (9.0 * (u + v)).cos()],
+                [0.6 * u, 0.5 + 0.3 * math::sin(6.0 * v + phase), 0.4 + 0.2 * math::cos(9.0 * (u + v))],
             );
         }
     }

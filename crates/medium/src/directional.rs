@@ -230,6 +230,7 @@ pub(crate) fn forward_plain(
     lattice: &Lattice,
     degree: usize,
 ) -> MediumMaps {
+    use use3d_numerics::math;
     use use3d_numerics::spherical_harmonics::basis;
     let mut out = MediumMaps::zeros(lattice.width(), lattice.height());
     for (j, &v) in lattice.rows().iter().enumerate() {
@@ -241,7 +242,7 @@ pub(crate) fn forward_plain(
                     (0..16).map(|b| f64::from(y[b]) * f64::from(coefficients[quantity][b][c])).sum()
                 })
             };
-            let softplus = |x: f64| (x.max(0.0) + (-x.abs()).exp().ln_1p()) as f32;
+            let softplus = |x: f64| (x.max(0.0) + math::ln_1p(math::exp(-x.abs()))) as f32;
             out.color.set_pixel(i, j, raw(0).map(|x| (x + 0.5).max(0.0) as f32));
             out.backscatter.set_pixel(i, j, raw(1).map(softplus));
             out.attenuation.set_pixel(i, j, raw(2).map(softplus));

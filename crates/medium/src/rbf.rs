@@ -12,6 +12,7 @@
 //! before the exponential, since affinities of narrow anchors lie far below the range of `exp`.
 
 use use3d_capture::Camera;
+use use3d_numerics::math;
 
 use crate::directional::{CoefficientGradients, Coefficients};
 
@@ -43,11 +44,11 @@ impl MediumRbf {
             }
             let z = 1.0 - (2.0 * k as f64 + 1.0) / anchors as f64;
             let (r, phi) = ((1.0 - z * z).sqrt(), k as f64 * std::f64::consts::PI * (3.0 - 5f64.sqrt()));
-            [r * phi.cos(), r * phi.sin(), z].map(|v| (v * 3f64.sqrt()) as f32)
+            [r * math::cos(phi), r * math::sin(phi), z].map(|v| (v * 3f64.sqrt()) as f32)
         };
         Self {
             centers: (0..anchors).map(center).collect(),
-            log_widths: vec![0.85f32.ln(); anchors],
+            log_widths: vec![math::ln(0.85f32); anchors],
             coefficients: vec![initial_coefficients(); anchors],
             top_k: top_k.clamp(1, anchors.max(1)),
         }
@@ -118,7 +119,7 @@ impl MediumRbf {
 
     /// `σ_k` and whether it is held at its floor.
     fn sigma(&self, k: usize) -> (f64, bool) {
-        let sigma = f64::from(self.log_widths[k]).exp();
+        let sigma = math::exp(f64::from(self.log_widths[k]));
         (sigma.max(WIDTH_FLOOR), sigma < WIDTH_FLOOR)
     }
 
@@ -128,16 +129,16 @@ impl MediumRbf {
         let mut scored: Vec<(usize, f64)> = (0..self.len())
             .map(|k| {
                 let (sigma, _) = self.sigma(k);
-                let squared: f64 = (0..3).map(|a| (o[a] - f64::from(self.centers[k][a])).powi(2)).sum();
+                let squared: f64 = (0..3).map(|a| math::powi(o[a] - f64::from(self.centers[k][a]), 2)).sum();
                 (k, -squared / (2.0 * sigma * sigma))
             })
             .collect();
         scored.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
         scored.truncate(self.top_k.max(1));
         let best = scored.first().map_or(0.0, |s| s.1);
-        let total: f64 = scored.iter().map(|s| (s.1 - best).exp()).sum();
+        let total: f64 = scored.iter().map(|s| math::exp(s.1 - best)).sum();
         for s in &mut scored {
-            s.1 = (s.1 - best).exp() / total;
+            s.1 = math::exp(s.1 - best) / total;
         }
         scored
     }

@@ -6,6 +6,7 @@ use std::time::Instant;
 use use3d_capture::Image;
 use use3d_metrics::ms_ssim::{MsSsim, STANDARD_WEIGHTS};
 use use3d_metrics::{UciqeVariant, mean_ciede2000, psnr, ssim, uciqe, uiqm};
+use use3d_numerics::math;
 
 /// A smooth picture with some texture.
 fn picture(phase: f32) -> Image {
@@ -14,7 +15,7 @@ fn picture(phase: f32) -> Image {
         for x in 0..1400 {
             let (u, v) = (x as f32 * 0.013, y as f32 * 0.017);
             let t = 0.06 * ((x * 7919 + y * 104_729) % 97) as f32 / 97.0;
-            let wave = |k: f32| 0.45 + 0.35 * (k * u + phase).sin() * (k * v).cos() + t;
+            let wave = |k: f32| 0.45 + 0.35 * math::sin(k * u + phase) * math::cos(k * v) + t;
             image.set_pixel(x, y, [0.6 * wave(1.0), wave(1.3), wave(0.7)]);
         }
     }

@@ -9,20 +9,21 @@
 
 use rayon::prelude::*;
 use use3d_capture::{Image, Map};
+use use3d_numerics::math;
 
 use crate::error::{MetricError, finite, large_enough, same_size};
 use crate::lab::lab_of_srgb;
 
 /// CIEDE2000 of two CIELAB colours.
 pub fn delta_e_of_lab(first: [f64; 3], second: [f64; 3]) -> f64 {
-    let pow7 = |v: f64| v.powi(7);
+    let pow7 = |v: f64| math::powi(v, 7);
     let share = |c: f64| (pow7(c) / (pow7(c) + pow7(25.0))).sqrt();
-    let mean_chroma = 0.5 * (first[1].hypot(first[2]) + second[1].hypot(second[2]));
+    let mean_chroma = 0.5 * (math::hypot(first[1], first[2]) + math::hypot(second[1], second[2]));
     let stretch = 1.0 + 0.5 * (1.0 - share(mean_chroma));
     let polar = |[_, a, b]: [f64; 3]| {
         let a = stretch * a;
-        let hue = if a == 0.0 && b == 0.0 { 0.0 } else { b.atan2(a).to_degrees().rem_euclid(360.0) };
-        (a.hypot(b), hue)
+        let hue = if a == 0.0 && b == 0.0 { 0.0 } else { math::atan2(b, a).to_degrees().rem_euclid(360.0) };
+        (math::hypot(a, b), hue)
     };
     let ((c1, h1), (c2, h2)) = (polar(first), polar(second));
     let colored = c1 * c2 != 0.0;
@@ -33,7 +34,7 @@ pub fn delta_e_of_lab(first: [f64; 3], second: [f64; 3]) -> f64 {
         d => d,
     };
     let (delta_l, delta_c) = (second[0] - first[0], c2 - c1);
-    let delta_h = 2.0 * (c1 * c2).sqrt() * (0.5 * turn).to_radians().sin();
+    let delta_h = 2.0 * (c1 * c2).sqrt() * math::sin((0.5 * turn).to_radians());
     let (l, c) = (0.5 * (first[0] + second[0]), 0.5 * (c1 + c2));
     let hue = match h1 + h2 {
         sum if !colored => sum,
@@ -41,14 +42,14 @@ pub fn delta_e_of_lab(first: [f64; 3], second: [f64; 3]) -> f64 {
         sum if sum < 360.0 => 0.5 * (sum + 360.0),
         sum => 0.5 * (sum - 360.0),
     };
-    let cos = |degrees: f64| degrees.to_radians().cos();
+    let cos = |degrees: f64| math::cos(degrees.to_radians());
     let t = 1.0 - 0.17 * cos(hue - 30.0) + 0.24 * cos(2.0 * hue) + 0.32 * cos(3.0 * hue + 6.0)
         - 0.20 * cos(4.0 * hue - 63.0);
-    let from_50 = (l - 50.0).powi(2);
+    let from_50 = math::powi(l - 50.0, 2);
     let s_l = 1.0 + 0.015 * from_50 / (20.0 + from_50).sqrt();
     let (s_c, s_h) = (1.0 + 0.045 * c, 1.0 + 0.015 * c * t);
-    let rotation = 60.0 * (-((hue - 275.0) / 25.0).powi(2)).exp();
-    let r_t = -2.0 * share(c) * rotation.to_radians().sin();
+    let rotation = 60.0 * math::exp(-math::powi((hue - 275.0) / 25.0, 2));
+    let r_t = -2.0 * share(c) * math::sin(rotation.to_radians());
     let (x, y, z) = (delta_l / s_l, delta_c / s_c, delta_h / s_h);
     (x * x + y * y + z * z + r_t * y * z).max(0.0).sqrt()
 }

@@ -192,6 +192,7 @@ mod tests {
     use super::*;
     use glam::{DMat3, DVec3};
     use use3d_capture::{Intrinsics, Pose};
+    use use3d_numerics::math;
 
     const SIZE: (usize, usize) = (60, 44);
 
@@ -211,7 +212,7 @@ mod tests {
                 let hit = square && near.x.abs() < 0.3 && near.y.abs() < 0.3;
                 let z = if hit { 2.0 } else { 5.0 };
                 let p = center + z * ray;
-                let value = if hit { 0.9 } else { 0.5 + 0.3 * (2.0 * p.x).sin() * (1.5 * p.y).cos() };
+                let value = if hit { 0.9 } else { 0.5 + 0.3 * math::sin(2.0 * p.x) * math::cos(1.5 * p.y) };
                 image.set_pixel(x, y, [value as f32, 0.4, 1.0 - value as f32]);
                 depth.set_pixel(x, y, [z as f32]);
             }

@@ -5,6 +5,7 @@
 //! The white point is the matrix's own image of white, so that greys have exactly no chroma.
 
 use use3d_capture::Image8;
+use use3d_numerics::math;
 
 /// Linear sRGB to XYZ.
 const TO_XYZ: [[f64; 3]; 3] =
@@ -16,7 +17,7 @@ const WHITE: [f64; 3] = [0.950456, 1.0, 1.088754];
 const KNEE: f64 = 216.0 / 24389.0;
 
 fn decode(v: f64) -> f64 {
-    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+    if v <= 0.04045 { v / 12.92 } else { math::powf((v + 0.055) / 1.055, 2.4) }
 }
 
 fn lab_of_linear(rgb: [f64; 3], cube_root: impl Fn(f64) -> f64) -> [f64; 3] {
@@ -30,7 +31,7 @@ fn lab_of_linear(rgb: [f64; 3], cube_root: impl Fn(f64) -> f64) -> [f64; 3] {
 
 /// CIELAB of display values (clamped to `[0, 1]`): L in `[0, 100]`.
 pub fn lab_of_srgb(rgb: [f32; 3]) -> [f64; 3] {
-    lab_of_linear(rgb.map(|v| decode(f64::from(v.clamp(0.0, 1.0)))), f64::cbrt)
+    lab_of_linear(rgb.map(|v| decode(f64::from(v.clamp(0.0, 1.0)))), math::cbrt)
 }
 
 /// CIELAB of 8-bit pixels by tables: the decoded value of each code, and cube roots to start from.
@@ -44,7 +45,7 @@ impl LabTable {
     const INTERVALS: usize = 16384;
 
     pub(crate) fn new() -> Self {
-        let middle = |i: usize| ((i as f64 + 0.5) / Self::INTERVALS as f64).cbrt() as f32;
+        let middle = |i: usize| math::cbrt((i as f64 + 0.5) / Self::INTERVALS as f64) as f32;
         Self {
             decoded: std::array::from_fn(|i| decode(i as f64 / 255.0)),
             roots: (0..=Self::INTERVALS).map(middle).collect(),

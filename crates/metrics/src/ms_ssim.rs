@@ -23,6 +23,7 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd, dispatch, f32x16};
 use rayon::prelude::*;
 use use3d_capture::Image;
+use use3d_numerics::math;
 
 /// Level weights of the reconstruction loss (R12).
 pub const RECONSTRUCTION_WEIGHTS: [f64; 3] = [0.6, 0.3, 0.1];
@@ -40,7 +41,8 @@ const STRIP: usize = 96;
 
 /// The normalised Gaussian window, σ = 1.5.
 pub fn window() -> [f32; WINDOW] {
-    let raw: [f64; WINDOW] = std::array::from_fn(|i| (-(i as f64 - 5.0).powi(2) / (2.0 * 1.5 * 1.5)).exp());
+    let raw: [f64; WINDOW] =
+        std::array::from_fn(|i| math::exp(-math::powi(i as f64 - 5.0, 2) / (2.0 * 1.5 * 1.5)));
     let total: f64 = raw.iter().sum();
     raw.map(|v| (v / total) as f32)
 }
@@ -145,7 +147,7 @@ impl MsSsim {
         }
 
         let per_channel: [f64; 3] = std::array::from_fn(|c| {
-            means.iter().zip(&weights).map(|(m, w)| m[c].max(0.0).powf(*w)).product()
+            means.iter().zip(&weights).map(|(m, w)| math::powf(m[c].max(0.0), *w)).product()
         });
         if let Some(gradient) = gradient {
             // d value / d mean of a level; a channel with a mean at or below 0 has value 0 and gradient 0.
@@ -520,7 +522,7 @@ mod tests {
                         count += 1.0;
                     }
                 }
-                value *= (sum / count).max(0.0).powf(*weight);
+                value *= math::powf((sum / count).max(0.0), *weight);
                 let (cw, ch) = (w.div_ceil(2), h.div_ceil(2));
                 let pooled = |p: &[f64]| -> Vec<f64> {
                     let at = |i: usize, j: usize| {
@@ -551,7 +553,7 @@ mod tests {
         let base: Vec<f32> = (0..3 * w * h)
             .map(|i| {
                 let (x, y) = ((i % w) as f32, ((i / w) % h) as f32);
-                0.5 + 0.3 * (x * 0.21 + (i / (w * h)) as f32).sin() * (y * 0.17).cos()
+                0.5 + 0.3 * math::sin(x * 0.21 + (i / (w * h)) as f32) * math::cos(y * 0.17)
             })
             .collect();
         let noisy = base.iter().enumerate().map(|(i, v)| v + 0.05 * stream.normal(i as u64) as f32).collect();

@@ -6,6 +6,7 @@
 //! that fits best in the least-squares sense: `g = Σ x y / Σ x²`, one for all channels or one per channel.
 
 use use3d_capture::Image;
+use use3d_numerics::math;
 use use3d_numerics::sums;
 
 use crate::error::{MetricError, finite, large_enough, same_size};
@@ -50,7 +51,7 @@ fn square_error(x: &Image, y: &Image, gain: [f64; 3]) -> f64 {
 }
 
 fn decibels(mean_square: f64) -> f64 {
-    -10.0 * mean_square.log10()
+    -10.0 * math::log10(mean_square)
 }
 
 /// PSNR in dB; infinite for equal images.

@@ -20,6 +20,7 @@ use std::str::FromStr;
 
 use rayon::prelude::*;
 use use3d_capture::{Image, Image8};
+use use3d_numerics::math;
 use use3d_numerics::sums;
 
 use crate::error::{MetricError, finite, large_enough};
@@ -170,7 +171,7 @@ fn of_lab(image: &Image8, variant: UciqeVariant) -> (f64, f64, f64) {
     let mean = chroma / count;
     let spread = sums::sum(n, |i| {
         let c = pixels[i][1];
-        if relative { (1.0 - (mean / c.max(1e-12)).powi(2)).abs() } else { (c - mean).powi(2) }
+        if relative { (1.0 - math::powi(mean / c.max(1e-12), 2)).abs() } else { math::powi(c - mean, 2) }
     });
     let lightness: Vec<f64> = pixels.iter().map(|p| p[0]).collect();
     let contrast = match variant {
@@ -254,7 +255,7 @@ fn of_hsv(image: &Image8) -> (f64, f64, f64) {
         t[1] += pixels[i][1];
     });
     let mean = hue / count;
-    let spread = sums::sum(n, |i| (pixels[i][0] - mean).powi(2));
+    let spread = sums::sum(n, |i| math::powi(pixels[i][0] - mean, 2));
     let mut values: Vec<f64> = pixels.iter().map(|p| p[2]).collect();
     values.sort_unstable_by(f64::total_cmp);
     let tail = (n / 100).max(1);

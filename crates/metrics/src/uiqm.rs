@@ -12,6 +12,7 @@
 
 use rayon::prelude::*;
 use use3d_capture::{Image, Image8};
+use use3d_numerics::math;
 
 use crate::error::{MetricError, finite, large_enough};
 
@@ -72,11 +73,14 @@ fn colorfulness(image: &Image8) -> f64 {
             seen += count;
         }
         let mean = sum / (n - low - high) as f64;
-        let square: f64 =
-            counts.iter().enumerate().map(|(bin, &count)| count as f64 * (value(bin) - mean).powi(2)).sum();
+        let square: f64 = counts
+            .iter()
+            .enumerate()
+            .map(|(bin, &count)| count as f64 * math::powi(value(bin) - mean, 2))
+            .sum();
         (mean, square / n as f64)
     });
-    -0.0268 * mean_rg.hypot(mean_yb) + 0.1586 * (var_rg + var_yb).sqrt()
+    -0.0268 * math::hypot(mean_rg, mean_yb) + 0.1586 * (var_rg + var_yb).sqrt()
 }
 
 /// Squared Sobel magnitude of a plane, half-sample symmetric at the borders. Whole numbers, at most 2 · 1020².
@@ -141,7 +145,7 @@ fn sharpness(image: &Image8) -> f64 {
                         high = high.max(e);
                     }
                 }
-                if low == 0 { 0.0 } else { 0.5 * (high as f64 / low as f64).ln() }
+                if low == 0 { 0.0 } else { 0.5 * math::ln(high as f64 / low as f64) }
             })
         })
         .collect();
@@ -164,7 +168,7 @@ fn contrast(image: &Image8) -> f64 {
         let (low, high) = (f64::from(low), f64::from(high));
         if high > low {
             let r = (high - low) / (high + low);
-            r * r.ln()
+            r * math::ln(r)
         } else {
             0.0
         }
@@ -197,9 +201,9 @@ mod tests {
         let [(rg, v1), (yb, v2)] = opponents.map(|values| {
             let mean = plain_trimmed_mean(values.clone());
             let n = values.len() as f64;
-            (mean, values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n)
+            (mean, values.iter().map(|v| math::powi(v - mean, 2)).sum::<f64>() / n)
         });
-        let expected = -0.0268 * rg.hypot(yb) + 0.1586 * (v1 + v2).sqrt();
+        let expected = -0.0268 * math::hypot(rg, yb) + 0.1586 * (v1 + v2).sqrt();
         assert!((colorfulness(&image) - expected).abs() < 1e-12);
     }
 

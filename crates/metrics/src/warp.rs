@@ -11,6 +11,7 @@
 
 use rayon::prelude::*;
 use use3d_capture::{Image, Raster};
+use use3d_numerics::math;
 
 use crate::error::{MetricError, finite, large_enough, same_size};
 
@@ -139,7 +140,7 @@ pub fn forward_backward(f12: &Flow, f21: &Flow) -> Result<ForwardBackward, Metri
         out
     };
     Ok(ForwardBackward {
-        error_squared: combine(|a, b| (a[0] + b[0]).powi(2) + (a[1] + b[1]).powi(2)),
+        error_squared: combine(|a, b| math::powi(a[0] + b[0], 2) + math::powi(a[1] + b[1], 2)),
         magnitude_squared: combine(|a, b| a[0] * a[0] + a[1] * a[1] + b[0] * b[0] + b[1] * b[1]),
         inside,
     })

@@ -10,6 +10,7 @@ use use3d_nets::weights::StandIn;
 use use3d_nets::{
     DepthAnythingSize, DepthAnythingV2, InputPolicy, Lpips, Musiq, NetError, Nu2Net, Raft, URanker,
 };
+use use3d_numerics::math;
 
 const NETWORKS: [&str; 9] =
     ["nu2net", "nu2net-scene", "da2-small", "da2-base", "da2-large", "lpips", "raft", "uranker", "musiq"];
@@ -115,7 +116,8 @@ fn picture(width: usize, height: usize, phase: f32) -> Image {
     for y in 0..height {
         for x in 0..width {
             let (u, v) = (x as f32 * 0.05 + phase, y as f32 * 0.07);
-            let pixel = [u.sin() * v.cos(), (u * 0.3).cos(), (v * 0.2 + u).sin()].map(|v| 0.5 + 0.4 * v);
+            let pixel = [math::sin(u) * math::cos(v), math::cos(u * 0.3), math::sin(v * 0.2 + u)]
+                .map(|v| 0.5 + 0.4 * v);
             image.set_pixel(x, y, pixel);
         }
     }

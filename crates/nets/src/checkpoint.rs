@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 
 use pytorch_reader::{DType, PytorchReader};
 use safetensors::{Dtype, SafeTensors};
+use use3d_numerics::math;
 
 use crate::error::NetError;
 use crate::weights::Weights;
@@ -229,10 +230,10 @@ fn decode(format: Format, bytes: &[u8]) -> Vec<f32> {
 fn half(bits: u16) -> f32 {
     let (exponent, fraction) = (bits >> 10 & 0x1f, f32::from(bits & 0x3ff));
     let magnitude = match exponent {
-        0 => fraction * 2f32.powi(-24),
+        0 => fraction * math::powi(2f32, -24),
         31 if fraction == 0.0 => f32::INFINITY,
         31 => f32::NAN,
-        _ => (1.0 + fraction / 1024.0) * 2f32.powi(i32::from(exponent) - 15),
+        _ => (1.0 + fraction / 1024.0) * math::powi(2f32, i32::from(exponent) - 15),
     };
     if bits >> 15 == 1 { -magnitude } else { magnitude }
 }

@@ -163,6 +163,7 @@ mod tests {
     use super::*;
     use crate::testing::{Golden, every_channel, picture};
     use crate::weights::StandIn;
+    use use3d_numerics::math;
 
     #[test]
     fn golden_distance_layers_and_intermediates() {
@@ -193,9 +194,9 @@ mod tests {
             let layer = LAYERS.iter().position(|(l, ..)| name.starts_with(&format!("{l}.")));
             let spread = (3.0 / shape[1..].iter().product::<usize>() as f64).sqrt();
             let value = |i: usize| match (head, layer) {
-                (Some(l), _) => (0.11 * i as f64 + l).cos().abs() / n as f64,
-                (_, Some(l)) if name.ends_with("weight") => (0.37 * i as f64 + l as f64).sin() * spread,
-                _ => 0.01 * (i as f64).cos(),
+                (Some(l), _) => math::cos(0.11 * i as f64 + l).abs() / n as f64,
+                (_, Some(l)) if name.ends_with("weight") => math::sin(0.37 * i as f64 + l as f64) * spread,
+                _ => 0.01 * math::cos(i as f64),
             };
             Ok((0..n).map(|i| value(i) as f32).collect())
         }

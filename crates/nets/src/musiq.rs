@@ -9,6 +9,7 @@
 
 use rayon::prelude::*;
 use use3d_capture::Image;
+use use3d_numerics::math;
 
 use crate::engine::attention::attention;
 use crate::engine::convolution::{Convolution, Padding};
@@ -202,7 +203,7 @@ fn standardised(
     for kernel in values.chunks_exact_mut(shape[1..].iter().product()) {
         let n = kernel.len() as f64;
         let mean = kernel.iter().map(|&w| f64::from(w)).sum::<f64>() / n;
-        let squares = kernel.iter().map(|&w| (f64::from(w) - mean).powi(2)).sum::<f64>();
+        let squares = kernel.iter().map(|&w| math::powi(f64::from(w) - mean, 2)).sum::<f64>();
         let deviation = (squares / (n - 1.0)).sqrt() + 1e-5;
         kernel.iter_mut().for_each(|w| *w = ((f64::from(*w) - mean) / deviation) as f32);
     }

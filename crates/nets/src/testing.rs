@@ -2,6 +2,7 @@
 
 use safetensors::{Dtype, SafeTensors};
 use use3d_capture::{Image, Image8};
+use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 
 use crate::engine::planes::Planes;
@@ -19,7 +20,7 @@ pub(crate) fn picture(seed: u64, width: usize, height: usize) -> Image {
     for (i, v) in image.data_mut().iter_mut().enumerate() {
         let (x, y) = ((i % width) as f32, (i / width % height) as f32);
         let c = (i / (width * height)) as f32;
-        let wave = ((x * 0.11 + c + seed as f32).sin() + (y * 0.07 - 0.5 * c).cos()) * 0.2;
+        let wave = (math::sin(x * 0.11 + c + seed as f32) + math::cos(y * 0.07 - 0.5 * c)) * 0.2;
         *v = (0.5 + wave + 0.05 * grain[i]).clamp(0.0, 1.0);
     }
     image

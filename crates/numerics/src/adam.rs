@@ -3,6 +3,7 @@
 //! `m ← β₁ m + (1-β₁) g`, `v ← β₂ v + (1-β₂) g²`, `θ ← θ − lr (m / (1-β₁ᵗ)) / (√(v / (1-β₂ᵗ)) + ε)`, element by element, f32
 //! state; the bias corrections are computed in f64. Elements are independent, so any split over threads gives the same bits.
 
+use crate::math;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -56,7 +57,7 @@ impl Adam {
     /// The per-step scalars, for loops that fuse the update with something else.
     pub fn scalars(&self, step: u64, learning_rate: f64) -> AdamScalars {
         let exponent = i32::try_from(step).unwrap_or(i32::MAX);
-        let (c1, c2) = (1.0 - self.beta1.powi(exponent), 1.0 - self.beta2.powi(exponent));
+        let (c1, c2) = (1.0 - math::powi(self.beta1, exponent), 1.0 - math::powi(self.beta2, exponent));
         AdamScalars {
             beta1: self.beta1 as f32,
             beta2: self.beta2 as f32,
@@ -92,7 +93,7 @@ impl AdamScalars {
 /// Exponential (log-linear) decay from `first` to `last` over `steps`: `first^(1-t) last^t`, `t = step / steps` clamped to 1.
 pub fn exponential_decay(first: f64, last: f64, step: u64, steps: u64) -> f64 {
     let t = if steps == 0 { 1.0 } else { (step as f64 / steps as f64).min(1.0) };
-    (first.ln() * (1.0 - t) + last.ln() * t).exp()
+    math::exp(math::ln(first) * (1.0 - t) + math::ln(last) * t)
 }
 
 #[cfg(test)]
@@ -106,12 +107,15 @@ mod tests {
         let (mut p, mut m, mut v) = (vec![0.5f32], vec![0.0f32], vec![0.0f32]);
         let (mut rp, mut rm, mut rv) = (0.5f64, 0.0f64, 0.0f64);
         for step in 1..=50u64 {
-            let g = (step as f64 * 0.3).cos();
+            let g = math::cos(step as f64 * 0.3);
             adam.update(step, 0.01, &mut p, &[g as f32], &mut m, &mut v);
             rp *= 1.0 - 0.01 * adam.weight_decay;
             rm = 0.9 * rm + 0.1 * g;
             rv = 0.999 * rv + 0.001 * g * g;
-            let (mh, vh) = (rm / (1.0 - 0.9f64.powi(step as i32)), rv / (1.0 - 0.999f64.powi(step as i32)));
+            let (mh, vh) = (
+                rm / (1.0 - math::powi(0.9f64, step as i32)),
+                rv / (1.0 - math::powi(0.999f64, step as i32)),
+            );
             rp -= 0.01 * mh / (vh.sqrt() + adam.epsilon);
         }
         assert!((f64::from(p[0]) - rp).abs() < 1e-5, "{} against {rp}", p[0]);

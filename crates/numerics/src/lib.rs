@@ -5,6 +5,7 @@
 
 pub mod adam;
 pub mod lanes;
+pub mod math;
 pub mod random;
 pub mod spherical_harmonics;
 pub mod sums;

@@ -4,6 +4,8 @@
 //! same numbers. The mixing function is the finaliser of SplitMix64 (Steele, Lea, Flood, "Fast splittable pseudorandom
 //! number generators", OOPSLA 2014), applied after each key word. Not for cryptography.
 
+use crate::math;
+
 /// What a draw is for. Two purposes never share a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Purpose(u64);
@@ -62,7 +64,7 @@ impl Stream {
     pub fn normal(&self, index: u64) -> f64 {
         let u = 1.0 - self.uniform(2 * index);
         let v = self.uniform(2 * index + 1);
-        (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+        (-2.0 * math::ln(u)).sqrt() * math::cos(std::f64::consts::TAU * v)
     }
 
     /// A uniformly random permutation of `0..n` (Fisher–Yates).

@@ -51,6 +51,7 @@ pub fn basis(degree: usize, d: [f32; 3]) -> [f32; 16] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math;
 
     /// The basis is orthonormal over the sphere: a Fibonacci lattice integrates the products.
     #[test]
@@ -60,7 +61,7 @@ mod tests {
         for i in 0..n {
             let z = 1.0 - (2.0 * i as f64 + 1.0) / n as f64;
             let (r, phi) = ((1.0 - z * z).sqrt(), i as f64 * std::f64::consts::PI * (3.0 - 5f64.sqrt()));
-            let b = basis(3, [(r * phi.cos()) as f32, (r * phi.sin()) as f32, z as f32]);
+            let b = basis(3, [(r * math::cos(phi)) as f32, (r * math::sin(phi)) as f32, z as f32]);
             for (row, &p) in gram.iter_mut().zip(&b) {
                 for (cell, &q) in row.iter_mut().zip(&b) {
                     *cell += f64::from(p) * f64::from(q) * 4.0 * std::f64::consts::PI / n as f64;

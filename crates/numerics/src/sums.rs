@@ -41,10 +41,11 @@ pub fn sums<const N: usize>(n: usize, accumulate: impl Fn(usize, &mut [f64; N]) 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math;
 
     #[test]
     fn the_same_bits_on_any_number_of_threads() {
-        let values: Vec<f64> = (0..100_000).map(|i| ((i * 7919) as f64).sin() * 1e3).collect();
+        let values: Vec<f64> = (0..100_000).map(|i| math::sin((i * 7919) as f64) * 1e3).collect();
         let run = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {

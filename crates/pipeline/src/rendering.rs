@@ -6,6 +6,7 @@
 use use3d_capture::{Camera, Image, Lattice, Map, MediumMaps};
 use use3d_enhance::{EnhanceError, Look, Renderer};
 use use3d_medium::MediumModel;
+use use3d_numerics::math;
 use use3d_scene::Scene;
 use use3d_splat::{Layers, Rendered};
 
@@ -248,7 +249,7 @@ pub fn medium_profile(medium: &MediumModel, degree: usize, camera: &Camera) -> O
     let mut maps = MediumMaps::zeros(0, 0);
     medium.maps(camera, &lattice, degree, &mut maps);
     let samples = lattice.columns().iter().enumerate().map(|(i, &u)| WaterSample {
-        degrees: ((f64::from(u) - k.cx) / k.fx).atan().to_degrees(),
+        degrees: math::atan((f64::from(u) - k.cx) / k.fx).to_degrees(),
         color: maps.color.pixel(i, 0),
         backscatter: maps.backscatter.pixel(i, 0),
         attenuation: maps.attenuation.pixel(i, 0),

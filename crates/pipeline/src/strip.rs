@@ -9,6 +9,7 @@
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Camera, Image, Map};
 use use3d_metrics::{delta_e_of_lab, lab_of_srgb};
+use use3d_numerics::math;
 
 /// Longest side of a crop, pixels.
 const SIDE: usize = 96;
@@ -91,7 +92,7 @@ fn contrast(image: &Image, (left, top): (usize, usize), side: usize) -> f64 {
         }
     }
     let n = (side * side) as f64;
-    square / n - (sum / n).powi(2)
+    square / n - math::powi(sum / n, 2)
 }
 
 /// The side of the crops, and the upper left corner of each view's; `None` if no spot is seen by all.

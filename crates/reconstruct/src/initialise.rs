@@ -10,6 +10,7 @@ use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 use use3d_capture::{Camera, Capture};
+use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_numerics::spherical_harmonics::C0;
 use use3d_splat::{Gaussians, NEAR};
@@ -56,12 +57,12 @@ pub(crate) fn gaussians(
     let spacing = spacing(&positions);
     let stream = Stream::new(params.seed, Purpose::new("initial rotations"), 0);
     let mut gaussians = Gaussians::empty(params.sh_degree);
-    let logit = (params.initial_opacity / (1.0 - params.initial_opacity)).ln() as f32;
+    let logit = math::ln(params.initial_opacity / (1.0 - params.initial_opacity)) as f32;
     for (i, ((position, color), spacing)) in points.iter().zip(&spacing).enumerate() {
         let mut sh = [[0.0; 3]; 16];
         sh[0] = color.map(|c| ((c - 0.5) / f64::from(C0)) as f32);
         gaussians.means.push(position.as_vec3().to_array());
-        gaussians.log_scales.push([spacing.clamp(SMALLEST, LARGEST).ln() as f32; 3]);
+        gaussians.log_scales.push([math::ln(spacing.clamp(SMALLEST, LARGEST)) as f32; 3]);
         gaussians.quaternions.push(rotation(&stream, i as u64));
         gaussians.opacity_logits.push(logit);
         gaussians.sh.push(sh);
@@ -99,7 +100,7 @@ fn random_points(
             let draw = |k: u64| stream.uniform(4 * i as u64 + k);
             let camera = &cameras[((draw(0) * cameras.len() as f64) as usize).min(cameras.len() - 1)];
             let k = &camera.intrinsics;
-            let depth = near * (far / near).powf(draw(3));
+            let depth = near * math::powf(far / near, draw(3));
             let in_camera = camera.ray(draw(1) * k.width as f64, draw(2) * k.height as f64) * depth;
             (camera.pose.rotation.transpose() * (in_camera - camera.pose.translation), [0.5; 3])
         })
@@ -153,7 +154,7 @@ fn place_spacing(places: &[[f64; 3]]) -> Vec<f64> {
             .map(|p| {
                 let mut nearest = [f64::INFINITY; NEIGHBOURS + 1];
                 for q in places {
-                    let d: f64 = (0..3).map(|a| (p[a] - q[a]).powi(2)).sum();
+                    let d: f64 = (0..3).map(|a| math::powi(p[a] - q[a], 2)).sum();
                     let at = nearest.partition_point(|n| *n <= d);
                     if at < nearest.len() {
                         nearest[at..].rotate_right(1);

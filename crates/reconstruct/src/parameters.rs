@@ -2,6 +2,7 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use use3d_numerics::math;
 
 /// Which model of the water is fitted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -351,7 +352,7 @@ impl ReconstructParams {
     /// What a step costs beside one on whole images, for telling the time left. Between two measurements: from a quarter to the whole
     /// side, a run's steps grew five times in a small scene and twelve times in a large one.
     pub(crate) fn step_work(&self, step: u64) -> f64 {
-        (self.divisor(step) as f64).powf(-1.5)
+        math::powf(self.divisor(step) as f64, -1.5)
     }
 
     /// The active spherical-harmonics degree at `step`.

@@ -8,6 +8,7 @@ use use3d_capture::{
 };
 use use3d_golden::Part;
 use use3d_medium::{MediumModel, MediumRbf};
+use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Colors, Gaussians, Options, Prepared, Rasterizer, Rendered};
 use use3d_training::{Observer, Progress, Silent};
@@ -126,7 +127,7 @@ fn tiny_capture(views: usize) -> (Capture, Vec<LoadedView>) {
         let position = [2.4 * u(0) - 1.2, 1.8 * u(1) - 0.9, 1.5 + 0.8 * u(2)];
         let color = [0.2 + 0.7 * u(3), 0.2 + 0.6 * u(4), 0.2 + 0.6 * u(5)];
         truth.means.push(position.map(|v| v as f32));
-        truth.log_scales.push([0; 3].map(|_: i32| (0.09f64 + 0.05 * u(6)).ln() as f32));
+        truth.log_scales.push([0; 3].map(|_: i32| math::ln(0.09f64 + 0.05 * u(6)) as f32));
         truth.quaternions.push([1.0, 0.0, 0.0, 0.0]);
         truth.opacity_logits.push(2.5);
         let mut sh = [[0.0; 3]; 16];
@@ -153,7 +154,7 @@ fn tiny_capture(views: usize) -> (Capture, Vec<LoadedView>) {
     let views: Vec<View> = (0..views)
         .map(|i| {
             let t = i as f64 / views.max(2) as f64 - 0.5;
-            let eye = DVec3::new(1.2 * t, 0.3 * (7.0 * t).sin(), -0.2 * t);
+            let eye = DVec3::new(1.2 * t, 0.3 * math::sin(7.0 * t), -0.2 * t);
             let camera =
                 Camera { intrinsics, pose: Pose::look_at(eye, DVec3::new(0.2 * t, 0.0, 2.0), -DVec3::Y) };
             let lattice = Lattice::full(&intrinsics);

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use use3d_capture::{Capture, Image, MediumMaps, View};
 use use3d_medium::{MediumGlobal, MediumMlp, MediumModel, MediumRbf};
 use use3d_metrics::ms_ssim::MsSsim;
+use use3d_numerics::math;
 use use3d_numerics::random::Purpose;
 use use3d_scene::Scene;
 use use3d_splat::Rendered;
@@ -517,12 +518,12 @@ impl Run<'_> {
                 }
             }
             let squared = use3d_numerics::sums::sum(image.data().len(), |i| {
-                f64::from(image.data()[i] - target.image.data()[i]).powi(2)
+                math::powi(f64::from(image.data()[i] - target.image.data()[i]), 2)
             });
             let error = squared / image.data().len() as f64;
             scores.push(ViewScore {
                 view: view.name.clone(),
-                psnr: -10.0 * error.max(1e-12).log10(),
+                psnr: -10.0 * math::log10(error.max(1e-12)),
                 ssim: measure.value(&image, &target.image, &[1.0]),
             });
         }

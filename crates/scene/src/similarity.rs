@@ -7,6 +7,7 @@
 
 use glam::{DMat3, DQuat, DVec3};
 use use3d_capture::Frame;
+use use3d_numerics::math;
 use use3d_numerics::spherical_harmonics::basis;
 use use3d_splat::Gaussians;
 
@@ -27,7 +28,7 @@ fn turn_bands(rotation: DMat3) -> [[f64; 16]; 16] {
         let r = (1.0 - z * z).sqrt();
         for k in 0..LONGITUDES {
             let phi = std::f64::consts::TAU * (k as f64 + 0.5) / LONGITUDES as f64;
-            let direction = DVec3::new(r * phi.cos(), r * phi.sin(), z);
+            let direction = DVec3::new(r * math::cos(phi), r * math::sin(phi), z);
             let (old, new) = (value(direction), value(rotation * direction));
             let area = weight * std::f64::consts::TAU / LONGITUDES as f64;
             for (row, &n) in m.iter_mut().zip(&new) {
@@ -58,7 +59,7 @@ fn transform(
 ) -> Gaussians {
     let turn = DQuat::from_mat3(&rotation);
     let bands = turn_bands(rotation);
-    let log_scale = scale.ln();
+    let log_scale = math::ln(scale);
     let mut out = gaussians.clone();
     for mean in &mut out.means {
         let moved = point(DVec3::new(mean[0].into(), mean[1].into(), mean[2].into()));

@@ -14,6 +14,7 @@ use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch, f32x16};
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use use3d_capture::{Camera, Image, Intrinsics, Lattice, MediumMaps, Pose, world_direction};
+use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{
     Colors, Cotangents, GaussianGradients, Gaussians, Options, Prepared, Rasterizer, Rendered,
@@ -217,7 +218,7 @@ fn dense(medium: Option<bool>) -> [f64; 2] {
     for i in 0..count {
         let z = 2.0 + 0.05 * i as f32;
         gaussians.means.push([0.01, -0.01, z]);
-        gaussians.log_scales.push([(0.3 * z).ln(); 3]);
+        gaussians.log_scales.push([math::ln(0.3 * z); 3]);
         gaussians.quaternions.push([1.0, 0.0, 0.0, 0.0]);
         gaussians.opacity_logits.push(-3.4);
         gaussians.sh.push([[0.3; 3]; 16]);
@@ -260,7 +261,7 @@ fn dense(medium: Option<bool>) -> [f64; 2] {
 }
 
 fn cotangent(k: &Intrinsics) -> Image {
-    let data = (0..3 * k.width * k.height).map(|i| ((i % 977) as f32 * 0.013).sin()).collect();
+    let data = (0..3 * k.width * k.height).map(|i| math::sin((i % 977) as f32 * 0.013)).collect();
     Image::from_planes(k.width, k.height, data).expect("three planes")
 }
 
@@ -303,10 +304,10 @@ fn trained_scene(count: usize, pixels: f64, width: usize, height: usize) -> (Gau
         let (u, v) =
             ((uniform(0) * 1.15 - 0.575) * width as f64, (uniform(1) * 1.15 - 0.575) * height as f64);
         let surface =
-            3.0 + 1.2 * (u * 0.004).sin() + 0.9 * (v * 0.006).cos() + 3.0 * (v / height as f64 + 0.5);
+            3.0 + 1.2 * math::sin(u * 0.004) + 0.9 * math::cos(v * 0.006) + 3.0 * (v / height as f64 + 0.5);
         let depth = (surface * (1.0 + 0.08 * z(0))).max(0.5);
         out.means.push([(u * depth / focal) as f32, (v * depth / focal) as f32, depth as f32]);
-        let size = (pixels * depth / focal).ln() + 0.7 * z(1);
+        let size = math::ln(pixels * depth / focal) + 0.7 * z(1);
         out.log_scales.push(std::array::from_fn(|k| (size + 0.6 * z(2 + k as u64)) as f32));
         out.quaternions.push(std::array::from_fn(|k| z(5 + k as u64) as f32));
         out.opacity_logits.push((-0.3 + 1.8 * z(9)) as f32);
@@ -336,9 +337,9 @@ fn initialised(points: &[(DVec3, [u8; 3])]) -> Gaussians {
     let mut out = Gaussians::empty(3);
     for ((p, color), scale) in points.iter().zip(scales) {
         out.means.push(p.as_vec3().to_array());
-        out.log_scales.push([scale.max(1e-7).ln() as f32; 3]);
+        out.log_scales.push([math::ln(scale.max(1e-7)) as f32; 3]);
         out.quaternions.push([1.0, 0.0, 0.0, 0.0]);
-        out.opacity_logits.push((0.1f32 / 0.9).ln());
+        out.opacity_logits.push(math::ln(0.1f32 / 0.9));
         let mut sh = [[0.0; 3]; 16];
         sh[0] = color.map(|v| (f32::from(v) / 255.0 - 0.5) / 0.282_094_8);
         out.sh.push(sh);
@@ -368,8 +369,8 @@ fn bar_scene() -> (String, Gaussians, Vec<Camera>) {
         .map(|i| {
             // A rough ground that rises towards the horizon, with points off it as triangulation leaves them.
             let (u, v) = ((s.uniform(i * 16 + 4) - 0.5) * 1.9, (s.uniform(i * 16 + 5) - 0.3) * 0.9);
-            let ground = 1.6 / (0.35 + v) * (1.0 + 0.15 * (9.0 * u).sin() * (7.0 * v).cos());
-            let depth = ground.min(8.0) * (0.02 * s.normal(i * 8)).exp();
+            let ground = 1.6 / (0.35 + v) * (1.0 + 0.15 * math::sin(9.0 * u) * math::cos(7.0 * v));
+            let depth = ground.min(8.0) * math::exp(0.02 * s.normal(i * 8));
             (DVec3::new(u * depth, v * depth, depth), [90, 120, 130])
         })
         .collect();

@@ -9,6 +9,7 @@ use std::ops::Range;
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 use use3d_capture::Camera;
+use use3d_numerics::math;
 
 use crate::prepared::{ColorSource, HIDDEN, Prepared, Splat, TileRow};
 use crate::projection::Projector;
@@ -211,7 +212,7 @@ fn backward_chunk(view: &View<'_>, first: usize, ranks: &[u32], out: Chunk<'_>) 
         scales[i] = g.log_scale.map(|v| v as f32);
         quats[i] = g.quaternion.map(|v| v as f32);
         // α = o e^{-σ}, so ∂L/∂logit = (1 − o) Σ α ∂L/∂α.
-        let closed = 1.0 / (1.0 + f64::from(gaussians.opacity_logits[index]).exp());
+        let closed = 1.0 / (1.0 + math::exp(f64::from(gaussians.opacity_logits[index])));
         logits[i] = (closed * s[0]) as f32;
         screen[i] = [(a * s[10]) as f32, s[11] as f32];
         match prepared.color_source {

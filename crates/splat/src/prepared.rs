@@ -15,6 +15,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 use use3d_capture::{Camera, Lattice};
+use use3d_numerics::math;
 
 use crate::axis::Axis;
 use crate::color;
@@ -401,7 +402,7 @@ impl Projecting<'_> {
 fn splat_of(p: &Projection, logit: f32, columns: [f32; 2], rows: [f32; 2]) -> Option<Splat> {
     // log₂ of the logistic function, stable at both ends; NaN compares false below.
     let x = f64::from(logit);
-    let log2_opacity = -((-x.abs()).exp().ln_1p() - x.min(0.0)) * std::f64::consts::LOG2_E;
+    let log2_opacity = -(math::ln_1p(math::exp(-x.abs())) - x.min(0.0)) * std::f64::consts::LOG2_E;
     let level = log2_opacity + f64::from(LOG2_255);
     if level.is_nan() || level < 0.0 {
         return None;
@@ -542,7 +543,7 @@ pub(crate) mod tests {
         let mut uncut = view.clone();
         uncut.list_everything();
         assert!(view.entries() * 3 < uncut.entries() && view.entries() > 1000);
-        let data = (0..3 * 75 * 58).map(|i| (i as f32).sin()).collect();
+        let data = (0..3 * 75 * 58).map(|i| math::sin(i as f32)).collect();
         let image = Image::from_planes(75, 58, data).unwrap();
         let cotangents = Cotangents { image: &image, depth: None, accumulation: None, clear: None };
         for mut rasterizer in [Rasterizer::plain(), Rasterizer::new()] {

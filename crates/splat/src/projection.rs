@@ -14,6 +14,7 @@
 //! in scalar f32 and the results are the correctly rounded ones to f32 accuracy.
 
 use use3d_capture::Camera;
+use use3d_numerics::math;
 
 /// Nearest depth drawn, scene units.
 pub const NEAR: f64 = 0.01;
@@ -132,7 +133,7 @@ impl Projector {
         let axes = jr.map(|row: [f64; 3]| {
             std::array::from_fn(|c| row[0] * turn[0][c] + row[1] * turn[1][c] + row[2] * turn[2][c])
         });
-        let scale = log_scale.map(|v| f64::from(v).exp());
+        let scale = log_scale.map(|v| math::exp(f64::from(v)));
         Frame { x, slope: [sx, sy], free: [free_x, free_y], unit, norm, scale, turn, axes, jr }
     }
 

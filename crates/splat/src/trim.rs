@@ -88,6 +88,7 @@ fn trimmed(prepared: &Prepared, stop: &[i32], row: usize) -> TileRow {
 #[cfg(test)]
 mod tests {
     use use3d_capture::{Camera, Image, Intrinsics, Lattice, MediumMaps, Pose};
+    use use3d_numerics::math;
 
     use super::*;
     use crate::prepared::tests::cloud;
@@ -106,7 +107,7 @@ mod tests {
             view.prepare(&gaussians, &camera, &lattice, Colors::Sh { degree: 0 });
             let (w, h) = (lattice.width(), lattice.height());
             let wave = |k: usize| {
-                let data = (0..3 * w * h).map(|i| 0.3 + 0.2 * ((i + k) as f32).sin()).collect();
+                let data = (0..3 * w * h).map(|i| 0.3 + 0.2 * math::sin((i + k) as f32)).collect();
                 Image::from_planes(w, h, data).unwrap()
             };
             let water = MediumMaps { color: wave(1), backscatter: wave(2), attenuation: wave(3) };

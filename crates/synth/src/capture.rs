@@ -17,6 +17,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Camera, Frame, Map};
 use use3d_io_image::{write_exr_map, write_png_map16, write_png8};
+use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 
 use crate::error::{SynthError, whole_folder};
@@ -132,7 +133,7 @@ fn colmap_frame(seed: u64) -> Frame {
     let y_down = DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y);
     let heading = DMat3::from_rotation_y(std::f64::consts::PI * number(0));
     let tilt = DMat3::from_rotation_x(0.25 * number(1)) * DMat3::from_rotation_z(0.25 * number(2));
-    let scale = (0.5 * number(3)).exp() * 0.6;
+    let scale = math::exp(0.5 * number(3)) * 0.6;
     let translation = 1.5 * DVec3::new(number(4), number(5), number(6));
     Frame { scale, rotation: tilt * heading * y_down, translation }
 }
@@ -225,7 +226,7 @@ fn depth_prior(depth: &Map, seed: u64, view: usize) -> Map {
         if z > 0.0 {
             let at = Vec3::new(3.0 * (p % w) as f32 / w as f32, 3.0 * (p / w) as f32 / w as f32, 0.5);
             let error = 1.0 + 0.04 * wobble.value(at) + 0.004 * grain.normal(p as u64) as f32;
-            *out = (0.03 + gain * (nearest / z).powf(power) * error).clamp(1.0 / 65535.0, 1.0);
+            *out = (0.03 + gain * math::powf(nearest / z, power) * error).clamp(1.0 / 65535.0, 1.0);
         }
     }
     prior

@@ -8,6 +8,7 @@
 use glam::DVec3;
 use use3d_capture::{Camera, Frame, Image8, Map};
 use use3d_io_colmap::{Keypoint, Model, ModelCamera, ModelImage, ModelPoint};
+use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 
 use crate::render::depth_at;
@@ -53,7 +54,7 @@ pub(crate) fn corners(image: &Image8, depth: &Map, seed: u64, view: usize, wante
             0.299 * r + 0.587 * g + 0.114 * b
         };
         let (gx, gy) = (luminance(x + 1, y) - luminance(x - 1, y), luminance(x, y + 1) - luminance(x, y - 1));
-        if stream.uniform(3 * i + 2) < (gx.hypot(gy) / 50.0).powi(2) {
+        if stream.uniform(3 * i + 2) < math::powi(math::hypot(gx, gy) / 50.0, 2) {
             found.push(Corner {
                 u: x as f64 + 0.5,
                 v: y as f64 + 0.5,
@@ -115,8 +116,8 @@ fn track(
         let (w, h) = (other.intrinsics.width as f64, other.intrinsics.height as f64);
         let inside = pixel.x > 1.0 && pixel.y > 1.0 && pixel.x < w - 1.0 && pixel.y < h - 1.0;
         // Detectors lose features with distance in water, and with the change of scale and angle.
-        let change = (z / corner.depth).ln().abs() + 0.35 * (i.abs_diff(home) as f64 / 6.0);
-        let chance = 0.9 * (-1.2 * change).exp() * (1.0 - z / (1.3 * f64::from(REACH))).max(0.0);
+        let change = math::ln(z / corner.depth).abs() + 0.35 * (i.abs_diff(home) as f64 / 6.0);
+        let chance = 0.9 * math::exp(-1.2 * change) * (1.0 - z / (1.3 * f64::from(REACH))).max(0.0);
         let detected = i == home || stream.uniform(draw) < chance;
         let enough = mismatch && detections.len() >= 2;
         if !inside || !detected || enough {
@@ -163,7 +164,7 @@ fn add(model: &mut Model, cameras: &[Camera], frame: &Frame, color: [u8; 3], poi
     let (mut error, mut track) = (0.0, Vec::new());
     for &(view, x, y) in &point.detections {
         error += match cameras[view].project(point.position) {
-            Some((pixel, _)) => (pixel.x - x).hypot(pixel.y - y),
+            Some((pixel, _)) => math::hypot(pixel.x - x, pixel.y - y),
             None => 0.0,
         };
         let image = &mut model.images[view];

@@ -2,6 +2,7 @@
 
 use glam::{DVec3, Vec3};
 use use3d_capture::{Camera, Intrinsics, Pose};
+use use3d_numerics::math;
 
 use crate::scene::{Draws, Terrain};
 
@@ -53,10 +54,10 @@ pub(crate) fn path(terrain: &Terrain, seed: u64, views: usize, intrinsics: &Intr
             // It rises over the last half metre out and the first of the way back.
             let rise = ((way - 1.0) * length + 0.5).clamp(0.0, 1.0);
             let back = rise * rise * (3.0 - 2.0 * rise);
-            let sway = |cycles: f32, phase: f32| (tau * cycles * t + phase).sin();
+            let sway = |cycles: f32, phase: f32| math::sin(tau * cycles * t + phase);
             let y = -0.7 + LONGEST * t + 0.05 * sway(6.0, phases[0]);
             let x = terrain.channel_center(y)
-                + side * 0.75 * (tau * 1.25 * t).sin()
+                + side * 0.75 * math::sin(tau * 1.25 * t)
                 + 0.06 * sway(7.0, phases[1]);
             let z = floor(terrain, x, y)
                 + 1.5
@@ -88,7 +89,7 @@ pub(crate) fn snapshot(
     let eye = Vec3::new(x, y, floor(terrain, x, y) + altitude);
     let reach = draws.range(1.6, 4.5) * (1.0 - 0.5 * nearness);
     let turn = draws.about(0.75);
-    let (gx, gy) = (x + reach * turn.sin(), y + reach * turn.cos());
+    let (gx, gy) = (x + reach * math::sin(turn), y + reach * math::cos(turn));
     let gaze = Vec3::new(gx, gy, floor(terrain, gx, gy) + draws.range(0.1, 0.5));
     let up = DVec3::new(f64::from(draws.about(0.12)), 0.0, 1.0);
     Camera { intrinsics: *intrinsics, pose: Pose::look_at(eye.as_dvec3(), gaze.as_dvec3(), up) }

@@ -17,6 +17,7 @@
 use glam::Vec3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use use3d_numerics::math;
 
 /// Jerlov's optical water types: I to III oceanic, clear to dull; 1C to 9C coastal, increasingly turbid and green.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -126,7 +127,7 @@ impl Water {
         let k = kind.diffuse_attenuation().map(|[a, b]| 0.5 * (a + b));
         let mean = 0.5 * (k[1] + k[2]);
         let way = depth * (1.0 - white_balance) + SIDEWAYS;
-        let veil: [f32; 3] = std::array::from_fn(|c| SCATTERING[c] * (-k[c] * way).exp() / (k[c] + 0.06));
+        let veil: [f32; 3] = std::array::from_fn(|c| SCATTERING[c] * math::exp(-k[c] * way) / (k[c] + 0.06));
         let brightest = veil.iter().fold(0.0f32, |m, &v| m.max(v));
         // Upwards the light has come a shorter way: red gains most.
         let towards_sun = sun - sun.dot(up) * up;
@@ -134,7 +135,7 @@ impl Water {
         Self {
             attenuation: k,
             backscatter: k.map(|k| 0.55 * k + 0.35 * mean + 0.015),
-            veil: veil.map(|v| (0.26 * v / brightest).powf(1.0 / 2.2)),
+            veil: veil.map(|v| math::powf(0.26 * v / brightest, 1.0 / 2.2)),
             veil_gradient: [gradient(0.90), gradient(0.70), gradient(0.50)],
         }
     }
@@ -142,7 +143,7 @@ impl Water {
     /// The colour of daylight at a depth (linear, brightest channel 1), as the camera's white balance leaves it.
     pub fn daylight_tint(kind: WaterType, depth: f32, white_balance: f32) -> [f32; 3] {
         let k = kind.diffuse_attenuation().map(|[a, b]| 0.5 * (a + b));
-        let tint = k.map(|k| (-k * depth * (1.0 - white_balance)).exp());
+        let tint = k.map(|k| math::exp(-k * depth * (1.0 - white_balance)));
         let brightest = tint.iter().fold(0.0f32, |m, &v| m.max(v));
         tint.map(|v| v / brightest)
     }
@@ -159,8 +160,8 @@ impl Water {
     pub fn seen_through(&self, clean: [f32; 3], distance: f32, direction: Vec3) -> [f32; 3] {
         let veil = self.veil_along(direction);
         std::array::from_fn(|c| {
-            clean[c] * (-self.attenuation[c] * distance).exp()
-                - veil[c] * (-self.backscatter[c] * distance).exp_m1()
+            clean[c] * math::exp(-self.attenuation[c] * distance)
+                - veil[c] * math::exp_m1(-self.backscatter[c] * distance)
         })
     }
 

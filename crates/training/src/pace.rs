@@ -8,6 +8,8 @@
 
 use std::time::Instant;
 
+use use3d_numerics::math;
+
 /// Older steps count by `e^(−age / WINDOW)`, seconds.
 const WINDOW: f64 = 20.0;
 
@@ -34,7 +36,7 @@ impl Pace {
     }
 
     fn took(&mut self, seconds: f64, work: f64) {
-        let kept = (-seconds / WINDOW).exp();
+        let kept = math::exp(-seconds / WINDOW);
         self.seconds = kept * self.seconds + seconds;
         self.steps = kept * self.steps + 1.0;
         self.work = kept * self.work + work;

@@ -4,13 +4,14 @@
 //! `w` and `b` are learned, `c` is constant in Stage 2, so `h` is computed once.
 
 use fearless_simd::{Simd, f32x16, prelude::*};
+use use3d_numerics::math;
 
 use crate::lanes;
 
 /// `sign(c) ln(1 + |c|)`.
 #[inline]
 pub(crate) fn signed_log(c: f32) -> f32 {
-    c.abs().ln_1p().copysign(c)
+    math::ln_1p(c.abs()).copysign(c)
 }
 
 /// `γ` of 16 colours given by the planes of their signed logs.

@@ -3,6 +3,7 @@
 //! [`raw`] repeats the kernel's operations in its order (equal bits where multiply and add fuse); [`Exact`] is everything in f64,
 //! accurate enough to be differenced.
 
+use use3d_numerics::math;
 use use3d_numerics::spherical_harmonics::C0;
 
 use crate::OUTPUTS;
@@ -64,8 +65,8 @@ impl Exact {
 
     fn gamma(&self, color: [f64; 3]) -> f64 {
         let g = &self.parameters[self.shape.guide()];
-        let h = color.map(|c| c.abs().ln_1p().copysign(c));
-        (g[0] * h[0] + g[1] * h[1] + g[2] * h[2] + g[3]).tanh()
+        let h = color.map(|c| math::ln_1p(c.abs()).copysign(c));
+        math::tanh(g[0] * h[0] + g[1] * h[1] + g[2] * h[2] + g[3])
     }
 
     fn raw(&self, u: [f64; 4]) -> [f64; OUTPUTS] {
@@ -87,7 +88,7 @@ impl Exact {
         for unit in 0..s.width {
             let weights = &p[s.hidden_weight()][unit * s.rank..];
             let pre = p[s.hidden_bias()][unit] + z.iter().zip(weights).map(|(z, w)| z * w).sum::<f64>();
-            let hidden = pre / (1.0 + (-pre).exp());
+            let hidden = pre / (1.0 + math::exp(-pre));
             for o in 0..OUTPUTS {
                 out[o] += p[s.output_weight()][o * s.width + unit] * hidden;
             }
@@ -119,7 +120,7 @@ impl Exact {
             .zip(base)
             .map(|(raw, c)| {
                 let graded = self.graded(c.map(f64::from));
-                std::array::from_fn(|o| (raw[o] - mean[o]).exp() * graded[o] + raw[3 + o] - mean[3 + o])
+                std::array::from_fn(|o| math::exp(raw[o] - mean[o]) * graded[o] + raw[3 + o] - mean[3 + o])
             })
             .collect()
     }
@@ -133,7 +134,7 @@ impl Exact {
             let mean = table.iter().map(|r| r[o]).sum::<f64>() / ROWS as f64;
             for row in &mut table {
                 row[o] -= mean;
-                row[o] = if o < 3 { row[o].exp() } else { row[o] };
+                row[o] = if o < 3 { math::exp(row[o]) } else { row[o] };
             }
         }
         c_m.iter()
@@ -151,7 +152,7 @@ impl Exact {
     /// The ratios of β_bs and β_attn.
     pub(crate) fn ratios(&self) -> [f64; 2] {
         let u = &self.parameters[self.shape.transport()];
-        [u[0], u[1]].map(|u| (4f64.ln() * u.tanh()).exp())
+        [u[0], u[1]].map(|u| math::exp(math::ln(4f64) * math::tanh(u)))
     }
 
     /// Mean absolute first difference of the factors.

@@ -13,6 +13,7 @@ use std::ops::Range;
 use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 use rayon::prelude::*;
 use use3d_capture::{Image, MediumMaps};
+use use3d_numerics::math;
 
 use crate::OUTPUTS;
 use crate::field::{Field, Gradient, apply_affine};
@@ -208,7 +209,7 @@ impl WaterPass {
         gradient.add_guide(&sums.guide);
         let at = gradient.shape().transport().start;
         for (k, (u, ratio)) in field.transport().into_iter().zip(ratios(field, 1.0)).enumerate() {
-            let tanh = f64::from(u).tanh();
+            let tanh = math::tanh(f64::from(u));
             let slope = f64::from(ratio) * f64::from(LOG_RATIO_BOUND) * (1.0 - tanh * tanh);
             gradient.values[at + k] += sums.transport[k] * slope;
         }
@@ -243,7 +244,7 @@ impl WaterPass {
 
 /// The transport ratios for β_bs and β_attn, `exp(strength ln 4 tanh u)`.
 pub fn ratios(field: &Field, strength: f32) -> [f32; 2] {
-    field.transport().map(|u| (strength * LOG_RATIO_BOUND * u.tanh()).exp())
+    field.transport().map(|u| math::exp(strength * LOG_RATIO_BOUND * math::tanh(u)))
 }
 
 /// What the colour of a view's pixels depends on.

@@ -203,12 +203,13 @@ fn logistic(z: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use use3d_numerics::math;
 
     #[test]
     fn the_logistic_function_is_accurate() {
         for i in -4000..=4000 {
             let z = i as f32 * 0.025;
-            let exact = 1.0 / (1.0 + (-f64::from(z)).exp());
+            let exact = 1.0 / (1.0 + math::exp(-f64::from(z)));
             let error = (f64::from(logistic(z)) - exact).abs() / exact;
             assert!(error < 4e-7 || exact < 1e-30, "{z}: {error:e}");
         }

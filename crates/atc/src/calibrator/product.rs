@@ -103,6 +103,7 @@ fn band(left: &[f32], packed: &[f32], depth: usize, rows: &mut [f32], columns: u
 #[cfg(test)]
 mod tests {
     use super::*;
+    use use3d_numerics::math;
 
     /// The scalar twin: the same chain per element.
     fn plain(a: View<'_>, b: View<'_>, c: &mut [f32]) {
@@ -117,7 +118,7 @@ mod tests {
 
     #[test]
     fn tiles_give_the_bits_of_the_plain_loop() {
-        let noise = |n: usize, k: usize| -> Vec<f32> { (0..n).map(|i| ((i * k) as f32).sin()).collect() };
+        let noise = |n: usize, k: usize| -> Vec<f32> { (0..n).map(|i| math::sin((i * k) as f32)).collect() };
         for (m, n, k) in [(1, 1, 1), (7, 12, 30), (13, 17, 600), (64, 33, 1100), (5, 6, 256)] {
             let (a, b) = (noise(m * k, 7), noise(k * n, 13));
             let start = noise(m * n, 3);

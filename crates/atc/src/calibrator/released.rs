@@ -138,12 +138,13 @@ fn take_head(tensors: &mut Tensors, which: &str, inputs: usize, outputs: usize) 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use use3d_numerics::math;
 
     fn released() -> Tensors {
         let mut out = Tensors::new();
         let mut add = |name: String, shape: Vec<usize>| {
             let n = shape.iter().product::<usize>();
-            let values = (0..n).map(|i| (i as f32 * 0.37 + name.len() as f32).sin() * 0.1).collect();
+            let values = (0..n).map(|i| math::sin(i as f32 * 0.37 + name.len() as f32) * 0.1).collect();
             out.insert(name, (shape, values));
         };
         for (head, inputs, hidden, outputs) in [("global", 30, 16, 12), ("local", 54, 24, 6)] {

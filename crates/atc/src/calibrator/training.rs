@@ -6,6 +6,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_numerics::adam::Adam;
+use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 
 use super::head::{Batch, Head};
@@ -120,7 +121,7 @@ impl CalibratorParams {
     /// The learning rate of `step`, counted from 1.
     fn rate(&self, step: u64) -> f64 {
         let t = (step - 1) as f64 / self.steps.max(1) as f64;
-        let cosine = 0.5 * (1.0 + (std::f64::consts::PI * t).cos());
+        let cosine = 0.5 * (1.0 + math::cos(std::f64::consts::PI * t));
         self.learning_rate * (self.final_fraction + (1.0 - self.final_fraction) * cosine)
     }
 }
@@ -227,7 +228,7 @@ fn clear(gradients: &mut Mlp) {
 
 /// Scales both gradients so that their joint norm is at most `limit`.
 fn clip(limit: f64, global: &mut Mlp, local: &mut Mlp) {
-    let square = |m: &Mlp| -> f64 { m.parameters().flatten().map(|&g| f64::from(g).powi(2)).sum() };
+    let square = |m: &Mlp| -> f64 { m.parameters().flatten().map(|&g| math::powi(f64::from(g), 2)).sum() };
     let norm = (square(global) + square(local)).sqrt();
     if norm > limit {
         let scale = (limit / norm) as f32;

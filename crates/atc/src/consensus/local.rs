@@ -13,6 +13,7 @@
 
 use rayon::prelude::*;
 use use3d_capture::{Camera, Lattice};
+use use3d_numerics::math;
 use use3d_splat::{Colors, Gaussians, Prepared, Rasterizer};
 
 use crate::calibrator::SCALE_FLOOR;
@@ -111,7 +112,7 @@ impl LocalConsensus {
                         1.0
                     } else {
                         let square: f64 =
-                            (0..6).map(|k| ((v[k] - mean[k]) * inverse[k]).powi(2)).sum::<f64>() / 6.0;
+                            (0..6).map(|k| math::powi((v[k] - mean[k]) * inverse[k], 2)).sum::<f64>() / 6.0;
                         1.0 / (1.0 + square)
                     };
                     let evidence = omega * factor;

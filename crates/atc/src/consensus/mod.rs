@@ -24,6 +24,7 @@ pub use views::{Proposals, Recorder, ViewInput, ViewRecord};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::Gaussians;
 
@@ -132,7 +133,7 @@ pub fn targets_from_records(
     for (record, &distance) in records.iter().zip(&global.distances) {
         let cells = record.local(calibrator, &global.operator)?;
         let square: f64 =
-            cells.iter().flat_map(|c| (0..6).map(|k| (c[k] / targets.local_scales[k]).powi(2))).sum();
+            cells.iter().flat_map(|c| (0..6).map(|k| math::powi(c[k] / targets.local_scales[k], 2))).sum();
         views.push(ViewReport {
             name: record.name.clone(),
             candidate: record.candidate,

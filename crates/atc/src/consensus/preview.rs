@@ -5,6 +5,7 @@
 
 use rayon::prelude::*;
 use use3d_capture::{Image, Map};
+use use3d_numerics::math;
 use use3d_splat::{Gaussians, Rasterizer};
 
 use super::rasterise::support_map;
@@ -93,7 +94,7 @@ pub fn apply_transition(
         }
         let (a, b) = (maps[c * w * h + p], maps[(3 + c) * w * h + p]);
         let gain = match form {
-            Form::Log => a.exp(),
+            Form::Log => math::exp(a),
             Form::Linear => 1.0 + a,
         };
         gain * colour + b

@@ -8,6 +8,7 @@
 
 use rayon::prelude::*;
 use use3d_capture::Image;
+use use3d_numerics::math;
 use use3d_numerics::sums::sums;
 
 use super::global::LUMINANCE;
@@ -44,7 +45,7 @@ fn describe_image(image: &Image) -> [f64; GLOBAL_DESCRIPTOR] {
     .map(|s| s / count);
     let variances = sums::<3>(n, |p, t| {
         for c in 0..3 {
-            t[c] += (f64::from(planes[c][p]) - means[c]).powi(2);
+            t[c] += math::powi(f64::from(planes[c][p]) - means[c], 2);
         }
     })
     .map(|s| s / count);
@@ -59,7 +60,7 @@ fn describe_image(image: &Image) -> [f64; GLOBAL_DESCRIPTOR] {
         }
     }
     // softplus(50 v) / 50 is max(v, 0) with a rounded corner; written so that large v does not overflow.
-    let softplus = |v: f64| (50.0 * v).max(0.0) / 50.0 + (-(50.0 * v).abs()).exp().ln_1p() / 50.0;
+    let softplus = |v: f64| (50.0 * v).max(0.0) / 50.0 + math::ln_1p(math::exp(-(50.0 * v).abs())) / 50.0;
     let luminance: Vec<f64> = (0..n)
         .into_par_iter()
         .map(|p| (0..3).map(|c| LUMINANCE[c] * softplus(f64::from(planes[c][p]))).sum())
@@ -74,7 +75,7 @@ fn describe_image(image: &Image) -> [f64; GLOBAL_DESCRIPTOR] {
     let deviation = (square / count).sqrt().max(1e-5);
     out[15] = mean;
     out[16] = deviation;
-    out[17] = cube / count / deviation.powi(3);
+    out[17] = cube / count / math::powi(deviation, 3);
     out
 }
 
@@ -99,9 +100,13 @@ fn describe_cells(image: &Image, cells: &Pooling) -> Vec<[f64; LOCAL_DESCRIPTOR]
         .into_par_iter()
         .map(|p| {
             let v: [f64; 3] = std::array::from_fn(|c| f64::from(planes[c][p]).max(0.0));
-            let l = v.map(|v| (v + 1e-4).ln());
+            let l = v.map(|v| math::ln(v + 1e-4));
             let luminance = LUMINANCE[0] * v[0] + LUMINANCE[1] * v[1] + LUMINANCE[2] * v[2];
-            [(luminance + 1e-4).ln(), (l[0] - l[1]) / 2f64.sqrt(), (l[0] + l[1] - 2.0 * l[2]) / 6f64.sqrt()]
+            [
+                math::ln(luminance + 1e-4),
+                (l[0] - l[1]) / 2f64.sqrt(),
+                (l[0] + l[1] - 2.0 * l[2]) / 6f64.sqrt(),
+            ]
         })
         .collect();
     let mut features = vec![0.0; 6 * n];
@@ -117,7 +122,11 @@ fn describe_cells(image: &Image, cells: &Pooling) -> Vec<[f64; LOCAL_DESCRIPTOR]
     (0..columns * rows)
         .map(|cell| {
             std::array::from_fn(|k| {
-                if k < 3 { at(cell, k) } else { (at(cell, k) - at(cell, k - 3).powi(2)).max(1e-5).sqrt() }
+                if k < 3 {
+                    at(cell, k)
+                } else {
+                    (at(cell, k) - math::powi(at(cell, k - 3), 2)).max(1e-5).sqrt()
+                }
             })
         })
         .collect()

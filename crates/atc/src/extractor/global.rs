@@ -15,6 +15,7 @@
 
 use rayon::prelude::*;
 use use3d_capture::{Image, Map};
+use use3d_numerics::math;
 
 use super::Affine;
 use crate::lanes::{LANES, total, vectorized};
@@ -28,7 +29,7 @@ pub(crate) const LUMINANCE: [f64; 3] = [0.299, 0.587, 0.114];
 
 /// How much a source pixel counts: little where it is black or beyond white.
 pub(crate) fn pixel_weights(source: &Image) -> Map {
-    let logistic = |v: f64| 1.0 / (1.0 + (-v).exp());
+    let logistic = |v: f64| 1.0 / (1.0 + math::exp(-v));
     let mut weights = Map::new(source.width(), source.height());
     let [r, g, b] = source.planes();
     weights.data_mut().par_iter_mut().enumerate().for_each(|(p, w)| {

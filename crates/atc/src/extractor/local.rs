@@ -14,6 +14,8 @@
 //! log-gain has no gradient; its bias keeps its own. Pooling is linear, so `x'` at the samples is `M` applied to the pooled
 //! source, which is computed once per source.
 
+use use3d_numerics::math;
+
 use super::{Affine, Form, affine_apply};
 
 /// Samples along a side of a cell.
@@ -141,8 +143,8 @@ impl Band<'_> {
             let (_, fits) = self.fits(global, cell);
             for c in 0..3 {
                 operator[c] = match form {
-                    Form::Log if fits[c].excess > GAIN_FLOOR - 1.0 => fits[c].excess.ln_1p(),
-                    Form::Log => GAIN_FLOOR.ln(),
+                    Form::Log if fits[c].excess > GAIN_FLOOR - 1.0 => math::ln_1p(fits[c].excess),
+                    Form::Log => math::ln(GAIN_FLOOR),
                     Form::Linear => fits[c].excess,
                 };
                 operator[3 + c] = fits[c].bias;
@@ -199,7 +201,7 @@ impl Band<'_> {
                     error += e * e / (3 * SAMPLES) as f64;
                 }
             }
-            *out = (variance / (variance + 1e-3) * (-error / 0.02).exp()).clamp(0.0, 1.0);
+            *out = (variance / (variance + 1e-3) * math::exp(-error / 0.02)).clamp(0.0, 1.0);
         }
     }
 }

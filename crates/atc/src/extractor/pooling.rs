@@ -121,6 +121,7 @@ fn add_row<T: Copy + Into<f64>>(sums: &mut [f64], row: &[T]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use use3d_numerics::math;
 
     #[test]
     fn bins_are_those_of_adaptive_pooling() {
@@ -145,8 +146,8 @@ mod tests {
         for (size, to) in [((19, 11), (8, 16)), ((5, 4), (16, 16)), ((24, 16), (8, 8))] {
             let pooling = Pooling::new(size, to);
             let (w, h) = size;
-            let image: Vec<f32> = (0..w * h).map(|i| ((i * 37 % 101) as f32).sin()).collect();
-            let cotangent: Vec<f64> = (0..to.0 * to.1).map(|i| ((i * 53 % 97) as f64).cos()).collect();
+            let image: Vec<f32> = (0..w * h).map(|i| math::sin((i * 37 % 101) as f32)).collect();
+            let cotangent: Vec<f64> = (0..to.0 * to.1).map(|i| math::cos((i * 53 % 97) as f64)).collect();
             let (mut pooled, mut scratch) = (vec![0.0; to.0 * to.1], Vec::new());
             pooling.forward(1, &image, &mut pooled, &mut scratch);
             let mut wide = vec![0.0f32; to.1 * w];

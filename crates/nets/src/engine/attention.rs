@@ -84,6 +84,7 @@ fn mask(scores: &mut [[f32; LANES]], valid: &[bool], first_query: usize) {
 mod tests {
     use super::*;
     use crate::testing::noise;
+    use use3d_numerics::math;
 
     #[test]
     fn equals_the_definition_with_and_without_a_mask() {
@@ -108,10 +109,10 @@ mod tests {
                             })
                             .collect();
                         let top = scores.iter().copied().fold(f64::MIN, f64::max);
-                        let total: f64 = scores.iter().map(|s| (s - top).exp()).sum();
+                        let total: f64 = scores.iter().map(|s| math::exp(s - top)).sum();
                         for c in 0..depth {
                             let expected: f64 =
-                                (0..tokens).map(|t| (scores[t] - top).exp() / total * at(&v, c, t)).sum();
+                                (0..tokens).map(|t| math::exp(scores[t] - top) / total * at(&v, c, t)).sum();
                             let actual = f64::from(out.data[(head * depth + c) * tokens + query]);
                             assert!((actual - expected).abs() < 3e-6, "{actual} instead of {expected}");
                         }

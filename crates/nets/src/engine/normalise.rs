@@ -131,6 +131,7 @@ fn column_moments(
 mod tests {
     use super::*;
     use crate::testing::noise;
+    use use3d_numerics::math;
 
     #[test]
     fn normalised_values_have_mean_zero_and_the_variance_that_epsilon_leaves() {
@@ -141,7 +142,7 @@ mod tests {
         for c in 0..3 {
             let plane: Vec<f64> = raw.plane(c).iter().map(|&v| f64::from(v)).collect();
             let mean = plane.iter().sum::<f64>() / 35.0;
-            let variance = plane.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / 35.0;
+            let variance = plane.iter().map(|v| math::powi(v - mean, 2)).sum::<f64>() / 35.0;
             for (a, v) in planes.plane(c).iter().zip(&plane) {
                 assert!((f64::from(*a) - (v - mean) / (variance + 1e-5).sqrt()).abs() < 5e-5);
             }

@@ -2,6 +2,8 @@
 
 use std::fmt::Write;
 
+use use3d_numerics::math;
+
 /// One curve or cloud of points.
 #[derive(Clone, Debug)]
 pub struct Series {
@@ -41,7 +43,7 @@ const BOTTOM: f64 = 34.0;
 impl Plot {
     /// The SVG element.
     pub fn svg(&self) -> String {
-        let y_of = |y: f64| if self.log_y { y.log10() } else { y };
+        let y_of = |y: f64| if self.log_y { math::log10(y) } else { y };
         let usable = |p: &&(f64, f64)| p.0.is_finite() && y_of(p.1).is_finite();
         let all = || self.series.iter().flat_map(|s| s.points.iter().filter(usable));
         let (mut x0, mut x1, mut y0, mut y1) = (f64::MAX, f64::MIN, f64::MAX, f64::MIN);
@@ -72,7 +74,7 @@ impl Plot {
 
         for tick in ticks(y0, y1, 5) {
             let y = py(tick);
-            let value = if self.log_y { 10f64.powf(tick) } else { tick };
+            let value = if self.log_y { math::powf(10f64, tick) } else { tick };
             let _ = write!(
                 out,
                 "<line x1=\"{LEFT}\" x2=\"{}\" y1=\"{y:.1}\" y2=\"{y:.1}\" stroke=\"currentColor\" stroke-opacity=\".15\"/><text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
@@ -138,7 +140,7 @@ impl Plot {
 /// Round numbers between `low` and `high`, about `count` of them.
 fn ticks(low: f64, high: f64, count: usize) -> Vec<f64> {
     let raw = (high - low) / count as f64;
-    let power = 10f64.powf(raw.log10().floor());
+    let power = math::powf(10f64, math::log10(raw).floor());
     let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * power).find(|s| *s >= raw).unwrap_or(raw);
     let first = (low / step).ceil() as i64;
     let last = (high / step).floor() as i64;

@@ -8,6 +8,7 @@ pub mod paper;
 pub mod published;
 
 use serde::Serialize;
+use use3d_numerics::math;
 
 /// Which direction is good.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -129,7 +130,7 @@ impl Table {
                 Better::Neither => continue,
             };
             // Compared as printed: what looks equal ranks equal.
-            let scale = 10f64.powi(column.decimals as i32);
+            let scale = math::powi(10f64, column.decimals as i32);
             let printed =
                 |row: &Row| row.cells.get(c).and_then(Cell::value).map(|v| (sign * v * scale).round() as i64);
             let mut values: Vec<i64> = self.rows.iter().filter_map(printed).collect();

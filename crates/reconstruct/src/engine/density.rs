@@ -12,6 +12,7 @@
 //! are removed, but never below a floor (the most opaque stay), and growth stops at a cap (the strongest pulls first). New Gaussians
 //! start with zero moments.
 
+use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{GaussianGradients, Gaussians};
 
@@ -72,7 +73,7 @@ pub(crate) fn plan(
     let mut report = RefineReport::default();
     let largest = |i: usize| {
         let s = gaussians.log_scales[i];
-        f64::from(s[0].max(s[1]).max(s[2])).exp()
+        math::exp(f64::from(s[0].max(s[1]).max(s[2])))
     };
     let faint = logit(settings.cull_opacity);
     let mut keep: Vec<bool> =
@@ -129,12 +130,12 @@ pub(crate) fn apply(gaussians: &Gaussians, rows: &[Origin], settings: &RefineSet
         .collect();
     let mut refined = gaussians.select(&sources);
     let stream = Stream::new(settings.seed, Purpose::new("split Gaussians"), settings.step);
-    let smaller = settings.shrink.ln() as f32;
+    let smaller = math::ln(settings.shrink) as f32;
     for (row, origin) in rows.iter().enumerate() {
         let Origin::Child(parent, child) = *origin else { continue };
         let local: [f64; 3] = std::array::from_fn(|axis| {
             let draw = stream.normal((6 * parent + 3 * child + axis) as u64);
-            f64::from(gaussians.log_scales[parent][axis]).exp() * draw
+            math::exp(f64::from(gaussians.log_scales[parent][axis])) * draw
         });
         let offset = rotate(gaussians.quaternions[parent], local);
         for axis in 0..3 {
@@ -154,7 +155,7 @@ fn rotate(q: [f32; 4], x: [f64; 3]) -> [f64; 3] {
 
 /// `ln(p / (1 − p))`, with the ends at ±infinity.
 pub(crate) fn logit(p: f64) -> f32 {
-    (p / (1.0 - p)).ln() as f32
+    math::ln(p / (1.0 - p)) as f32
 }
 
 #[cfg(test)]
@@ -182,7 +183,7 @@ mod tests {
         let mut statistics = Statistics::new(rows.len());
         for (i, &(logit, deviation, gradient)) in rows.iter().enumerate() {
             g.opacity_logits[i] = logit;
-            g.log_scales[i] = [deviation.ln(), -9.0, -9.0];
+            g.log_scales[i] = [math::ln(deviation), -9.0, -9.0];
             g.quaternions[i] = [1.0, 0.0, 0.0, 0.0];
             g.means[i] = [i as f32, 0.0, 0.0];
             statistics.norms[i] = 4.0 * gradient;
@@ -206,7 +207,7 @@ mod tests {
         assert_eq!(report, RefineReport { split: 1, duplicated: 1, culled: 2, spared: 0, held_back: 0 });
         let refined = apply(&g, &rows, &SETTINGS);
         assert_eq!(refined.means[4], g.means[2]);
-        assert!((refined.log_scales[2][0] - (0.1f32 / 1.6).ln()).abs() < 1e-6);
+        assert!((refined.log_scales[2][0] - math::ln(0.1f32 / 1.6)).abs() < 1e-6);
         assert!(refined.means[2] != refined.means[3] && (refined.means[2][0] - 1.0).abs() < 0.6);
         // Drawn from the parent: next to nothing along its thin axes.
         assert!(refined.means[2][1].abs() < 1e-2);
@@ -235,13 +236,14 @@ mod tests {
         for i in 0..n {
             g.means[i] = [0.0; 3];
             // A quarter turn about z, of length 2: the long axis is y.
-            g.quaternions[i] = [2.0 * angle.cos(), 0.0, 0.0, 2.0 * angle.sin()];
+            g.quaternions[i] = [2.0 * math::cos(angle), 0.0, 0.0, 2.0 * math::sin(angle)];
         }
         let settings = RefineSettings { most: 10 * n, ..SETTINGS };
         let (rows, _) = plan(&g, &s, &settings);
         let refined = apply(&g, &rows, &settings);
         let spread = |axis: usize| {
-            (refined.means.iter().map(|m| f64::from(m[axis]).powi(2)).sum::<f64>() / refined.len() as f64)
+            (refined.means.iter().map(|m| math::powi(f64::from(m[axis]), 2)).sum::<f64>()
+                / refined.len() as f64)
                 .sqrt()
         };
         assert!((spread(1) - 0.2).abs() < 0.01 && spread(0) < 1e-3, "{} {}", spread(0), spread(1));

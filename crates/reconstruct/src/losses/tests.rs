@@ -3,6 +3,7 @@
 use use3d_capture::{Image, Map};
 use use3d_golden::{Case, Part};
 use use3d_metrics::ms_ssim::level_weights;
+use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 
 use super::*;
@@ -115,7 +116,7 @@ fn the_photometric_gradient_agrees_with_finite_differences_under_a_mask() {
         let mut gradient = Image::new(1, 1);
         let value = PhotometricLoss::new(0.2).evaluate(&prediction, &target, Some(&mask), &mut gradient);
         assert!((value.total - held(&prediction, &prediction, &target, &mask)).abs() < 1e-5);
-        let norm = gradient.data().iter().map(|&g| f64::from(g).powi(2)).sum::<f64>().sqrt();
+        let norm = gradient.data().iter().map(|&g| math::powi(f64::from(g), 2)).sum::<f64>().sqrt();
         for probe in 0..6u64 {
             let direction: Vec<f32> =
                 (0..3 * w * h).map(|i| stream.normal(900_000 + probe * 50_000 + i as u64) as f32).collect();

@@ -1,6 +1,7 @@
 //! The same bits on any number of threads, on every instruction set with fused multiply-add, and for the scalar twin.
 
 use use3d_capture::{Image, MediumMaps};
+use use3d_numerics::math;
 use use3d_splat::{
     Colors, Cotangents, GaussianGradients, Gaussians, Options, Prepared, Rasterizer, Rendered,
 };
@@ -47,7 +48,7 @@ fn everything(rasterizer: &mut Rasterizer, gaussians: &Gaussians, medium: Option
     let (mut colors, mut color_maps) = (vec![[0.0; 3]; gaussians.len()], MediumMaps::zeros(0, 0));
     rasterizer.backward_colors(&view, medium, &image, &mut colors, &mut color_maps);
     let channels = 11;
-    let values: Vec<f32> = (0..channels * gaussians.len()).map(|i| (i as f32 * 0.37).sin()).collect();
+    let values: Vec<f32> = (0..channels * gaussians.len()).map(|i| math::sin(i as f32 * 0.37)).collect();
     let mut splat = vec![0.0; channels * w * h];
     rasterizer.splat(&view, channels, &values, &mut splat);
     let mut lifted = vec![0.0; channels * gaussians.len()];

@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DQuat, DVec3};
 use use3d_capture::{Image, Lattice, MediumMaps, Pose};
+use use3d_numerics::math;
 use use3d_splat::{
     Colors, Cotangents, GaussianGradients, Options, Prepared, Rasterizer, Rendered, view_colors,
 };
@@ -26,8 +27,8 @@ fn the_adjoint_is_the_transpose() {
         let view = prepared(&gaussians, &camera);
         for channels in [1, 3, 7, 8, 13] {
             let x: Vec<f32> =
-                (0..channels * gaussians.len()).map(|i| ((i * i) as f32 * 0.013).cos()).collect();
-            let y: Vec<f32> = (0..channels * 90 * 70).map(|i| (i as f32 * 0.7).sin() + 0.3).collect();
+                (0..channels * gaussians.len()).map(|i| math::cos((i * i) as f32 * 0.013)).collect();
+            let y: Vec<f32> = (0..channels * 90 * 70).map(|i| math::sin(i as f32 * 0.7) + 0.3).collect();
             let (mut sx, mut sy) = (vec![0.0; y.len()], vec![0.0; x.len()]);
             let mut rasterizer = Rasterizer::new();
             rasterizer.splat(&view, channels, &x, &mut sx);

@@ -3,6 +3,7 @@
 use glam::{DMat3, DVec3};
 use use3d_capture::{Camera, Image, Intrinsics, MediumMaps, Pose};
 use use3d_golden::{Part, root};
+use use3d_numerics::math;
 use use3d_splat::{Colors, Gaussians, Options, Prepared, Rendered};
 
 use crate::support::{engines, lattice};
@@ -94,7 +95,7 @@ fn golden_scene_mini_images_and_layers() {
                     worst = worst.max(d);
                     squares += d * d / actual.len() as f64;
                 }
-                let psnr = -10.0 * squares.log10();
+                let psnr = -10.0 * math::log10(squares);
                 eprintln!("{stem} {engine} {name}: worst {worst:.2e}, {psnr:.1} dB");
                 assert!(worst < 4e-3 && psnr > 90.0, "{stem} {engine} {name}: worst {worst}, {psnr} dB");
             }

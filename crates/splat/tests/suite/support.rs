@@ -3,6 +3,7 @@
 use glam::{DMat3, DVec3};
 use use3d_capture::{Camera, Image, Intrinsics, Lattice, Map, MediumMaps, Pose};
 use use3d_golden::Case;
+use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Colors, Gaussians, Prepared, Rasterizer};
 
@@ -153,7 +154,7 @@ pub(crate) fn random_medium(width: usize, height: usize, smooth: bool, seed: u64
                     std::array::from_fn(|c| {
                         let k = (q * 3 + c) as u64;
                         let noise = match smooth {
-                            true => 0.3 * (s.normal(2 * k) * u + s.normal(2 * k + 1) * v).tanh(),
+                            true => 0.3 * math::tanh(s.normal(2 * k) * u + s.normal(2 * k + 1) * v),
                             false => 0.8 * (s.uniform((k << 32) + (y * width + x) as u64) - 0.5),
                         };
                         (base * (1.0 + noise)) as f32

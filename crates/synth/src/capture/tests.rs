@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use glam::{DVec2, Vec3};
 use use3d_capture::Intrinsics;
 use use3d_io_image::{read_image, read_map};
+use use3d_numerics::math;
 
 use super::*;
 
@@ -100,7 +101,7 @@ fn the_formation_equation_holds(
                 let predicted = truth.water.seen_through(clean.pixel(x, y), s, direction);
                 let found = picture.pixel(x, y);
                 for c in 0..3 {
-                    squares += f64::from(predicted[c] - found[c]).powi(2);
+                    squares += math::powi(f64::from(predicted[c] - found[c]), 2);
                     checked += 1;
                 }
             }
@@ -151,7 +152,7 @@ fn points_reproject(model: &use3d_io_colmap::Model, cameras: &[Camera]) {
             let keypoint = &model.images[index].keypoints[keypoint as usize];
             assert_eq!(keypoint.point, point.id);
             let (pixel, _) = cameras[index].project(point.position.into()).unwrap();
-            errors.push((pixel.x - keypoint.x).hypot(pixel.y - keypoint.y));
+            errors.push(math::hypot(pixel.x - keypoint.x, pixel.y - keypoint.y));
         }
     }
     errors.sort_by(f64::total_cmp);

@@ -1,6 +1,7 @@
 //! Triangle meshes and the few builders that every object of the scene is made of: displaced spheres, swept tubes, beams.
 
 use glam::{Vec2, Vec3};
+use use3d_numerics::math;
 
 /// Triangles with smooth normals, two texture parameters per vertex, and a surface (material) per triangle.
 #[derive(Clone, Debug, Default)]
@@ -62,7 +63,7 @@ impl Mesh {
             for j in 0..=n {
                 for i in 0..=n {
                     // The tangent spreads the vertices evenly over the sphere.
-                    let at = |k: usize| ((k as f32 / n as f32 - 0.5) * std::f32::consts::FRAC_PI_2).tan();
+                    let at = |k: usize| math::tan((k as f32 / n as f32 - 0.5) * std::f32::consts::FRAC_PI_2);
                     let d = (normal + at(i) * right + at(j) * up).normalize();
                     let (position, parameter) = shape(d);
                     let (t, h) = (d.any_orthonormal_vector(), 0.5 / n as f32);
@@ -97,7 +98,7 @@ impl Mesh {
         let point = |k: usize, s: usize| {
             let ring = &rings[k];
             let angle = std::f32::consts::TAU * (s % sides) as f32 / sides as f32;
-            let (sin, cos) = angle.sin_cos();
+            let (sin, cos) = math::sin_cos(angle);
             ring.center + ring.radius * bulge(angle, k) * (cos * ring.axes[0] + sin * ring.axes[1])
         };
         for k in 0..rings.len() {

@@ -1,6 +1,7 @@
 //! What people left on the sea floor: a colour chart, a rope on a concrete block, the ribs of a wreck, a drum, a jar.
 
 use glam::{Mat3, Vec2, Vec3};
+use use3d_numerics::math;
 
 use super::draws::Draws;
 use super::surface::Palette;
@@ -38,7 +39,7 @@ pub(crate) const CHART: [[u8; 3]; 24] = [
 
 /// A board with 24 patches, `width` metres wide, leaning back so that a swimmer sees it.
 pub(crate) fn chart(mesh: &mut Mesh, palette: &mut Palette, base: Vec3, turn: f32, width: f32) {
-    let (sin, cos) = turn.sin_cos();
+    let (sin, cos) = math::sin_cos(turn);
     let right = Vec3::new(cos, sin, 0.0);
     let back = Vec3::new(-sin, cos, 0.0);
     let up = (0.8 * back + 0.6 * Vec3::Z).normalize();
@@ -77,7 +78,7 @@ pub(crate) fn rope(
     let ground = terrain.height(start.x, start.y);
     let block = start.extend(ground + 0.05);
     let concrete = palette.stone([126, 122, 112]);
-    let (sin, cos) = draws.about(0.6).sin_cos();
+    let (sin, cos) = math::sin_cos(draws.about(0.6));
     let along = Vec3::new(sin, cos, 0.0);
     mesh.beam(
         &[block - 0.17 * along, block + 0.17 * along],
@@ -92,7 +93,7 @@ pub(crate) fn rope(
         .map(|k| {
             let t = k as f32 / steps as f32;
             let xy = start.lerp(end.truncate(), t)
-                + Vec2::new(swing * (std::f32::consts::TAU * t).sin() * (1.0 - t), 0.0);
+                + Vec2::new(swing * math::sin(std::f32::consts::TAU * t) * (1.0 - t), 0.0);
             let floor = terrain.height(xy.x, xy.y) + 0.8 * radius;
             // Lies on the floor, then rises in a curve to its end.
             let rise = ((t - 0.62) / 0.38).max(0.0);
@@ -112,7 +113,7 @@ pub(crate) fn rope(
         .collect();
     let rings = rings_along(&path, &vec![radius; path.len()], &lengths);
     let surface = palette.rope();
-    mesh.sweep(&rings, 14, surface, |angle, k| 1.0 + 0.16 * (3.0 * angle - 70.0 * lengths[k]).cos());
+    mesh.sweep(&rings, 14, surface, |angle, k| 1.0 + 0.16 * math::cos(3.0 * angle - 70.0 * lengths[k]));
 }
 
 /// The ribs, keel and a few planks of a wooden wreck that lies along direction `turn`, keel at `base`.
@@ -124,7 +125,7 @@ pub(crate) fn wreck(
     turn: f32,
 ) -> Vec3 {
     let wood = palette.wood();
-    let (sin, cos) = turn.sin_cos();
+    let (sin, cos) = math::sin_cos(turn);
     let ahead = Vec3::new(-sin, cos, 0.0);
     let right = Vec3::new(cos, sin, 0.0);
     let length = 4.6;
@@ -134,8 +135,8 @@ pub(crate) fn wreck(
         let (w, h) = hull(t);
         let angle = a * 1.75;
         base + t * length * ahead
-            + side * w * angle.sin().powf(0.8) * right
-            + h * (1.0 - angle.cos()) * Vec3::Z
+            + side * w * math::powf(math::sin(angle), 0.8) * right
+            + h * (1.0 - math::cos(angle)) * Vec3::Z
     };
     mesh.beam(
         &[base - 0.3 * ahead, base + 0.5 * length * ahead, base + length * ahead],
@@ -186,7 +187,7 @@ pub(crate) fn wreck(
 
 /// A steel drum lying half buried.
 pub(crate) fn drum(mesh: &mut Mesh, palette: &mut Palette, base: Vec3, turn: f32) {
-    let (sin, cos) = turn.sin_cos();
+    let (sin, cos) = math::sin_cos(turn);
     let axis = Vec3::new(cos, sin, 0.12).normalize();
     let profile = [
         (0.0, 0.02),
@@ -220,7 +221,7 @@ pub(crate) fn jar(
     turn: f32,
     size: f32,
 ) {
-    let (sin, cos) = turn.sin_cos();
+    let (sin, cos) = math::sin_cos(turn);
     let axis = Vec3::new(cos, sin, 0.22).normalize();
     let clay = palette.stone([176, 112, 74]);
     let profile = [
@@ -246,7 +247,7 @@ pub(crate) fn jar(
         let path: Vec<Vec3> = (0..=8)
             .map(|k| {
                 let t = k as f32 / 8.0;
-                let out = 0.06 + 0.1 * (std::f32::consts::PI * t).sin() + 0.1 * t * t;
+                let out = 0.06 + 0.1 * math::sin(std::f32::consts::PI * t) + 0.1 * t * t;
                 foot + size * ((0.9 - 0.28 * t) * axis + sign * out * side)
             })
             .collect();
@@ -271,6 +272,6 @@ fn revolve(
         .collect();
     let dents = Noise::new(7);
     mesh.sweep(&rings, sides, surface, |angle, k| {
-        1.0 + 0.02 * dents.value(Vec3::new(1.5 * angle.cos(), 1.5 * angle.sin(), 0.4 * k as f32))
+        1.0 + 0.02 * dents.value(Vec3::new(1.5 * math::cos(angle), 1.5 * math::sin(angle), 0.4 * k as f32))
     });
 }

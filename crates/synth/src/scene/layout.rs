@@ -1,6 +1,7 @@
 //! Where things stand: the reef is planted, the sand is littered, and a corridor stays free for the swimmer.
 
 use glam::{Vec2, Vec3};
+use use3d_numerics::math;
 
 use super::artefacts;
 use super::draws::Draws;
@@ -129,7 +130,7 @@ impl Planter<'_> {
         // Denser along the channel's edges, where the swimmer sees them from near.
         let y = draws.range(-0.6, 13.5);
         let side = if draws.below(2) == 0 { -1.0 } else { 1.0 };
-        let off = 4.6 * draws.range(0.0, 1.0).powf(1.2);
+        let off = 4.6 * math::powf(draws.range(0.0, 1.0), 1.2);
         let at = Vec2::new(self.terrain.channel_center(y) + side * off, y);
         (at, self.terrain.at(at.x, at.y).1)
     }

@@ -10,6 +10,7 @@
 
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
+use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 
 use crate::geometry::bvh::{Bvh, Ray};
@@ -55,7 +56,7 @@ pub(crate) fn bake(mesh: &Mesh, bvh: &Bvh, sun: Vec3, seed: u64) -> Vec<Vec2> {
             for k in 0..SKY_RAYS {
                 // Cosine-weighted directions on a golden-angle spiral.
                 let r2 = (k as f32 + 0.5) / SKY_RAYS as f32;
-                let (sin, cos) = (start + 2.399_963 * k as f32).sin_cos();
+                let (sin, cos) = math::sin_cos(start + 2.399_963 * k as f32);
                 let direction = r2.sqrt() * (cos * x + sin * y) + (1.0 - r2).sqrt() * normal;
                 if let Some(hit) = bvh.nearest(&Ray { origin, direction }, REACH) {
                     blocked += 1.0 - hit.t / REACH;
@@ -67,7 +68,7 @@ pub(crate) fn bake(mesh: &Mesh, bvh: &Bvh, sun: Vec3, seed: u64) -> Vec<Vec2> {
                 for k in 0..SUN_RAYS {
                     // The sun's disc is widened to about ten degrees by the waves above.
                     let r = 0.16 * ((k as f32 + 0.5) / SUN_RAYS as f32).sqrt();
-                    let (sin, cos) = (start + 2.399_963 * k as f32).sin_cos();
+                    let (sin, cos) = math::sin_cos(start + 2.399_963 * k as f32);
                     let direction = (sun + r * (cos * sun_x + sin * sun_y)).normalize();
                     lit += usize::from(bvh.any(&Ray { origin, direction }, 8.0).is_none());
                 }
@@ -83,5 +84,5 @@ pub(crate) fn caustics(noise: Noise, p: Vec3, time: f32) -> f32 {
     let bend = noise.value(0.7 * q);
     let a = 1.0 - noise.value(q + Vec3::splat(0.8 * bend)).abs() * 2.4;
     let b = 1.0 - noise.value(1.4 * q + Vec3::splat(7.0 - 0.8 * bend)).abs() * 2.4;
-    (a.max(0.0).powi(3) + b.max(0.0).powi(3)) * 1.15 - 0.5
+    (math::powi(a.max(0.0), 3) + math::powi(b.max(0.0), 3)) * 1.15 - 0.5
 }

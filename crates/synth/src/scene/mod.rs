@@ -12,6 +12,7 @@ mod surface;
 mod terrain;
 
 use glam::{Vec2, Vec3};
+use use3d_numerics::math;
 
 pub(crate) use draws::Draws;
 pub(crate) use layout::Layout;
@@ -67,7 +68,7 @@ impl Scene {
         let azimuth = draws.range(0.0, std::f32::consts::TAU);
         // Refraction brings the sun to within 48 degrees of the vertical.
         let lean = draws.range(0.55, 0.85);
-        let sun = Vec3::new(lean * azimuth.cos(), lean * azimuth.sin(), 1.0).normalize();
+        let sun = Vec3::new(lean * math::cos(azimuth), lean * math::sin(azimuth), 1.0).normalize();
         let daylight = Daylight {
             sun,
             strength: [Vec3::new(1.1, 1.06, 0.99), Vec3::new(0.40, 0.43, 0.46), Vec3::new(0.20, 0.19, 0.16)],

@@ -4,6 +4,7 @@
 //! number of triangles. Texture parameters are documented at the surfaces that read them (`Surface`).
 
 use glam::{Vec2, Vec3};
+use use3d_numerics::math;
 
 use super::draws::Draws;
 use crate::geometry::mesh::{Mesh, Ring, rings_along};
@@ -111,7 +112,7 @@ pub(crate) fn branching(
                 let along = (path[steps] - path[steps - 1]).normalize();
                 let side = along.any_orthonormal_vector();
                 let angle = turn + std::f32::consts::TAU * c as f32 / children as f32;
-                let out = angle.cos() * side + angle.sin() * along.cross(side);
+                let out = math::cos(angle) * side + math::sin(angle) * along.cross(side);
                 let spread = draws.range(0.35, 0.85);
                 open.push(Branch {
                     foot: path[k.min(steps)],
@@ -146,7 +147,7 @@ pub(crate) fn fan(
         let mut angle = lean;
         for _ in 0..3 {
             angle += draws.about(0.14);
-            let (sin, cos) = angle.sin_cos();
+            let (sin, cos) = math::sin_cos(angle);
             let along = sin * right + cos * Vec3::Z + draws.about(0.06) * normal;
             path.push(path[path.len() - 1] + length / 3.0 * along);
         }
@@ -235,7 +236,7 @@ pub(crate) fn sponge(mesh: &mut Mesh, draws: &mut Draws, base: Vec3, size: f32, 
             .collect();
         let ribs = Noise::new(draws.bits());
         mesh.sweep(&rings, sides, surface, |angle, k| {
-            let p = Vec3::new(2.0 * angle.cos(), 2.0 * angle.sin(), 0.8 * k as f32);
+            let p = Vec3::new(2.0 * math::cos(angle), 2.0 * math::sin(angle), 0.8 * k as f32);
             1.0 + 0.09 * ribs.value(p)
         });
     }
@@ -247,8 +248,8 @@ pub(crate) fn starfish(mesh: &mut Mesh, draws: &mut Draws, base: Vec3, size: f32
     let noise = Noise::new(draws.bits());
     mesh.displaced_sphere(subdivide(16, detail), surface, |d| {
         let flat = Vec2::new(d.x, d.y);
-        let angle = flat.y.atan2(flat.x) + turn;
-        let arm = (0.5 + 0.5 * (5.0 * angle).cos()).powf(1.6);
+        let angle = math::atan2(flat.y, flat.x) + turn;
+        let arm = math::powf(0.5 + 0.5 * math::cos(5.0 * angle), 1.6);
         let reach = 0.24 + 0.76 * arm;
         let out = flat.length();
         let height = 0.16 * d.z * (1.0 - 0.55 * out * out) * (0.5 + 0.5 * arm);

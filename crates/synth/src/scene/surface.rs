@@ -1,6 +1,7 @@
 //! What surfaces look like: albedo (linear light) and bumps, as procedural textures that keep within a pixel's resolution.
 
 use glam::{Vec2, Vec3};
+use use3d_numerics::math;
 
 use super::organisms::groove;
 use super::terrain::Ripples;
@@ -37,7 +38,7 @@ pub(crate) enum Surface {
 pub(crate) fn linear(rgb: [u8; 3]) -> Vec3 {
     let decode = |v: u8| {
         let v = f32::from(v) / 255.0;
-        if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+        if v <= 0.04045 { v / 12.92 } else { math::powf((v + 0.055) / 1.055, 2.4) }
     };
     Vec3::new(decode(rgb[0]), decode(rgb[1]), decode(rgb[2]))
 }
@@ -45,8 +46,8 @@ pub(crate) fn linear(rgb: [u8; 3]) -> Vec3 {
 /// Display value (sRGB) from linear light, with a soft shoulder instead of a clip: values stay below 1.
 pub(crate) fn display(light: Vec3) -> Vec3 {
     let encode = |x: f32| {
-        let x = if x < 0.75 { x } else { 0.75 + 0.25 * (1.0 - (-(x - 0.75) / 0.25).exp()) };
-        if x <= 0.003_130_8 { 12.92 * x.max(0.0) } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 }
+        let x = if x < 0.75 { x } else { 0.75 + 0.25 * (1.0 - math::exp(-(x - 0.75) / 0.25)) };
+        if x <= 0.003_130_8 { 12.92 * x.max(0.0) } else { 1.055 * math::powf(x, 1.0 / 2.4) - 0.055 }
     };
     Vec3::new(encode(light.x), encode(light.y), encode(light.z))
 }
@@ -150,7 +151,7 @@ impl Surface {
                 (albedo, 0.006 * slope)
             }
             Self::Rope => {
-                let strand = (3.0 * std::f32::consts::TAU * parameter.x - 70.0 * parameter.y).cos();
+                let strand = math::cos(3.0 * std::f32::consts::TAU * parameter.x - 70.0 * parameter.y);
                 let keep = resolvable(11.0, footprint);
                 let fibre = noise.octaves(p, 60.0, 2, footprint).0;
                 let tone = 0.82 + keep * 0.25 * strand + 0.2 * fibre;

@@ -1,6 +1,7 @@
 //! The sea floor: a rippled sand channel between two reef walls, with a mound at its far end.
 
 use glam::{Vec2, Vec3};
+use use3d_numerics::math;
 
 use super::draws::Draws;
 use crate::geometry::mesh::Mesh;
@@ -34,7 +35,7 @@ impl Ripples {
     pub(crate) fn at(&self, p: Vec3) -> (f32, Vec3) {
         let (wander, turn) = self.noise.octaves(p, 0.9, 2, 0.0);
         let phase = self.wave.dot(p) + 4.0 * wander;
-        let (sin, cos) = (0.5 * phase).sin_cos();
+        let (sin, cos) = math::sin_cos(0.5 * phase);
         let crest = 1.0 - sin.abs();
         let patch = self.height * smooth_step(-0.7, 0.1, self.noise.value(0.5 * p + Vec3::splat(31.0)));
         let slope = 2.0 * 2.2 * crest * (-0.5 * cos * sin.signum());
@@ -64,7 +65,7 @@ impl Terrain {
 
     /// Where the middle of the sand channel lies at `y`.
     pub(crate) fn channel_center(&self, y: f32) -> f32 {
-        self.meander[0] * (0.42 * y + self.meander[1]).sin()
+        self.meander[0] * math::sin(0.42 * y + self.meander[1])
     }
 
     /// The ripples on its sand.

@@ -18,6 +18,7 @@ mod weights;
 mod white_balance;
 
 use use3d_capture::{Image, Map};
+use use3d_numerics::math;
 use use3d_numerics::sums::sums;
 
 use super::Proposer;
@@ -71,7 +72,7 @@ impl Proposer for Fusion {
 fn enhance(image: &Image) -> Image {
     let balanced = white_balance::balance(image);
     let gamma = gamma(&balanced);
-    let inputs = [balanced.map(|v| v.powf(gamma)), sharpen(&balanced)];
+    let inputs = [balanced.map(|v| math::powf(v, gamma)), sharpen(&balanced)];
     let mut maps = inputs.each_ref().map(weights::weights);
     normalise(&mut maps);
 
@@ -94,7 +95,7 @@ fn gamma(image: &Image) -> f32 {
         t[0] += f64::from(0.299 * r[p] + 0.587 * g[p] + 0.114 * b[p]);
     });
     let mean = (sum / image.pixels() as f64).clamp(1e-3, 0.95);
-    (MEAN_LUMINANCE.ln() / mean.ln()).clamp(GAMMA.0, GAMMA.1) as f32
+    (math::ln(MEAN_LUMINANCE) / math::ln(mean)).clamp(GAMMA.0, GAMMA.1) as f32
 }
 
 fn sharpen(image: &Image) -> Image {
@@ -140,7 +141,7 @@ mod tests {
         let mut image = Image::new(width, height);
         for y in 0..height {
             for x in 0..width {
-                let v = 0.5 + 0.2 * ((x * 7 + y * 3) as f32 * 0.1).sin();
+                let v = 0.5 + 0.2 * math::sin((x * 7 + y * 3) as f32 * 0.1);
                 image.set_pixel(x, y, [0.2 * v, 0.6 * v + 0.05, 0.7 * v + 0.1]);
             }
         }
@@ -157,7 +158,7 @@ mod tests {
         assert!(cast(&out) < 0.6 * cast(&image), "{} against {}", cast(&out), cast(&image));
         let deviation = |i: &Image| {
             let m = mean(i, 1);
-            (i.plane(1).iter().map(|v| (v - m).powi(2)).sum::<f32>() / i.pixels() as f32).sqrt()
+            (i.plane(1).iter().map(|v| math::powi(v - m, 2)).sum::<f32>() / i.pixels() as f32).sqrt()
         };
         assert!(deviation(&out) > deviation(&image));
     }

@@ -153,9 +153,10 @@ pub(super) fn collapse(mut levels: Vec<Raster<f32, 3>>) -> Raster<f32, 3> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use use3d_numerics::math;
 
     fn wave(width: usize, height: usize) -> Raster<f32, 3> {
-        let data = (0..3 * width * height).map(|i| (i as f32 * 0.37).sin() * 0.5 + 0.5).collect();
+        let data = (0..3 * width * height).map(|i| math::sin(i as f32 * 0.37) * 0.5 + 0.5).collect();
         Raster::from_planes(width, height, data).unwrap()
     }
 

@@ -6,6 +6,7 @@
 
 use rayon::prelude::*;
 use use3d_capture::{Image, Map};
+use use3d_numerics::math;
 use use3d_numerics::sums::sums;
 
 use super::pyramid::blur;
@@ -54,8 +55,8 @@ pub(super) fn weights(image: &Image) -> Map {
             let colour = image.pixel(x, y);
             let (mut saliency, mut saturation) = (0.0, 0.0);
             for c in 0..3 {
-                saliency += (smooth.row(c, y)[x] - mean[c]).powi(2);
-                saturation += (colour[c] - here[x]).powi(2) / 3.0;
+                saliency += math::powi(smooth.row(c, y)[x] - mean[c], 2);
+                saturation += math::powi(colour[c] - here[x], 2) / 3.0;
             }
             *o = contrast + saliency.sqrt() + saturation.sqrt();
         }

@@ -6,6 +6,7 @@
 //! of blue water *is* blue.
 
 use use3d_capture::Image;
+use use3d_numerics::math;
 use use3d_numerics::sums::sums;
 
 /// Share of the means' difference that red and blue are given.
@@ -40,7 +41,7 @@ pub(super) fn balance(image: &Image) -> Image {
     let mean = means(&out);
     let grey = (mean[0] + mean[1] + mean[2]) / 3.0;
     for c in 0..3 {
-        let gain = (grey / mean[c].max(1e-3)).powf(STRENGTH).clamp(GAIN.0, GAIN.1) as f32;
+        let gain = math::powf(grey / mean[c].max(1e-3), STRENGTH).clamp(GAIN.0, GAIN.1) as f32;
         for v in out.plane_mut(c) {
             *v = (*v * gain).clamp(0.0, 1.0);
         }
@@ -56,7 +57,7 @@ mod tests {
     fn a_blue_cast_shrinks_and_grey_stays_grey() {
         let mut image = Image::new(32, 16);
         for p in 0..32 * 16 {
-            let v = 0.2 + 0.6 * (p as f32 * 0.11).sin().abs();
+            let v = 0.2 + 0.6 * math::sin(p as f32 * 0.11).abs();
             for (c, tint) in [0.25, 0.7, 0.9].into_iter().enumerate() {
                 image.plane_mut(c)[p] = v * tint;
             }
