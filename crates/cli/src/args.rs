@@ -43,7 +43,8 @@ pub(crate) enum Verb {
         after_help = "Examples:\n  use3d run my-reef/                      results in ./use3d-out/my-reef\n  \
         use3d run pipelines/seathru4.toml --jobs 2 --keep-going\n  \
         use3d run pipelines/seathru4.toml --scene Panama --until reconstruct\n  \
-        use3d run my-reef/ --set reconstruct.iterations=3000 --set import.size=640x360"
+        use3d run my-reef/ --set reconstruct.iterations=3000 --set import.size=640x360\n  \
+        use3d run my-reef/ --pairs uieb/raw-890 uieb/reference-890"
     )]
     Run(RunArgs),
     /// What would run, what is cached, why, and the forecast cost.
@@ -127,6 +128,27 @@ pub(crate) struct Settings {
     pub(crate) set: Vec<String>,
 }
 
+/// What "enhanced" is learnt from, on the command line.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct CalibrationArgs {
+    /// Learn from these pairs: two folders of images with equal file stems (they win over the pipeline file's).
+    #[arg(long, num_args = 2, value_names = ["INPUT", "TARGET"], conflicts_with = "calibrator")]
+    pairs: Vec<PathBuf>,
+    /// Use this finished calibrator: `use3d calibrate`'s, or the authors' transition_calibrator.pth. Nothing is learnt then.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) calibrator: Option<PathBuf>,
+}
+
+impl CalibrationArgs {
+    /// The two folders of pairs, if they were given.
+    pub(crate) fn pairs(&self) -> Option<(PathBuf, PathBuf)> {
+        match self.pairs.as_slice() {
+            [input, target] => Some((input.clone(), target.clone())),
+            _ => None,
+        }
+    }
+}
+
 /// The cache.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct CacheArgs {
@@ -190,6 +212,8 @@ pub(crate) struct RunArgs {
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
     #[command(flatten)]
+    pub(crate) calibration: CalibrationArgs,
+    #[command(flatten)]
     pub(crate) cache: CacheArgs,
     /// One JSON document on stdout.
     #[arg(long)]
@@ -203,6 +227,8 @@ pub(crate) struct PlanArgs {
     pub(crate) target: PathBuf,
     #[command(flatten)]
     pub(crate) settings: Settings,
+    #[command(flatten)]
+    pub(crate) calibration: CalibrationArgs,
     #[command(flatten)]
     pub(crate) cache: CacheArgs,
     /// One JSON document on stdout.
@@ -221,6 +247,8 @@ pub(crate) struct WhyArgs {
     pub(crate) stage: String,
     #[command(flatten)]
     pub(crate) settings: Settings,
+    #[command(flatten)]
+    pub(crate) calibration: CalibrationArgs,
     #[command(flatten)]
     pub(crate) cache: CacheArgs,
     /// One JSON document on stdout.
@@ -247,6 +275,8 @@ pub(crate) struct GraphArgs {
     pub(crate) format: GraphFormat,
     #[command(flatten)]
     pub(crate) settings: Settings,
+    #[command(flatten)]
+    pub(crate) calibration: CalibrationArgs,
     #[command(flatten)]
     pub(crate) cache: CacheArgs,
 }
@@ -550,6 +580,8 @@ pub(crate) struct VerifyArgs {
     /// Recompute this share of the stages and compare, e.g. 5%.
     #[arg(long, value_name = "SHARE")]
     pub(crate) sample: Option<String>,
+    #[command(flatten)]
+    pub(crate) calibration: CalibrationArgs,
     #[command(flatten)]
     pub(crate) cache: CacheArgs,
     /// One JSON document on stdout.

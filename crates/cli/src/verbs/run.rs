@@ -6,12 +6,13 @@ use std::time::Instant;
 use serde::Serialize;
 use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
 use use3d_pipeline::engine::code::CodeTable;
-use use3d_pipeline::engine::{Cache, Engine, Graph, RunOptions, Summary, picture};
+use use3d_pipeline::engine::{Cache, Engine, Graph, Plan, RunOptions, Summary, picture};
 use use3d_pipeline::results;
 
 use crate::App;
 use crate::args::{
-    CacheArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, RunArgs, Settings, WhyArgs,
+    CacheArgs, CalibrationArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, RunArgs, Settings,
+    WhyArgs,
 };
 use crate::error::{CliError, Done};
 use crate::verbs::stages::stages;
@@ -28,6 +29,7 @@ pub(crate) fn open(
     target: &Path,
     scenes: &[String],
     settings: &Settings,
+    calibration: &CalibrationArgs,
     cache: &CacheArgs,
 ) -> Result<Loaded, CliError> {
     let registry = stages()?;
@@ -36,6 +38,8 @@ pub(crate) fn open(
         cache: cache.cache.clone(),
         models: cache.models.clone(),
         scenes: scenes.to_vec(),
+        pairs: calibration.pairs(),
+        calibrator: calibration.calibrator.clone(),
     };
     let pipeline = if target.is_dir() {
         for_capture(&registry, target, &options)
@@ -58,19 +62,30 @@ pub(crate) fn json(value: &impl Serialize) -> Done {
     Ok(())
 }
 
-fn planned(args: &PlanArgs) -> Result<(Loaded, use3d_pipeline::engine::Plan), CliError> {
-    let loaded = open(&args.target, &[], &args.settings, &args.cache)?;
+fn planned(args: &PlanArgs) -> Result<(Loaded, Plan), CliError> {
+    let loaded = open(&args.target, &[], &args.settings, &args.calibration, &args.cache)?;
     let plan = loaded.engine.plan(&loaded.graph, None);
     Ok((loaded, plan))
 }
 
 pub(crate) fn plan(args: &PlanArgs) -> Done {
     let (_, plan) = planned(args)?;
-    if args.json {
-        return json(&plan);
+    show(&plan, args.json)
+}
+
+/// Prints a plan. One that cannot be carried out, since an input is missing, ends as the run would.
+fn show(plan: &Plan, as_json: bool) -> Done {
+    if as_json {
+        json(plan)?;
+    } else {
+        print!("{plan}");
     }
-    print!("{plan}");
-    Ok(())
+    match plan.unavailable() {
+        0 => Ok(()),
+        _ => Err(CliError::Failed(
+            "inputs that the pipeline names are missing (`cannot` above); what needs them would fail".into(),
+        )),
+    }
 }
 
 pub(crate) fn status(args: &PlanArgs) -> Done {
@@ -84,7 +99,7 @@ pub(crate) fn status(args: &PlanArgs) -> Done {
 }
 
 pub(crate) fn why(args: &WhyArgs) -> Done {
-    let loaded = open(&args.target, &[], &args.settings, &args.cache)?;
+    let loaded = open(&args.target, &[], &args.settings, &args.calibration, &args.cache)?;
     // `SCENE` or `SCENE@VARIANT`.
     let (scene, variant) = args.scene.split_once('@').unwrap_or((&args.scene, ""));
     let why = loaded.engine.why(&loaded.graph, scene, variant, &args.stage).map_err(CliError::input)?;
@@ -96,7 +111,7 @@ pub(crate) fn why(args: &WhyArgs) -> Done {
 }
 
 pub(crate) fn graph(args: &GraphArgs) -> Done {
-    let loaded = open(&args.target, &[], &args.settings, &args.cache)?;
+    let loaded = open(&args.target, &[], &args.settings, &args.calibration, &args.cache)?;
     let plan = loaded.engine.plan(&loaded.graph, None);
     match args.format {
         GraphFormat::Mermaid => print!("{}", picture::mermaid(&loaded.graph, &plan)),
@@ -106,18 +121,13 @@ pub(crate) fn graph(args: &GraphArgs) -> Done {
 }
 
 pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
-    let loaded = open(&args.target, &args.scene, &args.settings, &args.cache)?;
+    let loaded = open(&args.target, &args.scene, &args.settings, &args.calibration, &args.cache)?;
     let until = args.until.clone().map(|stage| vec![stage]);
     if let Some(stage) = &args.until {
         loaded.engine.registry.stage(stage).map_err(CliError::input)?;
     }
     if args.dry_run {
-        let plan = loaded.engine.plan(&loaded.graph, until.as_deref());
-        if args.json {
-            return json(&plan);
-        }
-        print!("{plan}");
-        return Ok(());
+        return show(&loaded.engine.plan(&loaded.graph, until.as_deref()), args.json);
     }
     if args.jobs == 0 {
         return Err(CliError::Input("--jobs 0: at least one stage must be able to run".into()));
@@ -206,7 +216,7 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     sets.extend(args.settings.set.iter().cloned());
     let mut cache = args.cache.clone();
     cache.cache.get_or_insert_with(|| args.out.join("cache"));
-    let loaded = open(&capture, &[], &Settings { set: sets }, &cache)?;
+    let loaded = open(&capture, &[], &Settings { set: sets }, &CalibrationArgs::default(), &cache)?;
     execute(app, &loaded, None, 1, false, &args.out, false)?;
     if !app.quiet {
         println!("the demo took {:.0} s", started.elapsed().as_secs_f64());

@@ -36,6 +36,10 @@ pub(crate) fn run_stage(
     output: &Path,
     checkpoints: Option<PathBuf>,
 ) -> Done {
+    if let Some((role, path)) = inputs.iter().find(|(_, path)| !path.exists()) {
+        let message = format!("{role}: {} does not exist; correct the path or leave it out", path.display());
+        return Err(CliError::Input(message));
+    }
     let alone = Alone {
         parameters,
         inputs: inputs.into_iter().map(|(role, path)| (role.to_string(), path)).collect(),

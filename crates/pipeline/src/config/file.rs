@@ -43,9 +43,18 @@ pub(crate) struct Calibrator {
     /// Two folders of images with equal file stems.
     #[serde(default)]
     pub(crate) pairs: Option<Pairs>,
-    /// A calibrator that was made before; nothing is learnt then.
+    /// A calibrator that was made before, by `use3d calibrate` or by the paper's authors (`transition_calibrator.pth`);
+    /// nothing is learnt then.
     #[serde(default)]
     pub(crate) file: Option<String>,
+}
+
+/// A scene's own calibrator.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct SceneCalibrator {
+    /// A calibrator that was made before, read for this scene in place of what the others use. Pairs are for all scenes.
+    pub(crate) file: String,
 }
 
 /// Two folders of images with equal file stems.
@@ -69,6 +78,9 @@ pub(crate) struct SceneEntry {
     /// The group whose mean it counts in.
     #[serde(default)]
     pub(crate) group: String,
+    /// A finished calibrator for this scene only.
+    #[serde(default)]
+    pub(crate) calibrator: Option<SceneCalibrator>,
 }
 
 /// A named set of changes that every scene is computed with; what it does not change is shared.

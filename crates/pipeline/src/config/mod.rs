@@ -22,7 +22,6 @@
 //! are errors that point at line and column and name the nearest known key. Relative paths start at the file's folder. An
 //! environment variable that is not set only hurts the scenes that need it.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
@@ -30,16 +29,18 @@ use serde_json::{Map, Value};
 
 use crate::engine::error::nearest;
 use crate::engine::graph::{External, Overrides};
-use crate::engine::{Batch, ParameterError, Registry, Scene, Source, Variant, canonical};
+use crate::engine::{Batch, ParameterError, Registry, Scene, Variant, canonical};
 
 mod document;
 mod file;
+mod places;
 mod schema;
 mod set;
 
 pub use document::ConfigError;
 use document::{Document, join, unknown_key};
 use file::{Calibrator, PipelineFile, SceneEntry, VariantEntry};
+use places::{check_pairs, expand, home, key_of, say_instead};
 pub use schema::{schema, schema_text};
 pub use set::stage_parameters;
 
@@ -54,6 +55,10 @@ pub struct LoadOptions {
     pub models: Option<PathBuf>,
     /// Only these scenes; all without.
     pub scenes: Vec<String>,
+    /// Two folders of pairs, `--pairs INPUT TARGET`; they win over the file's, and over a finished calibrator there.
+    pub pairs: Option<(PathBuf, PathBuf)>,
+    /// A finished calibrator, `--calibrator`; it wins over those of the file and over its pairs.
+    pub calibrator: Option<PathBuf>,
 }
 
 /// A pipeline that is ready to be planned.
@@ -85,10 +90,10 @@ pub fn for_capture(
         )));
     }
     let name = whole.file_name().map_or_else(|| "capture".to_string(), |n| n.to_string_lossy().into_owned());
-    let externals = BTreeMap::from([("capture".to_string(), Ok(whole))]);
-    let scene = Scene { name: name.clone(), externals, ..Scene::default() };
+    let mut scene = Scene { name: name.clone(), ..Scene::default() };
+    scene.name_external("capture", Ok(whole), "the command line");
     let batch = Batch { name, seed: file::default_seed(), scenes: vec![scene], ..Batch::default() };
-    finish(registry, batch, None, None, Path::new("."), options)
+    finish(registry, batch, None, None, options)
 }
 
 /// Loads a pipeline from its text, as if it stood in `file`.
@@ -126,20 +131,21 @@ fn parse(
     reader.name("name", &own.name)?;
     batch.name = own.name;
     batch.seed = own.seed;
-    reader.calibrator(&own.calibrator, folder, &mut batch)?;
+    let said = |key: &str| format!("`{key}` in {}", file.display());
+    reader.calibrator(&own.calibrator, folder, &said, &mut batch)?;
     for (i, entry) in reader.list("scene", scenes)?.into_iter().enumerate() {
         let base = format!("scene[{i}]");
         let (rest, overrides) = reader.entry(&base, "scene", entry)?;
         let entry: SceneEntry = reader.typed(&base, &rest, &reader.words("scene"))?;
         reader.unique(&base, &entry.name, batch.scenes.iter().map(|s| &s.name))?;
-        let externals = BTreeMap::from([("capture".to_string(), expand(&entry.capture, folder))]);
-        batch.scenes.push(Scene {
-            name: entry.name,
-            group: entry.group,
-            externals,
-            overrides,
-            ..Scene::default()
-        });
+        let said = |key: &str| format!("`{key}` of scene {} in {}", entry.name, file.display());
+        let mut scene =
+            Scene { name: entry.name.clone(), group: entry.group.clone(), overrides, ..Scene::default() };
+        scene.name_external("capture", expand(&entry.capture, folder), said("capture"));
+        if let Some(own) = &entry.calibrator {
+            scene.name_external("calibrator", expand(&own.file, folder), said(key_of("calibrator")));
+        }
+        batch.scenes.push(scene);
     }
     if batch.scenes.is_empty() {
         let hint =
@@ -153,37 +159,44 @@ fn parse(
         reader.unique(&base, &entry.name, batch.variants.iter().map(|v| &v.name))?;
         batch.variants.push(Variant { name: entry.name, seed: entry.seed, overrides, ..Variant::default() });
     }
-    finish(registry, batch, own.cache, own.models.dir, folder, options)
+    let models = own.models.dir.map(|dir| (expand(&dir, folder), said(key_of("models"))));
+    let cache = own.cache.map(|text| expand(&text, folder));
+    finish(registry, batch, cache, models, options)
 }
 
 /// What files and single captures have in common: the command line, the cache, the models, the choice of scenes.
 fn finish(
     registry: &Registry,
     mut batch: Batch,
-    cache: Option<String>,
-    models: Option<String>,
-    folder: &Path,
+    cache: Option<External>,
+    models: Option<(External, String)>,
     options: &LoadOptions,
 ) -> Result<Pipeline, ConfigError> {
+    if let Some((place, by)) = models {
+        batch.name_external("models", place, by);
+    }
     for setting in &options.sets {
         set::apply(registry, &mut batch, setting)?;
     }
     if !options.scenes.is_empty() {
         batch.keep_scenes(&options.scenes).map_err(|e| ConfigError::plain(e.to_string()))?;
     }
-    let models = match (&options.models, models) {
-        (Some(path), _) => Some(Ok(path.clone())),
-        (None, Some(text)) => Some(expand(&text, folder)),
-        (None, None) => Some(PathBuf::from("models")).filter(|p| p.is_dir()).map(Ok),
-    };
-    if let Some(models) = models {
-        batch.externals.insert("models".to_string(), models);
+    if let Some((input, target)) = &options.pairs {
+        say_instead(&mut batch, "pairs.input", Ok(input.clone()), "--pairs");
+        say_instead(&mut batch, "pairs.target", Ok(target.clone()), "--pairs");
+    }
+    if let Some(file) = &options.calibrator {
+        say_instead(&mut batch, "calibrator", Ok(file.clone()), "--calibrator");
+    }
+    check_pairs(&batch)?;
+    if let Some(models) = &options.models {
+        batch.name_external("models", Ok(models.clone()), "--models or USE3D_MODELS");
+    } else if !batch.externals.contains_key("models") && Path::new("models").is_dir() {
+        batch.name_external("models", Ok(PathBuf::from("models")), "the folder `models` here");
     }
     let cache = match (&options.cache, cache) {
         (Some(path), _) => path.clone(),
-        (None, Some(text)) => {
-            expand(&text, folder).map_err(|e| ConfigError::plain(format!("`cache`: {e}")))?
-        }
+        (None, Some(place)) => place.map_err(|e| ConfigError::plain(format!("`cache`: {e}")))?,
         (None, None) => default_cache()?,
     };
     Ok(Pipeline { batch, cache })
@@ -198,37 +211,6 @@ pub fn default_cache() -> Result<PathBuf, ConfigError> {
             "there is no home folder for the cache; say where it goes with --cache or USE3D_CACHE",
         )
     })
-}
-
-fn home() -> Option<PathBuf> {
-    ["HOME", "USERPROFILE"]
-        .iter()
-        .find_map(|n| std::env::var_os(n).filter(|v| !v.is_empty()))
-        .map(PathBuf::from)
-}
-
-/// A path of the file: `${NAME}` is an environment variable, `~` the home folder, relative ones start at `folder`.
-fn expand(text: &str, folder: &Path) -> External {
-    let mut out = String::new();
-    let mut rest = text;
-    while let Some(start) = rest.find("${") {
-        out.push_str(&rest[..start]);
-        let end = rest[start..].find('}').ok_or_else(|| format!("`{text}`: `${{` without `}}`"))? + start;
-        let name = &rest[start + 2..end];
-        let value = std::env::var(name).ok().filter(|v| !v.is_empty());
-        out.push_str(&value.ok_or_else(|| {
-            format!(
-                "the environment variable {name} is not set; set it to the folder that `{text}` starts with"
-            )
-        })?);
-        rest = &rest[end + 1..];
-    }
-    out.push_str(rest);
-    let path = match out.strip_prefix("~/") {
-        Some(below) => home().ok_or_else(|| format!("`{text}`: there is no home folder"))?.join(below),
-        None => PathBuf::from(out),
-    };
-    Ok(folder.join(path))
 }
 
 struct Reader<'r> {
@@ -318,12 +300,15 @@ impl Reader<'_> {
         serde_path_to_error::deserialize(value).map_err(|e| {
             let error = ParameterError::from_path(&e);
             if let Some(missing) = error.message.strip_prefix("missing field ") {
-                let place =
-                    if base.is_empty() { "the pipeline".to_string() } else { format!("[[{}]]", stem(base)) };
-                return self.document.error(base, format!("{place} needs {missing}"));
+                let place = match (base, error.path.as_str()) {
+                    ("", "") => "the pipeline".to_string(),
+                    (_, "") => format!("[[{}]]", stem(base)),
+                    (_, table) => format!("`{table}`"),
+                };
+                return self.document.error(&join(base, &error.path), format!("{place} needs {missing}"));
             }
-            let calibrator =
-                ["calibrator", "models"].into_iter().find(|p| error.path.starts_with(&format!("{p}.")));
+            let mut tables = ["calibrator", "models"].into_iter().filter(|_| base.is_empty());
+            let calibrator = tables.find(|p| error.path.starts_with(&format!("{p}.")));
             match calibrator {
                 Some(place) => self.document.parameter_error(base, &error, &self.short_words(place)),
                 None => self.document.parameter_error(base, &error, more),
@@ -335,22 +320,21 @@ impl Reader<'_> {
         self.registry.shorthands().iter().filter(|s| s.place == place).map(|s| s.key).collect()
     }
 
-    fn calibrator(&self, given: &Calibrator, folder: &Path, batch: &mut Batch) -> Result<(), ConfigError> {
+    fn calibrator(
+        &self,
+        given: &Calibrator,
+        folder: &Path,
+        said: &dyn Fn(&str) -> String,
+        batch: &mut Batch,
+    ) -> Result<(), ConfigError> {
         if given.pairs.is_some() && given.file.is_some() {
             let message = "`file` is a finished calibrator and `pairs` are for making one; give one of them";
             return Err(self.document.key_error("calibrator.file", message));
         }
-        if let Some(pairs) = &given.pairs {
-            batch.externals.insert("pairs.input".to_string(), expand(&pairs.input, folder));
-            batch.externals.insert("pairs.target".to_string(), expand(&pairs.target, folder));
-        }
-        if let Some(path) = &given.file {
-            let read = self.registry.stages().iter().flat_map(|s| s.inputs());
-            if !read.into_iter().any(|i| i.source == Source::External("calibrator")) {
-                let message = "no stage of this program reads a finished calibrator; give `pairs`";
-                return Err(self.document.key_error("calibrator.file", message));
-            }
-            batch.externals.insert("calibrator".to_string(), expand(path, folder));
+        let pairs = given.pairs.iter();
+        let named = pairs.flat_map(|p| [("pairs.input", &p.input), ("pairs.target", &p.target)]);
+        for (external, path) in named.chain(given.file.iter().map(|file| ("calibrator", file))) {
+            batch.name_external(external, expand(path, folder), said(key_of(external)));
         }
         Ok(())
     }

@@ -1,21 +1,38 @@
 //! `--set KEY=VALUE`.
 
+use std::path::Path;
+
 use serde_json::{Map, Value};
 
 use super::document::{ConfigError, loose_value};
+use super::places::{expand, external_of, key_of, say_instead};
 use super::{did_you_mean, merge_into};
 use crate::engine::error::EngineError;
 use crate::engine::graph::Overrides;
-use crate::engine::{Batch, ParameterError, Registry, Stage};
+use crate::engine::{Batch, ParameterError, Registry, Source, Stage};
 
 /// Applies one setting: `seed=7`, `reconstruct.iterations=3000`, `calibrator.proposer=fusion`,
 /// `scene.Panama.reconstruct.iterations=3000`, `variant.mlp.enhance.steps=10`.
 pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Result<(), ConfigError> {
     let (key, value) = split(setting)?;
     let wrong = |message: String| ConfigError::plain(format!("--set {setting}: {message}"));
+    // Paths of the command line start where the command was given.
+    let path = || match &value {
+        Value::String(text) => expand(text, Path::new("")),
+        other => expand(&other.to_string(), Path::new("")),
+    };
+    let by = format!("--set {key}");
+    if let Some(external) = external_of(key) {
+        say_instead(batch, external, path(), &by);
+        return Ok(());
+    }
     if let Some(rest) = key.strip_prefix("scene.") {
         let names: Vec<String> = batch.scenes.iter().map(|s| s.name.clone()).collect();
         let (index, rest) = named("scene", rest, &names).map_err(wrong)?;
+        if let Some(external) = ["capture", "calibrator"].into_iter().find(|e| key_of(e) == rest) {
+            batch.scenes[index].name_external(external, path(), by);
+            return Ok(());
+        }
         return place(registry, "scene", rest, &value, &mut batch.scenes[index].forced).map_err(wrong);
     }
     if let Some(rest) = key.strip_prefix("variant.") {
@@ -33,6 +50,12 @@ pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Re
     let short = registry.shorthands().iter().any(|s| s.place == top && s.key == rest);
     let scene_short =
         top.is_empty() && registry.shorthands().iter().any(|s| s.place == "scene" && s.key == rest);
+    if !short && top == "calibrator" {
+        let own = ["pairs.input", "pairs.target", "calibrator"].map(key_of).map(str::to_string);
+        let words = registry.shorthands().iter().filter(|s| s.place == top);
+        let known: Vec<String> = own.into_iter().chain(words.map(|s| format!("{top}.{}", s.key))).collect();
+        return Err(wrong(format!("no such setting of the calibrator; there are: {}", known.join(", "))));
+    }
     match (short, scene_short) {
         (true, _) => place(registry, top, rest, &value, &mut batch.forced).map_err(wrong),
         (_, true) => place(registry, "scene", rest, &value, &mut batch.forced).map_err(wrong),
@@ -106,10 +129,23 @@ fn place(
     for (stage, parameter) in targets {
         let given = nested(&parameter, value.clone());
         let stage = registry.stage(stage).map_err(|e| e.to_string())?;
-        stage.parameters(&given).map_err(|e| words(&e))?;
+        stage.parameters(&given).map_err(|e| folder_key(stage, &e).unwrap_or_else(|| words(&e)))?;
         merge_into(into, stage.name(), &given, true);
     }
     Ok(())
+}
+
+/// Where a name that was taken for a parameter is a file or folder that the stage reads: the key that names it.
+fn folder_key(stage: &Stage, error: &ParameterError) -> Option<String> {
+    let unknown = error.unknown.as_deref().filter(|_| error.message.starts_with("unknown field"))?;
+    let input = stage.inputs().iter().find(|i| i.role == unknown)?;
+    match input.source {
+        Source::External(name) => Some(format!(
+            "`{unknown}` is read from outside and no parameter; name it with `{}`",
+            key_of(name)
+        )),
+        Source::Stage(_) => None,
+    }
 }
 
 fn words(error: &ParameterError) -> String {

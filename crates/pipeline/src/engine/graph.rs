@@ -33,6 +33,8 @@ pub struct Batch {
     pub forced: Overrides,
     /// Files and folders for all scenes, by name.
     pub externals: BTreeMap<String, External>,
+    /// Where the user named them, by name: `` `calibrator.file` in reefs.toml ``. For messages only.
+    pub named: BTreeMap<String, String>,
     /// The scenes.
     pub scenes: Vec<Scene>,
     /// The variants; none means one without a name.
@@ -48,10 +50,20 @@ pub struct Scene {
     pub group: String,
     /// Its files and folders, by name.
     pub externals: BTreeMap<String, External>,
+    /// Where the user named them, by name. For messages only.
+    pub named: BTreeMap<String, String>,
     /// Parameters for this scene only.
     pub overrides: Overrides,
     /// Parameters for this scene only that win over everything.
     pub forced: Overrides,
+}
+
+impl Scene {
+    /// Names a file or folder of this scene; `by` says in words where the user did.
+    pub fn name_external(&mut self, name: &str, place: External, by: impl Into<String>) {
+        self.externals.insert(name.to_string(), place);
+        self.named.insert(name.to_string(), by.into());
+    }
 }
 
 /// A named set of changes that every scene is computed with.
@@ -68,6 +80,12 @@ pub struct Variant {
 }
 
 impl Batch {
+    /// Names a file or folder for all scenes; `by` says in words where the user did.
+    pub fn name_external(&mut self, name: &str, place: External, by: impl Into<String>) {
+        self.externals.insert(name.to_string(), place);
+        self.named.insert(name.to_string(), by.into());
+    }
+
     /// Keeps only the named scenes.
     pub fn keep_scenes(&mut self, names: &[String]) -> Result<(), EngineError> {
         for name in names {
@@ -91,6 +109,8 @@ pub(crate) enum From {
 pub(crate) struct NodeInput {
     pub(crate) role: &'static str,
     pub(crate) from: From,
+    /// Where the user named it; empty for a stage's artifact.
+    pub(crate) named: String,
     /// The input's place in the stage's list.
     pub(crate) index: usize,
     pub(crate) scene: String,
@@ -282,9 +302,17 @@ impl Builder<'_> {
                         }
                     })),
                 };
+                let named = match input.source {
+                    Source::External(name) => {
+                        let own = scene.filter(|s| s.externals.contains_key(name));
+                        own.map_or(&self.batch.named, |s| &s.named).get(name).cloned().unwrap_or_default()
+                    }
+                    Source::Stage(_) => String::new(),
+                };
                 inputs.push(NodeInput {
                     role: input.role,
                     from,
+                    named,
                     index: i,
                     scene: String::new(),
                     group: String::new(),
@@ -329,6 +357,7 @@ impl Builder<'_> {
                 let base = NodeInput {
                     role: input.role,
                     from: From::External(Err(String::new())),
+                    named: String::new(),
                     index: i,
                     scene: String::new(),
                     group: String::new(),
@@ -337,7 +366,8 @@ impl Builder<'_> {
                 match input.source {
                     Source::External(name) => match (self.batch.externals.get(name), input.optional) {
                         (Some(external), _) => {
-                            inputs.push(NodeInput { from: From::External(external.clone()), ..base });
+                            let named = self.batch.named.get(name).cloned().unwrap_or_default();
+                            inputs.push(NodeInput { from: From::External(external.clone()), named, ..base });
                         }
                         (None, true) => {}
                         (None, false) => {

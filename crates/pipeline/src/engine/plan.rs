@@ -82,6 +82,17 @@ impl Plan {
         self.own().filter(|n| n.state == State::Cached).count()
     }
 
+    /// How many nodes cannot run because an input that the pipeline names is missing or unreadable, without those that share
+    /// another's work.
+    pub fn unavailable(&self) -> usize {
+        self.own().filter(|n| matches!(n.state, State::Unavailable(_))).count()
+    }
+
+    /// How many nodes cannot run because of others, without those that share another's work.
+    pub fn blocked(&self) -> usize {
+        self.own().filter(|n| matches!(n.state, State::Blocked(_))).count()
+    }
+
     /// The sum of the forecasts, and how many nodes that would run have none.
     pub fn forecast(&self) -> (f64, usize) {
         let would_run = self.own().filter(|n| matches!(n.state, State::Run(_) | State::Waiting(_)));

@@ -82,16 +82,9 @@ pub(crate) fn resolve(
                     (artifact.manifest.content, artifact.path.clone())
                 }
             },
-            From::External(Err(reason)) if stage.inputs[input.index].optional => {
-                tracing::debug!(role = input.role, reason, "optional input left out");
-                continue;
-            }
+            // An optional input is one that need not be named; what is named has to be there.
             From::External(Err(reason)) => return Err(Unresolved::Input(input_error(input, reason))),
             From::External(Ok(path)) => {
-                let optional = stage.inputs[input.index].optional;
-                if optional && !path.exists() {
-                    continue;
-                }
                 let found = external(stage, node, input, path, cache);
                 let (select, content) =
                     found.map_err(|reason| Unresolved::Input(input_error(input, &reason)))?;
@@ -145,7 +138,7 @@ fn external(
     cache: &Cache,
 ) -> Result<(Option<Vec<PathBuf>>, Content), String> {
     if !path.exists() {
-        return Err(format!("{} does not exist", path.display()));
+        return Err(format!("{} does not exist; correct the path or put the data there", path.display()));
     }
     let select = match &stage.inputs[input.index].select {
         None => None,
@@ -156,7 +149,10 @@ fn external(
 }
 
 fn input_error(input: &NodeInput, reason: &str) -> String {
-    format!("input `{}`: {reason}", input.role)
+    if input.named.is_empty() {
+        return format!("input `{}`: {reason}", input.role);
+    }
+    format!("input `{}`, named by {}: {reason}", input.role, input.named)
 }
 
 /// The product of the parameters that say how far a stage goes.

@@ -42,7 +42,8 @@ pub struct Input {
     pub role: &'static str,
     /// Where it comes from.
     pub source: Source,
-    /// Whether the stage also runs without it (the pipeline names none, or the stage that makes it is not asked for).
+    /// Whether the stage also runs without it: the pipeline names none, or the stage that makes it is not asked for. One that is
+    /// named and not there is an error, never left out.
     pub optional: bool,
     /// Which files count; `None` counts every file that is not hidden.
     pub select: Option<Select>,
@@ -152,7 +153,7 @@ impl Stage {
         self.with_input(Input { role, source: Source::External(name), optional: false, select: None })
     }
 
-    /// As [`external`](Self::external), when the pipeline names it and it is there.
+    /// As [`external`](Self::external), when the pipeline names it. Named and absent, it fails the stage.
     #[must_use]
     pub fn optional_external(self, role: &'static str, name: &'static str) -> Self {
         self.with_input(Input { role, source: Source::External(name), optional: true, select: None })

@@ -27,6 +27,13 @@ impl Display for Plan {
         if shared > 0 {
             write!(f, ", {shared} shared between variants")?;
         }
+        for (count, words) in
+            [(self.unavailable(), "cannot run"), (self.blocked(), "not run because of these")]
+        {
+            if count > 0 {
+                write!(f, ", {count} {words}")?;
+            }
+        }
         let (sum, without) = self.forecast();
         if self.to_run() > without {
             write!(f, "; about {}", seconds(sum))?;

@@ -6,5 +6,6 @@ mod code;
 mod config;
 mod crash;
 mod faults;
+mod named;
 mod shipped;
 mod stages;

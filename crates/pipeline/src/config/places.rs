@@ -1,0 +1,94 @@
+//! Files and folders that a pipeline names: which key names which input, and how a path is written there.
+
+use std::path::{Path, PathBuf};
+
+use super::document::ConfigError;
+use crate::engine::Batch;
+use crate::engine::graph::External;
+
+/// The inputs from outside that hold for all scenes, with the key of the pipeline file that names each.
+const KEYS: [(&str, &str); 4] = [
+    ("models", "models.dir"),
+    ("pairs.input", "calibrator.pairs.input"),
+    ("pairs.target", "calibrator.pairs.target"),
+    ("calibrator", "calibrator.file"),
+];
+
+/// The key that names an input from outside.
+pub(super) fn key_of(external: &str) -> &str {
+    KEYS.iter().find(|(name, _)| *name == external).map_or(external, |(_, key)| key)
+}
+
+/// The input from outside that a key names for all scenes.
+pub(super) fn external_of(key: &str) -> Option<&'static str> {
+    KEYS.iter().find(|(_, known)| *known == key).map(|(name, _)| *name)
+}
+
+/// Names a finished calibrator for all scenes in place of pairs, or one of the pairs' folders in place of a finished calibrator: what
+/// is said last is meant.
+pub(super) fn say_instead(batch: &mut Batch, external: &str, place: External, by: &str) {
+    let others: &[&str] = match external {
+        "calibrator" => &["pairs.input", "pairs.target"],
+        "pairs.input" | "pairs.target" => &["calibrator"],
+        _ => &[],
+    };
+    for other in others {
+        batch.externals.remove(*other);
+        batch.scenes.iter_mut().for_each(|scene| {
+            scene.externals.remove(*other);
+        });
+    }
+    if external == "calibrator" {
+        // What the command line says of all scenes holds for a scene with a file of its own, too.
+        batch.scenes.iter_mut().for_each(|scene| {
+            scene.externals.remove(external);
+        });
+    }
+    batch.name_external(external, place, by);
+}
+
+/// Refuses one of the two folders of pairs without the other.
+pub(super) fn check_pairs(batch: &Batch) -> Result<(), ConfigError> {
+    for (given, missing) in [("pairs.input", "pairs.target"), ("pairs.target", "pairs.input")] {
+        if batch.externals.contains_key(given) && !batch.externals.contains_key(missing) {
+            return Err(ConfigError::plain(format!(
+                "`{}` needs `{}` beside it: pairs are two folders with equal file stems",
+                key_of(given),
+                key_of(missing)
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// The home folder.
+pub(super) fn home() -> Option<PathBuf> {
+    ["HOME", "USERPROFILE"]
+        .iter()
+        .find_map(|n| std::env::var_os(n).filter(|v| !v.is_empty()))
+        .map(PathBuf::from)
+}
+
+/// A path of the file: `${NAME}` is an environment variable, `~` the home folder, relative ones start at `folder`.
+pub(super) fn expand(text: &str, folder: &Path) -> External {
+    let mut out = String::new();
+    let mut rest = text;
+    while let Some(start) = rest.find("${") {
+        out.push_str(&rest[..start]);
+        let end = rest[start..].find('}').ok_or_else(|| format!("`{text}`: `${{` without `}}`"))? + start;
+        let name = &rest[start + 2..end];
+        let value = std::env::var(name).ok().filter(|v| !v.is_empty());
+        out.push_str(&value.ok_or_else(|| {
+            format!(
+                "the environment variable {name} is not set; set it to the folder that `{text}` starts with"
+            )
+        })?);
+        rest = &rest[end + 1..];
+    }
+    out.push_str(rest);
+    let path = match out.strip_prefix("~/") {
+        Some(below) => home().ok_or_else(|| format!("`{text}`: there is no home folder"))?.join(below),
+        None => PathBuf::from(out),
+    };
+    Ok(folder.join(path))
+}

@@ -1,0 +1,118 @@
+//! What a pipeline names has to be there: an input that is named and missing fails those who need it, and is never left out.
+
+use std::fs;
+use std::path::Path;
+
+use use3d_pipeline::config::{LoadOptions, from_text};
+use use3d_pipeline::engine::Graph;
+use use3d_pipeline::engine::plan::State;
+use use3d_pipeline::engine::run::{Became, RunOptions};
+
+use super::stages::{batch, engine, registry, run, run_with};
+
+#[test]
+fn an_optional_input_that_is_named_and_missing_fails_what_needs_it_and_nothing_else() {
+    let dir = tempfile::tempdir().expect("folder");
+    let mut batch = batch(&dir.path().join("data"), &["reef"]);
+    let engine = engine(&dir.path().join("cache"));
+    let places =
+        [Err("the environment variable UIEB is not set".to_string()), Ok(dir.path().join("typo/raw-890"))];
+    for (place, reason) in places.into_iter().zip(["UIEB is not set", "raw-890 does not exist"]) {
+        batch.name_external("pairs.input", place, "`calibrator.pairs.input` in reefs.toml");
+        let graph = Graph::new(&engine.registry, &batch).expect("graph");
+        let plan = engine.plan(&graph, None);
+        let planned = plan.nodes.iter().find(|n| n.stage == "calibrate").expect("planned");
+        let State::Unavailable(why) = &planned.state else { panic!("{:?}", planned.state) };
+        assert!(why.contains(reason) && why.contains("`calibrator.pairs.input` in reefs.toml"), "{why}");
+        assert_eq!(plan.unavailable(), 1);
+        assert!(plan.blocked() >= 2 && plan.to_string().contains("1 cannot run"), "{plan}");
+
+        let options = RunOptions { keep_going: true, ..RunOptions::default() };
+        let (summary, ..) = run_with(&engine, &batch, &options);
+        assert_eq!(summary.exit_code(), 1);
+        let became =
+            |stage: &str| summary.nodes.iter().find(|n| n.stage == stage).expect("ran").result.clone();
+        assert!(matches!(became("calibrate"), Became::Failed { .. }), "{summary}");
+        assert_eq!(became("targets"), Became::Blocked("calibrate".to_string()));
+        assert!(matches!(became("reconstruct"), Became::Done | Became::Cached), "{summary}");
+    }
+    // Not named at all: done without. There: read.
+    batch.externals.remove("pairs.input");
+    assert_eq!(run(&engine, &batch).0.exit_code(), 0);
+    fs::create_dir_all(dir.path().join("raw")).expect("folder");
+    fs::write(dir.path().join("raw/a.txt"), "a").expect("file");
+    batch.name_external("pairs.input", Ok(dir.path().join("raw")), "--pairs");
+    assert!(run(&engine, &batch).1.contains(&"calibrate".to_string()));
+}
+
+#[test]
+fn each_input_from_outside_is_named_by_its_key_and_its_file() {
+    let text = "name = \"x\"\n[models]\ndir = \"${USE3D_TEST_UNSET}\"\n[calibrator]\npairs = { input = \"a\", target = \"b\" }\n\
+        [[scene]]\nname = \"reef\"\ncapture = \"c\"\n[[scene]]\nname = \"own\"\ncapture = \"d\"\ncalibrator = { file = \"e.pth\" }\n";
+    let load = |sets: &[&str], options: LoadOptions| {
+        let sets = sets.iter().map(ToString::to_string).collect();
+        from_text(&registry(0), text, Path::new("dir/p.toml"), &LoadOptions { sets, ..options })
+            .map(|p| p.batch)
+            .map_err(|e| e.to_string())
+    };
+    let batch = load(&[], LoadOptions::default()).expect("loaded");
+    let unset = batch.externals["models"].clone().expect_err("not set");
+    assert!(unset.contains("USE3D_TEST_UNSET is not set"), "{unset}");
+    assert_eq!(batch.named["models"], "`models.dir` in dir/p.toml");
+    assert_eq!(batch.named["pairs.target"], "`calibrator.pairs.target` in dir/p.toml");
+    assert_eq!(batch.scenes[0].named["capture"], "`capture` of scene reef in dir/p.toml");
+    assert_eq!(batch.scenes[1].externals["calibrator"], Ok("dir/e.pth".into()));
+    assert_eq!(batch.scenes[1].named["calibrator"], "`calibrator.file` of scene own in dir/p.toml");
+
+    // The command line wins as a whole: pairs over a file, a file over pairs; its paths start where it is given.
+    let set = load(&["calibrator.file=f.pth"], LoadOptions::default()).expect("loaded");
+    assert_eq!(
+        (set.externals["calibrator"].clone(), set.externals.get("pairs.input")),
+        (Ok("f.pth".into()), None)
+    );
+    assert!(!set.scenes[1].externals.contains_key("calibrator"));
+    let set = load(&["calibrator.pairs.input=q"], LoadOptions::default()).expect("loaded");
+    assert_eq!(
+        (set.externals["pairs.input"].clone(), set.externals["pairs.target"].clone()),
+        (Ok("q".into()), Ok("dir/b".into()))
+    );
+    assert_eq!(set.named["pairs.input"], "--set calibrator.pairs.input");
+    let pairs = Some(("in".into(), "out".into()));
+    let given = load(&[], LoadOptions { pairs, ..LoadOptions::default() }).expect("loaded");
+    assert_eq!(
+        (given.externals["pairs.target"].clone(), given.named["pairs.target"].as_str()),
+        (Ok("out".into()), "--pairs")
+    );
+    let calibrator = Some("g.safetensors".into());
+    let given = load(&[], LoadOptions { calibrator, ..LoadOptions::default() }).expect("loaded");
+    assert_eq!(given.externals["calibrator"], Ok("g.safetensors".into()));
+    let set = load(&["scene.own.calibrator.file=h.pth"], LoadOptions::default()).expect("loaded");
+    assert_eq!(set.scenes[1].externals["calibrator"], Ok("h.pth".into()));
+
+    for (set, expected) in [
+        ("calibrator.pair.input=a", "calibrator.pairs.input, calibrator.pairs.target, calibrator.file"),
+        ("calibrate.input=a", "name it with `calibrator.pairs.input`"),
+    ] {
+        let error = load(&[set], LoadOptions::default()).expect_err(set);
+        assert!(error.contains(expected), "{set}: {error}");
+    }
+}
+
+#[test]
+fn half_of_the_pairs_is_said_at_the_pairs() {
+    let load = |text: &str, sets: &[&str]| {
+        let options =
+            LoadOptions { sets: sets.iter().map(ToString::to_string).collect(), ..LoadOptions::default() };
+        from_text(&registry(0), text, Path::new("p.toml"), &options).expect_err("half").to_string()
+    };
+    let scene = "[[scene]]\nname = \"a\"\ncapture = \"a\"\n";
+    let error = load(&format!("name = \"x\"\n[calibrator]\npairs = {{ input = \"a\" }}\n{scene}"), &[]);
+    assert!(error.starts_with("p.toml:3:9: `calibrator.pairs` needs `target`"), "{error}");
+    let error = load(&format!("name = \"x\"\n{scene}"), &["calibrator.pairs.input=a"]);
+    assert!(error.contains("`calibrator.pairs.input` needs `calibrator.pairs.target` beside it"), "{error}");
+    let both = format!(
+        "name = \"x\"\n[calibrator]\nfile = \"c\"\npairs = {{ input = \"a\", target = \"b\" }}\n{scene}"
+    );
+    let error = load(&both, &[]);
+    assert!(error.contains("give one of them"), "{error}");
+}
