@@ -7,7 +7,7 @@ use use3d_numerics::adam::Adam;
 use use3d_numerics::random::Purpose;
 use use3d_scene::Scene;
 use use3d_training::guard::first_non_finite;
-use use3d_training::{CheckpointError, CheckpointFile, NonFinite, Observer, Pace, Progress, ViewOrder};
+use use3d_training::{Checkpoints, NonFinite, Observer, Pace, Progress, Resumable, ViewOrder};
 use use3d_ubaf::Enhancement;
 use use3d_ubaf::water::ratios;
 
@@ -18,8 +18,8 @@ use crate::view::{EnhanceView, Guidance};
 use crate::{EnhanceError, EnhanceParams};
 
 const VIEWS: Purpose = Purpose::new("stage 2 views");
-/// The checkpoint's name in the folder given.
-const CHECKPOINT: &str = "enhance.checkpoint";
+/// What the names of this loop's checkpoints begin with.
+const CHECKPOINT: &str = "enhance";
 
 /// Everything that a later step depends on.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -37,6 +37,16 @@ struct State {
     before: Vec<crate::ViewErrors>,
 }
 
+impl Resumable for State {
+    fn fingerprint(&self) -> &[u8; 32] {
+        &self.fingerprint
+    }
+
+    fn step(&self) -> u64 {
+        self.step
+    }
+}
+
 /// Learns the enhanced appearance of a reconstructed scene.
 ///
 /// `views` are the training views, in the scene's frame. With a `checkpoint_dir`, the state is saved there every
@@ -51,9 +61,9 @@ pub fn enhance(
     observer: &mut dyn Observer,
 ) -> Result<Outcome, EnhanceError> {
     let mut engine = Engine::new(scene, views, guidance, params, observer)?;
-    let checkpoint = checkpoint_dir.map(|dir| CheckpointFile::new(dir, CHECKPOINT));
     let digest = fingerprint(scene, views, guidance, &engine.views, params)?;
-    let mut state = match resume(checkpoint.as_ref(), &digest, params, observer)? {
+    let checkpoints = checkpoint_dir.map(|dir| Checkpoints::new(dir, CHECKPOINT, &digest, params.iterations));
+    let mut state = match resume(checkpoints.as_ref(), observer)? {
         Some(state) if state.parameters.len() == engine.field.parameters.len() => state,
         _ => State::new(digest, &mut engine)?,
     };
@@ -89,54 +99,36 @@ pub fn enhance(
         ));
 
         let stop = observer.should_stop() && state.step < params.iterations;
-        if let Some(file) = &checkpoint
+        if let Some(checkpoints) = &checkpoints
             && (stop || state.step % params.checkpoint_every == 0 || state.step == params.iterations)
         {
             state.parameters.copy_from_slice(&engine.field.parameters);
-            file.save(&state)?;
+            checkpoints.save(state.step, &state)?;
         }
         if stop {
             return Err(EnhanceError::Stopped { step: state.step });
         }
     }
+    // Only here, after the last checkpoint: a longer run that goes on from it still collects for this line.
+    if state.windowed > 0 {
+        state.end_window();
+    }
     finish(scene, views, guidance, &mut engine, state)
 }
 
-/// The state in the checkpoint, if it is one of this run.
+/// The furthest state that this run can go on from.
 fn resume(
-    checkpoint: Option<&CheckpointFile>,
-    digest: &[u8; 32],
-    params: &EnhanceParams,
+    checkpoints: Option<&Checkpoints>,
     observer: &mut dyn Observer,
 ) -> Result<Option<State>, EnhanceError> {
-    let Some(file) = checkpoint else { return Ok(None) };
-    let mut say = |message: String| {
+    let Some(checkpoints) = checkpoints else { return Ok(None) };
+    let found = checkpoints.load::<State>()?;
+    let going_on = found.state.as_ref().map(|state| format!("going on from step {}", state.step));
+    for message in found.notices.into_iter().chain(going_on) {
         tracing::info!("{message}");
         observer.notice(&message);
-    };
-    match file.load::<State>() {
-        Ok(None) => Ok(None),
-        Ok(Some(state)) if state.fingerprint != *digest => {
-            say("the checkpoint belongs to another scene, targets or parameters; starting anew".into());
-            Ok(None)
-        }
-        Ok(Some(state)) if state.step > params.iterations => {
-            say(format!(
-                "the checkpoint is at step {}, beyond the {} asked for; starting anew",
-                state.step, params.iterations
-            ));
-            Ok(None)
-        }
-        Ok(Some(state)) => {
-            say(format!("going on from step {}", state.step));
-            Ok(Some(state))
-        }
-        Err(damaged @ CheckpointError::Damaged { .. }) => {
-            say(format!("{damaged}; starting anew"));
-            Ok(None)
-        }
-        Err(other) => Err(other.into()),
     }
+    Ok(found.state)
 }
 
 impl State {
@@ -187,22 +179,27 @@ impl State {
             *sum += v;
         }
         self.windowed += 1;
-        if self.step.is_multiple_of(params.log_every) || self.step == params.iterations {
-            let [loss, global, local, pixels, variation, global_error, local_error] =
-                self.window.map(|sum| sum / self.windowed as f64);
-            self.log.push(LogEntry {
-                step: self.step,
-                loss,
-                global,
-                local,
-                pixels,
-                variation,
-                global_error,
-                local_error,
-            });
-            self.window = [0.0; 7];
-            self.windowed = 0;
+        if self.step.is_multiple_of(params.log_every) {
+            self.end_window();
         }
+    }
+
+    /// The log line of the steps since the last one.
+    fn end_window(&mut self) {
+        let [loss, global, local, pixels, variation, global_error, local_error] =
+            self.window.map(|sum| sum / self.windowed as f64);
+        self.log.push(LogEntry {
+            step: self.step,
+            loss,
+            global,
+            local,
+            pixels,
+            variation,
+            global_error,
+            local_error,
+        });
+        self.window = [0.0; 7];
+        self.windowed = 0;
     }
 }
 

@@ -221,11 +221,28 @@ fn a_killed_run_goes_on_as_if_it_had_not_been() {
     let mut watcher = Watcher::new(u64::MAX);
     enhance(&scene, &views, guidance, &other, Some(dir.path()), &mut watcher).unwrap();
     assert!(watcher.notices.iter().any(|n| n.contains("starting anew")), "{:?}", watcher.notices);
-    std::fs::write(dir.path().join("enhance.checkpoint"), b"3d-use").unwrap();
+    for entry in std::fs::read_dir(dir.path()).unwrap() {
+        std::fs::write(entry.unwrap().path(), b"3d-use").unwrap();
+    }
     let mut watcher = Watcher::new(u64::MAX);
     let anew = enhance(&scene, &views, guidance, &params, Some(dir.path()), &mut watcher).unwrap();
     assert!(watcher.notices.iter().any(|n| n.contains("starting anew")), "{:?}", watcher.notices);
     same(&whole, &anew);
+}
+
+#[test]
+fn going_on_from_the_end_of_a_shorter_run_leaves_no_trace_of_that_end() {
+    let (scene, views) = mini();
+    let wanted = targets(&scene, &taught(&scene), &views);
+    let dir = tempfile::tempdir().unwrap();
+    let run = |iterations, dir: Option<&std::path::Path>| {
+        let params = EnhanceParams { log_every: 7, ..quick(iterations) };
+        enhance(&scene, &views, Guidance::Targets(&wanted), &params, dir, &mut Silent).unwrap()
+    };
+    let short = run(10, Some(dir.path()));
+    // The last line of the shorter one's log is of three steps; that of the longer one is of seven.
+    same(&run(16, Some(dir.path())), &run(16, None));
+    same(&short, &run(10, Some(dir.path())));
 }
 
 #[test]

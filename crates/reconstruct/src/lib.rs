@@ -20,7 +20,7 @@ pub use error::ReconstructError;
 pub use parameters::{Densify, DepthPrior, Images, LearningRates, Medium, Rate, ReconstructParams};
 pub use profile::{StepPart, Stretch, growth};
 pub use record::{Evaluation, LogEntry, ViewScore, plot};
-pub use train::{CHECKPOINT, Outcome, reconstruct};
+pub use train::{Outcome, reconstruct};
 pub use views::{Dropped, LoadedView, Target, TrainingView, ViewLoader};
 
 #[cfg(test)]

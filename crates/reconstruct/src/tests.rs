@@ -323,10 +323,60 @@ fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
     let mut watcher = Watcher::default();
     reconstruct(&capture, &loader(&loaded), &other, Some(dir.path()), &mut watcher).unwrap();
     assert!(watcher.notices.iter().any(|n| n.contains("other parameters")), "{:?}", watcher.notices);
-    std::fs::write(dir.path().join(crate::CHECKPOINT), b"3d-use state v01 nonsense").unwrap();
+    let files = |dir: &std::path::Path| -> Vec<_> {
+        std::fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().path()).collect()
+    };
+    assert_eq!(files(dir.path()).len(), 3, "one of each run");
+    for file in files(dir.path()) {
+        std::fs::write(file, b"3d-use state v01 nonsense").unwrap();
+    }
     let mut watcher = Watcher::default();
     reconstruct(&capture, &loader(&loaded), &other, Some(dir.path()), &mut watcher).unwrap();
     assert!(watcher.notices.iter().any(|n| n.contains("starting anew")), "{:?}", watcher.notices);
+}
+
+#[test]
+fn going_on_from_the_end_of_a_shorter_run_leaves_no_trace_of_that_end() {
+    let (capture, loaded) = tiny_capture(6);
+    // The shorter run ends between two lines of the log, and on a step that a longer one is measured at.
+    let params = |iterations| ReconstructParams {
+        iterations,
+        schedule: 18,
+        log_every: 10,
+        evaluate_every: 9,
+        ..tiny_params(18)
+    };
+    let run = |iterations, dir: Option<&std::path::Path>| {
+        reconstruct(&capture, &loader(&loaded), &params(iterations), dir, &mut Watcher::default()).unwrap()
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let short = run(27, Some(dir.path()));
+    let long = run(36, Some(dir.path()));
+    assert!(same(&long, &run(36, None)), "{}", long.log_lines());
+    assert!(same(&short, &run(27, Some(dir.path()))), "the longer run took nothing from it");
+}
+
+#[test]
+fn runs_of_two_lengths_at_once_share_a_folder() {
+    let (capture, loaded) = tiny_capture(5);
+    let params = |iterations| ReconstructParams { iterations, checkpoint_steps: 1, ..tiny_params(12) };
+    let dir = tempfile::tempdir().unwrap();
+    let run = |iterations, dir: Option<&std::path::Path>| {
+        reconstruct(&capture, &loader(&loaded), &params(iterations), dir, &mut Watcher::default()).unwrap()
+    };
+    std::thread::scope(|scope| {
+        let runs: Vec<_> = [12, 13, 12]
+            .map(|iterations| {
+                let (run, dir) = (&run, dir.path());
+                scope.spawn(move || (iterations, run(iterations, Some(dir))))
+            })
+            .into_iter()
+            .collect();
+        for one in runs {
+            let (iterations, outcome) = one.join().unwrap();
+            assert!(same(&outcome, &run(iterations, None)), "{iterations}");
+        }
+    });
 }
 
 #[test]
@@ -390,7 +440,7 @@ fn a_run_that_diverges_says_where_and_keeps_the_last_checkpoint() {
     let Err(ReconstructError::NonFinite(found)) = result.map(|_| ()) else { panic!("the run goes on") };
     assert!(found.step > 1 && found.view.ends_with(".png") && found.what == "means", "{found}");
     assert!(found.index.is_some(), "{found}");
-    assert!(dir.path().join(crate::CHECKPOINT).exists());
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
 }
 
 #[test]

@@ -12,7 +12,7 @@ use use3d_numerics::math;
 use use3d_numerics::random::Purpose;
 use use3d_scene::Scene;
 use use3d_splat::Rendered;
-use use3d_training::{CheckpointFile, NonFinite, Observer, Pace, Profile, Progress, ViewOrder};
+use use3d_training::{Checkpoints, NonFinite, Observer, Pace, Profile, Progress, Resumable, ViewOrder};
 
 use crate::engine::{CpuEngine, Engine, EngineState, RefineSettings, StepRates, StepReport, StepSettings};
 use crate::profile::{StepPart, Stretch};
@@ -20,8 +20,8 @@ use crate::record::{Evaluation, LogEntry, ViewScore, plot};
 use crate::views::{Dropped, TrainingView, ViewLoader};
 use crate::{DepthPrior, Medium, ReconstructError, ReconstructParams, initialise};
 
-/// The checkpoint's name in its folder.
-pub const CHECKPOINT: &str = "reconstruct.checkpoint";
+/// What the names of this loop's checkpoints begin with.
+const CHECKPOINT: &str = "reconstruct";
 
 /// Most stretches of a run whose step times are told apart.
 const STRETCHES: u64 = 15;
@@ -69,6 +69,16 @@ struct RunState<'a> {
     engine: EngineState<'a>,
     log: Cow<'a, [LogEntry]>,
     window: Window,
+}
+
+impl Resumable for RunState<'_> {
+    fn fingerprint(&self) -> &[u8; 32] {
+        &self.fingerprint
+    }
+
+    fn step(&self) -> u64 {
+        self.step
+    }
 }
 
 /// Sums since the last log line, and the smoothed numbers that a person sees.
@@ -121,8 +131,9 @@ impl Window {
 /// Reconstructs an underwater scene from a capture.
 ///
 /// Views are loaded once, through `loader`, at the size of their cameras. With a `checkpoint_dir` the run writes checkpoints there
-/// and goes on from the last one that belongs to the same capture and parameters; the result is the same to the last bit. The
-/// checkpoint stays there when the run is done: whoever has stored the outcome removes the folder.
+/// and goes on from the furthest one that belongs to the same capture and parameters, also where a run of another length left it;
+/// the result is the same to the last bit. Those of other runs in the folder are left alone. The last checkpoint stays there when the
+/// run is done: whoever has stored the outcome removes the folder.
 pub fn reconstruct(
     capture: &Capture,
     loader: &dyn ViewLoader,
@@ -150,7 +161,8 @@ pub fn reconstruct(
         names,
         held_out: views.test,
         engine: &mut engine,
-        checkpoint: checkpoint_dir.map(|dir| CheckpointFile::new(dir, CHECKPOINT)),
+        checkpoints: checkpoint_dir
+            .map(|dir| Checkpoints::new(dir, CHECKPOINT, &fingerprint, params.iterations)),
         fingerprint,
         initial,
         step: 0,
@@ -273,7 +285,7 @@ struct Run<'a> {
     names: Vec<String>,
     held_out: Vec<TrainingView>,
     engine: &'a mut CpuEngine,
-    checkpoint: Option<CheckpointFile>,
+    checkpoints: Option<Checkpoints>,
     fingerprint: [u8; 32],
     initial: usize,
     step: u64,
@@ -287,25 +299,18 @@ struct Run<'a> {
 impl Run<'_> {
     /// Goes on from the checkpoint, if there is one of this run.
     fn resume(&mut self) -> Result<(), ReconstructError> {
-        let Some(file) = &self.checkpoint else { return Ok(()) };
-        let state: RunState<'_> = match file.load() {
-            Ok(Some(state)) => state,
-            Ok(None) => return Ok(()),
+        let Some(checkpoints) = &self.checkpoints else { return Ok(()) };
+        let found = match checkpoints.load::<RunState<'_>>() {
+            Ok(found) => found,
             Err(error) => {
                 self.observer.notice(&format!("{error}; starting anew"));
                 return Ok(());
             }
         };
-        if state.step > self.params.iterations {
-            self.observer.notice(&format!(
-                "the checkpoint is of step {}, beyond the {} steps asked for; starting anew",
-                state.step, self.params.iterations
-            ));
-            return Ok(());
-        }
-        if state.fingerprint != self.fingerprint || !self.engine.restore(&state.engine) {
-            self.observer
-                .notice("the checkpoint belongs to another capture or other parameters; starting anew");
+        found.notices.iter().for_each(|notice| self.observer.notice(notice));
+        let Some(state) = found.state else { return Ok(()) };
+        if !self.engine.restore(&state.engine) {
+            self.observer.notice("the checkpoint does not fit this scene; starting anew");
             return Ok(());
         }
         self.observer.notice(&format!("going on from step {} of {}", state.step, self.params.iterations));
@@ -313,19 +318,27 @@ impl Run<'_> {
         self.initial = state.initial;
         self.log = state.log.into_owned();
         self.window = state.window;
+        // A run that ended here measured after its last checkpoint; one that goes on has that line in its log.
+        let due = self.params.evaluate_every > 0 && self.step.is_multiple_of(self.params.evaluate_every);
+        let measured =
+            matches!(self.log.last(), Some(LogEntry::Evaluation { step, .. }) if *step == self.step);
+        if due && !measured && self.step < self.params.iterations {
+            self.evaluate();
+        }
         Ok(())
     }
 
     fn save(&self) -> Result<(), ReconstructError> {
-        if let Some(file) = &self.checkpoint {
-            file.save(&RunState {
+        if let Some(checkpoints) = &self.checkpoints {
+            let state = RunState {
                 fingerprint: self.fingerprint,
                 step: self.step,
                 initial: self.initial,
                 engine: self.engine.state(),
                 log: (&self.log).into(),
                 window: self.window.clone(),
-            })?;
+            };
+            checkpoints.save(self.step, &state)?;
         }
         Ok(())
     }
@@ -348,10 +361,8 @@ impl Run<'_> {
             // Refinements look at the state after the step's update.
             self.control_density();
             self.step = done;
-            if done.is_multiple_of(params.log_every) || done == params.iterations {
-                let (divisor, degree) = (params.divisor(done - 1), params.active_degree(done - 1));
-                let entry = self.window.flush(done, self.engine.gaussians(), divisor, degree);
-                self.log.push(entry);
+            if done.is_multiple_of(params.log_every) {
+                self.end_window();
             }
             if params.evaluate_every > 0
                 && done.is_multiple_of(params.evaluate_every)
@@ -379,11 +390,23 @@ impl Run<'_> {
                 (saved_at, saved_step) = (Instant::now(), done);
             }
             if stop {
-                let saved = self.checkpoint.is_some();
+                let saved = self.checkpoints.is_some();
                 return Err(ReconstructError::Interrupted { step: done, steps: params.iterations, saved });
             }
         }
+        // Only here, after the last checkpoint: a longer run that goes on from it still collects for this line.
+        if self.window.steps > 0 {
+            self.end_window();
+        }
         Ok(())
+    }
+
+    /// The log line of the steps since the last one.
+    fn end_window(&mut self) {
+        let last = self.step.saturating_sub(1);
+        let (divisor, degree) = (self.params.divisor(last), self.params.active_degree(last));
+        let entry = self.window.flush(self.step, self.engine.gaussians(), divisor, degree);
+        self.log.push(entry);
     }
 
     fn one_step(&mut self, view: usize) -> Result<(), ReconstructError> {

@@ -2,13 +2,14 @@
 //!
 //! Layout: 16 bytes of magic and format version, the 32-byte BLAKE3 digest of everything after it, then the state in bincode's
 //! standard configuration. State goes to the file and comes back through a small buffer: a checkpoint needs no memory of its own
-//! size. A new one is written to a sibling, synced and renamed over the old one, so that the machine may die at any moment and a good
-//! file remains. A file that is cut short, altered, or of another version is an error that says so; the loop
+//! size. A new one is written to a sibling of its own, synced and renamed over the old one, so that the machine may die at any moment,
+//! and several processes may write the same one at once, and a good file remains. A file that is cut short, altered, or of another version is an error that says so; the loop
 //! then starts anew (and the caller says so aloud), never from half a state. Internal state only: exchange formats are open ones.
 
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::io::{BufRead, BufReader, BufWriter, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use bincode::error::{DecodeError, EncodeError};
 use serde::Serialize;
@@ -71,10 +72,48 @@ impl Write for Digesting {
     }
 }
 
+/// What a sibling's name has between the file's own and a number.
+const PART: &str = ".part-";
+
+/// Creates a sibling of `path` that no other process and no other thread writes, and locks it: whoever finds it unlocked
+/// knows that its writer is gone.
+fn create_sibling(path: &Path) -> std::io::Result<(PathBuf, File)> {
+    static COUNTER: AtomicU64 = AtomicU64::new(0);
+    loop {
+        let mut name = path.file_name().unwrap_or_default().to_os_string();
+        name.push(format!("{PART}{}-{}", std::process::id(), COUNTER.fetch_add(1, Ordering::Relaxed)));
+        let part = path.with_file_name(name);
+        // Created, never opened: process ids are told apart on one machine only.
+        match File::options().write(true).create_new(true).open(&part) {
+            Ok(file) => {
+                // Some file systems know no locks. Then a leftover of a crash stays until the folder goes.
+                let _ = file.try_lock();
+                return Ok((part, file));
+            }
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+/// Removes what processes that were killed while writing left in a folder of checkpoints.
+pub(crate) fn sweep(dir: &Path) {
+    for entry in fs::read_dir(dir).into_iter().flatten().filter_map(Result::ok) {
+        if !entry.file_name().to_string_lossy().contains(PART) {
+            continue;
+        }
+        let Ok(file) = File::open(entry.path()) else { continue };
+        match file.try_lock() {
+            // A writer caught between creating and locking it writes again.
+            Ok(()) => drop(fs::remove_file(entry.path())),
+            Err(TryLockError::WouldBlock | TryLockError::Error(_)) => {}
+        }
+    }
+}
+
 /// Writes and syncs a whole file. The digest is known last and put in its place then; until then the file has none that fits.
-fn write(path: &Path, state: &impl Serialize) -> Result<(), EncodeError> {
+fn write(mut file: File, state: &impl Serialize) -> Result<(), EncodeError> {
     let io = |inner| EncodeError::Io { inner, index: 0 };
-    let mut file = File::create(path).map_err(io)?;
     file.write_all(MAGIC).and_then(|()| file.write_all(&[0; DIGEST])).map_err(io)?;
     let mut body = BufWriter::with_capacity(BLOCK, Digesting { file, hasher: blake3::Hasher::new() });
     bincode::serde::encode_into_std_write(state, &mut body, bincode::config::standard())?;
@@ -94,7 +133,11 @@ pub struct CheckpointFile {
 impl CheckpointFile {
     /// `name` in `dir`; the folder is made when the first checkpoint is written.
     pub fn new(dir: &Path, name: &str) -> Self {
-        Self { path: dir.join(name) }
+        Self::at(dir.join(name))
+    }
+
+    pub(crate) fn at(path: PathBuf) -> Self {
+        Self { path }
     }
 
     /// The file.
@@ -103,15 +146,29 @@ impl CheckpointFile {
     }
 
     /// Writes the state in place of the last one.
+    ///
+    /// Where the folder is removed meanwhile, it is made again. A folder that is removed again and again leaves no checkpoint,
+    /// and a warning: the work that a checkpoint only secures goes on.
     pub fn save<T: Serialize>(&self, state: &T) -> Result<(), CheckpointError> {
+        for _ in 0..3 {
+            match self.save_once(state) {
+                Err(CheckpointError::Io { source, .. }) if source.kind() == ErrorKind::NotFound => {}
+                other => return other,
+            }
+        }
+        tracing::warn!(
+            "the checkpoint {} is removed as soon as it is written; going on without it",
+            self.path.display()
+        );
+        Ok(())
+    }
+
+    fn save_once<T: Serialize>(&self, state: &T) -> Result<(), CheckpointError> {
         let io = |source| CheckpointError::Io { path: self.path.clone(), source };
         let dir = self.path.parent().unwrap_or(Path::new("."));
         fs::create_dir_all(dir).map_err(io)?;
-        // Always the same sibling, so that a run killed while writing leaves at most one behind, and the next save overwrites it.
-        let mut name = self.path.file_name().unwrap_or_default().to_os_string();
-        name.push(".part");
-        let part = self.path.with_file_name(name);
-        let written = match write(&part, state) {
+        let (part, file) = create_sibling(&self.path).map_err(io)?;
+        let written = match write(file, state) {
             Ok(()) => fs::rename(&part, &self.path).map_err(io),
             Err(EncodeError::Io { inner, .. }) => Err(io(inner)),
             Err(error) => Err(CheckpointError::Encode(error.to_string())),
@@ -205,6 +262,37 @@ mod tests {
         file.remove().unwrap();
         file.remove().unwrap();
         assert!(file.load::<State>().unwrap().is_none());
+    }
+
+    #[test]
+    fn what_a_killed_writer_left_is_removed_and_what_is_being_written_is_not() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("state.bin");
+        let (written, held) = create_sibling(&path).unwrap();
+        let (left, gone) = create_sibling(&path).unwrap();
+        drop(gone);
+        sweep(dir.path());
+        assert!(written.exists() && !left.exists());
+        drop(held);
+    }
+
+    #[test]
+    fn writers_of_one_file_do_not_meet() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = CheckpointFile::new(&dir.path().join("shared"), "state.bin");
+        std::thread::scope(|scope| {
+            for writer in 0..4u64 {
+                let file = file.clone();
+                scope.spawn(move || {
+                    for step in 0..40 {
+                        file.save(&State { step, values: vec![writer as f32; 3000] }).unwrap();
+                        let read = file.load::<State>().unwrap().expect("whole at every moment");
+                        assert!(read.values.iter().all(|v| *v == read.values[0]));
+                    }
+                });
+            }
+        });
+        assert_eq!(fs::read_dir(dir.path().join("shared")).unwrap().count(), 1);
     }
 
     #[test]

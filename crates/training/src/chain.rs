@@ -1,0 +1,256 @@
+//! The checkpoints of a run in a folder that it shares with others.
+//!
+//! Runs that differ only in how far they go share a folder, since the longer can go on from the shorter; other runs may
+//! lie there too. None may take away what another one would go on from. So a file's name says which run it belongs to,
+//! how far that run is to go, and how far it is:
+//!
+//! ```text
+//! reconstruct-<fingerprint>-<length>-<step>.checkpoint
+//! ```
+//!
+//! A run writes and removes files of its own fingerprint and length only, and the last of them stays until a later one is in
+//! place. It goes on from the furthest whole file of its fingerprint that is not beyond its length, whoever wrote
+//! it. Two processes may do the same work at once: a step has one state, so it does not matter whose file stays.
+
+use std::fs;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use crate::checkpoint::{CheckpointError, CheckpointFile, sweep};
+
+const EXTENSION: &str = "checkpoint";
+/// Hexadecimal digits of the fingerprint in a name; the state itself holds all of it.
+const DIGITS: usize = 16;
+
+/// A state that can be gone on from.
+pub trait Resumable: DeserializeOwned {
+    /// The digest of everything that shapes the run.
+    fn fingerprint(&self) -> &[u8; 32];
+    /// Steps done.
+    fn step(&self) -> u64;
+}
+
+/// The place of a run's checkpoints.
+#[derive(Clone, Debug)]
+pub struct Checkpoints {
+    dir: PathBuf,
+    /// What the names of this loop's files begin with.
+    name: String,
+    fingerprint: [u8; 32],
+    length: u64,
+}
+
+/// What was found to go on from.
+#[derive(Debug)]
+pub struct Found<T> {
+    /// The furthest state; none where the run starts anew.
+    pub state: Option<T>,
+    /// What a person should know: files that are damaged, or belong to other runs.
+    pub notices: Vec<String>,
+}
+
+/// A checkpoint file as its name tells it.
+struct Entry {
+    path: PathBuf,
+    ours: bool,
+    length: u64,
+    step: u64,
+}
+
+impl Checkpoints {
+    /// Those of a run of the loop `name` (a word) in `dir`, which is made when the first is written: the digest of everything
+    /// that shapes the run, and the steps it is to take.
+    pub fn new(dir: &Path, name: &str, fingerprint: &[u8; 32], length: u64) -> Self {
+        Self { dir: dir.to_path_buf(), name: name.to_string(), fingerprint: *fingerprint, length }
+    }
+
+    fn run(&self) -> String {
+        self.fingerprint[..DIGITS / 2].iter().map(|b| format!("{b:02x}")).collect()
+    }
+
+    /// Where the checkpoint of a step is, or would be.
+    pub fn path(&self, step: u64) -> PathBuf {
+        self.dir.join(format!("{}-{}-{}-{step}.{EXTENSION}", self.name, self.run(), self.length))
+    }
+
+    /// Writes the state after `step` steps, then removes the run's earlier ones.
+    pub fn save(&self, step: u64, state: &impl Serialize) -> Result<(), CheckpointError> {
+        CheckpointFile::at(self.path(step)).save(state)?;
+        for earlier in self.entries().iter().filter(|e| e.ours && e.length == self.length && e.step < step) {
+            // It only takes up room, and another process may have been quicker.
+            let _ = fs::remove_file(&earlier.path);
+        }
+        Ok(())
+    }
+
+    /// The furthest whole state of this run that is not beyond its length.
+    ///
+    /// # Errors
+    /// A file that is there and cannot be read. What is damaged or vanishes meanwhile is passed over.
+    pub fn load<T: Resumable>(&self) -> Result<Found<T>, CheckpointError> {
+        sweep(&self.dir);
+        let mut entries = self.entries();
+        entries.sort_by_key(|e| std::cmp::Reverse(e.step));
+        let mut notices = Vec::new();
+        for entry in entries.iter().filter(|e| e.ours && e.step <= self.length) {
+            match CheckpointFile::at(entry.path.clone()).load::<T>() {
+                Ok(Some(state)) if *state.fingerprint() == self.fingerprint && state.step() == entry.step => {
+                    return Ok(Found { state: Some(state), notices });
+                }
+                Ok(Some(_)) => notices.push(format!(
+                    "the checkpoint {} does not hold what its name says; it is left alone",
+                    entry.path.display()
+                )),
+                // Removed by its writer for a later one.
+                Ok(None) => {}
+                Err(damaged @ CheckpointError::Damaged { .. }) => notices.push(damaged.to_string()),
+                Err(error) => return Err(error),
+            }
+        }
+        if let Some(beyond) = entries.iter().filter(|e| e.ours && e.step > self.length).map(|e| e.step).min()
+        {
+            notices.push(format!("the checkpoint is of step {beyond}, beyond the {} asked for", self.length));
+        } else if notices.is_empty() && !entries.is_empty() {
+            notices.push("the checkpoint there belongs to other inputs or other parameters".to_string());
+        }
+        if let Some(last) = notices.last_mut() {
+            last.push_str("; starting anew");
+        }
+        Ok(Found { state: None, notices })
+    }
+
+    /// This loop's checkpoints in the folder, of whatever run.
+    fn entries(&self) -> Vec<Entry> {
+        let run = self.run();
+        let parse = |path: PathBuf| {
+            let stem = path.file_name()?.to_str()?.strip_suffix(EXTENSION)?.strip_suffix('.')?;
+            let mut parts = stem.strip_prefix(self.name.as_str())?.strip_prefix('-')?.split('-');
+            let (of, length, step) =
+                (parts.next()?, parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
+            let ours = of == run;
+            parts.next().is_none().then_some(Entry { path, ours, length, step })
+        };
+        let list = match fs::read_dir(&self.dir) {
+            Ok(list) => list,
+            Err(error) => {
+                if error.kind() != ErrorKind::NotFound {
+                    tracing::warn!("{}: {error}; its checkpoints are not found", self.dir.display());
+                }
+                return Vec::new();
+            }
+        };
+        list.filter_map(Result::ok).filter_map(|entry| parse(entry.path())).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde::Deserialize;
+
+    use super::*;
+
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    struct State {
+        fingerprint: [u8; 32],
+        step: u64,
+    }
+
+    impl Resumable for State {
+        fn fingerprint(&self) -> &[u8; 32] {
+            &self.fingerprint
+        }
+        fn step(&self) -> u64 {
+            self.step
+        }
+    }
+
+    struct Run(Checkpoints);
+
+    impl Run {
+        fn new(dir: &Path, run: u8, length: u64) -> Self {
+            Self(Checkpoints::new(dir, "train", &[run; 32], length))
+        }
+        fn save(&self, step: u64) {
+            self.0.save(step, &State { fingerprint: self.0.fingerprint, step }).unwrap();
+        }
+        fn load(&self) -> (Option<u64>, String) {
+            let found = self.0.load::<State>().unwrap();
+            (found.state.map(|s| s.step), found.notices.join("\n"))
+        }
+    }
+
+    #[test]
+    fn a_run_keeps_its_furthest_and_leaves_those_of_others() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("deep/down");
+        let short = Run::new(&folder, 1, 300);
+        let long = Run::new(&folder, 1, 310);
+        let other = Run::new(&folder, 2, 300);
+        assert_eq!(short.load(), (None, String::new()));
+        for step in [100, 200, 290] {
+            short.save(step);
+            other.save(step - 50);
+        }
+        // The longer run goes on from the shorter one's work, which the shorter one keeps.
+        assert_eq!(long.load(), (Some(290), String::new()));
+        long.save(305);
+        long.save(310);
+        assert_eq!(short.load(), (Some(290), String::new()));
+        assert_eq!(other.load(), (Some(240), String::new()));
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 3, "each keeps its last only");
+        // Beyond what is asked for, and of others: said.
+        let (found, notice) = Run::new(&folder, 1, 200).load();
+        assert!(found.is_none() && notice.contains("step 290, beyond the 200"), "{notice}");
+        let (found, notice) = Run::new(&folder, 3, 300).load();
+        assert!(found.is_none() && notice.contains("other parameters; starting anew"), "{notice}");
+    }
+
+    #[test]
+    fn a_damaged_file_is_passed_over_for_the_one_before() {
+        let dir = tempfile::tempdir().unwrap();
+        let (first, second) = (Run::new(dir.path(), 1, 100), Run::new(dir.path(), 1, 200));
+        first.save(80);
+        second.save(120);
+        fs::write(second.0.path(120), b"3d-use state v01 nonsense").unwrap();
+        let (found, notice) = second.load();
+        assert_eq!(found, Some(80));
+        assert!(notice.contains("cut short") && !notice.contains("starting anew"), "{notice}");
+        // A file under another's name is not taken for it.
+        fs::copy(first.0.path(80), first.0.path(90)).unwrap();
+        let (found, notice) = first.load();
+        assert!(found == Some(80) && notice.contains("what its name says"), "{notice}");
+        for step in [80, 90] {
+            fs::write(first.0.path(step), b"").unwrap();
+        }
+        let (found, notice) = first.load();
+        assert!(found.is_none() && notice.ends_with("starting anew"), "{notice}");
+    }
+
+    #[test]
+    fn several_at_once_with_one_name_disturb_nobody() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("shared");
+        std::thread::scope(|scope| {
+            for length in [60u64, 60, 60, 90] {
+                let folder = &folder;
+                scope.spawn(move || {
+                    let run = Run::new(folder, 1, length);
+                    for step in 1..=60 {
+                        run.save(step);
+                        // At every moment something whole is there, at least as far as this run.
+                        let (found, notices) = run.load();
+                        assert!(found.is_some_and(|s| s >= step), "{found:?} after {step}: {notices}");
+                        assert_eq!(notices, "");
+                    }
+                });
+            }
+        });
+        let mut left: Vec<_> =
+            fs::read_dir(&folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        left.sort();
+        assert_eq!(left.len(), 2, "{left:?}");
+    }
+}
