@@ -105,7 +105,7 @@ impl Listener for Terminal {
                 self.line(&format!("{label}: failed: {reason}\n  log: {}", log.display()));
             }
             // Whoever asked for it listens itself.
-            Event::Profile { .. } => {}
+            Event::Profile { .. } | Event::SceneOver { .. } => {}
             _ if self.quiet => {}
             Event::Started { label, .. } => self.line(&format!("{label}: started")),
             Event::Progress { label, done, total, unit, message, seconds_left, .. } => {

@@ -65,18 +65,22 @@ pub(crate) fn verify(app: &App, args: &VerifyArgs) -> Done {
         let again = again.map_err(CliError::failed)?;
         found.recomputed = again.recomputed;
         found.problems.extend(again.problems);
+        found.interrupted = again.interrupted;
     }
     if args.json {
         json(&found)?;
     } else {
         print!("{found}");
     }
-    if found.problems.is_empty() {
-        return Ok(());
+    match (found.problems.is_empty(), found.interrupted, found.repaired) {
+        (true, true, _) => Err(CliError::Interrupted),
+        (true, false, _) => Ok(()),
+        (false, _, 0) => Err(CliError::Failed("the cache has problems; nothing was moved or changed".into())),
+        (false, ..) => Err(CliError::Failed(
+            "the cache has problems; what is said to be damaged was moved aside, and the next run makes it anew"
+                .into(),
+        )),
     }
-    Err(CliError::Failed(
-        "the cache has problems; damaged artifacts were moved aside and are made anew by the next run".into(),
-    ))
 }
 
 #[cfg(test)]

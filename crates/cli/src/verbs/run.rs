@@ -1,12 +1,13 @@
 //! Pipelines: run, plan, status, why, graph, and the demo.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 use serde::Serialize;
 use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
 use use3d_pipeline::engine::code::CodeTable;
-use use3d_pipeline::engine::{Cache, Engine, Graph, Plan, RunOptions, Summary, picture};
+use use3d_pipeline::engine::{Cache, Engine, Event, Graph, Listener, Plan, RunOptions, Summary, picture};
 use use3d_pipeline::results;
 
 use crate::App;
@@ -154,7 +155,7 @@ fn execute(
         stop: app.stop.clone(),
         ..RunOptions::default()
     };
-    let summary = loaded.engine.run(&loaded.graph, &options, &app.listener);
+    let summary = loaded.engine.run(&loaded.graph, &options, &delivering(app, out));
     if as_json {
         json(&summary)?;
     } else {
@@ -168,6 +169,21 @@ fn execute(
         130 => Err(CliError::Interrupted),
         _ => Err(CliError::Failed("some stages failed; the summary above names them and their logs".into())),
     }
+}
+
+/// The app's listener, which also delivers every scene as soon as it is over: the batch may take days yet, or fail.
+fn delivering(app: &App, out: &Path) -> Arc<dyn Listener> {
+    let (inner, out) = (app.listener.clone(), out.to_path_buf());
+    Arc::new(move |event: &Event<'_>| {
+        inner.event(event);
+        if let Event::SceneOver { scene, variant, nodes } = event
+            && let Err(error) = results::deliver(&Summary::of_scene(nodes, scene, variant), &out)
+        {
+            // Tried again at the end, where it counts.
+            let text = format!("its results could not be delivered yet: {error}");
+            inner.event(&Event::Warning { label: scene, text: &text });
+        }
+    })
 }
 
 /// Puts what a person wants to see into the results folder.

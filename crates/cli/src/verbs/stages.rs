@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use serde_json::Value;
 use use3d_pipeline::config::stage_parameters;
-use use3d_pipeline::engine::{Alone, Event, Registry, Stage, StageError};
+use use3d_pipeline::engine::{Alone, Event, Registry, Stage, StageError, leftovers};
 use use3d_pipeline::stages::{CALIBRATOR, TARGETS, registry};
 
 use crate::App;
@@ -17,7 +17,7 @@ const SEED: u64 = 42;
 
 /// A folder that goes away with the command.
 pub(crate) fn scratch() -> Result<tempfile::TempDir, CliError> {
-    tempfile::Builder::new().prefix("use3d-").tempdir().map_err(|e| {
+    leftovers::scratch().map_err(|e| {
         CliError::Failed(format!("cannot make a temporary folder: {e}; set TMPDIR to one with space"))
     })
 }

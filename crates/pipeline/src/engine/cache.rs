@@ -6,7 +6,7 @@
 //! <folder>/v1/checkpoints/<stage>/<key without length>/  what long stages go on from
 //! <folder>/v1/history/<pipeline>/<scene>/<variant>/<stage>.json   the last record of a node
 //! <folder>/v1/logs/…  timings.jsonl  stat-table          logs, durations for forecasts, remembered digests
-//! <folder>/v1/leases/<key>                               who computes what now
+//! <folder>/v1/leases/<key>  run-…                        who computes what now, what running processes need
 //! <folder>/v1/tmp/  damaged/                             being made; found damaged
 //! ```
 //!
@@ -26,6 +26,7 @@ use super::digest::Digest;
 use super::error::FileError;
 use super::files::{self, Disk, Files};
 use super::key::{Ingredients, Key};
+use super::lease::Watch;
 use super::machine::ProcessId;
 use super::manifest::{Circumstances, FileRecord, MANIFEST, Manifest};
 
@@ -39,6 +40,7 @@ pub struct Cache {
     files: Arc<dyn Files>,
     contents: Arc<Contents>,
     verified: Arc<Mutex<BTreeSet<Key>>>,
+    leases: Arc<Watch>,
 }
 
 /// An artifact that is there.
@@ -95,12 +97,17 @@ impl Cache {
             }
         }
         let contents = Arc::new(Contents::open(files.clone(), root.join("stat-table"), rehash));
-        Ok(Self { root, files, contents, verified: Arc::default() })
+        Ok(Self { root, files, contents, verified: Arc::default(), leases: Arc::default() })
     }
 
     /// The versioned folder.
     pub fn root(&self) -> &Path {
         &self.root
+    }
+
+    /// What this process has seen of leases.
+    pub(crate) fn leases(&self) -> &Watch {
+        &self.leases
     }
 
     pub(crate) fn files(&self) -> &dyn Files {
@@ -155,12 +162,17 @@ impl Cache {
         })
     }
 
-    /// Reads every byte of an artifact and compares; the first difference in words. Once per process and key, unless
-    /// `again`.
+    /// Reads every byte of an artifact and compares; the first difference in words. The bytes once per process and key, unless
+    /// `again`; that the files are still there is looked at every time.
     pub fn verify(&self, artifact: &Artifact, again: bool) -> Result<(), String> {
         let key = artifact.manifest.key;
         if !again && self.verified.lock().unwrap_or_else(PoisonError::into_inner).contains(&key) {
-            return Ok(());
+            let there = artifact.manifest.files.iter().all(|file| {
+                std::fs::metadata(artifact.path.join(&file.path)).is_ok_and(|found| found.len() == file.size)
+            });
+            if there && artifact.path.join(MANIFEST).is_file() {
+                return Ok(());
+            }
         }
         let wrong = artifact.manifest.files.par_iter().find_map_first(|file| {
             let path = artifact.path.join(&file.path);
@@ -169,7 +181,10 @@ impl Cache {
             wrong_file(file, found)
         });
         match wrong {
-            Some(reason) => Err(reason),
+            Some(reason) => {
+                self.verified.lock().unwrap_or_else(PoisonError::into_inner).remove(&key);
+                Err(reason)
+            }
             None => {
                 self.verified.lock().unwrap_or_else(PoisonError::into_inner).insert(key);
                 Ok(())
@@ -190,7 +205,7 @@ impl Cache {
 
     /// A new folder in `tmp`, owned by this process.
     pub(crate) fn scratch(&self) -> Result<PathBuf, FileError> {
-        let folder = self.root.join("tmp").join(ProcessId::this().folder_name(&files::unique()));
+        let folder = self.root.join("tmp").join(files::unique());
         files::at(&folder, "create", self.files.create_dir_all(&folder))?;
         Ok(folder)
     }
@@ -284,10 +299,13 @@ impl Cache {
         super::lease::in_use(self);
         for folder in [self.root.clone(), self.root.join("leases")] {
             for entry in std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok) {
-                let half = entry.file_name().to_string_lossy().contains(".tmp-");
+                let name = entry.file_name();
+                let Some((_, owner)) = name.to_str().and_then(|n| n.split_once(files::SIBLING)) else {
+                    continue;
+                };
                 let changed = entry.metadata().ok().and_then(|m| m.modified().ok());
-                let age = changed.and_then(|t| t.elapsed().ok()).unwrap_or_default();
-                if half && age.as_secs() > 3600 {
+                let old = || changed.and_then(|t| t.elapsed().ok()).is_some_and(|age| age.as_secs() > 3600);
+                if ProcessId::owner_is_alive(owner).map_or_else(old, |alive| !alive) {
                     let _ = self.files.remove_file(&entry.path());
                 }
             }

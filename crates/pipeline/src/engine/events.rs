@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::digest::Digest;
+use super::run::RanNode;
 
 /// Something that happened.
 #[derive(Clone, Copy, Debug)]
@@ -54,6 +55,15 @@ pub enum Event<'a> {
         cached: bool,
         /// How long it took, seconds.
         seconds: f64,
+    },
+    /// All stages of a scene are over, done or failed; the batch may go on for long.
+    SceneOver {
+        /// The scene.
+        scene: &'a str,
+        /// The variant; empty where there are none.
+        variant: &'a str,
+        /// All nodes of the run as they stand now.
+        nodes: &'a [RanNode],
     },
     /// A stage failed.
     Failed {

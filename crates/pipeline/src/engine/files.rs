@@ -5,9 +5,14 @@
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::error::FileError;
+use super::machine::ProcessId;
+
+/// What stands between a file's name and [`unique`] in the name of the sibling that becomes it.
+pub(crate) const SIBLING: &str = ".tmp-";
 
 /// File operations of the cache. Stages write their own files into the folder they are given.
 pub trait Files: Send + Sync {
@@ -91,7 +96,7 @@ pub(crate) fn write_atomic(files: &dyn Files, path: &Path, bytes: &[u8]) -> Resu
     let parent = path.parent().unwrap_or(Path::new("."));
     at(parent, "create", files.create_dir_all(parent))?;
     let mut name = path.file_name().unwrap_or_default().to_os_string();
-    name.push(format!(".tmp-{}", unique()));
+    name.push(format!("{SIBLING}{}", unique()));
     let sibling = parent.join(name);
     let written = at(path, "write", files.write(&sibling, bytes).and_then(|()| files.rename(&sibling, path)));
     if written.is_err() {
@@ -101,10 +106,12 @@ pub(crate) fn write_atomic(files: &dyn Files, path: &Path, bytes: &[u8]) -> Resu
     written
 }
 
-/// A name that no other process and no other call uses.
+/// A name that no other process, on whatever machine, and no other call uses. It says [whose](ProcessId::owner_is_alive) it is.
 pub(crate) fn unique() -> String {
     static COUNTER: AtomicU64 = AtomicU64::new(0);
-    format!("{}-{}", std::process::id(), COUNTER.fetch_add(1, Ordering::Relaxed))
+    static OWNER: OnceLock<String> = OnceLock::new();
+    let owner = OWNER.get_or_init(|| ProcessId::this().name());
+    format!("{owner}-{}", COUNTER.fetch_add(1, Ordering::Relaxed))
 }
 
 /// Every regular file below a folder with its path (`/` between folders) and size, sorted; symbolic links and special

@@ -1,7 +1,7 @@
 //! Cleaning up: what is cheapest to make again goes first, what is in use never.
 //!
-//! In use is what the pipelines to keep would need now, and what running processes compute or read. Then, until the
-//! cache is small enough: leftovers, checkpoints, artifacts that no last record points to, and at last those that are,
+//! In use is what the pipelines to keep would need now, and what running processes compute, read or have decided on: artifacts,
+//! and the checkpoints of trainings that are not finished. Then, until the cache is small enough: leftovers, checkpoints, artifacts that no last record points to, and at last those that are,
 //! each kind by the seconds it takes to make a byte again.
 
 use std::collections::BTreeSet;
@@ -25,7 +25,7 @@ pub struct CleanOptions {
     pub max_bytes: Option<u64>,
     /// Remove what was not used for this long.
     pub older_than: Option<Duration>,
-    /// Artifacts to keep, see [`Plan::keys`].
+    /// Artifacts and checkpoints to keep, see [`Plan::keys`].
     pub keep: BTreeSet<Key>,
     /// Only say what would go.
     pub dry_run: bool,
@@ -60,9 +60,10 @@ pub struct Cleaning {
 }
 
 impl Plan {
-    /// The keys of all artifacts that the plan finds there: the roots of a cleaning that keeps this pipeline.
+    /// What a cleaning that keeps this pipeline leaves: the keys of all artifacts that the plan finds there, and of the
+    /// checkpoints that unfinished stages would go on from.
     pub fn keys(&self) -> impl Iterator<Item = Key> + '_ {
-        self.nodes.iter().filter(|n| n.artifact.is_some()).filter_map(|n| n.key)
+        self.nodes.iter().filter_map(|n| if n.artifact.is_some() { n.key } else { n.checkpoints })
     }
 }
 
@@ -74,23 +75,24 @@ struct Item {
     cost: f64,
     used: SystemTime,
     path: PathBuf,
-    stage_key: Option<(String, Key)>,
+    /// What keeps it: the key of an artifact or of checkpoints.
+    key: Option<Key>,
 }
 
 impl Cache {
     /// Cleans up.
     pub fn clean(&self, options: &CleanOptions) -> Cleaning {
         let mut items = self.items();
-        let busy: BTreeSet<Key> = lease::in_use(self).into_iter().collect();
-        let kept = |item: &Item| {
-            item.stage_key.as_ref().is_some_and(|(_, k)| options.keep.contains(k) || busy.contains(k))
+        let kept = |item: &Item, busy: &BTreeSet<Key>| {
+            item.key.is_some_and(|k| options.keep.contains(&k) || busy.contains(&k))
         };
+        let busy = lease::in_use(self);
         let mut total: u64 = items.iter().map(|i| i.bytes).sum();
         let now = SystemTime::now();
         items.sort_by(|a, b| a.rank.cmp(&b.rank).then(a.cost.total_cmp(&b.cost)).then(a.used.cmp(&b.used)));
         let mut cleaning =
             Cleaning { removed: Vec::new(), failed: Vec::new(), left: 0, dry_run: options.dry_run };
-        for item in items.into_iter().filter(|i| !kept(i)) {
+        for item in items.into_iter().filter(|i| !kept(i, &busy)) {
             let age = now.duration_since(item.used).unwrap_or_default();
             let reason = if item.rank == 0 {
                 "left over".to_string()
@@ -106,11 +108,15 @@ impl Cache {
             } else {
                 continue;
             };
-            if !options.dry_run
-                && let Err(error) = self.discard(&item.path)
-            {
-                cleaning.failed.push((item.name, error.to_string()));
-                continue;
+            if !options.dry_run {
+                // Removing takes its time; meanwhile a run may have come to need it.
+                if kept(&item, &lease::in_use(self)) {
+                    continue;
+                }
+                if let Err(error) = self.discard(&item.path) {
+                    cleaning.failed.push((item.name, error.to_string()));
+                    continue;
+                }
             }
             total -= item.bytes;
             let Item { kind, name, bytes, path, .. } = item;
@@ -143,33 +149,22 @@ impl Cache {
                 }
                 None => (0, 0.0, format!("{stage} {} (no whole manifest)", key.short())),
             };
-            items.push(Item {
-                kind: "artifact",
-                rank,
-                name,
-                bytes,
-                cost,
-                used,
-                path,
-                stage_key: Some((stage, key)),
-            });
+            items.push(Item { kind: "artifact", rank, name, bytes, cost, used, path, key: Some(key) });
         }
-        let mut add = |kind: &'static str, rank: u8, path: PathBuf, name: String| {
+        let mut add = |kind: &'static str, rank: u8, path: PathBuf, name: String, key: Option<Key>| {
             let (bytes, used) = measure(&path);
-            items.push(Item { kind, rank, name, bytes, cost: 0.0, used, path, stage_key: None });
+            items.push(Item { kind, rank, name, bytes, cost: 0.0, used, path, key });
         };
         for stage in below(&self.root().join("checkpoints")) {
             for path in below(&stage) {
-                add(
-                    "checkpoints",
-                    1,
-                    path.clone(),
-                    format!("{} {}", last(&stage), &last(&path)[..12.min(last(&path).len())]),
-                );
+                let folder = last(&path);
+                let name = format!("{} {}", last(&stage), folder.get(..12).unwrap_or(&folder));
+                add("checkpoints", 1, path, name, folder.parse().ok());
             }
         }
         for path in below(&self.root().join("damaged")) {
-            add("damaged", 0, path.clone(), last(&path));
+            let name = last(&path);
+            add("damaged", 0, path, name, None);
         }
         items
     }

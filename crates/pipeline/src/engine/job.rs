@@ -47,15 +47,8 @@ pub(crate) struct Job<'a> {
 impl Job<'_> {
     pub(crate) fn execute(self) -> Ended {
         let label = self.node.label();
-        for (parent, artifact) in &self.resolved.artifacts {
-            if let Err(reason) = self.engine.cache.verify(artifact, false) {
-                let stage = &artifact.manifest.ingredients.stage;
-                let aside = self.engine.cache.set_aside(stage, &artifact.manifest.key);
-                let place = aside.map_or_else(|e| e.to_string(), |p| format!("moved to {}", p.display()));
-                let text = format!("its input {stage} is damaged: {reason}; {place}, computing it again");
-                self.listener.event(&Event::Warning { label: &label, text: &text });
-                return Ended::DamagedInput(*parent);
-            }
+        if let Some(parent) = self.damaged_input(&label) {
+            return Ended::DamagedInput(parent);
         }
         let lease = match self.wait_for_turn(&label) {
             Ok(Turn::Ours(lease)) => lease,
@@ -70,12 +63,39 @@ impl Job<'_> {
                 Ended::Ready { artifact: Box::new(artifact), computed: true, seconds }
             }
             Err(StageError::Cancelled) => Ended::Cancelled,
-            Err(error) => Ended::Failed(error.to_string()),
+            // Whatever it says, a stage whose input was taken away under its hands has not failed.
+            Err(error) => match self.damaged_input(&label) {
+                Some(parent) => Ended::DamagedInput(parent),
+                None => Ended::Failed(error.to_string()),
+            },
         }
     }
 
+    /// An input that is not what its manifest says, or gone: told and out of the way; the node that makes it.
+    fn damaged_input(&self, label: &str) -> Option<usize> {
+        let cache = &self.engine.cache;
+        for (parent, artifact) in &self.resolved.artifacts {
+            let Err(reason) = cache.verify(artifact, false) else { continue };
+            let stage = &artifact.manifest.ingredients.stage;
+            let text = if std::fs::symlink_metadata(&artifact.path).is_err() {
+                format!(
+                    "its input {stage} was removed from the cache ({}); computing it again",
+                    artifact.path.display()
+                )
+            } else {
+                let aside = cache.set_aside(stage, &artifact.manifest.key);
+                let place = aside.map_or_else(|e| e.to_string(), |p| format!("moved to {}", p.display()));
+                format!("its input {stage} is damaged: {reason}; {place}, computing it again")
+            };
+            self.listener.event(&Event::Warning { label, text: &text });
+            return Some(*parent);
+        }
+        None
+    }
+
     fn wait_for_turn(&self, label: &str) -> Result<Turn, FileError> {
-        let reads: Vec<Key> = self.resolved.artifacts.iter().map(|(_, a)| a.manifest.key).collect();
+        let artifacts = self.resolved.artifacts.iter().map(|(_, a)| a.manifest.key);
+        let reads: Vec<Key> = artifacts.chain(self.resolved.checkpoints).collect();
         let mut told = false;
         loop {
             if self.stop.load(Ordering::Relaxed) {
@@ -107,14 +127,10 @@ impl Job<'_> {
         let scratch = Scratch { path: cache.scratch()?, cache };
         let output = scratch.path.join("artifact");
         files::at(&output, "create", cache.files().create_dir_all(&output))?;
-        let checkpoints = if stage.length_like.is_empty() {
-            None
-        } else {
-            let key = self.resolved.ingredients.checkpoint_key(stage.length_like);
-            let path = cache.checkpoint_path(stage.name, &key);
-            files::at(&path, "create", cache.files().create_dir_all(&path))?;
-            Some(path)
-        };
+        let checkpoints = self.resolved.checkpoints.map(|key| cache.checkpoint_path(stage.name, &key));
+        if let Some(path) = &checkpoints {
+            files::at(path, "create", cache.files().create_dir_all(path))?;
+        }
         let context = StageContext {
             inputs: self.resolved.inputs.clone(),
             missing: self.resolved.ingredients.missing.clone(),

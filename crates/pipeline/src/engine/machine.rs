@@ -71,12 +71,12 @@ impl ProcessId {
         Self { place: place(), pid, started: start_time(pid).unwrap_or(0) }
     }
 
-    /// A name for a folder of this process; `unique` tells its folders apart.
-    pub(crate) fn folder_name(&self, unique: &str) -> String {
-        format!("{}-{}-{}-{unique}", Digest::of(self.place.as_bytes()).short(), self.pid, self.started)
+    /// A short name that no other process on any machine has; for files and folders that say whose they are.
+    pub(crate) fn name(&self) -> String {
+        format!("{}-{}-{}", Digest::of(self.place.as_bytes()).short(), self.pid, self.started)
     }
 
-    /// Whether the process that named a folder so runs; `None` when it lives on another machine.
+    /// Whether the process that gave a file this name (and anything after a further `-`) runs; `None` when it lives on another machine.
     pub(crate) fn owner_is_alive(name: &str) -> Option<bool> {
         let mut parts = name.split('-');
         let here = place();
@@ -177,7 +177,7 @@ mod tests {
     fn this_process_is_alive_and_another_start_is_not() {
         let this = ProcessId::this();
         assert_eq!(this.is_alive(), Some(true));
-        assert_eq!(ProcessId::owner_is_alive(&this.folder_name("1-0")), Some(true));
+        assert_eq!(ProcessId::owner_is_alive(&format!("{}-1", this.name())), Some(true));
         assert_eq!(ProcessId::owner_is_alive("elsewhere-1-2-3"), None);
         if this.started != 0 {
             assert_eq!(ProcessId { started: this.started + 1, ..this.clone() }.is_alive(), Some(false));

@@ -79,6 +79,7 @@ pub mod history;
 mod job;
 pub mod key;
 mod lease;
+pub mod leftovers;
 pub mod machine;
 pub mod manifest;
 pub mod picture;

@@ -48,6 +48,9 @@ pub struct PlannedNode {
     pub key: Option<Key>,
     /// Its artifact, where it is there.
     pub artifact: Option<PathBuf>,
+    /// The key of the checkpoints it would go on from, for a stage that leaves some.
+    #[serde(skip)]
+    pub checkpoints: Option<Key>,
     /// What changed since its last artifact.
     pub changes: Vec<Difference>,
     /// What it will probably cost.
@@ -125,6 +128,7 @@ impl Engine {
                 state: State::Unwanted,
                 key: None,
                 artifact: None,
+                checkpoints: None,
                 changes: Vec::new(),
                 forecast: None,
                 shared_with: None,
@@ -141,6 +145,7 @@ impl Engine {
                 planned.state = twin.state.clone();
                 planned.key = twin.key;
                 planned.artifact = twin.artifact.clone();
+                planned.checkpoints = twin.checkpoints;
                 planned.failed = twin.failed.clone();
                 planned.shared_with = Some(graph.nodes[first].label());
                 outcomes[i] = outcomes[first].clone();
@@ -188,6 +193,7 @@ impl Engine {
             }
         };
         planned.key = Some(resolved.key);
+        planned.checkpoints = resolved.checkpoints;
         let reason = match self.cache.lookup(planned.stage, &resolved.key) {
             Ok(Lookup::Whole(artifact)) => {
                 planned.state = State::Cached;

@@ -28,6 +28,8 @@ pub(crate) enum Outcome {
 pub(crate) struct Resolved {
     pub(crate) ingredients: Ingredients,
     pub(crate) key: Key,
+    /// The key of its checkpoints, for a stage that leaves some.
+    pub(crate) checkpoints: Option<Key>,
     pub(crate) inputs: Vec<StageInput>,
     /// The artifacts among the inputs, with the nodes that made them.
     pub(crate) artifacts: Vec<(usize, Artifact)>,
@@ -127,7 +129,8 @@ pub(crate) fn resolve(
         missing,
     };
     let inputs = list.into_iter().map(|(_, input)| input).collect();
-    Ok(Resolved { key: ingredients.key(), ingredients, inputs, artifacts, externals, bytes })
+    let checkpoints = (!stage.length_like.is_empty()).then(|| ingredients.checkpoint_key(stage.length_like));
+    Ok(Resolved { key: ingredients.key(), checkpoints, ingredients, inputs, artifacts, externals, bytes })
 }
 
 fn external(

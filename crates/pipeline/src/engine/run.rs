@@ -1,9 +1,11 @@
 //! Runs a batch: every node whose inputs are there, within the cores and the memory that there are.
 //!
 //! One thread decides, the others work. Nodes are started in the graph's order, so that scenes finish one after another.
-//! A failed node blocks what reads it and nothing else; stages over the whole batch go on with what there is.
+//! A failed node blocks what reads it and nothing else; stages over the whole batch go on with what there is. What the run has
+//! decided on is protected by a lease until it ends, and a scene is told as soon as its last stage is over, so that its results need
+//! not wait for the others.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
@@ -19,6 +21,7 @@ use super::graph::Graph;
 use super::history::{Failure, Made, Record};
 use super::job::{Ended, Job};
 use super::key::{Ingredients, Key};
+use super::lease::{HEARTBEAT, RunLease};
 use super::machine;
 use super::resolve::{self, Outcome, Unresolved};
 
@@ -109,9 +112,25 @@ pub struct Summary {
     pub interrupted: bool,
     /// How long it took, seconds.
     pub seconds: f64,
+    /// Keeps others from cleaning up what the summary points to while it is being used.
+    #[serde(skip)]
+    #[expect(dead_code, reason = "held until the summary goes, never read")]
+    lease: Option<Arc<RunLease>>,
 }
 
 impl Summary {
+    /// What is known of one scene in one variant, for who wants its results before the batch ends.
+    pub fn of_scene(nodes: &[RanNode], scene: &str, variant: &str) -> Self {
+        let own = nodes.iter().filter(|n| n.scene == scene && n.variant == variant);
+        Self {
+            pipeline: String::new(),
+            nodes: own.cloned().collect(),
+            interrupted: false,
+            seconds: 0.0,
+            lease: None,
+        }
+    }
+
     /// 0 all done, 1 something failed, 130 interrupted.
     pub fn exit_code(&self) -> u8 {
         let bad =
@@ -164,16 +183,22 @@ impl Engine {
             );
             listener.event(&Event::Note { label: &graph.name, text: &text });
         }
-        let nodes = std::thread::scope(|scope| {
+        let (nodes, lease) = std::thread::scope(|scope| {
             let mut runner = Runner::new(self, graph, options, listener);
             runner.drive(scope);
-            runner.nodes
+            (runner.nodes, runner.lease)
         });
         if let Err(error) = self.cache.contents().save() {
             listener.event(&Event::Warning { label: &graph.name, text: &error.to_string() });
         }
         let interrupted = options.stop.load(Ordering::Relaxed);
-        Summary { pipeline: graph.name.clone(), nodes, interrupted, seconds: start.elapsed().as_secs_f64() }
+        Summary {
+            pipeline: graph.name.clone(),
+            nodes,
+            interrupted,
+            seconds: start.elapsed().as_secs_f64(),
+            lease: Some(Arc::new(lease)),
+        }
     }
 }
 
@@ -202,6 +227,9 @@ struct Runner<'r> {
     /// How often an artifact was found damaged, so that a bad disk does not keep the run going for ever.
     damaged: HashMap<usize, usize>,
     halted: bool,
+    lease: RunLease,
+    /// The nodes of each scene and variant that is not over.
+    scenes: BTreeMap<(String, String), Vec<usize>>,
     sender: mpsc::Sender<(usize, Ended, Ingredients)>,
     receiver: mpsc::Receiver<(usize, Ended, Ingredients)>,
 }
@@ -225,6 +253,16 @@ impl<'r> Runner<'r> {
             artifact: None,
         });
         let (sender, receiver) = mpsc::channel();
+        let mut lease = RunLease::new(&engine.cache);
+        let mut scenes: BTreeMap<(String, String), Vec<usize>> = BTreeMap::new();
+        for (i, node) in graph.nodes.iter().enumerate().filter(|(i, _)| wanted[*i]) {
+            // What a node had last is likely what it needs now, also while its inputs are being made.
+            lease.extend(engine.cache.record(&graph.name, node).last.map(|last| last.key));
+            if !node.scene.is_empty() {
+                scenes.entry((node.scene.clone(), node.variant.clone())).or_default().push(i);
+            }
+        }
+        lease.show();
         Self {
             engine,
             graph,
@@ -239,6 +277,8 @@ impl<'r> Runner<'r> {
             running: HashMap::new(),
             damaged: HashMap::new(),
             halted: false,
+            lease,
+            scenes,
             sender,
             receiver,
         }
@@ -255,13 +295,27 @@ impl<'r> Runner<'r> {
                     }
                 }
             }
+            self.lease.show();
+            self.tell_scenes();
             if self.running.is_empty() {
                 return;
             }
-            if let Ok((i, ended, ingredients)) = self.receiver.recv() {
+            if let Ok((i, ended, ingredients)) = self.receiver.recv_timeout(HEARTBEAT) {
                 self.finish(i, ended, ingredients);
             }
         }
+    }
+
+    /// Tells every scene whose last node is over.
+    fn tell_scenes(&mut self) {
+        let (phase, nodes, listener) = (&self.phase, &self.nodes, self.listener);
+        self.scenes.retain(|(scene, variant), own| {
+            let over = own.iter().all(|i| phase[*i] == Phase::Over);
+            if over {
+                listener.event(&Event::SceneOver { scene, variant, nodes });
+            }
+            !over
+        });
     }
 
     fn stopped(&self) -> bool {
@@ -311,6 +365,7 @@ impl<'r> Runner<'r> {
                 return true;
             }
         };
+        self.lease.extend([resolved.key]);
         match engine.cache.lookup(self.graph.nodes[i].stage_name, &resolved.key) {
             Ok(Lookup::Whole(artifact)) => {
                 engine.cache.touch(&artifact.path);
@@ -365,6 +420,8 @@ impl<'r> Runner<'r> {
         let share = self.options.cores.saturating_sub(used_cores) / (jobs - self.running.len());
         let most = if stage.cores == 0 { usize::MAX } else { stage.cores };
         let threads = share.clamp(1, most.max(1));
+        self.lease.extend(resolved.checkpoints);
+        self.lease.show();
         self.phase[i] = Phase::Running;
         self.running.insert(i, Running { cores: threads, memory: stage.memory, key: resolved.key });
         let job = Job {
@@ -409,7 +466,11 @@ impl<'r> Runner<'r> {
                 *times += 1;
                 if *times > 2 {
                     let whose = self.graph.nodes[maker].label();
-                    self.fail(i, key, format!("{whose} comes out damaged again and again; check the disk"));
+                    let root = self.engine.cache.root().display();
+                    let reason = format!(
+                        "{whose} is damaged or removed again and again; check the disk, and what else cleans up in {root}"
+                    );
+                    self.fail(i, key, reason);
                     return;
                 }
                 for node in [i, parent, maker] {

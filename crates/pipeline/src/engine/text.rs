@@ -193,6 +193,9 @@ impl Display for Verification {
         }
         let aside =
             if self.repaired > 0 { format!(", {} moved aside", self.repaired) } else { String::new() };
+        if self.interrupted {
+            write!(f, ", interrupted before the rest")?;
+        }
         match self.problems.len() {
             0 => writeln!(f, ": all as written"),
             n => writeln!(f, ": {n} problem(s){aside}"),

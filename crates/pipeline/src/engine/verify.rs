@@ -1,16 +1,21 @@
 //! Checking the cache: every byte against its digest, and a sample computed again.
 
+use std::collections::BTreeSet;
+use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use serde::Serialize;
 
 use super::Engine;
 use super::cache::{Artifact, Cache, Lookup, first_difference};
 use super::digest::Encoder;
-use super::error::EngineError;
+use super::error::{EngineError, FileError, StageError};
 use super::events::{Event, Listener};
+use super::files;
 use super::graph::Graph;
-use super::manifest::content_digest;
+use super::lease::RunLease;
+use super::manifest::{MANIFEST, content_digest};
 use super::plan::State;
 use super::resolve::Outcome;
 use super::run::RunOptions;
@@ -35,12 +40,15 @@ pub struct Verification {
     pub recomputed: Option<usize>,
     /// What is wrong.
     pub problems: Vec<Problem>,
-    /// Damaged artifacts that were moved aside.
+    /// Damaged artifacts, and files that did not belong into an artifact, that were moved aside.
     pub repaired: usize,
+    /// Whether it was asked to stop before it was done.
+    pub interrupted: bool,
 }
 
 impl Cache {
-    /// Reads every artifact and compares it with its manifest; with `repair`, moves damaged ones aside.
+    /// Reads every artifact and compares it with its manifest; with `repair`, moves damaged ones aside, and files that somebody
+    /// put into a whole one.
     pub fn verify_all(&self, repair: bool) -> Verification {
         let mut found = Verification::default();
         for (stage, key, _) in self.artifacts() {
@@ -50,7 +58,11 @@ impl Cache {
                 Ok(Lookup::Whole(artifact)) => {
                     name = format!("{stage} of {}", artifact.manifest.made_for);
                     found.bytes += artifact.manifest.bytes();
-                    self.verify(&artifact, true).err()
+                    let wrong = self.verify(&artifact, true).err();
+                    if wrong.is_none() {
+                        self.look_for_strangers(&artifact, &name, repair, &mut found);
+                    }
+                    wrong
                 }
                 Ok(Lookup::Damaged(reason)) => Some(reason),
                 Ok(Lookup::Missing) => None,
@@ -64,6 +76,51 @@ impl Cache {
         }
         found
     }
+
+    /// Names what lies in an artifact's folder without being in its manifest: whoever reads the folder might take it for a
+    /// part of the result.
+    fn look_for_strangers(&self, artifact: &Artifact, name: &str, repair: bool, found: &mut Verification) {
+        let listed: BTreeSet<&str> = artifact.manifest.files.iter().map(|f| f.path.as_str()).collect();
+        for entry in
+            walkdir::WalkDir::new(&artifact.path).sort_by_file_name().into_iter().filter_map(Result::ok)
+        {
+            let relative = entry.path().strip_prefix(&artifact.path).unwrap_or(entry.path());
+            let path = files::relative_name(relative);
+            let ours = path.as_deref().is_some_and(|p| p == MANIFEST || listed.contains(p));
+            if entry.file_type().is_dir() || ours {
+                continue;
+            }
+            let shown = relative.display();
+            let what = if repair && self.set_file_aside(artifact, entry.path()).is_ok() {
+                found.repaired += 1;
+                format!("{shown} does not belong there; it was moved aside")
+            } else {
+                format!("{shown} does not belong there")
+            };
+            found.problems.push(Problem { name: name.to_string(), what });
+        }
+    }
+
+    fn set_file_aside(&self, artifact: &Artifact, file: &Path) -> Result<(), FileError> {
+        let stage = &artifact.manifest.ingredients.stage;
+        let folder = self.root().join("damaged").join(format!(
+            "{stage}-{}-{}",
+            artifact.manifest.key.short(),
+            files::unique()
+        ));
+        files::at(&folder, "create", self.files().create_dir_all(&folder))?;
+        let to = folder.join(file.file_name().unwrap_or_default());
+        files::at(file, "move aside", self.files().rename(file, &to))
+    }
+}
+
+/// What came of computing an artifact again.
+enum Again {
+    Same,
+    /// In words.
+    Wrong(String),
+    /// It was asked to stop.
+    Stopped,
 }
 
 impl Engine {
@@ -91,10 +148,15 @@ impl Engine {
         }
         chosen.sort_by(|a, b| a.0.total_cmp(&b.0));
         let count = chosen.iter().filter(|(draw, _)| *draw < share).count().max(1);
+        // What is read here is needed until it is compared.
+        let mut lease = RunLease::new(&self.cache);
+        lease.extend(plan.nodes.iter().filter_map(|n| n.key));
         for (_, i) in chosen.into_iter().take(count) {
-            if options.stop.load(std::sync::atomic::Ordering::Relaxed) {
+            if options.stop.load(Ordering::Relaxed) {
+                found.interrupted = true;
                 break;
             }
+            lease.show();
             let planned = &plan.nodes[i];
             let label = graph.nodes[i].label();
             let Some(key) = planned.key else { continue };
@@ -104,15 +166,23 @@ impl Engine {
                 continue;
             }
             listener.event(&Event::Note { label: &label, text: "computing it again to compare" });
+            match self.recompute(graph, i, &outcomes, &artifact, options, listener)? {
+                Again::Same => {}
+                Again::Wrong(what) => found.problems.push(Problem { name: label, what }),
+                // This says nothing about the artifact.
+                Again::Stopped => {
+                    found.interrupted = true;
+                    break;
+                }
+            }
             found.artifacts += 1;
-            let wrong = self.recompute(graph, i, &outcomes, &artifact, options, listener)?;
             found.recomputed = found.recomputed.map(|n| n + 1);
             found.bytes += artifact.manifest.bytes();
-            found.problems.extend(wrong.map(|what| Problem { name: label, what }));
         }
         Ok(found)
     }
 
+    /// Makes an artifact again and compares.
     fn recompute(
         &self,
         graph: &Graph,
@@ -121,14 +191,17 @@ impl Engine {
         artifact: &Artifact,
         options: &RunOptions,
         listener: &Arc<dyn Listener>,
-    ) -> Result<Option<String>, EngineError> {
+    ) -> Result<Again, EngineError> {
         let scratch = self.cache.scratch()?;
         let result = self.run_again(graph, node, outcomes, &scratch, options, listener);
         let _ = std::fs::remove_dir_all(&scratch);
         Ok(match result? {
-            Err(error) => Some(format!("cannot be computed again: {error}")),
-            Ok(files) if content_digest(&files) == artifact.manifest.content => None,
-            Ok(files) => Some(format!(
+            Err(StageError::Cancelled) => Again::Stopped,
+            // Some stages say in their own words that they were asked to stop.
+            Err(_) if options.stop.load(Ordering::Relaxed) => Again::Stopped,
+            Err(error) => Again::Wrong(format!("cannot be computed again: {error}")),
+            Ok(files) if content_digest(&files) == artifact.manifest.content => Again::Same,
+            Ok(files) => Again::Wrong(format!(
                 "determinism alarm: computed again, {} comes out different",
                 first_difference(&artifact.manifest.files, &files)
             )),

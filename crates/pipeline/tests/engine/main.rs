@@ -7,5 +7,6 @@ mod config;
 mod crash;
 mod faults;
 mod named;
+mod sharing;
 mod shipped;
 mod stages;
