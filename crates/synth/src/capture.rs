@@ -20,7 +20,7 @@ use use3d_io_image::{write_exr_map, write_png_map16, write_png8};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 
-use crate::error::{SynthError, whole_folder};
+use crate::error::{Answer, SynthError, whole_folder};
 use crate::geometry::noise::Noise;
 use crate::render::{Condition, add_noise, expose, render};
 use crate::scene::{Caustics, Draws, Layout, Scene};
@@ -232,21 +232,23 @@ fn depth_prior(depth: &Map, seed: u64, view: usize) -> Map {
     prior
 }
 
-/// Writes a synthetic capture to `out`, a folder that must not exist (or be empty). `progress` is told (views done, views in all).
+/// Writes a synthetic capture to `out`, a folder that must not exist (or be empty). `progress` is told (views done, views in all)
+/// and may answer that the work is to stop.
 ///
 /// # Errors
-/// A parameter out of range, an output that exists, or a file that cannot be written; nothing is left at `out` then.
-pub fn write_capture(
+/// A parameter out of range, an output that exists, a file that cannot be written, or a stop that `progress` asked for;
+/// nothing is left at `out` then.
+pub fn write_capture<A: Answer>(
     params: &CaptureParams,
     out: &Path,
-    progress: &mut dyn FnMut(usize, usize),
+    progress: &mut dyn FnMut(usize, usize) -> A,
 ) -> Result<CaptureTruth, SynthError> {
     params.validate()?;
     whole_folder(out, |dir| {
         let studio = Studio::new(params);
-        tracing::info!(triangles = studio.scene.triangles(), "built the scene");
+        tracing::debug!(triangles = studio.scene.triangles(), "built the scene");
         let mut corners = Vec::with_capacity(params.views);
-        progress(0, params.views);
+        progress(0, params.views).go_on()?;
         while corners.len() < params.views {
             let batch: Vec<_> = (corners.len()..(corners.len() + BATCH).min(params.views))
                 .into_par_iter()
@@ -255,7 +257,7 @@ pub fn write_capture(
             for list in batch {
                 corners.push(list?);
             }
-            progress(corners.len(), params.views);
+            progress(corners.len(), params.views).go_on()?;
         }
         let names: Vec<String> = (0..params.views).map(|i| format!("{}.png", stem(i))).collect();
         let mut model =

@@ -1,5 +1,6 @@
 //! What can go wrong while a synthetic data set is written.
 
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 /// A data set that cannot be made or written. Nothing is left behind under its name.
@@ -29,6 +30,9 @@ pub enum SynthError {
         /// What the system says.
         source: std::io::Error,
     },
+    /// Whoever watches the progress asked to stop.
+    #[error("interrupted; nothing is left of what was begun")]
+    Interrupted,
     /// An image that cannot be written.
     #[error(transparent)]
     Image(#[from] use3d_io_image::ImageError),
@@ -49,6 +53,24 @@ impl SynthError {
         expected: &'static str,
     ) -> Result<(), Self> {
         if good { Ok(()) } else { Err(Self::Parameter { field, value: value.to_string(), expected }) }
+    }
+}
+
+/// What whoever watches the progress answers: nothing, or whether to go on.
+pub trait Answer {
+    /// [`SynthError::Interrupted`] when the work is to stop.
+    fn go_on(self) -> Result<(), SynthError>;
+}
+
+impl Answer for () {
+    fn go_on(self) -> Result<(), SynthError> {
+        Ok(())
+    }
+}
+
+impl Answer for ControlFlow<()> {
+    fn go_on(self) -> Result<(), SynthError> {
+        if self.is_break() { Err(SynthError::Interrupted) } else { Ok(()) }
     }
 }
 

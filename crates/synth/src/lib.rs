@@ -22,6 +22,6 @@ mod swim;
 mod water;
 
 pub use capture::{CaptureParams, CaptureTruth, write_capture};
-pub use error::SynthError;
+pub use error::{Answer, SynthError};
 pub use pairs::{PairsParams, write_pairs};
 pub use water::{UnknownWaterType, Water, WaterType};

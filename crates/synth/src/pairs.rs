@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use use3d_capture::Image;
 use use3d_io_image::write_png;
 
-use crate::error::{SynthError, whole_folder};
+use crate::error::{Answer, SynthError, whole_folder};
 use crate::render::{Condition, add_noise, expose, render};
 use crate::scene::{Caustics, Draws, Layout, Scene};
 use crate::swim;
@@ -82,18 +82,19 @@ fn grade(image: &mut Image) {
 }
 
 /// Writes `input/` and `reference/` with equal file names to `out`, a folder that must not exist (or be empty). `progress` is told
-/// (pairs done, pairs in all).
+/// (pairs done, pairs in all) and may answer that the work is to stop.
 ///
 /// # Errors
-/// A parameter out of range, an output that exists, or a file that cannot be written; nothing is left at `out` then.
-pub fn write_pairs(
+/// A parameter out of range, an output that exists, a file that cannot be written, or a stop that `progress` asked for;
+/// nothing is left at `out` then.
+pub fn write_pairs<A: Answer>(
     params: &PairsParams,
     out: &Path,
-    progress: &mut dyn FnMut(usize, usize),
+    progress: &mut dyn FnMut(usize, usize) -> A,
 ) -> Result<(), SynthError> {
     params.validate()?;
     whole_folder(out, |dir| {
-        progress(0, params.pairs);
+        progress(0, params.pairs).go_on()?;
         let mut done = 0;
         for number in 0..params.pairs.div_ceil(PER_SCENE) {
             let mut draws = Draws::new(params.seed, "pair scene", number as u64);
@@ -107,7 +108,7 @@ pub fn write_pairs(
             for pair in number * PER_SCENE..((number + 1) * PER_SCENE).min(params.pairs) {
                 write_pair(params, &scene, pair, dir)?;
                 done += 1;
-                progress(done, params.pairs);
+                progress(done, params.pairs).go_on()?;
             }
         }
         Ok(())
@@ -142,7 +143,22 @@ fn write_pair(params: &PairsParams, scene: &Scene, pair: usize, dir: &Path) -> R
 
 #[cfg(test)]
 mod tests {
+    use std::ops::ControlFlow;
+
     use super::*;
+
+    #[test]
+    fn a_stop_is_heard_and_leaves_nothing_behind() {
+        let params = PairsParams { pairs: 3, width: 48, height: 36, detail: 0.12, ..PairsParams::default() };
+        let dir = tempfile::tempdir().unwrap();
+        let mut told = 0;
+        let result = write_pairs(&params, &dir.path().join("out"), &mut |done, _| {
+            told = done;
+            if done == 1 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        });
+        assert!(matches!(result, Err(SynthError::Interrupted)) && told == 1, "{result:?} after {told}");
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
+    }
 
     #[test]
     fn pairs_are_deterministic_and_the_input_is_duller_than_its_reference() {

@@ -1,5 +1,6 @@
 //! The paired images in operator space: what the extractor says about each pair and about the proposal for it.
 
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
@@ -54,9 +55,12 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
             context.say("no pairs given: synthetic ones stand in");
             scratch = tempfile::tempdir()?;
             let dir = scratch.path().join("pairs");
-            use3d_synth::write_pairs(&params.synthetic, &dir, &mut |done, total| {
+            let written = use3d_synth::write_pairs(&params.synthetic, &dir, &mut |done, total| {
                 context.progress(done as u64, total as u64, "synthetic pairs");
-            })?;
+                if context.cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            });
+            context.alive()?;
+            written?;
             (dir.join("input"), dir.join("reference"))
         }
         _ => return Err(StageError::message("pairs need both `input` and `target`; only one was given")),
@@ -78,11 +82,7 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
         if let Progress::Pair { index, name } = progress {
             context.progress_with(index as u64, total as u64, "pairs", name);
         }
-        if context.cancelled() {
-            std::ops::ControlFlow::Break(())
-        } else {
-            std::ops::ControlFlow::Continue(())
-        }
+        if context.cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
     context.alive()?;
     let mut dataset = dataset?;
