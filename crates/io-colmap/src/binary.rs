@@ -111,7 +111,7 @@ pub fn cameras(bytes: &[u8], path: &Path) -> Result<Vec<ModelCamera>> {
         let id = c.u32()?;
         let code = c.take().map(i32::from_le_bytes)?;
         let Some(model) = LensModel::from_id(code) else {
-            return c.fail(ModelError::unknown_model(&format!("id {code}"), code));
+            return Err(ModelError::unknown_lens(path, c.record, &format!("id {code}"), code));
         };
         let (width, height) = (c.u64()?, c.u64()?);
         let (Ok(width), Ok(height)) = (usize::try_from(width), usize::try_from(height)) else {

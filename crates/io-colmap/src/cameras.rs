@@ -17,6 +17,7 @@ use std::path::Path;
 
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
+use serde_json::Value;
 use use3d_capture::{Camera, Intrinsics, Pose};
 
 use crate::error::ImportError;
@@ -45,6 +46,7 @@ pub fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>, ImportError> {
         let found = find_models(path, &ImportParams::default())?;
         read_model_as(&found[0].dir, found[0].form)?
     };
+    model.check_single(path)?;
     from_model(&model)
 }
 
@@ -77,13 +79,6 @@ pub(crate) fn from_model(model: &Model) -> Result<Vec<(String, Camera)>, ImportE
 }
 
 #[derive(Deserialize)]
-#[serde(untagged)]
-enum File {
-    Bare(Vec<Entry>),
-    Wrapped { cameras: Vec<Entry>, width: Option<usize>, height: Option<usize> },
-}
-
-#[derive(Deserialize)]
 struct Entry {
     name: Option<String>,
     width: Option<usize>,
@@ -99,18 +94,29 @@ struct Entry {
     world_to_camera: Option<[[f64; 4]; 4]>,
 }
 
+const EXPECTED: &str = "expected a list of cameras such as {\"width\": 640, \"height\": 360, \"fx\": 500, \"fy\": 500, \
+    \"cx\": 320, \"cy\": 180, \"rotation\": [9 numbers, row by row], \"translation\": [3 numbers]}, see docs/captures.md";
+
 fn read_list(path: &Path) -> Result<Vec<(String, Camera)>, ImportError> {
     let bytes = std::fs::read(path).map_err(ImportError::file(path))?;
     let bad = |reason: String| ImportError::CameraList { path: path.to_path_buf(), reason };
-    let file: File = serde_json::from_slice(&bytes).map_err(|e| {
-        bad(format!(
-            "{e}; expected a JSON list of cameras with width, height, fx, fy, cx, cy, rotation, translation"
-        ))
-    })?;
-    let (entries, width, height) = match file {
-        File::Bare(entries) => (entries, None, None),
-        File::Wrapped { cameras, width, height } => (cameras, width, height),
+    let json: Value = serde_json::from_slice(&bytes).map_err(|e| bad(format!("it is not JSON: {e}")))?;
+    let (list, width, height) = match json {
+        Value::Array(list) => (list, None, None),
+        Value::Object(mut object) => {
+            let side = |name: &str| object.get(name).and_then(Value::as_u64).map(|n| n as usize);
+            let sides = (side("width"), side("height"));
+            match object.remove("cameras") {
+                Some(Value::Array(list)) => (list, sides.0, sides.1),
+                _ => return Err(bad(format!("it has no list `cameras`; {EXPECTED}"))),
+            }
+        }
+        _ => return Err(bad(format!("it is no list; {EXPECTED}"))),
     };
+    let parse = |(i, entry): (usize, Value)| -> Result<Entry, ImportError> {
+        serde_json::from_value(entry).map_err(|e| bad(format!("camera {i}: {e}; {EXPECTED}")))
+    };
+    let entries: Vec<Entry> = list.into_iter().enumerate().map(parse).collect::<Result<_, _>>()?;
     if entries.is_empty() {
         return Err(bad("the list has no cameras".into()));
     }

@@ -19,6 +19,27 @@ pub enum ModelError {
         /// The folder.
         path: PathBuf,
     },
+    /// The folder holds some of a model's files.
+    #[error(
+        "{}: the COLMAP model here lacks {missing}; copy it from where the model was made, or export the model again",
+        path.display()
+    )]
+    Incomplete {
+        /// The folder.
+        path: PathBuf,
+        /// The files that are not there.
+        missing: String,
+    },
+    /// A camera model that is not read.
+    #[error("{}: {place}: {reason}", path.display())]
+    UnknownLens {
+        /// The file.
+        path: PathBuf,
+        /// The record or line.
+        place: String,
+        /// Which model it is, and what to do.
+        reason: String,
+    },
     /// A file cannot be opened or read.
     #[error("{}: cannot be read ({source}); check that the file is there and may be read", path.display())]
     Open {
@@ -52,19 +73,21 @@ impl ModelError {
         Self::Broken { path: path.to_path_buf(), place, reason }
     }
 
-    /// The reason text for a camera model that is not one of the eleven.
-    pub(crate) fn unknown_model(shown: &str, id: i32) -> String {
+    /// A camera model that is not one of the eleven.
+    pub(crate) fn unknown_lens(path: &Path, place: String, shown: &str, id: i32) -> Self {
         let newer = &LensModel::NEWER;
         let beyond = usize::try_from(id).ok().and_then(|id| id.checked_sub(LensModel::ALL.len()));
         let by_id = beyond.and_then(|i| newer.get(i));
         let named = by_id.map_or_else(|| shown.to_string(), |name| format!("{name} ({shown})"));
         let known: Vec<&str> = LensModel::ALL.iter().map(|m| m.name()).collect();
         let hint = if by_id.is_some() || newer.contains(&shown) {
-            "it is one of newer COLMAP versions; run `colmap image_undistorter` and import its result"
+            "it is one of newer COLMAP versions: run `colmap image_undistorter` and import its result"
         } else {
-            "the file may be damaged"
+            "the file may be damaged: export the model again with COLMAP"
         };
-        format!("the camera model {named} is not supported ({hint}); supported are {}", known.join(", "))
+        let reason =
+            format!("the camera model {named} is not supported; {hint}. Supported are {}", known.join(", "));
+        Self::UnknownLens { path: path.to_path_buf(), place, reason }
     }
 }
 
@@ -87,7 +110,7 @@ pub enum ImportError {
     },
     /// No model in any of the places where one may be.
     #[error(
-        "{}: no COLMAP model found (looked in {looked}); give its folder as `model_dir`, or run COLMAP first",
+        "{}: no COLMAP model found (looked in {looked}); {hint}",
         path.display()
     )]
     NoModel {
@@ -95,13 +118,15 @@ pub enum ImportError {
         path: PathBuf,
         /// Where we looked.
         looked: String,
+        /// What to do, by what lies there instead.
+        hint: String,
     },
     /// No image folder, or none that holds any of the model's images.
-    #[error("{}: {reason} (looked in {looked}); give the image folder as `image_dir`", path.display())]
+    #[error("{}: {reason} (looked in {looked})", path.display())]
     NoImages {
         /// The capture's folder.
         path: PathBuf,
-        /// What exactly is missing.
+        /// What exactly is missing, and what to do.
         reason: String,
         /// Where we looked.
         looked: String,

@@ -14,7 +14,7 @@ use use3d_io_image::{ImageInfo, image_info};
 use crate::error::ImportError;
 use crate::geometry::Geometry;
 use crate::layout::{DEPTH_DIRS, MASK_DIRS, find_extra, find_images, find_models};
-use crate::model::{Model, ModelImage, read_model_as};
+use crate::model::{Model, ModelImage, read_model_as, single};
 use crate::normalise;
 use crate::params::{ImportParams, WhiteBalance};
 use crate::prepared;
@@ -79,6 +79,7 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     let found = find_models(dir, params)?;
     let (chosen, others) = (&found[0], &found[1..]);
     let mut model = read_model_as(&chosen.dir, chosen.form)?;
+    model.check_single(&chosen.dir)?;
     let bad_capture = |source| ImportError::Capture { path: dir.to_path_buf(), source };
     if model.images.is_empty() {
         return Err(bad_capture(CaptureError::NoViews));
@@ -159,6 +160,16 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     report.depth_priors = views.iter().filter(|v| v.depth_prior.is_some()).count();
 
     let points = sparse_points(&model, &frame);
+    let beyond =
+        points.iter().zip(&model.points).find(|(p, _)| p.position.to_array().iter().any(|v| !single(*v)));
+    if let Some((point, of)) = beyond {
+        let reason = format!(
+            "point {} lies at {:?} once the scene is scaled by {:e}: too far for single precision; take it out of the \
+             model, or set `normalise = false`",
+            of.id, point.position, frame.scale
+        );
+        return Err(ImportError::Parameter { field: "normalise", reason });
+    }
     let capture = Capture { name: report.name.clone(), views, split: split.split, points, frame };
     capture.validate().map_err(bad_capture)?;
     Ok(Imported { capture, report, plans, model, white_balance: params.white_balance })

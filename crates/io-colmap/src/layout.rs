@@ -5,7 +5,7 @@ use std::path::{Component, Path, PathBuf};
 use use3d_capture::stem;
 
 use crate::error::{ImportError, ModelError};
-use crate::model::{Model, ModelForm, count_images};
+use crate::model::{Model, ModelForm, count_images, form_of};
 use crate::params::ImportParams;
 
 /// Image folders, tried in this order.
@@ -34,7 +34,7 @@ pub(crate) struct FoundModel {
 pub(crate) fn find_models(root: &Path, params: &ImportParams) -> Result<Vec<FoundModel>, ImportError> {
     if let Some(dir) = &params.model_dir {
         let path = root.join(dir);
-        let form = ModelForm::of(&path).ok_or(ModelError::NotFound { path: path.clone() })?;
+        let form = form_of(&path)?;
         let images = count_images(&path, form)?;
         return Ok(vec![FoundModel { relative: dir.clone(), dir: path, form, images }]);
     }
@@ -58,11 +58,59 @@ pub(crate) fn find_models(root: &Path, params: &ImportParams) -> Result<Vec<Foun
     // A stable sort keeps the order of places among equals.
     found.sort_by_key(|f| std::cmp::Reverse(f.images));
     if found.is_empty() {
+        // A model that lacks a file is what is meant, whatever else there is.
+        let incomplete = places.iter().map(|p| root.join(p)).find_map(|dir| {
+            let error = form_of(&dir).err()?;
+            matches!(error, ModelError::Incomplete { .. }).then_some(error)
+        });
+        if let Some(error) = incomplete {
+            return Err(error.into());
+        }
         let looked =
             "sparse/0, sparse, colmap/sparse/0, sparse/*, colmap/sparse/*, colmap and the folder itself";
-        return Err(ImportError::NoModel { path: root.to_path_buf(), looked: looked.into() });
+        let hint = instead_of_a_model(root);
+        return Err(ImportError::NoModel { path: root.to_path_buf(), looked: looked.into(), hint });
     }
     Ok(found)
+}
+
+/// What to do about a folder without a model, by what lies there instead.
+fn instead_of_a_model(root: &Path) -> String {
+    let names: Vec<String> = std::fs::read_dir(root)
+        .map(|entries| entries.filter_map(|e| e.ok()?.file_name().into_string().ok()).collect())
+        .unwrap_or_default();
+    let has = |name: &str| names.iter().any(|n| n == name);
+    let ends = |extensions: &[&str]| {
+        let of = |n: &String| Path::new(n).extension().map(|e| e.to_string_lossy().to_lowercase());
+        names.iter().any(|n| of(n).is_some_and(|e| extensions.contains(&e.as_str())))
+    };
+    let parent = root.canonicalize().ok().and_then(|p| p.parent().map(Path::to_path_buf));
+    let model_of = |p: &PathBuf| {
+        ["sparse/0", "sparse", "colmap/sparse/0"].iter().any(|d| ModelForm::of(&p.join(d)).is_some())
+    };
+    if let Some(parent) = parent.filter(model_of) {
+        return format!("the folder above has one: give {}", parent.display());
+    }
+    if has("scene.json") && has("gaussians.ply") {
+        return "this is a scene; the capture that it was made from is wanted here".into();
+    }
+    if has("transforms.json") {
+        return "transforms.json (nerfstudio) is not read: give the COLMAP model that it was made from, \
+            which `ns-process-data` leaves in colmap/sparse/0"
+            .into();
+    }
+    if ends(&["xml", "psx", "rcproj"]) {
+        return "projects of Metashape and RealityCapture are not read: export cameras and points in COLMAP's \
+            format (Metashape: File > Export > Export Cameras > COLMAP) with undistorted images"
+            .into();
+    }
+    if ends(&["mp4", "mov", "avi", "mkv"]) {
+        return "a film is not read: take frames out of it (`ffmpeg -i FILM -vf fps=2 images/%05d.png`) and run \
+            COLMAP on them"
+            .into();
+    }
+    let set = "name its folder with `--set model_dir=DIR` (`--set import.model_dir=DIR` in `use3d run`)";
+    format!("{set}, or run COLMAP on the images first")
 }
 
 /// Names of the folders in a folder: numbers first and by value, then the rest by name.
@@ -84,13 +132,21 @@ pub(crate) struct Folder {
     pub(crate) relative: String,
     /// The real path, symbolic links followed.
     real: PathBuf,
+    /// Whether files in it may be links to places outside: in a user's own capture, which is only read, never in a
+    /// folder that says in a manifest which of its files are meant.
+    links: bool,
 }
 
 impl Folder {
-    /// `None` if there is no such folder.
+    /// `None` if there is no such folder. Files in it may not lead out of it.
     pub(crate) fn open(root: &Path, relative: &str) -> Option<Self> {
         let real = root.join(relative).canonicalize().ok().filter(|p| p.is_dir())?;
-        Some(Self { relative: relative.to_string(), real })
+        Some(Self { relative: relative.to_string(), real, links: false })
+    }
+
+    /// As [`open`](Self::open), for a folder of the user's own, whose files may be links to files elsewhere.
+    pub(crate) fn open_own(root: &Path, relative: &str) -> Option<Self> {
+        Some(Self { links: true, ..Self::open(root, relative)? })
     }
 
     pub(crate) fn path(&self) -> &Path {
@@ -126,11 +182,16 @@ impl Folder {
         Ok(name)
     }
 
-    /// The file of that name; `None` if it is not there, an error if it is outside the folder.
+    /// The file of that name; `None` if it is not there, an error if it is outside the folder and links are not followed.
     pub(crate) fn file(&self, name: &str) -> Result<Option<PathBuf>, ImportError> {
         let name = self.check_name(name)?;
-        let Ok(real) = self.real.join(&name).canonicalize() else { return Ok(None) };
+        let here = self.real.join(&name);
+        let Ok(real) = here.canonicalize() else { return Ok(None) };
         if !real.starts_with(&self.real) {
+            if self.links {
+                // By the link's own name: stores of linked files often name them by their digests.
+                return Ok(real.is_file().then_some(here));
+            }
             return self.refuse(&name, "is a symbolic link to a place outside (copy the file in)");
         }
         Ok(real.is_file().then_some(real))
@@ -195,9 +256,13 @@ pub(crate) fn find_images(
     };
     let names: Vec<&str> = params.image_dir.as_deref().map_or(IMAGE_DIRS.to_vec(), |dir| vec![dir]);
     let looked = names.join(", ");
-    let folders: Vec<Folder> = names.iter().filter_map(|n| Folder::open(root, n)).collect();
+    let folders: Vec<Folder> = names.iter().filter_map(|n| Folder::open_own(root, n)).collect();
+    let set = "`--set image_dir=DIR` (`--set import.image_dir=DIR` in `use3d run`)";
     if folders.is_empty() {
-        return fail("there is no image folder", looked);
+        return fail(&format!("there is no image folder; name yours with {set}"), looked);
+    }
+    for folder in &folders {
+        std::fs::read_dir(&folder.real).map_err(ImportError::file(&root.join(&folder.relative)))?;
     }
     let mut best: Option<(usize, &Folder)> = None;
     for folder in &folders {
@@ -215,8 +280,30 @@ pub(crate) fn find_images(
                 folders.iter().filter(|f| f.real != folder.real).map(|f| f.relative.clone()).collect();
             Ok((folder.clone(), others))
         }
-        _ => fail("none of the model's images is in the image folder", looked),
+        _ => {
+            let wanted = model.images.first().map_or("", |i| i.name.as_str());
+            let mut why = format!("none of the model's images ({wanted:?}, …) is in the image folder");
+            match folders.iter().find_map(|f| unread(&f.real)) {
+                Some(format) => why.push_str(&format!(
+                    "; its {format} images are not read: convert them to PNG under the same names"
+                )),
+                None => why.push_str(&format!("; name the right one with {set}")),
+            }
+            fail(&why, looked)
+        }
     }
+}
+
+/// The format of images that lie in a folder and are not read.
+fn unread(dir: &Path) -> Option<String> {
+    const NOT_READ: [&str; 14] = [
+        "webp", "heic", "heif", "avif", "jxl", "bmp", "gif", "dng", "cr2", "cr3", "nef", "arw", "orf", "raf",
+    ];
+    let entries = walkdir::WalkDir::new(dir).sort_by_file_name().into_iter().filter_map(Result::ok);
+    entries
+        .filter_map(|e| e.path().extension().map(|x| x.to_string_lossy().to_lowercase()))
+        .find(|extension| NOT_READ.contains(&extension.as_str()))
+        .map(|extension| extension.to_uppercase())
 }
 
 /// The mask or depth folder: the one asked for (an error if it is not there) or the first default that is there.
@@ -227,8 +314,8 @@ pub(crate) fn find_extra(
     defaults: &[&str],
 ) -> Result<Option<Folder>, ImportError> {
     match asked {
-        None => Ok(defaults.iter().find_map(|dir| Folder::open(root, dir))),
-        Some(dir) => match Folder::open(root, dir) {
+        None => Ok(defaults.iter().find_map(|dir| Folder::open_own(root, dir))),
+        Some(dir) => match Folder::open_own(root, dir) {
             Some(folder) => Ok(Some(folder)),
             None => {
                 let reason = format!("there is no folder {}", root.join(dir).display());
@@ -263,6 +350,13 @@ mod tests {
             assert!(message.contains("symbolic link"), "{message}");
             std::os::unix::fs::symlink(images.join("sub/a b.png"), images.join("inside.png")).unwrap();
             assert!(folder.file("inside.png").unwrap().is_some());
+            // A user's own folder may hold links to files, under their own names, but to nothing else.
+            let own = Folder::open_own(dir.path(), "images").unwrap();
+            let found = own.file("link.png").unwrap().unwrap();
+            assert_eq!(found, images.canonicalize().unwrap().join("link.png"));
+            std::os::unix::fs::symlink(dir.path(), images.join("folder.png")).unwrap();
+            assert!(own.file("folder.png").unwrap().is_none());
+            assert!(own.file("../outside.png").is_err());
         }
         assert!(folder.file("sub\\a b.png").unwrap().is_some());
         assert!(folder.file("sub/none.png").unwrap().is_none());

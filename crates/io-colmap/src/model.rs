@@ -157,6 +157,15 @@ impl ModelForm {
         ["cameras", "images", "points3D"].map(|stem| dir.join(format!("{stem}.{extension}")))
     }
 
+    /// The files that a folder lacks which holds some of a model's, by the form that most are there of.
+    pub(crate) fn missing(dir: &Path) -> Option<Vec<String>> {
+        let absent = |form: Self| -> Vec<String> {
+            let files = form.files(dir).into_iter().filter(|f| !f.is_file());
+            files.filter_map(|f| Some(f.file_name()?.to_string_lossy().into_owned())).collect()
+        };
+        [Self::Binary, Self::Text].map(absent).into_iter().filter(|m| m.len() < 3).min_by_key(Vec::len)
+    }
+
     /// The form of the model in a folder, binary first; `None` if there is none.
     pub fn of(dir: &Path) -> Option<Self> {
         [Self::Binary, Self::Text].into_iter().find(|form| form.files(dir).iter().all(|f| f.is_file()))
@@ -165,8 +174,15 @@ impl ModelForm {
 
 /// Reads the model in a folder and checks it ([`Model::check`]).
 pub fn read_model(dir: &Path) -> Result<Model, ModelError> {
-    let form = ModelForm::of(dir).ok_or_else(|| ModelError::NotFound { path: dir.to_path_buf() })?;
-    read_model_as(dir, form)
+    read_model_as(dir, form_of(dir)?)
+}
+
+/// The form of the model in a folder, or why there is none.
+pub(crate) fn form_of(dir: &Path) -> Result<ModelForm, ModelError> {
+    ModelForm::of(dir).ok_or_else(|| match ModelForm::missing(dir) {
+        Some(missing) => ModelError::Incomplete { path: dir.to_path_buf(), missing: missing.join(" and ") },
+        None => ModelError::NotFound { path: dir.to_path_buf() },
+    })
 }
 
 /// Reads a model in a given form.
@@ -201,8 +217,15 @@ pub(crate) fn count_images(dir: &Path, form: ModelForm) -> Result<u64, ModelErro
             use std::io::Read;
             let mut count = [0u8; 8];
             let mut file = std::fs::File::open(path).map_err(open)?;
-            file.read_exact(&mut count).map_err(open)?;
-            Ok(u64::from_le_bytes(count))
+            match file.read_exact(&mut count) {
+                Ok(()) => Ok(u64::from_le_bytes(count)),
+                Err(e) if e.kind() == std::io::ErrorKind::UnexpectedEof => {
+                    let length = file.metadata().map_err(open)?.len();
+                    let reason = format!("the file has {length} bytes; a list of images has 8 at least");
+                    Err(ModelError::broken(path, "header".into(), reason))
+                }
+                Err(e) => Err(open(e)),
+            }
         }
         ModelForm::Text => Ok(text::images(&std::fs::read(path).map_err(open)?, path)?.len() as u64),
     }
@@ -234,6 +257,18 @@ fn write(
 
 /// The largest image a camera may announce: what the image readers take.
 const MAX_PIXELS: u64 = use3d_io_image::MAX_PIXELS;
+
+/// The largest coordinate or lens parameter. Training is done in single precision, where the square of a larger one is
+/// no number any more.
+const LARGEST: f64 = 1e15;
+const RANGE: &str = "expected numbers up to 1e15";
+/// The shortest focal length, pixels: shorter ones vanish in single precision once they are squared.
+const SHORTEST_FOCAL: f64 = 1e-3;
+
+/// Whether a coordinate can be worked with in single precision.
+pub(crate) fn single(value: f64) -> bool {
+    value.abs() <= LARGEST
+}
 
 impl Model {
     /// The camera of an id.
@@ -294,6 +329,35 @@ impl Model {
             }
         }
         Ok(())
+    }
+
+    /// Checks that every number that is trained or rendered with keeps its meaning in single precision.
+    pub(crate) fn check_single(&self, path: &Path) -> Result<(), ModelError> {
+        let fail = |place: String, reason: String| Err(ModelError::broken(path, place, reason));
+        for camera in &self.cameras {
+            let place = format!("camera {}", camera.id);
+            if let Some(bad) = camera.parameters.iter().position(|p| !single(*p)) {
+                return fail(place, format!("parameter {bad} is {:e}; {RANGE}", camera.parameters[bad]));
+            }
+            let focal = camera.lens().map(|lens| lens.pinhole_part().0);
+            if let Some(focal) = focal.filter(|f| f.iter().any(|f| *f < SHORTEST_FOCAL)) {
+                let reason =
+                    format!("its focal length is {focal:?}; expected {SHORTEST_FOCAL} pixels or more");
+                return fail(place, reason);
+            }
+        }
+        for image in &self.images {
+            if image.translation.iter().any(|v| !single(*v)) {
+                let reason = format!("its translation is {:?}; {RANGE}", image.translation);
+                return fail(format!("image {} ({})", image.id, image.name), reason);
+            }
+        }
+        match self.points.iter().find(|p| p.position.iter().any(|v| !single(*v))) {
+            Some(point) => {
+                fail(format!("point {}", point.id), format!("its position is {:?}; {RANGE}", point.position))
+            }
+            None => Ok(()),
+        }
     }
 
     /// Keeps the images that `keep` says, and takes the others out of the points' tracks.

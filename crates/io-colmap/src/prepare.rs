@@ -10,7 +10,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use use3d_capture::{Capture, Map, Pixels, View, flat_stem, stem};
 use use3d_io_image::{
-    read_pixels_with_alpha, write_atomically, write_exr_map, write_png_map, write_png_pixels,
+    image_size, read_pixels, read_pixels_with_alpha, write_atomically, write_exr_map, write_png_map,
+    write_png_pixels,
 };
 
 use crate::error::ImportError;
@@ -158,15 +159,19 @@ impl Imported {
     }
 }
 
+/// A file that is not what it was when it was imported.
+fn changed(view: &View, plan: &Plan) -> ImportError {
+    let (width, height) = plan.geometry.file;
+    let found = image_size(&view.image).unwrap_or((0, 0));
+    let expected = format!("but it was {width} x {height} when it was imported; import again");
+    ImportError::Size { path: view.image.clone(), found, expected }
+}
+
 fn resample(view: &View, plan: &Plan, gains: [f32; 3]) -> Result<PreparedView, ImportError> {
     let geometry = &plan.geometry;
     let (pixels, alpha) = read_pixels_with_alpha(&view.image)?;
     if pixels.size() != geometry.file {
-        let expected = format!(
-            "but it was {} x {} when it was imported; import again",
-            geometry.file.0, geometry.file.1
-        );
-        return Err(ImportError::Size { path: view.image.clone(), found: pixels.size(), expected });
+        return Err(changed(view, plan));
     }
     let result =
         if geometry.resamples() || gains != [1.0; 3] { geometry.pixels(&pixels, gains) } else { pixels };
@@ -197,6 +202,10 @@ fn prepare_view(
     let image = out.join("images").join(name);
     let mut result = View { name: name.to_string(), image, mask: None, depth_prior: None, ..view.clone() };
     if !changes(plan, gains) {
+        // Decoded all the same: a damaged file is said here, by its own name, not hours later in a stage that reads it.
+        if read_pixels(&view.image)?.size() != plan.geometry.file {
+            return Err(changed(view, plan));
+        }
         copy(&view.image, &result.image)?;
         let mask = view.mask.as_ref().map(|from| copy_beside(from, out, "masks", name));
         result.mask = mask.transpose()?;

@@ -102,7 +102,7 @@ pub fn cameras(bytes: &[u8], path: &Path) -> Result<Vec<ModelCamera>> {
         let name: String = line.next("camera model")?;
         let Some(model) = LensModel::from_name(&name) else {
             let shown: String = name.chars().take(40).collect();
-            return line.fail(ModelError::unknown_model(&shown, -1));
+            return Err(ModelError::unknown_lens(path, format!("line {}", line.number), &shown, -1));
         };
         let (width, height) = (line.next("width")?, line.next("height")?);
         let parameters: Vec<f64> =

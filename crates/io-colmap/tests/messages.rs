@@ -1,0 +1,180 @@
+//! Captures that cannot be read, and what a person is told: which file lacks, what lies there instead, what to do.
+
+use std::path::Path;
+
+use use3d_capture::{Image, Intrinsics, Pose};
+use use3d_io_colmap::*;
+use use3d_io_image::write_png;
+
+const NAMES: [&str; 3] = ["a.png", "b.png", "c.png"];
+
+fn model() -> Model {
+    let k = Intrinsics { width: 24, height: 16, fx: 20.0, fy: 20.0, cx: 12.0, cy: 8.0 };
+    let at = |i: usize| Pose { translation: [i as f64, 0.0, 4.0].into(), ..Pose::IDENTITY };
+    Model {
+        cameras: vec![ModelCamera::pinhole(1, &k)],
+        images: NAMES.iter().enumerate().map(|(i, n)| ModelImage::at(i as u32 + 1, n, 1, &at(i))).collect(),
+        points: vec![ModelPoint {
+            id: 7,
+            position: [0.0, 0.0, 1.0],
+            color: [9; 3],
+            error: 0.5,
+            track: vec![(1, 0)],
+        }],
+    }
+}
+
+/// A capture of three pictures, changed, and what the import says about it.
+fn complaint(change: impl FnOnce(&Path)) -> String {
+    let dir = tempfile::tempdir().unwrap();
+    write_model_binary(&dir.path().join("sparse/0"), &model()).unwrap();
+    for name in NAMES {
+        write_png(&dir.path().join("images").join(name), &Image::filled(24, 16, 0.5)).unwrap();
+    }
+    change(dir.path());
+    import(dir.path(), &ImportParams::default()).map(|i| i.report.to_string()).unwrap_err().to_string()
+}
+
+#[test]
+fn what_lies_there_instead_of_a_model_is_said_with_the_next_step() {
+    let without = |dir: &Path| std::fs::remove_dir_all(dir.join("sparse")).unwrap();
+    type Change = fn(&Path);
+    let cases: [(&str, Change); 6] = [
+        ("nerfstudio", |d| std::fs::write(d.join("transforms.json"), "{}").unwrap()),
+        ("Metashape", |d| std::fs::write(d.join("cameras.xml"), "<document/>").unwrap()),
+        ("ffmpeg", |d| std::fs::write(d.join("Dive.MP4"), "x").unwrap()),
+        ("this is a scene", |d| {
+            std::fs::write(d.join("scene.json"), "{}").unwrap();
+            std::fs::write(d.join("gaussians.ply"), "ply").unwrap();
+        }),
+        ("--set model_dir=DIR", |_| ()),
+        ("--set import.model_dir=DIR", |_| ()),
+    ];
+    for (expected, change) in cases {
+        let said = complaint(|dir| {
+            without(dir);
+            change(dir);
+        });
+        assert!(said.contains("no COLMAP model found") && said.contains(expected), "{said}");
+    }
+    let dir = tempfile::tempdir().unwrap();
+    write_model_binary(&dir.path().join("sparse/0"), &model()).unwrap();
+    let images = dir.path().join("images");
+    std::fs::create_dir(&images).unwrap();
+    let said = import(&images, &ImportParams::default()).unwrap_err().to_string();
+    assert!(said.contains("the folder above has one"), "{said}");
+}
+
+#[test]
+fn a_model_that_lacks_a_file_or_is_cut_short_is_said_by_file() {
+    let said = complaint(|dir| std::fs::remove_file(dir.join("sparse/0/points3D.bin")).unwrap());
+    assert!(said.contains("lacks points3D.bin") && said.contains("sparse/0"), "{said}");
+    for bytes in [&b""[..], b"abc"] {
+        let said = complaint(|dir| std::fs::write(dir.join("sparse/0/images.bin"), bytes).unwrap());
+        let length = format!("the file has {} bytes", bytes.len());
+        assert!(said.contains("images.bin") && said.contains(&length), "{said}");
+    }
+}
+
+#[test]
+fn images_that_are_not_read_are_said_by_their_format() {
+    let said = complaint(|dir| {
+        for name in NAMES {
+            let from = dir.join("images").join(name);
+            std::fs::rename(&from, from.with_extension("webp")).unwrap();
+        }
+    });
+    assert!(said.contains("WEBP images are not read") && said.contains("a.png"), "{said}");
+}
+
+#[cfg(unix)]
+#[test]
+fn linked_images_are_followed_and_the_files_behind_them_stay_as_they_are() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, capture) = (dir.path().join("store"), dir.path().join("capture"));
+    write_model_binary(&capture.join("sparse/0"), &model()).unwrap();
+    std::fs::create_dir_all(capture.join("images")).unwrap();
+    for (i, name) in NAMES.iter().enumerate() {
+        let file = store.join(format!("{i}0af3.png"));
+        write_png(&file, &Image::filled(24, 16, 0.5)).unwrap();
+        std::os::unix::fs::symlink(&file, capture.join("images").join(name)).unwrap();
+    }
+    let before = std::fs::read(store.join("00af3.png")).unwrap();
+    let imported = import(&capture, &ImportParams::default()).unwrap();
+    assert_eq!(imported.report.views, 3);
+    assert!(imported.report.extra.is_empty(), "{:?}", imported.report.extra);
+    let out = dir.path().join("out");
+    let prepared = prepare(&imported, &out, 1, &|_, _| true).unwrap();
+    for view in &prepared.capture.views {
+        assert!(std::fs::symlink_metadata(&view.image).unwrap().is_file(), "a copy, not a link");
+    }
+    assert_eq!(std::fs::read(store.join("00af3.png")).unwrap(), before);
+}
+
+#[test]
+fn a_truncated_image_is_found_by_the_import_under_its_own_name() {
+    let dir = tempfile::tempdir().unwrap();
+    write_model_binary(&dir.path().join("sparse/0"), &model()).unwrap();
+    for (i, name) in NAMES.iter().enumerate() {
+        let path = dir.path().join("images").join(name);
+        // Noise, so that the cut falls into the pixels and not into a trailer.
+        let mut image = Image::new(24, 16);
+        for (k, v) in image.data_mut().iter_mut().enumerate() {
+            *v = ((k * 7919 + i * 31) % 251) as f32 / 250.0;
+        }
+        write_png(&path, &image).unwrap();
+    }
+    let broken = dir.path().join("images/b.png");
+    let bytes = std::fs::read(&broken).unwrap();
+    std::fs::write(&broken, &bytes[..bytes.len() / 2]).unwrap();
+    let imported = import(dir.path(), &ImportParams::default()).unwrap();
+    let out = dir.path().join("out");
+    let said = prepare(&imported, &out, 2, &|_, _| true).unwrap_err().to_string();
+    assert!(said.contains("images/b.png") && said.contains("damaged"), "{said}");
+}
+
+#[test]
+fn numbers_that_single_precision_cannot_hold_are_refused_by_field() {
+    type Change = fn(&mut Model);
+    let cases: [(&str, Change); 5] = [
+        ("point 7: its position", |m| m.points[0].position[1] = 1e38),
+        ("point 7: its position", |m| m.points[0].position[1] = f64::INFINITY),
+        ("image 2 (b.png): its translation", |m| m.images[1].translation[0] = -1e20),
+        ("camera 1: its focal length", |m| m.cameras[0].parameters[0] = 1e-300),
+        ("camera 1: parameter 0", |m| m.cameras[0].parameters[0] = 1e200),
+    ];
+    for (expected, change) in cases {
+        let mut changed = model();
+        change(&mut changed);
+        let said = complaint(|dir| write_model_binary(&dir.join("sparse/0"), &changed).unwrap());
+        assert!(said.contains(expected), "{said} lacks {expected}");
+    }
+}
+
+#[test]
+fn normalising_a_tiny_swim_cannot_push_points_out_of_single_precision() {
+    let mut changed = model();
+    for image in &mut changed.images {
+        image.translation.iter_mut().for_each(|v| *v *= 1e-11);
+    }
+    changed.points[0].position = [0.0, 1e6, 0.0];
+    let said = complaint(|dir| write_model_binary(&dir.join("sparse/0"), &changed).unwrap());
+    assert!(said.contains("point 7") && said.contains("normalise"), "{said}");
+}
+
+#[test]
+fn lists_of_cameras_are_explained() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("scene.json");
+    for (json, expected) in [
+        ("{\"format\": \"3d-use scene\"}", "no list `cameras`"),
+        ("7", "it is no list"),
+        ("[{\"width\": \"wide\"}]", "camera 0"),
+        ("nonsense", "not JSON"),
+    ] {
+        std::fs::write(&path, json).unwrap();
+        let said = read_cameras(&path).unwrap_err().to_string();
+        assert!(said.contains(expected) && said.contains("scene.json"), "{said}");
+        assert!(!said.contains("untagged"), "{said}");
+    }
+}
