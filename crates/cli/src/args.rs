@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use clap::builder::{RangedU64ValueParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 /// Underwater 3D scenes that look clear, from any viewpoint, reproducibly.
@@ -16,7 +17,10 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
     subcommand_required = true,
     arg_required_else_help = true
 )]
-#[command(after_help = "Start with `use3d demo`, then `use3d run CAPTURE_DIR` on your own COLMAP folder.")]
+#[command(
+    after_help = "Start with `use3d demo`, then `use3d run CAPTURE_DIR` on your own COLMAP folder.\n\n\
+    Exit codes: 0 done; 1 a stage failed; 2 wrong usage or bad input; 130 interrupted."
+)]
 pub(crate) struct Cli {
     /// What to do.
     #[command(subcommand)]
@@ -28,8 +32,21 @@ pub(crate) struct Cli {
     #[arg(short, long, global = true)]
     pub(crate) quiet: bool,
     /// Threads to compute with (default: all cores). Never changes a result.
-    #[arg(long, global = true, value_name = "N", env = "USE3D_THREADS")]
+    #[arg(long, global = true, value_name = "N", env = "USE3D_THREADS", value_parser = count(MAX_THREADS))]
     pub(crate) threads: Option<usize>,
+}
+
+/// More threads than any one machine has cores; each costs memory of its own.
+const MAX_THREADS: u64 = 1024;
+/// More stages side by side than any one machine has memory for.
+const MAX_JOBS: u64 = 256;
+/// Eleven hours of film at 25 frames per second.
+const MAX_FRAMES: u64 = 1_000_000;
+
+/// A whole number from 1 to `most`.
+fn count(most: u64) -> impl TypedValueParser<Value = usize> {
+    // `most` fits wherever a `usize` has 32 bits.
+    RangedU64ValueParser::<u64>::new().range(1..=most).map(|n| n as usize)
 }
 
 /// The verbs.
@@ -200,7 +217,7 @@ pub(crate) struct RunArgs {
     #[command(flatten)]
     pub(crate) settings: Settings,
     /// Stages to run side by side, within the cores and memory there are.
-    #[arg(long, default_value_t = 1, value_name = "N")]
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = count(MAX_JOBS))]
     pub(crate) jobs: usize,
     /// Go on with the other scenes when one fails.
     #[arg(long)]
@@ -457,7 +474,7 @@ pub(crate) struct RenderArgs {
     #[arg(long, value_enum)]
     pub(crate) path: Option<CameraPath>,
     /// Frames of the path.
-    #[arg(long, default_value_t = 120, value_name = "N")]
+    #[arg(long, default_value_t = 120, value_name = "N", value_parser = count(MAX_FRAMES))]
     pub(crate) frames: usize,
     /// Write the first mode as a video: .y4m directly, anything else through ffmpeg.
     #[arg(long, value_name = "FILE")]

@@ -12,8 +12,10 @@ pub(crate) enum CliError {
     Input(String),
     /// A stage failed.
     Failed(String),
-    /// SIGINT or SIGTERM; what was done so far is kept.
+    /// Interrupted; what was done so far is kept.
     Interrupted,
+    /// Interrupted in work of which nothing is kept.
+    Stopped,
 }
 
 /// What every verb returns.
@@ -32,19 +34,16 @@ impl CliError {
 
     /// Prints itself to stderr and gives the exit code.
     pub(crate) fn report(&self) -> ExitCode {
-        match self {
-            Self::Input(message) => {
-                eprintln!("error: {message}");
-                ExitCode::from(2)
-            }
-            Self::Failed(message) => {
-                eprintln!("error: {message}");
-                ExitCode::from(1)
-            }
+        let (text, code) = match self {
+            Self::Input(message) => (format!("error: {message}"), 2),
+            Self::Failed(message) => (format!("error: {message}"), 1),
             Self::Interrupted => {
-                eprintln!("interrupted; what was done so far is kept, the same command continues from there");
-                ExitCode::from(130)
+                let text = "interrupted; what was done so far is kept, the same command continues from there";
+                (text.to_string(), 130)
             }
-        }
+            Self::Stopped => ("interrupted; the same command starts anew".to_string(), 130),
+        };
+        eprintln!("{text}");
+        ExitCode::from(code)
     }
 }

@@ -1,10 +1,14 @@
-//! Ctrl-C and SIGTERM: the first asks the running stage to write a checkpoint and leave, the second leaves at once.
+//! Ctrl-C, SIGTERM and a closed terminal (SIGHUP): the first asks the running work to write a checkpoint and leave, the
+//! second leaves at once.
 
+use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use signal_hook::consts::{SIGINT, SIGTERM};
+
+use crate::error::CliError;
 
 static FLAG: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
@@ -12,7 +16,7 @@ static FLAG: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 pub(crate) fn install() -> Arc<AtomicBool> {
     FLAG.get_or_init(|| {
         let flag = Arc::new(AtomicBool::new(false));
-        for signal in [SIGINT, SIGTERM] {
+        for signal in [SIGINT, SIGTERM].into_iter().chain(hang_up()) {
             // Order matters: the second signal finds the flag set and exits; the first only sets it.
             let armed = signal_hook::flag::register_conditional_shutdown(signal, 130, flag.clone())
                 .and_then(|_| signal_hook::flag::register(signal, flag.clone()));
@@ -25,7 +29,49 @@ pub(crate) fn install() -> Arc<AtomicBool> {
     .clone()
 }
 
+/// SIGHUP, unless whoever started us (`nohup`) had it ignored: a handler would undo that. Only Linux tells.
+fn hang_up() -> Option<i32> {
+    #[cfg(target_os = "linux")]
+    {
+        let status = std::fs::read_to_string("/proc/self/status").ok()?;
+        (!ignores(&status, signal_hook::consts::SIGHUP)?).then_some(signal_hook::consts::SIGHUP)
+    }
+    #[cfg(not(target_os = "linux"))]
+    None
+}
+
+/// Whether a signal is ignored, by the text of `/proc/PID/status`.
+#[cfg(target_os = "linux")]
+fn ignores(status: &str, signal: i32) -> Option<bool> {
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"))?;
+    let mask = u64::from_str_radix(mask.trim(), 16).ok()?;
+    Some(mask >> (signal - 1) & 1 == 1)
+}
+
 /// Whether a signal has come.
 pub(crate) fn requested() -> bool {
     FLAG.get().is_some_and(|flag| flag.load(Ordering::Relaxed))
+}
+
+/// The same as an answer to work that asks whether to go on.
+pub(crate) fn go_on() -> ControlFlow<()> {
+    if requested() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+}
+
+/// The same as an error, for loops whose work is not kept.
+pub(crate) fn check() -> Result<(), CliError> {
+    if requested() { Err(CliError::Stopped) } else { Ok(()) }
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_ignored_hang_up_stays_ignored() {
+        let status = |mask: &str| format!("Name:\tuse3d\nSigIgn:\t{mask}\nSigCgt:\t0000000000000000\n");
+        assert_eq!(ignores(&status("0000000000000001"), 1), Some(true));
+        assert_eq!(ignores(&status("0000000000001000"), 1), Some(false));
+        assert_eq!(ignores("nothing known", 1), None);
+    }
 }

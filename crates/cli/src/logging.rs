@@ -39,5 +39,7 @@ pub(crate) fn start(verbose: u8, quiet: bool) {
         .with_ansi(color)
         .with_target(verbose > 1)
         .without_time()
+        // A closed stderr is no reason to panic.
+        .log_internal_errors(false)
         .init();
 }

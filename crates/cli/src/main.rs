@@ -1,5 +1,8 @@
 //! The `use3d` command: arguments, progress, error texts. Nothing else.
 
+#[macro_use]
+mod output;
+
 mod args;
 mod error;
 mod interrupt;
@@ -17,7 +20,7 @@ use clap::Parser;
 use use3d_pipeline::engine::Listener;
 
 use args::{Cli, Synth, Verb};
-use error::Done;
+use error::{CliError, Done};
 
 /// What every verb is given.
 pub(crate) struct App {
@@ -25,7 +28,7 @@ pub(crate) struct App {
     pub(crate) quiet: bool,
     /// Threads to compute with.
     pub(crate) threads: usize,
-    /// Raised by Ctrl-C and SIGTERM.
+    /// Raised by Ctrl-C, SIGTERM and SIGHUP.
     pub(crate) stop: Arc<AtomicBool>,
     /// Draws what stages tell.
     pub(crate) listener: Arc<dyn Listener>,
@@ -35,16 +38,17 @@ fn main() -> ExitCode {
     let cli = Cli::parse();
     logging::start(cli.verbose, cli.quiet);
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let threads = cli.threads.filter(|n| *n > 0).unwrap_or(cores);
+    let threads = cli.threads.unwrap_or(cores);
     if let Err(error) = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global() {
         tracing::debug!("thread pool: {error}");
     }
     let listener: Arc<dyn Listener> = Arc::new(listener::Terminal::new(cli.quiet));
     let app = App { quiet: cli.quiet, threads, stop: interrupt::install(), listener };
-    match run(&app, cli.verb) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => error.report(),
-    }
+    let done = run(&app, cli.verb).and_then(|()| match output::failure() {
+        Some(reason) => Err(CliError::Failed(format!("cannot write to standard output: {reason}"))),
+        None => Ok(()),
+    });
+    done.map_or_else(|error| error.report(), |()| ExitCode::SUCCESS)
 }
 
 fn run(app: &App, verb: Verb) -> Done {

@@ -41,7 +41,8 @@ pub fn ssim(x: &Image, y: &Image) -> Result<f64, MetricError> {
             sum
         })
         .collect();
-    Ok(sums.iter().sum::<f64>() / (3 * columns * rows) as f64)
+    // Rounding may lead a hair above 1.
+    Ok((sums.iter().sum::<f64>() / (3 * columns * rows) as f64).clamp(-1.0, 1.0))
 }
 
 /// SSIM per window, averaged over channels: element (x, y) belongs to the window centred at image pixel (x + 5, y + 5).

@@ -256,13 +256,23 @@ impl Models {
 
     /// Every checkpoint with the file found for it. Reads the files whole, to compute their digests.
     pub fn status(&self) -> Result<Vec<Status>, NetError> {
-        KNOWN
-            .iter()
-            .map(|known| {
-                let found = self.find(known.network).map(|path| inspect(known, path)).transpose()?;
-                Ok(Status { known: *known, found })
-            })
-            .collect()
+        Ok(self.status_while(&|| true)?.unwrap_or_default())
+    }
+
+    /// As [`status`](Self::status), for as long as `go_on` says so; `None` when it did not to the end.
+    pub fn status_while(&self, go_on: &dyn Fn() -> bool) -> Result<Option<Vec<Status>>, NetError> {
+        let mut rows = Vec::with_capacity(KNOWN.len());
+        for known in KNOWN {
+            let found = match self.find(known.network) {
+                None => None,
+                Some(path) => match inspect(&known, path, go_on)? {
+                    None => return Ok(None),
+                    found => found,
+                },
+            };
+            rows.push(Status { known, found });
+        }
+        Ok(Some(rows))
     }
 
     /// Whether the file of a network is there (its content is not looked at).
@@ -286,8 +296,9 @@ impl Models {
     pub fn checkpoint(&self, network: Network) -> Result<Checkpoint, NetError> {
         let known = network.known();
         let path = self.find(network).ok_or_else(|| self.not_available(network))?;
-        if expected_digest(known, &path).is_some() {
-            let found = inspect(known, path.clone())?;
+        if expected_digest(known, &path).is_some()
+            && let Some(found) = inspect(known, path.clone(), &|| true)?
+        {
             if let Verdict::Different { expected } = found.verdict {
                 return Err(NetError::Digest { path, expected, found: found.sha256 });
             }
@@ -382,13 +393,17 @@ fn expected_digest(known: &Known, path: &Path) -> Option<String> {
     hexadecimal.then(|| digits.to_string())
 }
 
-fn inspect(known: &Known, path: PathBuf) -> Result<Found, NetError> {
+/// Reads a file whole for its digest; `None` when `go_on` said no before its end.
+fn inspect(known: &Known, path: PathBuf, go_on: &dyn Fn() -> bool) -> Result<Option<Found>, NetError> {
     let read_error = |source| NetError::Read { path: path.clone(), source };
     let mut file = std::fs::File::open(&path).map_err(read_error)?;
     let mut hasher = Sha256::new();
     let mut buffer = vec![0u8; 1 << 20];
     let mut bytes = 0;
     loop {
+        if !go_on() {
+            return Ok(None);
+        }
         let n = file.read(&mut buffer).map_err(read_error)?;
         if n == 0 {
             break;
@@ -402,7 +417,7 @@ fn inspect(known: &Known, path: PathBuf) -> Result<Found, NetError> {
         Some(expected) if sha256.starts_with(&expected) => Verdict::Official,
         Some(expected) => Verdict::Different { expected },
     };
-    Ok(Found { path, bytes, sha256, verdict })
+    Ok(Some(Found { path, bytes, sha256, verdict }))
 }
 
 /// Princeton's name of a RAFT tensor to torchvision's; `None` for aliases of tensors that exist under another name.

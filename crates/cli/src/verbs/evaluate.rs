@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use use3d_io_image::read_image;
+use use3d_io_image::{image_size, read_image};
+use use3d_pipeline::engine::machine::{available_memory, bytes};
 use use3d_pipeline::scores::{Method, Score, Scores};
 use use3d_pipeline::scoring::Judges;
 use use3d_pipeline::stages::{evaluate::SCORES, read_json};
@@ -11,6 +12,7 @@ use use3d_pipeline::stages::{evaluate::SCORES, read_json};
 use crate::App;
 use crate::args::{EvaluateArgs, TableFormat};
 use crate::error::{CliError, Done};
+use crate::interrupt;
 use crate::verbs::stages::{imported, parameters, run_stage, scratch, stages};
 
 /// A named row of scores.
@@ -30,9 +32,12 @@ pub(crate) fn run(app: &App, args: &EvaluateArgs) -> Done {
     print(&rows, format)
 }
 
-/// The images of a folder by stem.
-fn images(dir: &Path) -> Result<BTreeMap<String, PathBuf>, CliError> {
-    let failed = |e: std::io::Error| CliError::Input(format!("{}: {e}", dir.display()));
+/// The images of a folder by stem; `flag` named it.
+fn images(dir: &Path, flag: &str) -> Result<BTreeMap<String, PathBuf>, CliError> {
+    let failed = |e: std::io::Error| CliError::Input(format!("{flag} {}: {e}", dir.display()));
+    if !dir.is_dir() {
+        return Err(CliError::Input(format!("{flag} {}: there is no such folder", dir.display())));
+    }
     let mut found = BTreeMap::new();
     for entry in std::fs::read_dir(dir).map_err(failed)? {
         let path = entry.map_err(failed)?.path();
@@ -44,16 +49,29 @@ fn images(dir: &Path) -> Result<BTreeMap<String, PathBuf>, CliError> {
         }
     }
     if found.is_empty() {
-        return Err(CliError::Input(format!("{}: no images here (PNG, JPEG, TIFF, EXR)", dir.display())));
+        let what = "no images here; PNG, JPEG, TIFF and EXR are read";
+        return Err(CliError::Input(format!("{flag} {}: {what}", dir.display())));
     }
     Ok(found)
 }
 
 fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Result<Vec<Row>, CliError> {
     let judges = Judges::open(models);
-    let references = reference.map(images).transpose()?;
+    let given = images(dir, "--images")?;
+    let references = reference.map(|dir| images(dir, "--reference")).transpose()?;
+    if let Some(references) = references.as_ref().filter(|r| given.keys().all(|stem| !r.contains_key(stem))) {
+        let (ours, theirs) = (given.keys().next(), references.keys().next());
+        return Err(CliError::Input(format!(
+            "no image of --images ({}, …) has a counterpart in --reference ({}, …); they are matched by the name \
+             without its extension",
+            ours.map_or("", String::as_str),
+            theirs.map_or("", String::as_str)
+        )));
+    }
     let mut rows = Vec::new();
-    for (stem, path) in images(dir)? {
+    for (stem, path) in given {
+        interrupt::check()?;
+        fits_memory(&path)?;
         let image = read_image(&path).map_err(CliError::input)?;
         let mut scores = judges.alone(&image);
         if let Some(references) = &references {
@@ -79,6 +97,28 @@ fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Resul
     let mean = mean(rows.iter().map(|r| &r.scores));
     rows.push(Row { method: String::new(), image: "mean".into(), scores: mean });
     Ok(rows)
+}
+
+/// Bytes per pixel while an image is scored: itself and a copy as f32, the reference likewise, and what the metrics keep.
+const BYTES_PER_PIXEL: u64 = 72;
+
+/// Refuses an image that would take more memory than there is, before it is decoded.
+fn fits_memory(path: &Path) -> Done {
+    let (width, height) = image_size(path).map_err(CliError::input)?;
+    refuse_beyond(path, (width * height) as u64, available_memory())
+}
+
+fn refuse_beyond(path: &Path, pixels: u64, free: Option<u64>) -> Done {
+    let need = BYTES_PER_PIXEL * pixels;
+    match free {
+        Some(free) if need > free => Err(CliError::Input(format!(
+            "{}: scoring its {pixels} pixels takes about {}, and {} of memory are free; scale the image down first",
+            path.display(),
+            bytes(need),
+            bytes(free)
+        ))),
+        _ => Ok(()),
+    }
 }
 
 fn mean<'a>(all: impl Iterator<Item = &'a Scores>) -> Scores {
@@ -185,4 +225,20 @@ fn print(rows: &[Row], format: TableFormat) -> Done {
     }
     reasons.iter().for_each(|(name, reason)| eprintln!("{name}: {reason}"));
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_image_larger_than_the_memory_is_refused_by_name() {
+        let path = Path::new("panorama.png");
+        assert!(refuse_beyond(path, 1 << 20, Some(1 << 30)).is_ok());
+        assert!(refuse_beyond(path, 1 << 27, None).is_ok(), "where the system does not say, it is tried");
+        let Err(CliError::Input(message)) = refuse_beyond(path, 1 << 27, Some(1 << 30)) else {
+            panic!("9.7 GB do not fit into 1 GiB");
+        };
+        assert!(message.contains("panorama.png") && message.contains("9.7 GB"), "{message}");
+    }
 }

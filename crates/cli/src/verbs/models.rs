@@ -6,13 +6,23 @@ use crate::error::{CliError, Done};
 #[cfg(feature = "nets")]
 pub(crate) fn run(args: &ModelsArgs) -> Done {
     use use3d_nets::models::Verdict;
+    use use3d_pipeline::engine::machine::bytes;
+
+    use crate::interrupt;
 
     let dir = args.dir.clone().unwrap_or_else(|| "models".into());
-    let status = use3d_nets::Models::open(&dir).status().map_err(CliError::input)?;
+    if args.dir.is_some() && !dir.is_dir() {
+        let what = "there is no such folder; make it and put the files in, or name another one";
+        return Err(CliError::Input(format!("--dir {}: {what}", dir.display())));
+    }
+    let go_on = || !interrupt::requested();
+    let status = use3d_nets::Models::open(&dir).status_while(&go_on).map_err(CliError::input)?;
+    let status = status.ok_or(CliError::Stopped)?;
     if args.json {
         return crate::verbs::run::json(&status);
     }
-    println!("models folder: {}\n", dir.display());
+    let absent = if dir.is_dir() { "" } else { " (not there; name yours with --dir or USE3D_MODELS)" };
+    println!("models folder: {}{absent}\n", dir.display());
     for row in &status {
         let (mark, file) = match &row.found {
             Some(found) => {
@@ -27,12 +37,8 @@ pub(crate) fn run(args: &ModelsArgs) -> Done {
         };
         println!("{mark}  {:<28} {}", row.known.title, row.known.used_for);
         println!("         {file}");
-        println!(
-            "         {:.1} MB, {}, {}\n",
-            row.known.bytes as f64 / 1e6,
-            row.known.licence,
-            row.known.origin
-        );
+        let size = bytes(row.known.bytes);
+        println!("         {size}, {}, {}\n", row.known.licence, row.known.origin);
     }
     println!("Nothing is ever downloaded by this program.");
     Ok(())

@@ -130,9 +130,6 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     if args.dry_run {
         return show(&loaded.engine.plan(&loaded.graph, until.as_deref()), args.json);
     }
-    if args.jobs == 0 {
-        return Err(CliError::Input("--jobs 0: at least one stage must be able to run".into()));
-    }
     let out =
         args.out.clone().unwrap_or_else(|| PathBuf::from("use3d-out").join(&loaded.pipeline.batch.name));
     execute(app, &loaded, until, args.jobs, args.keep_going, &out, args.json)
@@ -220,7 +217,7 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
         std::fs::create_dir_all(&captures)
             .map_err(|e| CliError::Input(format!("--out {}: {e}", args.out.display())))?;
         use3d_synth::write_capture(&params, &capture, &mut super::synth::tell(app, "synth capture"))
-            .map_err(CliError::input)?;
+            .map_err(super::synth::error)?;
         std::fs::write(&stamp, &wanted).map_err(|e| CliError::Input(format!("{}: {e}", stamp.display())))?;
     }
     // The synthetic pairs are of the demo's own kinds of water.

@@ -1,15 +1,19 @@
 //! Synthetic data with known truth.
 
+use std::ops::ControlFlow;
+
 use serde::de::DeserializeOwned;
 use use3d_pipeline::engine::Event;
-use use3d_synth::{CaptureParams, PairsParams, write_capture, write_pairs};
+use use3d_synth::{CaptureParams, PairsParams, SynthError, write_capture, write_pairs};
 
 use crate::App;
 use crate::args::SynthArgs;
 use crate::error::{CliError, Done};
+use crate::interrupt;
 use crate::size::parse_size;
 
-pub(crate) fn tell<'a>(app: &'a App, label: &'a str) -> impl FnMut(usize, usize) + 'a {
+/// Draws the progress, and answers whether to go on.
+pub(crate) fn tell<'a>(app: &'a App, label: &'a str) -> impl FnMut(usize, usize) -> ControlFlow<()> + 'a {
     move |done, total| {
         let (done, total) = (done as u64, total as u64);
         app.listener.event(&Event::Progress {
@@ -24,6 +28,16 @@ pub(crate) fn tell<'a>(app: &'a App, label: &'a str) -> impl FnMut(usize, usize)
         if done == total {
             app.listener.event(&Event::Done { node: 0, label, cached: true, seconds: 0.0 });
         }
+        interrupt::go_on()
+    }
+}
+
+/// What a person reads of it.
+pub(crate) fn error(error: SynthError) -> CliError {
+    match error {
+        SynthError::Interrupted => CliError::Stopped,
+        SynthError::Parameter { .. } | SynthError::OutputExists { .. } => CliError::input(error),
+        SynthError::Io { .. } | SynthError::Image(_) | SynthError::Model(_) => CliError::failed(error),
     }
 }
 
@@ -46,7 +60,7 @@ pub(crate) fn capture(app: &App, args: &SynthArgs) -> Done {
         params.water =
             named("--water", water, &use3d_synth::WaterType::ALL.map(use3d_synth::WaterType::name))?;
     }
-    write_capture(&params, &args.out, &mut tell(app, "synth capture")).map_err(CliError::input)?;
+    write_capture(&params, &args.out, &mut tell(app, "synth capture")).map_err(error)?;
     eprintln!("{}: {} views of {}x{}", args.out.display(), params.views, params.width, params.height);
     Ok(())
 }
@@ -62,7 +76,7 @@ pub(crate) fn pairs(app: &App, args: &SynthArgs) -> Done {
     if args.water.is_some() {
         return Err(CliError::Input("--water: pairs are made over all water types; leave it out".into()));
     }
-    write_pairs(&params, &args.out, &mut tell(app, "synth pairs")).map_err(CliError::input)?;
+    write_pairs(&params, &args.out, &mut tell(app, "synth pairs")).map_err(error)?;
     eprintln!("{}: {} pairs of {}x{}", args.out.display(), params.pairs, params.width, params.height);
     Ok(())
 }

@@ -1,0 +1,87 @@
+//! What the command says: results on stdout, everything else on stderr.
+//!
+//! A reader that has gone away (`use3d plan … | head -1`) is no failure: what it does not want is dropped and the work
+//! goes on. The standard library's macros would panic there, so this crate's `print!`, `println!` and `eprintln!` are
+//! those below. Any other failure to write results (a full disk) is kept for [`failure`], which decides the exit code.
+
+use std::fmt;
+use std::io::{self, Write};
+use std::sync::{Mutex, PoisonError};
+
+/// The first failure to write to stdout; nothing is written after it.
+static FAILED: Mutex<Option<io::Error>> = Mutex::new(None);
+
+/// Writes to a stream until its first failure.
+fn write(stream: &mut impl Write, failed: &mut Option<io::Error>, text: fmt::Arguments<'_>) {
+    if failed.is_none() {
+        *failed = stream.write_fmt(text).and_then(|()| stream.flush()).err();
+    }
+}
+
+pub(crate) fn to_stdout(text: fmt::Arguments<'_>) {
+    let mut failed = FAILED.lock().unwrap_or_else(PoisonError::into_inner);
+    write(&mut io::stdout().lock(), &mut failed, text);
+}
+
+/// Messages have nowhere else to go: losing one is no reason to stop.
+pub(crate) fn to_stderr(text: fmt::Arguments<'_>) {
+    let _ = io::stderr().lock().write_fmt(text);
+}
+
+/// Why results did not reach stdout, unless the reader simply left.
+pub(crate) fn failure() -> Option<String> {
+    let failed = FAILED.lock().unwrap_or_else(PoisonError::into_inner);
+    failed.as_ref().filter(|e| e.kind() != io::ErrorKind::BrokenPipe).map(ToString::to_string)
+}
+
+/// As the standard library's, without the panic.
+macro_rules! print {
+    ($($text:tt)*) => { $crate::output::to_stdout(format_args!($($text)*)) };
+}
+
+/// As the standard library's, without the panic.
+macro_rules! println {
+    () => { $crate::output::to_stdout(format_args!("\n")) };
+    ($($text:tt)*) => { $crate::output::to_stdout(format_args!("{}\n", format_args!($($text)*))) };
+}
+
+/// As the standard library's, without the panic.
+macro_rules! eprintln {
+    () => { $crate::output::to_stderr(format_args!("\n")) };
+    ($($text:tt)*) => { $crate::output::to_stderr(format_args!("{}\n", format_args!($($text)*))) };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A stream that takes `room` bytes.
+    struct Narrow {
+        room: usize,
+        taken: usize,
+    }
+
+    impl Write for Narrow {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            if self.taken + bytes.len() > self.room {
+                return Err(io::ErrorKind::StorageFull.into());
+            }
+            self.taken += bytes.len();
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn the_first_failure_is_kept_and_nothing_is_written_after_it() {
+        let (mut stream, mut failed) = (Narrow { room: 4, taken: 0 }, None);
+        for text in ["abc", "defg", "h"] {
+            write(&mut stream, &mut failed, format_args!("{text}"));
+        }
+        assert_eq!(stream.taken, 3, "`h` would have fitted, but the text before it was lost");
+        assert_eq!(failed.map(|e| e.kind()), Some(io::ErrorKind::StorageFull));
+    }
+}
