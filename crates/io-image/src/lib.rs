@@ -23,6 +23,7 @@ mod exr_file;
 mod jpeg;
 mod limits;
 mod npy;
+mod png_file;
 mod read;
 mod write;
 

@@ -2,6 +2,7 @@
 //!
 //! EXIF orientation is not applied: COLMAP works on the pixels as stored, and so must everything that uses its poses.
 
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::path::Path;
@@ -13,7 +14,7 @@ use use3d_capture::{Image, Map, Pixels};
 use crate::decoded::{Decoded, Samples};
 use crate::error::{Format, ImageError};
 use crate::limits::{MAX_PIXELS, check_size};
-use crate::{exr_file, jpeg, npy};
+use crate::{exr_file, jpeg, npy, png_file};
 
 /// What a header tells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,45 +83,48 @@ fn info(mut reader: impl BufRead + Seek, length: u64, path: &Path) -> Result<Ima
             let frame = jpeg::frame(&mut reader).map_err(|e| ImageError::decode(path, format, e))?;
             (frame.width, frame.height, 3, false)
         }
-        Format::Png | Format::Tiff => photo_header(reader, format, path)?,
+        Format::Png => {
+            let head = png_file::header(&mut reader).map_err(|e| ImageError::decode(path, format, e))?;
+            (head.width, head.height, head.bytes_per_pixel, head.alpha)
+        }
+        Format::Tiff => tiff_header(reader, path)?,
     };
     let (width, height) = check_size(path, format, width, height, bytes_per_pixel, length)?;
     Ok(ImageInfo { width, height, format, alpha })
 }
 
-/// Limits for the decoders that keep them; ours are checked before.
-fn decoder_limits() -> image::Limits {
+/// What a header alone may take, bytes: tables of strips, not metadata.
+const HEADER_ALLOWANCE: u64 = 64 << 20;
+
+/// Limits for the decoders that keep them, for an image of so many pixels (0: for its header only); our own limits are
+/// checked before.
+fn decoder_limits(pixels: u64) -> image::Limits {
     let mut limits = image::Limits::no_limits();
     limits.max_image_width = Some(1 << 24);
     limits.max_image_height = Some(1 << 24);
-    limits.max_alloc = Some(MAX_PIXELS * 16 + (64 << 20));
+    limits.max_alloc = Some(pixels.min(MAX_PIXELS) * 16 + HEADER_ALLOWANCE);
     limits
 }
 
-fn photo_reader<R: BufRead + Seek>(reader: R, format: Format) -> ImageReader<R> {
+fn photo_reader<R: BufRead + Seek>(reader: R, format: Format, pixels: u64) -> ImageReader<R> {
     let format = match format {
         Format::Png => ImageFormat::Png,
         Format::Jpeg => ImageFormat::Jpeg,
         _ => ImageFormat::Tiff,
     };
     let mut reader = ImageReader::with_format(reader, format);
-    reader.limits(decoder_limits());
+    reader.limits(decoder_limits(pixels));
     reader
 }
 
-/// Width, height, bytes per pixel and alpha of a PNG or TIFF.
-fn photo_header(
-    mut reader: impl BufRead + Seek,
-    format: Format,
-    path: &Path,
-) -> Result<(u64, u64, u64, bool), ImageError> {
-    if format == Format::Tiff
-        && let Some((width, height)) = float_tiff_size(&mut reader, path)?
-    {
+/// Width, height, bytes per pixel and alpha of a TIFF.
+fn tiff_header(mut reader: impl BufRead + Seek, path: &Path) -> Result<(u64, u64, u64, bool), ImageError> {
+    let format = Format::Tiff;
+    if let Some((width, height)) = float_tiff_size(&mut reader, path)? {
         return Ok((width, height, 8, false));
     }
     let decoder =
-        photo_reader(reader, format).into_decoder().map_err(|e| ImageError::decode(path, format, e))?;
+        photo_reader(reader, format, 0).into_decoder().map_err(|e| ImageError::decode(path, format, e))?;
     let (width, height) = decoder.dimensions();
     let color = decoder.color_type();
     Ok((u64::from(width), u64::from(height), u64::from(color.bytes_per_pixel()), color.has_alpha()))
@@ -189,7 +193,9 @@ pub fn decode(bytes: &[u8], path: &Path) -> Result<Decoded, ImageError> {
         }
         Format::Png | Format::Tiff => {}
     }
-    let image = photo_reader(Cursor::new(bytes), format).decode().map_err(|e| fail(e.to_string()))?;
+    let pixels = if format == Format::Png { png_file::without_metadata(bytes) } else { Cow::Borrowed(bytes) };
+    let reader = photo_reader(Cursor::new(pixels.as_ref()), format, (width * height) as u64);
+    let image = reader.decode().map_err(|e| fail(e.to_string()))?;
     let (width, height) = (image.width() as usize, image.height() as usize);
     let channels = usize::from(image.color().channel_count());
     let samples = match image {
