@@ -91,9 +91,15 @@ fn synthetic_data_that_is_interrupted_leaves_nothing_behind() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("out");
     let entries = || std::fs::read_dir(dir.path()).unwrap().count();
-    for (what, signal) in [("pairs", "-INT"), ("pairs", "-TERM"), ("pairs", "-HUP"), ("capture", "-TERM")] {
+    let cases = [
+        ("pairs", "9999", "-INT"),
+        ("pairs", "9999", "-TERM"),
+        ("pairs", "9999", "-HUP"),
+        ("capture", "99", "-TERM"),
+    ];
+    for (what, views, signal) in cases {
         let arguments =
-            ["-q", "synth", what, "--out", out.to_str().unwrap(), "--views", "9999", "--size", "32x24"];
+            ["-q", "synth", what, "--out", out.to_str().unwrap(), "--views", views, "--size", "32x24"];
         assert_eq!(interrupted(&arguments, signal, || entries() > 0), Some(130), "{what} {signal}");
         assert_eq!(entries(), 0, "{what} {signal}");
     }
