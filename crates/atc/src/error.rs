@@ -31,7 +31,7 @@ pub enum AtcError {
         height: usize,
     },
     /// Extractor settings out of range.
-    #[error("extractor setting `{field}` is {value}; expected {expected}")]
+    #[error("`{field}` is {value}; expected {expected}")]
     Setting {
         /// The field.
         field: &'static str,

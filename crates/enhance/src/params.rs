@@ -142,6 +142,14 @@ impl EnhanceParams {
                 "0, or 8 to 8192 pixels",
             ));
         }
+        const MOST_STEPS: u64 = 200_000_000;
+        if self.iterations > MOST_STEPS {
+            return Err(EnhanceError::parameter(
+                "iterations",
+                self.iterations as f64,
+                "at most 200000000 steps",
+            ));
+        }
         for (field, value) in [("checkpoint_every", self.checkpoint_every), ("log_every", self.log_every)] {
             if value == 0 {
                 return Err(EnhanceError::parameter(field, 0.0, "at least 1 step"));

@@ -19,7 +19,7 @@ use use3d_capture::{Camera, Lattice, MediumMaps};
 pub use directional::Coefficients;
 pub use mlp::MediumMlp;
 pub use rbf::MediumRbf;
-pub use tensors::{Tensor, Tensors};
+pub use tensors::{MOST_ANCHORS, Tensor, Tensors};
 
 /// One set of spherical harmonics for the whole scene: water that varies with direction only.
 #[derive(Clone, Debug, PartialEq)]

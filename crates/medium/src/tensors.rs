@@ -20,8 +20,8 @@ pub struct Tensor {
 /// Named tensors, in name order.
 pub type Tensors = BTreeMap<String, Tensor>;
 
-/// More anchors than any scene needs: a bound on what a file may ask for.
-const MOST_ANCHORS: usize = 4096;
+/// More anchors than any scene needs: a bound on what a file or a parameter may ask for.
+pub const MOST_ANCHORS: usize = 4096;
 
 impl MediumModel {
     /// The model's tensors.

@@ -253,6 +253,11 @@ impl Default for ReconstructParams {
     }
 }
 
+/// Steps of a month at a hundred a second.
+const MOST_STEPS: u64 = 200_000_000;
+/// More points at random than a training of any scene holds.
+const MOST_POINTS: u64 = 10_000_000;
+
 impl ReconstructParams {
     /// Checks every range; the message names the field.
     pub fn validate(&self) -> Result<(), String> {
@@ -273,14 +278,21 @@ impl ReconstructParams {
         let at_least = |name: &str, value: u64, least: u64| {
             if value >= least { Ok(()) } else { Err(format!("{name} is {value}; expected at least {least}")) }
         };
-        at_least("iterations", self.iterations, 1)?;
+        let within = |name: &str, value: u64, most: u64| {
+            if (1..=most).contains(&value) {
+                Ok(())
+            } else {
+                Err(format!("{name} is {value}; expected 1 to {most}"))
+            }
+        };
+        within("iterations", self.iterations, MOST_STEPS)?;
         at_least("schedule", self.schedule, 1)?;
-        at_least("anchors", self.anchors as u64, 1)?;
+        within("anchors", self.anchors as u64, use3d_medium::MOST_ANCHORS as u64)?;
         at_least("log_every", self.log_every, 1)?;
         at_least("checkpoint_steps", self.checkpoint_steps, 1)?;
         at_least("densify.every", self.densify.every, 1)?;
         at_least("densify.period", self.densify.period, 1)?;
-        at_least("random_points", self.random_points as u64, 1)?;
+        within("random_points", self.random_points as u64, MOST_POINTS)?;
         positive("checkpoint_minutes", self.checkpoint_minutes)?;
         if self.top_k == 0 || self.top_k > self.anchors {
             return Err(format!("top_k is {}; expected 1 to anchors, which is {}", self.top_k, self.anchors));
@@ -403,5 +415,9 @@ mod tests {
         assert!(wrong(|p| p.learning_rates.means.1 = f64::NAN).contains("means[1]"));
         assert!(wrong(|p| p.densify.opacity_ceiling = 1.0).contains("opacity_ceiling"));
         assert!(wrong(|p| p.iterations = 0).contains("iterations"));
+        assert!(wrong(|p| p.iterations = u64::MAX).contains("iterations"));
+        assert!(wrong(|p| p.anchors = 100_000).contains("expected 1 to 4096"));
+        assert!(wrong(|p| p.anchors = 1 << 32).contains("anchors"));
+        assert!(wrong(|p| p.random_points = usize::MAX).contains("random_points"));
     }
 }

@@ -83,15 +83,21 @@ impl CalibratorParams {
     pub fn validate(&self) -> Result<(), AtcError> {
         self.extractor.validate()?;
         let bad = |field, value: String, expected| Err(AtcError::Setting { field, value, expected });
-        for (field, value) in [
-            ("pairs_per_step", self.pairs_per_step),
-            ("cells_per_step", self.cells_per_step),
-            ("global_hidden", self.global_hidden),
-            ("local_hidden", self.local_hidden),
-        ] {
+        for (field, value) in
+            [("pairs_per_step", self.pairs_per_step), ("cells_per_step", self.cells_per_step)]
+        {
             if !(1..=1 << 20).contains(&value) {
                 return bad(field, value.to_string(), "1 to 1048576");
             }
+        }
+        // Weights grow with the square of a width.
+        for (field, value) in [("global_hidden", self.global_hidden), ("local_hidden", self.local_hidden)] {
+            if !(1..=8192).contains(&value) {
+                return bad(field, value.to_string(), "1 to 8192");
+            }
+        }
+        if self.steps > 200_000_000 {
+            return bad("steps", self.steps.to_string(), "at most 200000000");
         }
         for (field, value) in [("learning_rate", self.learning_rate), ("gradient_limit", self.gradient_limit)]
         {
