@@ -7,14 +7,14 @@ use serde::{Deserialize, Serialize};
 use use3d_capture::Frame;
 use use3d_medium::{MediumKind, MediumModel};
 
-use crate::{Scene, SceneError, files};
+use crate::{Origin, Scene, SceneError, files};
 
 /// Its name.
 pub(crate) const FILE: &str = "scene.json";
 const FORMAT: &str = "3d-use scene";
 const VERSION: u32 = 1;
 /// More than any description needs; what is larger is something else.
-const MOST_BYTES: u64 = 1 << 20;
+const MOST_BYTES: u64 = 1 << 24;
 
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Description {
@@ -27,6 +27,8 @@ pub(crate) struct Description {
     pub(crate) medium: MediumEntry,
     #[serde(default)]
     pub(crate) enhancement: Option<EnhancementEntry>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) origin: Option<Origin>,
 }
 
 fn default_gaussians() -> String {
@@ -101,6 +103,7 @@ impl Description {
                 .enhancement
                 .as_ref()
                 .map(|_| EnhancementEntry { file: files::ENHANCEMENT.into() }),
+            origin: None,
         }
     }
 

@@ -1,7 +1,7 @@
 //! The scene folder: what stage 1 and stage 2 write, and what rendering and export read.
 //!
 //! ```text
-//! scene.json            format, version, frame, medium, enhancement
+//! scene.json            format, version, frame, medium, enhancement, the views it was made from
 //! gaussians.ply         the usual 3D Gaussian splatting layout
 //! medium.safetensors    the medium's tensors (absent for `none`)
 //! ubaf.safetensors      the enhancement's tensors (stage 2 only)
@@ -13,7 +13,10 @@
 
 mod description;
 mod files;
+mod origin;
 pub mod similarity;
+
+pub use origin::Origin;
 
 use std::path::{Path, PathBuf};
 

@@ -6,6 +6,7 @@ use use3d_atc::consensus::Targets;
 use use3d_capture::{Image, View};
 use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance, LabelSource, Objective, enhance};
 use use3d_io_colmap::load_pixels;
+use use3d_scene::Origin;
 
 use super::common::{Watch, capture, scene, write_json, write_text};
 use super::propose::asked_for;
@@ -84,6 +85,9 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
     ));
     let out = context.output();
     outcome.scene.save(out)?;
+    if let Some(origin) = Origin::read(context.input("scene")?)? {
+        origin.write(out)?;
+    }
     write_text(&out.join("training.jsonl"), &outcome.log_lines())?;
     write_json(&out.join("report.json"), &outcome.report)?;
     let line = |label: &str, color, pick: fn(&use3d_enhance::LogEntry) -> f64| Series {

@@ -4,6 +4,7 @@ use use3d_capture::View;
 use use3d_io_colmap::{load_depth_prior, load_mask, load_pixels};
 use use3d_io_image::write_png;
 use use3d_reconstruct::{Images, LoadedView, ReconstructError, ReconstructParams, growth, reconstruct};
+use use3d_scene::Origin;
 
 use super::common::{Watch, capture, write_json, write_text};
 use super::contact::sheet;
@@ -78,6 +79,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     context.profile(&(outcome.profile.table() + &growth(&outcome.growth)));
     let out = context.output();
     outcome.scene.save(out)?;
+    Origin::of(&capture).write(out)?;
     if let Some(sheet) = sheet(&learnt_from, &outcome.scene)? {
         write_png(&out.join(CONTACT), &sheet)?;
     }
