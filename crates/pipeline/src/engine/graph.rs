@@ -137,6 +137,16 @@ pub struct Node {
     pub same_as: Option<usize>,
 }
 
+impl NodeInput {
+    /// The node whose artifact it is; `None` for what comes from outside.
+    pub(crate) fn node(&self) -> Option<usize> {
+        match self.from {
+            From::Node(node) => Some(node),
+            From::External(_) => None,
+        }
+    }
+}
+
 impl Node {
     /// Scene, variant and stage in words.
     pub fn label(&self) -> String {

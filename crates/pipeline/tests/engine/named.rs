@@ -116,3 +116,22 @@ fn half_of_the_pairs_is_said_at_the_pairs() {
     let error = load(&both, &[]);
     assert!(error.contains("give one of them"), "{error}");
 }
+
+#[test]
+fn nothing_is_computed_for_scenes_that_have_failed() {
+    let dir = tempfile::tempdir().expect("folder");
+    let mut batch = batch(&dir.path().join("data"), &["reef", "wall"]);
+    let engine = engine(&dir.path().join("cache"));
+    let options = RunOptions { keep_going: true, ..RunOptions::default() };
+    for scene in &mut batch.scenes {
+        scene.name_external("capture", Ok(dir.path().join("typo")), "the command line");
+    }
+    let (summary, ran, ..) = run_with(&engine, &batch, &options);
+    assert_eq!(summary.exit_code(), 1);
+    assert!(!ran.contains(&"calibrate".to_string()), "{ran:?}");
+    // One scene that can be computed is reason enough.
+    batch.scenes[1].name_external("capture", Ok(dir.path().join("data/wall")), "the command line");
+    let (summary, ran, ..) = run_with(&engine, &batch, &options);
+    assert_eq!(summary.exit_code(), 1);
+    assert!(ran.contains(&"calibrate".to_string()), "{ran:?}");
+}
