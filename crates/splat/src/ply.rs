@@ -360,6 +360,11 @@ fn vertices(numbers: &mut Numbers<impl BufRead>, element: &Element) -> Result<Ga
 
 /// Writes Gaussians as binary little-endian PLY with 45 `f_rest_*` and zero normals, as the common viewers expect.
 pub fn write(gaussians: &Gaussians, writer: impl Write) -> io::Result<()> {
+    write_with_comments(gaussians, &[], writer)
+}
+
+/// As [`write`], with comment lines in the header; a line break in one becomes a space.
+pub fn write_with_comments(gaussians: &Gaussians, comments: &[String], writer: impl Write) -> io::Result<()> {
     let mut out = BufWriter::with_capacity(1 << 18, writer);
     let mut names: Vec<String> = ["x", "y", "z", "nx", "ny", "nz"].map(str::to_string).to_vec();
     names.extend((0..3).map(|i| format!("f_dc_{i}")));
@@ -367,7 +372,11 @@ pub fn write(gaussians: &Gaussians, writer: impl Write) -> io::Result<()> {
     names.push("opacity".to_string());
     names.extend((0..3).map(|i| format!("scale_{i}")));
     names.extend((0..4).map(|i| format!("rot_{i}")));
-    write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", gaussians.len())?;
+    write!(out, "ply\nformat binary_little_endian 1.0\n")?;
+    for comment in comments {
+        writeln!(out, "comment {}", comment.replace(['\n', '\r'], " "))?;
+    }
+    writeln!(out, "element vertex {}", gaussians.len())?;
     for name in &names {
         writeln!(out, "property float {name}")?;
     }
