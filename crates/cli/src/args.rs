@@ -53,7 +53,8 @@ fn count(most: u64) -> impl TypedValueParser<Value = usize> {
 #[derive(Debug, Subcommand)]
 pub(crate) enum Verb {
     /// A synthetic underwater capture, then the whole pipeline on it, then the report.
-    #[command(after_help = "Examples:\n  use3d demo\n  use3d demo --size full --out ~/use3d-demo")]
+    #[command(after_help = "Examples:\n  use3d demo\n  use3d demo --size full --out ~/use3d-demo\n  \
+        use3d demo --set reconstruct.iterations=300 --set enhance.iterations=100    only to see it run")]
     Demo(DemoArgs),
     /// Run a pipeline file, or the whole pipeline with defaults on one capture folder.
     #[command(
@@ -132,16 +133,33 @@ pub(crate) enum Verb {
     /// Check the cache's files against their digests, and optionally recompute a sample.
     #[command(after_help = "Examples:\n  use3d verify\n  use3d verify pipelines/demo.toml --sample 5%")]
     Verify(VerifyArgs),
-    /// Shell completions and man pages.
-    #[command(hide = true)]
-    Generate(GenerateArgs),
+    /// Every parameter that `--set` and pipeline files know: default, range, meaning.
+    #[command(after_help = "Examples:\n  use3d params\n  use3d params reconstruct\n  use3d params --json")]
+    Params(ParamsArgs),
+    /// Completions of this command for a shell, on stdout.
+    #[command(
+        after_help = "Example:\n  use3d completions bash > ~/.local/share/bash-completion/completions/use3d"
+    )]
+    Completions(CompletionsArgs),
+    /// Man pages of this command, one per verb, from the same texts as --help.
+    #[command(after_help = "Example:\n  use3d man --out ~/.local/share/man/man1")]
+    Man(ManArgs),
 }
 
-/// `--set` and friends.
+/// `--set` of a whole pipeline.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct Settings {
-    /// Set a parameter, e.g. `iterations=3000`; may be repeated.
-    #[arg(long = "set", value_name = "KEY=VALUE")]
+    /// Set a parameter of a stage, e.g. `reconstruct.iterations=3000`; may be repeated. `use3d params` lists them.
+    #[arg(long = "set", value_name = "STAGE.PARAMETER=VALUE")]
+    pub(crate) set: Vec<String>,
+}
+
+/// `--set` of one stage.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct StageSettings {
+    /// Set a parameter of this stage, or `STAGE.PARAMETER` of one that it needs; may be repeated. `use3d params` lists
+    /// them.
+    #[arg(long = "set", value_name = "PARAMETER=VALUE")]
     pub(crate) set: Vec<String>,
 }
 
@@ -194,7 +212,7 @@ pub(crate) struct DemoArgs {
     /// Where the capture, the results and the report go.
     #[arg(long, default_value = "use3d-out/demo", value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// How big.
+    /// How large the pictures are, and how long the training.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) size: DemoSize,
     #[command(flatten)]
@@ -306,7 +324,7 @@ pub(crate) struct ImportArgs {
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
     #[command(flatten)]
-    pub(crate) settings: Settings,
+    pub(crate) settings: StageSettings,
 }
 
 #[derive(Debug, Args)]
@@ -323,7 +341,7 @@ pub(crate) struct ReconstructArgs {
     #[arg(long)]
     pub(crate) profile: bool,
     #[command(flatten)]
-    pub(crate) settings: Settings,
+    pub(crate) settings: StageSettings,
 }
 
 #[derive(Debug, Args)]
@@ -344,7 +362,7 @@ pub(crate) struct CalibrateArgs {
     #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
     pub(crate) models: Option<PathBuf>,
     #[command(flatten)]
-    pub(crate) settings: Settings,
+    pub(crate) settings: StageSettings,
 }
 
 #[derive(Debug, Args)]
@@ -365,7 +383,7 @@ pub(crate) struct TargetsArgs {
     #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
     pub(crate) models: Option<PathBuf>,
     #[command(flatten)]
-    pub(crate) settings: Settings,
+    pub(crate) settings: StageSettings,
 }
 
 #[derive(Debug, Args)]
@@ -389,7 +407,7 @@ pub(crate) struct EnhanceArgs {
     #[arg(long)]
     pub(crate) profile: bool,
     #[command(flatten)]
-    pub(crate) settings: Settings,
+    pub(crate) settings: StageSettings,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -427,7 +445,7 @@ pub(crate) struct EvaluateArgs {
     #[arg(long)]
     pub(crate) json: bool,
     #[command(flatten)]
-    pub(crate) settings: Settings,
+    pub(crate) settings: StageSettings,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -464,7 +482,7 @@ pub(crate) struct RenderArgs {
     /// How to write the frames.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) format: FrameFormat,
-    /// Scale the cameras to this size.
+    /// Render at this size: the pictures are scaled to cover it and cropped centrally, as the import does.
     #[arg(long, value_name = "WxH")]
     pub(crate) size: Option<String>,
     /// Only the capture's held-out views.
@@ -482,7 +500,7 @@ pub(crate) struct RenderArgs {
     /// Frames per second of the video.
     #[arg(long, default_value_t = 30, value_name = "N")]
     pub(crate) frame_rate: u32,
-    /// Write nothing; time how fast held-out views are drawn (all given ones where none are held out).
+    /// Measure frames per second on the held-out views (all given ones where none are held out); no picture is written.
     #[arg(long, conflicts_with_all = ["out", "video", "path", "modes", "held_out"])]
     pub(crate) fps: bool,
     /// With --fps: one JSON document on stdout.
@@ -504,11 +522,13 @@ pub(crate) enum ExportWhat {
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ExportFrame {
-    /// The frame of the COLMAP model.
+    /// The frame of the COLMAP model, y down.
     #[default]
     Colmap,
-    /// The scene's own normalised frame.
+    /// The scene's own normalised frame, z up.
     Normalised,
+    /// COLMAP's frame turned so that y points up, as most viewers have it.
+    YUp,
 }
 
 #[derive(Debug, Args)]
@@ -606,24 +626,25 @@ pub(crate) struct VerifyArgs {
     pub(crate) json: bool,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Generated {
-    /// Man pages, one per verb.
-    Man,
-    /// Completions for bash.
-    Bash,
-    /// Completions for zsh.
-    Zsh,
-    /// Completions for fish.
-    Fish,
+#[derive(Debug, Args)]
+pub(crate) struct ParamsArgs {
+    /// Only this stage.
+    pub(crate) stage: Option<String>,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
 }
 
 #[derive(Debug, Args)]
-pub(crate) struct GenerateArgs {
-    /// What.
+pub(crate) struct CompletionsArgs {
+    /// The shell.
     #[arg(value_enum)]
-    pub(crate) what: Generated,
-    /// The folder to write to.
-    #[arg(long, default_value = ".", value_name = "DIR")]
+    pub(crate) shell: clap_complete::Shell,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct ManArgs {
+    /// The folder to write to, e.g. ~/.local/share/man/man1.
+    #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
 }

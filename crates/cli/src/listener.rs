@@ -24,10 +24,20 @@ struct Node {
     started: Instant,
     /// What was done when it started: a run may go on from a checkpoint.
     first: u64,
+    /// What was done at the last word; less than that is the beginning of another piece of work.
+    last: u64,
     last_line: Instant,
 }
 
 impl Node {
+    /// Notes how far the work is; a second fit of the same stage is timed by itself.
+    fn reached(&mut self, done: u64, now: Instant) {
+        if done < self.last {
+            (self.started, self.first) = (now, done);
+        }
+        self.last = done;
+    }
+
     /// `[12 s, about 3 min 20 s left]`; by the pace since the start where the stage does not know.
     fn times(&self, done: u64, total: u64, known: Option<f64>) -> String {
         let elapsed = self.started.elapsed().as_secs_f64();
@@ -76,8 +86,10 @@ impl Terminal {
             bar: self.bar(label),
             started: now,
             first: done,
+            last: done,
             last_line: now,
         });
+        node.reached(done, now);
         if let Some(bar) = &node.bar {
             bar.set_length(total);
             bar.set_position(done);
@@ -132,7 +144,15 @@ mod tests {
     fn node(first: u64, seconds_ago: u64) -> Node {
         let now = Instant::now();
         let started = now.checked_sub(Duration::from_secs(seconds_ago)).unwrap_or(now);
-        Node { bar: None, started, first, last_line: now }
+        Node { bar: None, started, first, last: first, last_line: now }
+    }
+
+    #[test]
+    fn a_second_fit_is_timed_from_its_own_start() {
+        let mut node = node(0, 60);
+        node.reached(750, Instant::now());
+        node.reached(0, Instant::now());
+        assert_eq!(node.times(0, 750, None), "[0.0 s]");
     }
 
     #[test]

@@ -72,6 +72,8 @@ fn run(app: &App, verb: Verb) -> Done {
         Verb::Models(args) => verbs::models::run(&args),
         Verb::Gc(args) => verbs::cache::gc(&args),
         Verb::Verify(args) => verbs::cache::verify(app, &args),
-        Verb::Generate(args) => verbs::generate::run(&args),
+        Verb::Params(args) => verbs::params::run(&args),
+        Verb::Completions(args) => verbs::generate::completions(&args),
+        Verb::Man(args) => verbs::generate::man(&args),
     }
 }

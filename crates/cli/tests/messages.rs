@@ -1,5 +1,5 @@
 //! What the command says when something is wrong, and how it ends: bounds, closed pipes, signals, wrong folders.
-//! Nothing here trains; every case takes well under a second.
+//! Every case takes a second or two; what trains does five steps.
 
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
@@ -122,4 +122,176 @@ fn folders_of_images_that_cannot_be_scored_are_said_by_name() {
         (&["evaluate", "--images", &a], 0, &[]),
         (&["models", "--dir", &nowhere], 2, &["--dir", "there is no such folder"]),
     ]);
+}
+
+/// The golden scene's photographs and model as a capture folder.
+fn capture(dir: &Path) -> String {
+    let golden = use3d_golden::root().join("scene-mini");
+    let to = dir.join("reef");
+    for (from, below) in [("images", "images"), ("sparse/binary", "sparse/0")] {
+        std::fs::create_dir_all(to.join(below)).unwrap();
+        for entry in std::fs::read_dir(golden.join(from)).unwrap() {
+            let entry = entry.unwrap();
+            std::fs::copy(entry.path(), to.join(below).join(entry.file_name())).unwrap();
+        }
+    }
+    to.to_str().unwrap().to_string()
+}
+
+#[test]
+fn a_stage_that_fails_by_hand_exits_with_1_and_bad_input_with_2() {
+    let dir = tempfile::tempdir().unwrap();
+    let reef = capture(dir.path());
+    let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    std::fs::write(at("file"), "in the way").unwrap();
+    // The capture is right, the place for the result is not.
+    check(&[(&["import", &reef, "--out", &at("file/below")], 1, &["file"])]);
+    std::fs::remove_file(Path::new(&reef).join("sparse/0/points3D.bin")).unwrap();
+    check(&[
+        (&["import", &reef, "--out", &at("out")], 2, &["lacks points3D.bin"]),
+        (&["reconstruct", &reef, "--out", &at("out")], 2, &["lacks points3D.bin"]),
+        (&["export", &at("nowhere"), "--ply", &at("x.ply")], 2, &["scene.json"]),
+    ]);
+    let help = use3d(&["--help"]);
+    assert!(text(&help.stdout).contains("Exit codes: 0 done; 1 a stage failed; 2 wrong usage"));
+}
+
+#[test]
+fn settings_are_explained() {
+    let dir = tempfile::tempdir().unwrap();
+    let reef = capture(dir.path());
+    let out = dir.path().join("out").to_str().unwrap().to_string();
+    let by_hand =
+        |set: &str, parts: &[&str]| check(&[(&["import", &reef, "--out", &out, "--set", set], 2, parts)]);
+    by_hand("size=640", &["\"640\" is not a size", "1400x933"]);
+    by_hand("size=0x0", &["\"0x0\" is not a size"]);
+    by_hand("downscale=-5", &["expected a whole number, 0 or more, found -5"]);
+    by_hand("white_balance=blue", &["`blue` is not known here", "set-percentile"]);
+    let cache = dir.path().join("cache").to_str().unwrap().to_string();
+    let piped =
+        |set: &str, parts: &[&str]| check(&[(&["plan", &reef, "--cache", &cache, "--set", set], 2, parts)]);
+    piped("iterations=100", &["STAGE.PARAMETER", "`reconstruct.iterations`", "`enhance.iterations`"]);
+    piped("anchors=100000", &["did you mean `reconstruct.anchors`"]);
+    piped("reconstruct.anchors=100000", &["anchors is 100000; expected 1 to 4096"]);
+    piped("reconstruct.iterations=many", &["expected a whole number, 0 or more, found \"many\""]);
+    piped("calibrate.trust=5", &["`trust` is 5; expected 0 to 1"]);
+    // Before a single picture is rendered.
+    let demo = dir.path().join("demo").to_str().unwrap().to_string();
+    check(&[(&["demo", "--out", &demo, "--set", "iterations=100"], 2, &["`reconstruct.iterations`"])]);
+    assert!(!Path::new(&demo).exists());
+}
+
+#[test]
+fn what_is_no_capture_is_said_with_the_next_step() {
+    let dir = tempfile::tempdir().unwrap();
+    let reef = capture(dir.path());
+    let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    for name in ["dive.mp4", "photo.png", "transforms.json"] {
+        std::fs::write(at(name), [0xFF, 0xFE, 0x00]).unwrap();
+    }
+    let images = Path::new(&reef).join("images").to_str().unwrap().to_string();
+    check(&[
+        (&["run", &at("dive.mp4")], 2, &["ffmpeg", "COLMAP"]),
+        (&["run", &at("photo.png")], 2, &["one picture is no capture"]),
+        (&["run", &at("transforms.json")], 2, &["this is no pipeline file"]),
+        (&["import", &at("dive.mp4"), "--out", &at("out")], 2, &["this is a file"]),
+        (&["import", &images, "--out", &at("out")], 2, &["the folder above has one"]),
+    ]);
+}
+
+#[test]
+fn parameters_completions_and_man_pages_can_be_had() {
+    let dir = tempfile::tempdir().unwrap();
+    let all = text(&use3d(&["params"]).stdout);
+    for part in ["reconstruct.iterations = 15000   (whole number)", "import.split.every = 8", "enhance: "] {
+        assert!(all.contains(part), "{part:?} is not in\n{all}");
+    }
+    let json = use3d(&["params", "reconstruct", "--json"]).stdout;
+    let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
+    let medium = json[0]["parameters"].as_array().unwrap().iter().find(|p| p["name"] == "medium").unwrap();
+    assert!(["rbf", "mlp", "none"].iter().all(|m| medium["kind"].as_str().unwrap().contains(m)), "{medium}");
+    assert_eq!(medium["default"], "rbf");
+    check(&[(&["params", "reconstuct"], 2, &["did you mean `reconstruct`"])]);
+    // No parameter without a word about it.
+    let json: serde_json::Value = serde_json::from_slice(&use3d(&["params", "--json"]).stdout).unwrap();
+    for stage in json.as_array().unwrap() {
+        for parameter in stage["parameters"].as_array().unwrap() {
+            assert!(!parameter["meaning"].as_str().unwrap().is_empty(), "{} {parameter}", stage["stage"]);
+        }
+    }
+    let completions = text(&use3d(&["completions", "bash"]).stdout);
+    assert!(completions.contains("complete") && completions.contains("reconstruct"));
+    let out = dir.path().join("man");
+    check(&[(&["man", "--out", out.to_str().unwrap()], 0, &["use3d.1"])]);
+    assert!(std::fs::read_to_string(out.join("use3d.1")).unwrap().contains("use3d"));
+}
+
+#[test]
+fn exported_files_say_what_they_are() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = use3d_golden::root().join("scene-mini/scene");
+    let ply = |frame: &str| {
+        let path = dir.path().join(format!("{frame}.ply"));
+        let arguments =
+            ["export", scene.to_str().unwrap(), "--ply", path.to_str().unwrap(), "--frame", frame];
+        check(&[(&arguments, 0, &[frame])]);
+        let bytes = std::fs::read(&path).unwrap();
+        let header = text(&bytes[..bytes.len().min(600)]);
+        assert!(header.contains("comment use3d ") && header.contains("comment what: clear"), "{header}");
+        assert!(header.contains(&format!("comment frame: {frame}")), "{header}");
+        use3d_splat::ply::read(&bytes[..]).unwrap()
+    };
+    let (colmap, up) = (ply("colmap"), ply("y-up"));
+    for (a, b) in colmap.means.iter().zip(&up.means) {
+        let expected = [a[0], -a[1], -a[2]];
+        assert!(expected.iter().zip(b).all(|(e, b)| (e - b).abs() < 1e-4), "{a:?} {b:?}");
+    }
+}
+
+#[test]
+fn a_scene_is_not_scored_on_what_it_was_trained_with_nor_on_another_capture() {
+    let dir = tempfile::tempdir().unwrap();
+    let reef = capture(dir.path());
+    let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    let (all, most) = (at("all"), at("most"));
+    let quick = ["--set", "iterations=5", "--set", "random_points=200"];
+    for (out, split) in [(&all, "split.every=0"), (&most, "split.every=4")] {
+        let mut arguments = vec!["-q", "reconstruct", &reef, "--out", out, "--set", split];
+        arguments.extend(quick);
+        check(&[(&arguments, 0, &[])]);
+    }
+    check(&[
+        (&["evaluate", &all, &reef], 2, &["was trained with", "split.every = 0"]),
+        (&["evaluate", &most, &reef], 2, &["was trained with", "--set split.every=N"]),
+        (&["-q", "evaluate", &most, &reef, "--set", "split.every=4"], 0, &[]),
+    ]);
+    // The same swim under other names is another capture.
+    let other = at("other");
+    std::fs::rename(&reef, &other).unwrap();
+    let model = Path::new(&other).join("sparse/0/images.bin");
+    let mut bytes = std::fs::read(&model).unwrap();
+    while let Some(at) = bytes.windows(5).position(|w| w == b"view_") {
+        bytes[at..at + 5].copy_from_slice(b"wall_");
+    }
+    std::fs::write(&model, bytes).unwrap();
+    for entry in std::fs::read_dir(Path::new(&other).join("images")).unwrap() {
+        let from = entry.unwrap().path();
+        let name = from.file_name().unwrap().to_str().unwrap().replace("view_", "wall_");
+        std::fs::rename(&from, from.with_file_name(name)).unwrap();
+    }
+    let target = at("t.safetensors");
+    check(&[
+        (&["evaluate", &most, &other, "--set", "split.every=4"], 2, &["was made from another capture"]),
+        (
+            &["targets", &most, &other, "--calibrator", &at("c.safetensors"), "--out", &target],
+            2,
+            &["was made from another capture"],
+        ),
+        (
+            &["-q", "render", &most, "--cameras", &other, "--out", &at("r"), "--size", "24x24"],
+            0,
+            &["warning: none of the cameras"],
+        ),
+    ]);
+    assert!(!Path::new(&target).exists());
 }

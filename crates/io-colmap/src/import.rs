@@ -64,7 +64,12 @@ impl Imported {
 pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError> {
     params.validate()?;
     if !dir.is_dir() {
-        let source = std::io::Error::new(std::io::ErrorKind::NotFound, "there is no such folder");
+        let what = if dir.exists() {
+            "this is a file; a capture is a folder with images and a COLMAP model"
+        } else {
+            "there is no such folder"
+        };
+        let source = std::io::Error::new(std::io::ErrorKind::NotFound, what);
         return Err(ImportError::File { path: dir.to_path_buf(), source });
     }
     if prepared::is_prepared(dir) {

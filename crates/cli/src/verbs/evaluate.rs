@@ -13,7 +13,7 @@ use crate::App;
 use crate::args::{EvaluateArgs, TableFormat};
 use crate::error::{CliError, Done};
 use crate::interrupt;
-use crate::verbs::stages::{imported, parameters, run_stage, scratch, stages};
+use crate::verbs::stages::{check_origin, imported, parameters, run_stage, scratch, stages};
 
 /// A named row of scores.
 struct Row {
@@ -134,6 +134,7 @@ fn scene_rows(app: &App, args: &EvaluateArgs, scene: &Path, capture: &Path) -> R
     let parameters = parameters(&registry, &["evaluate", "import"], &args.settings.set)?;
     let scratch = scratch()?;
     let import = imported(app, &registry, capture, &parameters[1], scratch.path())?;
+    check_origin(scene, &import, true)?;
     let mut inputs = vec![("import", import), ("scene", scene.to_path_buf())];
     if scene.join("ubaf.safetensors").is_file() {
         inputs.push(("enhanced", scene.to_path_buf()));

@@ -3,6 +3,9 @@
 use std::fs::File;
 use std::io::{BufWriter, Write};
 
+use clap::ValueEnum;
+use glam::{DMat3, DVec3};
+use use3d_capture::Frame;
 use use3d_scene::{Scene, similarity};
 use use3d_splat::ply;
 
@@ -28,12 +31,23 @@ pub(crate) fn run(args: &ExportArgs) -> Done {
     let gaussians = match args.frame {
         ExportFrame::Colmap => similarity::invert(&gaussians, &scene.frame),
         ExportFrame::Normalised => gaussians,
+        ExportFrame::YUp => {
+            // Half a turn about x: COLMAP's y points down and its z away from the viewer.
+            let turn = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+            let half_turn = Frame { scale: 1.0, rotation: turn, translation: DVec3::ZERO };
+            similarity::apply(&similarity::invert(&gaussians, &scene.frame), &half_turn)
+        }
     };
+    let comments = [
+        format!("use3d {}", env!("CARGO_PKG_VERSION")),
+        format!("what: {}", name(&args.what)),
+        format!("frame: {}", name(&args.frame)),
+    ];
     let name = args.ply.file_name().unwrap_or_default().to_string_lossy();
     let part = args.ply.with_file_name(format!(".{name}.part"));
     let written = (|| {
         let mut writer = BufWriter::new(File::create(&part)?);
-        ply::write(&gaussians, &mut writer)?;
+        ply::write_with_comments(&gaussians, &comments, &mut writer)?;
         writer.flush()?;
         writer.get_ref().sync_all()?;
         std::fs::rename(&part, &args.ply)
@@ -42,6 +56,11 @@ pub(crate) fn run(args: &ExportArgs) -> Done {
         let _ = std::fs::remove_file(&part);
         CliError::Input(format!("--ply {}: {e}", args.ply.display()))
     })?;
-    eprintln!("{}: {} Gaussians", args.ply.display(), gaussians.len());
+    eprintln!("{}: {} Gaussians, {}, {}", args.ply.display(), gaussians.len(), comments[1], comments[2]);
     Ok(())
+}
+
+/// A choice as it is written on the command line.
+fn name(choice: &impl ValueEnum) -> String {
+    choice.to_possible_value().map_or_else(String::new, |value| value.get_name().to_string())
 }

@@ -2,12 +2,13 @@
 
 use std::path::Path;
 
-use use3d_capture::{Camera, Image, path};
+use use3d_capture::{Camera, Image, Intrinsics, path, stem};
 use use3d_io_colmap::read_cameras;
 use use3d_io_image::{write_exr, write_exr_map, write_png, write_png_map};
 use use3d_pipeline::engine::Event;
+use use3d_pipeline::engine::machine::bytes;
 use use3d_pipeline::rendering::{Frame, Mode, SceneRenderer, coefficient_picture, depth_picture};
-use use3d_scene::Scene;
+use use3d_scene::{Origin, Scene};
 
 use crate::App;
 use crate::args::{CameraPath, FrameFormat, RenderArgs};
@@ -62,8 +63,14 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     app.listener.event(&Event::Done { node: 0, label: "render", cached: true, seconds: 0.0 });
     if let Some(video) = video {
         video.finish()?;
+        if let Some(path) = &args.video {
+            let size = std::fs::metadata(path).map_or(0, |m| m.len());
+            eprintln!("{}: {total} frames of {}, {}", path.display(), args.modes[0], bytes(size));
+        }
     }
-    eprintln!("{total} frames, modes {}", args.modes.join(", "));
+    if let Some(out) = &args.out {
+        eprintln!("{}: {total} frames, modes {}", out.display(), args.modes.join(", "));
+    }
     Ok(())
 }
 
@@ -83,10 +90,29 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(String, C
     for (_, camera) in &mut cameras {
         camera.pose = scene.frame.apply_pose(&camera.pose);
     }
+    let origin = Origin::read(&args.scene).map_err(CliError::input)?;
+    if let Some(origin) = origin.as_ref().filter(|_| args.cameras.is_dir()) {
+        let known = |(name, _): &(String, Camera)| {
+            let stem = stem(name);
+            origin.train.iter().chain(&origin.held_out).any(|s| s == stem)
+        };
+        if !cameras.iter().any(known) {
+            eprintln!(
+                "warning: none of the cameras of {} is a view that {} was made from: it may be another capture",
+                args.cameras.display(),
+                args.scene.display()
+            );
+        }
+    }
     if args.held_out {
-        let split = use3d_io_colmap::import(&args.cameras, &use3d_io_colmap::ImportParams::default());
-        let held_out = split.map_err(CliError::input)?.report.test;
-        cameras.retain(|(name, _)| held_out.contains(name));
+        match &origin {
+            Some(origin) => cameras.retain(|(name, _)| origin.held_out.iter().any(|s| s == stem(name))),
+            None => {
+                let split = use3d_io_colmap::import(&args.cameras, &use3d_io_colmap::ImportParams::default());
+                let held_out = split.map_err(CliError::input)?.report.test;
+                cameras.retain(|(name, _)| held_out.contains(name));
+            }
+        }
     }
     if cameras.is_empty() {
         return Err(CliError::Input(format!(
@@ -97,9 +123,7 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(String, C
     if let Some(size) = &args.size {
         let (width, height) = parse_size(size)?;
         for (_, camera) in &mut cameras {
-            let k = camera.intrinsics;
-            let (sx, sy) = (width as f64 / k.width as f64, height as f64 / k.height as f64);
-            camera.intrinsics = k.scaled(sx, sy, width, height);
+            camera.intrinsics = covering(&camera.intrinsics, width, height);
         }
     }
     let keys: Vec<Camera> = cameras.iter().map(|(_, camera)| *camera).collect();
@@ -112,6 +136,14 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(String, C
         }
     };
     Ok(film.into_iter().enumerate().map(|(i, camera)| (format!("frame_{i:05}"), camera)).collect())
+}
+
+/// A lens whose pictures are scaled to cover `width × height` and cropped centrally: nothing is stretched.
+fn covering(k: &Intrinsics, width: usize, height: usize) -> Intrinsics {
+    let scale = (width as f64 / k.width as f64).max(height as f64 / k.height as f64);
+    let (wide, high) = (scale * k.width as f64, scale * k.height as f64);
+    let whole = k.scaled(scale, scale, wide.round() as usize, high.round() as usize);
+    whole.cropped((wide - width as f64) / 2.0, (high - height as f64) / 2.0, width, height)
 }
 
 /// The names of the held-out views of a capture with default parameters; none of what is no capture.
@@ -171,4 +203,20 @@ fn write(out: &Path, mode: Mode, name: &str, frame: &Frame, format: FrameFormat)
         (FrameFormat::Png, frame) => write_png(&path, &picture(mode, frame)),
     };
     written.map_err(CliError::input)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_aspect_is_cropped_and_never_stretched() {
+        let k = Intrinsics { width: 1600, height: 900, fx: 1000.0, fy: 1000.0, cx: 800.0, cy: 450.0 };
+        let square = covering(&k, 450, 450);
+        assert_eq!((square.width, square.height), (450, 450));
+        assert_eq!((square.fx, square.fy), (500.0, 500.0));
+        assert_eq!((square.cx, square.cy), (225.0, 225.0));
+        let half = covering(&k, 800, 450);
+        assert_eq!((half.fx, half.fy, half.cx, half.cy), (500.0, 500.0, 400.0, 225.0));
+    }
 }

@@ -7,6 +7,7 @@ use std::time::Instant;
 use serde::Serialize;
 use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
 use use3d_pipeline::engine::code::CodeTable;
+use use3d_pipeline::engine::machine::seconds;
 use use3d_pipeline::engine::{Cache, Engine, Event, Graph, Listener, Plan, RunOptions, Summary, picture};
 use use3d_pipeline::results;
 
@@ -16,7 +17,7 @@ use crate::args::{
     WhyArgs,
 };
 use crate::error::{CliError, Done};
-use crate::verbs::stages::stages;
+use crate::verbs::stages::{scratch, stages};
 
 /// A pipeline with the engine and graph to work on it.
 pub(crate) struct Loaded {
@@ -45,6 +46,9 @@ pub(crate) fn open(
     let pipeline = if target.is_dir() {
         for_capture(&registry, target, &options)
     } else if target.is_file() {
+        if let Some(what) = no_pipeline(target) {
+            return Err(CliError::Input(format!("{}: {what}", target.display())));
+        }
         load(&registry, target, &options)
     } else {
         let what = "there is no such pipeline file (.toml) or capture folder";
@@ -54,6 +58,24 @@ pub(crate) fn open(
     let cache = Cache::open(&pipeline.cache, cache.rehash).map_err(CliError::input)?;
     let graph = Graph::new(&registry, &pipeline.batch).map_err(CliError::input)?;
     Ok(Loaded { pipeline, engine: Engine::new(registry, cache), graph })
+}
+
+/// What a file is that is given where a pipeline file or a capture folder is expected, and what to do with it.
+fn no_pipeline(file: &Path) -> Option<&'static str> {
+    let extension = file.extension()?.to_string_lossy().to_lowercase();
+    Some(match extension.as_str() {
+        "mp4" | "mov" | "avi" | "mkv" | "webm" | "m4v" => {
+            "a film is no capture yet: take frames out of it (`ffmpeg -i FILM -vf fps=2 images/%05d.png`), run COLMAP on \
+             them, and give the folder that holds images/ and sparse/"
+        }
+        "png" | "jpg" | "jpeg" | "tif" | "tiff" | "exr" | "webp" | "heic" | "bmp" | "gif" => {
+            "one picture is no capture: give the folder that holds the images and their COLMAP model"
+        }
+        "json" | "xml" | "psx" | "rcproj" => {
+            "this is no pipeline file (.toml): give the capture's folder, with images and a COLMAP model (docs/captures.md)"
+        }
+        _ => return None,
+    })
 }
 
 /// Prints one JSON document.
@@ -164,7 +186,10 @@ fn execute(
     match summary.exit_code() {
         0 => Ok(()),
         130 => Err(CliError::Interrupted),
-        _ => Err(CliError::Failed("some stages failed; the summary above names them and their logs".into())),
+        _ => {
+            let failed: Vec<&str> = summary.failed().map(|node| node.label.as_str()).collect();
+            Err(CliError::Failed(format!("failed: {}; see the reasons and logs above", failed.join(", "))))
+        }
     }
 }
 
@@ -189,7 +214,7 @@ fn deliver(app: &App, summary: &Summary, out: &Path, silent: bool) -> Done {
         results::deliver(summary, out).map_err(|e| CliError::Input(format!("{}: {e}", out.display())))?;
     if !app.quiet && !silent {
         for (what, path) in delivered {
-            println!("{what:<10} {}", path.display());
+            println!("{what:<12} {}", path.display());
         }
     }
     Ok(())
@@ -204,6 +229,22 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     let params = use3d_synth::CaptureParams { views, width, height, ..use3d_synth::CaptureParams::default() };
     let captures = args.out.join("captures");
     let capture = captures.join("reef");
+    // The synthetic pairs are of the demo's own kinds of water.
+    let mut sets = vec![
+        format!("reconstruct.iterations={iterations}"),
+        format!("enhance.iterations={steps}"),
+        "calibrate.trust=1".to_string(),
+    ];
+    sets.extend(args.settings.set.iter().cloned());
+    // Settings are checked before anything is rendered: a pipeline of an empty folder knows the same ones.
+    let probe = scratch()?;
+    open(
+        probe.path(),
+        &[],
+        &Settings { set: sets.clone() },
+        &CalibrationArgs::default(),
+        &CacheArgs { cache: Some(probe.path().join("cache")), ..args.cache.clone() },
+    )?;
     // The capture is a function of its parameters and of the code; one that is there with the same ones is taken as it is.
     let stamp = captures.join("reef.json");
     let code = CodeTable::built_in().stage(&["use3d-synth"], &[]).map_err(CliError::failed)?.digest();
@@ -220,19 +261,16 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
             .map_err(super::synth::error)?;
         std::fs::write(&stamp, &wanted).map_err(|e| CliError::Input(format!("{}: {e}", stamp.display())))?;
     }
-    // The synthetic pairs are of the demo's own kinds of water.
-    let mut sets = vec![
-        format!("reconstruct.iterations={iterations}"),
-        format!("enhance.iterations={steps}"),
-        "calibrate.trust=1".to_string(),
-    ];
-    sets.extend(args.settings.set.iter().cloned());
     let mut cache = args.cache.clone();
     cache.cache.get_or_insert_with(|| args.out.join("cache"));
     let loaded = open(&capture, &[], &Settings { set: sets }, &CalibrationArgs::default(), &cache)?;
     execute(app, &loaded, None, 1, false, &args.out, false)?;
     if !app.quiet {
-        println!("the demo took {:.0} s", started.elapsed().as_secs_f64());
+        println!(
+            "the demo took {}; open {} in a browser",
+            seconds(started.elapsed().as_secs_f64()),
+            args.out.join("report.html").display()
+        );
     }
     Ok(())
 }

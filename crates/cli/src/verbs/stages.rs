@@ -2,11 +2,14 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Instant;
 
 use serde_json::Value;
 use use3d_pipeline::config::stage_parameters;
+use use3d_pipeline::engine::machine::{bytes, seconds};
 use use3d_pipeline::engine::{Alone, Event, Registry, Stage, StageError, leftovers};
 use use3d_pipeline::stages::{CALIBRATOR, TARGETS, registry};
+use use3d_scene::Origin;
 
 use crate::App;
 use crate::args::{CalibrateArgs, EnhanceArgs, ImportArgs, ReconstructArgs, TargetsArgs};
@@ -51,7 +54,8 @@ pub(crate) fn run_stage(
     };
     stage.run_alone(alone, &app.listener).map_err(|error| match error {
         StageError::Cancelled => CliError::Interrupted,
-        StageError::Failed(_) => CliError::Input(error.to_string()),
+        StageError::Failed(_) if error.is_bad_input() => CliError::input(error),
+        StageError::Failed(_) => CliError::failed(error),
     })
 }
 
@@ -74,6 +78,27 @@ pub(crate) fn parameters(
         sorted[named.or(has).unwrap_or(0)].push(set.clone());
     }
     stages.iter().zip(&sorted).map(|(s, sets)| stage_parameters(s, sets).map_err(CliError::input)).collect()
+}
+
+/// Says where a result is, how large it is, how long it took, and what comes next.
+fn finished(app: &App, out: &Path, started: Instant, next: &str) {
+    if app.quiet {
+        return;
+    }
+    let size = |path: &Path| -> u64 {
+        let below = walk(path);
+        below.iter().filter_map(|f| std::fs::metadata(f).ok()).map(|m| m.len()).sum()
+    };
+    let (size, time) = (bytes(size(out)), seconds(started.elapsed().as_secs_f64()));
+    eprintln!("{}: {size}, in {time}; next: {next}", out.display());
+}
+
+/// The files of a folder, or the file itself.
+fn walk(path: &Path) -> Vec<PathBuf> {
+    match std::fs::read_dir(path) {
+        Ok(entries) => entries.filter_map(Result::ok).flat_map(|e| walk(&e.path())).collect(),
+        Err(_) => vec![path.to_path_buf()],
+    }
 }
 
 /// Where an unfinished stage by hand keeps its checkpoints: beside its result, hidden.
@@ -130,6 +155,15 @@ pub(crate) fn imported(
     Ok(folder)
 }
 
+/// Refuses a capture that the scene was not made from, and, where views are scored, a split that holds out what it was
+/// trained with.
+pub(crate) fn check_origin(scene: &Path, import: &Path, scored: bool) -> Done {
+    let Some(origin) = Origin::read(scene).map_err(CliError::input)? else { return Ok(()) };
+    let capture = use3d_io_colmap::load_prepared(import).map_err(CliError::input)?.capture;
+    origin.check_capture(scene, &capture).map_err(CliError::Input)?;
+    if scored { origin.check_split(scene, &capture).map_err(CliError::Input) } else { Ok(()) }
+}
+
 /// Moves a stage's file out of its artifact.
 fn deliver(file: &Path, out: &Path) -> Done {
     if let Some(parent) = out.parent().filter(|p| !p.as_os_str().is_empty()) {
@@ -146,11 +180,14 @@ fn deliver(file: &Path, out: &Path) -> Done {
 }
 
 pub(crate) fn import(app: &App, args: &ImportArgs) -> Done {
+    let started = Instant::now();
     check_output(&args.out)?;
     let registry = stages()?;
     let parameters = parameters(&registry, &["import"], &args.settings.set)?;
     let stage = registry.stage("import").map_err(CliError::failed)?;
-    run_stage(app, stage, &parameters[0], vec![("capture", args.capture.clone())], &args.out, None)
+    run_stage(app, stage, &parameters[0], vec![("capture", args.capture.clone())], &args.out, None)?;
+    finished(app, &args.out, started, &format!("use3d reconstruct {} --out scene/", args.out.display()));
+    Ok(())
 }
 
 /// The same, printing on stdout where a stage's time went.
@@ -166,6 +203,7 @@ fn profiling(app: &App) -> App {
 }
 
 pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
+    let started = Instant::now();
     check_output(&args.out)?;
     let registry = stages()?;
     let mut names = vec!["reconstruct", "import", "propose"];
@@ -200,10 +238,21 @@ pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
     let app = if args.profile { &profiling(app) } else { app };
     run_stage(app, stage, &parameters[0], inputs, &args.out, Some(kept.clone()))?;
     forget(&kept);
+    finished(
+        app,
+        &args.out,
+        started,
+        &format!(
+            "use3d render {0} --cameras {1} --out renders/ --modes reconstruction,clear",
+            args.out.display(),
+            args.capture.display()
+        ),
+    );
     Ok(())
 }
 
 pub(crate) fn calibrate(app: &App, args: &CalibrateArgs) -> Done {
+    let started = Instant::now();
     let registry = stages()?;
     let mut sets = args.settings.set.clone();
     if let Some(proposer) = &args.proposer {
@@ -218,14 +267,23 @@ pub(crate) fn calibrate(app: &App, args: &CalibrateArgs) -> Done {
     let out = scratch.path().join("calibrate");
     let stage = registry.stage("calibrate").map_err(CliError::failed)?;
     run_stage(app, stage, &parameters[0], vec![("pairs", pairs)], &out, None)?;
-    deliver(&out.join(CALIBRATOR), &args.out)
+    deliver(&out.join(CALIBRATOR), &args.out)?;
+    finished(
+        app,
+        &args.out,
+        started,
+        &format!("use3d targets SCENE CAPTURE --calibrator {} --out targets.safetensors", args.out.display()),
+    );
+    Ok(())
 }
 
 pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
+    let started = Instant::now();
     let registry = stages()?;
     let parameters = parameters(&registry, &["targets", "import"], &args.settings.set)?;
     let scratch = scratch()?;
     let import = imported(app, &registry, &args.capture, &parameters[1], scratch.path())?;
+    check_origin(&args.scene, &import, false)?;
     let mut inputs =
         vec![("import", import), ("scene", args.scene.clone()), ("calibrator", args.calibrator.clone())];
     inputs.extend(args.models.clone().map(|dir| ("models", dir)));
@@ -241,15 +299,29 @@ pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
             deliver(&entry.path(), &previews.join(entry.file_name()))?;
         }
     }
-    deliver(&out.join(TARGETS), &args.out)
+    deliver(&out.join(TARGETS), &args.out)?;
+    finished(
+        app,
+        &args.out,
+        started,
+        &format!(
+            "use3d enhance {} {} --targets {} --out enhanced-scene/",
+            args.scene.display(),
+            args.capture.display(),
+            args.out.display()
+        ),
+    );
+    Ok(())
 }
 
 pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
+    let started = Instant::now();
     check_output(&args.out)?;
     let registry = stages()?;
     let parameters = parameters(&registry, &["enhance", "import"], &args.settings.set)?;
     let scratch = scratch()?;
     let import = imported(app, &registry, &args.capture, &parameters[1], scratch.path())?;
+    check_origin(&args.scene, &import, false)?;
     let mut inputs =
         vec![("import", import), ("scene", args.scene.clone()), ("targets", args.targets.clone())];
     inputs.extend(args.models.clone().map(|dir| ("models", dir)));
@@ -258,5 +330,15 @@ pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
     let stage = registry.stage("enhance").map_err(CliError::failed)?;
     run_stage(app, stage, &parameters[0], inputs, &args.out, Some(kept.clone()))?;
     forget(&kept);
+    finished(
+        app,
+        &args.out,
+        started,
+        &format!(
+            "use3d render {0} --cameras {1} --out renders/ --modes enhanced",
+            args.out.display(),
+            args.capture.display()
+        ),
+    );
     Ok(())
 }

@@ -33,6 +33,7 @@ use crate::engine::{Batch, ParameterError, Registry, Scene, Variant, canonical};
 
 mod document;
 mod file;
+mod parameters;
 mod places;
 mod schema;
 mod set;
@@ -40,6 +41,7 @@ mod set;
 pub use document::ConfigError;
 use document::{Document, join, unknown_key};
 use file::{Calibrator, PipelineFile, SceneEntry, VariantEntry};
+pub use parameters::{Parameter, StageParameters, parameters};
 use places::{check_pairs, expand, home, key_of, say_instead};
 pub use schema::{schema, schema_text};
 pub use set::stage_parameters;
@@ -306,6 +308,17 @@ impl Reader<'_> {
                     (_, table) => format!("`{table}`"),
                 };
                 return self.document.error(&join(base, &error.path), format!("{place} needs {missing}"));
+            }
+            let unknown = error.unknown.as_deref().filter(|_| error.message.starts_with("unknown field"));
+            let known = || more.iter().copied().chain(error.known.iter().map(String::as_str));
+            if let Some((stage, name)) = unknown.and_then(|u| parameters::meant(self.registry, u, known())) {
+                let place = match base {
+                    "" => format!("[defaults.{stage}] {name} = …"),
+                    _ => format!("{stage} = {{ {name} = … }}"),
+                };
+                let message =
+                    format!("unknown key `{}`; did you mean `{place}`?", unknown.unwrap_or_default());
+                return self.document.key_error(&join(base, &error.path), message);
             }
             let mut tables = ["calibrator", "models"].into_iter().filter(|_| base.is_empty());
             let calibrator = tables.find(|p| error.path.starts_with(&format!("{p}.")));

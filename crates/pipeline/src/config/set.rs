@@ -5,16 +5,29 @@ use std::path::Path;
 use serde_json::{Map, Value};
 
 use super::document::{ConfigError, loose_value};
+use super::parameters::homes;
 use super::places::{expand, external_of, key_of, say_instead};
 use super::{did_you_mean, merge_into};
 use crate::engine::error::EngineError;
 use crate::engine::graph::Overrides;
 use crate::engine::{Batch, ParameterError, Registry, Source, Stage};
 
+/// A value of the command line as a stage's parameter expects it: `size=640` and `size=0x0` are numbers to TOML and texts to
+/// the stage.
+fn typed(stage: &Stage, key: &str, value: &Value, text: &str) -> Result<Value, ParameterError> {
+    let first = nested(key, value.clone());
+    let Err(error) = stage.parameters(&first) else { return Ok(first) };
+    if value.is_string() || !error.message.contains("expected text") {
+        return Err(error);
+    }
+    let second = nested(key, Value::String(text.to_string()));
+    stage.parameters(&second).map(|_| second)
+}
+
 /// Applies one setting: `seed=7`, `reconstruct.iterations=3000`, `calibrator.proposer=fusion`,
 /// `scene.Panama.reconstruct.iterations=3000`, `variant.mlp.enhance.steps=10`.
 pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Result<(), ConfigError> {
-    let (key, value) = split(setting)?;
+    let (key, text, value) = split(setting)?;
     let wrong = |message: String| ConfigError::plain(format!("--set {setting}: {message}"));
     // Paths of the command line start where the command was given.
     let path = || match &value {
@@ -33,12 +46,14 @@ pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Re
             batch.scenes[index].name_external(external, path(), by);
             return Ok(());
         }
-        return place(registry, "scene", rest, &value, &mut batch.scenes[index].forced).map_err(wrong);
+        return place(registry, "scene", rest, (&value, text), &mut batch.scenes[index].forced)
+            .map_err(wrong);
     }
     if let Some(rest) = key.strip_prefix("variant.") {
         let names: Vec<String> = batch.variants.iter().map(|v| v.name.clone()).collect();
         let (index, rest) = named("variant", rest, &names).map_err(wrong)?;
-        return place(registry, "variant", rest, &value, &mut batch.variants[index].forced).map_err(wrong);
+        return place(registry, "variant", rest, (&value, text), &mut batch.variants[index].forced)
+            .map_err(wrong);
     }
     if key == "seed" {
         batch.seed =
@@ -57,9 +72,9 @@ pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Re
         return Err(wrong(format!("no such setting of the calibrator; there are: {}", known.join(", "))));
     }
     match (short, scene_short) {
-        (true, _) => place(registry, top, rest, &value, &mut batch.forced).map_err(wrong),
-        (_, true) => place(registry, "scene", rest, &value, &mut batch.forced).map_err(wrong),
-        _ => place(registry, "", key, &value, &mut batch.forced).map_err(wrong),
+        (true, _) => place(registry, top, rest, (&value, text), &mut batch.forced).map_err(wrong),
+        (_, true) => place(registry, "scene", rest, (&value, text), &mut batch.forced).map_err(wrong),
+        _ => place(registry, "", key, (&value, text), &mut batch.forced).map_err(wrong),
     }
 }
 
@@ -67,11 +82,9 @@ pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Re
 pub fn stage_parameters(stage: &Stage, sets: &[String]) -> Result<Value, ConfigError> {
     let mut given = Overrides::new();
     for setting in sets {
-        let (key, value) = split(setting)?;
+        let (key, text, value) = split(setting)?;
         let own = key.strip_prefix(stage.name()).and_then(|k| k.strip_prefix('.')).unwrap_or(key);
-        let nested = nested(own, value);
-        stage
-            .parameters(&nested)
+        let nested = typed(stage, own, &value, text)
             .map_err(|e| ConfigError::plain(format!("--set {setting}: {}", words(&e))))?;
         merge_into(&mut given, stage.name(), &nested, true);
     }
@@ -79,13 +92,14 @@ pub fn stage_parameters(stage: &Stage, sets: &[String]) -> Result<Value, ConfigE
     stage.parameters(&given).map_err(|e| ConfigError::plain(words(&e)))
 }
 
-fn split(setting: &str) -> Result<(&str, Value), ConfigError> {
+/// Key, value as written, value as TOML reads it.
+fn split(setting: &str) -> Result<(&str, &str, Value), ConfigError> {
     let (key, value) = setting.split_once('=').ok_or_else(|| {
         ConfigError::plain(format!(
             "--set {setting}: KEY=VALUE is expected, e.g. reconstruct.iterations=3000"
         ))
     })?;
-    Ok((key.trim(), loose_value(value.trim())))
+    Ok((key.trim(), value.trim(), loose_value(value.trim())))
 }
 
 /// The scene or variant that `rest` starts with (its name may hold dots; letter case is forgiven), and what follows.
@@ -101,6 +115,11 @@ fn named<'k>(kind: &str, rest: &'k str, names: &[String]) -> Result<(usize, &'k 
             return Ok(found);
         }
     }
+    if let Some(name) = names.iter().find(|n| n.eq_ignore_ascii_case(rest)) {
+        return Err(format!(
+            "what of it? Give a parameter, as in `{kind}.{name}.reconstruct.iterations=3000`"
+        ));
+    }
     let wrong = rest.split('.').next().unwrap_or(rest);
     Err(format!("no {kind} `{wrong}`{}", did_you_mean(wrong, names.iter().map(String::as_str))))
 }
@@ -109,7 +128,7 @@ fn place(
     registry: &Registry,
     place: &str,
     key: &str,
-    value: &Value,
+    (value, text): (&Value, &str),
     into: &mut Overrides,
 ) -> Result<(), String> {
     let mut targets: Vec<(&str, String)> = registry
@@ -120,16 +139,22 @@ fn place(
         .collect();
     if targets.is_empty() {
         let (stage, parameter) = key.split_once('.').ok_or_else(|| {
-            let known = registry.stages().iter().map(|s| s.name());
-            format!("a key is STAGE.PARAMETER{}", did_you_mean(key, known))
+            let homes = homes(registry, key);
+            let known: Vec<String> = homes.iter().map(|(stage, name)| format!("`{stage}.{name}`")).collect();
+            let hint = if known.is_empty() {
+                "`use3d params` lists them".to_string()
+            } else {
+                format!("did you mean {}?", known.join(" or "))
+            };
+            format!("a key is STAGE.PARAMETER; {hint}")
         })?;
         let stage = registry.stage(stage).map_err(|e: EngineError| e.to_string())?;
         targets.push((stage.name(), parameter.to_string()));
     }
     for (stage, parameter) in targets {
-        let given = nested(&parameter, value.clone());
         let stage = registry.stage(stage).map_err(|e| e.to_string())?;
-        stage.parameters(&given).map_err(|e| folder_key(stage, &e).unwrap_or_else(|| words(&e)))?;
+        let given = typed(stage, &parameter, value, text)
+            .map_err(|e| folder_key(stage, &e).unwrap_or_else(|| words(&e)))?;
         merge_into(into, stage.name(), &given, true);
     }
     Ok(())

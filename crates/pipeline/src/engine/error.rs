@@ -44,6 +44,7 @@ impl ParameterError {
         let names = message.starts_with("unknown field") || message.starts_with("unknown variant");
         let unknown = if names { quoted.next() } else { None };
         let known = if names { quoted.collect() } else { Vec::new() };
+        let message = if message.starts_with("unknown field") { message } else { plain(&message) };
         Self { path: String::new(), message, unknown, known }
     }
 
@@ -67,6 +68,35 @@ impl fmt::Display for ParameterError {
 }
 
 impl Error for ParameterError {}
+
+/// What a deserialiser says, in words that are not its own: `invalid type: integer `-5`, expected u64` and the like.
+fn plain(message: &str) -> String {
+    if let Some(rest) = message.strip_prefix("unknown variant ") {
+        return rest.replacen(", expected ", " is not known here; expected ", 1);
+    }
+    let wrong = ["invalid type: ", "invalid value: "].iter().find_map(|p| message.strip_prefix(p));
+    let Some((found, expected)) = wrong.and_then(|rest| rest.rsplit_once(", expected ")) else {
+        return message.to_string();
+    };
+    let kinds = ["integer ", "floating point ", "boolean ", "string "];
+    let found = match found {
+        "null" => "nothing".to_string(),
+        "map" => "a table".to_string(),
+        "sequence" => "a list".to_string(),
+        _ => kinds.iter().find_map(|k| found.strip_prefix(k)).unwrap_or(found).replace('`', ""),
+    };
+    let expected = match expected {
+        "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number, 0 or more",
+        "i8" | "i16" | "i32" | "i64" | "isize" => "a whole number",
+        "f32" | "f64" => "a number",
+        "a boolean" => "true or false",
+        "a string" | "string" => "text",
+        other if other.starts_with("struct ") => "a table",
+        other if other.starts_with("a sequence") => "a list",
+        other => other,
+    };
+    format!("expected {expected}, found {found}")
+}
 
 /// The name nearest to `wrong`, unless all are far.
 pub fn nearest<'n>(wrong: &str, names: impl IntoIterator<Item = &'n str>) -> Option<&'n str> {
@@ -101,9 +131,35 @@ impl StageError {
         Self::Failed(text.into().into())
     }
 
+    /// A failure that lies in what the stage was given, not in the stage's own work.
+    pub fn bad_input(error: impl Error + Send + Sync + 'static) -> Self {
+        Self::failed(BadInput(Box::new(error)))
+    }
+
+    /// Whether it lies in what the stage was given.
+    pub fn is_bad_input(&self) -> bool {
+        matches!(self, Self::Failed(error) if error.is::<BadInput>())
+    }
+
     /// A failure to read or write a file.
     pub fn io(path: &Path, source: std::io::Error) -> Self {
         Self::failed(FileError { path: path.to_path_buf(), doing: "use", source })
+    }
+}
+
+/// Marks an error as one of the input; what it says is the error's own.
+#[derive(Debug)]
+struct BadInput(Box<dyn Error + Send + Sync>);
+
+impl fmt::Display for BadInput {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+impl Error for BadInput {
+    fn source(&self) -> Option<&(dyn Error + 'static)> {
+        self.0.source()
     }
 }
 
@@ -155,7 +211,7 @@ fn advice(error: &std::io::Error) -> &'static str {
             " (the disk is full: free some space, run `use3d gc`, or choose another folder with --cache; nothing finished is lost)"
         }
         Kind::ReadOnlyFilesystem | Kind::PermissionDenied => {
-            " (choose a folder that can be written with --cache or USE3D_CACHE)"
+            " (choose a folder that can be written: --out for results, --cache or USE3D_CACHE for the cache)"
         }
         _ => "",
     }

@@ -165,6 +165,8 @@ pub struct Forecast {
     pub peak_memory: u64,
     /// Records it is made from.
     pub records: usize,
+    /// Whether they are of the same scene; those of others may be of another size.
+    pub own: bool,
 }
 
 impl Timings {
@@ -186,6 +188,7 @@ impl Timings {
             output: used.iter().map(|t| t.output).max()?,
             peak_memory: used.iter().map(|t| t.peak_memory).max()?,
             records: used.len(),
+            own: scene.is_empty() || all.iter().any(|t| t.scene == scene),
         })
     }
 }
@@ -217,9 +220,10 @@ mod tests {
         let list = vec![timing("a", 100.0, 10.0), timing("b", 100.0, 30.0), timing("a", 200.0, 24.0)];
         let timings = Timings { by_stage: BTreeMap::from([("reconstruct".to_string(), list)]) };
         let own = timings.forecast("reconstruct", "b", 200.0).expect("records");
-        assert_eq!((own.seconds, own.records), (60.0, 1));
+        assert_eq!((own.seconds, own.records, own.own), (60.0, 1, true));
         let all = timings.forecast("reconstruct", "new", 100.0).expect("records");
         assert_eq!((all.seconds, all.least, all.most, all.records), (12.0, 10.0, 30.0, 3));
+        assert!(!all.own);
         assert!(timings.forecast("import", "a", 1.0).is_none());
     }
 }

@@ -172,7 +172,11 @@ pub struct Difference {
 
 impl std::fmt::Display for Difference {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let show = |value: &Option<String>| value.clone().unwrap_or_else(|| "(none)".to_string());
+        let show = |value: &Option<String>| match value.as_deref() {
+            Some("null") => "not set".to_string(),
+            Some(value) => value.to_string(),
+            None => "(none)".to_string(),
+        };
         write!(f, "{}: {} → {}", self.ingredient, show(&self.old), show(&self.new))
     }
 }

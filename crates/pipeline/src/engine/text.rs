@@ -37,6 +37,10 @@ impl Display for Plan {
         let (sum, without) = self.forecast();
         if self.to_run() > without {
             write!(f, "; about {}", seconds(sum))?;
+            let guessed = self.own().filter_map(|n| n.forecast.as_ref()).any(|forecast| !forecast.own);
+            if guessed {
+                write!(f, ", judging by other scenes whatever their size")?;
+            }
             if without > 0 {
                 write!(f, " and {without} that never ran before")?;
             }
@@ -64,7 +68,10 @@ fn describe(node: &PlannedNode) -> (&'static str, String) {
             ("run", format!("{}{more}", named.join("; ")))
         }
         State::Waiting(parents) => {
-            ("waits", format!("for {}; runs unless that comes out the same as before", parents.join(", ")))
+            let parents = parents.join(", ");
+            // What was made before stays unless something above it changes.
+            let again = if node.had { "; runs again only if that comes out different" } else { "" };
+            ("waits", format!("for {parents}{again}"))
         }
         State::Unavailable(reason) => ("cannot", reason.clone()),
         State::Blocked(by) => ("blocked", format!("by {by}")),
@@ -73,9 +80,10 @@ fn describe(node: &PlannedNode) -> (&'static str, String) {
 
 impl Display for Summary {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        // Why was said when it happened.
         for node in self.failed() {
-            if let Became::Failed { reason, log } = &node.result {
-                writeln!(f, "failed   {}: {reason}\n         log: {}", node.label, log.display())?;
+            if let Became::Failed { log, .. } = &node.result {
+                writeln!(f, "failed   {}, log: {}", node.label, log.display())?;
             }
         }
         let blocked = self.count(|r| matches!(r, Became::Blocked(_)));

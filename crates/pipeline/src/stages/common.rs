@@ -12,14 +12,14 @@ use crate::engine::{StageContext, StageError};
 
 /// A capture as the import stage left it.
 pub(super) fn capture(context: &StageContext) -> Result<Capture, StageError> {
-    let imported = use3d_io_colmap::load_prepared(context.input("import")?)?;
-    imported.capture.validate()?;
+    let imported = use3d_io_colmap::load_prepared(context.input("import")?).map_err(StageError::bad_input)?;
+    imported.capture.validate().map_err(StageError::bad_input)?;
     Ok(imported.capture)
 }
 
 /// The scene of a role.
 pub(super) fn scene(context: &StageContext, role: &str) -> Result<Scene, StageError> {
-    Ok(Scene::load(context.input(role)?)?)
+    Scene::load(context.input(role)?).map_err(StageError::bad_input)
 }
 
 /// Writes pretty JSON with a final newline.

@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
-use use3d_io_colmap::{ImportParams, import, prepare};
+use use3d_io_colmap::{ImportError, ImportParams, ModelError, import, prepare};
+use use3d_io_image::ImageError;
 
 use super::common::write_json;
 use crate::engine::{Scope, Stage, StageContext, StageError};
@@ -34,11 +35,11 @@ fn files(parameters: &Value, capture: &Path) -> Result<Vec<PathBuf>, String> {
 }
 
 fn run(context: &StageContext, params: &ImportParams) -> Result<(), StageError> {
-    let imported = import(context.input("capture")?, params)?;
+    let imported = import(context.input("capture")?, params).map_err(StageError::bad_input)?;
     for line in imported.report.to_string().lines() {
         context.say(line);
     }
-    imported.capture.validate()?;
+    imported.capture.validate().map_err(StageError::bad_input)?;
     let prepared = prepare(&imported, context.output(), context.threads(), &|done, total| {
         context.progress(done as u64, total as u64, "views");
         !context.cancelled()
@@ -46,5 +47,11 @@ fn run(context: &StageContext, params: &ImportParams) -> Result<(), StageError> 
     if context.cancelled() {
         return Err(StageError::Cancelled);
     }
-    write_json(&context.output().join("report.json"), &prepared?.report)
+    let prepared = prepared.map_err(|error| match error {
+        // What cannot be written is no fault of the capture.
+        ImportError::File { .. } | ImportError::Image(ImageError::Write { .. }) => StageError::failed(error),
+        ImportError::Model(ModelError::Write { .. }) => StageError::failed(error),
+        error => StageError::bad_input(error),
+    })?;
+    write_json(&context.output().join("report.json"), &prepared.report)
 }

@@ -92,7 +92,10 @@ fn settings_of_the_command_line_win() {
     for (set, expected) in [
         ("reconstruct.iteratons=3", "did you mean `iterations`?"),
         ("reconstuct.iterations=3", "did you mean `reconstruct`?"),
-        ("reconstruct.iterations=many", "expected u64"),
+        ("reconstruct.iterations=many", "expected a whole number, 0 or more, found \"many\""),
+        ("reconstruct.iterations=-5", "expected a whole number, 0 or more, found -5"),
+        ("size=0x0", "0x0"),
+        ("scene.Curasao=1", "scene.Curasao.reconstruct.iterations=3000"),
         ("reconstruct.medium=rbff", "did you mean `rbf`?"),
         ("reconstruct.rate=-1.0", "a positive number"),
         ("scene.Curacao.reconstruct.rate=1.0", "did you mean `Curasao`?"),

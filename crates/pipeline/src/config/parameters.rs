@@ -1,0 +1,133 @@
+//! Every parameter of the stages for people: name, kind, default, meaning, from the same schema that checks pipeline files.
+
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use super::schema::schema;
+use crate::engine::{EngineError, Registry};
+
+/// The parameters of a stage.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StageParameters {
+    /// The stage.
+    pub stage: &'static str,
+    /// One line about it.
+    pub about: &'static str,
+    /// Its parameters, by name.
+    pub parameters: Vec<Parameter>,
+}
+
+/// One parameter.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Parameter {
+    /// Its name below the stage, dots between levels: `split.every`.
+    pub name: String,
+    /// What may be given: `whole number`, `number`, `true or false`, `text`, `list`, or the choices.
+    pub kind: String,
+    /// Its value unless something is said.
+    pub default: Value,
+    /// What it does, and its range.
+    pub meaning: String,
+}
+
+/// The parameters of all stages, or of one.
+pub fn parameters(registry: &Registry, stage: Option<&str>) -> Result<Vec<StageParameters>, EngineError> {
+    if let Some(name) = stage {
+        registry.stage(name)?;
+    }
+    let schema = schema(registry);
+    let chosen = registry.stages().iter().filter(|s| stage.is_none_or(|name| s.name() == name));
+    Ok(chosen
+        .map(|stage| {
+            let table = &schema["properties"]["defaults"]["properties"][stage.name()]["allOf"][0];
+            let defaults = stage.parameters(&json!({})).unwrap_or(Value::Null);
+            let mut parameters = Vec::new();
+            list(&schema, table, &defaults, "", &mut parameters);
+            StageParameters { stage: stage.name(), about: stage.description(), parameters }
+        })
+        .collect())
+}
+
+/// The stage's parameters that a name without a stage may mean, as `STAGE.PARAMETER`: those of that very name, else of the
+/// nearest ones.
+pub(super) fn homes(registry: &Registry, name: &str) -> Vec<(&'static str, String)> {
+    let all: Vec<(&'static str, String)> = parameters(registry, None)
+        .unwrap_or_default()
+        .into_iter()
+        .flat_map(|s| s.parameters.into_iter().map(move |p| (s.stage, p.name)))
+        .collect();
+    let last = |name: &str| name.rsplit('.').next().unwrap_or(name).to_string();
+    let exact: Vec<_> = all.iter().filter(|(_, p)| *p == name || last(p) == name).cloned().collect();
+    if !exact.is_empty() {
+        return exact;
+    }
+    let near = crate::engine::error::nearest(name, all.iter().map(|(_, p)| p.as_str())).map(String::from);
+    all.into_iter().filter(|(_, p)| near.as_ref() == Some(p)).collect()
+}
+
+/// The stage and parameter that a key without a stage most likely means, unless one of the names known there is as near.
+pub(super) fn meant<'k>(
+    registry: &Registry,
+    key: &str,
+    known: impl Iterator<Item = &'k str>,
+) -> Option<(&'static str, String)> {
+    let near = |name: &str| strsim::jaro_winkler(key, name);
+    let best = known.map(near).fold(0.0, f64::max);
+    homes(registry, key).into_iter().find(|(_, name)| near(name) > best.max(0.9))
+}
+
+/// The schema that a reference leads to, through options that may be left out.
+fn resolved<'s>(schema: &'s Value, entry: &'s Value) -> &'s Value {
+    if let Some(name) = entry["$ref"].as_str().and_then(|r| r.strip_prefix("#/$defs/")) {
+        return resolved(schema, &schema["$defs"][name]);
+    }
+    let given = |e: &&Value| e["type"] != "null";
+    match entry["anyOf"].as_array().and_then(|options| options.iter().find(given)) {
+        Some(option) => resolved(schema, option),
+        None => entry,
+    }
+}
+
+fn list(schema: &Value, table: &Value, defaults: &Value, base: &str, into: &mut Vec<Parameter>) {
+    let Some(properties) = resolved(schema, table)["properties"].as_object() else { return };
+    for (key, entry) in properties {
+        let name = if base.is_empty() { key.clone() } else { format!("{base}.{key}") };
+        let what = resolved(schema, entry);
+        if what["properties"].is_object() {
+            list(schema, entry, &defaults[key], &name, into);
+            continue;
+        }
+        let meaning = entry["description"].as_str().or(what["description"].as_str()).unwrap_or_default();
+        let meaning = meaning.split_whitespace().collect::<Vec<_>>().join(" ");
+        into.push(Parameter { name, kind: kind(what), default: defaults[key].clone(), meaning });
+    }
+}
+
+/// What may be given, in words.
+fn kind(entry: &Value) -> String {
+    let choices = |list: &Value, of: fn(&Value) -> &Value| -> Vec<String> {
+        let list = list.as_array().map(Vec::as_slice).unwrap_or_default();
+        list.iter().filter_map(|c| of(c).as_str().map(String::from)).collect()
+    };
+    let mut named = choices(&entry["oneOf"], |c| &c["const"]);
+    // Choices without a comment of their own stand together.
+    for group in entry["oneOf"].as_array().map(Vec::as_slice).unwrap_or_default() {
+        named.extend(choices(&group["enum"], |c| c));
+    }
+    named.extend(choices(&entry["enum"], |c| c));
+    if !named.is_empty() {
+        return named.join(" | ");
+    }
+    let own = match &entry["type"] {
+        Value::Array(types) => types.iter().find_map(Value::as_str),
+        other => other.as_str(),
+    };
+    match own {
+        Some("integer") => "whole number",
+        Some("number") => "number",
+        Some("boolean") => "true or false",
+        Some("array") => "list",
+        _ => "text",
+    }
+    .to_string()
+}
