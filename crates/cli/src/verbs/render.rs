@@ -37,9 +37,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     let mut video = args.video.as_deref().map(|path| Video::create(path, args.frame_rate)).transpose()?;
     let total = cameras.len() as u64;
     for (i, (name, camera)) in cameras.iter().enumerate() {
-        if interrupt::requested() {
-            return Err(CliError::Interrupted);
-        }
+        interrupt::check()?;
         let label = "render";
         app.listener.event(&Event::Progress {
             node: 0,

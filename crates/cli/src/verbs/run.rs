@@ -10,6 +10,8 @@ use use3d_pipeline::engine::code::CodeTable;
 use use3d_pipeline::engine::machine::seconds;
 use use3d_pipeline::engine::{Cache, Engine, Event, Graph, Listener, Plan, RunOptions, Summary, picture};
 use use3d_pipeline::results;
+use use3d_pipeline::scores::{Method, SceneScores};
+use use3d_pipeline::stages::{evaluate::SCORES, read_json};
 
 use crate::App;
 use crate::args::{
@@ -215,6 +217,15 @@ fn deliver(app: &App, summary: &Summary, out: &Path, silent: bool) -> Done {
     if !app.quiet && !silent {
         for (what, path) in delivered {
             println!("{what:<12} {}", path.display());
+        }
+        for node in summary.nodes.iter().filter(|n| n.stage == "evaluate") {
+            let Some(artifact) = &node.artifact else { continue };
+            let scores = read_json::<SceneScores>(&artifact.path.join(SCORES)).ok();
+            let psnr = scores.and_then(|s| s.mean(Method::Reconstruction, "psnr").and_then(|s| s.value()));
+            if let Some(psnr) = psnr {
+                let of = node.label.trim_end_matches(" · evaluate");
+                println!("{of}: views that no training saw are reconstructed at {psnr:.2} dB PSNR");
+            }
         }
     }
     Ok(())

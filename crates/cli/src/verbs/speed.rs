@@ -51,7 +51,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene) -> Done {
             eprintln!("timing {} of {} views", mode.name(), chosen.len());
         }
         let speed = measure(&mut renderer, &chosen, mode, &interrupt::requested);
-        speeds.push(speed.ok_or(CliError::Interrupted)?);
+        speeds.push(speed.ok_or(CliError::Stopped)?);
     }
     let size = chosen.first().map_or((0, 0), |c| (c.intrinsics.width, c.intrinsics.height));
     let measured = Measured {

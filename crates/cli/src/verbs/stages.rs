@@ -52,8 +52,10 @@ pub(crate) fn run_stage(
         threads: app.threads,
         stop: app.stop.clone(),
     };
+    let kept = alone.checkpoints.is_some();
     stage.run_alone(alone, &app.listener).map_err(|error| match error {
-        StageError::Cancelled => CliError::Interrupted,
+        StageError::Cancelled if kept => CliError::Interrupted,
+        StageError::Cancelled => CliError::Stopped,
         StageError::Failed(_) if error.is_bad_input() => CliError::input(error),
         StageError::Failed(_) => CliError::failed(error),
     })
