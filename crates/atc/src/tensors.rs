@@ -92,6 +92,17 @@ impl<'a> Reader<'a> {
         Ok(Self { what, tensors: SafeTensors::deserialize(bytes).map_err(broken)?, header })
     }
 
+    /// Whether a safetensors file has a document of this tool in its header. A damaged file that begins as one of ours counts.
+    pub(crate) fn has_header(bytes: &[u8]) -> bool {
+        match SafeTensors::read_metadata(bytes) {
+            Ok((_, metadata)) => metadata.metadata().as_ref().is_some_and(|m| m.contains_key(KEY)),
+            Err(_) => {
+                let needle = format!("\"{KEY}\"");
+                bytes[..bytes.len().min(1 << 16)].windows(needle.len()).any(|w| w == needle.as_bytes())
+            }
+        }
+    }
+
     /// An error about this file.
     pub(crate) fn error(&self, problem: impl Into<String>) -> AtcError {
         AtcError::artifact(self.what, problem)

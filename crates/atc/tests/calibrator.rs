@@ -200,10 +200,15 @@ fn stand_ins_leave_the_proposal_as_it_is() {
     dataset.stand_in = true;
     for stop_early in [true, false] {
         let params = CalibratorParams { stop_early, ..quick() };
-        let calibrator = train(&dataset, &params, "", &mut unwatched).unwrap();
-        let report = calibrator.provenance.held_out.as_ref().unwrap();
-        assert_eq!(report.kept, [0.0; 2]);
-        assert_eq!(report.errors.global.after, report.errors.global.before);
+        // Not one step is taken for what would be thrown away, and the scales are those of a fit.
+        let calibrator = train(&dataset, &params, "stand-ins", &mut |_| panic!("a step was taken")).unwrap();
+        assert_eq!((calibrator.corrects(), learnt.corrects()), ([false; 2], [true; 2]));
+        assert_eq!(calibrator.global_scales(), learnt.global_scales());
+        assert_eq!(calibrator.local_scales(), learnt.local_scales());
+        let said = &calibrator.provenance;
+        assert_eq!((said.pairs, said.steps, said.data.as_str()), (8, 0, "stand-ins"));
+        assert!(said.held_out.is_none());
+        assert_eq!(Calibrator::from_bytes(&calibrator.to_bytes().unwrap()).unwrap(), calibrator);
         for example in &dataset.examples {
             let said = calibrator.calibrate_global(&example.descriptor, &example.proposal);
             let change = said.iter().zip(&example.proposal).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);

@@ -8,6 +8,8 @@
 //! The root is the folder that `USE3D_GOLDEN` names, else the copy in the project. Everything here panics with a
 //! message on a missing file or tensor: golden tests never skip.
 
+pub mod torch;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 

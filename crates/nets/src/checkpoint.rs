@@ -9,7 +9,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use pytorch_reader::{DType, PytorchReader};
+use pytorch_reader::{DType, PickleValue, PytorchReader};
 use safetensors::{Dtype, SafeTensors};
 use use3d_numerics::math;
 
@@ -115,6 +115,24 @@ impl Checkpoint {
     /// The file.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Texts and whole numbers at the top of the archive, as text; of a safetensors file, what its header says beside the tensors.
+    pub(crate) fn labels(&self) -> Result<BTreeMap<String, String>, NetError> {
+        let damaged = |message: String| NetError::Damaged { path: self.path.clone(), message };
+        if !self.bytes.is_empty() {
+            let (_, metadata) =
+                SafeTensors::read_metadata(&self.bytes).map_err(|e| damaged(e.to_string()))?;
+            return Ok(metadata.metadata().iter().flatten().map(|(k, v)| (k.clone(), v.clone())).collect());
+        }
+        let top = PytorchReader::read_pickle_data(&self.path, None).map_err(|e| damaged(e.to_string()))?;
+        let PickleValue::Dict(entries) = top else { return Ok(BTreeMap::new()) };
+        let labels = entries.into_iter().filter_map(|(name, value)| match value {
+            PickleValue::String(text) => Some((name, text)),
+            PickleValue::Int(number) => Some((name, number.to_string())),
+            _ => None,
+        });
+        Ok(labels.collect())
     }
 
     /// Names and shapes of all tensors, by name.

@@ -19,6 +19,7 @@
 //! All arithmetic is f32; long sums are f64. Agreement with the original implementations is tested on intermediate
 //! activations with reproducible stand-in weights ([`weights::StandIn`]).
 
+mod archive;
 pub mod checkpoint;
 mod depth_anything;
 mod dpt;
@@ -35,6 +36,7 @@ mod testing;
 mod uranker;
 pub mod weights;
 
+pub use archive::Archive;
 pub use checkpoint::Checkpoint;
 pub use depth_anything::{DepthAnythingSize, DepthAnythingV2};
 pub use error::NetError;

@@ -41,6 +41,8 @@ pub enum Network {
     URanker,
     /// General quality score.
     Musiq,
+    /// The calibrator as released with 3D-USE; no network that looks at pictures.
+    TransitionCalibrator,
 }
 
 /// What is known about a checkpoint.
@@ -68,7 +70,7 @@ pub struct Known {
 const UNDERWATER_RANKER: &str = "https://github.com/RQ-Wu/UnderwaterRanker (README: Google Drive or Baidu)";
 
 /// Everything that may lie in the models folder.
-pub const KNOWN: [Known; 10] = [
+pub const KNOWN: [Known; 11] = [
     Known {
         network: Network::Nu2NetReleased,
         title: "Nu2Net (3D-USE release)",
@@ -186,6 +188,16 @@ pub const KNOWN: [Known; 10] = [
         bytes: 108_503_300,
         licence: "Apache-2.0 (original), PolyForm Noncommercial 1.0.0 (torch port)",
         origin: "https://huggingface.co/chaofengc/IQA-PyTorch-Weights",
+    },
+    Known {
+        network: Network::TransitionCalibrator,
+        title: "Calibrator (3D-USE release)",
+        used_for: "calibrator, where [calibrator] file or --calibrator names it",
+        files: &["transition_calibrator.pth"],
+        digests: &[],
+        bytes: 414_584,
+        licence: "Pi-Lab License 1.0 (non-commercial)",
+        origin: "https://github.com/bilityniu/3D-USE (weights/transition_calibrator.pth)",
     },
 ];
 

@@ -3,11 +3,11 @@
 use use3d_nets::models::Verdict;
 use use3d_nets::weights::{StandIn, Weights};
 use use3d_nets::{
-    Checkpoint, DepthAnythingSize, DepthAnythingV2, Lpips, Models, Musiq, NetError, Network, Nu2Net, Raft,
-    URanker,
+    Archive, Checkpoint, DepthAnythingSize, DepthAnythingV2, Lpips, Models, Musiq, NetError, Network, Nu2Net,
+    Raft, URanker,
 };
 
-#[allow(dead_code, reason = "each test binary uses a part of it")]
+#[allow(dead_code, unused_imports, reason = "each test binary uses a part of it")]
 mod torch_files;
 use torch_files::{
     Nesting, Tensors, heads, legacy_file, open, read_all, recorded, safetensors_file, zip_file,
@@ -165,6 +165,42 @@ fn princeton_files_of_raft_load_too() {
     for (name, (shape, values)) in &torchvision {
         assert_eq!(checkpoint.tensor(name, shape).unwrap(), *values, "{name}");
     }
+}
+
+#[test]
+fn an_archive_gives_all_tensors_beside_its_marker_and_the_words_at_the_top() {
+    use use3d_golden::torch::{released_calibrator, released_calibrator_tensors};
+
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("transition_calibrator.pth");
+    let tensors = released_calibrator_tensors([16, 24]);
+    let unneeded = |name: &str| name.contains("support_");
+    let read = |most: usize| Archive::read(&file, "global_head.0.bias", &unneeded, most);
+    std::fs::write(&file, released_calibrator(5, &tensors)).unwrap();
+    let archive = read(1 << 20).unwrap();
+    let expected: Tensors =
+        tensors.iter().filter(|(n, _)| !unneeded(n)).map(|(n, t)| (n.clone(), t.clone())).collect();
+    assert!(archive.tensors == expected, "{:?}", archive.tensors.keys());
+    assert_eq!(archive.labels["schema"], "3duse_transition_calibrator");
+    assert_eq!(archive.labels["schema_version"], "5");
+    let message = read(1000).unwrap_err().to_string();
+    assert!(message.contains("more than 1000 values"), "{message}");
+
+    // At the root, in the older container, or as safetensors: the same tensors, and no word about a schema.
+    for bytes in [
+        zip_file(&tensors, Nesting::Root),
+        legacy_file(&tensors, Nesting::Module),
+        safetensors_file(&tensors),
+    ] {
+        std::fs::write(&file, bytes).unwrap();
+        let archive = read(1 << 20).unwrap();
+        assert!(archive.tensors == expected && !archive.labels.contains_key("schema"));
+    }
+    std::fs::write(&file, zip_file(&heads(), Nesting::Root)).unwrap();
+    let message = read(1 << 20).unwrap_err().to_string();
+    assert!(message.contains("no tensor `global_head.0.bias`"), "{message}");
+    std::fs::write(&file, b"no archive").unwrap();
+    assert!(read(1 << 20).is_err());
 }
 
 /// The real heads of LPIPS, if a models folder is named.

@@ -4,7 +4,7 @@
 
 use use3d_numerics::random::{Purpose, Stream};
 
-#[allow(dead_code, reason = "each test binary uses a part of it")]
+#[allow(dead_code, unused_imports, reason = "each test binary uses a part of it")]
 mod torch_files;
 use torch_files::{
     Nesting, Pickle, heads, legacy_file, legacy_with_pickle, read_all, safetensors_file, zip_file,

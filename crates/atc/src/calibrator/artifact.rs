@@ -51,6 +51,11 @@ impl Calibrator {
         writer.finish(WHAT, &header)
     }
 
+    /// Whether these are the bytes of a file that this program wrote, whole or not; a calibrator of the authors' is not.
+    pub fn is_own_file(bytes: &[u8]) -> bool {
+        Reader::has_header(bytes)
+    }
+
     /// Reads a calibrator from the bytes of a safetensors file.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, AtcError> {
         let reader = Reader::new(WHAT, bytes)?;

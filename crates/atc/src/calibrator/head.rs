@@ -58,6 +58,12 @@ impl Head {
         head
     }
 
+    /// Whether it ever changes a proposal: its last layer and its median residual are not all zero.
+    pub(super) fn corrects(&self) -> bool {
+        let [.., last] = &self.mlp.layers;
+        last.weight.iter().chain(&last.bias).chain(&self.residual.median).any(|v| *v != 0.0)
+    }
+
     /// The residual of output `k` for the network's output `value`.
     #[inline]
     pub(super) fn residual_of(&self, k: usize, value: f32) -> f64 {

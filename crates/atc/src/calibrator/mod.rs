@@ -40,7 +40,7 @@ pub use mlp::{Linear, Mlp};
 pub use released::ReleasedConfig;
 pub use statistics::{CONDITION_FLOOR, RANGE_FLOOR, SCALE_FLOOR, Statistics};
 pub use stopping::train;
-pub use training::{CalibratorParams, fit};
+pub use training::{CalibratorParams, METHOD_PAIRS, fit};
 
 /// Conditions of the global head: descriptor 18, proposal 12.
 pub const GLOBAL_CONDITION: usize = GLOBAL_DESCRIPTOR + 12;
@@ -94,6 +94,11 @@ impl Calibrator {
             local: Head::identity(LOCAL_CONDITION, 8, 6),
             provenance: Provenance::default(),
         }
+    }
+
+    /// Whether the global and the local head correct anything. A head that keeps no share of its correction returns the proposal.
+    pub fn corrects(&self) -> [bool; 2] {
+        [&self.global, &self.local].map(Head::corrects)
     }
 
     /// The scales `s_g` of the global operator's 12 numbers, floored at 10⁻⁴ (R19).

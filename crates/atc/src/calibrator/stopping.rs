@@ -11,9 +11,10 @@
 //!
 //! Pairs kept aside speak for pairs of their kind alone. Synthetic pairs that stand in for real ones bear out nearly all of a
 //! correction that turns a real reef cyan; so [`CalibratorParams::trust`] limits the share, to 0 for stand-ins if nobody says otherwise.
+//! With 0 nothing is fitted at all: only the scales are taken from the pairs.
 
 use super::evaluate::held_out;
-use super::training::fit_until;
+use super::training::{fit_until, scales_only};
 use super::{Calibrator, CalibratorParams, Dataset, Head, HeldOutReport, evaluate};
 use crate::error::AtcError;
 use crate::progress::Watch;
@@ -68,8 +69,14 @@ pub fn train(
     watch: &mut Watch<'_>,
 ) -> Result<Calibrator, AtcError> {
     params.validate()?;
-    let mut stop = Stop::never(params);
     let trust = params.trust_in(dataset);
+    if trust == 0.0 {
+        // Nothing of a correction would be kept: two fits would be thrown away.
+        let mut calibrator = scales_only(dataset, params)?;
+        calibrator.provenance.data = data.to_string();
+        return Ok(calibrator);
+    }
+    let mut stop = Stop::never(params);
     let mut kept = [trust; 2];
     let mut report = None;
     if let Some((fitted, tested)) = held_out(dataset, params) {

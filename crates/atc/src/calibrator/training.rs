@@ -21,6 +21,8 @@ use crate::progress::{Progress, Watch, report};
 
 /// Fewest pairs a calibrator is fitted to; fewer say nothing about how transitions vary.
 const FEWEST_PAIRS: usize = 2;
+/// Pairs that the recipe was made for: the paper trains on 800 of UIEB.
+pub const METHOD_PAIRS: usize = 800;
 /// Most cells that enter the statistics.
 const STATISTICS_CELLS: usize = 100_000;
 
@@ -117,6 +119,11 @@ impl CalibratorParams {
             return bad("trust", trust.to_string(), "0 to 1");
         }
         Ok(())
+    }
+
+    /// Whether a data set is small beside the pairs that the recipe was made for ([`METHOD_PAIRS`]), less than half of them.
+    pub fn few(pairs: usize) -> bool {
+        2 * pairs < METHOD_PAIRS
     }
 
     /// The largest share of its correction that a head fitted to `dataset` may keep, 0 to 1.
@@ -286,6 +293,39 @@ fn initial_heads(rows: &Rows, params: &CalibratorParams) -> (Head, Head) {
     (global, local)
 }
 
+/// The rows of a data set; an error where there are too few to say how transitions vary.
+fn usable_rows(dataset: &Dataset) -> Result<Rows, AtcError> {
+    let pairs = dataset.examples.len();
+    let rows = Rows::new(dataset);
+    if pairs < FEWEST_PAIRS || rows.cells() == 0 {
+        return Err(AtcError::TooFewPairs {
+            usable: pairs,
+            offered: pairs + dataset.skipped.len(),
+            needed: FEWEST_PAIRS,
+            first_problem: dataset.skipped.first().map(|s| format!("{}: {}", s.name, s.reason)),
+        });
+    }
+    Ok(rows)
+}
+
+/// The calibrator that leaves every proposal as it is, with the scales that a fit to this data set would have. They come from the
+/// statistics of the pairs alone, so no step is taken.
+pub(super) fn scales_only(dataset: &Dataset, params: &CalibratorParams) -> Result<Calibrator, AtcError> {
+    let rows = usable_rows(dataset)?;
+    let (global, local) = initial_heads(&rows, params);
+    let mut calibrator = Calibrator::identity(dataset.extractor.clone(), dataset.proposer.clone());
+    calibrator.global.residual.range = global.residual.range;
+    calibrator.local.residual.range = local.residual.range;
+    calibrator.provenance = Provenance {
+        pairs: dataset.examples.len(),
+        cells: rows.cells(),
+        seed: params.seed,
+        tool: env!("CARGO_PKG_VERSION").to_string(),
+        ..Provenance::default()
+    };
+    Ok(calibrator)
+}
+
 /// Fits a calibrator to all pairs of a data set by the whole recipe: nothing held out, every step taken.
 pub fn fit(
     dataset: &Dataset,
@@ -305,15 +345,7 @@ pub(super) fn fit_until(
 ) -> Result<Calibrator, AtcError> {
     params.validate()?;
     let pairs = dataset.examples.len();
-    let rows = Rows::new(dataset);
-    if pairs < FEWEST_PAIRS || rows.cells() == 0 {
-        return Err(AtcError::TooFewPairs {
-            usable: pairs,
-            offered: pairs + dataset.skipped.len(),
-            needed: FEWEST_PAIRS,
-            first_problem: dataset.skipped.first().map(|s| format!("{}: {}", s.name, s.reason)),
-        });
-    }
+    let rows = usable_rows(dataset)?;
     let (global, local) = initial_heads(&rows, params);
     let mut conditions = rows.global_conditions.clone();
     global.condition.normalise(&mut conditions);

@@ -54,6 +54,7 @@ pub fn display(value: &Value) -> String {
             let narrow = wide as f32;
             if f64::from(narrow) == wide { narrow.to_string() } else { wide.to_string() }
         }
+        Value::Null => "unset".to_string(),
         Value::Array(items) => format!("[{}]", items.iter().map(display).collect::<Vec<_>>().join(", ")),
         Value::Object(fields) => {
             let each: Vec<_> = fields.iter().map(|(k, v)| format!("{k} = {}", display(v))).collect();
@@ -180,6 +181,7 @@ mod tests {
         let names: Vec<_> = leaves(&value).into_iter().map(|(name, _)| name).collect();
         assert_eq!(names, ["size", "split.every"]);
         assert_eq!(display(&json!(f64::from(0.1_f32))), "0.1");
+        assert_eq!(display(&Value::Null), "unset");
         assert_eq!(display(&json!({"a": [1, 2.5]})), "{ a = [1, 2.5] }");
     }
 }

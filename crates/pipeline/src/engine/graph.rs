@@ -12,7 +12,7 @@ use super::canonical;
 use super::digest::{Digest, Encoder};
 use super::error::{EngineError, ParameterError};
 use super::registry::Registry;
-use super::stage::{AllParameters, Scope, Source};
+use super::stage::{AllParameters, Named, Scope, Source};
 
 /// Parameters given for stages, by stage; whatever is not given has the stage's default.
 pub type Overrides = Map<String, Value>;
@@ -282,20 +282,42 @@ impl Builder<'_> {
         Ok(all)
     }
 
+    /// What is named outside the pipeline for a scene; without one, what is named for all of them, together or one by one.
+    fn named(&self, scene: Option<&Scene>) -> Named {
+        let batch = self.batch.externals.iter();
+        let each = match (scene, self.batch.scenes.split_first()) {
+            (Some(scene), _) => scene.externals.iter().collect::<Vec<_>>(),
+            (None, Some((first, others))) => {
+                let everywhere = |name: &String| others.iter().all(|s| s.externals.contains_key(name));
+                first.externals.iter().filter(|(name, _)| everywhere(name)).collect()
+            }
+            (None, None) => Vec::new(),
+        };
+        Named::new(batch.chain(each).map(|(name, place)| (name.clone(), place.clone().ok())))
+    }
+
     fn add(&mut self, scene: Option<&Scene>, variant: &Variant, scope: Scope) -> Result<(), EngineError> {
         let all = self.parameters(scene, variant)?;
+        let named = self.named(scene);
         for (index, stage) in self.registry.stages().iter().enumerate().filter(|(_, s)| s.scope == scope) {
-            if stage.condition.as_ref().is_some_and(|asked| !asked(&all)) {
+            if stage.condition.as_ref().is_some_and(|asked| !asked(&all, &named)) {
                 continue;
             }
             let mut inputs = Vec::new();
             for (i, input) in stage.inputs.iter().enumerate() {
-                let found = match input.source {
-                    Source::External(name) => {
-                        let own = scene.and_then(|s| s.externals.get(name));
-                        own.or_else(|| self.batch.externals.get(name)).cloned().map(From::External)
-                    }
-                    Source::Stage(name) => {
+                let outside = |name: &str| {
+                    let own = scene.and_then(|s| s.externals.get(name));
+                    own.or_else(|| self.batch.externals.get(name)).cloned().map(From::External)
+                };
+                // What is read from outside: its name, or that of what stands in for an artifact.
+                let external = match input.source {
+                    Source::External(name) => Some(name),
+                    Source::Stage(_) => input.instead.filter(|name| outside(name).is_some()),
+                };
+                let found = match (input.source.clone(), external) {
+                    (_, Some(name)) => outside(name),
+                    (Source::External(name), None) => outside(name),
+                    (Source::Stage(name), None) => {
                         let scene_name = scene.map(|s| s.name.clone()).unwrap_or_default();
                         let here = self.place.get(&(scene_name, variant.name.clone(), name));
                         here.or_else(|| self.place.get(&(String::new(), variant.name.clone(), name)))
@@ -312,13 +334,11 @@ impl Builder<'_> {
                         }
                     })),
                 };
-                let named = match input.source {
-                    Source::External(name) => {
-                        let own = scene.filter(|s| s.externals.contains_key(name));
-                        own.map_or(&self.batch.named, |s| &s.named).get(name).cloned().unwrap_or_default()
-                    }
-                    Source::Stage(_) => String::new(),
-                };
+                let said = external.and_then(|name| {
+                    let own = scene.filter(|s| s.externals.contains_key(name));
+                    own.map_or(&self.batch.named, |s| &s.named).get(name)
+                });
+                let named = said.cloned().unwrap_or_default();
                 inputs.push(NodeInput {
                     role: input.role,
                     from,
@@ -338,6 +358,7 @@ impl Builder<'_> {
 
     fn add_batch_stages(&mut self, variants: &[Variant]) -> Result<(), EngineError> {
         let all = self.parameters(None, &Variant::default())?;
+        let named = self.named(None);
         let groups: HashMap<&str, &str> =
             self.batch.scenes.iter().map(|s| (s.name.as_str(), s.group.as_str())).collect();
         for (index, stage) in
@@ -359,7 +380,7 @@ impl Builder<'_> {
                     },
                 });
             }
-            if stage.condition.as_ref().is_some_and(|asked| !asked(&all)) {
+            if stage.condition.as_ref().is_some_and(|asked| !asked(&all, &named)) {
                 continue;
             }
             let mut inputs = Vec::new();
@@ -386,6 +407,13 @@ impl Builder<'_> {
                         }
                     },
                     Source::Stage(name) => {
+                        if let Some((name, external)) =
+                            input.instead.and_then(|name| self.batch.externals.get_key_value(name))
+                        {
+                            let named = self.batch.named.get(name).cloned().unwrap_or_default();
+                            let from = From::External(external.clone());
+                            inputs.push(NodeInput { from, named, ..base.clone() });
+                        }
                         for (n, node) in self.nodes.iter().enumerate().filter(|(_, n)| n.stage_name == name) {
                             inputs.push(NodeInput {
                                 from: From::Node(n),

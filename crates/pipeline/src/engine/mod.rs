@@ -102,7 +102,7 @@ pub use graph::{Batch, Graph, Scene, Variant};
 pub use plan::Plan;
 pub use registry::{Registry, Shorthand};
 pub use run::{RunOptions, Summary};
-pub use stage::{AllParameters, Input, Scope, Select, Source, Stage};
+pub use stage::{AllParameters, Input, Named, Scope, Select, Source, Stage};
 
 /// Stages and the cache they work on.
 #[derive(Clone)]

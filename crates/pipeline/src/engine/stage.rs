@@ -47,6 +47,31 @@ pub struct Input {
     pub optional: bool,
     /// Which files count; `None` counts every file that is not hidden.
     pub select: Option<Select>,
+    /// A file or folder that is read in place of the stage's artifact where the pipeline names it.
+    pub instead: Option<&'static str>,
+}
+
+/// What the pipeline names outside itself, for [`Stage::when_named`]: for one scene, or, for a stage that is made once, for all of them.
+#[derive(Clone, Debug, Default)]
+pub struct Named {
+    places: std::collections::BTreeMap<String, Option<PathBuf>>,
+}
+
+impl Named {
+    /// From names and places; a place that cannot be said (an unset variable) is `None`.
+    pub(crate) fn new(places: impl IntoIterator<Item = (String, Option<PathBuf>)>) -> Self {
+        Self { places: places.into_iter().collect() }
+    }
+
+    /// Whether it is named, there or not.
+    pub fn has(&self, name: &str) -> bool {
+        self.places.contains_key(name)
+    }
+
+    /// Where it is, if it is named and that can be said.
+    pub fn path(&self, name: &str) -> Option<&Path> {
+        self.places.get(name)?.as_deref()
+    }
 }
 
 /// The parameters of all stages of one scene and variant, by stage, for [`Stage::when`].
@@ -54,7 +79,7 @@ pub type AllParameters = Map<String, Value>;
 
 /// Parameters in, parameters with defaults filled in out, or what is wrong with them.
 type Canonicalise = Arc<dyn Fn(&Value) -> Result<Value, ParameterError> + Send + Sync>;
-type Condition = Arc<dyn Fn(&AllParameters) -> bool + Send + Sync>;
+type Condition = Arc<dyn Fn(&AllParameters, &Named) -> bool + Send + Sync>;
 type Run = Arc<dyn Fn(&StageContext, &Value) -> Result<(), StageError> + Send + Sync>;
 
 /// A stage; see the [module documentation](super) for an example.
@@ -138,25 +163,49 @@ impl Stage {
     /// Reads the artifact of `stage` as `role`.
     #[must_use]
     pub fn input(self, role: &'static str, stage: &'static str) -> Self {
-        self.with_input(Input { role, source: Source::Stage(stage), optional: false, select: None })
+        self.with_input(Input {
+            role,
+            source: Source::Stage(stage),
+            optional: false,
+            select: None,
+            instead: None,
+        })
     }
 
     /// As [`input`](Self::input), when that stage is asked for.
     #[must_use]
     pub fn optional_input(self, role: &'static str, stage: &'static str) -> Self {
-        self.with_input(Input { role, source: Source::Stage(stage), optional: true, select: None })
+        self.with_input(Input {
+            role,
+            source: Source::Stage(stage),
+            optional: true,
+            select: None,
+            instead: None,
+        })
     }
 
     /// Reads a file or folder that the pipeline names `name` as `role`.
     #[must_use]
     pub fn external(self, role: &'static str, name: &'static str) -> Self {
-        self.with_input(Input { role, source: Source::External(name), optional: false, select: None })
+        self.with_input(Input {
+            role,
+            source: Source::External(name),
+            optional: false,
+            select: None,
+            instead: None,
+        })
     }
 
     /// As [`external`](Self::external), when the pipeline names it. Named and absent, it fails the stage.
     #[must_use]
     pub fn optional_external(self, role: &'static str, name: &'static str) -> Self {
-        self.with_input(Input { role, source: Source::External(name), optional: true, select: None })
+        self.with_input(Input {
+            role,
+            source: Source::External(name),
+            optional: true,
+            select: None,
+            instead: None,
+        })
     }
 
     /// Adds an input.
@@ -175,6 +224,16 @@ impl Stage {
     ) -> Self {
         if let Some(input) = self.inputs.last_mut() {
             input.select = Some(Arc::new(choose));
+        }
+        self
+    }
+
+    /// The input added last, an artifact, is the file or folder `name` instead where the pipeline names that; the stage that makes the
+    /// artifact is then not needed for it.
+    #[must_use]
+    pub fn or_external(mut self, name: &'static str) -> Self {
+        if let Some(input) = self.inputs.last_mut() {
+            input.instead = Some(name);
         }
         self
     }
@@ -211,7 +270,17 @@ impl Stage {
 
     /// It is only asked for when this holds for the parameters of all stages.
     #[must_use]
-    pub fn when(mut self, condition: impl Fn(&AllParameters) -> bool + Send + Sync + 'static) -> Self {
+    pub fn when(self, condition: impl Fn(&AllParameters) -> bool + Send + Sync + 'static) -> Self {
+        self.when_named(move |all, _| condition(all))
+    }
+
+    /// As [`when`](Self::when), from what the pipeline names outside itself, too. What is there decides whether the stage is asked for
+    /// when a pipeline is planned; what a stage computes still follows from its inputs alone.
+    #[must_use]
+    pub fn when_named(
+        mut self,
+        condition: impl Fn(&AllParameters, &Named) -> bool + Send + Sync + 'static,
+    ) -> Self {
         self.condition = Some(Arc::new(condition));
         self
     }

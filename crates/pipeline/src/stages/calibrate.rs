@@ -1,6 +1,6 @@
 //! The calibrator: from proposed transitions towards those of paired data.
 
-use use3d_atc::calibrator::{CalibratorParams, Dataset, train};
+use use3d_atc::calibrator::{Calibrator, CalibratorParams, Dataset, METHOD_PAIRS, train};
 use use3d_atc::progress::Progress;
 
 use super::common::{read_json, write_json};
@@ -16,6 +16,7 @@ pub(super) fn stage() -> Stage {
         .made_of(&["use3d-atc"], &["src/stages/calibrate.rs"])
         .check(|p: &CalibratorParams| p.validate().map_err(|e| (String::new(), e.to_string())))
         .input("pairs", "pairs")
+        .when_named(|_, named| !named.has("calibrator"))
 }
 
 fn run(context: &StageContext, params: &CalibratorParams) -> Result<(), StageError> {
@@ -35,12 +36,33 @@ fn run(context: &StageContext, params: &CalibratorParams) -> Result<(), StageErr
     });
     context.alive()?;
     let calibrator = calibrator?;
-    let trust = params.trust_in(&dataset);
-    if dataset.stand_in && trust == 0.0 {
-        context.say(
-            "proposals stay as they are: synthetic pairs do not say how this water should look; give real pairs (UIEB, LSUI, EUVP) with \
-             `calibrator.pairs`, or trust these with calibrate.trust=1",
-        );
+    tell(context, &calibrator, &params, &dataset);
+    let path = context.output().join(CALIBRATOR);
+    std::fs::write(&path, calibrator.to_bytes()?).map_err(|e| StageError::io(&path, e))?;
+    write_json(&context.output().join("report.json"), &calibrator.provenance)
+}
+
+/// Says what became of the proposals, and what is to be thought of it.
+fn tell(context: &StageContext, calibrator: &Calibrator, params: &CalibratorParams, dataset: &Dataset) {
+    let (trust, pairs) = (params.trust_in(dataset), dataset.examples.len());
+    if !dataset.stand_in && CalibratorParams::few(pairs) {
+        context.say(format_args!(
+            "{pairs} pairs are few, the recipe is made for {METHOD_PAIRS}: what so few have in common need not hold for other water; look at \
+             proposals and enhanced views side by side, or compare with calibrate.trust=0"
+        ));
+    }
+    if calibrator.corrects() == [false; 2] {
+        let why = match (dataset.stand_in, trust == 0.0) {
+            (true, true) => {
+                "no pairs are named, and synthetic ones, which give the scales, do not say how this water should look; name real pairs \
+                 (UIEB, LSUI, EUVP) with --pairs INPUT TARGET or `calibrator.pairs`, a finished calibrator with --calibrator or \
+                 `calibrator.file`, or trust the synthetic ones with calibrate.trust=1"
+            }
+            (false, true) => "calibrate.trust is 0; the pairs give the scales only",
+            (_, false) => "no share of what was learnt served the pairs kept aside",
+        };
+        context.say(format_args!("proposals as they are: {why}"));
+        return;
     }
     if let Some(held_out) = &calibrator.provenance.held_out {
         let errors = &held_out.errors;
@@ -57,7 +79,4 @@ fn run(context: &StageContext, params: &CalibratorParams) -> Result<(), StageErr
             }
         }
     }
-    let path = context.output().join(CALIBRATOR);
-    std::fs::write(&path, calibrator.to_bytes()?).map_err(|e| StageError::io(&path, e))?;
-    write_json(&context.output().join("report.json"), &calibrator.provenance)
 }

@@ -7,9 +7,11 @@
 //! ```
 //!
 //! For comparison, `propose` can stand before `reconstruct`, which then learns from photographs enhanced one by one; `targets`
-//! and `enhance` are left out then. `pairs` and `calibrate` are made once for all scenes; `report` once from everything.
+//! and `enhance` are left out then. `pairs` and `calibrate` are made once for all scenes, and not at all where every scene is given a
+//! finished calibrator; `report` once from everything.
 
 mod calibrate;
+mod calibrator;
 mod common;
 mod contact;
 #[cfg(feature = "nets")]
@@ -53,6 +55,7 @@ pub fn registry() -> Result<Registry, EngineError> {
     Ok(Registry::new(stages)?
         .shorthand("scene", "size", "import", "size")
         .shorthand("calibrator", "proposer", "pairs", "proposer")
+        .shorthand("calibrator", "proposer", "targets", "proposer")
         .shorthand("calibrator", "steps", "calibrate", "steps"))
 }
 

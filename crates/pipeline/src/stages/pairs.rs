@@ -37,6 +37,7 @@ pub(super) fn stage() -> Stage {
         .optional_external("target", "pairs.target")
         .optional_external("models", "models")
         .select(|_, models| Ok(super::proposer_files(models)))
+        .when_named(|_, named| !named.has("calibrator"))
 }
 
 #[cfg(feature = "nets")]

@@ -69,6 +69,26 @@ pub fn open(
     }
 }
 
+/// The proposer that a calibrator was fitted for, by the name it records; another one that is asked for by name is an error (R25).
+pub(super) fn of_calibrator(
+    choice: ProposerChoice,
+    recorded: &str,
+    models: Option<&Path>,
+) -> Result<Box<dyn Proposer>, String> {
+    let asked = match choice {
+        ProposerChoice::Auto => recorded,
+        ProposerChoice::Nu2net => "nu2net",
+        ProposerChoice::Fusion => "fusion",
+    };
+    if asked != recorded {
+        return Err(format!(
+            "the calibrator was fitted for the proposer `{recorded}`, but `{asked}` is asked for; ask for `{recorded}` or `auto`, or fit \
+             a calibrator for `{asked}`"
+        ));
+    }
+    by_name(recorded, models)
+}
+
 /// The proposer of that name, as a calibrator records it.
 pub(super) fn by_name(name: &str, models: Option<&Path>) -> Result<Box<dyn Proposer>, String> {
     match name {

@@ -4,12 +4,13 @@ use std::path::Path;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use use3d_atc::calibrator::Provenance;
+use use3d_atc::calibrator::Calibrator;
 use use3d_atc::consensus::TargetsReport;
 use use3d_capture::flat_stem;
 use use3d_io_image::read_image;
 use use3d_scene::Scene;
 
+use super::calibrator::read_calibrator;
 use super::common::{folder, read_json, write_json, write_text};
 use super::evaluate::{SCORES, STRIP};
 use super::reconstruct::CONTACT;
@@ -41,9 +42,10 @@ pub(super) fn stage() -> Stage {
     Stage::new("report", Scope::Batch, run)
         .about("tables and one page about the whole batch")
         .made_of(
-            &["use3d-scene", "use3d-io-colmap", "use3d-atc"],
+            PARTS,
             &[
                 "src/stages/report.rs",
+                "src/stages/calibrator.rs",
                 "src/report",
                 "src/tables",
                 "src/scores.rs",
@@ -54,6 +56,7 @@ pub(super) fn stage() -> Stage {
             ],
         )
         .input("calibrator", "calibrate")
+        .or_external("calibrator")
         .input("import", "import")
         .input("scene", "reconstruct")
         .optional_input("targets", "targets")
@@ -61,6 +64,11 @@ pub(super) fn stage() -> Stage {
         .optional_input("renders", "render")
         .optional_input("scores", "evaluate")
 }
+
+#[cfg(feature = "nets")]
+const PARTS: &[&str] = &["use3d-scene", "use3d-io-colmap", "use3d-atc", "use3d-nets"];
+#[cfg(not(feature = "nets"))]
+const PARTS: &[&str] = &["use3d-scene", "use3d-io-colmap", "use3d-atc"];
 
 /// The artifacts of one scene in one variant.
 struct Parts<'a> {
@@ -125,7 +133,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let tables = paper::tables(&scored);
     write_tables(&context.output().join("tables"), &tables)?;
     let calibrator = match context.optional_input("calibrator") {
-        Some(path) => Some(calibrator(&read_json(&path.join("report.json"))?)),
+        Some(path) => Some(calibrator(&read_calibrator(path)?)),
         None => None,
     };
     let page = Page {
@@ -163,7 +171,22 @@ fn write_tables(dir: &Path, tables: &[Table]) -> Result<(), StageError> {
     Ok(())
 }
 
-fn calibrator(provenance: &Provenance) -> CalibratorSection {
+fn calibrator(calibrator: &Calibrator) -> CalibratorSection {
+    let provenance = &calibrator.provenance;
+    if calibrator.corrects() == [false; 2] {
+        let summary = format!(
+            "Proposals as they are: no correction is applied to any. The scales of the errors come from {} pairs; {}.",
+            provenance.pairs, provenance.data
+        );
+        return CalibratorSection { summary, rows: Vec::new() };
+    }
+    if provenance.pairs == 0 {
+        // A file that records no fit: the authors'.
+        return CalibratorSection {
+            summary: format!("A finished calibrator: {}.", provenance.data),
+            rows: Vec::new(),
+        };
+    }
     let rows = provenance.held_out.iter().flat_map(|held_out| {
         let e = &held_out.errors;
         [("global", e.global), ("local", e.local), ("local, centred", e.centered)].map(|(name, change)| {
@@ -362,7 +385,7 @@ fn sheets(dir: &Path) -> Result<Vec<Picture>, StageError> {
         .iter()
         .map(|path| {
             let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-            let caption = "Left to right: captured, the proposal for this view alone, its own calibrated transition, the consensus of all views (2D previews).";
+            let caption = "Left to right: captured, the proposal for this view alone, its transition as the calibrator leaves it, the consensus of all views (2D previews).";
             Ok(Picture::embed_wide(&format!("Consensus on {stem}"), caption, &read_image(path)?, 1600)?)
         })
         .collect()

@@ -1,11 +1,8 @@
 //! The scene's targets: one global operator and one local operator per Gaussian, agreed by all training views.
 
-use std::path::Path;
-
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::AtcError;
-use use3d_atc::calibrator::Calibrator;
 use use3d_atc::consensus::{Preview, Proposals, Recorder, TargetsParams, ViewInput, targets_from_records};
 use use3d_atc::progress::Progress;
 use use3d_capture::{Capture, View};
@@ -13,10 +10,10 @@ use use3d_io_colmap::load_pixels;
 use use3d_io_image::{write_png, write_png_map};
 use use3d_splat::Rasterizer;
 
-use super::calibrate::CALIBRATOR;
+use super::calibrator::read_calibrator;
 use super::common::{capture, folder, scene, write_json};
 use super::propose::asked_for;
-use super::proposer::by_name;
+use super::proposer::{ProposerChoice, of_calibrator};
 use crate::engine::{Scope, Stage, StageContext, StageError};
 
 /// The targets' file in its artifact.
@@ -26,6 +23,8 @@ pub const TARGETS: &str = "targets.safetensors";
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct Params {
+    /// The 2D enhancer that proposes: `auto` is the one that the calibrator was fitted for, another one is refused.
+    pub(super) proposer: ProposerChoice,
     /// The consensus.
     pub(super) consensus: TargetsParams,
     /// Views shown side by side: captured, proposal, calibrated on its own, consensus.
@@ -34,18 +33,19 @@ pub(super) struct Params {
 
 impl Default for Params {
     fn default() -> Self {
-        Self { consensus: TargetsParams::default(), previews: 4 }
+        Self { proposer: ProposerChoice::Auto, consensus: TargetsParams::default(), previews: 4 }
     }
 }
 
 pub(super) fn stage() -> Stage {
     Stage::new("targets", Scope::Scene, run)
         .about("appearance transition consensus: scene-global and Gaussian-local targets")
-        .made_of(PARTS, &["src/stages/targets.rs", "src/stages/proposer.rs"])
+        .made_of(PARTS, &["src/stages/targets.rs", "src/stages/calibrator.rs", "src/stages/proposer.rs"])
         .when(|all| !asked_for(all))
         .input("import", "import")
         .input("scene", "reconstruct")
         .input("calibrator", "calibrate")
+        .or_external("calibrator")
         .optional_external("models", "models")
         .select(|_, models| Ok(super::proposer_files(models)))
         .cost(0, 2 << 30)
@@ -55,13 +55,6 @@ pub(super) fn stage() -> Stage {
 const PARTS: &[&str] = &["use3d-atc", "use3d-scene", "use3d-io-colmap", "use3d-nets"];
 #[cfg(not(feature = "nets"))]
 const PARTS: &[&str] = &["use3d-atc", "use3d-scene", "use3d-io-colmap"];
-
-/// Reads a calibrator from its file or from the folder that holds it.
-pub(super) fn read_calibrator(path: &Path) -> Result<Calibrator, StageError> {
-    let file = if path.is_dir() { path.join(CALIBRATOR) } else { path.to_path_buf() };
-    let bytes = std::fs::read(&file).map_err(|e| StageError::io(&file, e))?;
-    Calibrator::from_bytes(&bytes).map_err(|e| StageError::message(format!("{}: {e}", file.display())))
-}
 
 /// A captured view for the consensus.
 fn input(view: &View) -> Result<ViewInput, AtcError> {
@@ -75,7 +68,8 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let scene = scene(context, "scene")?;
     let calibrator = read_calibrator(context.input("calibrator")?)?;
     let proposer =
-        by_name(&calibrator.proposer.name, context.optional_input("models")).map_err(StageError::message)?;
+        of_calibrator(params.proposer, &calibrator.proposer.name, context.optional_input("models"))
+            .map_err(StageError::message)?;
     calibrator.proposer.require(&proposer.id())?;
 
     let views: Vec<&View> = capture.training_views().collect();

@@ -4,11 +4,11 @@ use std::fs;
 use std::path::Path;
 
 use use3d_pipeline::config::{LoadOptions, from_text};
-use use3d_pipeline::engine::Graph;
 use use3d_pipeline::engine::plan::State;
 use use3d_pipeline::engine::run::{Became, RunOptions};
+use use3d_pipeline::engine::{Batch, Cache, Engine, Graph, Registry, Scope, Stage, StageContext};
 
-use super::stages::{batch, engine, registry, run, run_with};
+use super::stages::{Strength, batch, engine, registry, run, run_with};
 
 #[test]
 fn an_optional_input_that_is_named_and_missing_fails_what_needs_it_and_nothing_else() {
@@ -134,4 +134,54 @@ fn nothing_is_computed_for_scenes_that_have_failed() {
     let (summary, ran, ..) = run_with(&engine, &batch, &options);
     assert_eq!(summary.exit_code(), 1);
     assert!(ran.contains(&"calibrate".to_string()), "{ran:?}");
+}
+
+#[test]
+fn a_finished_artifact_stands_in_for_its_stage_where_it_is_named() {
+    let dir = tempfile::tempdir().expect("folder");
+    let file = dir.path().join("calibrator.bin");
+    fs::write(&file, "finished").expect("file");
+    let mut batch = batch(&dir.path().join("data"), &["a", "b"]);
+    let engine = engine_with(&dir.path().join("cache"));
+    let started = |batch: &Batch| {
+        let (summary, started, _) = run(&engine, batch);
+        assert_eq!(summary.exit_code(), 0, "{summary}");
+        started
+    };
+    // One scene has its own: the stage is still needed by the other.
+    batch.scenes[0].name_external("calibrator", Ok(file.clone()), "`calibrator.file` of scene a");
+    assert_eq!(started(&batch), ["a · targets", "b · targets", "calibrate", "report"]);
+    // Both have: nobody asks for it, and what the first made of the file counts.
+    batch.scenes[1].name_external("calibrator", Ok(file.clone()), "`calibrator.file` of scene b");
+    assert_eq!(started(&batch), ["b · targets", "report"]);
+    // Named for all of them, it is the report's, too. Content counts, not the place.
+    batch.scenes.iter_mut().for_each(|s| s.externals.retain(|name, _| name == "capture"));
+    fs::rename(&file, dir.path().join("moved.bin")).expect("moved");
+    batch.name_external("calibrator", Ok(dir.path().join("moved.bin")), "--calibrator");
+    assert_eq!(started(&batch), ["report"]);
+    assert!(started(&batch).is_empty());
+    batch.name_external("calibrator", Ok(dir.path().join("gone.bin")), "--calibrator");
+    let graph = Graph::new(&engine.registry, &batch).expect("graph");
+    let plan = engine.plan(&graph, None);
+    assert_eq!(plan.nodes.iter().filter(|n| matches!(n.state, State::Unavailable(_))).count(), 3);
+}
+
+/// A small table in which `targets` and `report` read a calibrator, made or given.
+fn engine_with(cache: &Path) -> Engine {
+    let write = |context: &StageContext, p: &Strength| {
+        let read: Vec<&str> = context.inputs().iter().map(|i| i.role.as_str()).collect();
+        Ok(fs::write(context.output().join("read.txt"), format!("{read:?} {}", p.strength))?)
+    };
+    let stages = vec![
+        Stage::new("calibrate", Scope::Shared, write).when_named(|_, named| !named.has("calibrator")),
+        Stage::new("targets", Scope::Scene, write)
+            .external("capture", "capture")
+            .input("calibrator", "calibrate")
+            .or_external("calibrator"),
+        Stage::new("report", Scope::Batch, write)
+            .input("targets", "targets")
+            .input("calibrator", "calibrate")
+            .or_external("calibrator"),
+    ];
+    Engine::new(Registry::new(stages).expect("a table"), Cache::open(cache, false).expect("a cache"))
 }

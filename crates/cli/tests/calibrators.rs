@@ -1,0 +1,145 @@
+//! Finished calibrators, this program's and the authors' (stand-ins of the same layout): in a pipeline, by hand, in the list of models.
+#![cfg(feature = "nets")]
+
+use std::path::Path;
+use std::process::Command;
+
+use use3d_golden::torch::{
+    Nesting, Tensors, released_calibrator, released_calibrator_tensors, safetensors_file, zip_file,
+};
+use use3d_nets::weights::{StandIn, Weights};
+use use3d_nets::{NetError, Nu2Net};
+
+/// Runs the command in `dir` and expects an exit code; gives stdout and stderr.
+fn expect(code: i32, dir: &Path, arguments: &[&str]) -> (String, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_use3d"));
+    command.args(arguments).current_dir(dir).env("USE3D_CACHE", dir.join("cache"));
+    let output = command.env_remove("USE3D_MODELS").env_remove("RUST_LOG").output().expect("it starts");
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    let (out, err) = (text(&output.stdout), text(&output.stderr));
+    assert_eq!(output.status.code(), Some(code), "use3d {arguments:?}\n{out}\n{err}");
+    (out, err)
+}
+
+/// Notes the tensors that a network asks for.
+struct Recorder(Tensors);
+
+impl Weights for Recorder {
+    fn tensor(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>, NetError> {
+        let values = StandIn.tensor(name, shape)?;
+        self.0.insert(name.to_string(), (shape.to_vec(), values.clone()));
+        Ok(values)
+    }
+}
+
+/// A folder with a tiny capture, and stand-ins for the authors' proposer and calibrator in `models/`.
+fn place() -> tempfile::TempDir {
+    let dir = tempfile::tempdir().expect("folder");
+    expect(0, dir.path(), &["-q", "synth", "capture", "--out", "reef", "--views", "9", "--size", "64x48"]);
+    let models = dir.path().join("models");
+    std::fs::create_dir(&models).expect("folder");
+    let mut recorder = Recorder(Tensors::new());
+    Nu2Net::from_weights(&mut recorder).expect("a network");
+    std::fs::write(models.join("uie_proposer.pth"), zip_file(&recorder.0, Nesting::Net)).expect("written");
+    let file = released_calibrator(5, &released_calibrator_tensors([128, 256]));
+    std::fs::write(models.join("transition_calibrator.pth"), file).expect("written");
+    dir
+}
+
+const QUICK: [&str; 4] = ["--set", "reconstruct.iterations=8", "--set", "enhance.iterations=4"];
+const RELEASED: &str = "models/transition_calibrator.pth";
+
+#[test]
+fn the_authors_calibrator_serves_a_whole_run_and_by_hand() {
+    let dir = place();
+    let at = dir.path();
+    let run = ["-q", "run", "reef", "--out", "out", "--calibrator", RELEASED];
+    let (out, _) = expect(0, at, &[&run[..], &QUICK].concat());
+    // Neither pairs nor a fit: import, reconstruct, targets, enhance, render, evaluate, report.
+    assert!(out.contains("reef: 7 done, 0 cached"), "{out}");
+    let page = std::fs::read_to_string(at.join("out/report.html")).expect("the report");
+    assert!(page.contains("A finished calibrator: released by the paper"), "the report names the calibrator");
+
+    // The same tensors as safetensors are the same calibrator; another proposer than its own is refused (R25).
+    let tensors = released_calibrator_tensors([128, 256]);
+    std::fs::write(at.join("c.safetensors"), safetensors_file(&tensors)).expect("written");
+    for (file, out) in [(RELEASED, "a.safetensors"), ("c.safetensors", "b.safetensors")] {
+        let hand = [
+            "-q",
+            "targets",
+            "out/reef/scene",
+            "reef",
+            "--models",
+            "models",
+            "--calibrator",
+            file,
+            "--out",
+            out,
+        ];
+        expect(0, at, &hand);
+    }
+    let read = |name: &str| std::fs::read(at.join(name)).expect("targets");
+    assert!(read("a.safetensors") == read("b.safetensors"));
+    let other = [&run[..], &QUICK, &["--set", "calibrator.proposer=fusion"]].concat();
+    let (out, _) = expect(1, at, &other);
+    assert!(out.contains("fitted for the proposer `nu2net`, but `fusion` is asked for"), "{out}");
+
+    // What is not a calibrator is said to be none, and what would be.
+    std::fs::write(at.join("not.pth"), "not a calibrator").expect("written");
+    std::fs::write(at.join("old.pth"), released_calibrator(4, &tensors)).expect("written");
+    let lists =
+        ["-q", "targets", "out/reef/scene", "reef", "--models", "models", "--out", "d", "--calibrator"];
+    for (file, words) in [
+        ("not.pth", "the authors' transition_calibrator.pth"),
+        ("old.pth", "its schema version is 4"),
+        ("absent", "absent does not exist"),
+    ] {
+        let output = Command::new(env!("CARGO_BIN_EXE_use3d")).args(lists).arg(file).current_dir(at).output();
+        let output = output.expect("it starts");
+        let err = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!output.status.success() && err.contains(words), "{file}: {err}");
+    }
+
+    let (list, _) = expect(0, at, &["models", "--dir", "models"]);
+    let row = list.split("\n\n").find(|row| row.contains("Calibrator (3D-USE release)")).expect("a row");
+    for word in
+        ["found", "transition_calibrator.pth", "sha256", "Pi-Lab License", "github.com/bilityniu/3D-USE"]
+    {
+        assert!(row.contains(word), "{row}");
+    }
+}
+
+#[test]
+fn a_calibrator_of_our_own_serves_a_pipeline_and_a_scene_of_it() {
+    let dir = place();
+    let at = dir.path();
+    expect(0, at, &["-q", "synth", "pairs", "--out", "pairs", "--views", "6", "--size", "64x48"]);
+    let fit = ["calibrate", "--input", "pairs/input", "--target", "pairs/reference", "--proposer", "fusion"];
+    let (_, err) = expect(0, at, &[&fit[..], &["--set", "steps=5", "--out", "own.safetensors"]].concat());
+    assert!(err.contains("6 pairs are few, the recipe is made for 800"), "{err}");
+
+    let pipeline = |calibrator: &str, scene: &str| {
+        let text = format!(
+            "name = \"p\"\n{calibrator}\n[defaults.reconstruct]\niterations = 8\n[[scene]]\nname = \"own\"\ncapture = \"reef\"\n{scene}\n\
+             [[scene]]\nname = \"other\"\ncapture = \"reef\"\n"
+        );
+        std::fs::write(at.join("p.toml"), text).expect("written");
+    };
+    let stages = || {
+        let (plan, _) = expect(0, at, &["plan", "p.toml", "--json"]);
+        ["pairs", "calibrate"].map(|stage| plan.contains(&format!("\"stage\": \"{stage}\"")))
+    };
+    pipeline("", "calibrator = { file = \"own.safetensors\" }");
+    assert_eq!(stages(), [true; 2], "the other scene needs pairs");
+    pipeline("[calibrator]\nfile = \"own.safetensors\"", "");
+    assert_eq!(stages(), [false; 2]);
+    let (out, _) = expect(0, at, &["-q", "run", "p.toml", "--until", "targets", "--out", "out"]);
+    assert!(out.contains("3 done") || out.contains("6 done"), "{out}");
+    // The calibrator was fitted for `fusion`, although the network's weights are there; the other way round is an error.
+    pipeline("[calibrator]\nfile = \"own.safetensors\"\nproposer = \"nu2net\"", "");
+    let (out, _) = expect(1, at, &["-q", "run", "p.toml", "--until", "targets", "--out", "out"]);
+    assert!(out.contains("fitted for the proposer `fusion`, but `nu2net` is asked for"), "{out}");
+    pipeline("[calibrator]\nfile = \"${USE3D_TEST_UNSET}/own.safetensors\"", "");
+    let (out, _) = expect(1, at, &["plan", "p.toml"]);
+    assert!(out.contains("`calibrator.file` in p.toml: the environment variable USE3D_TEST_UNSET"), "{out}");
+}

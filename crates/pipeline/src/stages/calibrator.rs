@@ -1,0 +1,58 @@
+//! A calibrator from wherever it lies: the artifact of `calibrate`, its file elsewhere, or the file that the paper's authors released.
+
+use std::path::Path;
+
+use use3d_atc::calibrator::Calibrator;
+
+use super::calibrate::CALIBRATOR;
+use crate::engine::StageError;
+
+/// Far more than any calibrator holds; a larger file is another thing.
+const LARGEST_FILE: u64 = 1 << 30;
+
+/// Reads a calibrator from its file, of this program's form or of the authors', or from the folder that holds it.
+pub(super) fn read_calibrator(path: &Path) -> Result<Calibrator, StageError> {
+    let file = if path.is_dir() { path.join(CALIBRATOR) } else { path.to_path_buf() };
+    let wrong = |problem: String| StageError::message(format!("{}: {problem}", file.display()));
+    let size = std::fs::metadata(&file).map_err(|e| StageError::io(&file, e))?.len();
+    if size > LARGEST_FILE {
+        return Err(wrong(format!("{size} bytes are more than any calibrator has; is this the right file?")));
+    }
+    let bytes = std::fs::read(&file).map_err(|e| StageError::io(&file, e))?;
+    if Calibrator::is_own_file(&bytes) {
+        return Calibrator::from_bytes(&bytes).map_err(|e| wrong(e.to_string()));
+    }
+    released(&file).map_err(wrong)
+}
+
+/// The authors' `transition_calibrator.pth`, or the same tensors as safetensors.
+#[cfg(feature = "nets")]
+fn released(file: &Path) -> Result<Calibrator, String> {
+    use use3d_atc::calibrator::ReleasedConfig;
+    use use3d_nets::Archive;
+
+    /// A hundred times what the authors' has.
+    const MOST_VALUES: usize = 10_000_000;
+    let expected = "expected a calibrator of `use3d calibrate` or the authors' transition_calibrator.pth";
+    let unneeded = |name: &str| name.contains("support_");
+    let archive = Archive::read(file, "global_head.0.bias", &unneeded, MOST_VALUES)
+        .map_err(|e| format!("{e}; {expected}"))?;
+    let mut config = ReleasedConfig::default();
+    // Where the file does not say, its tensors have to: names and shapes are checked one by one.
+    if let Some(schema) = archive.labels.get("schema") {
+        config.schema.clone_from(schema);
+    }
+    if let Some(version) = archive.labels.get("schema_version") {
+        config.schema_version = version
+            .parse()
+            .map_err(|_| format!("its `schema_version` is `{version}`, expected a whole number"))?;
+    }
+    Calibrator::from_named_tensors(archive.tensors, &config).map_err(|e| format!("{e}; {expected}"))
+}
+
+#[cfg(not(feature = "nets"))]
+fn released(_: &Path) -> Result<Calibrator, String> {
+    Err("this is not a calibrator of `use3d calibrate`; to read the authors' transition_calibrator.pth the program has to be built \
+         with networks (cargo feature `nets`)"
+        .into())
+}
