@@ -62,3 +62,30 @@ fn a_mistyped_folder_fails_the_run_and_is_said_by_the_plan() {
     let (_, err) = expect(2, dir.path(), &by_hand);
     assert!(err.contains("input: absent does not exist"), "{err}");
 }
+
+#[test]
+fn the_log_says_which_depth_prior_is_in_force_and_why() {
+    let dir = tempfile::tempdir().expect("folder");
+    let at = dir.path();
+    expect(0, at, &["-q", "synth", "capture", "--out", "reef", "--views", "9", "--size", "64x48"]);
+    let mut count = 0;
+    let mut said = |sets: &[&str]| {
+        count += 1;
+        let out = format!("scene-{count}");
+        let mut arguments = vec!["reconstruct", "reef", "--out", &out, "--set", "iterations=2"];
+        sets.iter().for_each(|set| arguments.extend(["--set", set]));
+        expect(0, at, &arguments).1
+    };
+    let own = "depth prior: the capture's own files, 7 of 7 training views";
+    assert!(said(&[]).contains(own) && said(&["depth_prior=folder"]).contains(own));
+    let off = said(&["depth_prior=off"]);
+    assert!(off.contains("depth prior: none, the depth term is off (depth_prior = \"off\")"), "{off}");
+    std::fs::remove_dir_all(at.join("reef/depth")).expect("removed");
+    let none = said(&[]);
+    assert!(none.contains("depth prior: none") && none.contains("Depth Anything V2"), "{none}");
+    let asked = said(&["depth_prior=folder"]);
+    assert!(
+        asked.contains("although depth_prior asks for files: the capture has no depth folder"),
+        "{asked}"
+    );
+}

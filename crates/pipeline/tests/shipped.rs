@@ -46,6 +46,84 @@ fn a_scene_learnt_from_proposals_has_no_second_stage() {
     assert!(full.contains(&"enhance") && !full.contains(&"propose"), "{full:?}");
 }
 
+#[test]
+fn without_depth_is_there_as_the_authors_ran_it_and_with_the_prior_alone_off() {
+    let registry = registry().expect("the stage table");
+    let file = folder().join("ablation-stage1.toml");
+    let pipeline = load(&registry, &file, &LoadOptions::default()).unwrap_or_else(|e| panic!("{e}"));
+    let graph = Graph::new(&registry, &pipeline.batch).expect("graph");
+    for (variant, prior, gradient) in
+        [("rbf-without-depth", "off", false), ("rbf-without-prior", "off", true), ("full", "auto", true)]
+    {
+        let node = graph.find("Panama", variant, "reconstruct").expect("a node");
+        let p = &graph.nodes[node].parameters;
+        let found = (p["medium"].as_str(), p["depth_prior"].as_str(), p["depth_gradient"].as_bool());
+        assert_eq!(found, (Some("rbf"), Some(prior), Some(gradient)), "{variant}");
+    }
+}
+
+/// A scene's depth priors are made by the network where they are asked for, or where none lie beside the photographs.
+#[cfg(feature = "nets")]
+#[test]
+fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
+    use use3d_pipeline::config::for_capture;
+    use use3d_pipeline::engine::plan::State;
+    use use3d_pipeline::engine::{Cache, Engine};
+
+    let dir = tempfile::tempdir().expect("folder");
+    let at = |name: &str| {
+        let path = dir.path().join(name);
+        std::fs::create_dir_all(&path).expect("folder");
+        path
+    };
+    let (bare, own, empty, small) = (at("bare"), at("own"), at("empty"), at("small"));
+    at("own/depth");
+    // What is in the file counts when it is read; that it is there decides.
+    std::fs::write(small.join("depth_anything_v2_vits.pth"), "weights").expect("written");
+    let plan = |capture: &Path, models: &Path, sets: &[&str]| {
+        let engine =
+            Engine::new(registry().expect("table"), Cache::open(&at("cache"), false).expect("cache"));
+        let sets = sets.iter().map(ToString::to_string).collect();
+        let options = LoadOptions { sets, models: Some(models.to_path_buf()), ..LoadOptions::default() };
+        let pipeline = for_capture(&engine.registry, capture, &options).expect("a pipeline");
+        let graph = Graph::new(&engine.registry, &pipeline.batch).expect("a graph");
+        let plan = engine.plan(&graph, None);
+        plan.nodes.into_iter().find(|n| n.stage == "depth").map(|n| n.state)
+    };
+    let (asked, off) = ("reconstruct.depth_prior=depth-anything-v2", "reconstruct.depth_prior=off");
+    for (capture, models, sets, made) in [
+        (&bare, &small, &[][..], true),
+        (&own, &small, &[], false),
+        (&bare, &empty, &[], false),
+        (&bare, &small, &["depth.encoder=vitl"], false),
+        (&bare, &small, &[off], false),
+        (&bare, &small, &["reconstruct.depth_prior=folder"], false),
+        (&own, &small, &[asked], true),
+        (&bare, &empty, &[asked], true),
+    ] {
+        assert_eq!(
+            plan(capture, models, sets).is_some(),
+            made,
+            "{} {} {sets:?}",
+            capture.display(),
+            models.display()
+        );
+    }
+    // Asked for by name without weights: said by the plan, with the file to get. (Its capture has a model here, so that it comes to that.)
+    let capture = at("synthetic").join("reef");
+    let params = use3d_synth::CaptureParams {
+        views: 5,
+        width: 64,
+        height: 48,
+        ..use3d_synth::CaptureParams::default()
+    };
+    use3d_synth::write_capture(&params, &capture, &mut |_, _| {}).expect("a capture");
+    let Some(State::Unavailable(why)) = plan(&capture, &empty, &[asked, "depth.encoder=vitb"]) else {
+        panic!("{:?}", plan(&capture, &empty, &[asked, "depth.encoder=vitb"]))
+    };
+    assert!(why.contains("put depth_anything_v2_vitb.pth there"), "{why}");
+}
+
 /// `USE3D_UPDATE_SCHEMA=1 cargo test -p use3d-pipeline --test shipped` writes it anew.
 #[test]
 fn the_schema_is_current() {

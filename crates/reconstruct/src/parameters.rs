@@ -23,10 +23,13 @@ pub enum Medium {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum DepthPrior {
+    /// The capture's own files where it has a depth folder, else Depth Anything V2 where its weights are in the models folder, else
+    /// no depth term; said aloud.
+    #[default]
+    Auto,
     /// No depth term.
     Off,
     /// Files beside the images; none there: no depth term, said aloud.
-    #[default]
     Folder,
     /// Made by Depth Anything V2 before training.
     DepthAnythingV2,
@@ -232,7 +235,7 @@ impl Default for ReconstructParams {
             medium: Medium::Rbf,
             anchors: 8,
             top_k: 4,
-            depth_prior: DepthPrior::Folder,
+            depth_prior: DepthPrior::Auto,
             depth_weight: 0.1,
             depth_gradient: true,
             structure_weight: 0.2,

@@ -204,6 +204,19 @@ fn profiling(app: &App) -> App {
     App { quiet: app.quiet, threads: app.threads, stop: app.stop.clone(), listener }
 }
 
+/// Whether depth priors are to be made for a prepared capture.
+#[cfg(feature = "nets")]
+fn depth_wanted(reconstruct: &Value, depth: Option<&Value>, capture: &Path, models: Option<&Path>) -> bool {
+    let import = use3d_io_colmap::ImportParams::default();
+    let depth = depth.unwrap_or(&Value::Null);
+    use3d_pipeline::stages::depth_wanted(reconstruct, depth, Some((capture, &import)), models)
+}
+
+#[cfg(not(feature = "nets"))]
+fn depth_wanted(reconstruct: &Value, _: Option<&Value>, _: &Path, _: Option<&Path>) -> bool {
+    reconstruct["depth_prior"] == "depth-anything-v2"
+}
+
 pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
     let started = Instant::now();
     check_output(&args.out)?;
@@ -223,7 +236,7 @@ pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
         run_stage(app, stage, &parameters[2], given, &folder, None)?;
         inputs.push(("proposals", folder));
     }
-    if parameters[0]["depth_prior"] == "depth-anything-v2" {
+    if depth_wanted(&parameters[0], parameters.get(3), &inputs[0].1, args.models.as_deref()) {
         let Some(models) = args.models.clone() else {
             return Err(CliError::Input(
                 "depth_prior=depth-anything-v2 needs the network's weights: pass --models DIR, or set USE3D_MODELS (`use3d models` lists what is there)".into(),

@@ -1,24 +1,62 @@
-//! Depth priors by Depth Anything V2, where they are asked for (R14).
+//! Depth priors by Depth Anything V2 (R14): where they are asked for, and, left to choose, where the capture has none of its own and
+//! the weights are in the models folder.
+
+use std::path::Path;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use use3d_io_colmap::load_pixels;
+use serde_json::Value;
+use use3d_io_colmap::{ImportParams, has_depth_folder, load_pixels};
 use use3d_io_image::write_png_map16;
+use use3d_nets::{DepthAnythingSize, Models, Network};
 
 use super::common::capture;
-use crate::engine::{AllParameters, Scope, Stage, StageContext, StageError};
+use crate::engine::{AllParameters, Named, Scope, Stage, StageContext, StageError};
 
 /// Which network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Encoder {
+    /// The largest whose weights are in the models folder; said aloud.
+    #[default]
+    Auto,
     /// 25 M parameters.
     Vits,
     /// 97 M parameters.
     Vitb,
-    /// 335 M parameters, the authors' default.
-    #[default]
+    /// 335 M parameters, the authors' choice.
     Vitl,
+}
+
+impl Encoder {
+    /// The networks that would do, the best first.
+    fn candidates(self) -> &'static [(Network, DepthAnythingSize)] {
+        const ALL: [(Network, DepthAnythingSize); 3] = [
+            (Network::DepthAnythingV2Large, DepthAnythingSize::Large),
+            (Network::DepthAnythingV2Base, DepthAnythingSize::Base),
+            (Network::DepthAnythingV2Small, DepthAnythingSize::Small),
+        ];
+        match self {
+            Self::Auto => &ALL,
+            Self::Vitl => &ALL[..1],
+            Self::Vitb => &ALL[1..2],
+            Self::Vits => &ALL[2..],
+        }
+    }
+
+    /// The network whose weights are in the models folder, or what to put there.
+    fn found(self, models: &Path) -> Result<(Network, DepthAnythingSize), String> {
+        let folder = Models::open(models);
+        let found = self.candidates().iter().find(|(network, _)| folder.has(*network));
+        found.copied().ok_or_else(|| {
+            let files = self.candidates().iter().map(|(network, _)| network.known().files[0]);
+            format!(
+                "the weights of Depth Anything V2 are not in {}: put {} there (`use3d models` says where it is published)",
+                models.display(),
+                files.collect::<Vec<_>>().join(" or ")
+            )
+        })
+    }
 }
 
 /// Parameters of the depth priors.
@@ -37,30 +75,48 @@ pub(super) fn stage() -> Stage {
         .external("models", "models")
         .select(|parameters, models| {
             let params: Params = serde_json::from_value(parameters.clone()).map_err(|e| e.to_string())?;
-            Ok(super::model_files(models, &[network(params.encoder)]))
+            Ok(super::model_files(models, &[params.encoder.found(models)?.0]))
         })
-        .when(|all: &AllParameters| {
-            all.get("reconstruct").is_some_and(|r| r["depth_prior"] == "depth-anything-v2")
-        })
+        .when_named(asked_for)
         .cost(0, 4 << 30)
 }
 
-fn network(encoder: Encoder) -> use3d_nets::Network {
-    match encoder {
-        Encoder::Vits => use3d_nets::Network::DepthAnythingV2Small,
-        Encoder::Vitb => use3d_nets::Network::DepthAnythingV2Base,
-        Encoder::Vitl => use3d_nets::Network::DepthAnythingV2Large,
+/// Whether a scene's priors are to be made, from its parameters and from what lies in its capture and in the models folder.
+fn asked_for(all: &AllParameters, named: &Named) -> bool {
+    let of = |stage: &str| all.get(stage).cloned().unwrap_or_default();
+    let import = serde_json::from_value(of("import")).unwrap_or_default();
+    wanted(
+        &of("reconstruct"),
+        &of("depth"),
+        named.path("capture").map(|c| (c, &import)),
+        named.path("models"),
+    )
+}
+
+/// Whether priors are to be made for a capture (with the parameters of its import), by the parameters of `reconstruct` and `depth`.
+pub fn wanted(
+    reconstruct: &Value,
+    depth: &Value,
+    capture: Option<(&Path, &ImportParams)>,
+    models: Option<&Path>,
+) -> bool {
+    match reconstruct["depth_prior"].as_str() {
+        Some("depth-anything-v2") => true,
+        Some("auto") => {
+            let params: Params = serde_json::from_value(depth.clone()).unwrap_or_default();
+            let has_own = capture.is_none_or(|(capture, import)| has_depth_folder(capture, import));
+            !has_own && models.is_some_and(|models| params.encoder.found(models).is_ok())
+        }
+        _ => false,
     }
 }
 
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let capture = capture(context)?;
-    let size = match params.encoder {
-        Encoder::Vits => use3d_nets::DepthAnythingSize::Small,
-        Encoder::Vitb => use3d_nets::DepthAnythingSize::Base,
-        Encoder::Vitl => use3d_nets::DepthAnythingSize::Large,
-    };
-    let network = use3d_nets::Models::open(context.input("models")?).depth_anything_v2(size)?;
+    let models = context.input("models")?;
+    let (network, size) = params.encoder.found(models).map_err(StageError::message)?;
+    context.say(format_args!("depth priors by {}", network.known().title));
+    let network = Models::open(models).depth_anything_v2(size)?;
     let views: Vec<_> = capture.training_views().collect();
     for (i, view) in views.iter().enumerate() {
         context.alive()?;

@@ -29,6 +29,8 @@ mod targets;
 
 pub use calibrate::CALIBRATOR;
 pub use common::{read_json, write_json};
+#[cfg(feature = "nets")]
+pub use depth::wanted as depth_wanted;
 pub use proposer::{ProposerChoice, open as open_proposer};
 pub use targets::TARGETS;
 

@@ -1,9 +1,11 @@
 //! Stage 1: the scene with its water.
 
-use use3d_capture::View;
+use use3d_capture::{Capture, View};
 use use3d_io_colmap::{load_depth_prior, load_mask, load_pixels};
 use use3d_io_image::write_png;
-use use3d_reconstruct::{Images, LoadedView, ReconstructError, ReconstructParams, growth, reconstruct};
+use use3d_reconstruct::{
+    DepthPrior, Images, LoadedView, ReconstructError, ReconstructParams, growth, reconstruct,
+};
 use use3d_scene::Origin;
 
 use super::common::{Watch, capture, write_json, write_text};
@@ -39,6 +41,34 @@ fn load(view: &View, pixels: &View) -> Result<LoadedView, String> {
     })
 }
 
+/// Which depth prior is in force, and why (R14).
+fn prior_in_force(params: &ReconstructParams, capture: &Capture, made: bool) -> String {
+    let total = capture.training_views().count();
+    let with = capture.training_views().filter(|view| view.depth_prior.is_some()).count();
+    let none = "depth prior: none, the depth term is off";
+    let networks = if cfg!(feature = "nets") {
+        "the weights of Depth Anything V2 are not in the models folder (`use3d models` names the files)"
+    } else {
+        "this program was built without networks"
+    };
+    match (params.depth_prior, made, with) {
+        (DepthPrior::Off, ..) => format!("{none} (depth_prior = \"off\")"),
+        _ if params.depth_weight == 0.0 => format!("{none} (depth_weight = 0)"),
+        (DepthPrior::Auto, true, _) => {
+            "depth prior: Depth Anything V2, since the capture has no depth folder".into()
+        }
+        (_, true, _) => "depth prior: Depth Anything V2, as depth_prior asks for".into(),
+        (DepthPrior::Auto, false, 0) => format!(
+            "{none}: the capture has no depth files for its training views (depth/ with the photographs' stems), and {networks}"
+        ),
+        (_, false, 0) => format!(
+            "{none}, although depth_prior asks for files: the capture has no depth folder, or none of its files has the stem of a training \
+             view; `auto` has Depth Anything V2 make them, `off` says that none are wanted"
+        ),
+        (_, false, with) => format!("depth prior: the capture's own files, {with} of {total} training views"),
+    }
+}
+
 fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageError> {
     let mut capture = capture(context)?;
     if let Some(depth) = context.optional_input("depth") {
@@ -47,6 +77,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
             view.depth_prior = file.is_file().then_some(file);
         }
     }
+    context.say(prior_in_force(params, &capture, context.optional_input("depth").is_some()));
     // The pipeline's seed moves all of them; a seed of the stage's own is an offset from the default.
     let params = ReconstructParams {
         seed: params.seed.wrapping_add(context.seed()).wrapping_sub(42),
