@@ -112,9 +112,12 @@ impl Listener for Terminal {
     fn event(&self, event: &Event<'_>) {
         match event {
             Event::Warning { label, text } => self.line(&format!("{label}: warning: {text}")),
-            Event::Failed { label, reason, log, .. } => {
+            // Why is said once, by the summary at the end.
+            Event::Failed { label, log, .. } => {
                 self.end(label);
-                self.line(&format!("{label}: failed: {reason}\n  log: {}", log.display()));
+                if !self.quiet {
+                    self.line(&format!("{label}: failed; its log: {}", log.display()));
+                }
             }
             // Whoever asked for it listens itself.
             Event::Profile { .. } | Event::SceneOver { .. } => {}

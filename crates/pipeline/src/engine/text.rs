@@ -80,10 +80,9 @@ fn describe(node: &PlannedNode) -> (&'static str, String) {
 
 impl Display for Summary {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        // Why was said when it happened.
         for node in self.failed() {
-            if let Became::Failed { log, .. } = &node.result {
-                writeln!(f, "failed   {}, log: {}", node.label, log.display())?;
+            if let Became::Failed { reason, log } = &node.result {
+                writeln!(f, "failed   {}: {reason}\n         log: {}", node.label, log.display())?;
             }
         }
         let blocked = self.count(|r| matches!(r, Became::Blocked(_)));
