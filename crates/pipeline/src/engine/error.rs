@@ -136,6 +136,11 @@ impl StageError {
         Self::failed(BadInput(Box::new(error)))
     }
 
+    /// The same in words.
+    pub fn bad_input_message(text: impl Into<String>) -> Self {
+        Self::Failed(Box::new(BadInput(text.into().into())))
+    }
+
     /// Whether it lies in what the stage was given.
     pub fn is_bad_input(&self) -> bool {
         matches!(self, Self::Failed(error) if error.is::<BadInput>())

@@ -13,7 +13,7 @@ const LARGEST_FILE: u64 = 1 << 30;
 /// Reads a calibrator from its file, of this program's form or of the authors', or from the folder that holds it.
 pub(super) fn read_calibrator(path: &Path) -> Result<Calibrator, StageError> {
     let file = if path.is_dir() { path.join(CALIBRATOR) } else { path.to_path_buf() };
-    let wrong = |problem: String| StageError::message(format!("{}: {problem}", file.display()));
+    let wrong = |problem: String| StageError::bad_input_message(format!("{}: {problem}", file.display()));
     let size = std::fs::metadata(&file).map_err(|e| StageError::io(&file, e))?.len();
     if size > LARGEST_FILE {
         return Err(wrong(format!("{size} bytes are more than any calibrator has; is this the right file?")));

@@ -40,7 +40,7 @@ const PARTS: &[&str] = &["use3d-enhance", "use3d-io-colmap"];
 fn read_targets(path: &Path) -> Result<Targets, StageError> {
     let file = if path.is_dir() { path.join(TARGETS) } else { path.to_path_buf() };
     let bytes = std::fs::read(&file).map_err(|e| StageError::io(&file, e))?;
-    Targets::from_bytes(&bytes).map_err(|e| StageError::message(format!("{}: {e}", file.display())))
+    Targets::from_bytes(&bytes).map_err(|e| StageError::bad_input_message(format!("{}: {e}", file.display())))
 }
 
 /// The proposer's images of the training views, made when they are asked for.
@@ -65,8 +65,8 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
     let views: Vec<EnhanceView> = capture.training_views().map(EnhanceView::from).collect();
     let labels;
     let guidance = if params.objective == Objective::PseudoLabels {
-        let proposer =
-            by_name(&targets.proposer.name, context.optional_input("models")).map_err(StageError::message)?;
+        let proposer = by_name(&targets.proposer.name, context.optional_input("models"))
+            .map_err(StageError::bad_input_message)?;
         labels = Proposals { views: capture.training_views().collect(), proposer };
         Guidance::Labels(&labels)
     } else {

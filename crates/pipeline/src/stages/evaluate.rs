@@ -118,8 +118,8 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         None => Method::Reconstruction,
     };
     let models = context.optional_input("models");
-    let proposer =
-        open(params.proposer, models, &mut |line| context.log(line)).map_err(StageError::message)?;
+    let proposer = open(params.proposer, models, &mut |line| context.log(line))
+        .map_err(StageError::bad_input_message)?;
     let judges = Judges::open(models);
     let mut renderer = SceneRenderer::new(&scene, 1.0)?;
     let views: Vec<&View> = capture.test_views().collect();

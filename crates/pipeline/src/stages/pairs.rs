@@ -47,8 +47,8 @@ const PARTS: &[&str] = &["use3d-atc", "use3d-synth", "use3d-io-image"];
 
 fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
     let models = context.optional_input("models");
-    let proposer =
-        open(params.proposer, models, &mut |line| context.say(line)).map_err(StageError::message)?;
+    let proposer = open(params.proposer, models, &mut |line| context.say(line))
+        .map_err(StageError::bad_input_message)?;
     let scratch;
     let (input, target) = match (context.optional_input("input"), context.optional_input("target")) {
         (Some(input), Some(target)) => (input.to_path_buf(), target.to_path_buf()),
@@ -64,11 +64,15 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
             written?;
             (dir.join("input"), dir.join("reference"))
         }
-        _ => return Err(StageError::message("pairs need both `input` and `target`; only one was given")),
+        _ => {
+            return Err(StageError::bad_input_message(
+                "pairs need both `input` and `target`; only one was given",
+            ));
+        }
     };
     let pairs = list(&input, &target)?;
     if pairs.is_empty() {
-        return Err(StageError::message(format!(
+        return Err(StageError::bad_input_message(format!(
             "no file in {} has a counterpart of the same stem in {}; pairs are matched by file stem",
             input.display(),
             target.display()
@@ -98,7 +102,9 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
 fn list(input: &Path, target: &Path) -> Result<Vec<(String, PathBuf, PathBuf)>, StageError> {
     let images = |dir: &Path| -> Result<std::collections::BTreeMap<String, PathBuf>, StageError> {
         let mut found = std::collections::BTreeMap::new();
-        for entry in std::fs::read_dir(dir).map_err(|e| StageError::io(dir, e))? {
+        for entry in std::fs::read_dir(dir)
+            .map_err(|e| StageError::bad_input_message(format!("{}: {e}", dir.display())))?
+        {
             let path = entry.map_err(|e| StageError::io(dir, e))?.path();
             let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
             if let (true, Some(stem)) =

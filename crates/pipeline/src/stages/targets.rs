@@ -69,8 +69,8 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let calibrator = read_calibrator(context.input("calibrator")?)?;
     let proposer =
         of_calibrator(params.proposer, &calibrator.proposer.name, context.optional_input("models"))
-            .map_err(StageError::message)?;
-    calibrator.proposer.require(&proposer.id())?;
+            .map_err(StageError::bad_input_message)?;
+    calibrator.proposer.require(&proposer.id()).map_err(StageError::bad_input)?;
 
     let views: Vec<&View> = capture.training_views().collect();
     let total = 2 * views.len() as u64;
