@@ -4,6 +4,7 @@
 mod output;
 
 mod args;
+mod c_functions;
 mod error;
 mod interrupt;
 mod listener;

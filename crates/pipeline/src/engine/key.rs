@@ -183,8 +183,8 @@ impl std::fmt::Display for Difference {
 
 /// The class of arithmetic of this machine: within one class a stage's bytes are the same on every machine.
 ///
-/// Fused multiply-add rounds once where its absence rounds twice, and the system's mathematical library supplies the
-/// transcendental functions, so architecture, operating system and FMA make the class; the number of lanes does not.
+/// Fused multiply-add rounds once where its absence rounds twice, so architecture, operating system and FMA make the class; the
+/// number of lanes does not, nor does the C library, which computes nothing (`use3d_numerics::math`).
 pub fn numeric_class() -> String {
     let arch = std::env::consts::ARCH;
     let os = std::env::consts::OS;
