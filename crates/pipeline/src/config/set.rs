@@ -169,7 +169,7 @@ fn folder_key(stage: &Stage, error: &ParameterError) -> Option<String> {
             "`{unknown}` is read from outside and no parameter; name it with `{}`",
             key_of(name)
         )),
-        Source::Stage(_) => None,
+        Source::Stage(_) | Source::Reference(_) => None,
     }
 }
 

@@ -66,6 +66,7 @@ impl Stage {
             listener: listener.clone(),
             log: Log::new(Box::new(std::io::sink())),
             resumed: AtomicU64::new(0),
+            notes: None,
         };
         let ran = in_pool(context.threads, || (self.run)(&context, alone.parameters));
         let placed = ran.and_then(|()| Ok(replace_folder(&sibling, alone.output)?));
@@ -112,6 +113,7 @@ impl Engine {
             listener: listener.clone(),
             log: Log::new(Box::new(std::io::sink())),
             resumed: AtomicU64::new(0),
+            notes: None,
         };
         let ran = in_pool(context.threads, || (stage.run)(&context, &graph.nodes[node].parameters));
         let sealed = ran.and_then(|()| self.cache.seal(&output).map_err(StageError::failed));

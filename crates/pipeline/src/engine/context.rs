@@ -1,5 +1,6 @@
 //! What a stage's function is given: inputs by role, a folder to fill, and nothing that its result may not depend on.
 
+use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -40,7 +41,13 @@ pub struct StageContext {
     pub(crate) log: Log,
     /// Share of the work found done in checkpoints, in millionths.
     pub(crate) resumed: AtomicU64,
+    /// What is kept beside the artifact; none where nothing keeps it.
+    pub(crate) notes: Option<Mutex<Notes>>,
 }
+
+/// What a stage measured that does not follow from its inputs, such as times: by name, kept in the manifest beside the
+/// duration, and no part of the artifact or its digest.
+pub type Notes = BTreeMap<String, serde_json::Value>;
 
 impl StageContext {
     /// The input of a role.
@@ -144,6 +151,25 @@ impl StageContext {
         let line = line.to_string();
         self.log.line(&line);
         self.listener.event(&Event::Note { label: &self.label, text: &line });
+    }
+
+    /// Whether [`note`](Self::note) is heard: not where a stage is run by hand, or again to verify it.
+    pub fn keeps_notes(&self) -> bool {
+        self.notes.is_some()
+    }
+
+    /// Keeps a measurement beside the artifact, where it changes neither bytes nor keys. Whoever shows results may add it.
+    pub fn note(&self, name: &str, value: &impl serde::Serialize) {
+        if let (Some(notes), Ok(value)) = (&self.notes, serde_json::to_value(value)) {
+            notes.lock().unwrap_or_else(PoisonError::into_inner).insert(name.to_string(), value);
+        }
+    }
+
+    /// What was noted.
+    pub(crate) fn take_notes(&self) -> Notes {
+        let take =
+            |notes: &Mutex<Notes>| std::mem::take(&mut *notes.lock().unwrap_or_else(PoisonError::into_inner));
+        self.notes.as_ref().map(take).unwrap_or_default()
     }
 
     /// Writes to the log where the time went, and tells those who ask.

@@ -179,11 +179,15 @@ impl Graph {
             Builder { registry, batch, nodes: Vec::new(), place: HashMap::new(), first: HashMap::new() };
         // Scene by scene, so that results come out early; what they share first, what gathers them last.
         for variant in variants {
-            builder.add(None, variant, Scope::Shared)?;
+            builder.add(None, variant, None, Scope::Shared)?;
         }
         for scene in &batch.scenes {
-            for variant in variants {
-                builder.add(Some(scene), variant, Scope::Scene)?;
+            // The variant that others are compared by comes first, wherever it stands in the list.
+            let reference = builder.reference(scene, variants)?;
+            let others = variants.iter().enumerate().filter(|(i, _)| Some(*i) != reference);
+            let ordered = reference.map(|i| &variants[i]).into_iter().chain(others.map(|(_, v)| v));
+            for variant in ordered {
+                builder.add(Some(scene), variant, reference.map(|i| &variants[i]), Scope::Scene)?;
             }
         }
         builder.add_batch_stages(variants)?;
@@ -296,7 +300,26 @@ impl Builder<'_> {
         Named::new(batch.chain(each).map(|(name, place)| (name.clone(), place.clone().ok())))
     }
 
-    fn add(&mut self, scene: Option<&Scene>, variant: &Variant, scope: Scope) -> Result<(), EngineError> {
+    /// The place of a scene's reference variant, where a stage asks for one and a variant fulfils its condition.
+    fn reference(&self, scene: &Scene, variants: &[Variant]) -> Result<Option<usize>, EngineError> {
+        let Some(fulfils) = self.registry.stages().iter().find_map(|s| s.reference.as_ref()) else {
+            return Ok(None);
+        };
+        for (i, variant) in variants.iter().enumerate() {
+            if fulfils(&self.parameters(Some(scene), variant)?) {
+                return Ok(Some(i));
+            }
+        }
+        Ok(None)
+    }
+
+    fn add(
+        &mut self,
+        scene: Option<&Scene>,
+        variant: &Variant,
+        reference: Option<&Variant>,
+        scope: Scope,
+    ) -> Result<(), EngineError> {
         let all = self.parameters(scene, variant)?;
         let named = self.named(scene);
         for (index, stage) in self.registry.stages().iter().enumerate().filter(|(_, s)| s.scope == scope) {
@@ -312,11 +335,16 @@ impl Builder<'_> {
                 // What is read from outside: its name, or that of what stands in for an artifact.
                 let external = match input.source {
                     Source::External(name) => Some(name),
-                    Source::Stage(_) => input.instead.filter(|name| outside(name).is_some()),
+                    Source::Stage(_) | Source::Reference(_) => input.instead.filter(|name| outside(name).is_some()),
                 };
                 let found = match (input.source.clone(), external) {
                     (_, Some(name)) => outside(name),
                     (Source::External(name), None) => outside(name),
+                    (Source::Reference(name), None) => reference.and_then(|reference| {
+                        let scene_name = scene.map(|s| s.name.clone()).unwrap_or_default();
+                        let node = self.place.get(&(scene_name, reference.name.clone(), name));
+                        node.map(|node| From::Node(*node))
+                    }),
                     (Source::Stage(name), None) => {
                         let scene_name = scene.map(|s| s.name.clone()).unwrap_or_default();
                         let here = self.place.get(&(scene_name, variant.name.clone(), name));
@@ -329,7 +357,7 @@ impl Builder<'_> {
                     (None, true) => continue,
                     (None, false) => From::External(Err(match input.source {
                         Source::External(name) => format!("the pipeline does not say where `{name}` is"),
-                        Source::Stage(name) => {
+                        Source::Stage(name) | Source::Reference(name) => {
                             format!("it needs the stage `{name}`, which these parameters switch off")
                         }
                     })),
@@ -406,7 +434,8 @@ impl Builder<'_> {
                             inputs.push(NodeInput { from: From::External(Err(reason)), ..base });
                         }
                     },
-                    Source::Stage(name) => {
+                    // A stage over all variants reads them all.
+                    Source::Stage(name) | Source::Reference(name) => {
                         if let Some((name, external)) =
                             input.instead.and_then(|name| self.batch.externals.get_key_value(name))
                         {

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, mpsc};
+use std::sync::{Arc, Mutex, mpsc};
 use std::time::{Duration, Instant};
 
 use super::Engine;
@@ -144,6 +144,7 @@ impl Job<'_> {
             listener: self.listener.clone(),
             log: log.clone(),
             resumed: AtomicU64::new(0),
+            notes: Some(Mutex::default()),
         };
         self.listener.event(&Event::Started {
             node: self.id,
@@ -181,7 +182,8 @@ impl Job<'_> {
             scene: self.node.scene.clone(),
             variant: self.node.variant.clone(),
         };
-        let how = Circumstances { seconds, resumed, threads: self.threads, peak_memory, made_for };
+        let notes = context.take_notes();
+        let how = Circumstances { seconds, resumed, threads: self.threads, peak_memory, made_for, notes };
         let published = cache.publish(&output, self.resolved.ingredients.clone(), how)?;
         let artifact = match published {
             Published::Now(artifact) | Published::Already(artifact) => artifact,

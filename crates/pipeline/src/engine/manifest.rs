@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::context::Notes;
 use super::digest::{Digest, Encoder};
 use super::key::{Ingredients, Key};
 use super::machine::Machine;
@@ -73,6 +74,9 @@ pub struct Manifest {
     pub machine: Machine,
     /// For whom.
     pub made_for: MadeFor,
+    /// What the stage measured that does not follow from its inputs.
+    #[serde(default, skip_serializing_if = "Notes::is_empty")]
+    pub notes: Notes,
 }
 
 /// How long a stage took, and where: the part of a manifest that the content does not follow from.
@@ -83,6 +87,7 @@ pub(crate) struct Circumstances {
     pub(crate) threads: usize,
     pub(crate) peak_memory: u64,
     pub(crate) made_for: MadeFor,
+    pub(crate) notes: Notes,
 }
 
 impl Manifest {
@@ -102,6 +107,7 @@ impl Manifest {
             peak_memory: how.peak_memory,
             machine: Machine::this(),
             made_for: how.made_for,
+            notes: how.notes,
         }
     }
 

@@ -94,7 +94,7 @@ pub mod verify;
 
 pub use alone::Alone;
 pub use cache::{Artifact, Cache};
-pub use context::{StageContext, StageInput};
+pub use context::{Notes, StageContext, StageInput};
 pub use digest::Digest;
 pub use error::{EngineError, FileError, ParameterError, StageError};
 pub use events::{Event, Listener, Silent};

@@ -100,7 +100,7 @@ fn check(stage: &Stage, before: &[Stage]) -> Result<(), String> {
         if stage.inputs[..i].iter().any(|other| other.role == input.role) {
             return Err(format!("stage `{name}` has two inputs called `{}`", input.role));
         }
-        let Source::Stage(from) = input.source else { continue };
+        let (Source::Stage(from) | Source::Reference(from)) = input.source else { continue };
         let Some(from) = before.iter().find(|s| s.name == from) else {
             return Err(format!("stage `{name}` reads `{from}`, which is not a stage before it"));
         };

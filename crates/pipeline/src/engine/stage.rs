@@ -28,6 +28,9 @@ pub enum Scope {
 pub enum Source {
     /// The artifact of a stage.
     Stage(&'static str),
+    /// The artifact of a stage for the same scene in the batch's reference variant: the first one whose parameters fulfil the
+    /// condition given with [`Stage::reference_input`]. What variants are compared by is then the same for all of them.
+    Reference(&'static str),
     /// A file or folder named by the pipeline: `capture`, `models`, `pairs.input`, …
     External(&'static str),
 }
@@ -80,6 +83,8 @@ pub type AllParameters = Map<String, Value>;
 /// Parameters in, parameters with defaults filled in out, or what is wrong with them.
 type Canonicalise = Arc<dyn Fn(&Value) -> Result<Value, ParameterError> + Send + Sync>;
 type Condition = Arc<dyn Fn(&AllParameters, &Named) -> bool + Send + Sync>;
+/// Whether a variant with these parameters is what others are compared by.
+type IsReference = Arc<dyn Fn(&AllParameters) -> bool + Send + Sync>;
 type Run = Arc<dyn Fn(&StageContext, &Value) -> Result<(), StageError> + Send + Sync>;
 
 /// A stage; see the [module documentation](super) for an example.
@@ -98,6 +103,7 @@ pub struct Stage {
     pub(crate) cores: usize,
     pub(crate) memory: u64,
     pub(crate) condition: Option<Condition>,
+    pub(crate) reference: Option<IsReference>,
     pub(crate) canonicalise: Canonicalise,
     pub(crate) schema: fn(&mut SchemaGenerator) -> Schema,
     pub(crate) run: Run,
@@ -129,6 +135,7 @@ impl Stage {
             cores: 0,
             memory: 0,
             condition: None,
+            reference: None,
             canonicalise: Arc::new(canonicalise::<P>),
             schema: |generator| generator.subschema_for::<P>(),
             run: Arc::new(move |context, value| {
@@ -178,6 +185,25 @@ impl Stage {
         self.with_input(Input {
             role,
             source: Source::Stage(stage),
+            optional: true,
+            select: None,
+            instead: None,
+        })
+    }
+
+    /// Reads, as `role`, the artifact that `stage` makes for the same scene in the reference variant, where there is one: the first
+    /// variant for whose parameters `is_reference` holds. It is an input like any other, so it is part of the key.
+    #[must_use]
+    pub fn reference_input(
+        mut self,
+        role: &'static str,
+        stage: &'static str,
+        is_reference: impl Fn(&AllParameters) -> bool + Send + Sync + 'static,
+    ) -> Self {
+        self.reference = Some(Arc::new(is_reference));
+        self.with_input(Input {
+            role,
+            source: Source::Reference(stage),
             optional: true,
             select: None,
             instead: None,

@@ -7,6 +7,7 @@ mod config;
 mod crash;
 mod faults;
 mod named;
+mod reference;
 mod sharing;
 mod shipped;
 mod stages;
