@@ -345,8 +345,9 @@ impl<'a> Engine<'a> {
         let view = &self.views[index];
         let frozen = self.store.of(index, view, &mut self.step.rasterizer);
         self.step.render(&self.field, view, frozen);
+        let measured = matches!(&view.reference, Reference::Transition(..));
         let losses = self.step.losses(view, &self.goals, false)?;
-        Ok(ViewErrors { global: losses.global, local: losses.local, pixels: losses.pixels })
+        Ok(errors(&losses, measured))
     }
 
     /// How far view `index` is from its reference, sampled as `whole` does and not as the steps do.
@@ -363,7 +364,7 @@ impl<'a> Engine<'a> {
         let (constants, mut frozen) = whole.view(index, view, local, false)?;
         self.step.render(&self.field, &constants, &mut frozen);
         let losses = self.step.losses(&constants, &self.goals, false)?;
-        Ok(ViewErrors { global: losses.global, local: losses.local, pixels: losses.pixels })
+        Ok(errors(&losses, local.is_some()))
     }
 
     /// Ends a step: the time since its gradient was the optimiser's.
@@ -419,6 +420,15 @@ impl Store<'_> {
             _ => Frozen::new(self.scene, &self.lookups, &view.camera, &view.lattice, Some(rasterizer)),
         };
         &mut self.spare.insert((index, made)).1
+    }
+}
+
+/// A view's errors; `measured` where it has a transition to be compared with.
+fn errors(losses: &StepLosses, measured: bool) -> ViewErrors {
+    ViewErrors {
+        global: measured.then_some(losses.global),
+        local: measured.then_some(losses.local),
+        pixels: losses.pixels,
     }
 }
 

@@ -32,10 +32,10 @@ pub struct LogEntry {
 /// How far a view is from its target.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ViewErrors {
-    /// Global operator (zero with pseudo-labels).
-    pub global: Realised,
-    /// Local operators (zero with pseudo-labels).
-    pub local: Realised,
+    /// Global operator; not measured with pseudo-labels.
+    pub global: Option<Realised>,
+    /// Local operators; not measured with pseudo-labels.
+    pub local: Option<Realised>,
     /// Mean absolute or squared difference to the pseudo-label (zero with targets).
     pub pixels: f64,
 }
@@ -67,22 +67,23 @@ pub struct Report {
 }
 
 impl Report {
-    /// Root-mean-square over views of the normalised global error, before and after.
-    pub fn global_errors(&self) -> (f64, f64) {
-        self.over(|v| v.global.error)
+    /// Root-mean-square over views of the normalised global error, before and after; `None` where it was not measured.
+    pub fn global_errors(&self) -> Option<(f64, f64)> {
+        self.over(|v| v.global)
     }
 
-    /// Root-mean-square over views of the normalised local error, before and after.
-    pub fn local_errors(&self) -> (f64, f64) {
-        self.over(|v| v.local.error)
+    /// Root-mean-square over views of the normalised local error, before and after; `None` where it was not measured.
+    pub fn local_errors(&self) -> Option<(f64, f64)> {
+        self.over(|v| v.local)
     }
 
-    fn over(&self, of: impl Fn(&ViewErrors) -> f64) -> (f64, f64) {
-        let n = self.views.len().max(1) as f64;
-        let rms = |pick: &dyn Fn(&ViewReport) -> f64| {
-            (self.views.iter().map(|v| math::powi(pick(v), 2)).sum::<f64>() / n).sqrt()
+    fn over(&self, of: impl Fn(&ViewErrors) -> Option<Realised>) -> Option<(f64, f64)> {
+        let rms = |pick: &dyn Fn(&ViewReport) -> Option<Realised>| {
+            let errors: Option<Vec<f64>> = self.views.iter().map(|v| pick(v).map(|r| r.error)).collect();
+            let errors = errors.filter(|e| !e.is_empty())?;
+            Some((errors.iter().map(|e| math::powi(*e, 2)).sum::<f64>() / errors.len() as f64).sqrt())
         };
-        (rms(&|v| of(&v.before)), rms(&|v| of(&v.after)))
+        rms(&|v| of(&v.before)).zip(rms(&|v| of(&v.after)))
     }
 }
 

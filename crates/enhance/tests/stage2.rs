@@ -47,7 +47,7 @@ fn it_starts_at_the_identity() {
     for (index, view) in views.iter().enumerate() {
         let errors = engine.evaluate(index).unwrap();
         // The realised operator is zero, so all that remains is the target.
-        assert!((errors.global.error - rms).abs() < 1e-6, "{} {rms}", errors.global.error);
+        assert!((errors.global.unwrap().error - rms).abs() < 1e-6, "{} {rms}", errors.global.unwrap().error);
         let stage1 = draw(&scene, Look::Reconstruction, &view.camera);
         let plus = &engine.rendered().image;
         for (a, b) in plus.data().iter().zip(stage1.data()) {
@@ -71,9 +71,9 @@ fn losses_fall_and_the_realised_operators_reach_the_targets() {
     let (first, last) = (&full.log[0], &full.log[full.log.len() - 1]);
     // The teacher's local part is finer than the field's 16 nodes can follow in so few steps; its global part is not.
     assert!(last.loss < 0.5 * first.loss && last.global < 0.1 * first.global, "{first:?} {last:?}");
-    let (before, after) = full.report.global_errors();
+    let (before, after) = full.report.global_errors().unwrap();
     assert!(after < 0.3 * before, "global {before} -> {after}");
-    let (local_before, local_after) = full.report.local_errors();
+    let (local_before, local_after) = full.report.local_errors().unwrap();
     assert!(local_after < 0.9 * local_before, "local {local_before} -> {local_after}");
     // Geometry, radiance and water are untouched.
     assert_eq!(full.scene.gaussians, scene.gaussians);
@@ -92,13 +92,13 @@ fn losses_fall_and_the_realised_operators_reach_the_targets() {
     // The ablations leave the other term alone.
     let global_only = run(Objective::GlobalOnly, 120);
     let local_only = run(Objective::LocalOnly, 120);
-    assert!(global_only.report.global_errors().1 < 0.3 * before);
+    assert!(global_only.report.global_errors().unwrap().1 < 0.3 * before);
     assert!(
-        local_only.report.global_errors().1 > 0.5 * before,
+        local_only.report.global_errors().unwrap().1 > 0.5 * before,
         "no global pull: {:?}",
-        local_only.report.global_errors()
+        local_only.report.global_errors().unwrap()
     );
-    assert!(global_only.report.local_errors().1 > local_only.report.local_errors().1);
+    assert!(global_only.report.local_errors().unwrap().1 > local_only.report.local_errors().unwrap().1);
 }
 
 /// Operators are means over many pixels: a part of them must lead to the same field's transition, measured with all.
@@ -112,9 +112,9 @@ fn a_sample_of_the_pixels_teaches_the_same() {
     };
     let (all, some) = (run(0), run(views[0].camera.intrinsics.width / 2));
     assert!(some.rendered_share < 0.3 && all.rendered_share == 1.0, "{}", some.rendered_share);
-    let ((before, with_all), (_, with_some)) = (all.global_errors(), some.global_errors());
+    let ((before, with_all), (_, with_some)) = (all.global_errors().unwrap(), some.global_errors().unwrap());
     assert!(with_all < 0.3 * before && (with_some - with_all).abs() < 0.1 * before, "{with_all} {with_some}");
-    let ((before, with_all), (_, with_some)) = (all.local_errors(), some.local_errors());
+    let ((before, with_all), (_, with_some)) = (all.local_errors().unwrap(), some.local_errors().unwrap());
     assert!((with_some - with_all).abs() < 0.1 * before, "{before} {with_all} {with_some}");
     let params = EnhanceParams { sample_side: 3, ..quick(1) };
     let wrong = enhance(&scene, &views, Guidance::Targets(&wanted), &params, None, &mut Silent).unwrap_err();
@@ -132,9 +132,11 @@ fn a_mean_over_some_gaussians_teaches_the_same() {
     };
     let (all, some) = (run(0), run(scene.gaussians.len() / 3));
     assert_ne!(all.scene.enhancement, some.scene.enhancement);
-    let ((before, with_all), (_, with_some)) = (all.report.global_errors(), some.report.global_errors());
+    let ((before, with_all), (_, with_some)) =
+        (all.report.global_errors().unwrap(), some.report.global_errors().unwrap());
     assert!((with_some - with_all).abs() < 0.05 * before, "{before} {with_all} {with_some}");
-    let ((before, with_all), (_, with_some)) = (all.report.local_errors(), some.report.local_errors());
+    let ((before, with_all), (_, with_some)) =
+        (all.report.local_errors().unwrap(), some.report.local_errors().unwrap());
     assert!((with_some - with_all).abs() < 0.05 * before, "{before} {with_all} {with_some}");
     // What was trained is what is drawn: the stored centre is that of the steps.
     let params = EnhanceParams { sample_side: 0, centre_sample: scene.gaussians.len() / 3, ..quick(1) };

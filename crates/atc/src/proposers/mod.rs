@@ -22,8 +22,15 @@ pub trait Proposer: Sync {
     /// of its formula.
     fn digest(&self) -> String;
 
-    /// An enhanced image of the same size; display range, not necessarily within `[0, 1]`.
+    /// An enhanced image of the same size, for a transition to be extracted from; display range, not necessarily within `[0, 1]`. A
+    /// network may look at a smaller version: transitions are smooth, detail does not matter to them.
     fn propose(&self, image: &Image) -> Result<Image, AtcError>;
+
+    /// An enhanced image of the same size at full detail, to be looked at: what this enhancer gives on its own, which is what a
+    /// comparison shows and what scenes for comparison are learnt from. The same as a proposal unless the enhancer says otherwise.
+    fn enhance(&self, image: &Image) -> Result<Image, AtcError> {
+        self.propose(image)
+    }
 
     /// Name and digest.
     fn id(&self) -> ProposerId {

@@ -4,7 +4,9 @@ use std::path::Path;
 
 use use3d_atc::consensus::Targets;
 use use3d_capture::{Image, View};
-use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance, LabelSource, Objective, enhance};
+use use3d_enhance::{
+    EnhanceError, EnhanceParams, EnhanceView, Guidance, LabelSource, Objective, Report, enhance,
+};
 use use3d_io_colmap::load_pixels;
 use use3d_scene::Origin;
 
@@ -52,8 +54,33 @@ struct Proposals<'a> {
 impl LabelSource for Proposals<'_> {
     fn label(&self, index: usize) -> Result<Image, String> {
         let image = load_pixels(self.views[index]).map_err(|e| e.to_string())?.to_image();
-        self.proposer.propose(&image).map_err(|e| e.to_string())
+        self.proposer.enhance(&image).map_err(|e| e.to_string())
     }
+}
+
+/// What stage 2 reached, for a person to read; an error that grew although it was to shrink is a warning.
+fn reached(report: &Report, objective: Objective) -> Vec<String> {
+    let (Some(global), Some(local)) = (report.global_errors(), report.local_errors()) else {
+        return vec![
+            "realised transition: not measured (the scene was fitted to the 2D enhancer's images, not to transitions)".into(),
+        ];
+    };
+    let text = |(before, after): (f64, f64)| format!("{before:.3} → {after:.3}");
+    let mut lines = vec![format!(
+        "realised transition, normalised error before → after: global {}, local {}",
+        text(global),
+        text(local)
+    )];
+    let wanted = [
+        ("global", global, objective != Objective::LocalOnly),
+        ("local", local, objective != Objective::GlobalOnly),
+    ];
+    for (name, (before, after), _) in wanted.into_iter().filter(|(_, (b, a), asked)| *asked && a > b) {
+        lines.push(format!(
+            "warning: the {name} error grew in stage 2, from {before:.3} to {after:.3}: the scene is farther from its {name} targets than it was without enhancement; try more `iterations`, or leave this term out with `objective`"
+        ));
+    }
+    lines
 }
 
 fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError> {
@@ -78,11 +105,9 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
         other => other?,
     };
     context.profile(&outcome.profile.table());
-    let (before, after) = outcome.report.global_errors();
-    let (local_before, local_after) = outcome.report.local_errors();
-    context.say(format_args!(
-        "realised transition, normalised error before → after: global {before:.3} → {after:.3}, local {local_before:.3} → {local_after:.3}"
-    ));
+    for line in reached(&outcome.report, params.objective) {
+        context.say(line);
+    }
     let out = context.output();
     outcome.scene.save(out)?;
     if let Some(origin) = Origin::read(context.input("scene")?)? {
@@ -107,4 +132,37 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
         ],
     };
     write_text(&out.join("training.svg"), &plot.svg())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use use3d_enhance::{Realised, ViewErrors, ViewReport};
+
+    fn report(errors: Option<[f64; 4]>) -> Report {
+        let of = |k: usize| errors.map(|e| Realised { loss: 0.0, error: e[k] });
+        let at = |k: usize| ViewErrors { global: of(k), local: of(k + 1), pixels: 0.1 };
+        Report {
+            views: vec![ViewReport { name: "a".into(), before: at(0), after: at(2) }],
+            views_in_memory: 1,
+            transport_ratios: [1.0; 2],
+            scene_affine: [[0.0; 4]; 3],
+            rendered_share: 1.0,
+        }
+    }
+
+    #[test]
+    fn what_was_not_measured_has_no_figure_and_what_grew_is_a_warning() {
+        let labels = reached(&report(None), Objective::PseudoLabels);
+        assert!(labels.len() == 1 && labels[0].contains("not measured") && !labels[0].contains("0.000"));
+        let grew = report(Some([0.6, 0.185, 0.08, 0.253]));
+        let lines = reached(&grew, Objective::Full);
+        assert!(lines[0].contains("global 0.600 → 0.080, local 0.185 → 0.253"), "{lines:?}");
+        assert!(
+            lines[1].starts_with("warning: the local error grew") && lines[1].contains("0.253"),
+            "{lines:?}"
+        );
+        assert_eq!(reached(&grew, Objective::GlobalOnly).len(), 1, "that objective does not ask for it");
+        assert_eq!(reached(&report(Some([0.6, 0.3, 0.08, 0.2])), Objective::Full).len(), 1);
+    }
 }

@@ -55,7 +55,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     for (i, view) in capture.views.iter().enumerate() {
         context.alive()?;
         context.progress_with(i as u64, capture.views.len() as u64, "views", &view.name);
-        let proposal = proposer.propose(&load_pixels(view)?.to_image())?;
+        let proposal = proposer.enhance(&load_pixels(view)?.to_image())?;
         write_png(&file(context.output(), view), &proposal)?;
     }
     Ok(())

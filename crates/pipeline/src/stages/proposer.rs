@@ -24,11 +24,19 @@ mod network {
     use super::*;
     use use3d_atc::AtcError;
     use use3d_capture::Image;
-    use use3d_nets::Nu2Net;
+    use use3d_nets::{InputPolicy, Nu2Net};
 
     pub(super) struct Network {
         pub(super) net: Nu2Net,
         pub(super) digest: String,
+    }
+
+    impl Network {
+        fn with(&self, image: &Image, policy: InputPolicy) -> Result<Image, AtcError> {
+            self.net
+                .enhance_with(image, policy)
+                .map_err(|e| AtcError::Proposer { proposer: "nu2net".into(), message: e.to_string() })
+        }
     }
 
     impl Proposer for Network {
@@ -41,9 +49,11 @@ mod network {
         }
 
         fn propose(&self, image: &Image) -> Result<Image, AtcError> {
-            self.net
-                .enhance(image)
-                .map_err(|e| AtcError::Proposer { proposer: "nu2net".into(), message: e.to_string() })
+            self.with(image, InputPolicy::LongSide(384))
+        }
+
+        fn enhance(&self, image: &Image) -> Result<Image, AtcError> {
+            self.with(image, InputPolicy::MultiplesOf16)
         }
     }
 }
@@ -117,4 +127,36 @@ fn nu2net(models: Option<&Path>) -> Result<Box<dyn Proposer>, String> {
 #[cfg(not(feature = "nets"))]
 fn nu2net(_: Option<&Path>) -> Result<Box<dyn Proposer>, String> {
     Err("this program was built without networks (cargo feature `nets`)".into())
+}
+
+#[cfg(all(test, feature = "nets"))]
+mod tests {
+    use super::*;
+    use use3d_capture::Image;
+    use use3d_nets::{Nu2Net, weights::StandIn};
+
+    #[test]
+    fn the_network_looks_at_full_detail_where_its_images_are_compared() {
+        let net = Nu2Net::from_weights(&mut StandIn).unwrap();
+        let proposer = network::Network { net, digest: String::new() };
+        // Stripes of one pixel, finer than 384 pixels can hold.
+        let mut image = Image::new(800, 32);
+        for y in 0..32 {
+            for x in 0..800 {
+                image.set_pixel(x, y, [0.3 + 0.4 * (x % 2) as f32; 3]);
+            }
+        }
+        let contrast = |image: &Image| {
+            let steps = (100..700).map(|x| (image.pixel(x + 1, 16)[1] - image.pixel(x, 16)[1]).abs());
+            steps.sum::<f32>() / 600.0
+        };
+        let (proposal, enhanced) = (proposer.propose(&image).unwrap(), proposer.enhance(&image).unwrap());
+        assert_eq!((enhanced.width(), enhanced.height()), (800, 32));
+        assert!(
+            contrast(&enhanced) > 2.0 * contrast(&proposal),
+            "{} {}",
+            contrast(&enhanced),
+            contrast(&proposal)
+        );
+    }
 }
