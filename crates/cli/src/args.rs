@@ -429,6 +429,10 @@ pub(crate) struct EvaluateArgs {
     /// The capture whose held-out views are scored.
     #[arg(value_name = "CAPTURE_DIR")]
     pub(crate) capture: Option<PathBuf>,
+    /// Compare neighbouring views by the depth of this scene (stage 1 of the same capture) instead of the scene's own, so that
+    /// several scenes are judged by the same pixels.
+    #[arg(long, value_name = "SCENE_DIR", conflicts_with = "images")]
+    pub(crate) warp_by: Option<PathBuf>,
     /// Score a plain folder of images instead.
     #[arg(long, value_name = "DIR", conflicts_with = "scene")]
     pub(crate) images: Option<PathBuf>,

@@ -130,6 +130,27 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
             assert!(value > 0.0 && value < 60.0, "{method:?} {metric}: {value}");
         }
     }
+    // Consistency has the fair baseline, by one warp, over the path and over neighbours, with what was compared.
+    assert_eq!(scores.warp, use3d_pipeline::scores::Warp::Reference);
+    for method in [Method::ProposalOfRender, Method::Enhanced] {
+        for metric in ["w_delta_e", "coverage", "path_w_delta_e", "path_w_ssim", "path_coverage"] {
+            assert!(scores.mean(method, metric).and_then(|s| s.value()).is_some(), "{method:?} {metric}");
+        }
+        assert_eq!(scores.method(method).unwrap().path.len(), 8);
+    }
+    assert!(
+        scores.mean(Method::Proposal, "path_w_delta_e").is_none(),
+        "there are no photographs on the path"
+    );
+    // Times are in the results and in no artifact.
+    let table = |file: &str| std::fs::read_to_string(Path::new(&out).join("tables").join(file)).unwrap();
+    let (csv, json) = (table("reconstruction.csv"), table("reconstruction.json"));
+    let fps = csv.lines().last().unwrap().rsplit(',').next().unwrap().parse::<f64>();
+    assert!(fps.is_ok_and(|fps| fps > 0.0) && csv.lines().next().unwrap().ends_with("FPS"), "{csv}");
+    assert!(json.contains("96×") && json.contains("threads"), "{json}");
+    assert!(!text.contains("fps"), "a time in an artifact");
+    let page = std::fs::read_to_string(Path::new(&out).join("report.html")).unwrap();
+    assert!(page.contains("path_pairs") && page.contains("FPS") && page.contains("training view"));
     let depth = scores.mean(Method::Reconstruction, "depth_error").and_then(|s| s.value()).unwrap();
     assert!(depth < 0.5, "depth off by {depth}");
     let water = scores.water.expect("the scene has water");
@@ -164,6 +185,8 @@ fn a_scene_can_be_learnt_from_proposals_and_is_scored_as_such() {
         [[variant]]
         name = "first"
         reconstruct = { images = "proposed", medium = "none" }
+        [[variant]]
+        name = "plain"
     "#;
     std::fs::write(&file, text).unwrap();
     let out = at("out");
@@ -173,6 +196,15 @@ fn a_scene_can_be_learnt_from_proposals_and_is_scored_as_such() {
     use use3d_pipeline::scores::Method;
     assert!(scores.mean(Method::EnhanceThenReconstruct, "truth_psnr").and_then(|s| s.value()).is_some());
     assert!(scores.mean(Method::Reconstruction, "psnr").is_none());
+    // Both variants are compared by the depth of the one that learnt from photographs, although it is listed last.
+    let text = std::fs::read_to_string(Path::new(&out).join("tiny@plain/scores/scores.json")).unwrap();
+    let plain: use3d_pipeline::scores::SceneScores = serde_json::from_str(&text).unwrap();
+    assert_eq!(scores.warp, use3d_pipeline::scores::Warp::Reference);
+    let photographs = |scores: &use3d_pipeline::scores::SceneScores| {
+        scores.method(Method::Captured).unwrap().neighbours.clone()
+    };
+    assert!(!photographs(&plain).is_empty());
+    assert_eq!(photographs(&scores), photographs(&plain), "the same photographs, judged by other depths");
     // By hand the same scene comes out.
     let scene = at("scene");
     let sets = ["--set", "images=proposed", "--set", "medium=none", "--set", "iterations=20"];
@@ -184,6 +216,49 @@ fn a_scene_can_be_learnt_from_proposals_and_is_scored_as_such() {
     expect(0, &arguments.iter().map(String::as_str).collect::<Vec<_>>());
     let read = |folder: &str| std::fs::read(Path::new(folder).join("gaussians.ply")).unwrap();
     assert_eq!(read(&scene), read(&path(&[Path::new(&out), Path::new("tiny@first/scene")])));
+    // And by hand it is scored as what it is.
+    let (rows, _) = expect(0, &["-q", "evaluate", &scene, &at("tiny"), "--format", "csv"]);
+    assert!(rows.contains("\nenhance-then-reconstruct,") && !rows.contains("\nreconstruction,"), "{rows}");
+}
+
+#[test]
+fn a_black_held_out_photograph_and_anothers_truth_folder_do_not_end_a_run() {
+    let dir = tempfile::tempdir().unwrap();
+    tiny(dir.path());
+    let at = |name: &str| path(&[dir.path(), Path::new(name)]);
+    std::fs::remove_dir_all(at("tiny/truth")).unwrap();
+    std::fs::create_dir_all(at("tiny/truth/clean")).unwrap();
+    std::fs::write(at("tiny/truth/clean/readme.txt"), "another project's truth").unwrap();
+    // Every eighth view from the first on is held out.
+    let mut images: Vec<_> =
+        std::fs::read_dir(at("tiny/images")).unwrap().map(|e| e.unwrap().path()).collect();
+    images.sort();
+    let black = use3d_capture::Image::new(96, 64);
+    use3d_io_image::write_png(&images[0], &black).unwrap();
+    let text = r#"
+        name = "black"
+        [defaults.reconstruct]
+        iterations = 5
+        [[scene]]
+        name = "tiny"
+        capture = "tiny"
+        [[variant]]
+        name = "first"
+        reconstruct = { images = "proposed", medium = "none" }
+    "#;
+    std::fs::write(at("black.toml"), text).unwrap();
+    let out = at("out");
+    expect(0, &["-q", "run", &at("black.toml"), "--cache", &at("cache"), "--out", &out]);
+    let text = std::fs::read_to_string(Path::new(&out).join("tiny@first/scores/scores.json")).unwrap();
+    assert!(!text.contains("\"value\": null") && text.contains("the images are equal"), "{text}");
+    let scores: use3d_pipeline::scores::SceneScores = serde_json::from_str(&text).unwrap();
+    let proposal = scores.method(use3d_pipeline::scores::Method::Proposal).unwrap();
+    assert_eq!(proposal.left_out.get("psnr"), Some(&1));
+    assert!(proposal.mean["psnr"].value().is_some(), "the other held-out view has one");
+    // Equal images by hand: a reason, not null.
+    let (json, _) =
+        expect(0, &["evaluate", "--images", &at("tiny/images"), "--reference", &at("tiny/images"), "--json"]);
+    assert!(json.contains("undefined") && !json.contains("null"), "{json}");
 }
 
 #[test]

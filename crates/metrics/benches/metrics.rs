@@ -39,8 +39,8 @@ fn main() {
     let threads = rayon::current_num_threads();
     println!("1400 x 933, {threads} threads");
     let known = "bench images are finite and of one size";
-    time("PSNR", || psnr(&x, &y).expect(known));
-    time("SSIM", || ssim(&x, &y).expect(known));
+    time("PSNR", || psnr(&x, &y, None).expect(known));
+    time("SSIM", || ssim(&x, &y, None).expect(known));
     let mut measure = MsSsim::new();
     time("MS-SSIM", || measure.value(&x, &y, &STANDARD_WEIGHTS));
     for variant in UciqeVariant::ALL {

@@ -15,6 +15,7 @@ use use3d_numerics::sums;
 
 use crate::ciede2000::ciede2000;
 use crate::error::{MetricError, finite, large_enough, same_size};
+use crate::mask::blacked_out;
 use crate::ms_ssim::WINDOW;
 use crate::ssim::ssim_map;
 use crate::warp::{Flow, Mask, Warped, backward_warp};
@@ -22,7 +23,7 @@ use crate::warp::{Flow, Mask, Warped, backward_warp};
 /// A distance between masked, aligned images. The caller's error type passes through.
 ///
 /// # Errors
-/// Rasters of different sizes (as `E`), or whatever `distance` returns.
+/// Rasters of different sizes, [`MetricError::NothingInCommon`] for an empty mask (as `E`), or whatever `distance` returns.
 pub fn warped_distance<E: From<MetricError>>(
     first: &Image,
     second: &Image,
@@ -33,17 +34,9 @@ pub fn warped_distance<E: From<MetricError>>(
     same_size("the flow", first, flow)?;
     same_size("the mask", first, mask)?;
     let warped = backward_warp(second, flow)?;
-    let masked = |image: &Image| {
-        let n = image.pixels();
-        let mut out = image.clone();
-        for (i, v) in out.data_mut().iter_mut().enumerate() {
-            if mask.data()[i % n] == 0 {
-                *v = 0.0;
-            }
-        }
-        out
-    };
-    distance(&masked(first), &masked(&warped.image))
+    let nothing = |e| if e == MetricError::NothingCounts { MetricError::NothingInCommon } else { e };
+    let masked = |image: &Image| blacked_out(image, mask).map_err(nothing);
+    distance(&masked(first)?, &masked(&warped.image)?)
 }
 
 /// A view with its geometry.
@@ -130,7 +123,7 @@ fn aligned(first: &Image, second: &Image, flow: &Flow, mask: &Mask) -> Result<Im
     Ok(image)
 }
 
-fn mean_where(map: &Map, counts: impl Fn(usize) -> bool + Sync) -> Consistency {
+pub(crate) fn mean_where(map: &Map, counts: impl Fn(usize) -> bool + Sync) -> Consistency {
     let n = map.pixels();
     let [sum, count] = sums::sums::<2>(n, |i, t| {
         if counts(i) {
@@ -173,7 +166,7 @@ pub fn warped_ssim(
 }
 
 /// For every window, whether all its pixels are in the mask (by counts along rows, then columns).
-fn whole_windows(mask: &Mask) -> Vec<bool> {
+pub(crate) fn whole_windows(mask: &Mask) -> Vec<bool> {
     let (width, height) = (mask.width(), mask.height());
     let (columns, rows) = (width + 1 - WINDOW, height + 1 - WINDOW);
     let along: Vec<bool> = (0..height)
@@ -260,6 +253,8 @@ mod tests {
         let distance = |a: &Image, b: &Image| Ok::<f64, MetricError>(sum(a) + sum(b));
         let found = warped_distance(&image, &image, &flow, &mask, distance).unwrap();
         assert_eq!(found, 3.0 * 15.0 * 20.0);
+        let none = warped_distance(&image, &image, &flow, &Mask::new(20, 16), distance);
+        assert_eq!(none, Err(MetricError::NothingInCommon), "not a perfect 0 between two black images");
         let small = Mask::new(2, 2);
         assert!(warped_distance(&image, &image, &flow, &small, distance).is_err());
     }

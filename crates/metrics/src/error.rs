@@ -43,6 +43,23 @@ pub enum MetricError {
         /// Height found.
         height: usize,
     },
+    /// No difference: an error of zero has no finite PSNR.
+    #[error("the images are equal in every pixel that counts, so their PSNR is not finite")]
+    Equal,
+    /// A mask that leaves no pixel.
+    #[error("the mask leaves no pixel: masks are white (1) where pixels count and black (0) elsewhere")]
+    NothingCounts,
+    /// A mask that leaves pixels, but no whole window.
+    #[error("the mask leaves no whole window of {side}x{side} pixels for {measure}")]
+    NoWindow {
+        /// The measure.
+        measure: &'static str,
+        /// Side of its windows.
+        side: usize,
+    },
+    /// Two views of different things.
+    #[error("the two views see nothing in common")]
+    NothingInCommon,
 }
 
 /// Fails unless `found` has the size of the image it belongs to.

@@ -7,14 +7,19 @@
 //! | --- | --- | --- |
 //! | [`psnr`], [`psnr_exposure_fitted`], [`ssim`], [`ms_ssim`], [`ciede2000`] | [`uciqe`], [`uiqm`] | [`warped_distance`] (flow), [`warped_delta_e`], [`warped_ssim`] (depth) |
 //!
+//! Every measure of a photograph heeds a [`Mask`] of the pixels that count; every result becomes a [`Score`], which is finite or says
+//! why it is not there.
+//!
 //! Deterministic: long sums are f64 in a fixed order, the same bits for any number of threads.
 
 mod ciede2000;
 mod consistency;
 mod error;
 mod lab;
+mod mask;
 pub mod ms_ssim;
 mod psnr;
+mod score;
 mod ssim;
 mod uciqe;
 mod uiqm;
@@ -26,7 +31,9 @@ pub use consistency::{
 };
 pub use error::MetricError;
 pub use lab::{lab_of_srgb, lab8_of_srgb8};
-pub use psnr::{ExposureFit, exposure_gain, mean_square_error, psnr, psnr_exposure_fitted};
+pub use mask::{blacked_out, counted, mask_of, only_counted};
+pub use psnr::{ExposureFit, decibels, exposure_gain, mean_square_error, psnr, psnr_exposure_fitted};
+pub use score::{Finite, Score};
 pub use ssim::{ssim, ssim_map};
 pub use uciqe::{Uciqe, UciqeVariant, uciqe, uciqe_of_8bit};
 pub use uiqm::{Uiqm, uiqm, uiqm_of_8bit};

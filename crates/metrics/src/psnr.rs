@@ -1,6 +1,8 @@
 //! Peak signal-to-noise ratio, plain and after fitting the exposure.
 //!
-//! `PSNR = -10 log₁₀ mean (x - y)²` over all pixels and channels, values clipped to `[0, 1]`, range 1.
+//! `PSNR = -10 log₁₀ mean (x - y)²` over the pixels that count and all channels, values clipped to `[0, 1]`, range 1. Equal images have no
+//! finite PSNR: that is an error ([`MetricError::Equal`]), never a large number. [`decibels`] is the only place where an error
+//! becomes a PSNR, in training too.
 //!
 //! Scenes whose absolute brightness is not determined (a clear image seen through unknown water) are compared after the gain
 //! that fits best in the least-squares sense: `g = Σ x y / Σ x²`, one for all channels or one per channel.
@@ -10,6 +12,8 @@ use use3d_numerics::math;
 use use3d_numerics::sums;
 
 use crate::error::{MetricError, finite, large_enough, same_size};
+use crate::mask::counted;
+use crate::warp::Mask;
 
 /// How many gains are fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,22 +31,35 @@ fn check(x: &Image, y: &Image) -> Result<(), MetricError> {
     finite("the second image", y)
 }
 
-/// Mean square error of values clipped to `[0, 1]`.
+/// Mean square error of values clipped to `[0, 1]`, over the pixels of the mask (all without one).
 ///
 /// # Errors
-/// Images of different sizes, without pixels, or with values that are not finite.
-pub fn mean_square_error(x: &Image, y: &Image) -> Result<f64, MetricError> {
+/// Images of different sizes, without pixels, with values that are not finite, or a mask of another size or without a pixel.
+pub fn mean_square_error(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<f64, MetricError> {
     check(x, y)?;
-    Ok(square_error(x, y, [1.0; 3]) / (3 * x.pixels()) as f64)
+    let count = match mask {
+        None => x.pixels(),
+        Some(mask) => {
+            same_size("the mask", x, mask)?;
+            counted(mask)
+        }
+    };
+    if count == 0 {
+        return Err(MetricError::NothingCounts);
+    }
+    Ok(square_error(x, y, [1.0; 3], mask) / (3 * count) as f64)
 }
 
-/// `Σ (clip(g x) - clip(y))²`.
-fn square_error(x: &Image, y: &Image, gain: [f64; 3]) -> f64 {
+/// `Σ (clip(g x) - clip(y))²` over the pixels of the mask.
+fn square_error(x: &Image, y: &Image, gain: [f64; 3], mask: Option<&Mask>) -> f64 {
     let clip = |v: f64| v.clamp(0.0, 1.0);
     (0..3)
         .map(|c| {
             let (a, b) = (x.plane(c), y.plane(c));
             sums::sum(a.len(), |i| {
+                if mask.is_some_and(|m| m.data()[i] == 0) {
+                    return 0.0;
+                }
                 let d = clip(gain[c] * f64::from(a[i])) - clip(f64::from(b[i]));
                 d * d
             })
@@ -50,16 +67,24 @@ fn square_error(x: &Image, y: &Image, gain: [f64; 3]) -> f64 {
         .sum()
 }
 
-fn decibels(mean_square: f64) -> f64 {
-    -10.0 * math::log10(mean_square)
-}
-
-/// PSNR in dB; infinite for equal images.
+/// The PSNR of a mean square error of values in `[0, 1]`, dB.
 ///
 /// # Errors
-/// As [`mean_square_error`].
-pub fn psnr(x: &Image, y: &Image) -> Result<f64, MetricError> {
-    Ok(decibels(mean_square_error(x, y)?))
+/// [`MetricError::Equal`] where there is no error, or one that is not a number.
+pub fn decibels(mean_square: f64) -> Result<f64, MetricError> {
+    if mean_square > 0.0 && mean_square.is_finite() {
+        Ok(-10.0 * math::log10(mean_square))
+    } else {
+        Err(MetricError::Equal)
+    }
+}
+
+/// PSNR in dB over the pixels of the mask (all without one).
+///
+/// # Errors
+/// As [`mean_square_error`], and [`MetricError::Equal`] for images without a difference.
+pub fn psnr(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<f64, MetricError> {
+    decibels(mean_square_error(x, y, mask)?)
 }
 
 /// The gains g that minimise `Σ (g x - y)²`; 1 where x is black.
@@ -87,10 +112,10 @@ pub fn exposure_gain(x: &Image, y: &Image, fit: ExposureFit) -> Result<[f64; 3],
 /// PSNR of `gain · x` against `y` after [`exposure_gain`], with the gains.
 ///
 /// # Errors
-/// As [`mean_square_error`].
+/// As [`psnr`].
 pub fn psnr_exposure_fitted(x: &Image, y: &Image, fit: ExposureFit) -> Result<(f64, [f64; 3]), MetricError> {
     let gain = exposure_gain(x, y, fit)?;
-    Ok((decibels(square_error(x, y, gain) / (3 * x.pixels()) as f64), gain))
+    Ok((decibels(square_error(x, y, gain, None) / (3 * x.pixels()) as f64)?, gain))
 }
 
 #[cfg(test)]
@@ -101,17 +126,36 @@ mod tests {
     fn a_known_error_and_a_known_gain() {
         let x = Image::filled(40, 30, 0.5);
         let y = Image::filled(40, 30, 0.4);
-        assert!((psnr(&x, &y).unwrap() - 20.0).abs() < 1e-5);
-        assert_eq!(psnr(&x, &x).unwrap(), f64::INFINITY);
-        let (fitted, gain) = psnr_exposure_fitted(&x, &y, ExposureFit::Global).unwrap();
-        assert!(fitted > 120.0 && (gain[0] - 0.8).abs() < 1e-6);
+        assert!((psnr(&x, &y, None).unwrap() - 20.0).abs() < 1e-5);
+        assert_eq!(psnr(&x, &x, None), Err(MetricError::Equal));
+        // 0.8 x is y to the last bit.
+        assert_eq!(psnr_exposure_fitted(&x, &y, ExposureFit::Global), Err(MetricError::Equal));
         let mut tinted = y;
+        tinted.plane_mut(2)[0] = 0.41;
+        let (fitted, gain) = psnr_exposure_fitted(&x, &tinted, ExposureFit::Global).unwrap();
+        assert!(fitted > 60.0 && (gain[0] - 0.8).abs() < 1e-4);
         tinted.plane_mut(2).fill(0.25);
         let gain = exposure_gain(&x, &tinted, ExposureFit::PerChannel).unwrap();
         assert!((gain[0] - 0.8).abs() < 1e-6 && (gain[2] - 0.5).abs() < 1e-6);
         assert_eq!(exposure_gain(&Image::new(2, 2), &x, ExposureFit::Global).ok(), None);
         assert_eq!(exposure_gain(&Image::new(40, 30), &x, ExposureFit::Global).unwrap(), [1.0; 3]);
         // Values beyond the display range count as clipped.
-        assert_eq!(psnr(&Image::filled(3, 3, 1.7), &Image::filled(3, 3, 1.0)).unwrap(), f64::INFINITY);
+        assert_eq!(psnr(&Image::filled(3, 3, 1.7), &Image::filled(3, 3, 1.0), None), Err(MetricError::Equal));
+    }
+
+    #[test]
+    fn what_is_masked_neither_adds_an_error_nor_hides_one() {
+        let x = Image::filled(8, 4, 0.5);
+        let mut y = Image::filled(8, 4, 0.4);
+        let mut mask = Mask::filled(8, 4, 1);
+        for i in 0..16 {
+            mask.data_mut()[i] = 0;
+            (0..3).for_each(|c| y.plane_mut(c)[i] = 0.9);
+        }
+        assert!((psnr(&x, &y, Some(&mask)).unwrap() - 20.0).abs() < 1e-5);
+        assert!(psnr(&x, &y, None).unwrap() < 12.0);
+        assert_eq!(psnr(&x, &y, Some(&Mask::new(8, 4))), Err(MetricError::NothingCounts));
+        assert!(psnr(&x, &y, Some(&Mask::new(4, 8))).is_err());
+        assert_eq!(decibels(f64::NAN), Err(MetricError::Equal));
     }
 }

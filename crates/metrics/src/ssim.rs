@@ -7,14 +7,20 @@
 //! per pixel and channel, moments under a Gaussian window of 11 taps, σ 1.5, population variances, *valid* windows only (the map is
 //! smaller than the image by 10 per side pair), `C₁ = 0.01²`, `C₂ = 0.03²`; the measure is the mean over map and channels.
 //!
+//! Both factors are computed as one less what is missing, `1 - (μ_x - μ_y)²/…` and `1 - (σ_x² + σ_y² - 2 σ_xy)/…`, so that no rounding takes
+//! a value above 1.
+//!
 //! The window is separable: four products (x, y, x² + y², x y) are blurred along rows into a ring of eleven rows and then down
 //! columns. Values are centred on zero first, which leaves second moments and removes most of their cancellation in f32.
 
 use rayon::prelude::*;
 use use3d_capture::{Image, Map};
 
+use crate::consistency::{mean_where, whole_windows};
 use crate::error::{MetricError, finite, large_enough, same_size};
+use crate::mask::counted;
 use crate::ms_ssim::{WINDOW, window};
+use crate::warp::Mask;
 
 const C1: f32 = 0.01 * 0.01;
 const C2: f32 = 0.03 * 0.03;
@@ -23,12 +29,22 @@ const CENTER: f32 = 0.5;
 /// Map rows that one task computes.
 const STRIP: usize = 64;
 
-/// SSIM in `[-1, 1]`.
+/// SSIM in `[-1, 1]`, over the windows all of whose pixels are in the mask (over all windows without one).
 ///
 /// # Errors
-/// Images of different sizes, with a side below 11 pixels, or with values that are not finite.
-pub fn ssim(x: &Image, y: &Image) -> Result<f64, MetricError> {
+/// Images of different sizes, with a side below 11 pixels, with values that are not finite, or a mask of another size or without a
+/// whole window.
+pub fn ssim(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<f64, MetricError> {
     check(x, y)?;
+    if let Some(mask) = mask {
+        same_size("the mask", x, mask)?;
+        let (map, whole) = (ssim_map(x, y)?, whole_windows(mask));
+        return match mean_where(&map, |i| whole[i]).value {
+            Some(value) => Ok(value),
+            None if counted(mask) == 0 => Err(MetricError::NothingCounts),
+            None => Err(MetricError::NoWindow { measure: "SSIM", side: WINDOW }),
+        };
+    }
     let (columns, rows) = (x.width() + 1 - WINDOW, x.height() + 1 - WINDOW);
     let strips = rows.div_ceil(STRIP);
     let sums: Vec<f64> = (0..3 * strips)
@@ -114,8 +130,8 @@ fn strip(x: &Image, y: &Image, channel: usize, strip: usize, mut take: impl FnMu
             let spread = (square[i] - mx * mx - my * my).max(0.0);
             let covariance = 2.0 * (product[i] - mx * my);
             let (fx, fy) = (mx + CENTER, my + CENTER);
-            let luminance = (2.0 * fx * fy + C1) / (fx * fx + fy * fy + C1);
-            values[i] = luminance * (covariance + C2) / (spread + C2);
+            let luminance = 1.0 - (mx - my) * (mx - my) / (fx * fx + fy * fy + C1);
+            values[i] = luminance * (1.0 - (spread - covariance).max(0.0) / (spread + C2));
         }
         take(row - first, &values);
     }
@@ -189,7 +205,7 @@ mod tests {
             let expected = plain(&x, &y);
             let with = |threads: usize| {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-                pool.install(|| ssim(&x, &y).unwrap())
+                pool.install(|| ssim(&x, &y, None).unwrap())
             };
             let fast = with(1);
             assert!((fast - expected).abs() < 2e-6, "{fast} {expected}");
@@ -197,8 +213,39 @@ mod tests {
             let map = ssim_map(&x, &y).unwrap();
             let mean = map.data().iter().map(|&v| f64::from(v)).sum::<f64>() / map.pixels() as f64;
             assert!((mean - fast).abs() < 1e-6);
-            assert!((ssim(&x, &x).unwrap() - 1.0).abs() < 1e-6);
+            assert!((ssim(&x, &x, None).unwrap() - 1.0).abs() < 1e-6);
         }
-        assert!(matches!(ssim(&noise(10, 40, 1), &noise(10, 40, 2)), Err(MetricError::TooSmall { .. })));
+        assert!(matches!(
+            ssim(&noise(10, 40, 1), &noise(10, 40, 2), None),
+            Err(MetricError::TooSmall { .. })
+        ));
+    }
+
+    #[test]
+    fn no_value_exceeds_one_and_masked_windows_do_not_count() {
+        // Nearly equal images, where rounding once gave 1.0000000017.
+        for seed in 0..6 {
+            let x = noise(64, 48, seed);
+            let y = x.map(|v| v + 1e-7);
+            let map = ssim_map(&x, &y).unwrap();
+            assert!(map.data().iter().all(|v| *v <= 1.0 + f32::EPSILON));
+            assert!(ssim(&x, &x, None).unwrap() <= 1.0 && ssim(&x, &y, None).unwrap() <= 1.0);
+        }
+        let (x, mut y) = (noise(40, 30, 1), noise(40, 30, 1));
+        y.data_mut().iter_mut().for_each(|v| *v *= 0.9);
+        let inner = ssim(&x, &y, None).unwrap();
+        let mut mask = Mask::filled(40, 30, 1);
+        for row in 0..30 {
+            for column in 0..15 {
+                mask.set_pixel(column, row, [0]);
+                y.set_pixel(column, row, [0.0, 1.0, 0.0]);
+            }
+        }
+        assert!(ssim(&x, &y, None).unwrap() < 0.8 * inner);
+        assert!((ssim(&x, &y, Some(&mask)).unwrap() - inner).abs() < 0.02);
+        assert_eq!(ssim(&x, &y, Some(&Mask::new(40, 30))), Err(MetricError::NothingCounts));
+        let mut specks = Mask::new(40, 30);
+        specks.set_pixel(3, 3, [1]);
+        assert!(matches!(ssim(&x, &y, Some(&specks)), Err(MetricError::NoWindow { .. })));
     }
 }

@@ -48,6 +48,16 @@ pub fn measure(
     measure_for(renderer, cameras, mode, SHORTEST, stop)
 }
 
+/// As [`measure`], but no longer than the passes take: for a figure beside a table rather than a benchmark.
+pub fn measure_briefly(
+    renderer: &mut SceneRenderer<'_>,
+    cameras: &[Camera],
+    mode: Mode,
+    stop: &dyn Fn() -> bool,
+) -> Option<Speed> {
+    measure_for(renderer, cameras, mode, Duration::ZERO, stop)
+}
+
 fn measure_for(
     renderer: &mut SceneRenderer<'_>,
     cameras: &[Camera],

@@ -1,7 +1,9 @@
-//! The truth beside a synthetic capture, and how far a scene is from it.
+//! The truth beside a capture, and how far a scene is from it.
 //!
 //! `use3d synth capture` leaves `truth/clean/` (the same views without water), `truth/depth/` (z-depth) and `truth/water.json`
-//! beside the images. Truth is for judging only: it is read when a finished scene is scored and never reaches training.
+//! beside the images. Any other capture may bring the same: `truth/clean/` with images of the views' names is enough, depth and water
+//! are measured where they are there too. A `truth/` folder of another form belongs to somebody else: it is left alone, and said.
+//! Truth is for judging only: it is read when a finished scene is scored and never reaches training.
 //!
 //! Everything is measured where the truth shows a surface; open water has no clean colour and no depth.
 //!
@@ -16,7 +18,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Image, Map};
 use use3d_io_colmap::{ImageSize, ImportError, ImportParams, Imported, SplitParams, import, is_prepared};
-use use3d_metrics::{ExposureFit, MetricError, exposure_gain, mean_ciede2000, psnr_exposure_fitted};
+use use3d_metrics::{ExposureFit, Mask, exposure_gain, mean_ciede2000, psnr_exposure_fitted};
 use use3d_synth::CaptureTruth;
 
 use crate::scores::{Score, Scores};
@@ -28,29 +30,16 @@ const DEPTH: &str = "truth/depth";
 /// The true water.
 const WATER: &str = "truth/water.json";
 
-/// Truth that cannot be read.
+/// Truth of which a file cannot be read.
 #[derive(Debug, thiserror::Error)]
-pub enum TruthError {
-    /// Its images do not fit the capture.
-    #[error(
-        "the truth beside the capture: {0}; make the capture again with `use3d synth capture`, or remove its truth/ folder"
-    )]
-    Images(#[from] ImportError),
-    /// Its description is missing or damaged.
-    #[error("{}: {reason}; make the capture again with `use3d synth capture`, or remove its truth/ folder", path.display())]
-    Water {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
-}
+#[error("the truth beside the capture: {0}; make that file again, or rename its truth/ folder")]
+pub struct TruthError(#[from] ImportError);
 
 /// How the true images are read: as the capture's images are, lenses, sizes and all.
-fn parameters(size: Option<ImageSize>) -> ImportParams {
+fn parameters(capture: &Path, size: Option<ImageSize>) -> ImportParams {
     ImportParams {
         image_dir: Some(CLEAN.into()),
-        depth_dir: Some(DEPTH.into()),
+        depth_dir: capture.join(DEPTH).is_dir().then(|| DEPTH.into()),
         size,
         split: SplitParams { every: 0, lists: false, ..SplitParams::default() },
         ..ImportParams::default()
@@ -63,38 +52,54 @@ fn is_there(capture: &Path) -> bool {
 }
 
 /// The files of a capture that hold its truth, relative to it: none for a real capture.
-pub fn files(capture: &Path) -> Result<Vec<PathBuf>, TruthError> {
+pub fn files(capture: &Path) -> Vec<PathBuf> {
     if !is_there(capture) {
-        return Ok(Vec::new());
+        return Vec::new();
     }
-    let model = import(capture, &parameters(None))?.report.model;
-    Ok([CLEAN, DEPTH, WATER, &model].map(PathBuf::from).to_vec())
+    let mut files = [CLEAN, DEPTH, WATER].map(PathBuf::from).to_vec();
+    files.extend(import(capture, &parameters(capture, None)).ok().map(|i| PathBuf::from(i.report.model)));
+    files
 }
 
 /// A capture's truth.
 pub struct Truth {
     imported: Imported,
-    water: CaptureTruth,
+    water: Option<CaptureTruth>,
+    /// Whether there are true depths.
+    pub knows_depth: bool,
 }
 
 impl Truth {
-    /// Opens the truth of a capture folder whose views are scored at `size`; `None` where there is none.
-    pub fn open(capture: &Path, (width, height): (usize, usize)) -> Result<Option<Self>, TruthError> {
+    /// Opens the truth of a capture folder whose views are scored at `size`; `None` where there is none of the form above. `say` hears
+    /// what is there and left alone.
+    pub fn open(
+        capture: &Path,
+        (width, height): (usize, usize),
+        say: &mut dyn FnMut(String),
+    ) -> Option<Self> {
+        const FORM: &str = "expected truth/clean/ with images of the views' names, and where known truth/depth/ and \
+            truth/water.json as `use3d synth capture` writes them (docs/captures.md)";
         if !is_there(capture) {
-            return Ok(None);
+            if capture.join("truth").is_dir() && !is_prepared(capture) {
+                say(format!("the capture's truth/ folder has no clean/ and is left alone; {FORM}"));
+            }
+            return None;
         }
-        let imported = import(capture, &parameters(Some(ImageSize { width, height })))?;
-        let path = capture.join(WATER);
-        let bad = |reason: String| TruthError::Water { path: path.clone(), reason };
-        let text = std::fs::read(&path).map_err(|e| bad(e.to_string()))?;
-        let water: CaptureTruth = serde_json::from_slice(&text).map_err(|e| bad(e.to_string()))?;
-        if !(water.units_per_metre.is_finite() && water.units_per_metre > 0.0) {
-            return Err(bad(format!(
-                "units_per_metre is {}; expected a positive number",
-                water.units_per_metre
-            )));
-        }
-        Ok(Some(Self { imported, water }))
+        let imported = match import(capture, &parameters(capture, Some(ImageSize { width, height }))) {
+            Ok(imported) => imported,
+            Err(error) => {
+                say(format!("the capture's truth/ folder is left alone: {error}; {FORM}"));
+                return None;
+            }
+        };
+        let water = match read_water(&capture.join(WATER)) {
+            Ok(water) => water,
+            Err(reason) => {
+                say(format!("{WATER} of the capture is left alone: {reason}; {FORM}"));
+                None
+            }
+        };
+        Some(Self { imported, water, knows_depth: capture.join(DEPTH).is_dir() })
     }
 
     /// The truth of the view whose name has this stem; `None` where it was not kept.
@@ -102,20 +107,39 @@ impl Truth {
         let views = &self.imported.capture.views;
         let Some(index) = views.iter().position(|v| v.stem() == stem) else { return Ok(None) };
         let prepared = self.imported.view(index)?;
-        Ok(Some(TrueView { clean: prepared.pixels.to_image(), depth: prepared.depth_prior }))
+        // Where the truth has no depths, what was found is the capture's own priors.
+        let depth = prepared.depth_prior.filter(|_| self.knows_depth);
+        Ok(Some(TrueView { clean: prepared.pixels.to_image(), depth }))
     }
 
-    /// The recovered water beside the true one. `attenuation` and `backscatter` are means in 1/normalised unit, `scale` is the
-    /// recorded frame's.
-    pub fn water(&self, attenuation: [f64; 3], backscatter: [f64; 3], scale: f64) -> WaterScores {
-        let per_metre = |means: [f64; 3]| means.map(|v| v * scale * self.water.units_per_metre);
-        WaterScores {
+    /// The recovered water beside the true one, where that is known. `attenuation` and `backscatter` are means in 1/normalised unit,
+    /// `scale` is the recorded frame's.
+    pub fn water(&self, attenuation: [f64; 3], backscatter: [f64; 3], scale: f64) -> Option<WaterScores> {
+        let truth = self.water.as_ref()?;
+        let per_metre = |means: [f64; 3]| means.map(|v| v * scale * truth.units_per_metre);
+        let scores = WaterScores {
             attenuation: per_metre(attenuation),
             backscatter: per_metre(backscatter),
-            true_attenuation: self.water.attenuation_per_metre.map(f64::from),
-            true_backscatter: self.water.backscatter_per_metre.map(f64::from),
-        }
+            true_attenuation: truth.attenuation_per_metre.map(f64::from),
+            true_backscatter: truth.backscatter_per_metre.map(f64::from),
+        };
+        let all = [scores.attenuation, scores.backscatter, scores.true_attenuation, scores.true_backscatter];
+        all.as_flattened().iter().all(|v| v.is_finite()).then_some(scores)
     }
+}
+
+/// The description of the water, if the file is there.
+fn read_water(path: &Path) -> Result<Option<CaptureTruth>, String> {
+    let text = match std::fs::read(path) {
+        Ok(text) => text,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        Err(e) => return Err(e.to_string()),
+    };
+    let water: CaptureTruth = serde_json::from_slice(&text).map_err(|e| e.to_string())?;
+    if !(water.units_per_metre.is_finite() && water.units_per_metre > 0.0) {
+        return Err(format!("units_per_metre is {}; expected a positive number", water.units_per_metre));
+    }
+    Ok(Some(water))
 }
 
 /// Recovered and true coefficients of the water, red, green, blue, 1/metre.
@@ -143,9 +167,10 @@ impl TrueView {
         self.depth.as_ref().is_none_or(|depth| depth.data().get(pixel).is_some_and(|z| *z > 0.0))
     }
 
-    /// The pixels of an image where the truth shows a surface, in a row, clamped to the display range.
-    fn surface(&self, image: &Image) -> Image {
-        let shown: Vec<usize> = (0..image.pixels()).filter(|p| self.shows_surface(*p)).collect();
+    /// The pixels of an image that count and where the truth shows a surface, in a row, clamped to the display range.
+    fn surface(&self, image: &Image, mask: Option<&Mask>) -> Image {
+        let counts = |p: &usize| self.shows_surface(*p) && mask.is_none_or(|m| m.data().get(*p) != Some(&0));
+        let shown: Vec<usize> = (0..image.pixels()).filter(counts).collect();
         let mut row = Image::new(shown.len(), 1);
         for c in 0..3 {
             let plane = image.plane(c);
@@ -156,23 +181,21 @@ impl TrueView {
         row
     }
 
-    /// `truth_psnr` and `truth_delta_e` of an image.
-    pub fn scores(&self, image: &Image) -> Scores {
+    /// `truth_psnr` and `truth_delta_e` of an image, over the pixels of the mask.
+    pub fn scores(&self, image: &Image, mask: Option<&Mask>) -> Scores {
         let sizes = [(image.width(), image.height()), (self.clean.width(), self.clean.height())];
         let (psnr, delta_e) = if sizes[0] == sizes[1] {
-            let (x, y) = (self.surface(image), self.surface(&self.clean));
-            let text = |e: MetricError| e.to_string();
+            let (x, y) = (self.surface(image, mask), self.surface(&self.clean, mask));
             let fitted = psnr_exposure_fitted(&x, &y, ExposureFit::Global).map(|(psnr, _)| psnr);
             let exposed = exposure_gain(&x, &y, ExposureFit::Global)
                 .map(|[gain, ..]| x.map(|v| (gain as f32 * v).clamp(0.0, 1.0)));
-            (fitted.map_err(text), exposed.and_then(|x| mean_ciede2000(&x, &y)).map_err(text))
+            (Score::measured(fitted), Score::measured(exposed.and_then(|x| mean_ciede2000(&x, &y))))
         } else {
             let [(w, h), (tw, th)] = sizes;
-            let reason = format!("the true image is {tw}x{th}, the view {w}x{h}");
-            (Err(reason.clone()), Err(reason))
+            let reason = Score::NotAvailable(format!("the true image is {tw}x{th}, the view {w}x{h}"));
+            (reason.clone(), reason)
         };
-        let score = |r: Result<f64, String>| r.map_or_else(Score::NotAvailable, Score::Value);
-        Scores::from([("truth_psnr".into(), score(psnr)), ("truth_delta_e".into(), score(delta_e))])
+        Scores::from([("truth_psnr".into(), psnr), ("truth_delta_e".into(), delta_e)])
     }
 
     /// `depth_error` of a rendered z-depth in normalised units; `scale` is the recorded frame's.
@@ -191,8 +214,8 @@ impl TrueView {
             .collect();
         errors.sort_unstable_by(f64::total_cmp);
         match errors.get(errors.len() / 2) {
-            Some(median) => Score::Value(*median),
-            None => Score::NotAvailable("no pixel has both a rendered and a true depth".into()),
+            Some(median) => Score::of(*median),
+            None => Score::Undefined("no pixel has both a rendered and a true depth".into()),
         }
     }
 }
@@ -224,19 +247,20 @@ mod tests {
         let truth = TrueView { clean: ramp(1.0), depth: Some(depth) };
         let mut darker = ramp(0.5);
         darker.set_pixel(0, 0, [1.0, 0.0, 1.0]); // open water: whatever is there does not count
-        let scores = truth.scores(&darker);
-        assert!(scores["truth_psnr"].value().unwrap() > 100.0);
+        let scores = truth.scores(&darker, None);
+        // Half as bright is equal after the gain.
+        assert!(scores["truth_psnr"].value().is_none_or(|psnr| psnr > 100.0), "{scores:?}");
         close(&scores["truth_delta_e"], 0.0, 1e-2);
         // Another hue is not an exposure.
         let mut tinted = ramp(0.5);
         tinted.plane_mut(0).fill(0.3);
-        let scores = truth.scores(&tinted);
+        let scores = truth.scores(&tinted, None);
         assert!(scores["truth_psnr"].value().unwrap() < 25.0);
         assert!(scores["truth_delta_e"].value().unwrap() > 5.0);
         // z* = 0.5 · 2 = 1, rendered 1.1.
         close(&truth.depth_error(&Map::filled(8, 4, 1.1), 0.5), 0.1, 1e-6);
         assert!(truth.depth_error(&Map::new(8, 4), 0.5).value().is_none());
-        assert!(truth.scores(&Image::filled(3, 3, 0.5))["truth_psnr"].value().is_none());
+        assert!(truth.scores(&Image::filled(3, 3, 0.5), None)["truth_psnr"].value().is_none());
     }
 
     #[test]
@@ -246,29 +270,64 @@ mod tests {
         let params =
             CaptureParams { views: 2, width: 48, height: 32, detail: 0.2, ..CaptureParams::default() };
         let made = write_capture(&params, &capture, &mut |_, _| {}).unwrap();
-        let listed = files(&capture).unwrap();
+        let listed = files(&capture);
         assert!(listed.contains(&PathBuf::from("truth/water.json")), "{listed:?}");
 
-        let truth = Truth::open(&capture, (24, 16)).unwrap().expect("truth");
+        let truth = open(&capture).0.expect("truth");
         let view = truth.view("frame_0001").unwrap().expect("a view");
         assert_eq!((view.clean.width(), view.clean.height()), (24, 16));
         assert_eq!(view.depth.as_ref().map(|d| (d.width(), d.height())), Some((24, 16)));
         assert!(truth.view("frame_0099").unwrap().is_none());
-        assert!(view.scores(&view.clean)["truth_delta_e"].value().unwrap() < 1e-2);
+        assert!(view.scores(&view.clean, None)["truth_delta_e"].value().unwrap() < 1e-2);
 
         // A coefficient of 1/m is 1/(scale · units) per normalised unit; going back gives the truth.
         let scale = 0.37;
         let normalised = made.attenuation_per_metre.map(|k| f64::from(k) / (scale * made.units_per_metre));
-        let water = truth.water(normalised, normalised, scale);
+        let water = truth.water(normalised, normalised, scale).expect("water");
         for (found, wanted) in water.attenuation.iter().zip(water.true_attenuation) {
             assert!((found - wanted).abs() < 1e-9 * wanted.max(1.0));
         }
 
         std::fs::write(capture.join(WATER), "{}").unwrap();
-        let error = Truth::open(&capture, (24, 16)).err().expect("damaged").to_string();
-        assert!(error.contains("water.json") && error.contains("use3d synth capture"), "{error}");
+        let (truth, notices) = open(&capture);
+        assert!(truth.expect("the images").water(normalised, normalised, scale).is_none());
+        assert!(notices[0].contains("water.json"), "{notices:?}");
         std::fs::remove_dir_all(capture.join("truth")).unwrap();
-        assert!(files(&capture).unwrap().is_empty());
-        assert!(Truth::open(&capture, (24, 16)).unwrap().is_none());
+        assert!(files(&capture).is_empty());
+        assert!(open(&capture).0.is_none());
+    }
+
+    fn open(capture: &Path) -> (Option<Truth>, Vec<String>) {
+        let mut notices = Vec::new();
+        let truth = Truth::open(capture, (24, 16), &mut |notice| notices.push(notice));
+        (truth, notices)
+    }
+
+    #[test]
+    fn clean_images_are_enough_and_what_belongs_to_others_is_left_alone_and_said() {
+        let dir = tempfile::tempdir().unwrap();
+        let capture = dir.path().join("reef");
+        let params =
+            CaptureParams { views: 2, width: 48, height: 32, detail: 0.2, ..CaptureParams::default() };
+        write_capture(&params, &capture, &mut |_, _| {}).unwrap();
+        std::fs::remove_file(capture.join(WATER)).unwrap();
+        std::fs::remove_dir_all(capture.join(DEPTH)).unwrap();
+        let (truth, notices) = open(&capture);
+        let truth = truth.expect("clean images are enough");
+        assert!(notices.is_empty() && truth.water([0.1; 3], [0.1; 3], 1.0).is_none(), "{notices:?}");
+        let view = truth.view("frame_0001").unwrap().expect("a view");
+        assert!(view.scores(&Image::filled(24, 16, 0.3), None)["truth_delta_e"].value().is_some());
+        assert!(view.depth_error(&Map::filled(24, 16, 1.0), 1.0).value().is_none());
+
+        // Somebody else's folders of the same name: poses, or images of other names.
+        std::fs::rename(capture.join(CLEAN), capture.join("truth/poses")).unwrap();
+        let (truth, notices) = open(&capture);
+        assert!(truth.is_none() && notices[0].contains("truth/"), "{notices:?}");
+        assert!(files(&capture).is_empty());
+        std::fs::create_dir(capture.join(CLEAN)).unwrap();
+        std::fs::write(capture.join(CLEAN).join("notes.txt"), "1 2 3").unwrap();
+        let (truth, notices) = open(&capture);
+        assert!(truth.is_none() && notices[0].contains("left alone"), "{notices:?}");
+        assert!(!files(&capture).is_empty(), "a change there is noticed");
     }
 }

@@ -90,7 +90,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         outcome.memory >> 20
     );
     if let Some(e) = &outcome.evaluation {
-        println!("held out: PSNR {:.2} dB, SSIM {:.4}", e.psnr, e.ssim);
+        let text = |score: &use3d_metrics::Score, decimals| match score.value() {
+            Some(value) => format!("{value:.decimals$}"),
+            None => format!("none ({})", score.reason().unwrap_or_default()),
+        };
+        println!("held out: PSNR {} dB, SSIM {}", text(&e.psnr, 2), text(&e.ssim, 4));
     }
     let out = Path::new(&out);
     std::fs::create_dir_all(out)?;

@@ -51,6 +51,14 @@ pub enum ReconstructError {
         /// The camera's height.
         height: usize,
     },
+    /// Masks that leave nothing.
+    #[error(
+        "the masks of all {views} training views leave no pixel: there is nothing to learn from; masks (files and alpha channels) are white where pixels count and black elsewhere: invert them, or remove them"
+    )]
+    NothingCounts {
+        /// Training views.
+        views: usize,
+    },
     /// Points and poses do not belong together.
     #[error(
         "none of the {points} sparse points lies in front of any of the {views} training cameras: poses and points seem to be from different models, or poses are camera-to-world; check the sparse model"

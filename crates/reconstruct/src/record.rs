@@ -1,6 +1,7 @@
 //! What a run writes down: log lines, held-out scores, and a plot.
 
 use serde::{Deserialize, Serialize};
+use use3d_metrics::Score;
 
 /// One line of the training log. Wall time is not in it: the log of a resumed run equals that of an uninterrupted one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -17,8 +18,8 @@ pub enum LogEntry {
         reg_ms_ssim: f64,
         /// The depth term, over the views that have a prior.
         depth_loss: Option<f64>,
-        /// PSNR of the training views, dB.
-        psnr: f64,
+        /// PSNR of the training views over the pixels that count, dB; null where no step had a finite one.
+        psnr: Option<f64>,
         /// Gaussians.
         gaussians: usize,
         /// Image divisor.
@@ -52,10 +53,10 @@ pub enum LogEntry {
     Evaluation {
         /// Steps done.
         step: u64,
-        /// Means over views.
-        psnr: f64,
-        /// Means over views.
-        ssim: f64,
+        /// Mean over views, dB; null where there is none (`evaluation.json` says why).
+        psnr: Option<f64>,
+        /// Mean over views; null as for `psnr`.
+        ssim: Option<f64>,
         /// Gaussians.
         gaussians: usize,
     },
@@ -83,29 +84,28 @@ impl LogEntry {
 pub struct ViewScore {
     /// The view.
     pub view: String,
-    /// PSNR of the clamped reconstruction, dB.
-    pub psnr: f64,
-    /// SSIM, 11-tap window over the valid region.
-    pub ssim: f64,
+    /// PSNR of the clamped reconstruction over the pixels that count, dB.
+    pub psnr: Score,
+    /// SSIM, 11-tap window, over the windows all of whose pixels count.
+    pub ssim: Score,
 }
 
 /// Held-out scores: per view, and their means.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evaluation {
     /// Every held-out view, in order.
     pub views: Vec<ViewScore>,
-    /// Mean PSNR, dB.
-    pub psnr: f64,
-    /// Mean SSIM.
-    pub ssim: f64,
+    /// Mean PSNR over the views that have one, dB.
+    pub psnr: Score,
+    /// Mean SSIM over the views that have one.
+    pub ssim: Score,
 }
 
 impl Evaluation {
     /// With means over `views`.
     pub fn of(views: Vec<ViewScore>) -> Self {
-        let n = views.len().max(1) as f64;
-        let psnr = views.iter().map(|v| v.psnr).sum::<f64>() / n;
-        let ssim = views.iter().map(|v| v.ssim).sum::<f64>() / n;
+        let psnr = Score::mean(views.iter().map(|v| &v.psnr));
+        let ssim = Score::mean(views.iter().map(|v| &v.ssim));
         Self { views, psnr, ssim }
     }
 }
@@ -117,11 +117,11 @@ pub fn plot(log: &[LogEntry]) -> String {
     for entry in log {
         match entry {
             LogEntry::Steps { step, loss, psnr, gaussians, .. } => {
-                for (line, value) in series.iter_mut().zip([*loss, *psnr, *gaussians as f64]) {
-                    line.push((*step as f64, value));
+                for (line, value) in series.iter_mut().zip([Some(*loss), *psnr, Some(*gaussians as f64)]) {
+                    line.extend(value.map(|v| (*step as f64, v)));
                 }
             }
-            LogEntry::Evaluation { step, psnr, .. } => held_out.push((*step as f64, *psnr)),
+            LogEntry::Evaluation { step, psnr, .. } => held_out.extend(psnr.map(|v| (*step as f64, v))),
             LogEntry::Refine { .. } | LogEntry::Ceiling { .. } => {}
         }
     }
@@ -195,7 +195,7 @@ mod tests {
             reg_l1: 0.1,
             reg_ms_ssim: 0.2,
             depth_loss: None,
-            psnr: 20.0,
+            psnr: Some(20.0),
             gaussians: 10,
             divisor: 4,
             degree: 0,
@@ -203,7 +203,7 @@ mod tests {
         let entries = [
             steps(100, 0.5),
             steps(200, f64::NAN),
-            LogEntry::Evaluation { step: 200, psnr: 19.0, ssim: 0.7, gaussians: 10 },
+            LogEntry::Evaluation { step: 200, psnr: Some(19.0), ssim: None, gaussians: 10 },
         ];
         let line: serde_json::Value = serde_json::from_str(&entries[0].to_json()).unwrap();
         assert_eq!((line["event"].as_str(), line["step"].as_u64()), (Some("steps"), Some(100)));

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use glam::{DMat3, DVec3};
 use use3d_capture::{
-    Camera, Capture, Frame, Intrinsics, Lattice, MediumMaps, Pixels, Pose, SparsePoint, Split, View,
+    Camera, Capture, Frame, Intrinsics, Lattice, Map, MediumMaps, Pixels, Pose, SparsePoint, Split, View,
 };
 use use3d_golden::Part;
 use use3d_medium::{MediumModel, MediumRbf};
@@ -225,6 +225,33 @@ fn same(a: &Outcome, b: &Outcome) -> bool {
 }
 
 #[test]
+fn views_of_which_nothing_counts_are_said_and_have_no_score() {
+    let (capture, mut loaded) = tiny_capture(10);
+    let params = tiny_params(2);
+    let black = |view: &mut LoadedView| {
+        let (w, h) = view.pixels.size();
+        view.mask = Some(Map::filled(w, h, f32::NAN));
+    };
+    let (first, held_out) = (capture.split.train[0], capture.split.test[0]);
+    black(&mut loaded[first]);
+    black(&mut loaded[held_out]);
+    let mut heard = Watcher::default();
+    let outcome = reconstruct(&capture, &loader(&loaded), &params, None, &mut heard).unwrap();
+    assert_eq!(
+        heard.notices.iter().filter(|n| n.contains("leaves no pixel")).count(),
+        2,
+        "{:?}",
+        heard.notices
+    );
+    let evaluation = outcome.evaluation.unwrap();
+    assert!(evaluation.views[0].psnr.reason().unwrap().contains("leaves no pixel"));
+    assert_eq!(evaluation.psnr, evaluation.views[1].psnr, "the mean is over the views that have a score");
+    loaded.iter_mut().for_each(black);
+    let error = reconstruct(&capture, &loader(&loaded), &params, None, &mut Silent).unwrap_err().to_string();
+    assert!(error.contains("white where pixels count"), "{error}");
+}
+
+#[test]
 fn a_short_run_learns_the_scene_and_its_water() {
     let (capture, loaded) = tiny_capture(10);
     let run = |medium, iterations| {
@@ -234,7 +261,7 @@ fn a_short_run_learns_the_scene_and_its_water() {
         reconstruct(&capture, &loader(&loaded), &params, None, &mut Silent).unwrap()
     };
     let (wet, dry) = (run(Medium::Rbf, 160), run(Medium::None, 160));
-    let psnr = |o: &Outcome| o.evaluation.as_ref().unwrap().psnr;
+    let psnr = |o: &Outcome| o.evaluation.as_ref().unwrap().psnr.value().unwrap();
     assert!(psnr(&wet) > 18.5, "held-out PSNR {:.2} dB", psnr(&wet));
     assert!(psnr(&wet) > psnr(&dry) + 0.5, "with water {:.2} dB, without {:.2} dB", psnr(&wet), psnr(&dry));
     assert!(wet.log.iter().any(|e| matches!(e, LogEntry::Refine { split, .. } if *split > 0)));
@@ -245,7 +272,7 @@ fn a_short_run_learns_the_scene_and_its_water() {
     for medium in [Medium::Global, Medium::Mlp] {
         let other = run(medium, 40);
         let first = |o: &Outcome| {
-            o.log.iter().find_map(|e| if let LogEntry::Steps { psnr, .. } = e { Some(*psnr) } else { None })
+            o.log.iter().find_map(|e| if let LogEntry::Steps { psnr, .. } = e { *psnr } else { None })
         };
         assert!(psnr(&other) > first(&other).unwrap() + 1.0, "{medium:?}: {:.2} dB", psnr(&other));
     }

@@ -5,10 +5,9 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
-use use3d_capture::{Capture, Image, MediumMaps, View};
+use use3d_capture::{Capture, MediumMaps, View};
 use use3d_medium::{MediumGlobal, MediumMlp, MediumModel, MediumRbf};
-use use3d_metrics::ms_ssim::MsSsim;
-use use3d_numerics::math;
+use use3d_metrics::{Score, mask_of, psnr, ssim};
 use use3d_numerics::random::Purpose;
 use use3d_scene::Scene;
 use use3d_splat::Rendered;
@@ -89,7 +88,7 @@ struct Window {
     reg_l1: f64,
     reg_ms_ssim: f64,
     depth: (f64, u64),
-    psnr: f64,
+    psnr: (f64, u64),
     smooth_loss: Option<f64>,
     smooth_psnr: Option<f64>,
 }
@@ -100,13 +99,15 @@ impl Window {
         self.loss += report.loss;
         self.reg_l1 += report.reg_l1;
         self.reg_ms_ssim += report.reg_ms_ssim;
-        self.psnr += report.psnr;
+        if let Some(psnr) = report.psnr {
+            self.psnr = (self.psnr.0 + psnr, self.psnr.1 + 1);
+        }
         if let Some(depth) = report.depth_loss {
             self.depth = (self.depth.0 + depth, self.depth.1 + 1);
         }
         let smooth = |old: Option<f64>, new: f64| Some(old.map_or(new, |old| 0.97 * old + 0.03 * new));
         self.smooth_loss = smooth(self.smooth_loss, report.loss);
-        self.smooth_psnr = smooth(self.smooth_psnr, report.psnr);
+        self.smooth_psnr = report.psnr.map_or(self.smooth_psnr, |psnr| smooth(self.smooth_psnr, psnr));
     }
 
     /// The log line of the window, which starts anew.
@@ -118,7 +119,7 @@ impl Window {
             reg_l1: self.reg_l1 / n,
             reg_ms_ssim: self.reg_ms_ssim / n,
             depth_loss: (self.depth.1 > 0).then(|| self.depth.0 / self.depth.1 as f64),
-            psnr: self.psnr / n,
+            psnr: (self.psnr.1 > 0).then(|| self.psnr.0 / self.psnr.1 as f64),
             gaussians,
             divisor,
             degree,
@@ -228,6 +229,7 @@ fn load(
     };
     let train = capture.training_views().map(|v| one(v, true)).collect::<Result<Vec<_>, _>>()?;
     let test = capture.test_views().map(|v| one(v, false)).collect::<Result<Vec<_>, _>>()?;
+    check_masks(&train, &test, observer)?;
     let with_prior = train.iter().filter(|v| v.has_prior()).count();
     if params.depth_prior != DepthPrior::Off && params.depth_weight > 0.0 && with_prior < train.len() {
         let message = match with_prior {
@@ -240,6 +242,27 @@ fn load(
         observer.notice(&message);
     }
     Ok(Views { train, test })
+}
+
+/// A view of which nothing counts teaches and judges nothing: said, and refused where no training view is left.
+fn check_masks(
+    train: &[TrainingView],
+    test: &[TrainingView],
+    observer: &mut dyn Observer,
+) -> Result<(), ReconstructError> {
+    for (views, what) in [(train, "training"), (test, "held-out")] {
+        let blank: Vec<&str> = views.iter().filter(|v| v.counts_nothing()).map(|v| v.name.as_str()).collect();
+        let Some(first) = blank.first() else { continue };
+        if blank.len() == views.len() && what == "training" {
+            return Err(ReconstructError::NothingCounts { views: views.len() });
+        }
+        observer.notice(&format!(
+            "the mask of {} of {} {what} views (first: `{first}`) leaves no pixel: they count for nothing; masks are white where pixels count",
+            blank.len(),
+            views.len()
+        ));
+    }
+    Ok(())
 }
 
 /// What a checkpoint must agree with to be gone on from: parameters, cameras, points and pixels.
@@ -521,48 +544,34 @@ impl Run<'_> {
         });
     }
 
-    /// PSNR and SSIM of the held-out views at full size, also into the log; `None` if there are none.
+    /// PSNR and SSIM of the held-out views at full size over the pixels that count, also into the log; `None` if there are none.
     fn evaluate(&mut self) -> Option<Evaluation> {
         if self.held_out.is_empty() {
             return None;
         }
         let degree = self.params.active_degree(self.step.saturating_sub(1));
         let (mut rendered, mut water) = (Rendered::new(), MediumMaps::zeros(0, 0));
-        let mut measure = MsSsim::new();
         let mut scores = Vec::with_capacity(self.held_out.len());
         let mut target = crate::Target::default();
         for view in &self.held_out {
             let camera = view.target(1, &mut target);
             self.engine.render(&camera, degree, &mut rendered, &mut water);
-            let mut image = rendered.image.map(|v| v.clamp(0.0, 1.0));
-            if let Some(mask) = &target.mask {
-                for masked in [&mut image, &mut target.image] {
-                    multiply(masked, mask.data());
-                }
-            }
-            let squared = use3d_numerics::sums::sum(image.data().len(), |i| {
-                math::powi(f64::from(image.data()[i] - target.image.data()[i]), 2)
-            });
-            let error = squared / image.data().len() as f64;
+            let image = rendered.image.map(|v| v.clamp(0.0, 1.0));
+            let mask = target.mask.as_ref().map(mask_of);
+            let measured = |result| Score::measured(result).named(&view.name);
             scores.push(ViewScore {
                 view: view.name.clone(),
-                psnr: -10.0 * math::log10(error.max(1e-12)),
-                ssim: measure.value(&image, &target.image, &[1.0]),
+                psnr: measured(psnr(&image, &target.image, mask.as_ref())),
+                ssim: measured(ssim(&image, &target.image, mask.as_ref())),
             });
         }
         let evaluation = Evaluation::of(scores);
         self.log.push(LogEntry::Evaluation {
             step: self.step,
-            psnr: evaluation.psnr,
-            ssim: evaluation.ssim,
+            psnr: evaluation.psnr.value(),
+            ssim: evaluation.ssim.value(),
             gaussians: self.engine.gaussians(),
         });
         Some(evaluation)
-    }
-}
-
-fn multiply(image: &mut Image, mask: &[f32]) {
-    for plane in image.data_mut().chunks_mut(mask.len().max(1)) {
-        plane.iter_mut().zip(mask).for_each(|(v, m)| *v *= m);
     }
 }

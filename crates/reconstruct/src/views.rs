@@ -111,7 +111,8 @@ impl TrainingView {
             camera,
             pixels: loaded.pixels,
             alpha: loaded.alpha.as_ref().filter(|a| a.data().iter().any(|&v| v < 1.0)).map(byte),
-            mask: loaded.mask.as_ref().filter(|m| m.data().iter().any(|&v| v < 1.0)).map(byte),
+            // What is not a number does not count.
+            mask: loaded.mask.as_ref().filter(|m| m.data().iter().any(|&v| v < 1.0 || v.is_nan())).map(byte),
             prior,
             #[cfg(test)]
             exact: None,
@@ -131,6 +132,11 @@ impl TrainingView {
     /// Whether it has a depth prior.
     pub fn has_prior(&self) -> bool {
         self.prior.is_some()
+    }
+
+    /// Whether its mask leaves no pixel.
+    pub fn counts_nothing(&self) -> bool {
+        self.mask.as_ref().is_some_and(|m| m.data().iter().all(|v| *v == 0))
     }
 
     /// The photograph at full size.

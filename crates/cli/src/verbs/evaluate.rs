@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use use3d_io_image::{image_size, read_image};
 use use3d_pipeline::engine::machine::{available_memory, bytes};
-use use3d_pipeline::scores::{Method, Score, Scores};
+use use3d_pipeline::scores::{Method, SceneScores, Score, Scores};
 use use3d_pipeline::scoring::Judges;
 use use3d_pipeline::stages::{evaluate::SCORES, read_json};
 
@@ -73,7 +73,7 @@ fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Resul
         interrupt::check()?;
         fits_memory(&path)?;
         let image = read_image(&path).map_err(CliError::input)?;
-        let mut scores = judges.alone(&image);
+        let mut scores = judges.alone(&image, None);
         if let Some(references) = &references {
             let Some(path) = references.get(&stem) else {
                 eprintln!("{stem}: no counterpart of this stem in the reference folder; scored without");
@@ -90,7 +90,7 @@ fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Resul
                     reference.height()
                 )));
             }
-            scores.extend(judges.against(&image, &reference));
+            scores.extend(judges.against(&image, &reference, None));
         }
         rows.push(Row { method: String::new(), image: stem, scores });
     }
@@ -140,13 +140,13 @@ fn scene_rows(app: &App, args: &EvaluateArgs, scene: &Path, capture: &Path) -> R
         inputs.push(("enhanced", scene.to_path_buf()));
     }
     inputs.extend(args.models.clone().map(|dir| ("models", dir)));
+    inputs.extend(args.warp_by.clone().map(|dir| ("reference", dir)));
     // A synthetic capture has its truth beside its images.
     inputs.push(("truth", capture.to_path_buf()));
     let out = scratch.path().join("evaluate");
     let stage = registry.stage("evaluate").map_err(CliError::failed)?;
     run_stage(app, stage, &parameters[0], inputs, &out, None)?;
-    let scores: use3d_pipeline::scores::SceneScores =
-        read_json(&out.join(SCORES)).map_err(CliError::failed)?;
+    let scores: SceneScores = read_json(&out.join(SCORES)).map_err(CliError::failed)?;
     let mut rows = Vec::new();
     for method in Method::ALL {
         let Some(found) = scores.methods.iter().find(|m| m.method == method) else { continue };
@@ -154,7 +154,7 @@ fn scene_rows(app: &App, args: &EvaluateArgs, scene: &Path, capture: &Path) -> R
         for view in &found.views {
             rows.push(Row { method: label.clone(), image: view.view.clone(), scores: view.scores.clone() });
         }
-        for pair in &found.pairs {
+        for pair in found.neighbours.iter().chain(&found.path) {
             let image = format!("{} → {}", pair.first, pair.second);
             rows.push(Row { method: label.clone(), image, scores: pair.scores.clone() });
         }
@@ -207,8 +207,8 @@ fn print(rows: &[Row], format: TableFormat) -> Done {
                 print!("{:first$} {:wide$}", row.method, row.image);
                 for name in &names {
                     match row.scores.get(*name) {
-                        Some(Score::Value(value)) => print!(" {value:>10.4}"),
-                        Some(Score::NotAvailable(_)) => print!(" {:>10}", "n/a"),
+                        Some(Score::Value(value)) => print!(" {:>10.4}", value.get()),
+                        Some(Score::NotAvailable(_) | Score::Undefined(_)) => print!(" {:>10}", "n/a"),
                         None => print!(" {:>10}", "–"),
                     }
                 }
@@ -218,8 +218,8 @@ fn print(rows: &[Row], format: TableFormat) -> Done {
     }
     let mut reasons: Vec<(&str, &str)> = Vec::new();
     for (name, score) in rows.iter().flat_map(|r| &r.scores) {
-        if let Score::NotAvailable(reason) = score
-            && !reasons.iter().any(|(n, r)| n == name && r == reason)
+        if let Some(reason) = score.reason()
+            && !reasons.iter().any(|(n, r)| n == name && *r == reason)
         {
             reasons.push((name, reason));
         }

@@ -335,7 +335,9 @@ impl Builder<'_> {
                 // What is read from outside: its name, or that of what stands in for an artifact.
                 let external = match input.source {
                     Source::External(name) => Some(name),
-                    Source::Stage(_) | Source::Reference(_) => input.instead.filter(|name| outside(name).is_some()),
+                    Source::Stage(_) | Source::Reference(_) => {
+                        input.instead.filter(|name| outside(name).is_some())
+                    }
                 };
                 let found = match (input.source.clone(), external) {
                     (_, Some(name)) => outside(name),

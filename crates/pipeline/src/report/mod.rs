@@ -29,8 +29,8 @@ pub struct Page {
     pub scenes: Vec<SceneSection>,
     /// What the calibrator learnt, if one was trained.
     pub calibrator: Option<CalibratorSection>,
-    /// All parameters, as text.
-    pub parameters: String,
+    /// What could not be made and is not in it.
+    pub missing: Vec<String>,
     /// Last line: program and version.
     pub footer: String,
 }
@@ -184,17 +184,31 @@ fn shrink(image: &Image, side: usize) -> Image8 {
 struct PageTemplate<'a> {
     title: &'a str,
     subtitle: &'a str,
-    tables: Vec<TableView>,
+    has_tables: bool,
+    tables_section: &'a str,
     scenes: &'a [SceneSection],
     calibrator: &'a Option<CalibratorSection>,
-    parameters: &'a str,
+    missing: &'a [String],
     footer: &'a str,
 }
 
 #[derive(Template)]
+#[template(path = "tables.html")]
+struct TablesTemplate {
+    tables: Vec<TableView>,
+}
+
+impl TablesTemplate {
+    fn new(tables: &[Table]) -> Self {
+        Self { tables: tables.iter().map(TableView::new).collect() }
+    }
+}
+
+#[derive(Template)]
 #[template(path = "costs.html")]
-struct CostsTemplate {
+struct CostsTemplate<'a> {
     stages: Vec<StageView>,
+    parameters: &'a str,
 }
 
 struct TableView {
@@ -278,10 +292,11 @@ impl Page {
         let template = PageTemplate {
             title: &self.title,
             subtitle: &self.subtitle,
-            tables: self.tables.iter().map(TableView::new).collect(),
+            has_tables: !self.tables.is_empty(),
+            tables_section: &TablesTemplate::new(&self.tables).render()?,
             scenes: &self.scenes,
             calibrator: &self.calibrator,
-            parameters: &self.parameters,
+            missing: &self.missing,
             footer: &self.footer,
         };
         Ok(template.render()?)
@@ -291,8 +306,22 @@ impl Page {
 /// Where a page's costs go.
 const COSTS: &str = "<!--costs-->";
 
-/// A page with what its stages cost, which is known only after the run and is no part of any artifact.
-pub fn with_costs(html: &str, rows: &[StageRow]) -> String {
+/// The marks around a page's tables.
+const TABLES: (&str, &str) = ("<!--tables-->", "<!--end of tables-->");
+
+/// A page with other tables in the place of its own: those that also tell how fast scenes are drawn.
+pub fn with_tables(html: &str, tables: &[Table]) -> String {
+    let (Some(start), Some(end)) = (html.find(TABLES.0), html.find(TABLES.1)) else { return html.into() };
+    match TablesTemplate::new(tables).render() {
+        Ok(section) if start < end => {
+            format!("{}{section}\n{}", &html[..start + TABLES.0.len() + 1], &html[end..])
+        }
+        _ => html.into(),
+    }
+}
+
+/// A page with what its stages cost and with which parameters they ran, as text: known only after the run, and no part of any artifact.
+pub fn with_costs(html: &str, rows: &[StageRow], parameters: &str) -> String {
     let longest = rows.iter().map(|s| s.seconds).fold(1e-9, f64::max);
     let stages = rows.iter().map(|s| StageView {
         scene: s.scene.clone(),
@@ -305,7 +334,7 @@ pub fn with_costs(html: &str, rows: &[StageRow]) -> String {
         key: s.key.chars().take(12).collect(),
     });
     // A template of plain strings cannot fail to render; without its table the page is still whole.
-    let costs = CostsTemplate { stages: stages.collect() }.render().unwrap_or_default();
+    let costs = CostsTemplate { stages: stages.collect(), parameters }.render().unwrap_or_default();
     html.replacen(COSTS, &costs, 1)
 }
 
@@ -354,6 +383,22 @@ mod tests {
             size: 2.0,
             key: "0123456789abcdef".into(),
         };
-        assert!(with_costs(&html, &[row]).contains("<code>0123456789ab</code>"));
+        let parameters = "reef: evaluate\n{ \"path_pairs\": 8 } <&>";
+        let whole = with_costs(&html, &[row], parameters);
+        assert!(whole.contains("<code>0123456789ab</code>") && whole.contains("path_pairs"));
+        assert!(!whole.contains("<&>"));
+        let timed = Table {
+            name: "t".into(),
+            caption: "another caption".into(),
+            columns: vec![Column::new("", "FPS", Better::Neither, 2)],
+            rows: vec![Row {
+                label: "x".into(),
+                published: false,
+                cells: vec![Cell::Number { value: 12.34, source: "hardware".into() }],
+            }],
+        };
+        let other = with_tables(&whole, std::slice::from_ref(&timed));
+        assert!(other.contains("12.34") && other.contains("another caption") && !other.contains(">caption<"));
+        assert_eq!(with_tables(&other, &[timed]), other, "once more changes nothing");
     }
 }

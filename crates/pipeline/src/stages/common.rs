@@ -10,6 +10,9 @@ use use3d_training::{Observer, Progress};
 
 use crate::engine::{StageContext, StageError};
 
+/// In a reconstructed scene's folder: which images it was learnt from, and how held-out ones came out.
+pub(super) const EVALUATION: &str = "evaluation.json";
+
 /// A capture as the import stage left it.
 pub(super) fn capture(context: &StageContext) -> Result<Capture, StageError> {
     let imported = use3d_io_colmap::load_prepared(context.input("import")?).map_err(StageError::bad_input)?;
@@ -32,7 +35,7 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), StageError>
 /// Reads JSON.
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, StageError> {
     let text = std::fs::read(path).map_err(|e| StageError::io(path, e))?;
-    Ok(serde_json::from_slice(&text)?)
+    serde_json::from_slice(&text).map_err(|e| StageError::message(format!("{}: {e}", path.display())))
 }
 
 /// Writes a text file.

@@ -1,22 +1,35 @@
-//! Held-out views scored: stage 1 against the photographs, every appearance for itself, and neighbouring views for consistency.
+//! Held-out views scored: stage 1 against the photographs, every appearance for itself; and neighbouring views for consistency.
 //!
 //! Rendered images are scored as they are rendered (f32, clamped to the display range), not from files; the `render` stage shows
-//! the same images, and both are functions of the same artifacts. Where the capture is synthetic and has its truth beside it,
-//! appearances, depth and water are also measured against that ([`crate::truth`]).
+//! the same images, and both are functions of the same artifacts. Where the capture has its truth beside it, appearances, depth and
+//! water are also measured against that ([`crate::truth`]).
+//!
+//! Consistency has two forms, both over views that lie next to each other. *Neighbours* are captured views that follow one another
+//! in the capture: only there are photographs, so only there can the 2D enhancer be tried on photographs. The *path* swims through the
+//! training cameras with several frames from one to the next: what a film of the scene shows. Depth, masks and raw inputs come from the
+//! reference variant's stage 1, the same for all variants of a scene, so that no variant is judged by its own geometry.
+
+use std::path::Path;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::proposers::Proposer;
-use use3d_capture::{Capture, Image, Map, View};
-use use3d_io_colmap::load_pixels;
+use use3d_capture::{Camera, Capture, Image, Map, View, path};
+use use3d_io_colmap::{load_mask, load_pixels};
 use use3d_io_image::write_png;
+use use3d_metrics::{Mask, mask_of};
+use use3d_scene::Scene;
 
-use super::common::{capture, scene, write_json};
+use super::common::{EVALUATION, capture, read_json, scene, write_json};
+use super::propose::asked_for;
 use super::proposer::{ProposerChoice, open};
-use crate::engine::{Scope, Stage, StageContext, StageError};
+use crate::engine::{Scope, Stage, StageContext, StageError, machine};
 use crate::rendering::{Frame, Mode, SceneRenderer};
-use crate::scores::{Method, MethodScores, PairScores, SceneScores, Scores, ViewScores};
-use crate::scoring::{Judges, Pairing};
+use crate::scores::{
+    self, Finite, Method, MethodScores, PairScores, SceneScores, SceneSpeed, Scores, ViewScores, Warp,
+};
+use crate::scoring::{Judges, Pairing, Seen as Compared};
+use crate::speed;
 use crate::strip::{Seen, Strip, choose, sheet};
 use crate::truth::{Truth, files};
 
@@ -25,12 +38,43 @@ pub const SCORES: &str = "scores.json";
 /// The consistency strip, and what it shows.
 pub const STRIP: (&str, &str) = ("strip.png", "strip.json");
 
+/// The note with how fast the scene is drawn.
+pub const SPEED: &str = "speed";
+
 /// Parameters of the evaluation.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct Params {
-    /// The proposer of the reference row; `auto` as in `pairs`.
+    /// The 2D enhancer of the reference rows; `auto` as in `pairs`.
     pub(super) proposer: ProposerChoice,
+    /// Pairs of captured views next to each other that are compared, evenly chosen; 0: none.
+    pub(super) neighbour_pairs: usize,
+    /// Pairs of adjacent frames of the rendered path that are compared, evenly chosen; 0: none.
+    pub(super) path_pairs: usize,
+    /// Frames of that path from one training view to the next.
+    pub(super) path_steps: usize,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self { proposer: ProposerChoice::default(), neighbour_pairs: 8, path_pairs: 8, path_steps: 4 }
+    }
+}
+
+impl Params {
+    fn check(&self) -> Result<(), (String, String)> {
+        const MOST: usize = 10_000;
+        for (name, value, least) in [
+            ("neighbour_pairs", self.neighbour_pairs, 0),
+            ("path_pairs", self.path_pairs, 0),
+            ("path_steps", self.path_steps, 1),
+        ] {
+            if !(least..=MOST).contains(&value) {
+                return Err((name.into(), format!("{value}: expected {least} to {MOST}")));
+            }
+        }
+        Ok(())
+    }
 }
 
 pub(super) fn stage() -> Stage {
@@ -44,18 +88,21 @@ pub(super) fn stage() -> Stage {
                 "src/rendering.rs",
                 "src/scoring.rs",
                 "src/scores.rs",
+                "src/speed.rs",
                 "src/strip.rs",
                 "src/truth.rs",
             ],
         )
+        .check(Params::check)
         .input("import", "import")
         .input("scene", "reconstruct")
         .optional_input("proposals", "propose")
         .optional_input("enhanced", "enhance")
+        .reference_input("reference", "reconstruct", |all| !asked_for(all))
         .optional_external("models", "models")
         .select(|_, models| Ok(super::judge_files(models)))
         .optional_external("truth", "capture")
-        .select(|_, capture| files(capture).map_err(|e| e.to_string()))
+        .select(|_, capture| Ok(files(capture)))
         .cost(0, 4 << 30)
 }
 
@@ -64,7 +111,7 @@ const PARTS: &[&str] = &["use3d-enhance", "use3d-metrics", "use3d-io-colmap", "u
 #[cfg(not(feature = "nets"))]
 const PARTS: &[&str] = &["use3d-enhance", "use3d-metrics", "use3d-io-colmap", "use3d-synth"];
 
-/// One held-out view in all its appearances.
+/// One view in all its appearances.
 struct Appearances {
     images: Vec<(Method, Image)>,
     depth: Map,
@@ -72,167 +119,332 @@ struct Appearances {
     water: Option<[Image; 2]>,
 }
 
+impl Appearances {
+    fn of(&self, method: Method) -> Option<&Image> {
+        self.images.iter().find(|(m, _)| *m == method).map(|(_, image)| image)
+    }
+}
+
 /// Means of an image's channels.
 fn channel_means(image: &Image) -> [f64; 3] {
     image.planes().map(|plane| plane.iter().map(|v| f64::from(*v)).sum::<f64>() / plane.len().max(1) as f64)
 }
 
-fn look(
-    view: &View,
-    renderer: &mut SceneRenderer<'_>,
-    proposer: &dyn Proposer,
+/// A scene and the 2D enhancer, ready to be looked at.
+struct Looker<'a> {
+    renderer: SceneRenderer<'a>,
+    proposer: &'a dyn Proposer,
+    /// What the scene shows as it was learnt: photographs, or proposals.
     learnt: Method,
-) -> Result<Appearances, StageError> {
-    let captured = load_pixels(view)?.to_image();
-    let mut modes = vec![Mode::Reconstruction, Mode::Depth, Mode::Attenuation, Mode::Backscatter];
-    if learnt == Method::Reconstruction {
-        modes.push(Mode::Clear);
+}
+
+impl Looker<'_> {
+    /// All appearances at a camera; those made of a photograph where there is one.
+    fn look(&mut self, camera: &Camera, photograph: Option<Image>) -> Result<Appearances, StageError> {
+        let mut modes = vec![Mode::Reconstruction, Mode::Depth, Mode::Attenuation, Mode::Backscatter];
+        if self.learnt == Method::Reconstruction {
+            modes.push(Mode::Clear);
+        }
+        if self.renderer.is_enhanced() {
+            modes.push(Mode::Enhanced);
+        }
+        let mut images = Vec::new();
+        if let Some(captured) = photograph {
+            let proposal = self.proposer.enhance(&captured)?;
+            images.extend([(Method::Captured, captured), (Method::Proposal, proposal)]);
+        }
+        let mut depth = Map::new(0, 0);
+        let mut water = Vec::new();
+        for (mode, frame) in modes.iter().zip(self.renderer.render(camera, &modes)) {
+            match (mode, frame) {
+                (Mode::Reconstruction, Frame::Color(image)) => {
+                    if self.learnt == Method::Reconstruction {
+                        let shown = image.map(|v| v.clamp(0.0, 1.0));
+                        images.push((Method::ProposalOfRender, self.proposer.enhance(&shown)?));
+                    }
+                    images.push((self.learnt, image));
+                }
+                (Mode::Clear, Frame::Color(image)) => images.push((Method::Clear, image)),
+                (Mode::Enhanced, Frame::Color(image)) => images.push((Method::Enhanced, image)),
+                (Mode::Depth, Frame::Scalar(map)) => depth = map,
+                (Mode::Attenuation | Mode::Backscatter, Frame::Color(image)) => water.push(image),
+                _ => {}
+            }
+        }
+        Ok(Appearances { images, depth, water: water.try_into().ok() })
     }
-    if renderer.is_enhanced() {
-        modes.push(Mode::Enhanced);
+
+    fn view(&mut self, view: &View) -> Result<Appearances, StageError> {
+        self.look(&view.camera, Some(load_pixels(view)?.to_image()))
     }
-    let proposal = proposer.propose(&captured)?;
-    let mut images = vec![(Method::Captured, captured), (Method::Proposal, proposal)];
-    let mut depth = Map::new(0, 0);
-    let mut water = Vec::new();
-    for (mode, frame) in modes.iter().zip(renderer.render(&view.camera, &modes)) {
-        match (mode, frame) {
-            (Mode::Reconstruction, Frame::Color(image)) => images.push((learnt, image)),
-            (Mode::Clear, Frame::Color(image)) => images.push((Method::Clear, image)),
-            (Mode::Enhanced, Frame::Color(image)) => images.push((Method::Enhanced, image)),
-            (Mode::Depth, Frame::Scalar(map)) => depth = map,
-            (Mode::Attenuation | Mode::Backscatter, Frame::Color(image)) => water.push(image),
-            _ => {}
+}
+
+/// The pixels of a view that count; `None` where all do.
+fn mask(view: &View) -> Result<Option<Mask>, StageError> {
+    Ok(load_mask(view)?.map(|weights| mask_of(&weights)).filter(|m| m.data().contains(&0)))
+}
+
+/// Lists by method, in the order in which methods appear.
+type Lists<T> = Vec<(Method, Vec<T>)>;
+
+/// What the parts of an evaluation share.
+struct Evaluation<'a> {
+    context: &'a StageContext,
+    capture: &'a Capture,
+    judges: Judges,
+    looker: Looker<'a>,
+    /// The reference variant's stage 1; the scene's own is taken where there is none.
+    reference: Option<SceneRenderer<'a>>,
+}
+
+impl Evaluation<'_> {
+    /// The methods' images at a camera, with what they are compared by.
+    fn station(&mut self, camera: &Camera, view: Option<&View>) -> Result<Station, StageError> {
+        self.context.alive()?;
+        let (photograph, mask) = match view {
+            Some(view) => (Some(load_pixels(view)?.to_image()), mask(view)?),
+            None => (None, None),
+        };
+        let looks = self.looker.look(camera, photograph)?;
+        let (mut depth, mut render) = (looks.depth.clone(), looks.of(self.looker.learnt).cloned());
+        if let Some(reference) = &mut self.reference {
+            for frame in reference.render(camera, &[Mode::Depth, Mode::Reconstruction]) {
+                match frame {
+                    Frame::Scalar(map) => depth = map,
+                    Frame::Color(image) => render = Some(image),
+                }
+            }
+        }
+        let raw = looks.of(Method::Captured).cloned().or(render).unwrap_or_else(|| Image::new(0, 0));
+        Ok(Station { camera: *camera, raw: raw.map(|v| v.clamp(0.0, 1.0)), depth, mask, looks })
+    }
+
+    /// One pair's scores of every method, into `lists`.
+    fn pair(&self, ends: &[Station; 2], names: [String; 2], prefix: &str, lists: &mut Lists<PairScores>) {
+        let [first, second] = ends;
+        let pairing = Pairing::new(&self.judges, &first.compared(), &second.compared());
+        for (method, image) in &first.looks.images {
+            let Some(other) = second.looks.of(*method) else { continue };
+            let [first, second] = names.clone();
+            let place = format!("{first} and {second}");
+            let scores = pairing.scores(&self.judges, image, other, prefix);
+            let scores = scores.into_iter().map(|(name, score)| (name, score.named(&place))).collect();
+            entry(lists, *method).push(PairScores { first, second, scores });
         }
     }
-    Ok(Appearances { images, depth, water: water.try_into().ok() })
+
+    /// Captured views that follow one another.
+    fn neighbours(&mut self, most: usize) -> Result<Lists<PairScores>, StageError> {
+        let mut lists = Lists::new();
+        let views = &self.capture.views;
+        let chosen = evenly(views.len().saturating_sub(1), most);
+        for (done, &i) in chosen.iter().enumerate() {
+            self.context.progress_with(
+                done as u64,
+                chosen.len() as u64,
+                "neighbouring pairs",
+                &views[i].name,
+            );
+            let (a, b) = (&views[i], &views[i + 1]);
+            let ends = [self.station(&a.camera, Some(a))?, self.station(&b.camera, Some(b))?];
+            self.pair(&ends, [a.name.clone(), b.name.clone()], "", &mut lists);
+        }
+        Ok(lists)
+    }
+
+    /// Adjacent frames of a path through the training cameras.
+    fn path(&mut self, most: usize, steps: usize) -> Result<Lists<PairScores>, StageError> {
+        let mut lists = Lists::new();
+        let keys: Vec<Camera> = self.capture.training_views().map(|v| v.camera).collect();
+        let frames = path::interpolate(&keys, keys.len().saturating_sub(1) * steps + 1);
+        let chosen = evenly(frames.len().saturating_sub(1), if keys.len() < 2 { 0 } else { most });
+        for (done, &i) in chosen.iter().enumerate() {
+            self.context.progress_with(done as u64, chosen.len() as u64, "pairs of frames", "");
+            let ends = [self.station(&frames[i], None)?, self.station(&frames[i + 1], None)?];
+            self.pair(&ends, [i, i + 1].map(|f| format!("frame {f}")), "path_", &mut lists);
+        }
+        Ok(lists)
+    }
+}
+
+/// A camera with everything seen from there.
+struct Station {
+    camera: Camera,
+    raw: Image,
+    depth: Map,
+    mask: Option<Mask>,
+    looks: Appearances,
+}
+
+impl Station {
+    fn compared(&self) -> Compared<'_> {
+        Compared { camera: &self.camera, depth: &self.depth, raw: &self.raw, mask: self.mask.as_ref() }
+    }
+}
+
+/// At most `most` of `0..n`, evenly spread.
+fn evenly(n: usize, most: usize) -> Vec<usize> {
+    let count = n.min(most);
+    (0..count).map(|k| (2 * k + 1) * n / (2 * count)).collect()
+}
+
+/// What a scene was learnt from: as its inputs say, or, by hand, as its stage 1 wrote it down.
+fn learnt_from(context: &StageContext) -> Method {
+    let written = |folder: &Path| read_json::<serde_json::Value>(&folder.join(EVALUATION)).ok();
+    let by_hand =
+        || context.optional_input("scene").and_then(written).is_some_and(|w| w["learnt_from"] == "proposed");
+    if context.optional_input("proposals").is_some() || by_hand() {
+        Method::EnhanceThenReconstruct
+    } else {
+        Method::Reconstruction
+    }
+}
+
+/// The reference's stage 1, if it is in the scene's frame.
+fn reference(context: &StageContext, scene: &Scene) -> Result<Option<Scene>, StageError> {
+    let Some(folder) = context.optional_input("reference") else { return Ok(None) };
+    let reference = Scene::load(folder)?;
+    if reference.frame != scene.frame {
+        return Err(StageError::bad_input_message(format!(
+            "{}: this scene lies in another frame than the one that is scored; reconstruct both from one import",
+            folder.display()
+        )));
+    }
+    Ok(Some(reference))
 }
 
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let capture = capture(context)?;
     let role = if context.optional_input("enhanced").is_some() { "enhanced" } else { "scene" };
     let scene = scene(context, role)?;
-    // What the scene shows as it was learnt: photographs, or proposals.
-    let learnt = match context.optional_input("proposals") {
-        Some(_) => Method::EnhanceThenReconstruct,
-        None => Method::Reconstruction,
-    };
+    let reference = reference(context, &scene)?;
+    let learnt = learnt_from(context);
     let models = context.optional_input("models");
     let proposer = open(params.proposer, models, &mut |line| context.log(line))
         .map_err(StageError::bad_input_message)?;
-    let judges = Judges::open(models);
-    let mut renderer = SceneRenderer::new(&scene, 1.0)?;
     let views: Vec<&View> = capture.test_views().collect();
     if views.is_empty() {
         context.say("no view is held out (split.every = 0): nothing to score");
     }
+    let mut evaluation = Evaluation {
+        context,
+        capture: &capture,
+        judges: Judges::open(models),
+        looker: Looker { renderer: SceneRenderer::new(&scene, 1.0)?, proposer: proposer.as_ref(), learnt },
+        reference: reference.as_ref().map(|scene| SceneRenderer::new(scene, 1.0)).transpose()?,
+    };
 
     let size = views.first().map_or((0, 0), |v| (v.camera.intrinsics.width, v.camera.intrinsics.height));
     let truth = match context.optional_input("truth") {
-        Some(folder) if !views.is_empty() => Truth::open(folder, size)?,
+        Some(folder) if !views.is_empty() => Truth::open(folder, size, &mut |notice| context.say(notice)),
         _ => None,
     };
+    let knows_depth = truth.as_ref().is_some_and(|t| t.knows_depth);
     let scale = capture.frame.scale;
     let mut water = [[0.0; 3]; 2];
 
-    let mut per_view: Vec<(Method, Vec<ViewScores>)> = Vec::new();
-    let mut per_pair: Vec<(Method, Vec<PairScores>)> = Vec::new();
-    let mut previous: Option<Appearances> = None;
+    let mut per_view: Lists<ViewScores> = Vec::new();
     for (i, view) in views.iter().enumerate() {
         context.alive()?;
         context.progress_with(i as u64, views.len() as u64, "views", &view.name);
-        let now = look(view, &mut renderer, proposer.as_ref(), learnt)?;
-        let captured = &now.images[0].1;
+        let now = evaluation.looker.view(view)?;
+        let mask = mask(view)?;
+        let judges = &evaluation.judges;
         let true_view = truth.as_ref().map(|t| t.view(view.stem())).transpose()?.flatten();
         for (method, image) in &now.images {
-            let mut scores: Scores = judges.alone(image);
-            if *method != Method::Captured {
-                scores.extend(judges.against(image, captured));
+            let mut scores: Scores = judges.alone(image, mask.as_ref());
+            if let (true, Some(captured)) = (*method != Method::Captured, now.of(Method::Captured)) {
+                scores.extend(judges.against(image, captured, mask.as_ref()));
             }
             if let Some(truth) = &true_view {
-                if *method == learnt {
+                if *method == learnt && knows_depth {
                     scores.insert("depth_error".into(), truth.depth_error(&now.depth, scale));
                 }
                 // The water is still in stage 1's images.
                 if *method != Method::Reconstruction {
-                    scores.extend(truth.scores(image));
+                    scores.extend(truth.scores(image, mask.as_ref()));
                 }
             }
+            let scores = scores.into_iter().map(|(name, score)| (name, score.named(&view.name))).collect();
             entry(&mut per_view, *method).push(ViewScores { view: view.name.clone(), scores });
         }
         for (sum, map) in water.iter_mut().zip(now.water.iter().flatten()) {
             let means = channel_means(map);
             (0..3).for_each(|c| sum[c] += means[c] / views.len() as f64);
         }
-        if let Some(before) = &previous {
-            let earlier = views[i - 1];
-            let pairing = Pairing::new(
-                &judges,
-                (&before.images[0].1, captured),
-                (&earlier.camera, &view.camera),
-                (&before.depth, &now.depth),
-            );
-            for ((method, first), (_, second)) in before.images.iter().zip(&now.images) {
-                entry(&mut per_pair, *method).push(PairScores {
-                    first: earlier.name.clone(),
-                    second: view.name.clone(),
-                    scores: pairing.scores(&judges, first, second),
-                });
-            }
-        }
-        previous = Some(now);
     }
-    strip(context, &capture, &mut renderer, proposer.as_ref(), learnt)?;
-    let methods = per_view.into_iter().map(|(method, views)| {
-        let pairs = per_pair
-            .iter_mut()
-            .find(|(m, _)| *m == method)
-            .map(|(_, p)| std::mem::take(p))
-            .unwrap_or_default();
-        MethodScores::new(method, views, pairs)
+    let mut neighbours = evaluation.neighbours(params.neighbour_pairs)?;
+    let mut path = evaluation.path(params.path_pairs, params.path_steps)?;
+    strip(context, &capture, &mut evaluation.looker)?;
+    time(context, &views, &mut evaluation.looker.renderer);
+
+    let take = |lists: &mut Lists<PairScores>, method| {
+        lists.iter_mut().find(|(m, _)| *m == method).map(|(_, p)| std::mem::take(p)).unwrap_or_default()
+    };
+    let methods = Method::ALL.into_iter().filter_map(|method| {
+        let views = per_view.iter_mut().find(|(m, _)| *m == method).map(|(_, v)| std::mem::take(v));
+        let (neighbours, path) = (take(&mut neighbours, method), take(&mut path, method));
+        if views.is_none() && neighbours.is_empty() && path.is_empty() {
+            return None;
+        }
+        Some(MethodScores::new(method, views.unwrap_or_default(), neighbours, path))
     });
     let scores = SceneScores {
+        format: scores::FORMAT.into(),
+        version: scores::VERSION,
         training_views: capture.split.train.len(),
         held_out_views: views.len(),
         size,
         gaussians: scene.gaussians.len(),
-        water: truth.filter(|_| !scene.medium.is_none()).map(|truth| truth.water(water[0], water[1], scale)),
+        warp: if reference.is_some() { Warp::Reference } else { Warp::Own },
+        water: truth
+            .filter(|_| !scene.medium.is_none())
+            .and_then(|truth| truth.water(water[0], water[1], scale)),
         methods: methods.collect(),
     };
     write_json(&context.output().join(SCORES), &scores)
 }
 
-/// The same spot in three neighbouring views: captured, proposed view by view, and as the scene shows it.
-fn strip(
-    context: &StageContext,
-    capture: &Capture,
-    renderer: &mut SceneRenderer<'_>,
-    proposer: &dyn Proposer,
-    learnt: Method,
-) -> Result<(), StageError> {
+/// Notes how fast the scene is drawn at the held-out views' own size. A time is never part of an artifact.
+fn time(context: &StageContext, views: &[&View], renderer: &mut SceneRenderer<'_>) {
+    if !context.keeps_notes() {
+        return;
+    }
+    let cameras: Vec<Camera> = views.iter().take(4).map(|v| v.camera).collect();
+    let mode = if renderer.is_enhanced() { Mode::Enhanced } else { Mode::Reconstruction };
+    let measured = speed::measure_briefly(renderer, &cameras, mode, &|| context.cancelled());
+    let (Some(measured), Some(camera)) = (measured, cameras.first()) else { return };
+    let Some(fps) = Finite::new(measured.fps) else { return };
+    let size = (camera.intrinsics.width, camera.intrinsics.height);
+    let speed = SceneSpeed { fps, size, processor: machine::processor(), threads: context.threads() };
+    context.log(format_args!(
+        "{}: {:.2} frames per second at {}x{}, {} threads of {}",
+        measured.mode, measured.fps, size.0, size.1, speed.threads, speed.processor
+    ));
+    context.note(SPEED, &speed);
+}
+
+/// The same spot in three neighbouring views: captured, enhanced in 2D, and as the scene shows it.
+fn strip(context: &StageContext, capture: &Capture, looker: &mut Looker<'_>) -> Result<(), StageError> {
     context.alive()?;
     let held_out = &capture.split.test;
     let middle = held_out.get(held_out.len() / 2).copied().unwrap_or(capture.views.len() / 2);
     let first = middle.saturating_sub(1).min(capture.views.len().saturating_sub(3));
     let views: Vec<&View> = capture.views.iter().skip(first).take(3).collect();
-    let looks: Vec<Appearances> =
-        views.iter().map(|view| look(view, renderer, proposer, learnt)).collect::<Result<_, _>>()?;
-    let seen = views.iter().zip(&looks).map(|(view, look)| Seen {
-        camera: &view.camera,
-        depth: &look.depth,
-        photograph: &look.images[0].1,
+    let looks: Vec<Appearances> = views.iter().map(|view| looker.view(view)).collect::<Result<_, _>>()?;
+    let seen = views.iter().zip(&looks).filter_map(|(view, look)| {
+        Some(Seen { camera: &view.camera, depth: &look.depth, photograph: look.of(Method::Captured)? })
     });
     let Some((side, corners)) = choose(&seen.collect::<Vec<_>>()) else {
         context.log("no spot is seen by three neighbouring views: no consistency strip");
         return Ok(());
     };
-    let last = if renderer.is_enhanced() { Method::Enhanced } else { learnt };
-    let shown = [Method::Captured, Method::Proposal, last];
-    let of = |look: &'_ Appearances, method| look.images.iter().position(|(m, _)| *m == method);
-    let rows: Vec<Vec<&Image>> = shown
-        .iter()
-        .map(|method| looks.iter().filter_map(|l| Some(&l.images[of(l, *method)?].1)).collect())
-        .collect();
+    let last = if looker.renderer.is_enhanced() { Method::Enhanced } else { looker.learnt };
+    let shown = [Method::Captured, Method::Proposal, Method::ProposalOfRender, last];
+    let shown: Vec<Method> =
+        shown.into_iter().filter(|m| looks.iter().all(|look| look.of(*m).is_some())).collect();
+    let rows: Vec<Vec<&Image>> =
+        shown.iter().map(|method| looks.iter().filter_map(|l| l.of(*method)).collect()).collect();
     let (picture, moved) = sheet(&rows, &corners, side);
     write_png(&context.output().join(STRIP.0), &picture)?;
     let rows = shown.iter().map(|m| m.label().to_string()).zip(moved).collect();

@@ -1,20 +1,31 @@
 //! Stage 1: the scene with its water.
 
+use serde::Serialize;
 use use3d_capture::{Capture, View};
 use use3d_io_colmap::{load_depth_prior, load_mask, load_pixels};
 use use3d_io_image::write_png;
+use use3d_metrics::Score;
 use use3d_reconstruct::{
-    DepthPrior, Images, LoadedView, ReconstructError, ReconstructParams, growth, reconstruct,
+    DepthPrior, Evaluation, Images, LoadedView, ReconstructError, ReconstructParams, growth, reconstruct,
 };
 use use3d_scene::Origin;
 
-use super::common::{Watch, capture, write_json, write_text};
+use super::common::{EVALUATION, Watch, capture, write_json, write_text};
 use super::contact::sheet;
 use super::propose;
 use crate::engine::{Scope, Stage, StageContext, StageError};
 
 /// The contact sheet.
 pub(super) const CONTACT: &str = "contact.png";
+
+/// `evaluation.json`.
+#[derive(Serialize)]
+struct HeldOut<'a> {
+    /// Which images the scene was learnt from, and is compared with here.
+    learnt_from: Images,
+    /// Scores against those images; none where no view is held out.
+    held_out: &'a Option<Evaluation>,
+}
 
 pub(super) fn stage() -> Stage {
     let stage = Stage::new("reconstruct", Scope::Scene, run)
@@ -99,10 +110,18 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         other => other?,
     };
     if let Some(evaluation) = &outcome.evaluation {
+        let against = match params.images {
+            Images::Captured => "",
+            Images::Proposed => " against the 2D enhancer's images, not the photographs",
+        };
+        let text = |score: &Score, unit: &str, decimals: usize| match score.value() {
+            Some(value) => format!("{value:.decimals$}{unit}"),
+            None => format!("none ({})", score.reason().unwrap_or_default()),
+        };
         context.say(format_args!(
-            "held-out views: {:.2} dB, SSIM {:.4}, {} Gaussians",
-            evaluation.psnr,
-            evaluation.ssim,
+            "held-out views{against}: PSNR {}, SSIM {}, {} Gaussians",
+            text(&evaluation.psnr, " dB", 2),
+            text(&evaluation.ssim, "", 4),
             outcome.scene.gaussians.len()
         ));
     }
@@ -116,5 +135,5 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     }
     write_text(&out.join("training.jsonl"), &outcome.log_lines())?;
     write_text(&out.join("training.svg"), &outcome.plot())?;
-    write_json(&out.join("evaluation.json"), &outcome.evaluation)
+    write_json(&out.join(EVALUATION), &HeldOut { learnt_from: params.images, held_out: &outcome.evaluation })
 }

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::calibrator::Calibrator;
 use use3d_atc::consensus::TargetsReport;
-use use3d_capture::flat_stem;
+use use3d_capture::{Camera, flat_stem};
 use use3d_io_image::read_image;
 use use3d_scene::Scene;
 
@@ -15,10 +15,10 @@ use super::common::{folder, read_json, write_json, write_text};
 use super::evaluate::{SCORES, STRIP};
 use super::reconstruct::CONTACT;
 use crate::engine::{Digest, Scope, Stage, StageContext, StageError, StageInput};
-use crate::rendering::medium_profile;
+use crate::rendering::{WaterSample, medium_along, medium_profile};
 use crate::report::plot::{Plot, RGB, Series};
 use crate::report::{CalibratorSection, Page, Picture, PlotFigure, SceneSection, ViewSection};
-use crate::scores::{Method, SceneScores, ScoredScene};
+use crate::scores::{Method, MethodScores, SceneScores, ScoredScene};
 use crate::strip::Strip;
 use crate::tables::{Table, paper};
 
@@ -115,8 +115,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     for (i, parts) in all.iter().enumerate() {
         context.alive()?;
         context.progress_with(i as u64, all.len() as u64, "scenes", parts.scene);
-        let scores: Option<SceneScores> =
-            parts.path("scores").map(|p| read_json(&p.join(SCORES))).transpose()?;
+        let scores = parts.path("scores").map(read_scores).transpose()?;
         scenes.push(section(parts, scores.as_ref(), params)?);
         if let (Some(scores), Some(path)) = (scores, parts.path("scores")) {
             let bytes = std::fs::read(path.join(SCORES)).map_err(|e| StageError::io(path, e))?;
@@ -126,7 +125,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
                 variant: parts.variant.into(),
                 source: format!("{} {}", parts.name(), Digest::of(&bytes).short()),
                 scores,
-                fps: None,
+                speed: None,
             });
         }
     }
@@ -145,21 +144,21 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         tables,
         scenes,
         calibrator,
-        parameters: missing(context),
+        missing: context.missing().to_vec(),
         footer: format!("use3d {}", env!("CARGO_PKG_VERSION")),
     };
     write_json(&context.output().join("scores.json"), &scored)?;
     write_text(&context.output().join("index.html"), &page.html()?)
 }
 
-fn missing(context: &StageContext) -> String {
-    if context.missing().is_empty() {
-        return "All scenes of the batch are in this report.".into();
-    }
-    format!("Not in this report:\n{}", context.missing().join("\n"))
+fn read_scores(folder: &Path) -> Result<SceneScores, StageError> {
+    let path = folder.join(SCORES);
+    let bytes = std::fs::read(&path).map_err(|e| StageError::io(&path, e))?;
+    SceneScores::parse(&bytes).map_err(|e| StageError::message(format!("{}: {e}", path.display())))
 }
 
-fn write_tables(dir: &Path, tables: &[Table]) -> Result<(), StageError> {
+/// The tables in all their forms, into a folder.
+pub fn write_tables(dir: &Path, tables: &[Table]) -> Result<(), StageError> {
     folder(dir)?;
     for table in tables {
         let file = |extension: &str| dir.join(format!("{}.{extension}", table.name));
@@ -220,6 +219,7 @@ fn section(
             "{} training views, {} held out, {w}×{h} pixels, {} Gaussians.",
             scores.training_views, scores.held_out_views, scores.gaussians
         );
+        section.notes = left_out(scores);
     }
     if let Some(renders) = parts.path("renders") {
         section.views = views(renders, scores, params.views)?;
@@ -241,6 +241,23 @@ fn section(
         section.sheets.extend(sheets(&targets.join("previews"))?);
     }
     Ok(section)
+}
+
+/// What the means leave out: images and pairs of which there is no such number.
+fn left_out(scores: &SceneScores) -> Vec<String> {
+    let of = |m: &MethodScores| {
+        let counts: Vec<String> = (m.left_out.iter())
+            .map(|(metric, count)| format!("{metric} {count} of {}", count + m.counted(metric)))
+            .collect();
+        (!counts.is_empty()).then(|| {
+            format!(
+                "{}: left out of the means, as there is no such number: {}.",
+                m.method.label(),
+                counts.join(", ")
+            )
+        })
+    };
+    scores.methods.iter().filter_map(of).collect()
 }
 
 /// An SVG file as part of a page: without its XML declaration.
@@ -297,38 +314,48 @@ fn view_scores(stem: &str, scores: Option<&SceneScores>) -> Vec<String> {
     wanted.into_iter().filter_map(text).collect()
 }
 
-/// The water along the horizontal of the first training view.
+/// The water by direction (along the horizontal of the first training view) and by position (along the training cameras, looking one
+/// way).
 fn water(parts: &Parts<'_>) -> Result<Vec<PlotFigure>, StageError> {
     let (Some(scene), Some(import)) = (parts.path("scene"), parts.path("import")) else {
         return Ok(Vec::new());
     };
     let scene = Scene::load(scene)?;
     let capture = use3d_io_colmap::load_prepared(import)?.capture;
+    let cameras: Vec<Camera> = capture.training_views().map(|v| v.camera).collect();
     let Some(view) = capture.training_views().next() else { return Ok(Vec::new()) };
-    let Some(profile) = medium_profile(&scene.medium, scene.medium_degree, &view.camera) else {
-        return Ok(Vec::new());
-    };
-    let figure = |title: &str, pick: fn(&crate::rendering::WaterSample) -> [f32; 3]| {
+    let by_direction = medium_profile(&scene.medium, scene.medium_degree, &view.camera);
+    let by_position = medium_along(&scene.medium, scene.medium_degree, &cameras);
+    let (Some(by_direction), Some(by_position)) = (by_direction, by_position) else { return Ok(Vec::new()) };
+    let figure = |samples: &[WaterSample], title: &str, x_label: &str, place: &str, pick: Pick| {
         let series = (0..3).map(|c| Series {
             label: ["red", "green", "blue"][c].into(),
             color: RGB[c],
-            points: profile.iter().map(|s| (s.degrees, f64::from(pick(s)[c]))).collect(),
+            points: samples.iter().map(|s| (s.at, f64::from(pick(s)[c]))).collect(),
             dots: false,
         });
-        let plot = Plot {
-            title: title.into(),
-            x_label: "degrees from the optical axis".into(),
-            log_y: false,
-            series: series.collect(),
-        };
-        PlotFigure { svg: plot.svg(), caption: format!("{title} along the horizontal of {}", view.name) }
+        let plot =
+            Plot { title: title.into(), x_label: x_label.into(), log_y: false, series: series.collect() };
+        PlotFigure { svg: plot.svg(), caption: format!("{title} {place}") }
     };
-    Ok(vec![
-        figure("Attenuation", |s| s.attenuation),
-        figure("Backscatter", |s| s.backscatter),
-        figure("Medium colour", |s| s.color),
-    ])
+    let kinds: [(&str, Pick); 3] = [
+        ("Attenuation", |s| s.attenuation),
+        ("Backscatter", |s| s.backscatter),
+        ("Medium colour", |s| s.color),
+    ];
+    let along = format!("along the horizontal of {}", view.name);
+    let from = format!("at the training cameras' places, looking as {} does", view.name);
+    let figures = kinds.into_iter().flat_map(|(title, pick)| {
+        [
+            figure(&by_direction, title, "degrees from the optical axis", &along, pick),
+            figure(&by_position, title, "training view", &from, pick),
+        ]
+    });
+    Ok(figures.collect())
 }
+
+/// Which of the water's three quantities is drawn.
+type Pick = fn(&WaterSample) -> [f32; 3];
 
 /// The contact sheet of stage 1.
 fn contact(scene: &Path) -> Result<Option<Picture>, StageError> {

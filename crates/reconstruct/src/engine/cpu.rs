@@ -3,7 +3,6 @@
 use use3d_capture::{Camera, Image, Lattice, Map, MediumMaps};
 use use3d_medium::{MediumModel, Role};
 use use3d_numerics::adam::Adam;
-use use3d_numerics::math;
 use use3d_splat::{
     Colors, Cotangents, GaussianGradients, Gaussians, Options, Prepared, Rasterizer, Rendered,
 };
@@ -207,7 +206,7 @@ impl Engine for CpuEngine {
             reg_l1: value.reg_l1,
             reg_ms_ssim: value.reg_ms_ssim,
             depth_loss,
-            psnr: -10.0 * math::log10(value.squared_error.max(1e-12)),
+            psnr: use3d_metrics::decibels(value.squared_error).ok(),
             non_finite: None,
         };
         if !loss.is_finite() {

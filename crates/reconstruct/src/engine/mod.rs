@@ -72,8 +72,8 @@ pub struct StepReport {
     pub reg_ms_ssim: f64,
     /// The depth term, where the view has a prior.
     pub depth_loss: Option<f64>,
-    /// PSNR of the rendered view, dB.
-    pub psnr: f64,
+    /// PSNR of the rendered view over the pixels that count, dB; `None` where it has no finite one.
+    pub psnr: Option<f64>,
     /// What was not finite, and its first bad element.
     pub non_finite: Option<(&'static str, Option<usize>)>,
 }

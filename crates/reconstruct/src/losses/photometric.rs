@@ -11,7 +11,9 @@
 //! and its variances would cancel in f32. Both are therefore formed *less one* without ever being near one:
 //! `W Î − 1 = −ε W` and `W I − 1 = W (I − Î) − ε W`. The first also carries `W` to the last pass, which needs no other image.
 //!
-//! A mask multiplies prediction and target before anything else; means stay over all pixels.
+//! A mask multiplies prediction and target before anything else, so that a pixel that does not count adds nothing to either term and has no
+//! gradient. The means of the loss stay over all pixels: how much of a view counts is how much the view counts. The squared error that is
+//! told is a mean over the pixels that count, weighted by the mask's square.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd, dispatch, f32x16};
@@ -34,7 +36,7 @@ pub struct PhotometricValue {
     pub reg_l1: f64,
     /// Reg-MS-SSIM.
     pub reg_ms_ssim: f64,
-    /// Mean squared error of the prediction clamped to `[0, 1]` (masked like the rest), for a PSNR.
+    /// Mean squared error of the prediction clamped to `[0, 1]` over the pixels that count, for a PSNR; 0 where none does.
     pub squared_error: f64,
 }
 
@@ -104,7 +106,10 @@ impl PhotometricLoss {
             })
             .collect();
         let reg_l1 = partial.iter().map(|s| s[0]).sum::<f64>() / count;
-        let squared_error = partial.iter().map(|s| s[1]).sum::<f64>() / count;
+        let counted = mask
+            .map_or(n as f64, |m| use3d_numerics::sums::sum(m.len(), |i| f64::from(m[i]) * f64::from(m[i])));
+        let squared = partial.iter().map(|s| s[1]).sum::<f64>();
+        let squared_error = if counted > 0.0 { squared / (3.0 * counted) } else { 0.0 };
 
         let similarity =
             self.measure.value_and_gradient(&self.prediction, &self.target, 1.0, &self.weights, gradient);

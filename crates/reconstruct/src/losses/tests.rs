@@ -3,6 +3,7 @@
 use use3d_capture::{Image, Map};
 use use3d_golden::{Case, Part};
 use use3d_metrics::ms_ssim::level_weights;
+use use3d_metrics::{mask_of, mean_square_error};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 
@@ -116,6 +117,12 @@ fn the_photometric_gradient_agrees_with_finite_differences_under_a_mask() {
         let mut gradient = Image::new(1, 1);
         let value = PhotometricLoss::new(0.2).evaluate(&prediction, &target, Some(&mask), &mut gradient);
         assert!((value.total - held(&prediction, &prediction, &target, &mask)).abs() < 1e-5);
+        // What training tells is what a finished scene is scored by.
+        let shown = target.map(|v| v.clamp(0.0, 1.0));
+        let told =
+            PhotometricLoss::new(0.2).evaluate(&prediction, &shown, Some(&mask), &mut Image::new(1, 1));
+        let scored = mean_square_error(&prediction, &shown, Some(&mask_of(&mask))).unwrap();
+        assert!((told.squared_error - scored).abs() < 1e-5 * scored, "{} {scored}", told.squared_error);
         let norm = gradient.data().iter().map(|&g| math::powi(f64::from(g), 2)).sum::<f64>().sqrt();
         for probe in 0..6u64 {
             let direction: Vec<f32> =

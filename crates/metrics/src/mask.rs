@@ -1,0 +1,76 @@
+//! Which pixels count.
+//!
+//! One rule for the whole workspace: a pixel counts where its weight (a mask file times an alpha channel) is at least one half. What
+//! does not count enters no score:
+//!
+//! * measures of single pixels (PSNR, UCIQE, CIEDE2000) see the others only: [`only_counted`];
+//! * measures of windows (SSIM) see the windows all of whose pixels count;
+//! * measures of whole pictures (LPIPS and the quality networks) see black there, in every picture alike: [`blacked_out`].
+
+use use3d_capture::{Image, Map};
+
+use crate::error::{MetricError, same_size};
+use crate::warp::Mask;
+
+/// The mask of weights in `[0, 1]`; a weight that is not a number does not count.
+pub fn mask_of(weights: &Map) -> Mask {
+    weights.map(|w| u8::from(w >= 0.5))
+}
+
+/// How many pixels count.
+pub fn counted(mask: &Mask) -> usize {
+    mask.data().iter().filter(|m| **m != 0).count()
+}
+
+/// The pixels that count, in a row.
+///
+/// # Errors
+/// A mask of another size, or one that leaves nothing.
+pub fn only_counted(image: &Image, mask: &Mask) -> Result<Image, MetricError> {
+    same_size("the mask", image, mask)?;
+    let places: Vec<usize> = (0..image.pixels()).filter(|p| mask.data()[*p] != 0).collect();
+    if places.is_empty() {
+        return Err(MetricError::NothingCounts);
+    }
+    let mut row = Image::new(places.len(), 1);
+    for c in 0..3 {
+        let plane = image.plane(c);
+        row.plane_mut(c).iter_mut().zip(&places).for_each(|(out, p)| *out = plane[*p]);
+    }
+    Ok(row)
+}
+
+/// The image, black where it does not count.
+///
+/// # Errors
+/// A mask of another size, or one that leaves nothing.
+pub fn blacked_out(image: &Image, mask: &Mask) -> Result<Image, MetricError> {
+    same_size("the mask", image, mask)?;
+    if counted(mask) == 0 {
+        return Err(MetricError::NothingCounts);
+    }
+    let mut out = image.clone();
+    for c in 0..3 {
+        out.plane_mut(c).iter_mut().zip(mask.data()).filter(|(_, m)| **m == 0).for_each(|(v, _)| *v = 0.0);
+    }
+    Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn half_counts_and_nothing_is_said() {
+        let weights = Map::from_planes(5, 1, vec![0.0, 0.5, 1.0, f32::NAN, -3.0]).unwrap();
+        let mask = mask_of(&weights);
+        assert_eq!((mask.data(), counted(&mask)), (&[0u8, 1, 1, 0, 0][..], 2));
+        let image = Image::from_planes(5, 1, (0..15).map(|i| i as f32).collect()).unwrap();
+        assert_eq!(only_counted(&image, &mask).unwrap().data(), [1.0, 2.0, 6.0, 7.0, 11.0, 12.0]);
+        assert_eq!(blacked_out(&image, &mask).unwrap().row(1, 0), [0.0, 6.0, 7.0, 0.0, 0.0]);
+        let none = Mask::new(5, 1);
+        assert_eq!(only_counted(&image, &none), Err(MetricError::NothingCounts));
+        assert_eq!(blacked_out(&image, &none), Err(MetricError::NothingCounts));
+        assert!(only_counted(&image, &Mask::new(1, 5)).is_err());
+    }
+}
