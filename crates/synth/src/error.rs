@@ -74,6 +74,25 @@ impl Answer for ControlFlow<()> {
     }
 }
 
+/// Locks a folder for as long as the answer lives: whoever finds it unlocked knows that its writer is gone. None where folders
+/// cannot be locked.
+fn hold(folder: &Path) -> Option<std::fs::File> {
+    let handle = std::fs::File::open(folder).ok()?;
+    handle.try_lock().is_ok().then_some(handle)
+}
+
+/// Removes what commands that were killed left beside `out`.
+fn sweep_partials(out: &Path) {
+    let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let prefix = format!(".{}.partial-", out.file_name().unwrap_or_default().to_string_lossy());
+    for entry in std::fs::read_dir(parent).into_iter().flatten().flatten() {
+        let left = entry.file_name().to_string_lossy().starts_with(&prefix);
+        if left && hold(&entry.path()).is_some() {
+            let _ = std::fs::remove_dir_all(entry.path());
+        }
+    }
+}
+
 /// Runs `fill` on a new folder beside `out` and renames it to `out` when it is complete: the output is there whole or not at
 /// all. An existing empty folder is replaced; anything else in the way is an error.
 pub(crate) fn whole_folder<T>(
@@ -91,7 +110,9 @@ pub(crate) fn whole_folder<T>(
     }
     let name = out.file_name().ok_or_else(exists)?;
     let partial = out.with_file_name(format!(".{}.partial-{}", name.to_string_lossy(), std::process::id()));
+    sweep_partials(out);
     let result = std::fs::create_dir_all(&partial).map_err(SynthError::io(&partial)).and_then(|()| {
+        let _held = hold(&partial);
         let value = fill(&partial)?;
         if empty {
             std::fs::remove_dir(out).map_err(SynthError::io(out))?;
@@ -103,4 +124,25 @@ pub(crate) fn whole_folder<T>(
         let _ = std::fs::remove_dir_all(&partial); // the first error is the one to report
     }
     result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_killed_command_left_goes_with_the_next_one() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| {
+            let folder = dir.path().join(name);
+            std::fs::create_dir_all(folder.join("images")).unwrap();
+            folder
+        };
+        let (left, written, other) = (at(".reef.partial-7"), at(".reef.partial-8"), at(".wreck.partial-7"));
+        let Some(held) = hold(&written) else { return }; // folders cannot be locked here
+        whole_folder(&dir.path().join("reef"), |_| Ok(())).unwrap();
+        assert!(!left.exists() && written.exists() && other.exists());
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 3);
+        drop(held);
+    }
 }

@@ -12,7 +12,7 @@ use use3d_io_image::read_image;
 
 use super::common::write_json;
 use super::proposer::{ProposerChoice, open};
-use crate::engine::{Scope, Stage, StageContext, StageError};
+use crate::engine::{Scope, Stage, StageContext, StageError, leftovers};
 
 /// The data set's file.
 pub(super) const DATASET: &str = "dataset.json";
@@ -54,7 +54,7 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
         (Some(input), Some(target)) => (input.to_path_buf(), target.to_path_buf()),
         (None, None) => {
             context.say("no pairs given: synthetic ones stand in");
-            scratch = tempfile::tempdir()?;
+            scratch = leftovers::scratch()?;
             let dir = scratch.path().join("pairs");
             let written = use3d_synth::write_pairs(&params.synthetic, &dir, &mut |done, total| {
                 context.progress(done as u64, total as u64, "synthetic pairs");

@@ -1,0 +1,91 @@
+//! A tiny capture, the command on it, and everything under a folder.
+#![allow(dead_code, reason = "every test program uses its own part of it")]
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+pub(crate) const TINY: [&str; 7] = [
+    "reconstruct.iterations=30",
+    "enhance.iterations=10",
+    "pairs.synthetic.pairs=8",
+    "pairs.synthetic.width=64",
+    "pairs.synthetic.height=48",
+    "calibrate.steps=20",
+    // Without it stand-ins correct nothing, and a change of theirs ends at the targets.
+    "calibrate.trust=1",
+];
+
+pub(crate) struct Place {
+    pub(crate) dir: tempfile::TempDir,
+}
+
+impl Place {
+    pub(crate) fn new() -> Self {
+        let place = Self { dir: tempfile::tempdir().expect("a folder") };
+        let capture = place.at("tiny");
+        let arguments = ["-q", "synth", "capture", "--out", &capture, "--views", "9", "--size", "96x64"]
+            .map(String::from);
+        let output = command().args(arguments).output().expect("the command starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        place
+    }
+
+    pub(crate) fn at(&self, name: &str) -> String {
+        self.dir.path().join(name).to_string_lossy().into_owned()
+    }
+
+    pub(crate) fn run(&self, capture: &str, cache: &str, extra: &[&str]) -> Command {
+        self.run_into("out", capture, cache, extra)
+    }
+
+    pub(crate) fn run_into(&self, out: &str, capture: &str, cache: &str, extra: &[&str]) -> Command {
+        let mut command = command();
+        command.args(["-q", "run", &self.at(capture), "--cache", &self.at(cache), "--out", &self.at(out)]);
+        // A later value wins.
+        for set in TINY.iter().chain(extra) {
+            command.args(["--set", set]);
+        }
+        command
+    }
+
+    /// The stages (without the capture's name) that a run computed, in alphabetical order.
+    pub(crate) fn computed(&self, extra: &[&str]) -> Vec<String> {
+        let output = self.run("tiny", "cache", extra).arg("--json").output().expect("the command starts");
+        let text = String::from_utf8_lossy(&output.stdout);
+        assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
+        let summary: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+        let rows = summary["nodes"].as_array().expect("nodes");
+        let mut names: Vec<String> = rows
+            .iter()
+            .filter(|row| row["result"] == "done")
+            .map(|row| row["stage"].as_str().expect("a name").to_string())
+            .collect();
+        names.sort();
+        names
+    }
+}
+
+pub(crate) fn command() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_use3d"));
+    command.env_remove("USE3D_CACHE").env_remove("USE3D_MODELS").env_remove("RUST_LOG");
+    command
+}
+
+/// Everything under a folder.
+pub(crate) fn files(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut all = BTreeMap::new();
+    let mut folders = vec![root.to_path_buf()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(&folder).into_iter().flatten().flatten() {
+            let path = entry.path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                let name = path.strip_prefix(root).expect("inside").to_path_buf();
+                all.insert(name, std::fs::read(&path).expect("readable"));
+            }
+        }
+    }
+    all
+}
