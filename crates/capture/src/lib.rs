@@ -14,8 +14,10 @@ mod capture;
 mod lattice;
 pub mod path;
 mod raster;
+mod track;
 
 pub use camera::{Camera, CameraError, Frame, Intrinsics, Pose};
 pub use capture::{Capture, CaptureError, Pixels, SparsePoint, Split, View, flat_stem, stem};
 pub use lattice::{Lattice, MediumMaps, world_direction};
 pub use raster::{Image, Image8, Map, Raster};
+pub use track::{Sighting, Track};

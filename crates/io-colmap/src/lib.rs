@@ -6,6 +6,8 @@
 //! that [`load_prepared`] reads back exactly. [`load_pixels`], [`load_mask`] and [`load_depth_prior`] load one view at
 //! its camera's size.
 //!
+//! [`Imported::tracks`] says which views saw each sparse point, and where.
+//!
 //! [`read_model`], [`write_model_binary`] and [`write_model_text`] are COLMAP's files in and out; [`read_cameras`] gives the cameras of a
 //! model, a capture or a JSON list.
 //!
@@ -42,6 +44,7 @@ mod report;
 mod resample;
 mod split;
 pub mod text;
+mod tracks;
 mod undistort;
 mod white_balance;
 

@@ -300,6 +300,24 @@ fn resizing_moves_pixels_masks_depths_and_keypoints_together() {
 }
 
 #[test]
+fn tracks_are_pixels_of_the_views_before_and_after_preparation() {
+    let fixture = Fixture::new(3, pinhole(1));
+    // A track that names an image and a keypoint that are not there, and an image that is missing on this disk.
+    let mut model = model(pinhole(1), &fixture.names);
+    model.points[0].track.extend([(7, 0), (99, 17)]);
+    write_model_binary(&fixture.path("sparse/0"), &model).unwrap();
+    std::fs::remove_file(fixture.path("images").join(&fixture.names[1])).unwrap();
+    let params = ImportParams { size: Some("40x40".parse().unwrap()), ..ImportParams::default() };
+    let imported = fixture.import(&params).unwrap();
+    let [track] = &imported.tracks()[..] else { panic!("one point, one track") };
+    assert_eq!(track.position, imported.capture.points[0].position);
+    let seen: Vec<_> = track.sightings.iter().map(|s| (s.view, s.x, s.y)).collect();
+    assert_eq!(seen, [(0, 5.0, 10.0), (1, 5.0, 10.0)], "scaled by 1/2, ten columns cut");
+    assert_eq!(imported.tracks(), prepare_all(&imported, &fixture.path("out")).tracks());
+    assert_eq!(imported.tracks(), load_prepared(&fixture.path("out")).unwrap().tracks());
+}
+
+#[test]
 fn distorted_captures_come_out_as_pinholes_of_the_same_world() {
     let parameters = vec![100.0, 61.0, 39.0, -0.2, 0.05];
     let camera = ModelCamera {
