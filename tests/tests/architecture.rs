@@ -18,6 +18,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("synth", &["capture", "numerics", "io-image", "io-colmap"]),
     ("splat", &["capture", "numerics"]),
     ("medium", &["capture", "numerics"]),
+    ("water", &["capture", "numerics"]),
     ("ubaf", &["capture", "numerics"]),
     ("atc", &["capture", "numerics", "splat"]),
     ("training", &["capture", "numerics"]),

@@ -124,6 +124,11 @@ pub(crate) enum Verb {
         #[command(subcommand)]
         what: Synth,
     },
+    /// What water a capture was taken in: attenuation, backscatter and veil from its sparse points, with error bars.
+    #[command(
+        after_help = "Examples:\n  use3d water my-reef/\n  use3d water my-reef/ --set image_dir=images_2 --json"
+    )]
+    Water(WaterArgs),
     /// Networks trained by others: which files are looked for, found or missing, licence, where to get them.
     #[command(after_help = "Example:\n  use3d models --dir ~/use3d-models")]
     Models(ModelsArgs),
@@ -580,6 +585,17 @@ pub(crate) struct SynthArgs {
     /// Water type (Jerlov): I, IA, IB, II, III, 1C, 3C, 5C, 7C, 9C.
     #[arg(long, value_name = "TYPE")]
     pub(crate) water: Option<String>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct WaterArgs {
+    /// The capture folder; its COLMAP model must hold tracks.
+    pub(crate) capture: PathBuf,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
 }
 
 #[derive(Debug, Args)]

@@ -70,6 +70,7 @@ fn run(app: &App, verb: Verb) -> Done {
         Verb::Export(args) => verbs::export::run(&args),
         Verb::Synth { what: Synth::Capture(args) } => verbs::synth::capture(app, &args),
         Verb::Synth { what: Synth::Pairs(args) } => verbs::synth::pairs(app, &args),
+        Verb::Water(args) => verbs::water::run(app, &args),
         Verb::Models(args) => verbs::models::run(&args),
         Verb::Gc(args) => verbs::cache::gc(&args),
         Verb::Verify(args) => verbs::cache::verify(app, &args),

@@ -85,6 +85,30 @@ fn tiny(dir: &Path) -> String {
 }
 
 #[test]
+fn water_is_told_as_a_table_and_as_json_also_where_a_capture_cannot_tell() {
+    let dir = tempfile::tempdir().unwrap();
+    let capture = tiny(dir.path());
+    let (table, _) = expect(0, &["-q", "water", &capture]);
+    assert!(table.starts_with("water of tiny: ") && table.contains("attenuation /unit"), "{table}");
+    let (json, _) = expect(0, &["-q", "water", &capture, "--json"]);
+    let told: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!((&told["format"], &told["channels"][2]["channel"]), (&"3d-use water".into(), &"blue".into()));
+    // Without tracks there is nothing to go by, and that is said, not guessed.
+    let model = Path::new(&capture).join("sparse/0");
+    let mut untracked = use3d_io_colmap::read_model(&model).unwrap();
+    untracked.points.iter_mut().for_each(|p| p.track.clear());
+    use3d_io_colmap::write_model_binary(&model, &untracked).unwrap();
+    let (table, _) = expect(0, &["-q", "water", &capture]);
+    assert_eq!(table.matches("not observable: too few points").count(), 3, "{table}");
+    let (json, _) = expect(0, &["-q", "water", &capture, "--json"]);
+    let told: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(told["channels"][0]["verdict"], "too-few-points");
+    assert!(told["channels"][0]["attenuation"]["error"].is_null(), "{json}");
+    let (_, err) = expect(2, &["water", &path(&[dir.path(), Path::new("nowhere")])]);
+    assert!(err.contains("nowhere"), "{err}");
+}
+
+#[test]
 fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     let dir = tempfile::tempdir().unwrap();
     let capture = tiny(dir.path());

@@ -1,7 +1,7 @@
 //! Stages, keys, cache, plans, batches, tables and report: from captures to results, computing nothing twice.
 //!
 //! [`engine`] knows what a stage is and when it must run; [`config`] reads pipeline files; [`stages`] is the table of the method's
-//! stages. [`rendering`] and [`scoring`] are what several stages share; [`truth`], [`strip`] and [`speed`] measure and show; [`tables`] and [`report`] lay out what they found;
+//! stages. [`rendering`] and [`scoring`] are what several stages share; [`water`] is a capture's water before any stage; [`truth`], [`strip`] and [`speed`] measure and show; [`tables`] and [`report`] lay out what they found;
 //! [`results`] puts it where a person looks.
 
 pub mod config;
@@ -16,3 +16,4 @@ pub mod stages;
 pub mod strip;
 pub mod tables;
 pub mod truth;
+pub mod water;

@@ -11,3 +11,4 @@ pub(crate) mod run;
 pub(crate) mod speed;
 pub(crate) mod stages;
 pub(crate) mod synth;
+pub(crate) mod water;

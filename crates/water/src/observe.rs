@@ -1,0 +1,138 @@
+//! From tracks and images to observations: what each view shows of each point, from how far, in which direction.
+
+use glam::DVec3;
+use rayon::prelude::*;
+use use3d_capture::{Camera, Image, Map, Track};
+
+use crate::patch::{NARROWEST, Patch, WIDEST, patch};
+
+/// One view's sight of one point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Observation {
+    /// Index of the point's track.
+    pub point: usize,
+    /// Index of the view.
+    pub view: usize,
+    /// Distance from the camera centre to the point, scene units.
+    pub distance: f64,
+    /// Unit direction from the camera centre to the point, world frame.
+    pub direction: DVec3,
+    /// Mean of the surface piece around the point, R, G, B, display range; NaN where the camera clipped the channel.
+    pub value: [f64; 3],
+    /// How uneven the surface piece is in this view: standard deviation per channel, display range.
+    pub spread: [f64; 3],
+}
+
+/// What is wrong with tracks and cameras.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ObserveError {
+    /// A sighting names a view that is not there.
+    #[error(
+        "track {track} was seen by view {view}, but there are {views} cameras; tracks and cameras must be of the same capture"
+    )]
+    View {
+        /// Index of the track.
+        track: usize,
+        /// View that was named.
+        view: usize,
+        /// Number of cameras.
+        views: usize,
+    },
+    /// An image of another size than its camera.
+    #[error("the image of view {view} is {}x{}, but its camera is {}x{}; prepare the capture first", found.0, found.1, expected.0, expected.1)]
+    Size {
+        /// Index of the view.
+        view: usize,
+        /// The image's size.
+        found: (usize, usize),
+        /// The camera's size.
+        expected: (usize, usize),
+    },
+}
+
+/// A sighting that will be looked up in its view.
+struct Wanted {
+    point: usize,
+    x: f64,
+    y: f64,
+    sigma: f64,
+    distance: f64,
+    direction: DVec3,
+}
+
+/// Looks every track up in the views. `load` gives a view's image and mask (1 counts), or `None` to leave the view out; it is called
+/// once per view, in order, so that one image is in memory at a time.
+///
+/// Points seen by fewer than two views, sightings behind a camera and second sightings by one view are left out. Observations are ordered by
+/// point, then view.
+///
+/// # Errors
+/// Those of `load`, and [`ObserveError`] where tracks, cameras and images do not belong together.
+pub fn observe<E: From<ObserveError>>(
+    cameras: &[Camera],
+    tracks: &[Track],
+    mut load: impl FnMut(usize) -> Result<Option<(Image, Option<Map>)>, E>,
+) -> Result<Vec<Observation>, E> {
+    let mut wanted: Vec<Vec<Wanted>> = cameras.iter().map(|_| Vec::new()).collect();
+    for (point, track) in tracks.iter().enumerate() {
+        plan(cameras, point, track, &mut wanted)?;
+    }
+    let mut found = Vec::new();
+    for (view, list) in wanted.iter().enumerate() {
+        let Some((image, mask)) = load(view)? else { continue };
+        let k = &cameras[view].intrinsics;
+        let (size, expected) = ((image.width(), image.height()), (k.width, k.height));
+        if size != expected {
+            return Err(ObserveError::Size { view, found: size, expected }.into());
+        }
+        let mask = mask.as_ref().filter(|m| (m.width(), m.height()) == expected);
+        let looked: Vec<Option<Observation>> = list
+            .par_iter()
+            .map(|w| {
+                let Patch { mean: value, spread } = patch(&image, mask, w.x, w.y, w.sigma)?;
+                let Wanted { point, distance, direction, .. } = *w;
+                Some(Observation { point, view, distance, direction, value, spread })
+            })
+            .collect();
+        found.extend(looked.into_iter().flatten());
+    }
+    found.sort_by_key(|o| (o.point, o.view));
+    Ok(found)
+}
+
+/// Lists a track's sightings with the windows that cover one piece of surface.
+fn plan(
+    cameras: &[Camera],
+    point: usize,
+    track: &Track,
+    wanted: &mut [Vec<Wanted>],
+) -> Result<(), ObserveError> {
+    let mut seen: Vec<(usize, Wanted, f64)> = Vec::with_capacity(track.sightings.len());
+    for s in &track.sightings {
+        let camera = cameras.get(s.view).ok_or(ObserveError::View {
+            track: point,
+            view: s.view,
+            views: cameras.len(),
+        })?;
+        let way = track.position - camera.pose.center();
+        let (distance, k) = (way.length(), &camera.intrinsics);
+        let depth = (camera.pose.rotation * way).z;
+        let scale = (k.fx * k.fy).sqrt() / depth;
+        let usable = depth > 0.0 && scale.is_finite() && distance.is_finite() && s.x.is_finite();
+        if usable && !seen.iter().any(|(view, ..)| *view == s.view) {
+            let direction = way / distance;
+            seen.push((s.view, Wanted { point, x: s.x, y: s.y, sigma: 0.0, distance, direction }, scale));
+        }
+    }
+    let smallest = seen.iter().fold(f64::INFINITY, |m, (.., scale)| m.min(*scale));
+    if seen.len() < 2 {
+        return Ok(());
+    }
+    for (view, mut one, scale) in seen {
+        one.sigma = NARROWEST * scale / smallest;
+        if one.sigma <= WIDEST {
+            wanted[view].push(one);
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,201 @@
+//! The robust fit of one channel: Cauchy's loss by reweighting, Levenberg-Marquardt steps over the shared parameters.
+//!
+//! Minimised is `Σ (c²/2) ln(1 + (r/σ_i)²/c²) + ½ Σ (θ − prior)²/width²`. With the weights `w_i = 1/(σ_i² + r_i²/c²)` held, `½ Σ w r²` touches the
+//! loss from above, so every step that lowers it lowers the loss. The loss's width c is narrowed in three rounds, so that
+//! outliers of the start do not decide.
+
+use use3d_numerics::math;
+
+use crate::dense::Factor;
+use crate::formation::{ATTENUATION, BACKSCATTER, Channel, GAIN, VEIL, normal, residuals};
+use crate::noise::square;
+
+/// Cauchy's constant: 95 % efficiency on normal errors.
+pub(crate) const CAUCHY: f64 = 2.385;
+/// Bounds of `ln β` per median distance: outside, nothing changes any more.
+const BETA_BOUNDS: [f64; 2] = [-9.0, 4.0];
+/// Most steps of one round.
+const STEPS: usize = 40;
+/// A step that lowers the cost by a smaller share than this is the last.
+const SETTLED: f64 = 1e-7;
+
+/// What is known beforehand, as normal distributions (mean, width), and which parameters are free at all.
+#[derive(Clone, Debug)]
+pub(crate) struct Prior {
+    /// `ln β_a` per median distance: any water in which something is seen.
+    pub(crate) attenuation: (f64, f64),
+    /// `ln β_b − ln β_a`.
+    pub(crate) ratio: (f64, f64),
+    /// `ln B_0`.
+    pub(crate) veil: (f64, f64),
+    /// Each component of `g`; a width of 0 holds them at 0.
+    pub(crate) slope: f64,
+    /// `γ`; a width of 0 holds them at 0.
+    pub(crate) gain: f64,
+    /// Without water only gains are fitted.
+    pub(crate) water: bool,
+    /// How many times fewer independent observations there are than observations: what is assumed about the water weighs as much more.
+    pub(crate) strength: f64,
+}
+
+impl Prior {
+    /// Whether parameter `k` is fitted.
+    pub(crate) fn free(&self, k: usize) -> bool {
+        match k {
+            _ if k >= GAIN => self.gain > 0.0,
+            _ if k > VEIL => self.water && self.slope > 0.0,
+            _ => self.water,
+        }
+    }
+
+    /// Penalty at `theta`.
+    fn value(&self, theta: &[f64]) -> f64 {
+        let mut sum = 0.0;
+        self.terms(theta, |_, off, width| sum += 0.5 * square(off / width));
+        sum
+    }
+
+    /// Calls `term` with (coefficients over parameters, deviation, width).
+    fn terms(&self, theta: &[f64], mut term: impl FnMut(&[(usize, f64)], f64, f64)) {
+        if self.water {
+            let narrowed = self.strength.max(1.0).sqrt().recip();
+            let mut term = |c: &[(usize, f64)], off: f64, width: f64| term(c, off, width * narrowed);
+            let (a, b) = (theta[ATTENUATION], theta[BACKSCATTER]);
+            term(&[(ATTENUATION, 1.0)], a - self.attenuation.0, self.attenuation.1);
+            term(&[(BACKSCATTER, 1.0), (ATTENUATION, -1.0)], b - a - self.ratio.0, self.ratio.1);
+            term(&[(VEIL, 1.0)], theta[VEIL] - self.veil.0, self.veil.1);
+            for k in VEIL + 1..GAIN {
+                if self.slope > 0.0 {
+                    term(&[(k, 1.0)], theta[k], self.slope);
+                }
+            }
+        }
+        if self.gain > 0.0 {
+            for k in GAIN..theta.len() {
+                term(&[(k, 1.0)], theta[k], self.gain);
+            }
+        }
+    }
+
+    /// Adds gradient and curvature.
+    pub(crate) fn add(&self, theta: &[f64], gradient: &mut [f64], matrix: &mut [f64]) {
+        let n = theta.len();
+        self.terms(theta, |coefficients, off, width| {
+            let weight = 1.0 / (width * width);
+            for &(i, ci) in coefficients {
+                gradient[i] += weight * off * ci;
+                for &(j, cj) in coefficients {
+                    matrix[i * n + j] += weight * ci * cj;
+                }
+            }
+        });
+    }
+}
+
+/// A fitted channel.
+#[derive(Clone, Debug)]
+pub(crate) struct Fit {
+    /// The shared parameters.
+    pub(crate) theta: Vec<f64>,
+    /// Loss plus penalty.
+    pub(crate) cost: f64,
+    /// Weight of every observation.
+    pub(crate) weights: Vec<f64>,
+    /// Residual of every observation.
+    pub(crate) residuals: Vec<f64>,
+}
+
+/// The loss of one observation.
+pub(crate) fn loss(residual: f64, sigma: f64, c: f64) -> f64 {
+    let u = residual / (sigma * c);
+    0.5 * c * c * math::ln_1p(u * u)
+}
+
+fn weights(residuals: &[f64], sigmas: &[f64], c: f64) -> Vec<f64> {
+    residuals.iter().zip(sigmas).map(|(r, s)| 1.0 / (s * s + square(r / c))).collect()
+}
+
+/// Fits from `theta`. `sigmas` are the expected errors of the observations, `rounds` the loss's widths over [`CAUCHY`], widest first.
+pub(crate) fn fit(channel: &Channel, sigmas: &[f64], prior: &Prior, theta: &[f64], rounds: &[f64]) -> Fit {
+    let n = channel.parameters();
+    let mut theta = theta.to_vec();
+    let plain: Vec<f64> = sigmas.iter().map(|s| 1.0 / (s * s)).collect();
+    let mut r = residuals(channel, &theta, &plain);
+    let mut w;
+    for round in rounds {
+        let c = CAUCHY * round;
+        let total = |r: &[f64], theta: &[f64]| {
+            r.iter().zip(sigmas).map(|(r, s)| loss(*r, *s, c)).sum::<f64>() + prior.value(theta)
+        };
+        let mut cost = total(&r, &theta);
+        let mut damping = 1e-3;
+        for _ in 0..STEPS {
+            w = weights(&r, sigmas, c);
+            // At fixed weights; the radiance moves to its place under them before the step is judged.
+            let held = |r: &[f64], theta: &[f64]| {
+                0.5 * r.iter().zip(&w).map(|(r, w)| w * r * r).sum::<f64>() + prior.value(theta)
+            };
+            let start = held(&residuals(channel, &theta, &w), &theta);
+            let mut system = normal(channel, &theta, &w, prior.gain > 0.0, |_, _, _| ());
+            prior.add(&theta, &mut system.gradient, &mut system.matrix);
+            let mut stepped = false;
+            for _ in 0..12 {
+                let Some(next) = step(&system.gradient, &system.matrix, n, prior, damping, &theta) else {
+                    damping *= 8.0;
+                    continue;
+                };
+                let next_r = residuals(channel, &next, &w);
+                if held(&next_r, &next) <= start {
+                    (theta, r) = (next, next_r);
+                    damping = (damping / 6.0).max(1e-9);
+                    stepped = true;
+                    break;
+                }
+                damping *= 8.0;
+            }
+            let next = total(&r, &theta);
+            let settled = cost - next <= SETTLED * cost.abs();
+            cost = next;
+            if !stepped || settled {
+                break;
+            }
+        }
+    }
+    let c = CAUCHY * rounds.last().copied().unwrap_or(1.0);
+    w = weights(&r, sigmas, c);
+    let cost = r.iter().zip(sigmas).map(|(r, s)| loss(*r, *s, c)).sum::<f64>() + prior.value(&theta);
+    Fit { theta, cost, weights: w, residuals: r }
+}
+
+/// A damped step; `None` where the damped system is not positive definite.
+fn step(
+    gradient: &[f64],
+    matrix: &[f64],
+    n: usize,
+    prior: &Prior,
+    damping: f64,
+    theta: &[f64],
+) -> Option<Vec<f64>> {
+    let free: Vec<usize> = (0..n).filter(|&k| prior.free(k)).collect();
+    let m = free.len();
+    let mut small = vec![0.0; m * m];
+    for (a, &i) in free.iter().enumerate() {
+        for (b, &j) in free.iter().enumerate() {
+            small[a * m + b] = matrix[i * n + j];
+        }
+        small[a * m + a] += damping * matrix[i * n + i].max(1e-12);
+    }
+    let rhs: Vec<f64> = free.iter().map(|&i| -gradient[i]).collect();
+    let delta = Factor::new(small, m)?.solve(&rhs);
+    let mut next = theta.to_vec();
+    for (&i, d) in free.iter().zip(&delta) {
+        if !d.is_finite() {
+            return None;
+        }
+        next[i] += d.clamp(-1.5, 1.5);
+    }
+    for k in [ATTENUATION, BACKSCATTER].into_iter().filter(|&k| prior.free(k)) {
+        next[k] = next[k].clamp(BETA_BOUNDS[0], BETA_BOUNDS[1]);
+    }
+    Some(next)
+}

@@ -1,0 +1,95 @@
+//! What can be relied on.
+
+use std::fmt;
+
+use use3d_numerics::math;
+
+use crate::covariance::Covariance;
+use crate::estimate::ChannelWater;
+use crate::formation::ATTENUATION;
+
+/// What the capture tells about one channel's water.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// Attenuation, backscatter and veil are all known.
+    Found,
+    /// Attenuation is known. Backscatter and veil are known only together (a weak veil far off looks like a strong one near by): `β_b` leans on
+    /// the assumption that it is of the size of `β_a`.
+    VeilNotSeparable,
+    /// Distance changes nothing that water would explain.
+    NoWater,
+    /// Distance changes something, but attenuation cannot be told from the rest.
+    NotObservable,
+    /// Too few points were seen from different distances.
+    TooFewPoints,
+}
+
+impl Verdict {
+    /// One word for files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Found => "found",
+            Self::VeilNotSeparable => "veil-not-separable",
+            Self::NoWater => "no-water",
+            Self::NotObservable => "not-observable",
+            Self::TooFewPoints => "too-few-points",
+        }
+    }
+
+    /// Whether the attenuation can be used.
+    pub fn usable(self) -> bool {
+        matches!(self, Self::Found | Self::VeilNotSeparable)
+    }
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Found => "found",
+            Self::VeilNotSeparable => "found; backscatter and veil only together",
+            Self::NoWater => "no water to be seen",
+            Self::NotObservable => "not observable",
+            Self::TooFewPoints => "not observable: too few points seen from different distances",
+        })
+    }
+}
+
+/// Least t statistic of water against none.
+const SIGNIFICANT: f64 = 3.0;
+/// Least share of the loss that water must explain.
+const EXPLAINED: f64 = 0.03;
+/// Largest relative error of a coefficient that counts as known.
+const KNOWN: f64 = 0.35;
+/// An optical depth (`β_a` times the distance of the far points) below this is what differences in sharpness alone can show.
+const THINNEST: f64 = 0.06;
+
+/// An optical depth of the median distance beyond this leaves less than a hundredth of a point's light: what was fitted is not what is seen.
+const THICKEST: f64 = 5.0;
+
+pub(crate) fn judge(
+    theta: &[f64],
+    covariance: &Covariance,
+    significance: f64,
+    explained: f64,
+    optical_depth: f64,
+) -> Verdict {
+    let error = covariance.errors[ATTENUATION];
+    if significance < SIGNIFICANT || explained < EXPLAINED || optical_depth < THINNEST {
+        Verdict::NoWater
+    } else if !(error <= KNOWN && theta[ATTENUATION] < math::ln(THICKEST)) {
+        Verdict::NotObservable
+    } else if covariance.backscatter_alone <= KNOWN {
+        Verdict::Found
+    } else {
+        Verdict::VeilNotSeparable
+    }
+}
+
+/// Whether the attenuations are alike: largest over smallest below 1.3, or within two errors of that.
+pub(crate) fn grey(channels: &[ChannelWater; 3]) -> bool {
+    if !channels.iter().all(|c| c.verdict.usable()) {
+        return false;
+    }
+    let by = |f: fn(f64, f64) -> f64, start: f64| channels.iter().map(|c| c.attenuation.value).fold(start, f);
+    by(f64::max, 0.0) < 1.3 * by(f64::min, f64::INFINITY)
+}

@@ -1,0 +1,55 @@
+//! A synthetic capture whose water is known: another camera, noise, blur, detection errors and mismatches than the model has.
+
+use use3d_capture::{Image, Map};
+use use3d_io_colmap::{ImportParams, import, load_pixels};
+use use3d_synth::{CaptureParams, write_capture};
+use use3d_water::{ObserveError, Water, WaterParams, estimate, observe};
+
+fn solve(dir: &std::path::Path, images: &str) -> Water {
+    let imported = import(dir, &ImportParams::default()).unwrap();
+    let tracks = imported.tracks();
+    let cameras: Vec<_> = imported.capture.views.iter().map(|v| v.camera).collect();
+    let load = |view: usize| -> Result<Option<(Image, Option<Map>)>, ObserveError> {
+        let mut view = imported.capture.views[view].clone();
+        view.image = dir.join(images).join(&view.name);
+        Ok(Some((load_pixels(&view).unwrap().to_image(), None)))
+    };
+    let observations = observe(&cameras, &tracks, load).unwrap();
+    let positions: Vec<_> = tracks.iter().map(|t| t.position).collect();
+    let mut water = estimate(&observations, tracks.len(), &positions, cameras.len(), &WaterParams::default());
+    for w in &mut water.channels {
+        w.attenuation.value *= imported.capture.frame.scale;
+        w.backscatter.value *= imported.capture.frame.scale;
+    }
+    water
+}
+
+#[test]
+fn a_reef_has_the_water_it_was_photographed_through_and_none_without() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("reef");
+    let params = CaptureParams {
+        views: 16,
+        width: 240,
+        height: 135,
+        points: 2500,
+        detail: 0.3,
+        depth_priors: false,
+        ..CaptureParams::default()
+    };
+    let truth = write_capture(&params, &out, &mut |_, _| ()).unwrap().water;
+    let water = solve(&out, "images");
+    for (c, w) in water.channels.iter().enumerate() {
+        assert!(w.verdict.usable(), "channel {c}: {w:?}");
+        for (what, found, truth) in [
+            ("attenuation", w.attenuation.value, truth.attenuation[c]),
+            ("backscatter", w.backscatter.value, truth.backscatter[c]),
+        ] {
+            let off = found / f64::from(truth) - 1.0;
+            assert!(off.abs() < 0.25, "{what} of channel {c} is off by {:.0} %", 100.0 * off);
+        }
+    }
+    assert!(!water.grey);
+    let dry = solve(&out, "truth/clean");
+    assert!(dry.channels.iter().all(|w| !w.verdict.usable()), "{:?}", dry.channels);
+}
