@@ -115,9 +115,11 @@ impl MethodScores {
         neighbours: Vec<PairScores>,
         path: Vec<PairScores>,
     ) -> Self {
-        let of_pairs = |pairs: &'_ [PairScores]| pairs.iter().map(|p| p.scores.clone()).collect::<Vec<_>>();
-        let lists =
-            [views.iter().map(|v| v.scores.clone()).collect(), of_pairs(&neighbours), of_pairs(&path)];
+        let lists: [Vec<&Scores>; 3] = [
+            views.iter().map(|v| &v.scores).collect(),
+            neighbours.iter().map(|p| &p.scores).collect(),
+            path.iter().map(|p| &p.scores).collect(),
+        ];
         let (mut mean, mut left_out) = (Scores::new(), BTreeMap::new());
         for list in &lists {
             let mut names: Vec<&String> = list.iter().flat_map(|s| s.keys()).collect();

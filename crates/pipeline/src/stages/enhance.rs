@@ -30,7 +30,7 @@ pub(super) fn stage() -> Stage {
         .select(|_, models| Ok(super::proposer_files(models)))
         .seeded()
         .resumable(&["iterations"])
-        .cost(0, 3 << 30)
+        .cost(0, 4 << 30)
 }
 
 #[cfg(feature = "nets")]

@@ -220,7 +220,7 @@ impl Evaluation<'_> {
     }
 
     /// One pair's scores of every method, into `lists`.
-    fn pair(&self, ends: &[Station; 2], names: [String; 2], prefix: &str, lists: &mut Lists<PairScores>) {
+    fn pair(&self, ends: &[Station; 2], names: &[String; 2], prefix: &str, lists: &mut Lists<PairScores>) {
         let [first, second] = ends;
         let pairing = Pairing::new(&self.judges, &first.compared(), &second.compared());
         for (method, image) in &first.looks.images {
@@ -247,7 +247,7 @@ impl Evaluation<'_> {
             );
             let (a, b) = (&views[i], &views[i + 1]);
             let ends = [self.station(&a.camera, Some(a))?, self.station(&b.camera, Some(b))?];
-            self.pair(&ends, [a.name.clone(), b.name.clone()], "", &mut lists);
+            self.pair(&ends, &[a.name.clone(), b.name.clone()], "", &mut lists);
         }
         Ok(lists)
     }
@@ -261,7 +261,7 @@ impl Evaluation<'_> {
         for (done, &i) in chosen.iter().enumerate() {
             self.context.progress_with(done as u64, chosen.len() as u64, "pairs of frames", "");
             let ends = [self.station(&frames[i], None)?, self.station(&frames[i + 1], None)?];
-            self.pair(&ends, [i, i + 1].map(|f| format!("frame {f}")), "path_", &mut lists);
+            self.pair(&ends, &[i, i + 1].map(|f| format!("frame {f}")), "path_", &mut lists);
         }
         Ok(lists)
     }

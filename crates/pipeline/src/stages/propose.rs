@@ -35,7 +35,7 @@ pub(super) fn stage() -> Stage {
         .optional_external("models", "models")
         .select(|_, models| Ok(super::proposer_files(models)))
         .when(asked_for)
-        .cost(0, 2 << 30)
+        .cost(0, 4 << 30)
 }
 
 #[cfg(feature = "nets")]

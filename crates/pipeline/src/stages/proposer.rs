@@ -31,6 +31,12 @@ mod network {
         pub(super) digest: String,
     }
 
+    /// Long side of proposals, pixels, as 3D-USE makes them.
+    const PROPOSAL: usize = 384;
+    /// Longest side at which pictures are enhanced at full detail, pixels: about 5 GB of memory. Larger ones are enhanced at this size
+    /// and brought back to their own.
+    const LONGEST: usize = 2048;
+
     impl Network {
         fn with(&self, image: &Image, policy: InputPolicy) -> Result<Image, AtcError> {
             self.net
@@ -49,11 +55,16 @@ mod network {
         }
 
         fn propose(&self, image: &Image) -> Result<Image, AtcError> {
-            self.with(image, InputPolicy::LongSide(384))
+            self.with(image, InputPolicy::LongSide(PROPOSAL))
         }
 
         fn enhance(&self, image: &Image) -> Result<Image, AtcError> {
-            self.with(image, InputPolicy::MultiplesOf16)
+            let policy = if image.width().max(image.height()) > LONGEST {
+                InputPolicy::LongSide(LONGEST)
+            } else {
+                InputPolicy::MultiplesOf16
+            };
+            self.with(image, policy)
         }
     }
 }
