@@ -151,6 +151,24 @@ pub(crate) enum Verb {
     Man(ManArgs),
 }
 
+impl Verb {
+    /// Whether one JSON document is expected on stdout.
+    pub(crate) fn wants_json(&self) -> bool {
+        match self {
+            Self::Run(args) => args.json,
+            Self::Plan(args) | Self::Status(args) => args.json,
+            Self::Why(args) => args.json,
+            Self::Evaluate(args) => args.json || args.format == TableFormat::Json,
+            Self::Render(args) => args.json,
+            Self::Models(args) => args.json,
+            Self::Gc(args) => args.json,
+            Self::Verify(args) => args.json,
+            Self::Params(args) => args.json,
+            _ => false,
+        }
+    }
+}
+
 /// `--set` of a whole pipeline.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct Settings {

@@ -32,18 +32,30 @@ impl CliError {
         Self::Failed(error.to_string())
     }
 
+    /// What happened, in words.
+    pub(crate) fn text(&self) -> &str {
+        match self {
+            Self::Input(message) | Self::Failed(message) => message,
+            Self::Interrupted => {
+                "interrupted; what was done so far is kept, the same command continues from there"
+            }
+            Self::Stopped => "interrupted; the same command starts anew",
+        }
+    }
+
+    /// The exit code.
+    pub(crate) fn code(&self) -> u8 {
+        match self {
+            Self::Input(_) => 2,
+            Self::Failed(_) => 1,
+            Self::Interrupted | Self::Stopped => 130,
+        }
+    }
+
     /// Prints itself to stderr and gives the exit code.
     pub(crate) fn report(&self) -> ExitCode {
-        let (text, code) = match self {
-            Self::Input(message) => (format!("error: {message}"), 2),
-            Self::Failed(message) => (format!("error: {message}"), 1),
-            Self::Interrupted => {
-                let text = "interrupted; what was done so far is kept, the same command continues from there";
-                (text.to_string(), 130)
-            }
-            Self::Stopped => ("interrupted; the same command starts anew".to_string(), 130),
-        };
-        eprintln!("{text}");
-        ExitCode::from(code)
+        let mark = if matches!(self, Self::Input(_) | Self::Failed(_)) { "error: " } else { "" };
+        eprintln!("{mark}{}", self.text());
+        ExitCode::from(self.code())
     }
 }

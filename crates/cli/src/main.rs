@@ -45,10 +45,18 @@ fn main() -> ExitCode {
     }
     let listener: Arc<dyn Listener> = Arc::new(listener::Terminal::new(cli.quiet));
     let app = App { quiet: cli.quiet, threads, stop: interrupt::install(), listener };
+    let wants_json = cli.verb.wants_json();
     let done = run(&app, cli.verb).and_then(|()| match output::failure() {
         Some(reason) => Err(CliError::Failed(format!("cannot write to standard output: {reason}"))),
         None => Ok(()),
     });
+    if let Err(error) = &done
+        && wants_json
+        && !output::said()
+    {
+        // Whoever reads JSON gets one document in any case.
+        println!("{}", serde_json::json!({ "error": error.text(), "exit_code": error.code() }));
+    }
     done.map_or_else(|error| error.report(), |()| ExitCode::SUCCESS)
 }
 

@@ -6,10 +6,13 @@
 
 use std::fmt;
 use std::io::{self, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// The first failure to write to stdout; nothing is written after it.
 static FAILED: Mutex<Option<io::Error>> = Mutex::new(None);
+/// Whether anything was said on stdout.
+static SAID: AtomicBool = AtomicBool::new(false);
 
 /// Writes to a stream until its first failure.
 fn write(stream: &mut impl Write, failed: &mut Option<io::Error>, text: fmt::Arguments<'_>) {
@@ -19,6 +22,7 @@ fn write(stream: &mut impl Write, failed: &mut Option<io::Error>, text: fmt::Arg
 }
 
 pub(crate) fn to_stdout(text: fmt::Arguments<'_>) {
+    SAID.store(true, Ordering::Relaxed);
     let mut failed = FAILED.lock().unwrap_or_else(PoisonError::into_inner);
     write(&mut io::stdout().lock(), &mut failed, text);
 }
@@ -26,6 +30,11 @@ pub(crate) fn to_stdout(text: fmt::Arguments<'_>) {
 /// Messages have nowhere else to go: losing one is no reason to stop.
 pub(crate) fn to_stderr(text: fmt::Arguments<'_>) {
     let _ = io::stderr().lock().write_fmt(text);
+}
+
+/// Whether anything was said on stdout.
+pub(crate) fn said() -> bool {
+    SAID.load(Ordering::Relaxed)
 }
 
 /// Why results did not reach stdout, unless the reader simply left.

@@ -200,6 +200,18 @@ fn what_is_no_capture_is_said_with_the_next_step() {
 }
 
 #[test]
+fn whoever_asks_for_json_gets_one_document_also_of_an_error() {
+    for (arguments, code) in
+        [(&["plan", "nowhere", "--json"][..], 2), (&["models", "--dir", "nowhere", "--json"], 2)]
+    {
+        let output = use3d(arguments);
+        let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one JSON document");
+        assert_eq!((output.status.code(), &json["exit_code"]), (Some(code), &code.into()));
+        assert!(json["error"].as_str().unwrap().contains("nowhere"), "{json}");
+    }
+}
+
+#[test]
 fn parameters_completions_and_man_pages_can_be_had() {
     let dir = tempfile::tempdir().unwrap();
     let all = text(&use3d(&["params"]).stdout);

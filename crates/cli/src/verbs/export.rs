@@ -14,6 +14,11 @@ use crate::error::{CliError, Done};
 
 pub(crate) fn run(args: &ExportArgs) -> Done {
     let scene = Scene::load(&args.scene).map_err(CliError::input)?;
+    if args.what == ExportWhat::Clear && scene.enhancement.is_some() {
+        eprintln!(
+            "the scene is enhanced; `--what enhanced` has that in the colours, this is the radiance without water"
+        );
+    }
     let gaussians = match args.what {
         ExportWhat::Clear => scene.gaussians.clone(),
         ExportWhat::Enhanced => {

@@ -148,6 +148,11 @@ fn mistakes_point_at_line_and_column_with_the_nearest_key() {
             "did you mean `reconstruct`?",
         ),
         (format!("{head}{scene}sizee = \"3x2\"\n"), "dir/p.toml:5:1", "did you mean `size`?"),
+        (
+            format!("{head}{scene}iteratons = 3\n"),
+            "dir/p.toml:5:1",
+            "did you mean `reconstruct = { iterations = … }`?",
+        ),
         (format!("{head}{scene}size = 3\n"), "dir/p.toml:5:8", "expected a string"),
         (format!("{head}{scene}imprt = {{ every = 2 }}\n"), "dir/p.toml:5:1", "did you mean `import`?"),
         (format!("{head}{scene}import = {{ evry = 2 }}\n"), "dir/p.toml:5:12", "did you mean `every`?"),
