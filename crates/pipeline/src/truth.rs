@@ -112,16 +112,16 @@ impl Truth {
         Ok(Some(TrueView { clean: prepared.pixels.to_image(), depth }))
     }
 
-    /// The recovered water beside the true one, where that is known. `attenuation` and `backscatter` are means in 1/normalised unit,
-    /// `scale` is the recorded frame's.
+    /// The recovered water beside the true one, where that is known (spectral water has no single true coefficient).
+    /// `attenuation` and `backscatter` are means in 1/normalised unit, `scale` is the recorded frame's.
     pub fn water(&self, attenuation: [f64; 3], backscatter: [f64; 3], scale: f64) -> Option<WaterScores> {
         let truth = self.water.as_ref()?;
         let per_metre = |means: [f64; 3]| means.map(|v| v * scale * truth.units_per_metre);
         let scores = WaterScores {
             attenuation: per_metre(attenuation),
             backscatter: per_metre(backscatter),
-            true_attenuation: truth.attenuation_per_metre.map(f64::from),
-            true_backscatter: truth.backscatter_per_metre.map(f64::from),
+            true_attenuation: truth.attenuation_per_metre?.map(f64::from),
+            true_backscatter: truth.backscatter_per_metre?.map(f64::from),
         };
         let all = [scores.attenuation, scores.backscatter, scores.true_attenuation, scores.true_backscatter];
         all.as_flattened().iter().all(|v| v.is_finite()).then_some(scores)
@@ -282,7 +282,8 @@ mod tests {
 
         // A coefficient of 1/m is 1/(scale · units) per normalised unit; going back gives the truth.
         let scale = 0.37;
-        let normalised = made.attenuation_per_metre.map(|k| f64::from(k) / (scale * made.units_per_metre));
+        let per_metre = made.attenuation_per_metre.expect("the method's own water");
+        let normalised = per_metre.map(|k| f64::from(k) / (scale * made.units_per_metre));
         let water = truth.water(normalised, normalised, scale).expect("water");
         for (found, wanted) in water.attenuation.iter().zip(water.true_attenuation) {
             assert!((found - wanted).abs() < 1e-9 * wanted.max(1.0));

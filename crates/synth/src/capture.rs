@@ -6,8 +6,12 @@
 //! depth/frame_0001.png …       16-bit depth priors: nearer is larger, monotone but not linear in disparity, 0 is unknown
 //! truth/clean/frame_0001.png   J: the same pictures without water and noise; black where there is only water
 //! truth/depth/frame_0001.exr   z-depth in COLMAP units, channel Z; 0 where there is only water
-//! truth/water.json             coefficients, veiling light, frame (`CaptureTruth`)
+//! truth/water.json             coefficients, veiling light, frame, each view's gains (`CaptureTruth`)
+//! masks/frame_0001.png …       white counts, 0 is a fish; only where fish were asked for
 //! ```
+//!
+//! With [`Physics::Spectral`] the photographs follow [`crate::physics`], and `truth/clean` is the scene under white light at one
+//! exposure for the whole capture.
 
 use std::path::Path;
 
@@ -16,13 +20,15 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Camera, Frame, Map};
-use use3d_io_image::{write_exr_map, write_png_map16, write_png8};
+use use3d_io_image::{write_exr_map, write_png_map, write_png_map16, write_png8};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 
 use crate::error::{Answer, SynthError, whole_folder};
 use crate::geometry::noise::Noise;
-use crate::render::{Condition, add_noise, expose, render};
+use crate::physics::spectral::{Lamps, Spectral};
+use crate::physics::{Physics, camera, passers};
+use crate::render::{Condition, Look, Shot, add_noise, expose, render};
 use crate::scene::{Caustics, Draws, Layout, Scene};
 use crate::sparse::{self, Corner};
 use crate::swim;
@@ -44,7 +50,7 @@ pub struct CaptureParams {
     pub water: WaterType,
     /// Depth below the surface, metres, 0 to 60: sets the colour of the daylight.
     pub depth: f32,
-    /// Share of the daylight's colour cast that the camera removes, 0 to 1.
+    /// Share of the colour cast that the camera removes, 0 to 1: of the daylight's (display), of the picture's mean (spectral).
     pub white_balance: f32,
     /// Sensor noise of a middle tone, standard deviation in display range, 0 to 0.2.
     pub noise: f32,
@@ -56,6 +62,30 @@ pub struct CaptureParams {
     pub depth_priors: bool,
     /// Triangle density of the scene, 0.1 to 1: less is built faster.
     pub detail: f32,
+    /// The image formation.
+    #[serde(skip_serializing_if = "is_default")]
+    pub physics: Physics,
+    /// No water at all: the scene in air. Spectral physics only.
+    #[serde(skip_serializing_if = "is_default")]
+    pub air: bool,
+    /// Light of two lamps at the camera on a white surface a metre ahead, in units of daylight at the surface, 0 (off) to 20.
+    /// Spectral physics only.
+    #[serde(skip_serializing_if = "is_default")]
+    pub lamps: f32,
+    /// How far exposure and white balance are set for each view on its own, 0 (one setting for all) to 1. Spectral physics only.
+    #[serde(skip_serializing_if = "is_default")]
+    pub auto_exposure: f32,
+    /// Particles before the lens, 0 (none) to 1. Spectral physics only.
+    #[serde(skip_serializing_if = "is_default")]
+    pub snow: f32,
+    /// Fish in every view, each somewhere else, hidden by masks; at most 50. Spectral physics only.
+    #[serde(skip_serializing_if = "is_default")]
+    pub fish: usize,
+}
+
+/// Whether a value is its type's default: such fields are left out, so that files keep their bytes when a field is added.
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
 }
 
 impl Default for CaptureParams {
@@ -73,6 +103,12 @@ impl Default for CaptureParams {
             points: 8000,
             depth_priors: true,
             detail: 1.0,
+            physics: Physics::Display,
+            air: false,
+            lamps: 0.0,
+            auto_exposure: 0.0,
+            snow: 0.0,
+            fish: 0,
         }
     }
 }
@@ -94,7 +130,21 @@ impl CaptureParams {
         SynthError::check("noise", self.noise, (0.0..=0.2).contains(&self.noise), "0 to 0.2")?;
         SynthError::check("caustics", self.caustics, (0.0..=1.0).contains(&self.caustics), "0 to 1")?;
         SynthError::check("points", self.points, self.points <= 2_000_000, "at most 2000000")?;
-        SynthError::check("detail", self.detail, (0.1..=1.0).contains(&self.detail), "0.1 to 1")
+        SynthError::check("detail", self.detail, (0.1..=1.0).contains(&self.detail), "0.1 to 1")?;
+        SynthError::check("lamps", self.lamps, (0.0..=20.0).contains(&self.lamps), "0 to 20")?;
+        let share = (0.0..=1.0).contains(&self.auto_exposure);
+        SynthError::check("auto_exposure", self.auto_exposure, share, "0 to 1")?;
+        SynthError::check("snow", self.snow, (0.0..=1.0).contains(&self.snow), "0 to 1")?;
+        SynthError::check("fish", self.fish, self.fish <= 50, "at most 50")?;
+        if self.physics == Physics::Display {
+            let only = "nothing but its default with physics = \"display\"; ask for physics = \"spectral\"";
+            SynthError::check("air", self.air, !self.air, only)?;
+            SynthError::check("lamps", self.lamps, self.lamps == 0.0, only)?;
+            SynthError::check("auto_exposure", self.auto_exposure, self.auto_exposure == 0.0, only)?;
+            SynthError::check("snow", self.snow, self.snow == 0.0, only)?;
+            SynthError::check("fish", self.fish, self.fish == 0, only)?;
+        }
+        Ok(())
     }
 }
 
@@ -107,12 +157,23 @@ pub struct CaptureTruth {
     pub version: u32,
     /// What was asked for.
     pub parameters: CaptureParams,
-    /// Coefficients per COLMAP unit, veiling light over ray directions in COLMAP's frame.
-    pub water: Water,
+    /// Coefficients per COLMAP unit, veiling light over ray directions in COLMAP's frame. Spectral water has no such
+    /// coefficients: absent then.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub water: Option<Water>,
     /// `β_attn`, 1/m.
-    pub attenuation_per_metre: [f32; 3],
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub attenuation_per_metre: Option<[f32; 3]>,
     /// `β_bs`, 1/m.
-    pub backscatter_per_metre: [f32; 3],
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub backscatter_per_metre: Option<[f32; 3]>,
+    /// Spectral water: mean attenuation of white light over the first five metres, per channel of linear light, 1/m. Not what a
+    /// model of display values should find (their exponent is about 1/2.2 of it), and no constant of the water.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub effective_attenuation_per_metre: Option<[f32; 3]>,
+    /// What the camera set for every view, where it set itself.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub gains: Vec<ViewGains>,
     /// COLMAP units per metre.
     pub units_per_metre: f64,
     /// Metres to COLMAP: `x_colmap = units_per_metre R x_metres + t`, R row-major. In metres, z is up and the swim goes along y.
@@ -121,6 +182,15 @@ pub struct CaptureTruth {
     pub translation: [f64; 3],
     /// Colour of the daylight times the exposure, linear.
     pub daylight: [f32; 3],
+}
+
+/// What the camera multiplied a view's linear light by.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ViewGains {
+    /// The image's file name.
+    pub view: String,
+    /// Exposure times white balance: red, green, blue.
+    pub gains: [f32; 3],
 }
 
 /// Views rendered at a time: bounds memory, and feeds the threads while others write files.
@@ -138,13 +208,26 @@ fn colmap_frame(seed: u64) -> Frame {
     Frame { scale, rotation: tilt * heading * y_down, translation }
 }
 
+/// What the photographs show the scene through.
+enum Between {
+    /// The method's own formation, display values.
+    Display(Condition),
+    /// Spectral transport, and what the camera sets for each view.
+    Spectral { water: Spectral, gains: Vec<Vec3>, middle: f32 },
+}
+
 /// Everything that a view is rendered from.
 struct Studio {
     scene: Scene,
     cameras: Vec<Camera>,
-    underwater: Condition,
+    between: Between,
     clean: Condition,
     frame: Frame,
+}
+
+/// The picture's x axis in the scene's frame.
+fn sideways(camera: &Camera) -> Vec3 {
+    camera.pose.rotation.transpose().x_axis.as_vec3()
 }
 
 impl Studio {
@@ -153,47 +236,101 @@ impl Studio {
         let scene = Scene::new(&layout);
         let lens = swim::lens(params.width, params.height, &mut Draws::new(params.seed, "lens", 0));
         let cameras = swim::path(&scene.terrain, params.seed, params.views, &lens);
-        let water = Water::of_type(params.water, params.depth, params.white_balance, Vec3::Z, scene.sun());
-        let tint = Vec3::from_array(Water::daylight_tint(params.water, params.depth, params.white_balance));
-        let unexposed = Condition { light: tint, water: Some(water) };
         let every = params.views.div_ceil(12);
         let some: Vec<Camera> = cameras.iter().copied().step_by(every).collect();
-        let light = expose(&scene, &some, &unexposed, 0.41) * tint;
+        let (between, light) = match params.physics {
+            Physics::Display => {
+                let (kind, depth, balance) = (params.water, params.depth, params.white_balance);
+                let water = Water::of_type(kind, depth, balance, Vec3::Z, scene.sun());
+                let tint = Vec3::from_array(Water::daylight_tint(kind, depth, balance));
+                let unexposed = Condition { light: tint, water: Some(water) };
+                let light = expose(&scene, &some, &unexposed, 0.41) * tint;
+                (Between::Display(Condition { light, water: Some(water) }), light)
+            }
+            Physics::Spectral => {
+                let lamps = (params.lamps > 0.0).then_some(Lamps { strength: params.lamps });
+                let water = match params.air {
+                    true => Spectral::air(scene.sun()),
+                    false => Spectral::new(params.water, params.depth, scene.sun(), lamps),
+                };
+                let automatic = camera::Automatic {
+                    white_balance: params.white_balance,
+                    per_view: params.auto_exposure,
+                    seed: params.seed,
+                };
+                let look = |camera: &Camera| Box::new(water.seen_from(sideways(camera))) as Box<dyn Look>;
+                let gains = camera::gains(&scene, &cameras, &look, automatic);
+                let middle = camera::middle_gain(&gains);
+                // White light, and no veil to brighten the picture.
+                let white = Condition { light: Vec3::ONE, water: None };
+                let light = Vec3::splat(expose(&scene, &some, &white, 0.36));
+                (Between::Spectral { water, gains, middle }, light)
+            }
+        };
         let frame = colmap_frame(params.seed);
-        Self {
-            scene,
-            cameras,
-            underwater: Condition { light, water: Some(water) },
-            clean: Condition { light, water: None },
-            frame,
-        }
+        Self { scene, cameras, between, clean: Condition { light, water: None }, frame }
     }
 
     fn truth(&self, params: &CaptureParams) -> CaptureTruth {
-        let water = self.underwater.water.unwrap_or_else(|| {
-            Water::of_type(params.water, params.depth, params.white_balance, Vec3::Z, self.scene.sun())
-        });
+        let water = match &self.between {
+            Between::Display(condition) => condition.water,
+            Between::Spectral { .. } => None,
+        };
+        let (effective, gains) = match &self.between {
+            Between::Display(_) => (None, Vec::new()),
+            Between::Spectral { water, gains, .. } => {
+                let (near, far) = (water.white(0.0), water.white(5.0));
+                let views = gains.iter().enumerate();
+                let gains =
+                    views.map(|(view, gains)| ViewGains { view: file(view), gains: gains.to_array() });
+                (Some(std::array::from_fn(|c| math::ln(near[c] / far[c]) / 5.0)), gains.collect())
+            }
+        };
         CaptureTruth {
             format: "3d-use synthetic capture".into(),
             version: 1,
             parameters: params.clone(),
-            water: water.in_frame(&self.frame),
-            attenuation_per_metre: water.attenuation,
-            backscatter_per_metre: water.backscatter,
+            water: water.map(|water| water.in_frame(&self.frame)),
+            attenuation_per_metre: water.map(|water| water.attenuation),
+            backscatter_per_metre: water.map(|water| water.backscatter),
+            effective_attenuation_per_metre: effective,
+            gains,
             units_per_metre: self.frame.scale,
             rotation: self.frame.rotation.transpose().to_cols_array(),
             translation: self.frame.translation.to_array(),
-            daylight: self.underwater.light.to_array(),
+            daylight: self.clean.light.to_array(),
+        }
+    }
+
+    /// A view's photograph and clean picture in display values, its depth, and the mask of what passes by.
+    fn photograph(&self, params: &CaptureParams, view: usize) -> (Shot, Option<Map>) {
+        let camera = &self.cameras[view];
+        let caustics = Caustics { strength: params.caustics, time: 0.5 * view as f32 };
+        match &self.between {
+            Between::Display(underwater) => {
+                let mut shot = render(&self.scene, camera, &[underwater, &self.clean], caustics);
+                add_noise(&mut shot.images[0], params.noise, params.seed, view as u64);
+                (shot, None)
+            }
+            Between::Spectral { water, gains, middle } => {
+                let water = water.seen_from(sideways(camera));
+                let mut shot = render(&self.scene, camera, &[&water, &self.clean], caustics);
+                let image = &mut shot.images[0];
+                let mut canvas = passers::Canvas { image, depth: &shot.depth, camera, water: &water };
+                let mask =
+                    (params.fish > 0).then(|| passers::fish(&mut canvas, params.fish, params.seed, view));
+                passers::snow(&mut canvas, params.snow, params.seed, view);
+                let image = &mut shot.images[0];
+                camera::develop(image, gains[view], *middle, params.noise, params.seed, view as u64);
+                (shot, mask)
+            }
         }
     }
 
     /// Renders and writes one view; returns the corners for the sparse points.
     fn shoot(&self, params: &CaptureParams, view: usize, dir: &Path) -> Result<Vec<Corner>, SynthError> {
         let stem = stem(view);
-        let camera = &self.cameras[view];
-        let caustics = Caustics { strength: params.caustics, time: 0.5 * view as f32 };
-        let mut shot = render(&self.scene, camera, &[self.underwater, self.clean], caustics);
-        add_noise(&mut shot.images[0], params.noise, params.seed, view as u64);
+        let (shot, mask) = self.photograph(params, view);
         let picture = shot.images[0].to_8bit();
         write_png8(&dir.join(format!("images/{stem}.png")), &picture)?;
         write_png8(&dir.join(format!("truth/clean/{stem}.png")), &shot.images[1].to_8bit())?;
@@ -204,13 +341,24 @@ impl Studio {
             let prior = depth_prior(&shot.depth, params.seed, view);
             write_png_map16(&dir.join(format!("depth/{stem}.png")), &prior)?;
         }
+        // No feature of the scene is found on a fish.
+        let mut surfaces = shot.depth;
+        if let Some(mask) = &mask {
+            write_png_map(&dir.join(format!("masks/{stem}.png")), mask)?;
+            let hidden = surfaces.data_mut().iter_mut().zip(mask.data()).filter(|(_, kept)| **kept == 0.0);
+            hidden.for_each(|(z, _)| *z = 0.0);
+        }
         let wanted = (2 * params.points).div_ceil(params.views);
-        Ok(sparse::corners(&picture, &shot.depth, params.seed, view, wanted))
+        Ok(sparse::corners(&picture, &surfaces, params.seed, view, wanted))
     }
 }
 
 fn stem(view: usize) -> String {
     format!("frame_{:04}", view + 1)
+}
+
+fn file(view: usize) -> String {
+    format!("{}.png", stem(view))
 }
 
 /// A prior as a monocular network gives it: disparity up to an unknown scale, a power, a slowly varying error and a little noise.
@@ -259,7 +407,7 @@ pub fn write_capture<A: Answer>(
             }
             progress(corners.len(), params.views).go_on()?;
         }
-        let names: Vec<String> = (0..params.views).map(|i| format!("{}.png", stem(i))).collect();
+        let names: Vec<String> = (0..params.views).map(file).collect();
         let mut model =
             sparse::model(&studio.scene, &studio.cameras, &names, &studio.frame, &corners, params.seed);
         sparse::keep(&mut model, params.points);

@@ -5,9 +5,10 @@
 //! reconstruction from these pictures is no inverse crime. [`write_capture`] makes a COLMAP project with everything that is to be
 //! found out beside it; [`write_pairs`] makes pairs for training a calibrator without any download.
 //!
-//! The pictures follow the method's image formation exactly, `I = J e^{-β_attn s} + c_m(d) (1 - e^{-β_bs s})` per channel on
-//! display values, s the distance along the ray (see [`Water`]). Known limits: opaque surfaces, no forward scattering (blur), no
-//! moving animals, no artificial light.
+//! By default the pictures follow the method's image formation exactly, `I = J e^{-β_attn s} + c_m(d) (1 - e^{-β_bs s})` per
+//! channel on display values, s the distance along the ray (see [`Water`]). [`Physics::Spectral`] follows physics that is not
+//! the method's: ten wavelengths in linear light, daylight that fades with depth, lamps, a camera that sets itself for every
+//! view, fish and marine snow. Known limits: opaque surfaces, no forward scattering (blur).
 //!
 //! Deterministic: a function of the parameters, whatever the number of threads.
 
@@ -15,13 +16,15 @@ mod capture;
 mod error;
 mod geometry;
 mod pairs;
+mod physics;
 mod render;
 mod scene;
 mod sparse;
 mod swim;
 mod water;
 
-pub use capture::{CaptureParams, CaptureTruth, write_capture};
+pub use capture::{CaptureParams, CaptureTruth, ViewGains, write_capture};
 pub use error::{Answer, SynthError};
 pub use pairs::{PairsParams, write_pairs};
+pub use physics::Physics;
 pub use water::{UnknownWaterType, Water, WaterType};

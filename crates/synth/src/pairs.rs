@@ -13,7 +13,7 @@ use use3d_capture::Image;
 use use3d_io_image::write_png;
 
 use crate::error::{Answer, SynthError, whole_folder};
-use crate::render::{Condition, add_noise, expose, render};
+use crate::render::{Condition, Look, add_noise, expose, render};
 use crate::scene::{Caustics, Draws, Layout, Scene};
 use crate::swim;
 use crate::water::{Water, WaterType};
@@ -132,7 +132,8 @@ fn write_pair(params: &PairsParams, scene: &Scene, pair: usize, dir: &Path) -> R
     };
     let conditions =
         [lit(tint, water, draws.range(0.28, 0.44)), lit(Vec3::ONE, clear_water(scene.sun()), 0.45)];
-    let mut shot = render(scene, &camera, &conditions, Caustics { strength: 0.0, time: 0.0 });
+    let looks = conditions.each_ref().map(|condition| condition as &dyn Look);
+    let mut shot = render(scene, &camera, &looks, Caustics { strength: 0.0, time: 0.0 });
     add_noise(&mut shot.images[0], params.noise, params.seed, pair as u64);
     grade(&mut shot.images[1]);
     let name = format!("pair_{:04}.png", pair + 1);

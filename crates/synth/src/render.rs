@@ -22,8 +22,22 @@ pub(crate) struct Condition {
     pub(crate) water: Option<Water>,
 }
 
+/// What a ray's end looks like in a picture.
+pub(crate) trait Look: Sync {
+    /// The colour of what `ray` sees (`None` is open water), in display values or linear light as the implementer says.
+    fn color(&self, seen: Option<Seen>, ray: &Ray) -> Vec3;
+}
+
+impl Look for Condition {
+    /// Display values.
+    fn color(&self, seen: Option<Seen>, ray: &Ray) -> Vec3 {
+        let per_t = ray.direction.length();
+        self.display(seen, per_t, ray.direction / per_t)
+    }
+}
+
 impl Condition {
-    fn color(&self, seen: Option<Seen>, distance_per_t: f32, direction: Vec3) -> Vec3 {
+    fn display(&self, seen: Option<Seen>, distance_per_t: f32, direction: Vec3) -> Vec3 {
         let clean = seen.map_or(Vec3::ZERO, |s| display(s.light * self.light));
         let distance = seen.map_or(f32::INFINITY, |s| s.t * distance_per_t);
         match &self.water {
@@ -43,14 +57,14 @@ pub(crate) struct Shot {
 const EXTRA: usize = 6;
 
 /// A camera's rays in the scene's frame: `direction(u, v)` has unit depth, so that `t` is z-depth.
-struct Rays {
+pub(crate) struct Rays {
     origin: Vec3,
     columns: [Vec3; 3],
     lens: [f32; 4],
 }
 
 impl Rays {
-    fn new(camera: &Camera) -> Self {
+    pub(crate) fn new(camera: &Camera) -> Self {
         let back = camera.pose.rotation.transpose();
         let k = &camera.intrinsics;
         Self {
@@ -60,7 +74,7 @@ impl Rays {
         }
     }
 
-    fn through(&self, u: f32, v: f32) -> Ray {
+    pub(crate) fn through(&self, u: f32, v: f32) -> Ray {
         let [fx, fy, cx, cy] = self.lens;
         let direction = (u - cx) / fx * self.columns[0] + (v - cy) / fy * self.columns[1] + self.columns[2];
         Ray { origin: self.origin, direction }
@@ -68,16 +82,15 @@ impl Rays {
 }
 
 /// Renders a camera's view under every condition.
-pub(crate) fn render(scene: &Scene, camera: &Camera, conditions: &[Condition], caustics: Caustics) -> Shot {
+pub(crate) fn render(scene: &Scene, camera: &Camera, conditions: &[&dyn Look], caustics: Caustics) -> Shot {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let rays = Rays::new(camera);
     let spread = 1.0 / rays.lens[0];
     let colors = |u: f32, v: f32, out: &mut [Vec3]| {
         let ray = rays.through(u, v);
-        let per_t = ray.direction.length();
         let seen = scene.look(&ray, spread, caustics);
         for (color, condition) in out.iter_mut().zip(conditions) {
-            *color = condition.color(seen, per_t, ray.direction / per_t);
+            *color = condition.color(seen, &ray);
         }
         seen
     };
@@ -170,17 +183,20 @@ fn blur(image: &mut Image) {
     }
 }
 
+/// Rays evenly over a picture, 24 by 16: enough to meter by.
+pub(crate) fn coarse_rays(camera: &Camera) -> Vec<Ray> {
+    let rays = Rays::new(camera);
+    let (w, h) = (camera.intrinsics.width as f32, camera.intrinsics.height as f32);
+    (0..24 * 16)
+        .map(|i| rays.through((0.5 + (i % 24) as f32) / 24.0 * w, (0.5 + (i / 24) as f32) / 16.0 * h))
+        .collect()
+}
+
 /// The exposure at which the cameras' views have this mean luminance on display (bisection on a coarse grid of rays).
 pub(crate) fn expose(scene: &Scene, cameras: &[Camera], condition: &Condition, luminance: f32) -> f32 {
     let samples: Vec<(Option<Seen>, f32, Vec3)> = cameras
         .iter()
-        .flat_map(|camera| {
-            let rays = Rays::new(camera);
-            let (w, h) = (camera.intrinsics.width as f32, camera.intrinsics.height as f32);
-            (0..24 * 16).map(move |i| {
-                rays.through((0.5 + (i % 24) as f32) / 24.0 * w, (0.5 + (i / 24) as f32) / 16.0 * h)
-            })
-        })
+        .flat_map(coarse_rays)
         .map(|ray| {
             let per_t = ray.direction.length();
             let caustics = Caustics { strength: 0.0, time: 0.0 };
@@ -192,7 +208,7 @@ pub(crate) fn expose(scene: &Scene, cameras: &[Camera], condition: &Condition, l
         let sum: f32 = samples
             .iter()
             .map(|&(seen, per_t, direction)| {
-                lit.color(seen, per_t, direction).dot(Vec3::new(0.299, 0.587, 0.114))
+                lit.display(seen, per_t, direction).dot(Vec3::new(0.299, 0.587, 0.114))
             })
             .sum();
         sum / samples.len().max(1) as f32

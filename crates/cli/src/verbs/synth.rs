@@ -4,10 +4,10 @@ use std::ops::ControlFlow;
 
 use serde::de::DeserializeOwned;
 use use3d_pipeline::engine::Event;
-use use3d_synth::{CaptureParams, PairsParams, SynthError, write_capture, write_pairs};
+use use3d_synth::{CaptureParams, PairsParams, Physics, SynthError, WaterType, write_capture, write_pairs};
 
 use crate::App;
-use crate::args::SynthArgs;
+use crate::args::{SynthArgs, SynthCaptureArgs};
 use crate::error::{CliError, Done};
 use crate::interrupt;
 use crate::size::parse_size;
@@ -48,20 +48,42 @@ fn named<T: DeserializeOwned>(flag: &str, text: &str, known: &[&str]) -> Result<
         .map_err(|_| CliError::Input(format!("{flag} {text}: expected one of {}", known.join(", "))))
 }
 
-pub(crate) fn capture(app: &App, args: &SynthArgs) -> Done {
-    let mut params = CaptureParams { seed: args.seed, ..CaptureParams::default() };
-    if let Some(views) = args.views {
+/// What the arguments ask for, on top of the defaults.
+fn capture_params(args: &SynthCaptureArgs) -> Result<CaptureParams, CliError> {
+    let common = &args.common;
+    let physics = named("--physics", &args.physics, &Physics::ALL.map(Physics::name))?;
+    let mut params = CaptureParams { seed: common.seed, physics, ..CaptureParams::default() };
+    if physics == Physics::Spectral {
+        // What cameras do under water unless somebody tells them otherwise.
+        (params.auto_exposure, params.white_balance) = (1.0, 0.5);
+    }
+    if let Some(views) = common.views {
         params.views = views;
     }
-    if let Some(size) = &args.size {
+    if let Some(size) = &common.size {
         (params.width, params.height) = parse_size(size)?;
     }
-    if let Some(water) = &args.water {
-        params.water =
-            named("--water", water, &use3d_synth::WaterType::ALL.map(use3d_synth::WaterType::name))?;
+    match args.water.as_deref() {
+        Some(air) if air.eq_ignore_ascii_case("air") => params.air = true,
+        Some(water) => params.water = named("--water", water, &WaterType::ALL.map(WaterType::name))?,
+        None => {}
     }
-    write_capture(&params, &args.out, &mut tell(app, "synth capture")).map_err(error)?;
-    eprintln!("{}: {} views of {}x{}", args.out.display(), params.views, params.width, params.height);
+    let set = |field: &mut f32, given: Option<f32>| given.into_iter().for_each(|value| *field = value);
+    set(&mut params.depth, args.depth);
+    set(&mut params.white_balance, args.white_balance);
+    set(&mut params.noise, args.noise);
+    set(&mut params.auto_exposure, args.auto_exposure);
+    set(&mut params.lamps, args.lamps);
+    set(&mut params.snow, args.snow);
+    params.fish = args.fish.unwrap_or(params.fish);
+    params.depth_priors = !args.no_depth_priors;
+    Ok(params)
+}
+
+pub(crate) fn capture(app: &App, args: &SynthCaptureArgs) -> Done {
+    let (params, out) = (capture_params(args)?, &args.common.out);
+    write_capture(&params, out, &mut tell(app, "synth capture")).map_err(error)?;
+    eprintln!("{}: {} views of {}x{}", out.display(), params.views, params.width, params.height);
     Ok(())
 }
 
@@ -72,9 +94,6 @@ pub(crate) fn pairs(app: &App, args: &SynthArgs) -> Done {
     }
     if let Some(size) = &args.size {
         (params.width, params.height) = parse_size(size)?;
-    }
-    if args.water.is_some() {
-        return Err(CliError::Input("--water: pairs are made over all water types; leave it out".into()));
     }
     write_pairs(&params, &args.out, &mut tell(app, "synth pairs")).map_err(error)?;
     eprintln!("{}: {} pairs of {}x{}", args.out.display(), params.pairs, params.width, params.height);

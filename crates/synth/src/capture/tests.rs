@@ -82,6 +82,7 @@ fn the_formation_equation_holds(
     depths: &[Map],
     noise: f32,
 ) {
+    let water = truth.water.expect("the method's own water");
     let (mut checked, mut squares, mut water_only) = (0, 0.0f64, 0);
     for (i, (camera, depth)) in cameras.iter().zip(depths).enumerate() {
         let picture = read_image(&dir.join(format!("images/{}.png", stem(i)))).unwrap();
@@ -98,7 +99,7 @@ fn the_formation_equation_holds(
                 let direction = (camera.pose.rotation.transpose() * ray.normalize()).as_vec3();
                 let s = if z > 0.0 { z * ray.length() as f32 } else { f32::INFINITY };
                 water_only += usize::from(z == 0.0);
-                let predicted = truth.water.seen_through(clean.pixel(x, y), s, direction);
+                let predicted = water.seen_through(clean.pixel(x, y), s, direction);
                 let found = picture.pixel(x, y);
                 for c in 0..3 {
                     squares += math::powi(f64::from(predicted[c] - found[c]), 2);
@@ -186,11 +187,14 @@ fn outputs_are_never_overwritten_and_parameters_are_checked() {
     std::fs::write(dir.path().join("note.txt"), "mine").unwrap();
     let error = write_capture(&small(), dir.path(), &mut |_, _| {}).unwrap_err();
     assert!(matches!(error, SynthError::OutputExists { .. }) && error.to_string().contains("already there"));
-    let bad: [(CaptureParams, &str); 4] = [
+    let bad: [(CaptureParams, &str); 7] = [
         (CaptureParams { views: 1, ..small() }, "views"),
         (CaptureParams { width: 3, ..small() }, "width"),
         (CaptureParams { noise: f32::NAN, ..small() }, "noise"),
         (CaptureParams { detail: 0.0, ..small() }, "detail"),
+        (CaptureParams { snow: 0.5, ..small() }, "snow"),
+        (CaptureParams { air: true, ..small() }, "air"),
+        (CaptureParams { fish: 51, physics: Physics::Spectral, ..small() }, "fish"),
     ];
     for (params, field) in bad {
         let out = dir.path().join("new");
@@ -209,4 +213,76 @@ fn the_colmap_frame_is_a_similarity_with_y_roughly_down() {
         let down = frame.rotation * Vec3::NEG_Z.as_dvec3();
         assert!(down.y > 0.8, "seed {seed}: {down}");
     }
+}
+
+fn spectral() -> CaptureParams {
+    CaptureParams { physics: Physics::Spectral, auto_exposure: 1.0, white_balance: 0.5, ..small() }
+}
+
+/// The mean of each channel of a view's file, display values.
+fn means(path: &Path) -> [f32; 3] {
+    let image = read_image(path).unwrap();
+    image.planes().map(|plane| plane.iter().sum::<f32>() / plane.len() as f32)
+}
+
+#[test]
+fn a_spectral_capture_is_deterministic_sets_each_view_and_hides_its_fish() {
+    let dir = tempfile::tempdir().unwrap();
+    let params = CaptureParams { fish: 3, snow: 0.3, ..spectral() };
+    let (a, b) = (dir.path().join("a"), dir.path().join("b"));
+    let truth = in_pool(1, || write_capture(&params, &a, &mut |_, _| {})).unwrap();
+    in_pool(3, || write_capture(&params, &b, &mut |_, _| {})).unwrap();
+    assert_eq!(files(&a), files(&b));
+    assert_eq!(truth.gains.len(), params.views);
+    assert!(truth.water.is_none() && truth.attenuation_per_metre.is_none());
+    let effective = truth.effective_attenuation_per_metre.expect("spectral water");
+    assert!(effective[0] > effective[1], "{effective:?}");
+    let red: Vec<f32> = truth.gains.iter().map(|g| g.gains[0]).collect();
+    assert!(red.iter().any(|g| (g / red[0] - 1.0).abs() > 0.01), "{red:?}");
+
+    // Masks are there, and nothing of the scene is tracked on a fish.
+    let model = use3d_io_colmap::read_model(&a.join("sparse/0")).unwrap();
+    let mut hidden = 0;
+    for (i, image) in model.images.iter().enumerate() {
+        let mask = read_map(&a.join(format!("masks/{}.png", stem(i)))).unwrap();
+        hidden += mask.data().iter().filter(|v| **v == 0.0).count();
+        assert_eq!(image.name, file(i));
+    }
+    assert!(hidden > 100, "{hidden} pixels hidden");
+}
+
+#[test]
+fn one_setting_for_all_views_is_one_gain_and_noise_is_the_sensors() {
+    let dir = tempfile::tempdir().unwrap();
+    let write = |name: &str, params: &CaptureParams| {
+        let out = dir.path().join(name);
+        (write_capture(params, &out, &mut |_, _| {}).unwrap(), out)
+    };
+    let (fixed, _) = write("fixed", &CaptureParams { auto_exposure: 0.0, ..spectral() });
+    let first = fixed.gains[0].gains;
+    for view in &fixed.gains {
+        for (g, wanted) in view.gains.iter().zip(first) {
+            assert!((g / wanted - 1.0).abs() < 1e-4, "{view:?} is not {first:?}");
+        }
+    }
+    // Air under a full grey-world balance is nearly neutral and keeps the clean picture's contrast.
+    let air = CaptureParams { air: true, white_balance: 0.0, noise: 0.0, ..spectral() };
+    let (truth, out) = write("air", &air);
+    let view = |folder: &str| means(&out.join(folder).join(file(0)));
+    let (photograph, clean) = (view("images"), view("truth/clean"));
+    assert!(photograph.iter().chain(&clean).all(|v| (0.05..0.95).contains(v)), "{photograph:?} {clean:?}");
+    assert_eq!(truth.effective_attenuation_per_metre.map(|k| k.map(|v| v.abs() < 1e-5)), Some([true; 3]));
+    // Under water red is what is missing.
+    let (_, out) = write("water", &CaptureParams { white_balance: 0.0, ..spectral() });
+    let [red, green, _] = means(&out.join("images").join(file(0)));
+    assert!(red < green, "{red} {green}");
+}
+
+#[test]
+fn a_display_capture_keeps_its_description_when_fields_are_added() {
+    let text = serde_json::to_string(&CaptureParams::default()).unwrap();
+    for field in ["physics", "air", "lamps", "auto_exposure", "snow", "fish"] {
+        assert!(!text.contains(field), "{text}");
+    }
+    assert_eq!(serde_json::from_str::<CaptureParams>(&text).unwrap(), CaptureParams::default());
 }

@@ -1,0 +1,127 @@
+//! A camera that exposes and balances every view on its own, and its sensor.
+//!
+//! The gains of a view follow its own mean light m (per channel, linear, over a coarse grid of rays), as automatic cameras do:
+//!
+//! ```text
+//! balance_c  = (mean(m) / m_c)^w                        w the share of the grey-world balance
+//! exposure   = 0.14 / luminance(balance m) · e^{0.06 n}  n normal: metering is never quite the same
+//! g_c        = (view's exposure balance_c)^a (capture's)^{1-a}
+//! display    = sRGB(g_c L_c + noise),  noise deviation σ sqrt(g_c / g₀ · (x + 0.004) / 0.222)  for x = g_c L_c
+//! ```
+//!
+//! a = 0 is one setting for the whole capture (geometric means over its views), a = 1 each view for itself. Noise grows as that
+//! of photons: a channel that is amplified is noisy. g₀ is the capture's middle green gain; σ is then the deviation of a middle tone of
+//! green in display range. Gains are at most 40.
+
+use glam::Vec3;
+use rayon::prelude::*;
+use use3d_capture::{Camera, Image};
+use use3d_numerics::math;
+use use3d_numerics::random::{Purpose, Stream};
+
+use crate::render::{Look, coarse_rays};
+use crate::scene::{Caustics, Scene, display};
+
+/// Rec. 601 luminance.
+const LUMINANCE: Vec3 = Vec3::new(0.299, 0.587, 0.114);
+/// Linear luminance that a view is exposed to.
+const MIDDLE: f32 = 0.14;
+/// Gains are bounded: no camera amplifies without limit.
+const HIGHEST_GAIN: f32 = 40.0;
+
+/// How a camera behaves.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Automatic {
+    /// Share of the grey-world balance, 0 to 1.
+    pub(crate) white_balance: f32,
+    /// How far each view is set for itself, 0 to 1.
+    pub(crate) per_view: f32,
+    /// The capture's seed.
+    pub(crate) seed: u64,
+}
+
+/// Mean light of a view per channel, linear.
+fn mean_light(scene: &Scene, camera: &Camera, look: &dyn Look) -> Vec3 {
+    let rays = coarse_rays(camera);
+    let still = Caustics { strength: 0.0, time: 0.0 };
+    let sum: Vec3 = rays.iter().map(|ray| look.color(scene.look(ray, 0.05, still), ray)).sum();
+    sum / rays.len().max(1) as f32
+}
+
+/// The gains (red, green, blue) of every view; `look` is what each camera sees the scene through.
+pub(crate) fn gains(
+    scene: &Scene,
+    cameras: &[Camera],
+    look: &(dyn Fn(&Camera) -> Box<dyn Look> + Sync),
+    automatic: Automatic,
+) -> Vec<Vec3> {
+    let metering = Stream::new(automatic.seed, Purpose::new("metering"), 0);
+    let own: Vec<Vec3> = cameras
+        .par_iter()
+        .enumerate()
+        .map(|(view, camera)| {
+            let mean = mean_light(scene, camera, look(camera).as_ref()).max(Vec3::splat(1e-6));
+            let grey = (mean.x + mean.y + mean.z) / 3.0;
+            let balance = (grey / mean).to_array().map(|v| math::powf(v, automatic.white_balance));
+            let balance = Vec3::from_array(balance);
+            let slip = math::exp(0.06 * metering.normal(view as u64) as f32);
+            (balance * (MIDDLE * slip / (balance * mean).dot(LUMINANCE))).min(Vec3::splat(HIGHEST_GAIN))
+        })
+        .collect();
+    let log = |g: &Vec3| Vec3::new(math::ln(g.x), math::ln(g.y), math::ln(g.z));
+    let mean = own.iter().map(log).sum::<Vec3>() / own.len().max(1) as f32;
+    let a = automatic.per_view;
+    own.iter()
+        .map(|g| (a * log(g) + (1.0 - a) * mean).to_array().map(math::exp))
+        .map(Vec3::from_array)
+        .collect()
+}
+
+/// The middle green gain of a capture, to which noise is relative.
+pub(crate) fn middle_gain(gains: &[Vec3]) -> f32 {
+    let mut green: Vec<f32> = gains.iter().map(|g| g.y).collect();
+    green.sort_unstable_by(f32::total_cmp);
+    green.get(green.len() / 2).copied().unwrap_or(1.0)
+}
+
+/// Turns linear light into display values in place: gains, photon noise of deviation `sigma`, sRGB. Keyed by (seed, view, pixel).
+pub(crate) fn develop(image: &mut Image, gains: Vec3, middle: f32, sigma: f32, seed: u64, view: u64) {
+    let stream = Stream::new(seed, Purpose::new("photon noise"), view);
+    let n = image.pixels();
+    let block = 4096;
+    for channel in 0..3 {
+        let (gain, first) = (gains[channel], channel * n);
+        image.plane_mut(channel).par_chunks_mut(block).enumerate().for_each(|(b, values)| {
+            for (i, value) in values.iter_mut().enumerate() {
+                let x = (gain * *value).max(0.0);
+                let deviation = sigma * (gain / middle * (x + 0.004) / 0.222).sqrt();
+                let noise = if sigma > 0.0 {
+                    deviation * stream.normal((first + b * block + i) as u64) as f32
+                } else {
+                    0.0
+                };
+                *value = display(Vec3::splat(x + noise)).x;
+            }
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn noise_grows_with_gain_and_vanishes_without_sigma() {
+        let deviation = |gain: f32, sigma: f32| {
+            let mut image = Image::filled(64, 64, 0.2 / gain);
+            develop(&mut image, Vec3::splat(gain), 1.0, sigma, 7, 3);
+            let values: Vec<f64> = image.plane(1).iter().map(|v| f64::from(*v)).collect();
+            let mean = values.iter().sum::<f64>() / values.len() as f64;
+            (values.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / values.len() as f64).sqrt()
+        };
+        assert!(deviation(1.0, 0.0) < 1e-6);
+        let (plain, amplified) = (deviation(1.0, 0.01), deviation(9.0, 0.01));
+        assert!((0.007..0.013).contains(&plain), "{plain}");
+        assert!((2.6..3.4).contains(&(amplified / plain)), "{amplified} against {plain}");
+    }
+}

@@ -1,0 +1,35 @@
+//! How a scene becomes a picture under water: the method's own formation, or one that is none of its assumptions.
+//!
+//! [`Physics::Display`] applies `I = J e^{-β_attn s} + c_m(d) (1 - e^{-β_bs s})` to display values, exactly as the method
+//! models it ([`crate::water`]). [`Physics::Spectral`] works in linear light and ten wavelengths ([`spectral`]), with daylight
+//! that fades with depth, optional lamps ([`spectral::Lamps`]), a camera that exposes and balances every view on its
+//! own ([`camera`]) and animals and particles that pass by ([`passers`]). A method that only recovers what the first
+//! writes has learnt its own assumptions; the second tells.
+
+pub(crate) mod camera;
+pub(crate) mod passers;
+pub(crate) mod spectral;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Which image formation a synthetic capture follows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Physics {
+    /// The method's formation, on display values.
+    #[default]
+    Display,
+    /// Spectral transport in linear light, with a camera of its own mind.
+    Spectral,
+}
+
+impl Physics {
+    /// Every formation, in the order of [`name`](Self::name).
+    pub const ALL: [Self; 2] = [Self::Display, Self::Spectral];
+
+    /// Its name in files and on the command line.
+    pub fn name(self) -> &'static str {
+        ["display", "spectral"][self as usize]
+    }
+}
