@@ -73,7 +73,7 @@ pub(crate) fn verify(app: &App, args: &VerifyArgs) -> Done {
         print!("{found}");
     }
     match (found.problems.is_empty(), found.interrupted, found.repaired) {
-        (true, true, _) => Err(CliError::Interrupted),
+        (true, true, _) => Err(CliError::Stopped),
         (true, false, _) => Ok(()),
         (false, _, 0) => Err(CliError::Failed("the cache has problems; nothing was moved or changed".into())),
         (false, ..) => Err(CliError::Failed(

@@ -89,6 +89,7 @@ mod resolve;
 pub mod run;
 mod stage;
 pub mod status;
+mod summary;
 mod text;
 pub mod verify;
 

@@ -6,12 +6,9 @@
 //! not wait for the others.
 
 use std::collections::{BTreeMap, HashMap};
-use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::Instant;
-
-use serde::Serialize;
 
 use super::Engine;
 use super::cache::{Artifact, Lookup};
@@ -25,6 +22,7 @@ use super::lease::{HEARTBEAT, RunLease};
 use super::machine;
 use super::resolve::{self, Outcome, Unresolved};
 use super::stage::Scope;
+pub use super::summary::{Became, RanNode, Summary};
 
 /// How to run.
 #[derive(Clone, Debug)]
@@ -53,122 +51,6 @@ impl Default for RunOptions {
             until: None,
             stop: Arc::default(),
         }
-    }
-}
-
-/// What became of a node.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(rename_all = "lowercase", tag = "result", content = "detail")]
-pub enum Became {
-    /// Computed now.
-    Done,
-    /// There already.
-    Cached,
-    /// Failed.
-    Failed {
-        /// Why.
-        reason: String,
-        /// Its log.
-        log: PathBuf,
-    },
-    /// Not run because another node failed: which.
-    Blocked(String),
-    /// Not run because the run ended before.
-    NotRun,
-    /// Nobody asked for it.
-    Unwanted,
-}
-
-/// A node of a summary.
-#[derive(Clone, Debug, Serialize)]
-pub struct RanNode {
-    /// The stage.
-    pub stage: &'static str,
-    /// The scene; empty for stages over all scenes.
-    pub scene: String,
-    /// The variant; empty where there are none.
-    pub variant: String,
-    /// Scene, variant and stage in words.
-    pub label: String,
-    /// What became of it.
-    #[serde(flatten)]
-    pub result: Became,
-    /// How long it took, seconds.
-    pub seconds: f64,
-    /// Whether another node did its work.
-    pub shared: bool,
-    /// Its artifact.
-    #[serde(skip)]
-    pub artifact: Option<Artifact>,
-}
-
-/// What became of a batch.
-#[derive(Clone, Debug, Serialize)]
-pub struct Summary {
-    /// The pipeline's name.
-    pub pipeline: String,
-    /// The nodes, inputs first.
-    pub nodes: Vec<RanNode>,
-    /// Whether it was interrupted.
-    pub interrupted: bool,
-    /// How long it took, seconds.
-    pub seconds: f64,
-    /// Keeps others from cleaning up what the summary points to while it is being used.
-    #[serde(skip)]
-    #[expect(dead_code, reason = "held until the summary goes, never read")]
-    lease: Option<Arc<RunLease>>,
-}
-
-impl Summary {
-    /// What is known of one scene in one variant, for who wants its results before the batch ends.
-    pub fn of_scene(nodes: &[RanNode], scene: &str, variant: &str) -> Self {
-        let own = nodes.iter().filter(|n| n.scene == scene && n.variant == variant);
-        Self {
-            pipeline: String::new(),
-            nodes: own.cloned().collect(),
-            interrupted: false,
-            seconds: 0.0,
-            lease: None,
-        }
-    }
-
-    /// 0 all done, 1 something failed, 130 interrupted.
-    pub fn exit_code(&self) -> u8 {
-        let bad =
-            |n: &RanNode| matches!(n.result, Became::Failed { .. } | Became::Blocked(_) | Became::NotRun);
-        match (self.interrupted, self.nodes.iter().any(bad)) {
-            (true, _) => 130,
-            (false, failed) => u8::from(failed),
-        }
-    }
-
-    /// How many nodes were computed now.
-    pub fn done(&self) -> usize {
-        self.count(|r| *r == Became::Done)
-    }
-
-    /// How many were there already.
-    pub fn cached(&self) -> usize {
-        self.count(|r| *r == Became::Cached)
-    }
-
-    /// The nodes that failed.
-    pub fn failed(&self) -> impl Iterator<Item = &RanNode> {
-        self.nodes.iter().filter(|n| !n.shared && matches!(n.result, Became::Failed { .. }))
-    }
-
-    /// The artifact of a stage of a scene (empty for stages over all scenes) in a variant (empty: the first).
-    pub fn artifact(&self, scene: &str, variant: &str, stage: &str) -> Option<&Artifact> {
-        let fits = |n: &&RanNode| {
-            n.stage == stage
-                && (n.scene.is_empty() || n.scene == scene)
-                && (variant.is_empty() || n.variant.is_empty() || n.variant == variant)
-        };
-        self.nodes.iter().find(fits).and_then(|n| n.artifact.as_ref())
-    }
-
-    pub(crate) fn count(&self, which: impl Fn(&Became) -> bool) -> usize {
-        self.nodes.iter().filter(|n| !n.shared && which(&n.result)).count()
     }
 }
 
