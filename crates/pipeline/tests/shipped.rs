@@ -80,7 +80,7 @@ fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
     at("own/depth");
     // What is in the file counts when it is read; that it is there decides.
     std::fs::write(small.join("depth_anything_v2_vits.pth"), "weights").expect("written");
-    let plan = |capture: &Path, models: &Path, sets: &[&str]| {
+    let state = |stage: &str, capture: &Path, models: &Path, sets: &[&str]| {
         let engine =
             Engine::new(registry().expect("table"), Cache::open(&at("cache"), false).expect("cache"));
         let sets = sets.iter().map(ToString::to_string).collect();
@@ -88,8 +88,9 @@ fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
         let pipeline = for_capture(&engine.registry, capture, &options).expect("a pipeline");
         let graph = Graph::new(&engine.registry, &pipeline.batch).expect("a graph");
         let plan = engine.plan(&graph, None);
-        plan.nodes.into_iter().find(|n| n.stage == "depth").map(|n| n.state)
+        plan.nodes.into_iter().find(|n| n.stage == stage).map(|n| n.state)
     };
+    let plan = |capture: &Path, models: &Path, sets: &[&str]| state("depth", capture, models, sets);
     let (asked, off) = ("reconstruct.depth_prior=depth-anything-v2", "reconstruct.depth_prior=off");
     for (capture, models, sets, made) in [
         (&bare, &small, &[][..], true),
@@ -122,6 +123,13 @@ fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
         panic!("{:?}", plan(&capture, &empty, &[asked, "depth.encoder=vitb"]))
     };
     assert!(why.contains("put depth_anything_v2_vitb.pth there"), "{why}");
+    // So is a proposer that is asked for by name; one that needs no weights reads none.
+    let pairs = |sets: &[&str]| state("pairs", &capture, &empty, sets);
+    let Some(State::Unavailable(why)) = pairs(&["calibrator.proposer=nu2net"]) else {
+        panic!("{:?}", pairs(&["calibrator.proposer=nu2net"]))
+    };
+    assert!(why.contains("put uie_proposer.pth or NU2Net_ckpt.pth there"), "{why}");
+    assert!(matches!(pairs(&["calibrator.proposer=fusion"]), Some(State::Run(_))));
 }
 
 /// `USE3D_UPDATE_SCHEMA=1 cargo test -p use3d-pipeline --test shipped` writes it anew.

@@ -49,12 +49,8 @@ impl Encoder {
         let folder = Models::open(models);
         let found = self.candidates().iter().find(|(network, _)| folder.has(*network));
         found.copied().ok_or_else(|| {
-            let files = self.candidates().iter().map(|(network, _)| network.known().files[0]);
-            format!(
-                "the weights of Depth Anything V2 are not in {}: put {} there (`use3d models` says where it is published)",
-                models.display(),
-                files.collect::<Vec<_>>().join(" or ")
-            )
+            let networks: Vec<Network> = self.candidates().iter().map(|(network, _)| *network).collect();
+            super::not_there("Depth Anything V2", &networks, models)
         })
     }
 }

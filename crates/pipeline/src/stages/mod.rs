@@ -36,6 +36,8 @@ pub use targets::TARGETS;
 
 use std::path::{Path, PathBuf};
 
+use serde_json::Value;
+
 use crate::engine::{EngineError, Registry};
 
 /// The table of stages with the short words of the pipeline file.
@@ -70,6 +72,31 @@ fn proposer_files(models: &Path) -> Vec<PathBuf> {
     return model_files(models, &[Network::Nu2NetReleased, Network::Nu2Net]);
     #[cfg(not(feature = "nets"))]
     no_files(models)
+}
+
+/// The files in a models folder that the proposer of these parameters reads, relative to it; says what to put there where it is asked
+/// for by name and its weights are not there.
+fn files_of_proposer(parameters: &Value, models: &Path) -> Result<Vec<PathBuf>, String> {
+    if parameters["proposer"] == "fusion" {
+        return Ok(Vec::new());
+    }
+    let files = proposer_files(models);
+    #[cfg(feature = "nets")]
+    if files.is_empty() && parameters["proposer"] == "nu2net" {
+        return Err(not_there("Nu2Net", &[Network::Nu2NetReleased, Network::Nu2Net], models));
+    }
+    Ok(files)
+}
+
+/// Weights that are asked for and not there: which files would do.
+#[cfg(feature = "nets")]
+fn not_there(what: &str, networks: &[Network], models: &Path) -> String {
+    let files: Vec<&str> = networks.iter().map(|network| network.known().files[0]).collect();
+    format!(
+        "the weights of {what} are not in {}: put {} there (`use3d models` says where it is published)",
+        models.display(),
+        files.join(" or ")
+    )
 }
 
 /// The files in a models folder that the evaluation reads, relative to it.

@@ -36,7 +36,7 @@ pub(super) fn stage() -> Stage {
         .optional_external("input", "pairs.input")
         .optional_external("target", "pairs.target")
         .optional_external("models", "models")
-        .select(|_, models| Ok(super::proposer_files(models)))
+        .select(super::files_of_proposer)
         .when_named(|_, named| !named.has("calibrator"))
 }
 

@@ -33,7 +33,7 @@ pub(super) fn stage() -> Stage {
         .made_of(PARTS, &["src/stages/propose.rs", "src/stages/proposer.rs"])
         .input("import", "import")
         .optional_external("models", "models")
-        .select(|_, models| Ok(super::proposer_files(models)))
+        .select(super::files_of_proposer)
         .when(asked_for)
         .cost(0, 4 << 30)
 }

@@ -47,7 +47,7 @@ pub(super) fn stage() -> Stage {
         .input("calibrator", "calibrate")
         .or_external("calibrator")
         .optional_external("models", "models")
-        .select(|_, models| Ok(super::proposer_files(models)))
+        .select(super::files_of_proposer)
         .cost(0, 2 << 30)
 }
 
