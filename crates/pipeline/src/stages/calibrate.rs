@@ -24,8 +24,13 @@ fn run(context: &StageContext, params: &CalibratorParams) -> Result<(), StageErr
     // The pairs were extracted with their own settings; a calibrator cannot have others.
     let params = CalibratorParams { extractor: dataset.extractor.clone(), ..params.clone() };
     let data = format!("{} pairs, {} left out", dataset.examples.len(), dataset.skipped.len());
+    let mut last = 0;
     let calibrator = train(&dataset, &params, &data, &mut |progress| {
         if let Progress::Step { step, steps, loss } = progress {
+            if step < last {
+                context.say("the fit that kept pairs aside to judge by is done; now the fit to all pairs");
+            }
+            last = step;
             context.progress_with(step, steps, "steps", &format!("loss {loss:.4}"));
         }
         if context.cancelled() {
