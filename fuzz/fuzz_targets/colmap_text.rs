@@ -20,7 +20,8 @@ fuzz_target!(|data: &[u8]| {
         }
         1 => {
             let Ok(images) = text::images(bytes, path) else { return };
-            text::write_images(&mut again, &images).expect("names of one line are written");
+            // A name that begins or ends with a space has no place in a line.
+            let Ok(()) = text::write_images(&mut again, &images) else { return };
             let read = text::images(&again, path).expect("what was written is read");
             assert_eq!(format!("{read:?}"), format!("{images:?}"));
         }

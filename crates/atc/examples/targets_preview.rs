@@ -64,7 +64,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let load = |view: &View| -> Result<ViewInput, AtcError> {
         let started = Instant::now();
         let pixels = load_pixels(view)
-            .map_err(|e| AtcError::View { view: view.name.clone(), problem: e.to_string() })?;
+            .map_err(|e| AtcError::View { view: view.name.to_string(), problem: e.to_string() })?;
         let input = ViewInput {
             name: view.stem().to_string(),
             camera: view.camera,

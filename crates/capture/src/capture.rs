@@ -4,13 +4,13 @@ use std::path::PathBuf;
 
 use glam::DVec3;
 
-use crate::{Camera, Frame, Raster};
+use crate::{Camera, FileName, Frame, Raster};
 
 /// One photograph: where it is on disk and where its camera was. Pixels are loaded when needed, never all at once.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
-    /// The image's name relative to the capture's image folder, with `/` between folders.
-    pub name: String,
+    /// The image's name relative to the capture's image folder.
+    pub name: FileName,
     /// COLMAP's image id (0 where there is none).
     pub id: u32,
     /// Where the pixels are.
@@ -24,29 +24,15 @@ pub struct View {
 }
 
 impl View {
-    /// [`stem`] of the name.
+    /// [`FileName::stem`] of the name.
     pub fn stem(&self) -> &str {
-        stem(&self.name)
+        self.name.stem()
     }
 
-    /// [`flat_stem`] of the name.
+    /// [`FileName::flat_stem`] of the name.
     pub fn flat_stem(&self) -> String {
-        flat_stem(&self.name)
+        self.name.flat_stem()
     }
-}
-
-/// An image's name without its extension; its folders stay: `left/a.b.png` is `left/a.b`.
-pub fn stem(name: &str) -> &str {
-    match name.rfind('.') {
-        Some(dot) if dot > name.rfind('/').map_or(0, |s| s + 1) => &name[..dot],
-        _ => name,
-    }
-}
-
-/// The stem as one file name, for results that lie in one folder: `left/a.b.png` is `left_a.b`. A prepared capture has no two
-/// views with the same one.
-pub fn flat_stem(name: &str) -> String {
-    stem(name).replace('/', "_")
 }
 
 /// A triangulated point.
@@ -173,26 +159,5 @@ mod tests {
         assert_eq!(split.test, [0, 8, 16]);
         assert_eq!(split.train.len(), 15);
         assert!(Split::every(3, 0).test.is_empty());
-    }
-
-    #[test]
-    fn stems_keep_folders_and_lose_one_extension() {
-        let camera = Camera {
-            intrinsics: crate::Intrinsics { width: 1, height: 1, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 },
-            pose: crate::Pose::IDENTITY,
-        };
-        let view = |name: &str| View {
-            name: name.into(),
-            id: 0,
-            image: PathBuf::new(),
-            mask: None,
-            depth_prior: None,
-            camera,
-        };
-        assert_eq!(view("left/a.b.png").stem(), "left/a.b");
-        assert_eq!(view("left/a.b.png").flat_stem(), "left_a.b");
-        assert_eq!(view("x.d/plain").flat_stem(), "x.d_plain");
-        assert_eq!(view("x.d/plain").stem(), "x.d/plain");
-        assert_eq!(view(".hidden").stem(), ".hidden");
     }
 }

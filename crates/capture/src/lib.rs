@@ -1,6 +1,7 @@
 //! What was photographed: images, cameras, views, sparse points, and the capture that holds them.
 //!
-//! Ground of the workspace: this crate depends on nothing of ours and knows nothing of files.
+//! Ground of the workspace: this crate depends on nothing of ours. It touches no file, but owns what a file may be called
+//! ([`FileName`]).
 //!
 //! Conventions (the whole workspace keeps to them):
 //!
@@ -12,12 +13,14 @@
 mod camera;
 mod capture;
 mod lattice;
+pub mod name;
 pub mod path;
 mod raster;
 mod track;
 
 pub use camera::{Camera, CameraError, Frame, Intrinsics, Pose};
-pub use capture::{Capture, CaptureError, Pixels, SparsePoint, Split, View, flat_stem, stem};
+pub use capture::{Capture, CaptureError, Pixels, SparsePoint, Split, View};
 pub use lattice::{Lattice, MediumMaps, world_direction};
+pub use name::{FileName, NameError, flat_stem, shown, stem};
 pub use raster::{Image, Image8, Map, Raster};
 pub use track::{Sighting, Track};

@@ -5,6 +5,8 @@
 use std::fmt::Display;
 use std::process::ExitCode;
 
+use use3d_capture::name::shown_lines;
+
 /// A failure on its way to the terminal.
 #[derive(Debug)]
 pub(crate) enum CliError {
@@ -55,7 +57,7 @@ impl CliError {
     /// Prints itself to stderr and gives the exit code.
     pub(crate) fn report(&self) -> ExitCode {
         let mark = if matches!(self, Self::Input(_) | Self::Failed(_)) { "error: " } else { "" };
-        eprintln!("{mark}{}", self.text());
+        eprintln!("{mark}{}", shown_lines(self.text()));
         ExitCode::from(self.code())
     }
 }

@@ -6,6 +6,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use use3d_capture::name::{shown, shown_lines};
 use use3d_pipeline::engine::machine::seconds;
 use use3d_pipeline::engine::{Event, Listener};
 
@@ -58,8 +59,9 @@ impl Terminal {
         Self { quiet, bars, nodes: Mutex::default() }
     }
 
-    /// Prints a line above the bars.
+    /// Prints a line above the bars; what files say in it cannot command the terminal.
     fn line(&self, text: &str) {
+        let text: &str = &shown_lines(text);
         match &self.bars {
             Some(bars) => {
                 if bars.println(text).is_err() {
@@ -81,7 +83,7 @@ impl Terminal {
 
     fn progress(&self, label: &str, done: u64, total: u64, words: &str, left: Option<f64>) {
         let mut nodes = self.nodes.lock().unwrap_or_else(PoisonError::into_inner);
-        let now = Instant::now();
+        let (now, words, label) = (Instant::now(), &shown(words), &*shown(label));
         let node = nodes.entry(label.to_string()).or_insert_with(|| Node {
             bar: self.bar(label),
             started: now,

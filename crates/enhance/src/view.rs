@@ -22,7 +22,7 @@ pub struct EnhanceView {
 
 impl From<&View> for EnhanceView {
     fn from(view: &View) -> Self {
-        Self { name: view.name.clone(), camera: view.camera }
+        Self { name: view.name.to_string(), camera: view.camera }
     }
 }
 

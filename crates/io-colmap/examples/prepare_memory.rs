@@ -6,7 +6,7 @@
 use std::time::Instant;
 
 use glam::{DMat3, DVec3};
-use use3d_capture::{Image, Pose};
+use use3d_capture::{FileName, Image, NameError, Pose};
 use use3d_io_colmap::{
     ImportParams, LensModel, Model, ModelCamera, ModelImage, import, prepare, write_model_binary,
 };
@@ -47,8 +47,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let parameters = vec![1300.0, 960.0, 540.0, 0.12, 0.03];
     let camera = ModelCamera { id: 1, model: LensModel::Radial, width: SIZE.0, height: SIZE.1, parameters };
     let pose = |i: usize| Pose::from_center(DMat3::IDENTITY, DVec3::new(i as f64, 0.0, 0.0));
-    let images = (0..views).map(|i| ModelImage::at(i as u32 + 1, &format!("f{i:04}.jpg"), 1, &pose(i)));
-    let model = Model { cameras: vec![camera], images: images.collect(), points: Vec::new() };
+    let images = (0..views)
+        .map(|i| Ok(ModelImage::at(i as u32 + 1, FileName::new(&format!("f{i:04}.jpg"))?, 1, &pose(i))));
+    let model = Model {
+        cameras: vec![camera],
+        images: images.collect::<Result<_, NameError>>()?,
+        points: Vec::new(),
+    };
     write_model_binary(&capture.join("sparse/0"), &model)?;
     drop(picture);
 

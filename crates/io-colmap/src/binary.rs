@@ -9,6 +9,8 @@
 use std::io::{self, Write};
 use std::path::Path;
 
+use use3d_capture::FileName;
+
 use crate::error::ModelError;
 use crate::lens::LensModel;
 use crate::model::{Keypoint, ModelCamera, ModelImage, ModelPoint};
@@ -77,17 +79,19 @@ impl<'a> Cursor<'a> {
         Ok(count as usize)
     }
 
-    fn name(&mut self) -> Result<String> {
+    fn name(&mut self) -> Result<FileName> {
         let Some(end) = self.rest.iter().position(|&b| b == 0) else {
             return self.fail("the image's name does not end".into());
         };
         let (name, rest) = self.rest.split_at(end);
         match std::str::from_utf8(name) {
-            Ok(name) => {
-                let name = name.to_string();
-                self.rest = &rest[1..];
-                Ok(name)
-            }
+            Ok(name) => match FileName::new(name) {
+                Ok(name) => {
+                    self.rest = &rest[1..];
+                    Ok(name)
+                }
+                Err(e) => self.fail(e.to_string()),
+            },
             Err(_) => self.fail("the image's name is not UTF-8; rename the image".into()),
         }
     }
@@ -189,9 +193,6 @@ pub fn write_cameras(w: &mut impl Write, cameras: &[ModelCamera]) -> io::Result<
 pub fn write_images(w: &mut impl Write, images: &[ModelImage]) -> io::Result<()> {
     w.write_all(&(images.len() as u64).to_le_bytes())?;
     for image in images {
-        if image.name.contains('\0') {
-            return Err(io::Error::new(io::ErrorKind::InvalidData, "an image's name contains a NUL"));
-        }
         w.write_all(&image.id.to_le_bytes())?;
         put(w, &image.quaternion)?;
         put(w, &image.translation)?;

@@ -18,7 +18,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde_json::Value;
-use use3d_capture::{Camera, Intrinsics, Pose};
+use use3d_capture::{Camera, FileName, Intrinsics, Pose};
 
 use crate::error::ImportError;
 use crate::layout::find_models;
@@ -28,7 +28,7 @@ use crate::prepared::{MODEL, from_row_major, is_prepared};
 use crate::undistort::{choose_pinhole, is_pinhole};
 
 /// Reads cameras with their names, in COLMAP's frame.
-pub fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>, ImportError> {
+pub fn read_cameras(path: &Path) -> Result<Vec<(FileName, Camera)>, ImportError> {
     if path.is_file() {
         return read_list(path);
     }
@@ -51,7 +51,7 @@ pub fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>, ImportError> {
 }
 
 /// The pinhole cameras of a model's images, sorted by name.
-pub(crate) fn from_model(model: &Model) -> Result<Vec<(String, Camera)>, ImportError> {
+pub(crate) fn from_model(model: &Model) -> Result<Vec<(FileName, Camera)>, ImportError> {
     let mut lenses: BTreeMap<u32, Intrinsics> = BTreeMap::new();
     let mut out = Vec::with_capacity(model.images.len());
     for image in &model.images {
@@ -97,7 +97,7 @@ struct Entry {
 const EXPECTED: &str = "expected a list of cameras such as {\"width\": 640, \"height\": 360, \"fx\": 500, \"fy\": 500, \
     \"cx\": 320, \"cy\": 180, \"rotation\": [9 numbers, row by row], \"translation\": [3 numbers]}, see docs/captures.md";
 
-fn read_list(path: &Path) -> Result<Vec<(String, Camera)>, ImportError> {
+fn read_list(path: &Path) -> Result<Vec<(FileName, Camera)>, ImportError> {
     let bytes = std::fs::read(path).map_err(ImportError::file(path))?;
     let bad = |reason: String| ImportError::CameraList { path: path.to_path_buf(), reason };
     let json: Value = serde_json::from_slice(&bytes).map_err(|e| bad(format!("it is not JSON: {e}")))?;
@@ -124,7 +124,10 @@ fn read_list(path: &Path) -> Result<Vec<(String, Camera)>, ImportError> {
         .into_iter()
         .enumerate()
         .map(|(i, entry)| {
-            let name = entry.name.clone().unwrap_or_else(|| format!("{i:04}"));
+            let name = match &entry.name {
+                Some(name) => FileName::new(name).map_err(|e| bad(format!("camera {i}: {e}")))?,
+                None => FileName::numbered(i),
+            };
             let camera = entry.camera(width, height).map_err(|e| bad(format!("camera {i} ({name}): {e}")))?;
             Ok((name, camera))
         })

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use use3d_capture::{CameraError, CaptureError};
+use use3d_capture::{CameraError, CaptureError, FileName, NameError};
 use use3d_io_image::ImageError;
 
 use crate::lens::LensModel;
@@ -132,15 +132,18 @@ pub enum ImportError {
         looked: String,
     },
     /// A name in the model that leads out of the image folder.
-    #[error("the model names an image {name:?}, which {reason}; images must lie inside {}", folder.display())]
+    #[error("the model names an image {name}, which {reason}; images must lie inside {}", folder.display())]
     Name {
-        /// The name as the model has it.
-        name: String,
+        /// The name.
+        name: FileName,
         /// Why it is refused.
         reason: String,
         /// The folder.
         folder: PathBuf,
     },
+    /// A result that cannot be called after its image.
+    #[error("an image's result: {0}")]
+    ResultName(#[from] NameError),
     /// A file whose size does not go with its camera.
     #[error("{}: the file is {} x {} pixels, {expected}", path.display(), found.0, found.1)]
     Size {
@@ -165,7 +168,7 @@ pub enum ImportError {
     #[error("image {name}: {source}")]
     Camera {
         /// The image.
-        name: String,
+        name: FileName,
         /// What is wrong.
         source: CameraError,
     },

@@ -116,9 +116,9 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     // Names to files; views in the order of their names.
     let mut views = Vec::new();
     for image in &model.images {
-        let name = folder.check_name(&image.name)?;
+        let name = image.name.clone();
         let Some(path) = folder.image(&name)? else {
-            report.missing.push(name);
+            report.missing.push(name.into());
             continue;
         };
         let view = View {
@@ -137,7 +137,7 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     let used: std::collections::BTreeSet<_> = views.iter().map(|(v, _)| v.image.clone()).collect();
     report.extra = folder.images();
     report.extra.retain(|name| !used.contains(&folder.path().join(name)));
-    let renamed = views.iter().filter(|(v, _)| !v.image.ends_with(&v.name)).count();
+    let renamed = views.iter().filter(|(v, _)| !v.image.ends_with(v.name.as_str())).count();
     if renamed > 0 {
         report.notes.push(format!("{renamed} images were found with another extension than in the model"));
     }
@@ -155,7 +155,7 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     let split = split::choose(dir, &views, &report.missing, &params.split)?;
     report.notes.extend(split.notes);
     report.split_rule = split.rule;
-    let names = |indices: &[usize]| indices.iter().map(|&i| views[i].name.clone()).collect();
+    let names = |indices: &[usize]| indices.iter().map(|&i| views[i].name.to_string()).collect();
     report.train = names(&split.split.train);
     report.test = names(&split.split.test);
     report.views = views.len();

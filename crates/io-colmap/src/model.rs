@@ -9,7 +9,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DQuat, DVec3};
-use use3d_capture::Pose;
+use use3d_capture::{FileName, Pose};
 
 use crate::error::ModelError;
 use crate::lens::{Lens, LensModel};
@@ -75,8 +75,8 @@ pub struct ModelImage {
     pub translation: [f64; 3],
     /// Its camera.
     pub camera: u32,
-    /// Its file, relative to the image folder, `/` between folders.
-    pub name: String,
+    /// Its file, relative to the image folder.
+    pub name: FileName,
     /// Its keypoints.
     pub keypoints: Vec<Keypoint>,
 }
@@ -90,14 +90,14 @@ impl ModelImage {
     }
 
     /// An image without keypoints at a pose.
-    pub fn at(id: u32, name: &str, camera: u32, pose: &Pose) -> Self {
+    pub fn at(id: u32, name: FileName, camera: u32, pose: &Pose) -> Self {
         let q = DQuat::from_mat3(&pose.rotation);
         Self {
             id,
             quaternion: [q.w, q.x, q.y, q.z],
             translation: pose.translation.to_array(),
             camera,
-            name: name.to_string(),
+            name,
             keypoints: Vec::new(),
         }
     }

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use use3d_capture::{Capture, Map, Pixels, View, flat_stem, stem};
+use use3d_capture::{Capture, FileName, Map, Pixels, View};
 use use3d_io_image::{
     image_size, read_pixels, read_pixels_with_alpha, write_atomically, write_exr_map, write_png_map,
     write_png_pixels,
@@ -55,7 +55,7 @@ pub fn prepare(
     } else {
         None
     };
-    let names = output_names(imported, gains.is_some());
+    let names = output_names(imported, gains.is_some())?;
     let prepared: Vec<View> = in_parallel(views.len(), workers, |i| {
         let view = prepare_view(&views[i], &imported.plans[i], &names[i], gains, out)?;
         if tick() { Ok(view) } else { Err(ImportError::Interrupted) }
@@ -66,7 +66,7 @@ pub fn prepare(
     let mut report = imported.report.clone();
     report.white_balance = gains.or(report.white_balance);
     let renamed: std::collections::BTreeMap<&str, &str> =
-        views.iter().map(|v| v.name.as_str()).zip(names.iter().map(String::as_str)).collect();
+        views.iter().map(|v| v.name.as_str()).zip(names.iter().map(FileName::as_str)).collect();
     for name in report.train.iter_mut().chain(&mut report.test) {
         if let Some(new) = renamed.get(name.as_str()) {
             *name = (*new).to_string();
@@ -107,21 +107,21 @@ fn workers(imported: &Imported, threads: usize) -> usize {
 
 /// File names of the results: PNG where pixels change, else the source's extension; made distinct where stems collide,
 /// also once folders are flattened (`left/1.png` and `left_1.png`).
-fn output_names(imported: &Imported, balanced: bool) -> Vec<String> {
+fn output_names(imported: &Imported, balanced: bool) -> Result<Vec<FileName>, ImportError> {
     let mut taken = BTreeSet::new();
     let views = imported.capture.views.iter().zip(&imported.plans);
     views
         .map(|(view, plan)| {
             let own = view.image.extension().and_then(|e| e.to_str()).unwrap_or("png");
             let extension = if plan.geometry.resamples() || balanced { "png" } else { own };
-            let mut name = format!("{}.{extension}", view.stem());
-            if taken.contains(&flat_stem(&name)) {
-                name = format!("{}.{extension}", view.name);
+            let mut name = view.name.with_extension(extension)?;
+            if taken.contains(&name.flat_stem()) {
+                name = FileName::new(&format!("{}.{extension}", view.name))?;
             }
-            while !taken.insert(flat_stem(&name)) {
-                name = format!("{}_.{extension}", stem(&name));
+            while !taken.insert(name.flat_stem()) {
+                name = FileName::new(&format!("{}_.{extension}", name.stem()))?;
             }
-            name
+            Ok(name.of_image()?)
         })
         .collect()
 }
@@ -133,9 +133,9 @@ fn copy(from: &Path, to: &Path) -> Result<(), ImportError> {
 }
 
 /// Copies a file below `out/folder`, under the view's stem.
-fn copy_beside(from: &Path, out: &Path, folder: &str, name: &str) -> Result<PathBuf, ImportError> {
+fn copy_beside(from: &Path, out: &Path, folder: &str, name: &FileName) -> Result<PathBuf, ImportError> {
     let extension = from.extension().and_then(|e| e.to_str()).unwrap_or("png");
-    let to = out.join(folder).join(format!("{}.{extension}", stem(name)));
+    let to = name.with_extension(extension)?.below(&out.join(folder));
     copy(from, &to)?;
     Ok(to)
 }
@@ -195,12 +195,12 @@ fn resample(view: &View, plan: &Plan, gains: [f32; 3]) -> Result<PreparedView, I
 fn prepare_view(
     view: &View,
     plan: &Plan,
-    name: &str,
+    name: &FileName,
     gains: Option<[f32; 3]>,
     out: &Path,
 ) -> Result<View, ImportError> {
-    let image = out.join("images").join(name);
-    let mut result = View { name: name.to_string(), image, mask: None, depth_prior: None, ..view.clone() };
+    let image = name.below(&out.join("images"));
+    let mut result = View { name: name.clone(), image, mask: None, depth_prior: None, ..view.clone() };
     if !changes(plan, gains) {
         // Decoded all the same: a damaged file is said here, by its own name, not hours later in a stage that reads it.
         if read_pixels(&view.image)?.size() != plan.geometry.file {
@@ -216,12 +216,12 @@ fn prepare_view(
     let ready = resample(view, plan, gains.unwrap_or([1.0; 3]))?;
     write_png_pixels(&result.image, &ready.pixels)?;
     if let Some(mask) = &ready.mask {
-        let path = out.join("masks").join(format!("{}.png", stem(name)));
+        let path = name.with_extension("png")?.below(&out.join("masks"));
         write_png_map(&path, mask)?;
         result.mask = Some(path);
     }
     if let Some(depth) = &ready.depth_prior {
-        let path = out.join("depth").join(format!("{}.exr", stem(name)));
+        let path = name.with_extension("exr")?.below(&out.join("depth"));
         write_exr_map(&path, depth, "Z")?;
         result.depth_prior = Some(path);
     }
@@ -229,7 +229,7 @@ fn prepare_view(
 }
 
 /// The model of the prepared images: pinholes, new names, keypoints moved with the pixels; and each view's camera id.
-fn pinhole_model(imported: &Imported, names: &[String]) -> (Model, Vec<u32>) {
+fn pinhole_model(imported: &Imported, names: &[FileName]) -> (Model, Vec<u32>) {
     let mut model = Model { points: imported.model.points.clone(), ..Model::default() };
     let mut next = imported.model.cameras.iter().map(|c| c.id).max().unwrap_or(0);
     let mut ids = Vec::with_capacity(names.len());

@@ -5,13 +5,14 @@
 //! Rotations are row-major. The points are those of the model, moved by the frame. `capture.json` is written last: a folder without it
 //! was not finished.
 
+use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
-use use3d_capture::{Camera, Capture, Frame, Intrinsics, Pose, Split, View};
+use use3d_capture::{Camera, Capture, FileName, Frame, Intrinsics, Pose, Split, View};
 
 use crate::error::ImportError;
 use crate::geometry::Geometry;
@@ -49,11 +50,11 @@ struct FrameEntry {
 
 #[derive(Serialize, Deserialize)]
 struct ViewEntry {
-    name: String,
+    name: FileName,
     id: u32,
-    image: String,
-    mask: Option<String>,
-    depth_prior: Option<String>,
+    image: FileName,
+    mask: Option<FileName>,
+    depth_prior: Option<FileName>,
     width: usize,
     height: usize,
     fx: f64,
@@ -88,7 +89,8 @@ pub(crate) fn save(dir: &Path, capture: &Capture, report: &ImportReport) -> Resu
     let bad = |reason: String| ImportError::Prepared { path: path.clone(), reason };
     let relative = |p: &PathBuf| {
         let below = p.strip_prefix(dir).ok().and_then(Path::to_str);
-        below.map(String::from).ok_or_else(|| bad(format!("{} is not below it", p.display())))
+        let below = below.ok_or_else(|| bad(format!("{} is not below it", p.display())))?;
+        FileName::new(below).map_err(|e| bad(e.to_string()))
     };
     let entry = |v: &View| {
         let (k, pose) = (&v.camera.intrinsics, &v.camera.pose);
@@ -142,20 +144,24 @@ pub fn load_prepared(dir: &Path) -> Result<Imported, ImportError> {
         )));
     }
     let folder = Folder::open(dir, ".").ok_or_else(|| bad("its folder is gone".into()))?;
-    let file = |name: &String| {
-        folder.check_name(name)?;
+    let file = |name: &FileName| {
         // Paths are kept as given, not as resolved, so that a relative folder stays relative.
         match folder.file(name)? {
-            Some(_) => Ok(dir.join(name)),
+            Some(_) => Ok(name.below(dir)),
             None => Err(bad(format!("the file {name} is missing"))),
         }
     };
     let mut views = Vec::with_capacity(manifest.views.len());
     let mut plans = Vec::with_capacity(manifest.views.len());
+    // Results are called after views: two that share a name would overwrite each other's.
+    let mut results: BTreeMap<String, &FileName> = BTreeMap::new();
     let model = read_model(&dir.join(MODEL))?;
-    let cameras: std::collections::BTreeMap<u32, u32> =
-        model.images.iter().map(|i| (i.id, i.camera)).collect();
+    let cameras: BTreeMap<u32, u32> = model.images.iter().map(|i| (i.id, i.camera)).collect();
     for v in &manifest.views {
+        v.name.clone().of_image().map_err(|e| bad(e.to_string()))?;
+        if let Some(first) = results.insert(v.name.flat_stem(), &v.name) {
+            return Err(bad(format!("the results of its views {first} and {} would have one name", v.name)));
+        }
         let intrinsics =
             Intrinsics { width: v.width, height: v.height, fx: v.fx, fy: v.fy, cx: v.cx, cy: v.cy };
         let pose =

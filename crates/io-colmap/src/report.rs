@@ -3,6 +3,7 @@
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
+use use3d_capture::shown;
 
 /// The account of an import.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -74,25 +75,31 @@ pub struct CameraReport {
     pub size: [usize; 2],
 }
 
+/// Names as they may be printed.
+fn list<S: AsRef<str>>(names: &[S]) -> String {
+    names.iter().map(|n| shown(n.as_ref())).collect::<Vec<_>>().join(", ")
+}
+
 /// A few names and how many more.
 pub(crate) fn some<S: AsRef<str>>(names: &[S]) -> String {
-    let shown: Vec<&str> = names.iter().take(6).map(AsRef::as_ref).collect();
+    let first = list(&names[..names.len().min(6)]);
     match names.len().saturating_sub(6) {
-        0 => shown.join(", "),
-        more => format!("{} and {more} more", shown.join(", ")),
+        0 => first,
+        more => format!("{first} and {more} more"),
     }
 }
 
 impl fmt::Display for ImportReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "capture {}: {} views, {} sparse points", self.name, self.views, self.points)?;
-        write!(f, "  model {} ({}), {} images listed", self.model, self.model_form, self.registered)?;
+        writeln!(f, "capture {}: {} views, {} sparse points", shown(&self.name), self.views, self.points)?;
+        let (model, form) = (shown(&self.model), shown(&self.model_form));
+        write!(f, "  model {model} ({form}), {} images listed", self.registered)?;
         if !self.other_models.is_empty() {
-            write!(f, "; the largest, not used: {}", self.other_models.join(", "))?;
+            write!(f, "; the largest, not used: {}", list(&self.other_models))?;
         }
-        write!(f, "\n  images from {}", self.image_folder)?;
+        write!(f, "\n  images from {}", shown(&self.image_folder))?;
         if !self.other_image_folders.is_empty() {
-            write!(f, "; not used: {}", self.other_image_folders.join(", "))?;
+            write!(f, "; not used: {}", list(&self.other_image_folders))?;
         }
         writeln!(f)?;
         if !self.missing.is_empty() {
@@ -121,12 +128,13 @@ impl fmt::Display for ImportReport {
             writeln!(f, "  masks: {} files, {} alpha channels", self.masks, self.alpha_masks)?;
         }
         if let Some(folder) = &self.depth_folder {
+            let folder = shown(folder);
             writeln!(f, "  depth priors: {} of {} views, from {folder}", self.depth_priors, self.views)?;
         }
         writeln!(
             f,
             "  split: {}: {} train, {} test ({})",
-            self.split_rule,
+            shown(&self.split_rule),
             self.train.len(),
             self.test.len(),
             some(&self.test)
@@ -138,14 +146,14 @@ impl fmt::Display for ImportReport {
         if let Some([r, g, b]) = self.white_balance {
             writeln!(f, "  white balance: R x {r:.3}, G x {g:.3}, B x {b:.3}")?;
         }
-        self.notes.iter().try_for_each(|note| writeln!(f, "  note: {note}"))
+        self.notes.iter().try_for_each(|note| writeln!(f, "  note: {}", shown(note)))
     }
 }
 
 impl fmt::Display for CameraReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { id, model, views, model_size: [mw, mh], file_size: [w, h], size: [ow, oh], .. } = self;
-        write!(f, "camera {id}: {views} views, {model} {mw}x{mh}")?;
+        write!(f, "camera {id}: {views} views, {} {mw}x{mh}", shown(model))?;
         if self.model_size != self.file_size {
             write!(f, ", files {w}x{h} (intrinsics scaled)")?;
         }

@@ -177,7 +177,7 @@ mod tests {
     fn views(names: &[&str]) -> Vec<View> {
         let intrinsics = Intrinsics { width: 1, height: 1, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
         let view = |(i, name): (usize, &&str)| View {
-            name: (*name).into(),
+            name: use3d_capture::FileName::new(name).unwrap(),
             id: 100 - i as u32,
             image: "x".into(),
             mask: None,

@@ -14,6 +14,8 @@ use std::io::{self, Write};
 use std::path::Path;
 use std::str::{FromStr, SplitAsciiWhitespace};
 
+use use3d_capture::{FileName, shown};
+
 use crate::error::ModelError;
 use crate::lens::LensModel;
 use crate::model::{Keypoint, ModelCamera, ModelImage, ModelPoint};
@@ -41,8 +43,8 @@ impl<'a> Line<'a> {
 
     fn parse<T: FromStr>(&self, word: &str, field: &str) -> Result<T> {
         word.parse().or_else(|_| {
-            let shown: String = word.chars().take(40).collect();
-            self.fail(format!("`{shown}` is not a valid {field}"))
+            let start: String = word.chars().take(40).collect();
+            self.fail(format!("`{start}` is not a valid {field}", start = shown(&start)))
         })
     }
 
@@ -101,8 +103,8 @@ pub fn cameras(bytes: &[u8], path: &Path) -> Result<Vec<ModelCamera>> {
         let id = line.next("camera id")?;
         let name: String = line.next("camera model")?;
         let Some(model) = LensModel::from_name(&name) else {
-            let shown: String = name.chars().take(40).collect();
-            return Err(ModelError::unknown_lens(path, format!("line {}", line.number), &shown, -1));
+            let start: String = name.chars().take(40).collect();
+            return Err(ModelError::unknown_lens(path, format!("line {}", line.number), &shown(&start), -1));
         };
         let (width, height) = (line.next("width")?, line.next("height")?);
         let parameters: Vec<f64> =
@@ -139,10 +141,11 @@ pub fn images(bytes: &[u8], path: &Path) -> Result<Vec<ModelImage>> {
         let quaternion = line.array("quaternion entry")?;
         let translation = line.array("translation entry")?;
         let camera = line.next("camera id")?;
-        let name = after_words(text, 9).to_string();
+        let name = after_words(text, 9);
         if name.is_empty() {
             return line.fail("it ends where the image's name was expected".into());
         }
+        let name = FileName::new(name).or_else(|e| line.fail(e.to_string()))?;
         let mut keypoints = Vec::new();
         if let Some(mut line) = lines.any() {
             while let Some(word) = line.words.next() {
@@ -197,7 +200,7 @@ pub fn write_images(w: &mut impl Write, images: &[ModelImage]) -> io::Result<()>
     writeln!(w, "# {} images, two lines each: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", images.len())?;
     writeln!(w, "# and its keypoints (X Y POINT3D_ID)[], where -1 is no point")?;
     for image in images {
-        if image.name.contains('\n') || image.name.trim() != image.name || image.name.is_empty() {
+        if image.name != image.name.trim() {
             let message = format!("the image name {:?} cannot be written as text", image.name);
             return Err(io::Error::new(io::ErrorKind::InvalidData, message));
         }

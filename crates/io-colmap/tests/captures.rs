@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3};
-use use3d_capture::{Image, Image8, Intrinsics, Map, Pixels, Pose};
+use use3d_capture::{FileName, Image, Image8, Intrinsics, Map, Pixels, Pose};
 use use3d_io_colmap::*;
 use use3d_io_image::*;
 use use3d_numerics::math;
@@ -44,7 +44,7 @@ fn model(camera: ModelCamera, names: &[String]) -> Model {
         images: images
             .map(|(i, name)| ModelImage {
                 keypoints: keypoints.clone(),
-                ..ModelImage::at(100 - i as u32, name, camera.id, &pose(i))
+                ..ModelImage::at(100 - i as u32, FileName::new(name).unwrap(), camera.id, &pose(i))
             })
             .collect(),
         cameras: vec![camera],
@@ -196,13 +196,22 @@ fn missing_images_are_skipped_and_said() {
 #[test]
 fn names_that_leave_the_folder_are_refused() {
     let fixture = Fixture::new(3, pinhole(1));
-    for evil in ["../../etc/passwd", "/etc/passwd", "a/../../x.png", "..\\x.png"] {
-        let mut model = read_model(&fixture.path("sparse/0")).unwrap();
-        model.images[1].name = evil.into();
-        write_model_binary(&fixture.path("evil"), &model).unwrap();
-        let params = ImportParams { model_dir: Some("evil".into()), ..ImportParams::default() };
-        let result = fixture.import(&params);
-        assert!(matches!(result, Err(ImportError::Name { .. })), "{evil}");
+    let model = read_model(&fixture.path("sparse/0")).unwrap();
+    write_model_binary(&fixture.path("binary"), &model).unwrap();
+    write_model_text(&fixture.path("text"), &model).unwrap();
+    let long = "x".repeat(300);
+    for evil in ["../../etc/passwd", "/etc/passwd", "a/../../x.png", "..\\x.png", "a\u{1b}[2J.png", &long] {
+        for form in ["binary/images.bin", "text/images.txt"] {
+            let honest = std::fs::read(fixture.path(form)).unwrap();
+            let at = honest.windows(7).position(|w| w == b"f01.png").unwrap();
+            let forged = [&honest[..at], evil.as_bytes(), &honest[at + 7..]].concat();
+            std::fs::write(fixture.path(form), forged).unwrap();
+            let dir = form.split('/').next().map(String::from);
+            let message = fixture.complaint(&ImportParams { model_dir: dir, ..ImportParams::default() });
+            assert!(message.contains("the name \"") && message.contains("images."), "{evil}: {message}");
+            assert!(!message.contains('\u{1b}'), "{message}");
+            std::fs::write(fixture.path(form), honest).unwrap();
+        }
     }
 }
 
@@ -435,8 +444,8 @@ fn priors_and_masks_of_another_shape_are_refused() {
 fn stems_that_collide_and_cameras_of_two_sizes_are_kept_apart() {
     let fixture = Fixture::new(4, pinhole(1));
     let mut model = read_model(&fixture.path("sparse/0")).unwrap();
-    model.images[0].name = "a.png".into();
-    model.images[1].name = "a.tif".into();
+    model.images[0].name = FileName::new("a.png").unwrap();
+    model.images[1].name = FileName::new("a.tif").unwrap();
     write_model_binary(&fixture.path("sparse/0"), &model).unwrap();
     write_png8(&fixture.path("images/a.png"), &picture(SIZE.0, SIZE.1, 0.0)).unwrap();
     write_png8(&fixture.path("images/a.tif"), &picture(SIZE.0 / 2, SIZE.1 / 2, 1.0)).unwrap();
@@ -459,13 +468,32 @@ fn names_that_flatten_to_one_are_kept_apart() {
     let mut model = read_model(&fixture.path("sparse/0")).unwrap();
     std::fs::create_dir_all(fixture.path("images/left")).unwrap();
     for (image, name) in model.images.iter_mut().zip(["left/1.png", "left_1.png", "right.png"]) {
-        image.name = name.into();
+        image.name = FileName::new(name).unwrap();
         write_png8(&fixture.path("images").join(name), &picture(SIZE.0, SIZE.1, 0.0)).unwrap();
     }
     write_model_binary(&fixture.path("sparse/0"), &model).unwrap();
     let prepared = prepare_all(&fixture.import(&ImportParams::default()).unwrap(), &fixture.path("out"));
     let flat: BTreeSet<String> = prepared.capture.views.iter().map(|v| v.flat_stem()).collect();
     assert_eq!(flat.len(), 3, "{flat:?}");
+}
+
+#[test]
+fn names_as_long_as_names_may_be_are_imported() {
+    let fixture = Fixture::new(3, pinhole(1));
+    let mut model = read_model(&fixture.path("sparse/0")).unwrap();
+    for (i, image) in model.images.iter_mut().enumerate() {
+        let long = format!("{}{i}.png", "x".repeat(245));
+        std::fs::rename(fixture.path("images").join(image.name.as_str()), fixture.path("images").join(&long))
+            .unwrap();
+        image.name = FileName::new(&long).unwrap();
+    }
+    write_model_binary(&fixture.path("sparse/0"), &model).unwrap();
+    // Copied, and written anew.
+    for (out, downscale) in [("copied", 1), ("resized", 2)] {
+        let params = ImportParams { downscale, ..ImportParams::default() };
+        let prepared = prepare_all(&fixture.import(&params).unwrap(), &fixture.path(out));
+        load_pixels(&prepared.capture.views[2]).unwrap();
+    }
 }
 
 #[test]
@@ -484,6 +512,18 @@ fn damaged_prepared_captures_are_refused() {
         complaint(&manifest.replacen("f00.png\",\n      \"mask", "f77.png\",\n      \"mask", 1))
             .contains("f77.png")
     );
+    // A view's name becomes a path too, as do its files.
+    for evil in ["../../../outside.png", "/tmp/outside.png", "x/../../../outside.png"] {
+        let message = complaint(&manifest.replacen(
+            "\"name\": \"dive 1/f01.png\"",
+            &format!("\"name\": \"{evil}\""),
+            1,
+        ));
+        assert!(message.contains("outside.png") && message.contains("capture.json"), "{message}");
+    }
+    let twice =
+        complaint(&manifest.replacen("\"name\": \"dive 1/f01.png\"", "\"name\": \"dive 0/f00.jpg\"", 1));
+    assert!(twice.contains("f00.png and dive 0/f00.jpg"), "{twice}");
     assert!(complaint(&manifest[..manifest.len() / 2]).contains("capture.json"));
     assert!(complaint(&manifest.replacen("\"scale\": ", "\"scale\": -", 1)).contains("similarity"));
 }

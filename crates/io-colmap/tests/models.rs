@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use proptest::prelude::*;
+use use3d_capture::FileName;
 use use3d_io_colmap::*;
 
 /// A small model with everything in it: two cameras, ids out of order, an image without keypoints, keypoints and points without tracks.
@@ -31,7 +32,7 @@ fn example() -> Model {
                 quaternion: [0.5, -0.5, 0.5, 0.5],
                 translation: [0.1, -2e-17, 3e20],
                 camera: 7,
-                name: "left side/b 1.png".into(),
+                name: name("left side/b 1.png"),
                 keypoints: vec![keypoint(1.5, 2.25, 33), keypoint(7.0, 8.0, Keypoint::NONE)],
             },
             ModelImage {
@@ -39,7 +40,7 @@ fn example() -> Model {
                 quaternion: [1.0, 0.0, 0.0, 0.1],
                 translation: [0.0; 3],
                 camera: 2,
-                name: "a.png".into(),
+                name: name("a.png"),
                 keypoints: vec![],
             },
         ],
@@ -95,6 +96,10 @@ fn the_binary_layout_is_colmaps() {
     assert_eq!(points[40..43], [255, 0, 17]);
 }
 
+fn name(text: &str) -> FileName {
+    FileName::new(text).unwrap()
+}
+
 /// The message for a model in which one thing is wrong.
 fn complaint(change: impl FnOnce(&mut Model)) -> String {
     let dir = tempfile::tempdir().unwrap();
@@ -115,7 +120,7 @@ fn what_is_wrong_is_named() {
         (|m| m.cameras[1].parameters[0] = -30.0, "focal length"),
         (|m| m.images[1].camera = 99, "camera 99, which is not there"),
         (|m| m.images[1].id = 900, "its id occurs twice"),
-        (|m| m.images[1].name = "left side/b 1.png".into(), "its name occurs twice"),
+        (|m| m.images[1].name = name("left side/b 1.png"), "its name occurs twice"),
         (|m| m.images[0].quaternion = [0.0; 4], "quaternion"),
         (|m| m.images[0].quaternion[2] = f64::NAN, "quaternion"),
         (|m| m.images[0].translation[1] = f64::INFINITY, "image 900 (left side/b 1.png): its translation"),
@@ -258,7 +263,7 @@ fn any_model() -> impl Strategy<Value = Model> {
                     quaternion,
                     translation,
                     camera: 50,
-                    name: format!("{i}{}.png", name.trim()),
+                    name: FileName::new(&format!("{i}{}.png", name.trim())).unwrap(),
                     keypoints: keypoints.into_iter().map(|(x, y, point)| Keypoint { x, y, point }).collect(),
                 })
                 .collect(),

@@ -32,6 +32,7 @@ const NO_RATES: StepRates = StepRates {
 };
 
 fn view_named(name: String, camera: Camera) -> View {
+    let name = use3d_capture::FileName::new(&name).expect("a name");
     View { name, id: 0, image: PathBuf::new(), mask: None, depth_prior: None, camera }
 }
 

@@ -145,7 +145,7 @@ pub fn reconstruct(
     params.validate().map_err(ReconstructError::Parameter)?;
     capture.validate()?;
     if let [only] = capture.split.train[..] {
-        return Err(ReconstructError::OneView { view: capture.views[only].name.clone() });
+        return Err(ReconstructError::OneView { view: capture.views[only].name.to_string() });
     }
     let gaussians = initialise::gaussians(capture, params, |message| observer.notice(message))?;
     let initial = gaussians.len();
@@ -210,7 +210,7 @@ fn load(
     let mut one = |view: &View, training: bool| -> Result<TrainingView, ReconstructError> {
         let mut loaded = loader
             .load(view)
-            .map_err(|message| ReconstructError::Load { view: view.name.clone(), message })?;
+            .map_err(|message| ReconstructError::Load { view: view.name.to_string(), message })?;
         if params.depth_prior == DepthPrior::Off || !training {
             loaded.depth_prior = None;
         }

@@ -80,14 +80,16 @@ impl TrainingView {
     /// Checks sizes and camera, and packs the data. A prior without information is dropped.
     pub fn new(view: &View, loaded: LoadedView) -> Result<(Self, Option<Dropped>), ReconstructError> {
         let camera = view.camera;
-        camera.validate().map_err(|source| ReconstructError::Camera { view: view.name.clone(), source })?;
+        camera
+            .validate()
+            .map_err(|source| ReconstructError::Camera { view: view.name.to_string(), source })?;
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let fits = |what, found: (usize, usize)| {
             if found == (width, height) {
                 return Ok(());
             }
             let (found_width, found_height) = found;
-            let view = view.name.clone();
+            let view = view.name.to_string();
             Err(ReconstructError::Size { view, what, found_width, found_height, width, height })
         };
         fits("image", loaded.pixels.size())?;
@@ -107,7 +109,7 @@ impl TrainingView {
             },
         };
         let view = Self {
-            name: view.name.clone(),
+            name: view.name.to_string(),
             camera,
             pixels: loaded.pixels,
             alpha: loaded.alpha.as_ref().filter(|a| a.data().iter().any(|&v| v < 1.0)).map(byte),
@@ -290,7 +292,7 @@ mod tests {
     fn view(width: usize, height: usize) -> View {
         let intrinsics = Intrinsics { width, height, fx: 9.0, fy: 9.0, cx: 4.0, cy: 3.0 };
         View {
-            name: "a.png".into(),
+            name: use3d_capture::FileName::numbered(1),
             id: 1,
             image: PathBuf::new(),
             mask: None,

@@ -4,7 +4,7 @@ use std::path::{Component, Path};
 
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
-use use3d_capture::Frame;
+use use3d_capture::{Frame, shown};
 use use3d_medium::{MediumKind, MediumModel};
 
 use crate::{Origin, Scene, SceneError, files};
@@ -116,7 +116,7 @@ impl Description {
         let wrong = |message: String| SceneError::Description { path: path.clone(), message };
         let description: Self = serde_json::from_slice(&bytes).map_err(|e| wrong(e.to_string()))?;
         if description.format != FORMAT {
-            return Err(wrong(format!("format is `{}`; expected `{FORMAT}`", description.format)));
+            return Err(wrong(format!("format is `{}`; expected `{FORMAT}`", shown(&description.format))));
         }
         if description.version != VERSION {
             return Err(wrong(format!(
@@ -140,7 +140,7 @@ impl Description {
             let mut parts = Path::new(name).components();
             if !matches!((parts.next(), parts.next()), (Some(Component::Normal(_)), None)) {
                 return Err(wrong(format!(
-                    "file name `{name}`; expected a plain name inside the scene folder"
+                    "file name {name:?}; expected a plain name inside the scene folder"
                 )));
             }
         }

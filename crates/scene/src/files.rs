@@ -5,6 +5,7 @@ use std::io::{BufReader, BufWriter, Read, Write};
 use std::path::Path;
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use use3d_capture::shown;
 use use3d_medium::{MediumKind, MediumModel, Tensor, Tensors};
 use use3d_splat::{Gaussians, ply};
 use use3d_ubaf::Enhancement;
@@ -80,7 +81,7 @@ pub(crate) fn write_gaussians(path: &Path, gaussians: &Gaussians) -> Result<(), 
 pub(crate) fn read_medium(dir: &Path, entry: &MediumEntry) -> Result<(MediumModel, usize), SceneError> {
     let description = |message: String| SceneError::Description { path: dir.join("scene.json"), message };
     let kind = MediumKind::from_name(&entry.kind).ok_or_else(|| {
-        description(format!("medium.kind is `{}`; expected rbf, mlp, global or none", entry.kind))
+        description(format!("medium.kind is `{}`; expected rbf, mlp, global or none", shown(&entry.kind)))
     })?;
     let degree = entry.sh_degree.unwrap_or(3);
     if degree > 3 {
@@ -89,10 +90,9 @@ pub(crate) fn read_medium(dir: &Path, entry: &MediumEntry) -> Result<(MediumMode
     if kind == MediumKind::None {
         return Ok((MediumModel::None, degree));
     }
-    let name = entry
-        .file
-        .as_ref()
-        .ok_or_else(|| description(format!("medium.kind is `{}` but medium.file is missing", entry.kind)))?;
+    let name = entry.file.as_ref().ok_or_else(|| {
+        description(format!("medium.kind is `{}` but medium.file is missing", shown(&entry.kind)))
+    })?;
     let path = dir.join(name);
     let tensors = read_tensors(&path)?;
     let model = MediumModel::from_tensors(kind, entry.top_k.unwrap_or(4), &tensors);

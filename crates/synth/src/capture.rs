@@ -19,7 +19,7 @@ use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use use3d_capture::{Camera, Frame, Map};
+use use3d_capture::{Camera, FileName, Frame, Map};
 use use3d_io_image::{write_exr_map, write_png_map, write_png_map16, write_png8};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
@@ -407,7 +407,8 @@ pub fn write_capture<A: Answer>(
             }
             progress(corners.len(), params.views).go_on()?;
         }
-        let names: Vec<String> = (0..params.views).map(file).collect();
+        let names: Vec<FileName> =
+            (0..params.views).map(|i| FileName::new(&file(i))).collect::<Result<_, _>>()?;
         let mut model =
             sparse::model(&studio.scene, &studio.cameras, &names, &studio.frame, &corners, params.seed);
         sparse::keep(&mut model, params.points);

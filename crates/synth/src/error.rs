@@ -33,6 +33,9 @@ pub enum SynthError {
     /// Whoever watches the progress asked to stop.
     #[error("interrupted; nothing is left of what was begun")]
     Interrupted,
+    /// A name that no image can have.
+    #[error(transparent)]
+    Name(#[from] use3d_capture::NameError),
     /// An image that cannot be written.
     #[error(transparent)]
     Image(#[from] use3d_io_image::ImageError),

@@ -6,7 +6,7 @@
 //! and sideways by `σ_px z / f`. A small share of points are mismatches: two detections that agree on a wrong place.
 
 use glam::DVec3;
-use use3d_capture::{Camera, Frame, Image8, Map};
+use use3d_capture::{Camera, FileName, Frame, Image8, Map};
 use use3d_io_colmap::{Keypoint, Model, ModelCamera, ModelImage, ModelPoint};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
@@ -70,7 +70,7 @@ pub(crate) fn corners(image: &Image8, depth: &Map, seed: u64, view: usize, wante
 pub(crate) fn model(
     scene: &Scene,
     cameras: &[Camera],
-    names: &[String],
+    names: &[FileName],
     frame: &Frame,
     corners: &[Vec<Corner>],
     seed: u64,
@@ -79,7 +79,7 @@ pub(crate) fn model(
     let Some(first) = cameras.first() else { return model };
     model.cameras.push(ModelCamera::pinhole(1, &first.intrinsics));
     for (i, (camera, name)) in cameras.iter().zip(names).enumerate() {
-        model.images.push(ModelImage::at(i as u32 + 1, name, 1, &frame.apply_pose(&camera.pose)));
+        model.images.push(ModelImage::at(i as u32 + 1, name.clone(), 1, &frame.apply_pose(&camera.pose)));
     }
     for (home, list) in corners.iter().enumerate() {
         for (number, corner) in list.iter().enumerate() {

@@ -1,8 +1,9 @@
 //! Pictures and films of a scene from any cameras.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
-use use3d_capture::{Camera, Image, Intrinsics, path, stem};
+use use3d_capture::{Camera, FileName, Image, Intrinsics, path, stem};
 use use3d_io_colmap::read_cameras;
 use use3d_io_image::{write_exr, write_exr_map, write_png, write_png_map};
 use use3d_pipeline::engine::Event;
@@ -33,10 +34,11 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
         return super::speed::run(app, args, &scene);
     }
     let cameras = cameras(args, &scene)?;
+    let files = files(&cameras, args.format)?;
     let mut renderer = SceneRenderer::new(&scene, args.strength).map_err(CliError::input)?;
     let mut video = args.video.as_deref().map(|path| Video::create(path, args.frame_rate)).transpose()?;
     let total = cameras.len() as u64;
-    for (i, (name, camera)) in cameras.iter().enumerate() {
+    for (i, ((name, camera), file)) in cameras.iter().zip(&files).enumerate() {
         interrupt::check()?;
         let label = "render";
         app.listener.event(&Event::Progress {
@@ -54,7 +56,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
         }
         if let Some(out) = &args.out {
             for (mode, frame) in modes.iter().zip(&frames) {
-                write(out, *mode, name, frame, args.format)?;
+                write(out, *mode, file, frame, args.format)?;
             }
         }
     }
@@ -83,14 +85,14 @@ fn modes(names: &[String]) -> Result<Vec<Mode>, CliError> {
 }
 
 /// The cameras asked for, in the scene's frame.
-pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(String, Camera)>, CliError> {
+pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName, Camera)>, CliError> {
     let mut cameras = read_cameras(&args.cameras).map_err(CliError::input)?;
     for (_, camera) in &mut cameras {
         camera.pose = scene.frame.apply_pose(&camera.pose);
     }
     let origin = Origin::read(&args.scene).map_err(CliError::input)?;
     if let Some(origin) = origin.as_ref().filter(|_| args.cameras.is_dir()) {
-        let known = |(name, _): &(String, Camera)| {
+        let known = |(name, _): &(FileName, Camera)| {
             let stem = stem(name);
             origin.train.iter().chain(&origin.held_out).any(|s| s == stem)
         };
@@ -108,7 +110,7 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(String, C
             None => {
                 let split = use3d_io_colmap::import(&args.cameras, &use3d_io_colmap::ImportParams::default());
                 let held_out = split.map_err(CliError::input)?.report.test;
-                cameras.retain(|(name, _)| held_out.contains(name));
+                cameras.retain(|(name, _)| held_out.iter().any(|held| name == held));
             }
         }
     }
@@ -133,7 +135,7 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(String, C
             path::spiral(&keys, args.frames, 0.12 * focus, focus)
         }
     };
-    Ok(film.into_iter().enumerate().map(|(i, camera)| (format!("frame_{i:05}"), camera)).collect())
+    Ok(film.into_iter().enumerate().map(|(i, camera)| (FileName::frame(i), camera)).collect())
 }
 
 /// A lens whose pictures are scaled to cover `width × height` and cropped centrally: nothing is stretched.
@@ -179,16 +181,31 @@ fn picture(mode: Mode, frame: &Frame) -> Image {
     }
 }
 
-fn write(out: &Path, mode: Mode, name: &str, frame: &Frame, format: FrameFormat) -> Done {
-    let stem = match name.rfind('.') {
-        Some(dot) if dot > name.rfind('/').map_or(0, |s| s + 1) => &name[..dot],
-        _ => name,
-    };
+/// The files' names, one per camera.
+///
+/// # Errors
+/// Two cameras whose pictures would be one file.
+fn files(cameras: &[(FileName, Camera)], format: FrameFormat) -> Result<Vec<FileName>, CliError> {
     let extension = match format {
         FrameFormat::Png => "png",
         FrameFormat::Exr => "exr",
     };
-    let path = out.join(mode.name()).join(format!("{stem}.{extension}"));
+    let mut taken = BTreeMap::new();
+    let name = |(camera, _): &(FileName, Camera)| {
+        let file = camera.with_extension(extension).map_err(CliError::input)?;
+        if let Some(first) = taken.insert(file.clone(), camera.clone()) {
+            return Err(CliError::Input(format!(
+                "--cameras: {first} and {camera} would both be written as {file}; rename one of them"
+            )));
+        }
+        Ok(file)
+    };
+    cameras.iter().map(name).collect()
+}
+
+/// Writes a frame as OUT/MODE/FILE.
+fn write(out: &Path, mode: Mode, file: &FileName, frame: &Frame, format: FrameFormat) -> Done {
+    let path = file.below(&out.join(mode.name()));
     if let Some(parent) = path.parent() {
         std::fs::create_dir_all(parent)
             .map_err(|e| CliError::Input(format!("--out {}: {e}", parent.display())))?;

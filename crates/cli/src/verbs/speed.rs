@@ -1,7 +1,7 @@
 //! Frames per second of a scene, with the protocol beside the figure.
 
 use serde::Serialize;
-use use3d_capture::Camera;
+use use3d_capture::{Camera, FileName};
 use use3d_pipeline::rendering::{Mode, SceneRenderer};
 use use3d_pipeline::speed::{Speed, measure};
 use use3d_scene::Scene;
@@ -36,7 +36,7 @@ const PROTOCOL: &str = "median over all timed views; 2 warm-up passes, then whol
 pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene) -> Done {
     let given = cameras(args, scene)?;
     let held_out = held_out(&args.cameras);
-    let is_held_out = |name: &String| held_out.contains(name);
+    let is_held_out = |name: &FileName| held_out.iter().any(|held| name == held);
     let any = given.iter().any(|(name, _)| is_held_out(name));
     let chosen: Vec<Camera> =
         given.iter().filter(|(name, _)| !any || is_held_out(name)).map(|(_, camera)| *camera).collect();

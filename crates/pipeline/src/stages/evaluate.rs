@@ -247,7 +247,7 @@ impl Evaluation<'_> {
             );
             let (a, b) = (&views[i], &views[i + 1]);
             let ends = [self.station(&a.camera, Some(a))?, self.station(&b.camera, Some(b))?];
-            self.pair(&ends, &[a.name.clone(), b.name.clone()], "", &mut lists);
+            self.pair(&ends, &[a.name.to_string(), b.name.to_string()], "", &mut lists);
         }
         Ok(lists)
     }
@@ -366,7 +366,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
                 }
             }
             let scores = scores.into_iter().map(|(name, score)| (name, score.named(&view.name))).collect();
-            entry(&mut per_view, *method).push(ViewScores { view: view.name.clone(), scores });
+            entry(&mut per_view, *method).push(ViewScores { view: view.name.to_string(), scores });
         }
         for (sum, map) in water.iter_mut().zip(now.water.iter().flatten()) {
             let means = channel_means(map);
@@ -448,7 +448,7 @@ fn strip(context: &StageContext, capture: &Capture, looker: &mut Looker<'_>) -> 
     let (picture, moved) = sheet(&rows, &corners, side);
     write_png(&context.output().join(STRIP.0), &picture)?;
     let rows = shown.iter().map(|m| m.label().to_string()).zip(moved).collect();
-    let strip = Strip { views: views.iter().map(|v| v.name.clone()).collect(), rows, side, corners };
+    let strip = Strip { views: views.iter().map(|v| v.name.to_string()).collect(), rows, side, corners };
     write_json(&context.output().join(STRIP.1), &strip)
 }
 

@@ -58,9 +58,14 @@ const PARTS: &[&str] = &["use3d-atc", "use3d-scene", "use3d-io-colmap"];
 
 /// A captured view for the consensus.
 fn input(view: &View) -> Result<ViewInput, AtcError> {
-    let pixels =
-        load_pixels(view).map_err(|e| AtcError::View { view: view.name.clone(), problem: e.to_string() })?;
-    Ok(ViewInput { name: view.name.clone(), camera: view.camera, image: pixels.to_image(), proposal: None })
+    let pixels = load_pixels(view)
+        .map_err(|e| AtcError::View { view: view.name.to_string(), problem: e.to_string() })?;
+    Ok(ViewInput {
+        name: view.name.to_string(),
+        camera: view.camera,
+        image: pixels.to_image(),
+        proposal: None,
+    })
 }
 
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {

@@ -1,0 +1,305 @@
+//! Names from outside that become paths, and text from outside that is shown to people.
+//!
+//! A model, a manifest or a list of cameras may come from anyone. Whatever it calls its images, no file may be read or written
+//! outside the folder that a person named: a [`FileName`] can only be made by checking, so that a function that takes one
+//! needs no check of its own. What is printed goes through [`shown`], so that a name cannot move the cursor, change colours or
+//! forge a line of its own.
+
+use std::borrow::Cow;
+use std::fmt;
+use std::ops::Deref;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+/// Bytes of a folder's or file's name at most. File systems take 255, and a result may get a longer extension.
+const MOST_BYTES: usize = 250;
+/// Bytes of a name at most, folders and all; systems take 4096 for a path and more than this one's folder.
+const MOST_BYTES_IN_ALL: usize = 1000;
+
+/// A file's name relative to some folder, `/` between folders: never absolute, never leading out of that folder.
+///
+/// One to 250 bytes in each component, 1000 in all; no empty component, no `..`, no drive letter, and nothing that [`shown`]
+/// would have to escape: it may be printed as it is.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct FileName(String);
+
+/// Why a text is not taken as a file's name.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the name {name:?} {reason}")]
+pub struct NameError {
+    /// The text, shortened where it is long.
+    pub name: String,
+    /// What is wrong with it, and what is expected.
+    pub reason: String,
+}
+
+impl FileName {
+    /// Checks a name from outside. `\` counts as `/`, as in models from Windows; `.` components are dropped.
+    ///
+    /// # Errors
+    /// A name that is empty, too long, absolute, or leads out of its folder, or that no terminal can show.
+    pub fn new(name: &str) -> Result<Self, NameError> {
+        let refuse = |reason: &str| {
+            let mut shortened: String = name.chars().take(80).collect();
+            if shortened.len() < name.len() {
+                shortened.push('…');
+            }
+            Err(NameError { name: shortened, reason: reason.to_string() })
+        };
+        if name.chars().any(commands) {
+            return refuse("holds a control character; rename the file");
+        }
+        let slashed = name.replace('\\', "/");
+        let drive = slashed.as_bytes().get(1) == Some(&b':') && slashed.as_bytes()[0].is_ascii_alphabetic();
+        if slashed.starts_with('/') || drive {
+            return refuse("is an absolute path; expected one relative to its folder");
+        }
+        let parts: Vec<&str> = slashed.split('/').filter(|part| *part != ".").collect();
+        if parts.contains(&"..") {
+            return refuse("leaves the folder (`..`)");
+        }
+        if parts.is_empty() || parts.contains(&"") {
+            return refuse("is not a file name (a part of it is empty)");
+        }
+        let longest = parts.iter().map(|part| part.len()).max().unwrap_or(0);
+        if longest > MOST_BYTES {
+            return refuse(&format!(
+                "has a part of {longest} bytes; at most {MOST_BYTES} are taken: shorten it"
+            ));
+        }
+        let name = parts.join("/");
+        if name.len() > MOST_BYTES_IN_ALL {
+            let found = name.len();
+            return refuse(&format!("has {found} bytes; at most {MOST_BYTES_IN_ALL} are taken: shorten it"));
+        }
+        Ok(Self(name))
+    }
+
+    /// The name of item `index` of a list without names: `0007`.
+    pub fn numbered(index: usize) -> Self {
+        Self(format!("{index:04}"))
+    }
+
+    /// The name of frame `index` of a film: `frame_00007`.
+    pub fn frame(index: usize) -> Self {
+        Self(format!("frame_{index:05}"))
+    }
+
+    /// The name as text.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+
+    /// [`stem`] of the name.
+    pub fn stem(&self) -> &str {
+        stem(&self.0)
+    }
+
+    /// [`flat_stem`] of the name.
+    pub fn flat_stem(&self) -> String {
+        flat_stem(&self.0)
+    }
+
+    /// The name as that of an image: results are called after [`flat_stem`](Self::flat_stem) too, which must be no longer than a
+    /// file's name may be.
+    ///
+    /// # Errors
+    /// Folders and name that are together too long.
+    pub fn of_image(self) -> Result<Self, NameError> {
+        Self::new(&self.flat_stem()).map(|_| self)
+    }
+
+    /// The same name with another extension in place of its own.
+    ///
+    /// # Errors
+    /// An extension that makes it no name any more: too long, or with a character that no name may have.
+    pub fn with_extension(&self, extension: &str) -> Result<Self, NameError> {
+        Self::new(&format!("{}.{extension}", self.stem()))
+    }
+
+    /// Where a file of this name lies below `folder`.
+    pub fn below(&self, folder: &Path) -> PathBuf {
+        folder.join(&self.0)
+    }
+}
+
+impl Deref for FileName {
+    type Target = str;
+
+    fn deref(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Display for FileName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(&self.0)
+    }
+}
+
+impl TryFrom<String> for FileName {
+    type Error = NameError;
+
+    fn try_from(name: String) -> Result<Self, NameError> {
+        Self::new(&name)
+    }
+}
+
+impl std::str::FromStr for FileName {
+    type Err = NameError;
+
+    fn from_str(name: &str) -> Result<Self, NameError> {
+        Self::new(name)
+    }
+}
+
+impl From<FileName> for String {
+    fn from(name: FileName) -> Self {
+        name.0
+    }
+}
+
+impl PartialEq<str> for FileName {
+    fn eq(&self, other: &str) -> bool {
+        self.0 == *other
+    }
+}
+
+impl PartialEq<&str> for FileName {
+    fn eq(&self, other: &&str) -> bool {
+        self.0 == **other
+    }
+}
+
+impl PartialEq<String> for FileName {
+    fn eq(&self, other: &String) -> bool {
+        self.0 == *other
+    }
+}
+
+/// An image's name without its extension; its folders stay: `left/a.b.png` is `left/a.b`.
+pub fn stem(name: &str) -> &str {
+    match name.rfind('.') {
+        Some(dot) if dot > name.rfind('/').map_or(0, |s| s + 1) => &name[..dot],
+        _ => name,
+    }
+}
+
+/// The stem as one file name, for results that lie in one folder: `left/a.b.png` is `left_a.b`. A prepared capture has no two
+/// views with the same one.
+pub fn flat_stem(name: &str) -> String {
+    stem(name).replace('/', "_")
+}
+
+/// Text from outside as it may be printed within a line: characters that command a terminal or reorder text appear as
+/// escapes (`\u{1b}`), everything else as it is.
+pub fn shown(text: &str) -> Cow<'_, str> {
+    escaped(text, commands)
+}
+
+/// As [`shown`], for text of several lines: line ends and tabs stay.
+pub fn shown_lines(text: &str) -> Cow<'_, str> {
+    escaped(text, |c| c != '\n' && c != '\t' && commands(c))
+}
+
+fn escaped(text: &str, bad: impl Fn(char) -> bool) -> Cow<'_, str> {
+    if !text.chars().any(&bad) {
+        return Cow::Borrowed(text);
+    }
+    let mut out = String::with_capacity(text.len() + 16);
+    for c in text.chars() {
+        if bad(c) { out.extend(c.escape_unicode()) } else { out.push(c) }
+    }
+    Cow::Owned(out)
+}
+
+/// Control characters, line and paragraph separators, and what overrides the direction of the text that follows.
+fn commands(c: char) -> bool {
+    c.is_control() || matches!(c, '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_never_leads_out_of_its_folder() {
+        let (long, deep) = ("x".repeat(251), vec!["deep"; 201].join("/"));
+        for bad in [
+            "",
+            ".",
+            "./",
+            "/",
+            "/etc/passwd",
+            "..",
+            "../a",
+            "a/../../b",
+            "a/..",
+            "\\a",
+            "..\\a",
+            "C:\\a",
+            "c:a",
+            "a//b",
+            "a/",
+            "a\0b",
+            "a\nb",
+            "\u{1b}[31ma",
+            "a\u{9b}b",
+            "a\u{202e}b",
+            &long,
+            &deep,
+        ] {
+            let error = FileName::new(bad).expect_err(bad);
+            assert!(!error.to_string().chars().any(char::is_control), "{error}");
+            assert!(serde_from(bad).is_err(), "{bad:?}");
+        }
+        for (good, kept) in [
+            ("a.png", "a.png"),
+            ("./left\\a b.png", "left/a b.png"),
+            ("...", "..."),
+            ("a..b", "a..b"),
+            ("größe/é.jpg", "größe/é.jpg"),
+            (&long[1..], &long[1..]),
+        ] {
+            assert_eq!(FileName::new(good).expect(good), kept);
+            assert_eq!(
+                FileName::new(good).expect(good).below(Path::new("/out")),
+                Path::new("/out").join(kept)
+            );
+        }
+    }
+
+    /// As a manifest is read.
+    fn serde_from(name: &str) -> Result<FileName, serde::de::value::Error> {
+        use serde::de::IntoDeserializer;
+        FileName::deserialize(name.to_string().into_deserializer())
+    }
+
+    #[test]
+    fn an_images_results_fit_into_one_folder() {
+        let nested =
+            |n: usize| FileName::new(&format!("{}/{}.png", "f".repeat(n), "x".repeat(49))).expect("a name");
+        assert!(nested(200).of_image().is_ok());
+        assert!(nested(201).of_image().is_err());
+    }
+
+    #[test]
+    fn another_extension_is_checked_too() {
+        let name = FileName::new("left/a.b.jpg").expect("a name");
+        assert_eq!(name.with_extension("png").expect("a name"), "left/a.b.png");
+        assert!(name.with_extension("/../../x").is_err());
+        assert!(name.with_extension("\u{7}").is_err());
+        assert_eq!((name.stem(), name.flat_stem().as_str()), ("left/a.b", "left_a.b"));
+        assert_eq!(stem(".hidden"), ".hidden");
+        assert_eq!(stem("x.d/plain"), "x.d/plain");
+    }
+
+    #[test]
+    fn what_is_shown_cannot_command_a_terminal() {
+        assert_eq!(shown("größe 1.png"), "größe 1.png");
+        assert_eq!(shown("a\u{1b}[2K\rerror: b\n\u{202e}"), "a\\u{1b}[2K\\u{d}error: b\\u{a}\\u{202e}");
+        assert_eq!(shown_lines("a\nb\u{7}"), "a\nb\\u{7}");
+    }
+}
