@@ -221,6 +221,14 @@ pub(crate) struct CacheArgs {
     pub(crate) rehash: bool,
 }
 
+/// What may be replaced.
+#[derive(Clone, Copy, Debug, Default, Args)]
+pub(crate) struct Replace {
+    /// Replace an earlier result in the same place. Only what this program wrote is ever replaced.
+    #[arg(long)]
+    pub(crate) force: bool,
+}
+
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum DemoSize {
     /// A few minutes on two cores.
@@ -266,7 +274,8 @@ pub(crate) struct RunArgs {
     /// Only say what would run (the same as `use3d plan`).
     #[arg(long)]
     pub(crate) dry_run: bool,
-    /// Where results go (default: ./use3d-out/NAME).
+    /// Where results go (default: ./use3d-out/NAME). Results of earlier runs there are brought up to date; what is not a result
+    /// of this program is never replaced.
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
     #[command(flatten)]
@@ -348,6 +357,8 @@ pub(crate) struct ImportArgs {
     pub(crate) out: PathBuf,
     #[command(flatten)]
     pub(crate) settings: StageSettings,
+    #[command(flatten)]
+    pub(crate) replace: Replace,
 }
 
 #[derive(Debug, Args)]
@@ -365,6 +376,8 @@ pub(crate) struct ReconstructArgs {
     pub(crate) profile: bool,
     #[command(flatten)]
     pub(crate) settings: StageSettings,
+    #[command(flatten)]
+    pub(crate) replace: Replace,
 }
 
 #[derive(Debug, Args)]
@@ -386,6 +399,8 @@ pub(crate) struct CalibrateArgs {
     pub(crate) models: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) settings: StageSettings,
+    #[command(flatten)]
+    pub(crate) replace: Replace,
 }
 
 #[derive(Debug, Args)]
@@ -407,6 +422,8 @@ pub(crate) struct TargetsArgs {
     pub(crate) models: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) settings: StageSettings,
+    #[command(flatten)]
+    pub(crate) replace: Replace,
 }
 
 #[derive(Debug, Args)]
@@ -431,6 +448,8 @@ pub(crate) struct EnhanceArgs {
     pub(crate) profile: bool,
     #[command(flatten)]
     pub(crate) settings: StageSettings,
+    #[command(flatten)]
+    pub(crate) replace: Replace,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -536,6 +555,8 @@ pub(crate) struct RenderArgs {
     /// How much of the enhancement to apply, 0 (reconstruction) to 1.
     #[arg(long, default_value_t = 1.0, value_name = "0..1")]
     pub(crate) strength: f32,
+    #[command(flatten)]
+    pub(crate) replace: Replace,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -572,6 +593,8 @@ pub(crate) struct ExportArgs {
     /// In which frame.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) frame: ExportFrame,
+    #[command(flatten)]
+    pub(crate) replace: Replace,
 }
 
 #[derive(Debug, Subcommand)]

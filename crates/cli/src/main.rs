@@ -5,6 +5,7 @@ mod output;
 
 mod args;
 mod c_functions;
+mod destination;
 mod error;
 mod interrupt;
 mod listener;
@@ -75,7 +76,7 @@ fn run(app: &App, verb: Verb) -> Done {
         Verb::Enhance(args) => verbs::stages::enhance(app, &args),
         Verb::Evaluate(args) => verbs::evaluate::run(app, &args),
         Verb::Render(args) => verbs::render::run(app, &args),
-        Verb::Export(args) => verbs::export::run(&args),
+        Verb::Export(args) => verbs::export::run(app, &args),
         Verb::Synth { what: Synth::Capture(args) } => verbs::synth::capture(app, &args),
         Verb::Synth { what: Synth::Pairs(args) } => verbs::synth::pairs(app, &args),
         Verb::Water(args) => verbs::water::run(app, &args),

@@ -1,12 +1,14 @@
 //! Films: raw Y4M (4:4:4, BT.709, limited range, as players expect), or piped into a system `ffmpeg` for any other
 //! container, which is told the same, so that its file says how the colours are meant.
 
+use std::ffi::OsString;
 use std::fs::File;
 use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use use3d_capture::Image8;
+use use3d_pipeline::engine::place::{parent, sibling};
 
 use crate::error::CliError;
 
@@ -18,13 +20,24 @@ const FILTER: &str =
 pub(crate) struct Video {
     sink: Sink,
     path: PathBuf,
+    part: Part,
     size: Option<(usize, usize)>,
     fps: u32,
 }
 
 enum Sink {
-    File { writer: BufWriter<File>, temporary: PathBuf },
+    File(BufWriter<File>),
     Ffmpeg(Child),
+}
+
+/// The film until it is whole, beside its place; what is left of it goes with the command.
+struct Part(PathBuf);
+
+impl Drop for Part {
+    fn drop(&mut self) {
+        // Not there any more once it was renamed.
+        let _ = std::fs::remove_file(&self.0);
+    }
 }
 
 impl Video {
@@ -34,19 +47,27 @@ impl Video {
         if fps == 0 {
             return Err(CliError::Input("--frame-rate 0: a film needs at least one frame per second".into()));
         }
+        // With its extension, by which ffmpeg knows what to write.
+        let mut part = sibling(path);
+        if let Some(extension) = path.extension() {
+            part.set_extension(extension);
+        }
+        let part = Part(part);
+        std::fs::create_dir_all(parent(path))
+            .map_err(|e| CliError::Input(format!("--video {shown}: cannot make its folder: {e}")))?;
         let sink = if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("y4m")) {
-            let temporary = path.with_extension("y4m.part");
-            let file = File::create(&temporary).map_err(|e| {
-                CliError::Input(format!("--video {shown}: cannot write {}: {e}", temporary.display()))
+            let file = File::create(&part.0).map_err(|e| {
+                CliError::Input(format!("--video {shown}: cannot write {}: {e}", part.0.display()))
             })?;
-            Sink::File { writer: BufWriter::new(file), temporary }
+            Sink::File(BufWriter::new(file))
         } else {
             let child = Command::new("ffmpeg")
                 .args(["-loglevel", "error", "-y", "-f", "yuv4mpegpipe", "-i", "-", "-pix_fmt", "yuv420p"])
                 .args(["-vf", FILTER])
                 .args(["-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"])
                 .args(["-color_range", "tv"])
-                .arg(path)
+                // Never taken for an option or another protocol.
+                .arg(file_url(&part.0))
                 .stdin(Stdio::piped())
                 .stderr(Stdio::piped())
                 .spawn()
@@ -57,7 +78,7 @@ impl Video {
                 })?;
             Sink::Ffmpeg(child)
         };
-        Ok(Self { sink, path: path.to_path_buf(), size: None, fps })
+        Ok(Self { sink, path: path.to_path_buf(), part, size: None, fps })
     }
 
     /// Appends a frame; all frames have one size.
@@ -86,7 +107,7 @@ impl Video {
         bytes.extend_from_slice(b"FRAME\n");
         bytes.extend(to_ycbcr(frame));
         let written = match &mut self.sink {
-            Sink::File { writer, .. } => writer.write_all(&bytes),
+            Sink::File(writer) => writer.write_all(&bytes),
             Sink::Ffmpeg(child) => match child.stdin.as_mut() {
                 Some(stdin) => stdin.write_all(&bytes),
                 None => Err(std::io::ErrorKind::BrokenPipe.into()),
@@ -105,23 +126,29 @@ impl Video {
     pub(crate) fn finish(self) -> Result<(), CliError> {
         let failed = |e: std::io::Error| CliError::Failed(format!("--video {}: {e}", self.path.display()));
         match self.sink {
-            Sink::File { writer, temporary } => {
+            Sink::File(writer) => {
                 let file = writer.into_inner().map_err(|e| failed(e.into_error()))?;
                 file.sync_all().map_err(failed)?;
-                std::fs::rename(temporary, &self.path).map_err(failed)
             }
             Sink::Ffmpeg(mut child) => {
                 drop(child.stdin.take());
                 // Read first: a full pipe would keep it from ending.
                 let said = said(&mut child);
                 let status = child.wait().map_err(failed)?;
-                if status.success() {
-                    return Ok(());
+                if !status.success() {
+                    return Err(refused(&self.path, &said, &status.to_string()));
                 }
-                Err(refused(&self.path, &said, &status.to_string()))
             }
         }
+        std::fs::rename(&self.part.0, &self.path).map_err(failed)
     }
+}
+
+/// A path as ffmpeg takes it literally.
+fn file_url(path: &Path) -> OsString {
+    let mut url = OsString::from("file:");
+    url.push(path);
+    url
 }
 
 /// What ffmpeg has told on its stderr.

@@ -3,54 +3,109 @@
 //! An artifact holds nothing that depends on the clock or the machine. Times, memory, keys and how fast scenes are drawn are kept beside
 //! artifacts; they are added to the page and the tables here.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use crate::engine::place::{self, Look, PlaceError, Standing};
 use crate::engine::run::RanNode;
-use crate::engine::{Artifact, Summary};
+use crate::engine::{Digest, Graph, Summary};
 use crate::report::{StageRow, with_costs, with_tables};
 use crate::scores::ScoredScene;
 use crate::stages::evaluate::SPEED;
 use crate::stages::report::write_tables;
 use crate::tables::{Table, paper};
 
+/// The page and the tables over all scenes.
+const PAGE: &str = "report.html";
+const TABLES: &str = "tables";
+/// Before the digest in the last line of a page.
+const STAMP: &str = "<!-- written by use3d, blake3 ";
+
+/// Where a stage's result goes below the results folder; `None` for stages whose results stay in the cache.
+fn place_of(stage: &str, scene: &str, variant: &str) -> Option<PathBuf> {
+    let folder = match stage {
+        "reconstruct" => "scene",
+        "enhance" => "enhanced-scene",
+        "render" => "renders",
+        "targets" => "targets",
+        "evaluate" => "scores",
+        _ => return None,
+    };
+    if scene.is_empty() {
+        return None;
+    }
+    let name = if variant.is_empty() { scene.to_string() } else { format!("{scene}@{variant}") };
+    Some(Path::new(&name).join(folder))
+}
+
+/// Looks, before anything is computed, whether the results of `until` (all where `None`) may go to `out`: whether it can be written,
+/// and whether everything that stands in their places is ours.
+///
+/// # Errors
+/// The first place that is taken, or that cannot be written. Nothing is touched.
+pub fn check(graph: &Graph, until: Option<&[String]>, out: &Path) -> Result<(), PlaceError> {
+    place::check_writable(out)?;
+    let mut places: BTreeMap<PathBuf, String> = BTreeMap::new();
+    for (node, _) in graph.nodes.iter().zip(graph.wanted(until)).filter(|(_, wanted)| *wanted) {
+        if let Some(place) = place_of(node.stage_name, &node.scene, &node.variant)
+            && let Some(other) = places.insert(place.clone(), node.label())
+        {
+            let reason = format!(
+                "the results of `{other}` and `{}` would both go there; rename a scene or a variant",
+                node.label()
+            );
+            return Err(PlaceError::Occupied { path: out.join(place), reason });
+        }
+        if node.stage_name == "report" {
+            check_page(&out.join(PAGE))?;
+            places.insert(TABLES.into(), node.label());
+        }
+    }
+    places.keys().try_for_each(|place| place::check(&out.join(place), true))
+}
+
 /// Fills `out` and says what is where: `report`, `tables`, one line per scene.
-pub fn deliver(summary: &Summary, out: &Path) -> io::Result<Vec<(String, PathBuf)>> {
+///
+/// # Errors
+/// A place that is taken by something that is not ours, or that cannot be written; what was delivered before stays.
+pub fn deliver(summary: &Summary, out: &Path) -> Result<Vec<(String, PathBuf)>, PlaceError> {
     let mut delivered = Vec::new();
-    fs::create_dir_all(out)?;
+    at(out, "create", fs::create_dir_all(out))?;
     if let Some(report) = summary.artifact("", "", "report") {
-        let html = fs::read_to_string(report.path.join("index.html"))?;
-        let page = out.join("report.html");
+        let page = out.join(PAGE);
+        let source = report.path.join("index.html");
+        let html = at(&source, "read", fs::read_to_string(&source))?;
+        check_page(&page)?;
         let timed = timed_tables(summary, &report.path);
         let html = timed.as_ref().map_or_else(|| html.clone(), |tables| with_tables(&html, tables));
-        write(&page, with_costs(&html, &rows(summary), &parameters(summary)).as_bytes())?;
+        let html = with_costs(&html, &rows(summary), &parameters(summary));
+        write(&page, stamped(&html).as_bytes())?;
         delivered.push(("report".to_string(), page));
-        let tables = out.join("tables");
-        if report.path.join("tables").is_dir() {
-            copy_folder(&report.path.join("tables"), &tables)?;
-            if let Some(timed) = &timed {
-                write_tables(&tables, timed).map_err(|e| io::Error::other(e.to_string()))?;
-            }
+        if report.path.join(TABLES).is_dir() {
+            let tables = out.join(TABLES);
+            // How fast scenes are drawn follows from no key: they are written anew each time.
+            put(None, &tables, |made| {
+                place::copy_folder(&report.path.join(TABLES), made)?;
+                if let Some(timed) = &timed {
+                    at(
+                        made,
+                        "write",
+                        write_tables(made, timed).map_err(|e| io::Error::other(e.to_string())),
+                    )?;
+                }
+                place::record(made, None)
+            })?;
             delivered.push(("tables".to_string(), tables));
         }
     }
-    for node in summary.nodes.iter().filter(|n| !n.scene.is_empty()) {
+    for node in &summary.nodes {
         let Some(artifact) = &node.artifact else { continue };
-        let name = if node.variant.is_empty() {
-            node.scene.clone()
-        } else {
-            format!("{}@{}", node.scene, node.variant)
-        };
-        let target = match node.stage {
-            "reconstruct" => out.join(&name).join("scene"),
-            "enhance" => out.join(&name).join("enhanced-scene"),
-            "render" => out.join(&name).join("renders"),
-            "targets" => out.join(&name).join("targets"),
-            "evaluate" => out.join(&name).join("scores"),
-            _ => continue,
-        };
-        place(artifact, &target)?;
+        let Some(place) = place_of(node.stage, &node.scene, &node.variant) else { continue };
+        let target = out.join(place);
+        // Its manifest is the record.
+        put(Some(artifact.manifest.key), &target, |made| place::copy_folder(&artifact.path, made))?;
         delivered.push((node.stage.to_string(), target));
     }
     Ok(delivered)
@@ -119,37 +174,86 @@ fn rows(summary: &Summary) -> Vec<StageRow> {
     rows.collect()
 }
 
-/// Makes `target` a copy of an artifact, unless it is one already. A copy: nobody's edits may reach the cache.
-fn place(artifact: &Artifact, target: &Path) -> io::Result<()> {
-    let stamp = target.join(".key");
-    let key = artifact.manifest.key.to_string();
-    if fs::read_to_string(&stamp).is_ok_and(|k| k == key) {
+/// Puts what `fill` makes in the place of `target`, unless what stands there follows from `key` already. Always a copy: nobody's
+/// edits may reach the cache.
+fn put(
+    key: Option<Digest>,
+    target: &Path,
+    fill: impl FnOnce(&Path) -> Result<(), PlaceError>,
+) -> Result<(), PlaceError> {
+    if let Standing::Ours(ours) = place::look(target, Look::Quick)?
+        && ours.whole
+        && key.is_some()
+        && ours.key == key
+    {
         return Ok(());
     }
-    match fs::remove_dir_all(target) {
-        Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e),
-        _ => {}
+    let folder = place::parent(target);
+    at(folder, "create", fs::create_dir_all(folder))?;
+    let made = place::sibling(target);
+    let placed = fill(&made).and_then(|()| place::put(&made, target, true));
+    if placed.is_err() {
+        // Ours alone, and of no use to anybody.
+        let _ = fs::remove_dir_all(&made);
     }
-    copy_folder(&artifact.path, target)?;
-    write(&stamp, key.as_bytes())
+    placed
 }
 
-fn copy_folder(from: &Path, to: &Path) -> io::Result<()> {
-    fs::create_dir_all(to)?;
-    for entry in fs::read_dir(from)? {
-        let entry = entry?;
-        let (source, target) = (entry.path(), to.join(entry.file_name()));
-        if entry.file_type()?.is_dir() {
-            copy_folder(&source, &target)?;
-        } else {
-            fs::copy(&source, &target)?;
+/// A page with its digest in a last line, by which it is known to be ours and unchanged.
+fn stamped(html: &str) -> String {
+    format!("{html}{STAMP}{} -->\n", Digest::of(html.as_bytes()))
+}
+
+/// Refuses to replace a page that is not ours, or that somebody changed.
+fn check_page(page: &Path) -> Result<(), PlaceError> {
+    let found = match fs::symlink_metadata(page) {
+        Err(e) if matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => return Ok(()),
+        found => at(page, "look at", found)?,
+    };
+    let ours = |text: &str| text.rfind(STAMP).is_some_and(|end| stamped(&text[..end]) == *text);
+    if found.is_file()
+        && ours(&at(page, "read", fs::read(page).map(|b| String::from_utf8_lossy(&b).into_owned()))?)
+    {
+        return Ok(());
+    }
+    let reason = "this page was not written by this program, or was changed since; move it away, or choose another --out";
+    Err(PlaceError::Occupied { path: page.to_path_buf(), reason: reason.into() })
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), PlaceError> {
+    let made = place::sibling(path);
+    let written = fs::write(&made, bytes).and_then(|()| fs::rename(&made, path));
+    if written.is_err() {
+        let _ = fs::remove_file(&made);
+    }
+    at(path, "write", written)
+}
+
+fn at<T>(path: &Path, doing: &'static str, result: io::Result<T>) -> Result<T, PlaceError> {
+    result.map_err(|source| PlaceError::Io { path: path.to_path_buf(), doing, source })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_page_is_replaced_only_as_it_was_written() {
+        let dir = tempfile::tempdir().unwrap();
+        let page = dir.path().join(PAGE);
+        check_page(&page).unwrap();
+        for (text, ours) in [
+            (stamped("<html>"), true),
+            (stamped(&stamped("<html>")), true),
+            (stamped("<html>").replace("<html>", "<html>my notes"), false),
+            (format!("{}my notes", stamped("<html>")), false),
+            ("<html>my own page".to_string(), false),
+        ] {
+            fs::write(&page, &text).unwrap();
+            assert_eq!(check_page(&page).is_ok(), ours, "{text}");
         }
+        fs::remove_file(&page).unwrap();
+        fs::create_dir(&page).unwrap();
+        assert!(check_page(&page).is_err());
     }
-    Ok(())
-}
-
-fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let part = path.with_extension("part");
-    fs::write(&part, bytes)?;
-    fs::rename(&part, path)
 }

@@ -106,7 +106,7 @@ impl WaterReport {
         let names = ["red", "green", "blue"];
         let gains = (capture.views.iter().zip(&water.gains))
             .filter(|_| water.gains.iter().flatten().any(|g| *g != 1.0))
-            .map(|(view, gains)| (view.name.clone(), *gains))
+            .map(|(view, gains)| (view.name.to_string(), *gains))
             .collect();
         Self {
             format: "3d-use water",

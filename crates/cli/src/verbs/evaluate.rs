@@ -146,7 +146,7 @@ fn scene_rows(app: &App, args: &EvaluateArgs, scene: &Path, capture: &Path) -> R
     inputs.push(("truth", capture.to_path_buf()));
     let out = scratch.path().join("evaluate");
     let stage = registry.stage("evaluate").map_err(CliError::failed)?;
-    run_stage(app, stage, &parameters[0], inputs, &out, None)?;
+    run_stage(app, stage, &parameters[0], inputs, &out)?;
     let scores: SceneScores = read_json(&out.join(SCORES)).map_err(CliError::failed)?;
     let mut rows = Vec::new();
     for method in Method::ALL {

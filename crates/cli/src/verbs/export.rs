@@ -1,18 +1,19 @@
 //! A scene as a PLY that other 3D Gaussian splatting viewers open.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
-
 use clap::ValueEnum;
 use glam::{DMat3, DVec3};
 use use3d_capture::Frame;
+use use3d_pipeline::engine::machine::bytes;
 use use3d_scene::{Scene, similarity};
 use use3d_splat::ply;
 
+use crate::App;
 use crate::args::{ExportArgs, ExportFrame, ExportWhat};
+use crate::destination::{check_file, path_text, write_file};
 use crate::error::{CliError, Done};
 
-pub(crate) fn run(args: &ExportArgs) -> Done {
+pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
+    check_file("--ply", &args.ply, args.replace.force, &["ply"])?;
     let scene = Scene::load(&args.scene).map_err(CliError::input)?;
     if args.what == ExportWhat::Clear && scene.enhancement.is_some() {
         eprintln!(
@@ -48,20 +49,17 @@ pub(crate) fn run(args: &ExportArgs) -> Done {
         format!("what: {}", name(&args.what)),
         format!("frame: {}", name(&args.frame)),
     ];
-    let name = args.ply.file_name().unwrap_or_default().to_string_lossy();
-    let part = args.ply.with_file_name(format!(".{name}.part"));
-    let written = (|| {
-        let mut writer = BufWriter::new(File::create(&part)?);
-        ply::write_with_comments(&gaussians, &comments, &mut writer)?;
-        writer.flush()?;
-        writer.get_ref().sync_all()?;
-        std::fs::rename(&part, &args.ply)
-    })();
-    written.map_err(|e: std::io::Error| {
-        let _ = std::fs::remove_file(&part);
-        CliError::Input(format!("--ply {}: {e}", args.ply.display()))
-    })?;
-    eprintln!("{}: {} Gaussians, {}, {}", args.ply.display(), gaussians.len(), comments[1], comments[2]);
+    write_file("--ply", &args.ply, |writer| ply::write_with_comments(&gaussians, &comments, writer))?;
+    if !app.quiet {
+        let [_, what, frame] = &comments;
+        let size = std::fs::metadata(&args.ply).map_or(0, |m| m.len());
+        eprintln!(
+            "{}: {} Gaussians, {what}, {frame}, {}",
+            path_text(&args.ply),
+            gaussians.len(),
+            bytes(size)
+        );
+    }
     Ok(())
 }
 

@@ -6,13 +6,14 @@ use std::path::Path;
 use use3d_capture::{Camera, FileName, Image, Intrinsics, path, stem};
 use use3d_io_colmap::read_cameras;
 use use3d_io_image::{write_exr, write_exr_map, write_png, write_png_map};
-use use3d_pipeline::engine::Event;
 use use3d_pipeline::engine::machine::bytes;
+use use3d_pipeline::engine::{Event, place};
 use use3d_pipeline::rendering::{Frame, Mode, SceneRenderer, coefficient_picture, depth_picture};
 use use3d_scene::{Origin, Scene};
 
 use crate::App;
 use crate::args::{CameraPath, FrameFormat, RenderArgs};
+use crate::destination::check_file;
 use crate::error::{CliError, Done};
 use crate::interrupt;
 use crate::size::parse_size;
@@ -35,6 +36,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     }
     let cameras = cameras(args, &scene)?;
     let files = files(&cameras, args.format)?;
+    check_places(args, &modes, &files)?;
     let mut renderer = SceneRenderer::new(&scene, args.strength).map_err(CliError::input)?;
     let mut video = args.video.as_deref().map(|path| Video::create(path, args.frame_rate)).transpose()?;
     let total = cameras.len() as u64;
@@ -201,6 +203,24 @@ fn files(cameras: &[(FileName, Camera)], format: FrameFormat) -> Result<Vec<File
         Ok(file)
     };
     cameras.iter().map(name).collect()
+}
+
+/// Refuses, before anything is drawn, to write over what is there.
+fn check_places(args: &RenderArgs, modes: &[Mode], files: &[FileName]) -> Done {
+    let force = args.replace.force;
+    if let Some(video) = &args.video {
+        check_file("--video", video, force, &[])?;
+    }
+    let Some(out) = &args.out else { return Ok(()) };
+    place::check_writable(out)?;
+    for mode in modes {
+        let folder = out.join(mode.name());
+        // Only a folder that is there can hold pictures.
+        if folder.exists() {
+            files.iter().try_for_each(|file| check_file("--out", &file.below(&folder), force, &[]))?;
+        }
+    }
+    Ok(())
 }
 
 /// Writes a frame as OUT/MODE/FILE.

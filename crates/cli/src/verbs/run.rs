@@ -8,7 +8,10 @@ use serde::Serialize;
 use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
 use use3d_pipeline::engine::code::CodeTable;
 use use3d_pipeline::engine::machine::seconds;
-use use3d_pipeline::engine::{Cache, Engine, Event, Graph, Listener, Plan, RunOptions, Summary, picture};
+use use3d_pipeline::engine::place::{self, Look, Standing};
+use use3d_pipeline::engine::{
+    Cache, Digest, Engine, Event, Graph, Listener, Plan, RunOptions, Summary, picture,
+};
 use use3d_pipeline::results;
 use use3d_pipeline::scores::{Method, SceneScores};
 use use3d_pipeline::stages::{evaluate::SCORES, read_json};
@@ -156,6 +159,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     }
     let out =
         args.out.clone().unwrap_or_else(|| PathBuf::from("use3d-out").join(&loaded.pipeline.batch.name));
+    results::check(&loaded.graph, until.as_deref(), &out)?;
     execute(app, &loaded, until, args.jobs, args.keep_going, &out, args.json)
 }
 
@@ -212,8 +216,7 @@ fn delivering(app: &App, out: &Path) -> Arc<dyn Listener> {
 
 /// Puts what a person wants to see into the results folder.
 fn deliver(app: &App, summary: &Summary, out: &Path, silent: bool) -> Done {
-    let delivered =
-        results::deliver(summary, out).map_err(|e| CliError::Input(format!("{}: {e}", out.display())))?;
+    let delivered = results::deliver(summary, out)?;
     if !app.quiet && !silent {
         for (what, path) in delivered {
             println!("{what:<12} {}", path.display());
@@ -257,24 +260,30 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
         &CacheArgs { cache: Some(probe.path().join("cache")), ..args.cache.clone() },
     )?;
     // The capture is a function of its parameters and of the code; one that is there with the same ones is taken as it is.
-    let stamp = captures.join("reef.json");
     let code = CodeTable::built_in().stage(&["use3d-synth"], &[]).map_err(CliError::failed)?.digest();
     let recipe = serde_json::json!({ "parameters": params, "code": code.to_string() });
-    let wanted = serde_json::to_string_pretty(&recipe).map_err(CliError::failed)?;
-    if !capture.is_dir() || std::fs::read_to_string(&stamp).ok().as_ref() != Some(&wanted) {
-        if capture.is_dir() {
-            std::fs::remove_dir_all(&capture)
-                .map_err(|e| CliError::Input(format!("{}: {e}", capture.display())))?;
-        }
+    let recipe = Digest::of(recipe.to_string().as_bytes());
+    place::check(&capture, true)?;
+    place::check_writable(&args.out)?;
+    let there = place::look(&capture, Look::Quick)?;
+    if !matches!(there, Standing::Ours(ours) if ours.whole && ours.key == Some(recipe)) {
         std::fs::create_dir_all(&captures)
             .map_err(|e| CliError::Input(format!("--out {}: {e}", args.out.display())))?;
-        use3d_synth::write_capture(&params, &capture, &mut super::synth::tell(app, "synth capture"))
-            .map_err(super::synth::error)?;
-        std::fs::write(&stamp, &wanted).map_err(|e| CliError::Input(format!("{}: {e}", stamp.display())))?;
+        let made = place::sibling(&capture);
+        let placed =
+            use3d_synth::write_capture(&params, &made, &mut super::synth::tell(app, "synth capture"))
+                .map_err(super::synth::error)
+                .and_then(|_| Ok(place::record(&made, Some(recipe))?))
+                .and_then(|()| Ok(place::put(&made, &capture, true)?));
+        if placed.is_err() {
+            let _ = std::fs::remove_dir_all(&made); // ours alone; the first error is the one to report
+        }
+        placed?;
     }
     let mut cache = args.cache.clone();
     cache.cache.get_or_insert_with(|| args.out.join("cache"));
     let loaded = open(&capture, &[], &Settings { set: sets }, &CalibrationArgs::default(), &cache)?;
+    results::check(&loaded.graph, None, &args.out)?;
     execute(app, &loaded, None, 1, false, &args.out, false)?;
     if !app.quiet {
         println!(

@@ -1,5 +1,6 @@
 //! One stage by hand, without a pipeline file: the same code and defaults.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -13,6 +14,7 @@ use use3d_scene::Origin;
 
 use crate::App;
 use crate::args::{CalibrateArgs, EnhanceArgs, ImportArgs, ReconstructArgs, TargetsArgs};
+use crate::destination::{check_file, check_folder, copy_file, copy_folder, path_text, word};
 use crate::error::{CliError, Done};
 
 /// The seed of stages that are run by hand, as in a pipeline without one; `--set seed=N` moves it.
@@ -30,14 +32,42 @@ pub(crate) fn stages() -> Result<Registry, CliError> {
     registry().map_err(CliError::failed)
 }
 
-/// Runs one stage of the table into `output`.
+/// A result that stays: where it goes, and whether an earlier one may be replaced.
+struct Kept<'a> {
+    out: &'a Path,
+    force: bool,
+    checkpoints: Option<PathBuf>,
+}
+
+/// Runs one stage of the table into `output`, a new folder that goes away with the command.
 pub(crate) fn run_stage(
     app: &App,
     stage: &Stage,
     parameters: &Value,
     inputs: Vec<(&str, PathBuf)>,
     output: &Path,
-    checkpoints: Option<PathBuf>,
+) -> Done {
+    run_alone(app, stage, parameters, inputs, output, None)
+}
+
+/// Runs one stage of the table and keeps what it makes.
+fn run_kept(
+    app: &App,
+    stage: &Stage,
+    parameters: &Value,
+    inputs: Vec<(&str, PathBuf)>,
+    kept: &Kept<'_>,
+) -> Done {
+    run_alone(app, stage, parameters, inputs, kept.out, Some(kept))
+}
+
+fn run_alone(
+    app: &App,
+    stage: &Stage,
+    parameters: &Value,
+    inputs: Vec<(&str, PathBuf)>,
+    output: &Path,
+    kept: Option<&Kept<'_>>,
 ) -> Done {
     if let Some((role, path)) = inputs.iter().find(|(_, path)| !path.exists()) {
         let message = format!("{role}: {} does not exist; correct the path or leave it out", path.display());
@@ -47,7 +77,9 @@ pub(crate) fn run_stage(
         parameters,
         inputs: inputs.into_iter().map(|(role, path)| (role.to_string(), path)).collect(),
         output,
-        checkpoints,
+        record: kept.is_some(),
+        replace: kept.is_some_and(|k| k.force),
+        checkpoints: kept.and_then(|k| k.checkpoints.clone()),
         seed: SEED,
         threads: app.threads,
         stop: app.stop.clone(),
@@ -92,7 +124,7 @@ fn finished(app: &App, out: &Path, started: Instant, next: &str) {
         below.iter().filter_map(|f| std::fs::metadata(f).ok()).map(|m| m.len()).sum()
     };
     let (size, time) = (bytes(size(out)), seconds(started.elapsed().as_secs_f64()));
-    eprintln!("{}: {size}, in {time}; next: {next}", out.display());
+    eprintln!("{}: {size}, in {time}; next: {next}", path_text(out));
 }
 
 /// The files of a folder, or the file itself.
@@ -103,40 +135,42 @@ fn walk(path: &Path) -> Vec<PathBuf> {
     }
 }
 
-/// Where an unfinished stage by hand keeps its checkpoints: beside its result, hidden.
-fn checkpoints(out: &Path) -> PathBuf {
-    let name = out.file_name().unwrap_or_default().to_string_lossy();
-    out.with_file_name(format!(".{name}.checkpoints"))
+/// Where an unfinished training by hand keeps its checkpoints: beside its result, hidden. Trainings that were given the same `--out`
+/// but other parameters or inputs share the folder; each goes on from its own.
+struct Checkpoints {
+    folder: PathBuf,
+    /// What was there before: of this training, which removes what it no longer needs, or of others.
+    before: BTreeSet<PathBuf>,
 }
 
-/// Removes checkpoints that have served.
-fn forget(folder: &Path) {
-    if let Err(error) = std::fs::remove_dir_all(folder)
-        && error.kind() != std::io::ErrorKind::NotFound
-    {
-        tracing::warn!("{}: {error}; the checkpoints there are no longer needed", folder.display());
+impl Checkpoints {
+    fn beside(out: &Path) -> Self {
+        let name = out.file_name().unwrap_or_default().to_string_lossy();
+        let mut this =
+            Self { folder: out.with_file_name(format!(".{name}.checkpoints")), before: BTreeSet::new() };
+        this.before = this.files().collect();
+        this
     }
-}
 
-/// Refuses to replace a folder that is not a result of ours.
-pub(crate) fn check_output(out: &Path) -> Done {
-    let refuse = |what: &str| {
-        Err(CliError::Input(format!(
-            "--out {}: {what}; choose another name or remove it first",
-            out.display()
-        )))
-    };
-    match std::fs::read_dir(out) {
-        Ok(mut entries) => {
-            let ours = ["scene.json", "capture.json", "scores.json"].iter().any(|f| out.join(f).is_file());
-            if entries.next().is_some() && !ours {
-                refuse("this folder exists and is not empty")
-            } else {
-                Ok(())
+    fn files(&self) -> impl Iterator<Item = PathBuf> {
+        std::fs::read_dir(&self.folder).into_iter().flatten().flatten().map(|entry| entry.path())
+    }
+
+    /// Removes the checkpoints that have served; those of other trainings stay.
+    fn forget(&self, app: &App) {
+        for path in self.files().filter(|path| !self.before.contains(path)) {
+            if let Err(error) = std::fs::remove_file(&path) {
+                tracing::warn!("{}: {error}; this checkpoint is no longer needed", path.display());
             }
         }
-        Err(_) if out.exists() => refuse("this is a file"),
-        Err(_) => Ok(()),
+        // Goes only if it is empty.
+        let gone = std::fs::remove_dir(&self.folder).is_ok();
+        if !gone && !app.quiet && self.files().next().is_some() {
+            eprintln!(
+                "{}: checkpoints of a training with other parameters or inputs stay; remove them when it is not to be gone on with",
+                path_text(&self.folder)
+            );
+        }
     }
 }
 
@@ -153,7 +187,7 @@ pub(crate) fn imported(
     }
     let folder = scratch.join("import");
     let stage = registry.stage("import").map_err(CliError::failed)?;
-    run_stage(app, stage, parameters, vec![("capture", capture.to_path_buf())], &folder, None)?;
+    run_stage(app, stage, parameters, vec![("capture", capture.to_path_buf())], &folder)?;
     Ok(folder)
 }
 
@@ -166,29 +200,16 @@ pub(crate) fn check_origin(scene: &Path, import: &Path, scored: bool) -> Done {
     if scored { origin.check_split(scene, &capture).map_err(CliError::Input) } else { Ok(()) }
 }
 
-/// Moves a stage's file out of its artifact.
-fn deliver(file: &Path, out: &Path) -> Done {
-    if let Some(parent) = out.parent().filter(|p| !p.as_os_str().is_empty()) {
-        std::fs::create_dir_all(parent)
-            .map_err(|e| CliError::Input(format!("--out {}: {e}", out.display())))?;
-    }
-    let name = out.file_name().unwrap_or_default().to_string_lossy();
-    let part = out.with_file_name(format!(".{name}.part"));
-    let moved = std::fs::copy(file, &part).and_then(|_| std::fs::rename(&part, out));
-    moved.map_err(|e| {
-        let _ = std::fs::remove_file(&part);
-        CliError::Input(format!("--out {}: {e}", out.display()))
-    })
-}
-
 pub(crate) fn import(app: &App, args: &ImportArgs) -> Done {
     let started = Instant::now();
-    check_output(&args.out)?;
+    let force = args.replace.force;
+    check_folder(&args.out, force)?;
     let registry = stages()?;
     let parameters = parameters(&registry, &["import"], &args.settings.set)?;
     let stage = registry.stage("import").map_err(CliError::failed)?;
-    run_stage(app, stage, &parameters[0], vec![("capture", args.capture.clone())], &args.out, None)?;
-    finished(app, &args.out, started, &format!("use3d reconstruct {} --out scene/", args.out.display()));
+    let kept = Kept { out: &args.out, force, checkpoints: None };
+    run_kept(app, stage, &parameters[0], vec![("capture", args.capture.clone())], &kept)?;
+    finished(app, &args.out, started, &format!("use3d reconstruct {} --out scene/", word(&args.out)));
     Ok(())
 }
 
@@ -219,7 +240,8 @@ fn depth_wanted(reconstruct: &Value, _: Option<&Value>, _: &Path, _: Option<&Pat
 
 pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
     let started = Instant::now();
-    check_output(&args.out)?;
+    let force = args.replace.force;
+    check_folder(&args.out, force)?;
     let registry = stages()?;
     let mut names = vec!["reconstruct", "import", "propose"];
     // Absent where the program was built without networks.
@@ -233,7 +255,7 @@ pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
         let mut given = vec![("import", import)];
         given.extend(args.models.clone().map(|dir| ("models", dir)));
         let stage = registry.stage("propose").map_err(CliError::failed)?;
-        run_stage(app, stage, &parameters[2], given, &folder, None)?;
+        run_stage(app, stage, &parameters[2], given, &folder)?;
         inputs.push(("proposals", folder));
     }
     if depth_wanted(&parameters[0], parameters.get(3), &inputs[0].1, args.models.as_deref()) {
@@ -245,29 +267,25 @@ pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
         let folder = scratch.path().join("depth");
         let stage = registry.stage("depth").map_err(CliError::failed)?;
         let given = vec![("import", inputs[0].1.clone()), ("models", models)];
-        run_stage(app, stage, parameters.get(3).unwrap_or(&Value::Null), given, &folder, None)?;
+        run_stage(app, stage, parameters.get(3).unwrap_or(&Value::Null), given, &folder)?;
         inputs.push(("depth", folder));
     }
-    let kept = checkpoints(&args.out);
     let stage = registry.stage("reconstruct").map_err(CliError::failed)?;
     let app = if args.profile { &profiling(app) } else { app };
-    run_stage(app, stage, &parameters[0], inputs, &args.out, Some(kept.clone()))?;
-    forget(&kept);
-    finished(
-        app,
-        &args.out,
-        started,
-        &format!(
-            "use3d render {0} --cameras {1} --out renders/ --modes reconstruction,clear",
-            args.out.display(),
-            args.capture.display()
-        ),
-    );
+    let saved = Checkpoints::beside(&args.out);
+    let kept = Kept { out: &args.out, force, checkpoints: Some(saved.folder.clone()) };
+    run_kept(app, stage, &parameters[0], inputs, &kept)?;
+    saved.forget(app);
+    let (scene, capture) = (word(&args.out), word(&args.capture));
+    let next =
+        format!("use3d render {scene} --cameras {capture} --out renders/ --modes reconstruction,clear");
+    finished(app, &args.out, started, &next);
     Ok(())
 }
 
 pub(crate) fn calibrate(app: &App, args: &CalibrateArgs) -> Done {
     let started = Instant::now();
+    check_file("--out", &args.out, args.replace.force, &[])?;
     let registry = stages()?;
     let mut sets = args.settings.set.clone();
     if let Some(proposer) = &args.proposer {
@@ -278,22 +296,26 @@ pub(crate) fn calibrate(app: &App, args: &CalibrateArgs) -> Done {
     let pairs = scratch.path().join("pairs");
     let mut inputs = vec![("input", args.input.clone()), ("target", args.target.clone())];
     inputs.extend(args.models.clone().map(|dir| ("models", dir)));
-    run_stage(app, registry.stage("pairs").map_err(CliError::failed)?, &parameters[1], inputs, &pairs, None)?;
+    run_stage(app, registry.stage("pairs").map_err(CliError::failed)?, &parameters[1], inputs, &pairs)?;
     let out = scratch.path().join("calibrate");
     let stage = registry.stage("calibrate").map_err(CliError::failed)?;
-    run_stage(app, stage, &parameters[0], vec![("pairs", pairs)], &out, None)?;
-    deliver(&out.join(CALIBRATOR), &args.out)?;
+    run_stage(app, stage, &parameters[0], vec![("pairs", pairs)], &out)?;
+    copy_file("--out", &out.join(CALIBRATOR), &args.out)?;
     finished(
         app,
         &args.out,
         started,
-        &format!("use3d targets SCENE CAPTURE --calibrator {} --out targets.safetensors", args.out.display()),
+        &format!("use3d targets SCENE CAPTURE --calibrator {} --out targets.safetensors", word(&args.out)),
     );
     Ok(())
 }
 
 pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
     let started = Instant::now();
+    check_file("--out", &args.out, args.replace.force, &[])?;
+    // The pictures that show why consensus matters go beside the file.
+    let previews = args.out.with_extension("previews");
+    check_folder(&previews, args.replace.force)?;
     let registry = stages()?;
     let parameters = parameters(&registry, &["targets", "import"], &args.settings.set)?;
     let scratch = scratch()?;
@@ -303,35 +325,21 @@ pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
         vec![("import", import), ("scene", args.scene.clone()), ("calibrator", args.calibrator.clone())];
     inputs.extend(args.models.clone().map(|dir| ("models", dir)));
     let out = scratch.path().join("targets");
-    run_stage(app, registry.stage("targets").map_err(CliError::failed)?, &parameters[0], inputs, &out, None)?;
-    // The pictures that show why consensus matters go beside the file.
-    let previews = args.out.with_extension("previews");
+    run_stage(app, registry.stage("targets").map_err(CliError::failed)?, &parameters[0], inputs, &out)?;
     if out.join("previews").is_dir() {
-        std::fs::create_dir_all(&previews)
-            .map_err(|e| CliError::Input(format!("{}: {e}", previews.display())))?;
-        for entry in std::fs::read_dir(out.join("previews")).map_err(CliError::failed)? {
-            let entry = entry.map_err(CliError::failed)?;
-            deliver(&entry.path(), &previews.join(entry.file_name()))?;
-        }
+        copy_folder(&out.join("previews"), &previews, args.replace.force)?;
     }
-    deliver(&out.join(TARGETS), &args.out)?;
-    finished(
-        app,
-        &args.out,
-        started,
-        &format!(
-            "use3d enhance {} {} --targets {} --out enhanced-scene/",
-            args.scene.display(),
-            args.capture.display(),
-            args.out.display()
-        ),
-    );
+    copy_file("--out", &out.join(TARGETS), &args.out)?;
+    let (scene, capture, targets) = (word(&args.scene), word(&args.capture), word(&args.out));
+    let next = format!("use3d enhance {scene} {capture} --targets {targets} --out enhanced-scene/");
+    finished(app, &args.out, started, &next);
     Ok(())
 }
 
 pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
     let started = Instant::now();
-    check_output(&args.out)?;
+    let force = args.replace.force;
+    check_folder(&args.out, force)?;
     let registry = stages()?;
     let parameters = parameters(&registry, &["enhance", "import"], &args.settings.set)?;
     let scratch = scratch()?;
@@ -341,19 +349,13 @@ pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
         vec![("import", import), ("scene", args.scene.clone()), ("targets", args.targets.clone())];
     inputs.extend(args.models.clone().map(|dir| ("models", dir)));
     let app = if args.profile { &profiling(app) } else { app };
-    let kept = checkpoints(&args.out);
     let stage = registry.stage("enhance").map_err(CliError::failed)?;
-    run_stage(app, stage, &parameters[0], inputs, &args.out, Some(kept.clone()))?;
-    forget(&kept);
-    finished(
-        app,
-        &args.out,
-        started,
-        &format!(
-            "use3d render {0} --cameras {1} --out renders/ --modes enhanced",
-            args.out.display(),
-            args.capture.display()
-        ),
-    );
+    let saved = Checkpoints::beside(&args.out);
+    let kept = Kept { out: &args.out, force, checkpoints: Some(saved.folder.clone()) };
+    run_kept(app, stage, &parameters[0], inputs, &kept)?;
+    saved.forget(app);
+    let (scene, capture) = (word(&args.out), word(&args.capture));
+    let next = format!("use3d render {scene} --cameras {capture} --out renders/ --modes enhanced");
+    finished(app, &args.out, started, &next);
     Ok(())
 }

@@ -37,7 +37,9 @@ pub(crate) fn error(error: SynthError) -> CliError {
     match error {
         SynthError::Interrupted => CliError::Stopped,
         SynthError::Parameter { .. } | SynthError::OutputExists { .. } => CliError::input(error),
-        SynthError::Io { .. } | SynthError::Image(_) | SynthError::Model(_) => CliError::failed(error),
+        SynthError::Io { .. } | SynthError::Name(_) | SynthError::Image(_) | SynthError::Model(_) => {
+            CliError::failed(error)
+        }
     }
 }
 

@@ -7,7 +7,6 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 use serde_json::Value;
 
 use super::Engine;
-use super::cache::replace_folder;
 use super::context::{Log, StageContext, StageInput};
 use super::error::{EngineError, StageError};
 use super::events::Listener;
@@ -15,6 +14,7 @@ use super::files;
 use super::graph::Graph;
 use super::job::in_pool;
 use super::manifest::FileRecord;
+use super::place::{self, PlaceError};
 use super::resolve::{self, Outcome};
 use super::run::RunOptions;
 use super::stage::Stage;
@@ -26,8 +26,12 @@ pub struct Alone<'a> {
     pub parameters: &'a Value,
     /// Its inputs: role and path.
     pub inputs: Vec<(String, PathBuf)>,
-    /// The folder for its result; replaced only when the stage is done.
+    /// The folder for its result, there only when the stage is done.
     pub output: &'a Path,
+    /// Whether the result stays: it then has a record of its files.
+    pub record: bool,
+    /// Whether an earlier result of ours in that place is replaced.
+    pub replace: bool,
     /// Where a resumable stage keeps checkpoints; without, it keeps none.
     pub checkpoints: Option<PathBuf>,
     /// The seed.
@@ -41,11 +45,9 @@ pub struct Alone<'a> {
 impl Stage {
     /// Runs the stage by itself.
     pub fn run_alone(&self, alone: Alone<'_>, listener: &Arc<dyn Listener>) -> Result<(), StageError> {
-        let parent = alone.output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        files::at(parent, "create", std::fs::create_dir_all(parent))?;
-        let name = alone.output.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let sibling = parent.join(format!(".{name}.tmp-{}", files::unique()));
-        files::at(&sibling, "create", std::fs::create_dir_all(&sibling))?;
+        let sibling = place::sibling(alone.output);
+        let created = std::fs::create_dir_all(&sibling);
+        created.map_err(|source| PlaceError::Io { path: alone.output.into(), doing: "write", source })?;
         let inputs = alone.inputs.into_iter().map(|(role, path)| StageInput {
             role,
             path,
@@ -69,7 +71,12 @@ impl Stage {
             notes: None,
         };
         let ran = in_pool(context.threads, || (self.run)(&context, alone.parameters));
-        let placed = ran.and_then(|()| Ok(replace_folder(&sibling, alone.output)?));
+        let placed = ran.and_then(|()| {
+            if alone.record {
+                place::record(&sibling, None)?;
+            }
+            Ok(place::put(&sibling, alone.output, alone.replace)?)
+        });
         if placed.is_err() {
             let _ = std::fs::remove_dir_all(&sibling);
         }

@@ -343,46 +343,6 @@ impl Cache {
     }
 }
 
-impl Artifact {
-    /// Copies the payload to `folder`, replacing what is there only when all of the copy is made.
-    pub fn copy_to(&self, folder: &Path) -> Result<(), FileError> {
-        let parent = folder.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        files::at(parent, "create", std::fs::create_dir_all(parent))?;
-        let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let sibling = parent.join(format!(".{name}.tmp-{}", files::unique()));
-        let copied = self.manifest.files.iter().try_for_each(|file| {
-            let to = sibling.join(&file.path);
-            let inside = to.parent().unwrap_or(&sibling);
-            files::at(inside, "create", std::fs::create_dir_all(inside))?;
-            files::at(&to, "write", std::fs::copy(self.path.join(&file.path), &to)).map(|_| ())
-        });
-        let placed = copied.and_then(|()| replace_folder(&sibling, folder));
-        if placed.is_err() {
-            let _ = std::fs::remove_dir_all(&sibling);
-        }
-        placed
-    }
-}
-
-/// Puts the finished `sibling` in the place of `folder`.
-pub(crate) fn replace_folder(sibling: &Path, folder: &Path) -> Result<(), FileError> {
-    files::at(sibling, "create", std::fs::create_dir_all(sibling))?;
-    let old = folder.with_file_name(format!(
-        ".{}.old-{}",
-        folder.file_name().unwrap_or_default().to_string_lossy(),
-        files::unique()
-    ));
-    let had = folder.exists();
-    if had {
-        files::at(folder, "replace", std::fs::rename(folder, &old))?;
-    }
-    files::at(folder, "write", std::fs::rename(sibling, folder))?;
-    if had {
-        files::at(&old, "remove", std::fs::remove_dir_all(&old))?;
-    }
-    Ok(())
-}
-
 fn wrong_file(file: &FileRecord, found: Result<(u64, Digest), FileError>) -> Option<String> {
     match found {
         Err(error) if error.source.kind() == std::io::ErrorKind::NotFound => {

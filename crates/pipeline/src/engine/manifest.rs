@@ -9,7 +9,7 @@ use super::machine::Machine;
 
 /// The manifest's file name; no payload file of an artifact has it.
 pub const MANIFEST: &str = "manifest.json";
-const FORMAT: &str = "use3d artifact";
+pub(crate) const FORMAT: &str = "use3d artifact";
 const CONTEXT: &str = "use3d 2026 artifact content v1";
 
 /// A file of an artifact.

@@ -83,6 +83,7 @@ pub mod leftovers;
 pub mod machine;
 pub mod manifest;
 pub mod picture;
+pub mod place;
 pub mod plan;
 mod registry;
 mod resolve;
