@@ -133,6 +133,13 @@ impl Deref for FileName {
     }
 }
 
+/// Joined to a folder, a name stays below it.
+impl AsRef<Path> for FileName {
+    fn as_ref(&self) -> &Path {
+        Path::new(&self.0)
+    }
+}
+
 impl fmt::Display for FileName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(&self.0)

@@ -33,6 +33,7 @@ pub(crate) fn check_folder(out: &Path, force: bool) -> Done {
         let what = "this folder is in use; name a folder of its own for the result";
         return Err(CliError::Input(format!("--out {}: {what}", path_text(out))));
     }
+    place::sweep(place::parent(out));
     place::check(out, force).map_err(named)?;
     place::check_writable(place::parent(out)).map_err(named)
 }

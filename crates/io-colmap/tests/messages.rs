@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use use3d_capture::{Image, Intrinsics, Pose};
+use use3d_capture::{FileName, Image, Intrinsics, Pose};
 use use3d_io_colmap::*;
 use use3d_io_image::write_png;
 
@@ -13,7 +13,11 @@ fn model() -> Model {
     let at = |i: usize| Pose { translation: [i as f64, 0.0, 4.0].into(), ..Pose::IDENTITY };
     Model {
         cameras: vec![ModelCamera::pinhole(1, &k)],
-        images: NAMES.iter().enumerate().map(|(i, n)| ModelImage::at(i as u32 + 1, n, 1, &at(i))).collect(),
+        images: NAMES
+            .iter()
+            .enumerate()
+            .map(|(i, n)| ModelImage::at(i as u32 + 1, FileName::new(n).unwrap(), 1, &at(i)))
+            .collect(),
         points: vec![ModelPoint {
             id: 7,
             position: [0.0, 0.0, 1.0],

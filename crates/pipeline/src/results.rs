@@ -63,7 +63,11 @@ pub fn check(graph: &Graph, until: Option<&[String]>, out: &Path) -> Result<(), 
             places.insert(TABLES.into(), node.label());
         }
     }
-    places.keys().try_for_each(|place| place::check(&out.join(place), true))
+    places.keys().try_for_each(|place| {
+        let place = out.join(place);
+        place::sweep(place::parent(&place));
+        place::check(&place, true)
+    })
 }
 
 /// Fills `out` and says what is where: `report`, `tables`, one line per scene.

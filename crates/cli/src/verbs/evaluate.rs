@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use use3d_capture::shown;
 use use3d_io_image::{image_size, read_image};
 use use3d_pipeline::engine::machine::{available_memory, bytes};
 use use3d_pipeline::scores::{Method, SceneScores, Score, Scores};
@@ -76,8 +77,11 @@ fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Resul
         let mut scores = judges.alone(&image, None);
         if let Some(references) = &references {
             let Some(path) = references.get(&stem) else {
-                eprintln!("{stem}: no counterpart of this stem in the reference folder; scored without");
-                rows.push(Row { method: String::new(), image: stem, scores });
+                eprintln!(
+                    "{}: no counterpart of this stem in the reference folder; scored without",
+                    shown(&stem)
+                );
+                rows.push(Row { method: String::new(), image: shown(&stem).into_owned(), scores });
                 continue;
             };
             let reference = read_image(path).map_err(CliError::input)?;
@@ -92,7 +96,7 @@ fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Resul
             }
             scores.extend(judges.against(&image, &reference, None));
         }
-        rows.push(Row { method: String::new(), image: stem, scores });
+        rows.push(Row { method: String::new(), image: shown(&stem).into_owned(), scores });
     }
     let mean = mean(rows.iter().map(|r| &r.scores));
     rows.push(Row { method: String::new(), image: "mean".into(), scores: mean });

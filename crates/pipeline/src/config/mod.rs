@@ -91,7 +91,9 @@ pub fn for_capture(
             folder.display()
         )));
     }
-    let name = whole.file_name().map_or_else(|| "capture".to_string(), |n| n.to_string_lossy().into_owned());
+    let name = whole.file_name().map_or_else(|| "capture".into(), |n| n.to_string_lossy());
+    // It names folders and is printed; a pipeline file could not say it either.
+    let name = name.replace(char::is_control, "_");
     let mut scene = Scene { name: name.clone(), ..Scene::default() };
     scene.name_external("capture", Ok(whole), "the command line");
     let batch = Batch { name, seed: file::default_seed(), scenes: vec![scene], ..Batch::default() };

@@ -75,7 +75,7 @@ impl Stage {
             if alone.record {
                 place::record(&sibling, None)?;
             }
-            Ok(place::put(&sibling, alone.output, alone.replace)?)
+            place::put(&sibling, alone.output, alone.replace).map_err(StageError::bad_input)
         });
         if placed.is_err() {
             let _ = std::fs::remove_dir_all(&sibling);

@@ -8,6 +8,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
+use use3d_capture::name::shown_lines;
+
 use super::error::StageError;
 use super::events::{Event, Listener};
 
@@ -198,7 +200,8 @@ impl Log {
 
     pub(crate) fn line(&self, line: &str) {
         let mut sink = self.sink.lock().unwrap_or_else(PoisonError::into_inner);
-        let _ = writeln!(sink, "{:>9.2} {line}", self.start.elapsed().as_secs_f64());
+        // A log is read on terminals, and quotes what files say.
+        let _ = writeln!(sink, "{:>9.2} {}", self.start.elapsed().as_secs_f64(), shown_lines(line));
     }
 }
 

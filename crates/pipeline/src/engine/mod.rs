@@ -61,7 +61,7 @@
 //!
 //! [`cache`]: the folder layout, publishing, verification. [`code`]: token-level code digests. [`content`]: digests of
 //! inputs that are not read twice. [`graph`]: scenes × stages × variants. [`plan`], [`run`]: what would happen, making it
-//! happen. [`history`]: what happened, forecasts.
+//! happen. [`history`]: what happened, forecasts. [`place`]: results outside the cache, and what of them may be replaced.
 
 mod alone;
 pub mod cache;

@@ -19,6 +19,7 @@ use use3d_capture::name::shown;
 use super::digest::Digest;
 use super::error::FileError;
 use super::files;
+use super::leftovers;
 use super::manifest::{FORMAT as ARTIFACT, FileRecord, MANIFEST};
 
 /// The format line of the record of a stage that was run by hand.
@@ -267,16 +268,33 @@ pub fn parent(path: &Path) -> &Path {
     path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
+/// What begins the name of a thing that is being made.
+const MADE: &str = ".use3d-tmp-";
+/// What begins the name of an old result on its way out. It may hold files of others, so nobody sweeps it.
+const OLD: &str = ".use3d-old-";
+
 /// A place beside `path` for what is being made; not called after it, since a name may be as long as names can be.
 pub fn sibling(path: &Path) -> PathBuf {
-    parent(path).join(format!(".use3d-tmp-{}", files::unique()))
+    beside(path, MADE)
+}
+
+fn beside(path: &Path, begin: &str) -> PathBuf {
+    parent(path).join(format!("{begin}{}-{}", leftovers::owner(), files::unique()))
+}
+
+/// Removes from a folder what processes that were killed left half made.
+pub fn sweep(folder: &Path) {
+    leftovers::sweep(folder, MADE, |_| true);
 }
 
 /// Copies a folder of plain files and folders.
 pub fn copy_folder(from: &Path, to: &Path) -> Result<(), PlaceError> {
     at(to, "create", fs::create_dir_all(to))?;
-    for entry in at(from, "read", fs::read_dir(from))? {
-        let entry = at(from, "read", entry)?;
+    let entries: io::Result<Vec<fs::DirEntry>> = fs::read_dir(from).and_then(Iterator::collect);
+    let mut entries = at(from, "read", entries)?;
+    // The record last: a file that is newer has to be read to know whether it was edited.
+    entries.sort_by_key(|entry| entry.file_name() == MANIFEST);
+    for entry in entries {
         let (source, target) = (entry.path(), to.join(entry.file_name()));
         if at(&source, "read", entry.file_type())?.is_dir() {
             copy_folder(&source, &target)?;
@@ -315,7 +333,7 @@ pub fn put(made: &Path, folder: &Path, replace: bool) -> Result<(), PlaceError> 
                         format!("{} is not ours, and the new result has a file of that name", shown(name));
                     return Err(not_ours(folder, &why));
                 }
-                let aside = sibling(folder);
+                let aside = beside(folder, OLD);
                 match fs::rename(folder, &aside) {
                     Err(e) if e.kind() == io::ErrorKind::NotFound => continue,
                     other => at(folder, "replace", other)?,
@@ -334,9 +352,11 @@ pub fn put(made: &Path, folder: &Path, replace: bool) -> Result<(), PlaceError> 
             (Ok(()), None) => return Ok(()),
             (Ok(()), Some((aside, ours))) => return retire(&aside, &ours, folder),
             (Err(e), old) => {
-                if let Some((aside, _)) = old {
-                    // Back to where it was, unless somebody was faster.
-                    let _ = fs::rename(&aside, folder);
+                // Back to where it was; if somebody was faster, what was beside it goes to that result.
+                if let Some((aside, ours)) = old
+                    && fs::rename(&aside, folder).is_err()
+                {
+                    retire(&aside, &ours, folder)?;
                 }
                 if !matches!(e.kind(), io::ErrorKind::DirectoryNotEmpty | io::ErrorKind::AlreadyExists) {
                     return at(folder, "write", Err(e));
@@ -356,10 +376,13 @@ fn in_the_way(made: &Path, name: &str) -> bool {
 }
 
 /// Moves what others put beside an old result into the new one, and removes our files. A folder that is not empty then holds
-/// something that came since, and stays.
+/// something that has no room there or came since, and stays.
 fn retire(aside: &Path, ours: &Ours, folder: &Path) -> Result<(), PlaceError> {
     for name in &ours.extra {
         let to = folder.join(name);
+        if in_the_way(folder, name) {
+            continue;
+        }
         at(&to, "create the folder of", fs::create_dir_all(parent(&to)))?;
         at(&to, "keep", fs::rename(aside.join(name), &to))?;
     }

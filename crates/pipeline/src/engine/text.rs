@@ -2,6 +2,8 @@
 
 use std::fmt::{self, Display, Formatter};
 
+use use3d_capture::name::{shown, shown_lines};
+
 use super::gc::Cleaning;
 use super::machine::{bytes, seconds};
 use super::plan::{Plan, PlannedNode, State};
@@ -82,7 +84,8 @@ impl Display for Summary {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         for node in self.failed() {
             if let Became::Failed { reason, log } = &node.result {
-                writeln!(f, "failed   {}: {reason}\n         log: {}", node.label, log.display())?;
+                let (label, reason) = (shown(&node.label), shown_lines(reason));
+                writeln!(f, "failed   {label}: {reason}\n         log: {}", log.display())?;
             }
         }
         let blocked = self.count(|r| matches!(r, Became::Blocked(_)));

@@ -1,4 +1,5 @@
 use super::*;
+use crate::engine::machine::ProcessId;
 
 /// A finished sibling with these files and a record.
 fn made(folder: &Path, files: &[(&str, &str)]) -> PathBuf {
@@ -108,6 +109,21 @@ fn links_are_neither_followed_nor_replaced() {
     }
     assert_eq!(read(at("real/mine.txt")), "mine");
     assert!(at("linked").is_symlink() && at("inside/a").is_symlink());
+}
+
+#[test]
+fn what_a_killed_process_left_half_made_is_swept() {
+    let dir = tempfile::tempdir().unwrap();
+    let mine = sibling(&dir.path().join("scene"));
+    let dead = ProcessId { started: 1, ..ProcessId::this() };
+    let left = dir.path().join(format!("{MADE}{}-0", dead.name()));
+    let old = dir.path().join(format!("{OLD}{}-1", dead.name()));
+    for folder in [&mine, &left, &old] {
+        write(folder, &[("deep/a", "a")]);
+    }
+    sweep(dir.path());
+    assert!(mine.exists() && old.exists(), "in use, or perhaps somebody's");
+    assert_eq!(left.exists(), dead.is_alive() != Some(false));
 }
 
 #[test]
