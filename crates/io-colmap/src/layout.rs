@@ -305,8 +305,11 @@ pub(crate) fn find_extra(
 /// Whether a capture folder has a folder of depth priors: the one that the parameters name, or one of the usual names.
 pub fn has_depth_folder(capture: &Path, params: &ImportParams) -> bool {
     let asked = params.depth_dir.as_deref().filter(|_| !crate::prepared::is_prepared(capture));
-    // A folder that is named and not there is the import's to refuse.
-    find_extra(capture, asked, "depth_dir", &DEPTH_DIRS).map_or(true, |found| found.is_some())
+    match find_extra(capture, asked, "depth_dir", &DEPTH_DIRS) {
+        Ok(found) => found.is_some(),
+        // A folder that is named and not there is the import's to refuse.
+        Err(_) => true,
+    }
 }
 
 #[cfg(test)]

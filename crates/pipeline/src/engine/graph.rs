@@ -339,19 +339,19 @@ impl Builder<'_> {
                         input.instead.filter(|name| outside(name).is_some())
                     }
                 };
-                let found = match (input.source.clone(), external) {
-                    (_, Some(name)) => outside(name),
-                    (Source::External(name), None) => outside(name),
-                    (Source::Reference(name), None) => reference.and_then(|reference| {
-                        let scene_name = scene.map(|s| s.name.clone()).unwrap_or_default();
-                        let node = self.place.get(&(scene_name, reference.name.clone(), name));
-                        node.map(|node| From::Node(*node))
-                    }),
-                    (Source::Stage(name), None) => {
-                        let scene_name = scene.map(|s| s.name.clone()).unwrap_or_default();
-                        let here = self.place.get(&(scene_name, variant.name.clone(), name));
-                        here.or_else(|| self.place.get(&(String::new(), variant.name.clone(), name)))
-                            .map(|node| From::Node(*node))
+                let scene_name = scene.map(|s| s.name.clone()).unwrap_or_default();
+                let made = |scene_name: String, variant: &Variant, stage: &'static str| {
+                    let node = self.place.get(&(scene_name, variant.name.clone(), stage));
+                    node.map(|node| From::Node(*node))
+                };
+                let found = match (external, &input.source) {
+                    (Some(name), _) => outside(name),
+                    (None, Source::External(_)) => None,
+                    (None, Source::Reference(stage)) => {
+                        reference.and_then(|reference| made(scene_name, reference, stage))
+                    }
+                    (None, Source::Stage(stage)) => {
+                        made(scene_name, variant, stage).or_else(|| made(String::new(), variant, stage))
                     }
                 };
                 let from = match (found, input.optional) {
