@@ -14,7 +14,7 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::proposers::Proposer;
-use use3d_capture::{Camera, Capture, Image, Map, View, path};
+use use3d_capture::{Camera, Capture, Frame as FrameOf, Image, Map, View, path};
 use use3d_io_colmap::{load_mask, load_pixels};
 use use3d_io_image::write_png;
 use use3d_metrics::{Mask, mask_of};
@@ -194,7 +194,7 @@ struct Evaluation<'a> {
     judges: Judges,
     looker: Looker<'a>,
     /// The reference variant's stage 1; the scene's own is taken where there is none.
-    reference: Option<SceneRenderer<'a>>,
+    reference: Option<Reference<'a>>,
 }
 
 impl Evaluation<'_> {
@@ -208,12 +208,8 @@ impl Evaluation<'_> {
         let looks = self.looker.look(camera, photograph)?;
         let (mut depth, mut render) = (looks.depth.clone(), looks.of(self.looker.learnt).cloned());
         if let Some(reference) = &mut self.reference {
-            for frame in reference.render(camera, &[Mode::Depth, Mode::Reconstruction]) {
-                match frame {
-                    Frame::Scalar(map) => depth = map,
-                    Frame::Color(image) => render = Some(image),
-                }
-            }
+            let (theirs, image) = reference.look(camera);
+            (depth, render) = (theirs, Some(image));
         }
         let raw = looks.of(Method::Captured).cloned().or(render).unwrap_or_else(|| Image::new(0, 0));
         Ok(Station { camera: *camera, raw: raw.map(|v| v.clamp(0.0, 1.0)), depth, mask, looks })
@@ -300,24 +296,47 @@ fn learnt_from(context: &StageContext) -> Method {
     }
 }
 
-/// The reference's stage 1, if it is in the scene's frame.
-fn reference(context: &StageContext, scene: &Scene) -> Result<Option<Scene>, StageError> {
-    let Some(folder) = context.optional_input("reference") else { return Ok(None) };
-    let reference = Scene::load(folder)?;
-    if reference.frame != scene.frame {
-        return Err(StageError::bad_input_message(format!(
-            "{}: this scene lies in another frame than the one that is scored; reconstruct both from one import",
-            folder.display()
-        )));
+/// The reference variant's stage 1, seen from cameras of the scene that is scored. A variant that is imported in another way lies in another
+/// frame; both frames come from the same model.
+struct Reference<'a> {
+    renderer: SceneRenderer<'a>,
+    /// The scored scene's frame and the reference's, where they differ.
+    between: Option<[FrameOf; 2]>,
+}
+
+impl<'a> Reference<'a> {
+    fn new(reference: &'a Scene, scored: &Scene) -> Result<Self, StageError> {
+        let between = (reference.frame != scored.frame).then_some([scored.frame, reference.frame]);
+        Ok(Self { renderer: SceneRenderer::new(reference, 1.0)?, between })
     }
-    Ok(Some(reference))
+
+    /// Depth, in units of the scored scene, and rendering at one of its cameras.
+    fn look(&mut self, camera: &Camera) -> (Map, Image) {
+        let mut camera = *camera;
+        let mut unit = None;
+        if let Some([scored, reference]) = &self.between {
+            camera.pose = reference.apply_pose(&scored.invert_pose(&camera.pose));
+            unit = Some((scored.scale / reference.scale) as f32);
+        }
+        let (mut depth, mut image) = (Map::new(0, 0), Image::new(0, 0));
+        for frame in self.renderer.render(&camera, &[Mode::Depth, Mode::Reconstruction]) {
+            match frame {
+                Frame::Scalar(map) => depth = map,
+                Frame::Color(rendered) => image = rendered,
+            }
+        }
+        match unit {
+            Some(unit) => (depth.map(|z| unit * z), image),
+            None => (depth, image),
+        }
+    }
 }
 
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let capture = capture(context)?;
     let role = if context.optional_input("enhanced").is_some() { "enhanced" } else { "scene" };
     let scene = scene(context, role)?;
-    let reference = reference(context, &scene)?;
+    let reference = context.optional_input("reference").map(Scene::load).transpose()?;
     let learnt = learnt_from(context);
     let models = context.optional_input("models");
     let proposer = open(params.proposer, models, &mut |line| context.log(line))
@@ -331,7 +350,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         capture: &capture,
         judges: Judges::open(models),
         looker: Looker { renderer: SceneRenderer::new(&scene, 1.0)?, proposer: proposer.as_ref(), learnt },
-        reference: reference.as_ref().map(|scene| SceneRenderer::new(scene, 1.0)).transpose()?,
+        reference: reference.as_ref().map(|r| Reference::new(r, &scene)).transpose()?,
     };
 
     let size = views.first().map_or((0, 0), |v| (v.camera.intrinsics.width, v.camera.intrinsics.height));
@@ -461,4 +480,51 @@ fn entry<T>(lists: &mut Vec<(Method, Vec<T>)>, method: Method) -> &mut Vec<T> {
         }
     };
     &mut lists[place].1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use use3d_capture::{Intrinsics, Pose};
+    use use3d_medium::MediumModel;
+    use use3d_splat::Gaussians;
+
+    /// One Gaussian two COLMAP units in front of the origin, in a frame of that scale.
+    fn scene(scale: f64) -> Scene {
+        let gaussians = Gaussians {
+            sh_degree: 0,
+            means: vec![[0.0, 0.0, 2.0 * scale as f32]],
+            log_scales: vec![[use3d_numerics::math::ln(0.2 * scale as f32); 3]],
+            quaternions: vec![[1.0, 0.0, 0.0, 0.0]],
+            opacity_logits: vec![4.0],
+            sh: vec![[[0.5; 3]; 16]],
+        };
+        Scene {
+            gaussians,
+            frame: FrameOf { scale, ..FrameOf::IDENTITY },
+            medium: MediumModel::None,
+            medium_degree: 0,
+            enhancement: None,
+        }
+    }
+
+    #[test]
+    fn a_reference_of_another_frame_is_seen_from_the_same_place_in_the_same_units() {
+        let intrinsics = Intrinsics { width: 16, height: 12, fx: 12.0, fy: 12.0, cx: 8.0, cy: 6.0 };
+        let camera = Camera { intrinsics, pose: Pose::IDENTITY };
+        let (scored, other) = (scene(1.0), scene(0.25));
+        let depth = |reference: &Scene| {
+            let mut reference = Reference::new(reference, &scored).map_err(|_| ()).expect("a renderer");
+            reference.look(&camera).0.pixel(8, 6)[0]
+        };
+        assert!((depth(&scored) - 2.0).abs() < 0.2, "{}", depth(&scored));
+        assert!((depth(&other) - depth(&scored)).abs() < 1e-2, "{} {}", depth(&other), depth(&scored));
+    }
+
+    #[test]
+    fn pairs_are_spread_evenly() {
+        assert_eq!(evenly(24, 4), [3, 9, 15, 21]);
+        assert_eq!(evenly(3, 8), [0, 1, 2]);
+        assert!(evenly(0, 8).is_empty() && evenly(8, 0).is_empty());
+    }
 }
