@@ -205,7 +205,7 @@ fn killed_at_any_moment_the_artifacts_are_those_of_an_undisturbed_run() {
 }
 
 #[test]
-fn runs_of_two_lengths_on_one_cache_end_both() {
+fn runs_of_two_lengths_with_one_cache_and_one_folder_for_results_end_both() {
     let place = Place::new();
     let ends = |iterations: [u64; 2], cache: &str| {
         let children: Vec<Child> = iterations
@@ -213,7 +213,7 @@ fn runs_of_two_lengths_on_one_cache_end_both() {
             .map(|n| {
                 let sets =
                     [format!("reconstruct.iterations={n}"), "reconstruct.checkpoint_steps=1".to_string()];
-                let out = format!("out-{cache}-{n}");
+                let out = format!("out-{cache}");
                 let mut command = place.run_into(&out, "tiny", cache, &[&sets[0], &sets[1]]);
                 command.args(["--until", "reconstruct"]);
                 command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the command starts")
@@ -224,9 +224,23 @@ fn runs_of_two_lengths_on_one_cache_end_both() {
             assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
         }
         let target = Target { place: &place, cache: cache.to_string() };
-        (target.artifacts(), target.checkpoints("reconstruct").len())
+        (target.artifacts(), target.checkpoints("reconstruct").len(), target.results())
     };
-    let (found, checkpoints) = ends([40, 45], "shared");
+    let (found, checkpoints, delivered) = ends([40, 45], "shared");
+    // Both delivered into one folder: one of the two scenes is there, whole.
+    let scenes: BTreeSet<&Path> = found
+        .keys()
+        .filter(|path| path.starts_with("reconstruct"))
+        .filter_map(|path| path.parent())
+        .collect();
+    let is_delivered = |scene: &&&Path| {
+        let own = found.iter().filter_map(|(path, bytes)| Some((path.strip_prefix(scene).ok()?, bytes)));
+        own.clone().count() > 4
+            && own
+                .into_iter()
+                .all(|(path, bytes)| delivered.get(&Path::new("scene").join(path)) == Some(bytes))
+    };
+    assert_eq!(scenes.iter().filter(is_delivered).count(), 1, "{:?}", delivered.keys());
     assert_eq!(checkpoints, 2, "each keeps its last");
     // One after the other, the same.
     let target = Target { place: &place, cache: "alone".to_string() };
