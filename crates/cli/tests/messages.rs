@@ -143,9 +143,12 @@ fn a_stage_that_fails_by_hand_exits_with_1_and_bad_input_with_2() {
     let dir = tempfile::tempdir().unwrap();
     let reef = capture(dir.path());
     let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
-    std::fs::write(at("file"), "in the way").unwrap();
-    // The capture is right, the place for the result is not.
-    check(&[(&["import", &reef, "--out", &at("file/below")], 1, &["file"])]);
+    // The capture is right, the training diverges.
+    let mut arguments = vec!["-q", "reconstruct", &reef, "--out"];
+    let failed = at("failed");
+    arguments.extend([failed.as_str(), "--set", "iterations=3", "--set", "random_points=200"]);
+    arguments.extend(["--set", "learning_rates.means=[1e300, 1e300]"]);
+    check(&[(&arguments, 1, &["not finite"])]);
     std::fs::remove_file(Path::new(&reef).join("sparse/0/points3D.bin")).unwrap();
     check(&[
         (&["import", &reef, "--out", &at("out")], 2, &["lacks points3D.bin"]),

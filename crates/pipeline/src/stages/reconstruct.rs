@@ -106,8 +106,13 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     };
     let outcome = reconstruct(&capture, &load, &params, context.checkpoints(), &mut Watch::new(context));
     let outcome = match outcome {
+        Ok(outcome) => outcome,
         Err(ReconstructError::Interrupted { .. }) => return Err(StageError::Cancelled),
-        other => other?,
+        Err(error @ (ReconstructError::NonFinite(_) | ReconstructError::Checkpoint(_))) => {
+            return Err(StageError::failed(error));
+        }
+        // Every other one lies in the capture or the parameters.
+        Err(error) => return Err(StageError::bad_input(error)),
     };
     if let Some(evaluation) = &outcome.evaluation {
         let against = match params.images {
