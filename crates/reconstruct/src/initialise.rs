@@ -2,7 +2,8 @@
 //!
 //! One per sparse point: its colour as the constant coefficient, an isotropic size of the mean distance to its three nearest other
 //! points, a uniformly random rotation, opacity 0.1. Equal points count as one neighbour, so that a heap of duplicates does not make
-//! Gaussians of size zero. A capture with fewer than 100 points gets random ones in what its cameras see.
+//! Gaussians of size zero. A capture with fewer than 100 points gets random ones in what its cameras see; of more points than there may
+//! be Gaussians a random choice stays.
 
 use std::num::NonZero;
 
@@ -18,16 +19,17 @@ use use3d_splat::{Gaussians, NEAR};
 use crate::{ReconstructError, ReconstructParams};
 
 /// Fewer sparse points than this are not a start.
-const FEWEST_POINTS: usize = 100;
+pub(crate) const FEWEST_POINTS: usize = 100;
 const NEIGHBOURS: usize = 3;
 /// Sizes are kept within this range, normalised scene units.
 const SMALLEST: f64 = 1e-5;
 const LARGEST: f64 = 2.0;
 
-/// The initial Gaussians; messages for a person go to `notice`.
+/// The initial Gaussians, at most `most`; messages for a person go to `notice`.
 pub(crate) fn gaussians(
     capture: &Capture,
     params: &ReconstructParams,
+    most: usize,
     mut notice: impl FnMut(&str),
 ) -> Result<Gaussians, ReconstructError> {
     let cameras: Vec<Camera> = capture.training_views().map(|v| v.camera).collect();
@@ -44,8 +46,15 @@ pub(crate) fn gaussians(
     if !points.is_empty() && !points.par_iter().any(|(p, _)| in_front(p)) {
         return Err(ReconstructError::PointsBehindCameras { points: points.len(), views: cameras.len() });
     }
-    if points.len() < FEWEST_POINTS {
-        let added = random_points(&cameras, &points, params);
+    if points.len() > most {
+        notice(&format!(
+            "{most} of {} sparse points are kept, chosen at random: a scene begins with at most its cap of Gaussians (`max_gaussians`)",
+            points.len()
+        ));
+        points = choose(points, most, params.seed);
+    }
+    if points.len() < FEWEST_POINTS.min(most) {
+        let added = random_points(&cameras, &points, params, most - points.len());
         notice(&format!(
             "the capture has only {} sparse points; {} random ones are added in what the cameras see (`random_points`)",
             points.len(),
@@ -70,6 +79,15 @@ pub(crate) fn gaussians(
     Ok(gaussians)
 }
 
+/// `most` of the points, in their order. Any part of a file may be one part of the scene, so the choice is random, not every n-th.
+fn choose<T: Copy>(points: Vec<T>, most: usize, seed: u64) -> Vec<T> {
+    let stream = Stream::new(seed, Purpose::new("points kept"), 0);
+    let mut kept = stream.permutation(points.len());
+    kept.truncate(most);
+    kept.sort_unstable();
+    kept.into_iter().map(|i| points[i]).collect()
+}
+
 /// A uniformly random unit quaternion: four normals over their length.
 fn rotation(stream: &Stream, index: u64) -> [f32; 4] {
     let q: [f64; 4] = std::array::from_fn(|k| stream.normal(4 * index + k as u64));
@@ -78,11 +96,12 @@ fn rotation(stream: &Stream, index: u64) -> [f32; 4] {
 }
 
 /// Random positions on random pixel rays, at depths spread log-uniformly about those of the known points (or about the size of the
-/// normalised scene), grey.
+/// normalised scene), grey; at most `most`.
 fn random_points(
     cameras: &[Camera],
     known: &[(DVec3, [f64; 3])],
     params: &ReconstructParams,
+    most: usize,
 ) -> Vec<(DVec3, [f64; 3])> {
     let stream = Stream::new(params.seed, Purpose::new("random points"), 0);
     let mut depths: Vec<f64> = known
@@ -95,7 +114,7 @@ fn random_points(
         (Some(&near), Some(&far)) => (0.7 * near, 1.4 * far),
         _ => (0.2, 4.0),
     };
-    (0..params.random_points)
+    (0..params.random_points.min(most))
         .map(|i| {
             let draw = |k: u64| stream.uniform(4 * i as u64 + k);
             let camera = &cameras[((draw(0) * cameras.len() as f64) as usize).min(cameras.len() - 1)];

@@ -6,6 +6,7 @@
 //! size (R11). Everything is a function of capture, parameters and seed: the same bits on any number of threads, and after any
 //! number of interruptions.
 
+mod bounds;
 pub mod engine;
 mod error;
 mod initialise;
@@ -16,6 +17,7 @@ mod record;
 mod train;
 mod views;
 
+pub use bounds::{MemoryNeed, memory_need, most_gaussians};
 pub use error::ReconstructError;
 pub use parameters::{Densify, DepthPrior, Images, LearningRates, Medium, Rate, ReconstructParams};
 pub use profile::{StepPart, Stretch, growth};

@@ -4,6 +4,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_numerics::math;
 
+/// The largest divisor of the image pyramid.
+pub(crate) const MOST_DIVISOR: usize = 1024;
+
 /// Which model of the water is fitted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -202,7 +205,7 @@ pub struct ReconstructParams {
     pub sh_degree: usize,
     /// Share of the run after which the active degree grows by one, again and again.
     pub sh_every: f64,
-    /// Image divisors and the share of the run from which each holds (R11); the first starts at 0.
+    /// Image divisors (1 to 1024) and the share of the run from which each holds (R11); the first starts at 0.
     pub resolution_schedule: Vec<(f64, usize)>,
     /// Opacity of the initial Gaussians.
     pub initial_opacity: f64,
@@ -212,9 +215,11 @@ pub struct ReconstructParams {
     pub learning_rates: LearningRates,
     /// Density control.
     pub densify: Densify,
-    /// Most Gaussians; 0: as many as half of the free memory holds, at most four million.
+    /// Most Gaussians, the initial ones included: of more sparse points a random choice stays. 0: one for every eight pixels of the
+    /// training views or four for every sparse point, whichever are more; from 250,000 to four million.
     pub max_gaussians: usize,
-    /// Seed of every random draw.
+    /// Seed of every random draw. Not read from settings: the caller sets it.
+    #[serde(skip)]
     pub seed: u64,
     /// Steps between held-out evaluations (0: only at the end).
     pub evaluate_every: u64,
@@ -314,9 +319,13 @@ impl ReconstructParams {
         let schedule = &self.resolution_schedule;
         let starts_at_zero = schedule.first().is_some_and(|s| s.0 == 0.0);
         let ascends = schedule.windows(2).all(|w| w[0].0 < w[1].0);
-        if !starts_at_zero || !ascends || schedule.iter().any(|s| s.1 == 0 || !(0.0..=1.0).contains(&s.0)) {
+        let divisors = 1..=MOST_DIVISOR;
+        if !starts_at_zero
+            || !ascends
+            || schedule.iter().any(|s| !divisors.contains(&s.1) || !(0.0..=1.0).contains(&s.0))
+        {
             return Err(format!(
-                "resolution_schedule is {schedule:?}; expected pairs of (share of the run, divisor), the first at 0, ascending, divisors at least 1"
+                "resolution_schedule is {schedule:?}; expected pairs of (share of the run, divisor), the first at 0, ascending, divisors from 1 to {MOST_DIVISOR}"
             ));
         }
         let d = &self.densify;
@@ -414,6 +423,7 @@ mod tests {
             p.validate().unwrap_err()
         };
         assert!(wrong(|p| p.top_k = 9).contains("top_k"));
+        assert!(wrong(|p| p.resolution_schedule[0].1 = 1025).contains("1 to 1024"));
         assert!(wrong(|p| p.resolution_schedule.clear()).contains("resolution_schedule"));
         assert!(wrong(|p| p.learning_rates.means.1 = f64::NAN).contains("means[1]"));
         assert!(wrong(|p| p.densify.opacity_ceiling = 1.0).contains("opacity_ceiling"));

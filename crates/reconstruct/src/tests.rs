@@ -480,6 +480,22 @@ fn the_cap_bites_aloud_and_masks_hide_pixels() {
     assert!(outcome.scene.gaussians.len() <= 270);
     assert!(watcher.notices.iter().any(|n| n.contains("max_gaussians")), "{:?}", watcher.notices);
 
+    // It bounds the first Gaussians too, and the same ones stay.
+    let params = ReconstructParams { max_gaussians: 40, ..tiny_params(10) };
+    let first = |params: &ReconstructParams| {
+        let mut watcher = Watcher::default();
+        let outcome = reconstruct(&capture, &loader(&loaded), params, None, &mut watcher).unwrap();
+        assert!(
+            watcher.notices.iter().any(|n| n.contains("40 of 260 sparse points")),
+            "{:?}",
+            watcher.notices
+        );
+        assert_eq!(outcome.initial_gaussians, 40);
+        outcome.scene
+    };
+    assert!(first(&params) == first(&params));
+    assert!(first(&params).gaussians.len() <= 40);
+
     // Whatever lies under the mask does not reach the scene.
     let half = |x: usize| if x < 28 { 0.0 } else { 1.0 };
     let mask = (0..56 * 44).map(|p| half(p % 56)).collect();

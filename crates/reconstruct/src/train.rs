@@ -13,6 +13,7 @@ use use3d_scene::Scene;
 use use3d_splat::Rendered;
 use use3d_training::{Checkpoints, NonFinite, Observer, Pace, Profile, Progress, Resumable, ViewOrder};
 
+use crate::bounds::most_gaussians;
 use crate::engine::{CpuEngine, Engine, EngineState, RefineSettings, StepRates, StepReport, StepSettings};
 use crate::profile::{StepPart, Stretch};
 use crate::record::{Evaluation, LogEntry, ViewScore, plot};
@@ -147,7 +148,8 @@ pub fn reconstruct(
     if let [only] = capture.split.train[..] {
         return Err(ReconstructError::OneView { view: capture.views[only].name.to_string() });
     }
-    let gaussians = initialise::gaussians(capture, params, |message| observer.notice(message))?;
+    let most = most_gaussians(capture, params);
+    let gaussians = initialise::gaussians(capture, params, most, |message| observer.notice(message))?;
     let initial = gaussians.len();
     let mut engine = CpuEngine::new(gaussians, water(params), params.structure_weight);
     let views = load(capture, loader, params, observer)?;
@@ -169,7 +171,7 @@ pub fn reconstruct(
         step: 0,
         log: Vec::new(),
         window: Window::default(),
-        most: most_gaussians(params),
+        most,
         cap_told: false,
         growth: Vec::new(),
     };
@@ -268,9 +270,10 @@ fn check_masks(
 /// What a checkpoint must agree with to be gone on from: parameters, cameras, points and pixels.
 fn fingerprint(capture: &Capture, params: &ReconstructParams, views: &Views) -> [u8; 32] {
     let mut hasher = blake3::Hasher::new();
-    // How often checkpoints are written changes nothing, nor does the length beyond the schedules.
+    // How often checkpoints are written changes nothing, nor does the length beyond the schedules; the cap counts as what it comes to.
     let params = ReconstructParams {
         iterations: params.course(),
+        max_gaussians: most_gaussians(capture, params),
         checkpoint_steps: 1,
         checkpoint_minutes: 1.0,
         ..params.clone()
@@ -285,20 +288,6 @@ fn fingerprint(capture: &Capture, params: &ReconstructParams, views: &Views) -> 
         hasher.update(&point.color);
     }
     *hasher.finalize().as_bytes()
-}
-
-/// The cap: the parameter, or what half of the free memory holds.
-fn most_gaussians(params: &ReconstructParams) -> usize {
-    const MOST: usize = 4_000_000;
-    /// Parameters, gradients, two moments, tile lists, and the state while a checkpoint is read.
-    const BYTES_PER_GAUSSIAN: usize = 2500;
-    if params.max_gaussians > 0 {
-        return params.max_gaussians;
-    }
-    let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
-    let line = text.lines().find_map(|l| l.strip_prefix("MemAvailable:"));
-    let kilobytes: Option<usize> = line.and_then(|l| l.trim().trim_end_matches("kB").trim().parse().ok());
-    kilobytes.map_or(MOST, |k| (k * 1024 / 2 / BYTES_PER_GAUSSIAN).clamp(10_000, MOST))
 }
 
 /// A run between its first and last step.

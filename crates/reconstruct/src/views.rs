@@ -251,11 +251,12 @@ fn means<T: Copy + Into<i32> + Sync, const C: usize>(
             return;
         }
         for (i, o) in out.iter_mut().enumerate() {
-            let mut sum = 0i32;
+            // One row of a box fits in 32 bits (at most MOST_DIVISOR 16-bit values), a whole box may not.
+            let mut sum = 0i64;
             for row in rows.chunks_exact(fw) {
-                for &v in &row[i * divisor..(i + 1) * divisor] {
-                    sum += Into::<i32>::into(v);
-                }
+                sum += i64::from(
+                    row[i * divisor..(i + 1) * divisor].iter().map(|&v| Into::<i32>::into(v)).sum::<i32>(),
+                );
             }
             *o = sum as f32 * scale;
         }
@@ -269,11 +270,11 @@ fn known_means(fine: &Raster<u16, 1>, divisor: usize, w: usize, h: usize, out: &
     out.data_mut().par_chunks_mut(w).enumerate().for_each(|(j, out)| {
         let rows = &fine.data()[j * divisor * fw..(j + 1) * divisor * fw];
         for (i, o) in out.iter_mut().enumerate() {
-            let (mut sum, mut count) = (0u32, 0u32);
+            let (mut sum, mut count) = (0u64, 0u64);
             for row in rows.chunks_exact(fw) {
                 for &v in &row[i * divisor..(i + 1) * divisor] {
-                    sum += u32::from(v);
-                    count += u32::from(v > 0);
+                    sum += u64::from(v);
+                    count += u64::from(v > 0);
                 }
             }
             *o = if count == 0 { 0.0 } else { sum as f32 / (count as f32 * 65535.0) };
@@ -323,6 +324,22 @@ mod tests {
         for c in 0..3 {
             let mean = (0..4).map(|k| full.pixel(2 + k % 2, 2 + k / 2)[c]).sum::<f32>() / 4.0;
             assert!((target.image.pixel(1, 1)[c] - mean).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn large_boxes_of_sixteen_bits_have_their_mean() {
+        let side = 400;
+        let pixels = Pixels::Sixteen(Raster::from_planes(side, side, vec![65_000; 3 * side * side]).unwrap());
+        let mut prior = Map::filled(side, side, 1.0);
+        prior.set_pixel(0, 0, [0.5]);
+        let loaded = LoadedView { pixels, alpha: None, mask: None, depth_prior: Some(prior) };
+        let (view, _) = TrainingView::new(&view(side, side), loaded).unwrap();
+        let mut target = Target::default();
+        for divisor in [182, 257, 400] {
+            view.target(divisor, &mut target);
+            assert!((target.image.pixel(0, 0)[1] - 65_000.0 / 65_535.0).abs() < 1e-4, "{divisor}");
+            assert!((target.prior.as_ref().unwrap().pixel(0, 0)[0] - 1.0).abs() < 1e-3, "{divisor}");
         }
     }
 

@@ -12,6 +12,7 @@ use use3d_capture::name::shown_lines;
 
 use super::error::StageError;
 use super::events::{Event, Listener};
+use super::{machine, memory};
 
 /// One input as a stage sees it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -88,7 +89,8 @@ impl StageContext {
         self.checkpoints.as_deref()
     }
 
-    /// The pipeline's seed; 0 for a stage that did not say it draws random numbers.
+    /// The seed of every random draw of the stage: the pipeline's, or the variant's where it has its own. All stages take it as it is
+    /// (draws are told apart by their purpose), so one number moves everything. 0 for a stage that did not say it draws random numbers.
     pub fn seed(&self) -> u64 {
         self.seed
     }
@@ -141,6 +143,19 @@ impl StageContext {
         let share = if total == 0 { 0.0 } else { done as f64 / total as f64 };
         self.resumed.store((share.clamp(0.0, 1.0) * 1e6) as u64, Ordering::Relaxed);
         self.log(format_args!("going on from step {done} of {total}"));
+    }
+
+    /// Says before the work what memory it takes: refuses what cannot even begin here, and tells the user when it may end for want of
+    /// memory. `start` and `most` are bytes, at the start and at the most; `lower` says in words what makes it less.
+    ///
+    /// # Errors
+    /// `start` is more than this process may still take.
+    pub fn needs_memory(&self, start: u64, most: u64, lower: &str) -> Result<(), StageError> {
+        let Some(free) = machine::available_memory() else { return Ok(()) };
+        if let Some(notice) = memory::judge(free, start, most, lower).map_err(StageError::message)? {
+            self.say(notice);
+        }
+        Ok(())
     }
 
     /// Writes a line to the stage's log.

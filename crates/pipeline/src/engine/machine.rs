@@ -1,10 +1,12 @@
 //! The facts about this machine and moment that records carry and keys never do.
 
+use std::path::Path;
 use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
 
 use super::digest::Digest;
+use super::memory;
 
 /// A machine, for the record.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -44,20 +46,14 @@ pub fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// Memory that can be had without swapping, bytes; `None` where the system does not say.
+/// Memory that this process may still take, bytes, limits of its container included; `None` where the system does not say.
 pub fn available_memory() -> Option<u64> {
-    field_kib("/proc/meminfo", "MemAvailable:")
+    memory::available(Path::new("/"))
 }
 
 /// Memory this process holds, bytes.
 pub(crate) fn resident_memory() -> Option<u64> {
-    field_kib("/proc/self/status", "VmRSS:")
-}
-
-fn field_kib(file: &str, name: &str) -> Option<u64> {
-    let text = std::fs::read_to_string(file).ok()?;
-    let line = text.lines().find(|l| l.starts_with(name))?;
-    line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
+    memory::resident()
 }
 
 /// Identifies this running process among all that ever shared a cache: host and boot, id, start time.

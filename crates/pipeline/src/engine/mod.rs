@@ -82,6 +82,7 @@ mod lease;
 pub mod leftovers;
 pub mod machine;
 pub mod manifest;
+mod memory;
 pub mod picture;
 pub mod place;
 pub mod plan;
