@@ -16,7 +16,7 @@ use use3d_capture::{Camera, Capture, FileName, Frame, Intrinsics, Pose, Split, V
 
 use crate::error::ImportError;
 use crate::geometry::Geometry;
-use crate::import::{Imported, Plan, sparse_points};
+use crate::import::{Imported, Plan, capture_name, sparse_points};
 use crate::layout::Folder;
 use crate::model::read_model;
 use crate::params::WhiteBalance;
@@ -33,6 +33,8 @@ pub(crate) const MODEL: &str = "sparse/0";
 struct Manifest {
     format: String,
     version: u32,
+    /// Read from older folders and no longer written: the same capture under another name is the same capture.
+    #[serde(skip_serializing, default)]
     name: String,
     frame: FrameEntry,
     views: Vec<ViewEntry>,
@@ -113,7 +115,7 @@ pub(crate) fn save(dir: &Path, capture: &Capture, report: &ImportReport) -> Resu
     let manifest = Manifest {
         format: FORMAT.into(),
         version: VERSION,
-        name: capture.name.clone(),
+        name: String::new(),
         frame: FrameEntry {
             scale: capture.frame.scale,
             rotation: row_major(&capture.frame.rotation),
@@ -198,7 +200,10 @@ pub fn load_prepared(dir: &Path) -> Result<Imported, ImportError> {
     }
     let points = sparse_points(&model, &frame);
     let split = Split { train: manifest.train, test: manifest.test };
-    let capture = Capture { name: manifest.name, views, split, points, frame };
+    let name = if manifest.name.is_empty() { capture_name(dir) } else { manifest.name };
+    let mut report = manifest.report;
+    report.name.clone_from(&name);
+    let capture = Capture { name, views, split, points, frame };
     capture.validate().map_err(|source| ImportError::Capture { path: dir.to_path_buf(), source })?;
-    Ok(Imported { capture, report: manifest.report, plans, model, white_balance: WhiteBalance::None })
+    Ok(Imported { capture, report, plans, model, white_balance: WhiteBalance::None })
 }

@@ -6,19 +6,25 @@ use serde::{Deserialize, Serialize};
 use use3d_capture::shown;
 
 /// The account of an import.
+///
+/// What is stored follows from the files that are read; what only lies beside them, and the folder's name, is said and not stored, so that
+/// equal captures give equal bytes wherever they are.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ImportReport {
-    /// The capture's name.
+    /// The capture's name: its folder's, not stored.
+    #[serde(skip_serializing, default)]
     pub name: String,
     /// The model's folder, relative to the capture.
     pub model: String,
     /// `binary` or `text`.
     pub model_form: String,
-    /// Models that were there too, with their numbers of images, not used.
+    /// Models that were there too, with their numbers of images, not used. Not stored.
+    #[serde(skip_serializing, default)]
     pub other_models: Vec<String>,
     /// The image folder, relative to the capture.
     pub image_folder: String,
-    /// Image folders that were there too, not used.
+    /// Image folders that were there too, not used. Not stored.
+    #[serde(skip_serializing, default)]
     pub other_image_folders: Vec<String>,
     /// Images that the model lists.
     pub registered: usize,

@@ -114,7 +114,14 @@ fn a_plain_capture_needs_nothing_and_is_copied_byte_for_byte() {
     assert_eq!(loaded.capture.points, imported.capture.points);
     assert_eq!(loaded.capture.split, imported.capture.split);
     assert_eq!(loaded.capture.frame, imported.capture.frame);
-    assert_eq!(loaded.report, prepared.report);
+    // The name is the folder's, wherever it lies; nothing stored tells the old one.
+    assert_eq!(
+        (loaded.report.name.as_str(), prepared.report.name.as_str()),
+        ("out", imported.report.name.as_str())
+    );
+    assert_eq!(ImportReport { name: "out".into(), ..prepared.report.clone() }, loaded.report);
+    let stored = std::fs::read_to_string(out.join("capture.json")).unwrap();
+    assert!(!stored.contains(&format!("\"name\": \"{}\"", imported.report.name)), "{stored}");
     // The folder is a capture: of ours, and, without the manifest, of anyone's.
     assert_eq!(import(&out, &ImportParams::default()).unwrap().capture.views, prepared.capture.views);
     std::fs::remove_file(out.join("capture.json")).unwrap();

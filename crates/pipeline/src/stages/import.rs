@@ -12,26 +12,45 @@ use crate::engine::{Scope, Stage, StageContext, StageError};
 pub(super) fn stage() -> Stage {
     Stage::new("import", Scope::Scene, run)
         .about("read a COLMAP folder: find model and images, undistort, resize, normalise, split")
-        .made_of(&["use3d-io-colmap", "use3d-io-image"], &["src/stages/import.rs"])
+        .made_of(&[], &["src/stages/import.rs"])
         .check(|p: &ImportParams| p.validate().map_err(|e| (String::new(), e.to_string())))
         .external("capture", "capture")
         .select(files)
         .cost(0, 1 << 30)
 }
 
-/// What of a capture folder counts: the folders that the import would read, not everything beside them.
+/// What of a capture folder counts: the folders that the import would read, not everything beside them; and the hidden files among the
+/// views', which folders do not count.
 fn files(parameters: &Value, capture: &Path) -> Result<Vec<PathBuf>, String> {
     let params: ImportParams = serde_json::from_value(parameters.clone()).map_err(|e| e.to_string())?;
+    let imported = import(capture, &params).map_err(|e| e.to_string())?;
+    let views = &imported.capture.views;
     if use3d_io_colmap::is_prepared(capture) {
-        return Ok(vec![PathBuf::from(".")]);
+        let read = views.iter().flat_map(|v| [Some(&v.image), v.mask.as_ref(), v.depth_prior.as_ref()]);
+        let mut paths = vec![PathBuf::from(".")];
+        paths.extend(read.flatten().filter_map(|p| hidden(p, capture, "")));
+        return Ok(paths);
     }
-    let report = import(capture, &params).map_err(|e| e.to_string())?.report;
-    let mut paths = vec![PathBuf::from(report.model), PathBuf::from(report.image_folder)];
+    let report = imported.report;
     let masks = params.mask_dir.unwrap_or_else(|| "masks".into());
-    paths.extend([Some(masks), report.depth_folder].into_iter().flatten().map(PathBuf::from));
+    let mut paths = vec![PathBuf::from(report.model)];
+    let folders = [Some(&report.image_folder), Some(&masks), report.depth_folder.as_ref()];
+    for folder in folders.into_iter().flatten() {
+        paths.push(PathBuf::from(folder));
+        let read = views.iter().flat_map(|v| [Some(&v.image), v.mask.as_ref(), v.depth_prior.as_ref()]);
+        paths.extend(read.flatten().filter_map(|p| hidden(p, capture, folder)));
+    }
     paths.extend(["train_list.txt", "test_list.txt"].map(PathBuf::from));
     paths.retain(|p| capture.join(p).exists());
     Ok(paths)
+}
+
+/// A file below a folder of the capture, relative to the capture, if a part of its name in the folder begins with a dot.
+fn hidden(file: &Path, capture: &Path, folder: &str) -> Option<PathBuf> {
+    let real = |path: &Path| path.canonicalize().ok();
+    let name = real(file)?.strip_prefix(real(&capture.join(folder))?).ok()?.to_path_buf();
+    let dotted = name.iter().any(|part| part.to_string_lossy().starts_with('.'));
+    dotted.then(|| Path::new(folder).join(name))
 }
 
 fn run(context: &StageContext, params: &ImportParams) -> Result<(), StageError> {
