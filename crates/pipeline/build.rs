@@ -7,6 +7,8 @@ use std::{env, fs};
 mod tokens;
 #[path = "src/engine/code/tree.rs"]
 mod tree;
+#[path = "src/engine/code/uses.rs"]
+mod uses;
 
 fn main() -> Result<(), String> {
     let here = PathBuf::from(env::var("CARGO_MANIFEST_DIR").map_err(|e| e.to_string())?);

@@ -24,10 +24,15 @@ use use3d_pipeline::engine::Listener;
 use args::{Cli, Synth, Verb};
 use error::{CliError, Done};
 
+/// The seed of stages that are run by hand, as in a pipeline without one; `--set seed=N` is another.
+const SEED: u64 = 42;
+
 /// What every verb is given.
 pub(crate) struct App {
     /// Say only what went wrong.
     pub(crate) quiet: bool,
+    /// The seed of stages that are run by hand.
+    pub(crate) seed: u64,
     /// Threads to compute with.
     pub(crate) threads: usize,
     /// Raised by Ctrl-C, SIGTERM and SIGHUP.
@@ -45,7 +50,7 @@ fn main() -> ExitCode {
         tracing::debug!("thread pool: {error}");
     }
     let listener: Arc<dyn Listener> = Arc::new(listener::Terminal::new(cli.quiet));
-    let app = App { quiet: cli.quiet, threads, stop: interrupt::install(), listener };
+    let app = App { quiet: cli.quiet, seed: SEED, threads, stop: interrupt::install(), listener };
     let wants_json = cli.verb.wants_json();
     let done = run(&app, cli.verb).and_then(|()| match output::failure() {
         Some(reason) => Err(CliError::Failed(format!("cannot write to standard output: {reason}"))),

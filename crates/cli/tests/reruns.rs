@@ -43,7 +43,7 @@ fn a_change_reruns_its_stage_and_what_reads_the_changed_output() {
         ("calibrate.steps=21", with(&["calibrate"], &after_targets)),
         ("import.split.every=4", with(&["import", "reconstruct"], &after_targets)),
         ("reconstruct.iterations=31", with(&["reconstruct"], &after_targets)),
-        ("targets.consensus.seed=7", with(&["targets"], &after_enhance)),
+        ("targets.consensus.measure_order=true", with(&["targets"], &after_enhance)),
         ("enhance.lambda_variation=0.001", with(&[], &after_enhance)),
         ("render.strength=0.5", with(&["render", "report"], &[])),
         ("report.views=1", with(&["report"], &[])),

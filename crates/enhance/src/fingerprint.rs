@@ -5,8 +5,8 @@ use use3d_scene::Scene;
 use crate::view::{EnhanceView, Guidance, Reference, ViewConstants};
 use crate::{EnhanceError, EnhanceParams};
 
-/// The digest. How long to train, how often to log or save and how much to keep in memory are left out: they may change between
-/// two sessions of one run.
+/// The digest. How long to train, how often to save and how much to keep in memory are left out: they may change between two
+/// sessions of one run. How often to log is in: the log is part of the result.
 pub(crate) fn fingerprint(
     scene: &Scene,
     views: &[EnhanceView],

@@ -64,7 +64,8 @@ pub struct EnhanceParams {
     pub learning_rate: f64,
     /// Adam's constant learning rate of the two transport ratios.
     pub transport_learning_rate: f64,
-    /// Seed of the field's start and of the order of views.
+    /// Seed of the field's start and of the order of views. Not read from settings: the caller sets it.
+    #[serde(skip)]
     pub seed: u64,
     /// Steps between checkpoints.
     pub checkpoint_every: u64,

@@ -22,7 +22,8 @@ use crate::water::{Water, WaterType};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct PairsParams {
-    /// Everything random follows from it.
+    /// Everything random follows from it. Not read from settings: the caller sets it.
+    #[serde(skip)]
     pub seed: u64,
     /// Number of pairs, at least 1.
     pub pairs: usize,

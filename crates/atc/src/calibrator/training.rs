@@ -56,7 +56,8 @@ pub struct CalibratorParams {
     /// Largest share of its correction that a head may keep, 0 (the proposal as it is) to 1. Unset: 1, but 0 for pairs that stand
     /// in for real ones, whose water and whose hand are not those of the photographs to come.
     pub trust: Option<f64>,
-    /// Seed.
+    /// Seed. Not read from settings: the caller sets it.
+    #[serde(skip)]
     pub seed: u64,
 }
 

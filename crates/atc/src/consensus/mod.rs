@@ -40,7 +40,8 @@ pub struct TargetsParams {
     /// Fuse the views a second time in a shuffled order and report how much the targets depend on it. Costs as much again as
     /// the lifting.
     pub measure_order: bool,
-    /// Seed of that shuffle.
+    /// Seed of that shuffle. Not read from settings: the caller sets it.
+    #[serde(skip)]
     pub seed: u64,
 }
 

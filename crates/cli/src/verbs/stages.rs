@@ -17,9 +17,6 @@ use crate::args::{CalibrateArgs, EnhanceArgs, ImportArgs, ReconstructArgs, Targe
 use crate::destination::{check_file, check_folder, copy_file, copy_folder, path_text, word};
 use crate::error::{CliError, Done};
 
-/// The seed of stages that are run by hand, as in a pipeline without one; `--set seed=N` moves it.
-const SEED: u64 = 42;
-
 /// A folder that goes away with the command.
 pub(crate) fn scratch() -> Result<tempfile::TempDir, CliError> {
     leftovers::scratch().map_err(|e| {
@@ -80,7 +77,7 @@ fn run_alone(
         record: kept.is_some(),
         replace: kept.is_some_and(|k| k.force),
         checkpoints: kept.and_then(|k| k.checkpoints.clone()),
-        seed: SEED,
+        seed: app.seed,
         threads: app.threads,
         stop: app.stop.clone(),
     };
@@ -90,6 +87,29 @@ fn run_alone(
         StageError::Cancelled => CliError::Stopped,
         StageError::Failed(_) if error.is_bad_input() => CliError::input(error),
         StageError::Failed(_) => CliError::failed(error),
+    })
+}
+
+/// Whether a setting is `seed=N`: it is of no one stage.
+fn is_seed(set: &str) -> bool {
+    set.split_once('=').is_some_and(|(key, _)| key.trim() == "seed")
+}
+
+/// The same with the seed that the settings give, if they do.
+fn seeded(app: &App, sets: &[String]) -> Result<App, CliError> {
+    let mut seed = app.seed;
+    for set in sets.iter().filter(|set| is_seed(set)) {
+        let value = set.split_once('=').map_or("", |(_, value)| value.trim());
+        seed = value
+            .parse()
+            .map_err(|_| CliError::Input(format!("--set {set}: the seed is a whole number, 0 or more")))?;
+    }
+    Ok(App {
+        quiet: app.quiet,
+        seed,
+        threads: app.threads,
+        stop: app.stop.clone(),
+        listener: app.listener.clone(),
     })
 }
 
@@ -104,7 +124,7 @@ pub(crate) fn parameters(
     let defaults: Vec<Value> =
         stages.iter().map(|s| stage_parameters(s, &[]).map_err(CliError::input)).collect::<Result<_, _>>()?;
     let mut sorted: Vec<Vec<String>> = vec![Vec::new(); stages.len()];
-    for set in sets {
+    for set in sets.iter().filter(|set| !is_seed(set)) {
         let key = set.split(['=', '.']).next().unwrap_or_default().trim();
         let named = names.iter().position(|n| *n == key && set.trim_start()[key.len()..].starts_with('.'));
         let has = defaults.iter().position(|d| d.get(key).is_some());
@@ -222,7 +242,7 @@ fn profiling(app: &App) -> App {
             print!("{text}");
         }
     });
-    App { quiet: app.quiet, threads: app.threads, stop: app.stop.clone(), listener }
+    App { quiet: app.quiet, seed: app.seed, threads: app.threads, stop: app.stop.clone(), listener }
 }
 
 /// Whether depth priors are to be made for a prepared capture.
@@ -240,6 +260,7 @@ fn depth_wanted(reconstruct: &Value, _: Option<&Value>, _: &Path, _: Option<&Pat
 
 pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
     let started = Instant::now();
+    let app = &seeded(app, &args.settings.set)?;
     let force = args.replace.force;
     check_folder(&args.out, force)?;
     let registry = stages()?;
@@ -285,6 +306,7 @@ pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
 
 pub(crate) fn calibrate(app: &App, args: &CalibrateArgs) -> Done {
     let started = Instant::now();
+    let app = &seeded(app, &args.settings.set)?;
     check_file("--out", &args.out, args.replace.force, &[])?;
     let registry = stages()?;
     let mut sets = args.settings.set.clone();
@@ -312,6 +334,7 @@ pub(crate) fn calibrate(app: &App, args: &CalibrateArgs) -> Done {
 
 pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
     let started = Instant::now();
+    let app = &seeded(app, &args.settings.set)?;
     check_file("--out", &args.out, args.replace.force, &[])?;
     // The pictures that show why consensus matters go beside the file.
     let previews = args.out.with_extension("previews");
@@ -338,6 +361,7 @@ pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
 
 pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
     let started = Instant::now();
+    let app = &seeded(app, &args.settings.set)?;
     let force = args.replace.force;
     check_folder(&args.out, force)?;
     let registry = stages()?;
@@ -358,4 +382,26 @@ pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
     let next = format!("use3d render {scene} --cameras {capture} --out renders/ --modes enhanced");
     finished(app, &args.out, started, &next);
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use use3d_pipeline::engine::Silent;
+
+    use super::*;
+
+    #[test]
+    fn a_seed_by_hand_is_the_run_s_and_no_stage_s() {
+        let app = App { quiet: true, seed: 42, threads: 1, stop: Arc::default(), listener: Arc::new(Silent) };
+        let seed = |sets: &[&str]| {
+            let sets: Vec<String> = sets.iter().map(ToString::to_string).collect();
+            let parameters = parameters(&stages().ok()?, &["calibrate", "pairs"], &sets).ok()?;
+            assert!(parameters.iter().all(|p| p.get("seed").is_none()));
+            Some(seeded(&app, &sets).ok()?.seed)
+        };
+        assert_eq!(seed(&[]), Some(42));
+        assert_eq!(seed(&["steps=3", "seed=7"]), Some(7));
+        assert_eq!(seed(&["seed=x"]), None);
+        assert_eq!(seed(&["calibrate.seed=7"]), None, "no stage has a seed of its own");
+    }
 }

@@ -1,5 +1,6 @@
 //! The table of stages, checked when it is built.
 
+use super::canonical;
 use super::code::{CodeTable, StageCode};
 use super::error::EngineError;
 use super::stage::{Scope, Source, Stage};
@@ -79,6 +80,11 @@ impl Registry {
         found.ok_or_else(|| EngineError::unknown("stage", name, self.stages.iter().map(|s| s.name)))
     }
 
+    /// What the stage of that name is made of.
+    pub fn code_of(&self, name: &str) -> Result<&StageCode, EngineError> {
+        Ok(&self.code[self.index(name)?])
+    }
+
     /// What a stage is made of.
     pub(crate) fn code(&self, index: usize) -> &StageCode {
         &self.code[index]
@@ -95,6 +101,12 @@ fn check(stage: &Stage, before: &[Stage]) -> Result<(), String> {
     }
     if before.iter().any(|s| s.name == name) {
         return Err(format!("two stages are called `{name}`"));
+    }
+    if let Ok(defaults) = stage.parameters(&serde_json::json!({})) {
+        let named = stage.without_effect.iter().chain(stage.length_like);
+        for path in named.filter(|path| canonical::at(&defaults, path).is_none()) {
+            return Err(format!("stage `{name}` has no parameter `{path}`"));
+        }
     }
     for (i, input) in stage.inputs.iter().enumerate() {
         if stage.inputs[..i].iter().any(|other| other.role == input.role) {

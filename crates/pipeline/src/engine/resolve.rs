@@ -115,14 +115,12 @@ pub(crate) fn resolve(
     let code = registry.code(node.stage);
     let mut digests: Vec<InputDigest> = list.iter().map(|(digest, _)| digest.clone()).collect();
     digests.sort();
-    let mut parameters = node.parameters.clone();
-    stage.without_effect.iter().for_each(|path| canonical::remove(&mut parameters, path));
     let ingredients = Ingredients {
         stage: stage.name.to_string(),
         version: stage.version,
         code: code.ours.clone(),
         third_party: code.third_party.clone(),
-        parameters,
+        parameters: stage.key_parameters(&node.parameters),
         seed: node.seed,
         numeric_class: numeric_class.to_string(),
         inputs: digests,

@@ -8,6 +8,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
+use super::canonical;
 use super::context::StageContext;
 use super::error::{ParameterError, StageError};
 
@@ -351,6 +352,18 @@ impl Stage {
     /// Its inputs.
     pub fn inputs(&self) -> &[Input] {
         &self.inputs
+    }
+
+    /// The parameters that a key holds: those with an effect on what comes out.
+    pub fn key_parameters(&self, parameters: &Value) -> Value {
+        let mut effective = parameters.clone();
+        self.without_effect.iter().for_each(|path| canonical::remove(&mut effective, path));
+        effective
+    }
+
+    /// Whether the pipeline's seed is part of its key.
+    pub fn is_seeded(&self) -> bool {
+        self.seeded
     }
 
     /// The given parameters with defaults filled in.

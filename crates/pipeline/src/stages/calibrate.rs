@@ -4,25 +4,26 @@ use use3d_atc::calibrator::{Calibrator, CalibratorParams, Dataset, METHOD_PAIRS,
 use use3d_atc::progress::Progress;
 
 use super::common::{read_json, write_json};
-use super::pairs::DATASET;
+use super::names::{CALIBRATOR, DATASET};
 use crate::engine::{Scope, Stage, StageContext, StageError};
-
-/// The calibrator's file in its artifact.
-pub const CALIBRATOR: &str = "calibrator.safetensors";
 
 pub(super) fn stage() -> Stage {
     Stage::new("calibrate", Scope::Shared, run)
         .about("learn from image pairs what \"enhanced\" means")
-        .made_of(&["use3d-atc"], &["src/stages/calibrate.rs"])
+        .made_of(&[], &["src/stages/calibrate.rs"])
         .check(|p: &CalibratorParams| p.validate().map_err(|e| (String::new(), e.to_string())))
         .input("pairs", "pairs")
         .when_named(|_, named| !named.has("calibrator"))
+        .seeded()
+        // The pairs bring theirs.
+        .without_effect(&["extractor"])
 }
 
 fn run(context: &StageContext, params: &CalibratorParams) -> Result<(), StageError> {
     let dataset: Dataset = read_json(&context.input("pairs")?.join(DATASET))?;
     // The pairs were extracted with their own settings; a calibrator cannot have others.
-    let params = CalibratorParams { extractor: dataset.extractor.clone(), ..params.clone() };
+    let extractor = dataset.extractor.clone();
+    let params = CalibratorParams { extractor, seed: context.seed(), ..params.clone() };
     let data = format!("{} pairs, {} left out", dataset.examples.len(), dataset.skipped.len());
     let mut last = 0;
     let calibrator = train(&dataset, &params, &data, &mut |progress| {

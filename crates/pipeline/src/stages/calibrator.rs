@@ -4,7 +4,7 @@ use std::path::Path;
 
 use use3d_atc::calibrator::Calibrator;
 
-use super::calibrate::CALIBRATOR;
+use super::names::CALIBRATOR;
 use crate::engine::StageError;
 
 /// Far more than any calibrator holds; a larger file is another thing.

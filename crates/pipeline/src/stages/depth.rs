@@ -10,7 +10,7 @@ use use3d_io_colmap::{ImportParams, has_depth_folder, load_pixels};
 use use3d_io_image::write_png_map16;
 use use3d_nets::{DepthAnythingSize, Models, Network};
 
-use super::common::capture;
+use super::captured::capture;
 use crate::engine::{AllParameters, Named, Scope, Stage, StageContext, StageError};
 
 /// Which network.
@@ -50,7 +50,7 @@ impl Encoder {
         let found = self.candidates().iter().find(|(network, _)| folder.has(*network));
         found.copied().ok_or_else(|| {
             let networks: Vec<Network> = self.candidates().iter().map(|(network, _)| *network).collect();
-            super::not_there("Depth Anything V2", &networks, models)
+            super::weights::not_there("Depth Anything V2", &networks, models)
         })
     }
 }
@@ -66,12 +66,12 @@ pub(super) struct Params {
 pub(super) fn stage() -> Stage {
     Stage::new("depth", Scope::Scene, run)
         .about("depth priors by Depth Anything V2")
-        .made_of(&["use3d-nets", "use3d-io-colmap", "use3d-io-image"], &["src/stages/depth.rs"])
+        .made_of(&[], &["src/stages/depth.rs"])
         .input("import", "import")
         .external("models", "models")
         .select(|parameters, models| {
             let params: Params = serde_json::from_value(parameters.clone()).map_err(|e| e.to_string())?;
-            Ok(super::model_files(models, &[params.encoder.found(models)?.0]))
+            Ok(super::weights::model_files(models, &[params.encoder.found(models)?.0]))
         })
         .when_named(asked_for)
         .cost(0, 4 << 30)

@@ -10,33 +10,32 @@ use use3d_enhance::{
 use use3d_io_colmap::load_pixels;
 use use3d_scene::Origin;
 
-use super::common::{Watch, capture, scene, write_json, write_text};
-use super::propose::asked_for;
+use super::captured::capture;
+use super::common::{write_json, write_text};
+use super::names::TARGETS;
+use super::proposals::asked_for;
 use super::proposer::by_name;
-use super::targets::TARGETS;
+use super::scenes::scene;
+use super::watch::Watch;
 use crate::engine::{Scope, Stage, StageContext, StageError};
 use crate::report::plot::{Plot, Series};
 
 pub(super) fn stage() -> Stage {
     Stage::new("enhance", Scope::Scene, run)
         .about("stage 2: store the enhancement in the scene")
-        .made_of(PARTS, &["src/stages/enhance.rs", "src/stages/proposer.rs"])
+        .made_of(&[], &["src/stages/enhance.rs"])
         .check(|p: &EnhanceParams| p.validate().map_err(|e| (String::new(), e.to_string())))
         .when(|all| !asked_for(all))
         .input("import", "import")
         .input("scene", "reconstruct")
         .input("targets", "targets")
         .optional_external("models", "models")
-        .select(|_, models| Ok(super::proposer_files(models)))
+        .select(|_, models| Ok(super::weights::proposer_files(models)))
         .seeded()
         .resumable(&["iterations"])
+        .without_effect(&["checkpoint_every", "cache_mib"])
         .cost(0, 4 << 30)
 }
-
-#[cfg(feature = "nets")]
-const PARTS: &[&str] = &["use3d-enhance", "use3d-io-colmap", "use3d-nets"];
-#[cfg(not(feature = "nets"))]
-const PARTS: &[&str] = &["use3d-enhance", "use3d-io-colmap"];
 
 /// Reads targets from their file or from the folder that holds them.
 fn read_targets(path: &Path) -> Result<Targets, StageError> {
@@ -87,8 +86,7 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
     let capture = capture(context)?;
     let scene = scene(context, "scene")?;
     let targets = read_targets(context.input("targets")?)?;
-    let params =
-        EnhanceParams { seed: params.seed.wrapping_add(context.seed()).wrapping_sub(42), ..params.clone() };
+    let params = EnhanceParams { seed: context.seed(), ..params.clone() };
     let views: Vec<EnhanceView> = capture.training_views().map(EnhanceView::from).collect();
     let labels;
     let guidance = if params.objective == Objective::PseudoLabels {

@@ -20,9 +20,13 @@ use use3d_io_image::write_png;
 use use3d_metrics::{Mask, mask_of};
 use use3d_scene::Scene;
 
-use super::common::{EVALUATION, capture, read_json, scene, write_json};
-use super::propose::asked_for;
+use super::captured::capture;
+use super::common::{read_json, write_json};
+use super::names::EVALUATION;
+pub use super::names::{SCORES, SPEED, STRIP};
+use super::proposals::asked_for;
 use super::proposer::{ProposerChoice, open};
+use super::scenes::scene;
 use crate::engine::{Scope, Stage, StageContext, StageError, machine};
 use crate::rendering::{Frame, Mode, SceneRenderer};
 use crate::scores::{
@@ -32,14 +36,6 @@ use crate::scoring::{Judges, Pairing, Seen as Compared};
 use crate::speed;
 use crate::strip::{Seen, Strip, choose, sheet};
 use crate::truth::{Truth, files};
-
-/// The scores' file in its artifact.
-pub const SCORES: &str = "scores.json";
-/// The consistency strip, and what it shows.
-pub const STRIP: (&str, &str) = ("strip.png", "strip.json");
-
-/// The note with how fast the scene is drawn.
-pub const SPEED: &str = "speed";
 
 /// Parameters of the evaluation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -80,19 +76,7 @@ impl Params {
 pub(super) fn stage() -> Stage {
     Stage::new("evaluate", Scope::Scene, run)
         .about("score the held-out views")
-        .made_of(
-            PARTS,
-            &[
-                "src/stages/evaluate.rs",
-                "src/stages/proposer.rs",
-                "src/rendering.rs",
-                "src/scoring.rs",
-                "src/scores.rs",
-                "src/speed.rs",
-                "src/strip.rs",
-                "src/truth.rs",
-            ],
-        )
+        .made_of(&[], &["src/stages/evaluate.rs"])
         .check(Params::check)
         .input("import", "import")
         .input("scene", "reconstruct")
@@ -100,16 +84,11 @@ pub(super) fn stage() -> Stage {
         .optional_input("enhanced", "enhance")
         .reference_input("reference", "reconstruct", |all| !asked_for(all))
         .optional_external("models", "models")
-        .select(|_, models| Ok(super::judge_files(models)))
+        .select(|_, models| Ok(super::weights::judge_files(models)))
         .optional_external("truth", "capture")
         .select(|_, capture| Ok(files(capture)))
         .cost(0, 4 << 30)
 }
-
-#[cfg(feature = "nets")]
-const PARTS: &[&str] = &["use3d-enhance", "use3d-metrics", "use3d-io-colmap", "use3d-synth", "use3d-nets"];
-#[cfg(not(feature = "nets"))]
-const PARTS: &[&str] = &["use3d-enhance", "use3d-metrics", "use3d-io-colmap", "use3d-synth"];
 
 /// One view in all its appearances.
 struct Appearances {

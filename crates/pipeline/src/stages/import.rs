@@ -74,3 +74,23 @@ fn run(context: &StageContext, params: &ImportParams) -> Result<(), StageError> 
     })?;
     write_json(&context.output().join("report.json"), &prepared.report)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hidden_files_of_views_count_one_by_one() {
+        let dir = tempfile::tempdir().expect("folder");
+        let images = dir.path().join("images/left");
+        std::fs::create_dir_all(&images).expect("folder");
+        for name in ["a.png", ".b.png"] {
+            std::fs::write(images.join(name), name).expect("file");
+        }
+        let of = |name: &str| hidden(&images.join(name), dir.path(), "images");
+        assert_eq!(of("a.png"), None);
+        assert_eq!(of(".b.png"), Some(PathBuf::from("images/left/.b.png")));
+        // The folders of a capture may be hidden themselves: they are named, and count.
+        assert_eq!(hidden(&images.join("a.png"), dir.path(), "masks"), None);
+    }
+}

@@ -11,11 +11,9 @@ use use3d_atc::progress::Progress;
 use use3d_io_image::read_image;
 
 use super::common::write_json;
+use super::names::DATASET;
 use super::proposer::{ProposerChoice, open};
 use crate::engine::{Scope, Stage, StageContext, StageError, leftovers};
-
-/// The data set's file.
-pub(super) const DATASET: &str = "dataset.json";
 
 /// Parameters of the paired data.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -32,18 +30,14 @@ pub(super) struct PairsParams {
 pub(super) fn stage() -> Stage {
     Stage::new("pairs", Scope::Shared, run)
         .about("transitions and proposals of the paired images")
-        .made_of(PARTS, &["src/stages/pairs.rs", "src/stages/proposer.rs"])
+        .made_of(&[], &["src/stages/pairs.rs"])
         .optional_external("input", "pairs.input")
         .optional_external("target", "pairs.target")
         .optional_external("models", "models")
-        .select(super::files_of_proposer)
+        .select(super::weights::files_of_proposer)
         .when_named(|_, named| !named.has("calibrator"))
+        .seeded()
 }
-
-#[cfg(feature = "nets")]
-const PARTS: &[&str] = &["use3d-atc", "use3d-synth", "use3d-io-image", "use3d-nets"];
-#[cfg(not(feature = "nets"))]
-const PARTS: &[&str] = &["use3d-atc", "use3d-synth", "use3d-io-image"];
 
 fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
     let models = context.optional_input("models");
@@ -56,7 +50,8 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
             context.say("no pairs given: synthetic ones stand in");
             scratch = leftovers::scratch()?;
             let dir = scratch.path().join("pairs");
-            let written = use3d_synth::write_pairs(&params.synthetic, &dir, &mut |done, total| {
+            let synthetic = use3d_synth::PairsParams { seed: context.seed(), ..params.synthetic.clone() };
+            let written = use3d_synth::write_pairs(&synthetic, &dir, &mut |done, total| {
                 context.progress(done as u64, total as u64, "synthetic pairs");
                 if context.cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
             });

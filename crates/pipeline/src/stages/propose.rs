@@ -2,17 +2,15 @@
 //!
 //! Only asked for when stage 1 is to learn from them (`reconstruct.images = "proposed"`); such a scene needs no second stage.
 
-use std::path::{Path, PathBuf};
-
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use use3d_capture::View;
 use use3d_io_colmap::load_pixels;
 use use3d_io_image::write_png;
 
-use super::common::capture;
+use super::captured::capture;
+use super::proposals::{asked_for, file};
 use super::proposer::{ProposerChoice, open};
-use crate::engine::{AllParameters, Scope, Stage, StageContext, StageError};
+use crate::engine::{Scope, Stage, StageContext, StageError};
 
 /// Parameters of the proposals.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -22,30 +20,15 @@ pub(super) struct Params {
     pub(super) proposer: ProposerChoice,
 }
 
-/// Whether stage 1 learns from proposals.
-pub(super) fn asked_for(all: &AllParameters) -> bool {
-    all.get("reconstruct").is_some_and(|r| r["images"] == "proposed")
-}
-
 pub(super) fn stage() -> Stage {
     Stage::new("propose", Scope::Scene, run)
         .about("enhance every photograph on its own, to reconstruct from")
-        .made_of(PARTS, &["src/stages/propose.rs", "src/stages/proposer.rs"])
+        .made_of(&[], &["src/stages/propose.rs"])
         .input("import", "import")
         .optional_external("models", "models")
-        .select(super::files_of_proposer)
+        .select(super::weights::files_of_proposer)
         .when(asked_for)
         .cost(0, 4 << 30)
-}
-
-#[cfg(feature = "nets")]
-const PARTS: &[&str] = &["use3d-atc", "use3d-io-colmap", "use3d-io-image", "use3d-nets"];
-#[cfg(not(feature = "nets"))]
-const PARTS: &[&str] = &["use3d-atc", "use3d-io-colmap", "use3d-io-image"];
-
-/// A view's proposal in the artifact.
-pub(super) fn file(proposals: &Path, view: &View) -> PathBuf {
-    proposals.join(format!("{}.png", view.flat_stem()))
 }
 
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {

@@ -6,17 +6,18 @@ use use3d_io_colmap::{load_depth_prior, load_mask, load_pixels};
 use use3d_io_image::write_png;
 use use3d_metrics::Score;
 use use3d_reconstruct::{
-    DepthPrior, Evaluation, Images, LoadedView, ReconstructError, ReconstructParams, growth, reconstruct,
+    DepthPrior, Evaluation, Images, LoadedView, ReconstructError, ReconstructParams, growth, memory_need,
+    reconstruct,
 };
 use use3d_scene::Origin;
 
-use super::common::{EVALUATION, Watch, capture, write_json, write_text};
+use super::captured::capture;
+use super::common::{write_json, write_text};
 use super::contact::sheet;
-use super::propose;
+use super::names::{CONTACT, EVALUATION};
+use super::proposals;
+use super::watch::Watch;
 use crate::engine::{Scope, Stage, StageContext, StageError};
-
-/// The contact sheet.
-pub(super) const CONTACT: &str = "contact.png";
 
 /// `evaluation.json`.
 #[derive(Serialize)]
@@ -30,15 +31,16 @@ struct HeldOut<'a> {
 pub(super) fn stage() -> Stage {
     let stage = Stage::new("reconstruct", Scope::Scene, run)
         .about("stage 1: reconstruct the scene with its water")
-        .made_of(
-            &["use3d-reconstruct", "use3d-io-colmap"],
-            &["src/stages/reconstruct.rs", "src/stages/contact.rs"],
-        )
+        .made_of(&[], &["src/stages/reconstruct.rs"])
         .check(|p: &ReconstructParams| p.validate().map_err(|e| (String::new(), e)))
         .input("import", "import")
         .optional_input("proposals", "propose");
     let stage = if cfg!(feature = "nets") { stage.optional_input("depth", "depth") } else { stage };
-    stage.seeded().resumable(&["iterations"]).cost(0, 4 << 30)
+    stage
+        .seeded()
+        .resumable(&["iterations"])
+        .without_effect(&["checkpoint_steps", "checkpoint_minutes"])
+        .cost(0, 4 << 30)
 }
 
 /// A view's files, at the size of its camera; its pixels are those of `pixels`, another image of the same view.
@@ -89,21 +91,23 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         }
     }
     context.say(prior_in_force(params, &capture, context.optional_input("depth").is_some()));
-    // The pipeline's seed moves all of them; a seed of the stage's own is an offset from the default.
-    let params = ReconstructParams {
-        seed: params.seed.wrapping_add(context.seed()).wrapping_sub(42),
-        ..params.clone()
-    };
+    let params = ReconstructParams { seed: context.seed(), ..params.clone() };
     // Masks and priors are the photographs' in any case.
     let mut learnt_from = capture.clone();
     if params.images == Images::Proposed {
-        let proposals = context.input("proposals")?;
-        learnt_from.views.iter_mut().for_each(|view| view.image = propose::file(proposals, view));
+        let folder = context.input("proposals")?;
+        learnt_from.views.iter_mut().for_each(|view| view.image = proposals::file(folder, view));
     }
     let load = |view: &View| {
         let pixels = learnt_from.views.iter().find(|v| v.name == view.name);
         load(view, pixels.unwrap_or(view))
     };
+    let need = memory_need(&capture, &params);
+    context.needs_memory(
+        need.start,
+        need.most,
+        "lower `reconstruct.max_gaussians`, or `import.size` for smaller images",
+    )?;
     let outcome = reconstruct(&capture, &load, &params, context.checkpoints(), &mut Watch::new(context));
     let outcome = match outcome {
         Ok(outcome) => outcome,

@@ -5,7 +5,9 @@ use serde::{Deserialize, Serialize};
 use use3d_io_colmap::load_pixels;
 use use3d_io_image::{write_exr_map, write_png, write_png8};
 
-use super::common::{capture, folder, scene};
+use super::captured::capture;
+use super::common::folder;
+use super::scenes::scene;
 use crate::engine::{Scope, Stage, StageContext, StageError};
 use crate::rendering::{Frame, Mode, SceneRenderer, coefficient_picture, depth_picture};
 
@@ -28,10 +30,7 @@ impl Default for Params {
 pub(super) fn stage() -> Stage {
     Stage::new("render", Scope::Scene, run)
         .about("pictures of the held-out views")
-        .made_of(
-            &["use3d-enhance", "use3d-io-colmap", "use3d-io-image"],
-            &["src/stages/render.rs", "src/rendering.rs"],
-        )
+        .made_of(&[], &["src/stages/render.rs"])
         .check(|p: &Params| {
             let fits = (0.0..=1.0).contains(&p.strength);
             if fits {

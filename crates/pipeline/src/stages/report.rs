@@ -12,8 +12,7 @@ use use3d_scene::Scene;
 
 use super::calibrator::read_calibrator;
 use super::common::{folder, read_json, write_json, write_text};
-use super::evaluate::{SCORES, STRIP};
-use super::reconstruct::CONTACT;
+use super::names::{CONTACT, SCORES, STRIP};
 use crate::engine::{Digest, Scope, Stage, StageContext, StageError, StageInput};
 use crate::rendering::{WaterSample, medium_along, medium_profile};
 use crate::report::plot::{Plot, RGB, Series};
@@ -41,20 +40,8 @@ impl Default for Params {
 pub(super) fn stage() -> Stage {
     Stage::new("report", Scope::Batch, run)
         .about("tables and one page about the whole batch")
-        .made_of(
-            PARTS,
-            &[
-                "src/stages/report.rs",
-                "src/stages/calibrator.rs",
-                "src/report",
-                "src/tables",
-                "src/scores.rs",
-                "src/strip.rs",
-                "src/truth.rs",
-                "src/rendering.rs",
-                "templates",
-            ],
-        )
+        // Its digests of score files are shown in the tables.
+        .made_of(&[], &["src/stages/report.rs", "src/engine/digest.rs"])
         .input("calibrator", "calibrate")
         .or_external("calibrator")
         .input("import", "import")
@@ -64,11 +51,6 @@ pub(super) fn stage() -> Stage {
         .optional_input("renders", "render")
         .optional_input("scores", "evaluate")
 }
-
-#[cfg(feature = "nets")]
-const PARTS: &[&str] = &["use3d-scene", "use3d-io-colmap", "use3d-atc", "use3d-nets"];
-#[cfg(not(feature = "nets"))]
-const PARTS: &[&str] = &["use3d-scene", "use3d-io-colmap", "use3d-atc"];
 
 /// The artifacts of one scene in one variant.
 struct Parts<'a> {

@@ -11,13 +11,13 @@ use use3d_io_image::{write_png, write_png_map};
 use use3d_splat::Rasterizer;
 
 use super::calibrator::read_calibrator;
-use super::common::{capture, folder, scene, write_json};
-use super::propose::asked_for;
+use super::captured::capture;
+use super::common::{folder, write_json};
+use super::names::TARGETS;
+use super::proposals::asked_for;
 use super::proposer::{ProposerChoice, of_calibrator};
+use super::scenes::scene;
 use crate::engine::{Scope, Stage, StageContext, StageError};
-
-/// The targets' file in its artifact.
-pub const TARGETS: &str = "targets.safetensors";
 
 /// Parameters of the targets.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -40,21 +40,16 @@ impl Default for Params {
 pub(super) fn stage() -> Stage {
     Stage::new("targets", Scope::Scene, run)
         .about("appearance transition consensus: scene-global and Gaussian-local targets")
-        .made_of(PARTS, &["src/stages/targets.rs", "src/stages/calibrator.rs", "src/stages/proposer.rs"])
+        .made_of(&[], &["src/stages/targets.rs"])
         .when(|all| !asked_for(all))
         .input("import", "import")
         .input("scene", "reconstruct")
         .input("calibrator", "calibrate")
         .or_external("calibrator")
         .optional_external("models", "models")
-        .select(super::files_of_proposer)
+        .select(super::weights::files_of_proposer)
         .cost(0, 2 << 30)
 }
-
-#[cfg(feature = "nets")]
-const PARTS: &[&str] = &["use3d-atc", "use3d-scene", "use3d-io-colmap", "use3d-nets"];
-#[cfg(not(feature = "nets"))]
-const PARTS: &[&str] = &["use3d-atc", "use3d-scene", "use3d-io-colmap"];
 
 /// A captured view for the consensus.
 fn input(view: &View) -> Result<ViewInput, AtcError> {
@@ -86,12 +81,13 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         context.progress_with(i as u64, total, "views", "proposals and transitions");
         records.push(recorder.record(&input(view)?, Proposals::From(proposer.as_ref()), &calibrator)?);
     }
+    let consensus = TargetsParams { seed: context.seed(), ..params.consensus.clone() };
     let built = targets_from_records(
         &scene.gaussians,
         &records,
         proposer.id(),
         &calibrator,
-        &params.consensus,
+        &consensus,
         &mut |progress| {
             if let Progress::Lift { index, .. } = progress {
                 context.progress_with(

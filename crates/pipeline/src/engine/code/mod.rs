@@ -1,9 +1,13 @@
 //! What code a stage is made of.
 //!
 //! A stage's artifact is stale when the code that made it changed, and only then. The table built here gives every
-//! crate of the workspace a digest of its *tokens*; a stage's code is the closure of the crates it names, the files of
-//! this crate that hold the stage itself, and the locked third-party crates below all of them. So a change in `ubaf`
-//! makes the second training stale and leaves the first alone, and a comment changes nothing anywhere.
+//! crate of the workspace a digest of its *tokens*, and every file of this crate one of its own. A stage names the file that holds
+//! it; everything else follows from the sources: the files of this crate that this one uses, and those use in turn, the crates
+//! that any of them names with everything below those, and the locked third-party crates. So a change in `atc`
+//! makes the targets and the second training stale and leaves the first alone, and a comment changes nothing anywhere.
+//!
+//! The [engine](super) and the pipeline file's reader are not followed: they choose a stage's inputs and parameters and give it a folder,
+//! and not one byte in the folder is theirs.
 //!
 //! Known limits: the compiler's version and its flags do not count (numbers are IEEE arithmetic in a fixed order), nor
 //! do features switched on only by other crates of the build.
@@ -19,21 +23,36 @@ use super::digest::{Digest, Encoder};
 
 mod tokens;
 mod tree;
+mod uses;
 
 /// The folder below `crates/` whose files a stage may name one by one.
 const BY_FILE: &str = "pipeline";
+
+/// Modules of that crate that write no byte of an artifact: what a stage uses of them is not followed.
+const NOT_FOLLOWED: [&str; 2] = ["src/engine/", "src/config/"];
+
+/// A crate that is named under a condition and is not in this build.
+const ABSENT: &[&str] = if cfg!(feature = "nets") { &[] } else { &["use3d-nets"] };
 
 /// Digests of the workspace's code; see the module.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 pub struct CodeTable {
     crates: BTreeMap<String, CrateCode>,
-    files: BTreeMap<String, Digest>,
+    files: BTreeMap<String, FileCode>,
 }
 
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 struct CrateCode {
     tokens: Digest,
     manifest: Digest,
+    workspace: Vec<String>,
+    third_party: BTreeMap<String, String>,
+}
+
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+struct FileCode {
+    tokens: Digest,
+    uses: Vec<String>,
     workspace: Vec<String>,
     third_party: BTreeMap<String, String>,
 }
@@ -88,11 +107,35 @@ impl CodeTable {
         self.crates.keys().map(String::as_str)
     }
 
+    /// The files of the pipeline crate that count one by one.
+    pub fn files(&self) -> impl Iterator<Item = &str> {
+        self.files.keys().map(String::as_str)
+    }
+
     /// The code of a stage made of `crates` (with everything below them) and of `sources`, files or folders of the
-    /// pipeline crate such as `src/stages/import.rs` or `src/report`.
+    /// pipeline crate such as `src/stages/import.rs` or `src/report`, with everything that these use.
     pub fn stage(&self, crates: &[&str], sources: &[&str]) -> Result<StageCode, CodeError> {
         let mut code = StageCode::default();
         let mut open: Vec<&str> = crates.to_vec();
+        let mut files: Vec<&str> = Vec::new();
+        for source in sources {
+            let folder = format!("{}/", source.trim_end_matches('/'));
+            let before = files.len();
+            files.extend(self.files().filter(|path| path == source || path.starts_with(&folder)));
+            if files.len() == before {
+                return Err(CodeError::NoFile((*source).to_string()));
+            }
+        }
+        while let Some(path) = files.pop() {
+            let Some(file) = self.files.get(path) else { return Err(CodeError::NoFile(path.to_string())) };
+            if code.ours.insert(path.to_string(), file.tokens).is_some() {
+                continue;
+            }
+            unite(&mut code.third_party, &file.third_party);
+            open.extend(file.workspace.iter().map(String::as_str).filter(|name| !ABSENT.contains(name)));
+            let followed = |path: &&str| !NOT_FOLLOWED.iter().any(|folder| path.starts_with(folder));
+            files.extend(file.uses.iter().map(String::as_str).filter(followed));
+        }
         let mut seen = BTreeSet::new();
         while let Some(name) = open.pop() {
             if !seen.insert(name) {
@@ -103,28 +146,20 @@ impl CodeTable {
             let found = found.ok_or_else(|| CodeError::NoCrate { name: name.to_string(), known: known() })?;
             code.ours.insert(name.to_string(), found.tokens);
             code.ours.insert(format!("{name}/Cargo.toml"), found.manifest);
-            for (name, versions) in &found.third_party {
-                let all = code.third_party.entry(name.clone()).or_default();
-                let mut union: BTreeSet<&str> = all.split(", ").filter(|v| !v.is_empty()).collect();
-                union.extend(versions.split(", "));
-                *all = union.into_iter().collect::<Vec<_>>().join(", ");
-            }
+            unite(&mut code.third_party, &found.third_party);
             open.extend(found.workspace.iter().map(String::as_str));
         }
-        for source in sources {
-            let folder = format!("{}/", source.trim_end_matches('/'));
-            let mut some = false;
-            for (path, digest) in &self.files {
-                if path == source || path.starts_with(&folder) {
-                    code.ours.insert(path.clone(), *digest);
-                    some = true;
-                }
-            }
-            if !some {
-                return Err(CodeError::NoFile((*source).to_string()));
-            }
-        }
         Ok(code)
+    }
+}
+
+/// Adds versions of third-party crates; several of one crate are listed all.
+fn unite(all: &mut BTreeMap<String, String>, more: &BTreeMap<String, String>) {
+    for (name, versions) in more {
+        let entry = all.entry(name.clone()).or_default();
+        let mut union: BTreeSet<&str> = entry.split(", ").filter(|v| !v.is_empty()).collect();
+        union.extend(versions.split(", "));
+        *entry = union.into_iter().collect::<Vec<_>>().join(", ");
     }
 }
 

@@ -34,7 +34,7 @@ pub(crate) fn module_files(file: &Path, module: &str) -> [PathBuf; 2] {
     [base.join(format!("{module}.rs")), base.join(module).join("mod.rs")]
 }
 
-fn is_test_only_file(stream: &TokenStream) -> bool {
+pub(crate) fn is_test_only_file(stream: &TokenStream) -> bool {
     let mut tokens = stream.clone().into_iter();
     while let Some(token) = tokens.next() {
         let (TokenTree::Punct(hash), Some(TokenTree::Punct(bang))) = (&token, tokens.next()) else {
@@ -51,11 +51,11 @@ fn is_test_only_file(stream: &TokenStream) -> bool {
     false
 }
 
-fn is_cfg_test(attribute: &TokenStream) -> bool {
+pub(crate) fn is_cfg_test(attribute: &TokenStream) -> bool {
     attribute.to_string().replace(' ', "") == "cfg(test)"
 }
 
-fn is_doc(attribute: &TokenStream) -> bool {
+pub(crate) fn is_doc(attribute: &TokenStream) -> bool {
     matches!(attribute.clone().into_iter().next(), Some(TokenTree::Ident(name)) if name == "doc")
 }
 
@@ -73,7 +73,7 @@ fn write_stream(stream: TokenStream, may_drop_only_comma: bool, out: &mut Source
             }
             if outer
                 && is_cfg_test(&group.stream())
-                && let Some(end) = item_end(&tokens, after, out)
+                && let Some(end) = item_end(&tokens, after, &mut out.test_modules)
             {
                 i = end;
                 continue;
@@ -122,7 +122,7 @@ fn write_token(out: &mut SourceTokens, kind: u8, text: &str) {
     out.bytes.extend_from_slice(text.as_bytes());
 }
 
-fn is_punct(token: &TokenTree, c: char) -> bool {
+pub(crate) fn is_punct(token: &TokenTree, c: char) -> bool {
     matches!(token, TokenTree::Punct(p) if p.as_char() == c)
 }
 
@@ -157,7 +157,7 @@ fn joins(first: char, second: char) -> bool {
 }
 
 /// The index after `#[…]` or `#![…]` at `i`, and the brackets.
-fn attribute(tokens: &[TokenTree], i: usize) -> Option<(usize, &Group)> {
+pub(crate) fn attribute(tokens: &[TokenTree], i: usize) -> Option<(usize, &Group)> {
     if !is_punct(&tokens[i], '#') {
         return None;
     }
@@ -171,7 +171,7 @@ fn attribute(tokens: &[TokenTree], i: usize) -> Option<(usize, &Group)> {
 }
 
 /// The index after the item that starts at `i`; `None` when it is no item (a field, an arm, an expression): it stays.
-fn item_end(tokens: &[TokenTree], mut i: usize, out: &mut SourceTokens) -> Option<usize> {
+pub(crate) fn item_end(tokens: &[TokenTree], mut i: usize, test_modules: &mut Vec<String>) -> Option<usize> {
     while let Some((after, _)) = tokens.get(i).and_then(|_| attribute(tokens, i)) {
         i = after;
     }
@@ -193,7 +193,7 @@ fn item_end(tokens: &[TokenTree], mut i: usize, out: &mut SourceTokens) -> Optio
         _ => return None,
     };
     if word(i) == "mod" && tokens.get(i + 2).is_some_and(|t| is_punct(t, ';')) {
-        out.test_modules.push(word(i + 1));
+        test_modules.push(word(i + 1));
     }
     for (k, token) in tokens.iter().enumerate().skip(i) {
         let brace = matches!(token, TokenTree::Group(g) if g.delimiter() == Delimiter::Brace);

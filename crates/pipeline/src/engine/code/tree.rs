@@ -5,6 +5,8 @@
 //! `templates/` by their bytes, Markdown excepted), a digest of its dependency tables with the features they ask for,
 //! the crates of the workspace it depends on, and name, version and checksum (from git: commit) of every third-party
 //! crate below it. A dependency by path outside `crates/` would be code that no digest sees, so it is refused.
+//!
+//! Of one crate, whose files are not all of every stage, the same per file, with the files and crates that it uses.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -13,12 +15,13 @@ use serde_json::{Map, Value, json};
 use walkdir::WalkDir;
 
 use super::tokens::{module_files, tokens_of};
+use super::uses::{modules, uses_of};
 
 const CONTEXT: &str = "use3d 2026 code digest v1";
 const DEPENDENCY_TABLES: [&str; 2] = ["dependencies", "build-dependencies"];
 
 /// The table of the workspace at `root`, as JSON: `crates.<package>.{tokens, manifest, workspace, third_party}` and
-/// `files.<path>`, the digests of the single files of the crate in folder `crates/<by_file>`.
+/// `files.<path>.{tokens, uses, workspace, third_party}` of the single files of the crate in folder `crates/<by_file>`.
 pub(crate) fn read(root: &Path, by_file: &str) -> Result<Value, String> {
     let workspace = parse_toml(&root.join("Cargo.toml"))?;
     let inherited = workspace.pointer("/workspace/dependencies").cloned().unwrap_or_default();
@@ -43,7 +46,11 @@ pub(crate) fn read(root: &Path, by_file: &str) -> Result<Value, String> {
             field(&mut tokens, digest.as_bytes());
         }
         if folder.file_name().is_some_and(|n| n == by_file) {
-            files.extend(sources.iter().map(|(p, d)| (p.clone(), json!(d.to_hex().as_str()))));
+            let specs: Map<String, Value> =
+                dependencies.values().flatten().map(|(n, s)| (n.clone(), s.clone())).collect();
+            for (path, digest) in &sources {
+                files.insert(path.clone(), file_entry(folder, path, digest, &sources, &specs, &ours, &lock)?);
+            }
         }
         let mut tables = blake3::Hasher::new_derive_key(CONTEXT);
         let features = manifest.get("features").cloned().unwrap_or_default();
@@ -61,6 +68,49 @@ pub(crate) fn read(root: &Path, by_file: &str) -> Result<Value, String> {
         );
     }
     Ok(json!({ "crates": crates, "files": files }))
+}
+
+/// One file of the crate whose files count one by one.
+fn file_entry(
+    folder: &Path,
+    path: &str,
+    digest: &blake3::Hash,
+    sources: &BTreeMap<String, blake3::Hash>,
+    dependencies: &Map<String, Value>,
+    ours: &dyn Fn(&String) -> bool,
+    lock: &Lock,
+) -> Result<Value, String> {
+    const TEMPLATES: &str = "templates/";
+    let mut tokens = blake3::Hasher::new_derive_key(CONTEXT);
+    field(&mut tokens, digest.as_bytes());
+    let (mut used, mut crates) = (BTreeSet::new(), Vec::new());
+    if path.starts_with("src/") && path.ends_with(".rs") {
+        let file = folder.join(path);
+        let text = std::fs::read_to_string(&file).map_err(|e| format!("{}: {e}", file.display()))?;
+        let uses = uses_of(&text).map_err(|e| format!("{}: {e}", file.display()))?;
+        used = uses.files(path, &modules(sources.keys()));
+        crates = uses.crates(dependencies.keys());
+        // Files that the compiler includes are named by literals: relative to the templates, or to the source.
+        let beside = path.rsplit_once('/').map_or("", |(parent, _)| parent);
+        for literal in &uses.literals {
+            let named = [format!("{TEMPLATES}{literal}"), format!("{beside}/{literal}")];
+            used.extend(named.into_iter().filter(|name| name != path && sources.contains_key(name)));
+        }
+    } else if path.starts_with(TEMPLATES) {
+        // Templates include each other by name.
+        used.extend(sources.keys().filter(|other| other.starts_with(TEMPLATES) && *other != path).cloned());
+    }
+    // What is asked of a dependency (its features) may change what it does.
+    for name in &crates {
+        field(&mut tokens, json!([name, dependencies.get(name.as_str())]).to_string().as_bytes());
+    }
+    let third_party = lock.closure(crates.iter().filter(|n| !ours(n)).map(|n| n.as_str()))?;
+    Ok(json!({
+        "tokens": tokens.finalize().to_hex().as_str(),
+        "uses": used,
+        "workspace": crates.iter().filter(|n| ours(n)).collect::<Vec<_>>(),
+        "third_party": third_party,
+    }))
 }
 
 /// The folders with a crate, directly below `crates/`.

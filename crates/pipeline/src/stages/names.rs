@@ -1,0 +1,20 @@
+//! Names of files that one stage leaves in its artifact and another reads.
+//!
+//! Apart from the stages that write them, so that a reader is not made of the writer's code.
+
+/// The paired data in `pairs`.
+pub(super) const DATASET: &str = "dataset.json";
+/// The calibrator in `calibrate`.
+pub const CALIBRATOR: &str = "calibrator.safetensors";
+/// The contact sheet in `reconstruct`.
+pub(super) const CONTACT: &str = "contact.png";
+/// The targets in `targets`.
+pub const TARGETS: &str = "targets.safetensors";
+/// The scores in `evaluate`.
+pub const SCORES: &str = "scores.json";
+/// The consistency strip in `evaluate`, and what it shows.
+pub const STRIP: (&str, &str) = ("strip.png", "strip.json");
+/// The note of `evaluate` with how fast the scene is drawn.
+pub const SPEED: &str = "speed";
+/// In `reconstruct`: which images the scene was learnt from, and how held-out ones came out.
+pub(super) const EVALUATION: &str = "evaluation.json";

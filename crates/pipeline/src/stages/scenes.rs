@@ -1,0 +1,10 @@
+//! The scene that a stage works on.
+
+use use3d_scene::Scene;
+
+use crate::engine::{StageContext, StageError};
+
+/// The scene of a role.
+pub(super) fn scene(context: &StageContext, role: &str) -> Result<Scene, StageError> {
+    Scene::load(context.input(role)?).map_err(StageError::bad_input)
+}

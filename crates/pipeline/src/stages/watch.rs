@@ -1,0 +1,44 @@
+//! A training loop heard by the engine.
+
+use use3d_training::{Observer, Progress};
+
+use crate::engine::StageContext;
+
+/// A training loop's observer that speaks to the engine.
+pub(super) struct Watch<'a> {
+    context: &'a StageContext,
+}
+
+impl<'a> Watch<'a> {
+    pub(super) fn new(context: &'a StageContext) -> Self {
+        Self { context }
+    }
+}
+
+impl Observer for Watch<'_> {
+    fn progress(&mut self, progress: &Progress) {
+        let mut words = Vec::new();
+        if let Some(loss) = progress.loss {
+            words.push(format!("loss {loss:.4}"));
+        }
+        if let Some(psnr) = progress.psnr {
+            words.push(format!("{psnr:.2} dB"));
+        }
+        if let Some(gaussians) = progress.gaussians {
+            words.push(format!("{gaussians} Gaussians"));
+        }
+        if let Some(pace) = progress.steps_per_second {
+            words.push(format!("{pace:.1} steps/s"));
+        }
+        let words = words.join(", ");
+        self.context.progress_left(progress.step, progress.steps, "steps", &words, progress.seconds_left);
+    }
+
+    fn notice(&mut self, message: &str) {
+        self.context.say(message);
+    }
+
+    fn should_stop(&self) -> bool {
+        self.context.cancelled()
+    }
+}

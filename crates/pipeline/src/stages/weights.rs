@@ -1,0 +1,74 @@
+//! Which files of a models folder a stage reads: those count in its key, the others beside them do not.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+
+#[cfg(feature = "nets")]
+use use3d_nets::{Models, Network};
+
+/// The files in a models folder that a proposer reads, relative to it.
+pub(super) fn proposer_files(models: &Path) -> Vec<PathBuf> {
+    #[cfg(feature = "nets")]
+    return model_files(models, &[Network::Nu2NetReleased, Network::Nu2Net]);
+    #[cfg(not(feature = "nets"))]
+    no_files(models)
+}
+
+/// The files in a models folder that the proposer of these parameters reads, relative to it; says what to put there where it is asked
+/// for by name and its weights are not there.
+pub(super) fn files_of_proposer(parameters: &Value, models: &Path) -> Result<Vec<PathBuf>, String> {
+    if parameters["proposer"] == "fusion" {
+        return Ok(Vec::new());
+    }
+    let files = proposer_files(models);
+    #[cfg(feature = "nets")]
+    if files.is_empty() && parameters["proposer"] == "nu2net" {
+        return Err(not_there("Nu2Net", &[Network::Nu2NetReleased, Network::Nu2Net], models));
+    }
+    Ok(files)
+}
+
+/// Weights that are asked for and not there: which files would do.
+#[cfg(feature = "nets")]
+pub(super) fn not_there(what: &str, networks: &[Network], models: &Path) -> String {
+    let files: Vec<&str> = networks.iter().map(|network| network.known().files[0]).collect();
+    format!(
+        "the weights of {what} are not in {}: put {} there (`use3d models` says where it is published)",
+        models.display(),
+        files.join(" or ")
+    )
+}
+
+/// The files in a models folder that the evaluation reads, relative to it.
+pub(super) fn judge_files(models: &Path) -> Vec<PathBuf> {
+    #[cfg(feature = "nets")]
+    return model_files(
+        models,
+        &[
+            Network::Nu2NetReleased,
+            Network::Nu2Net,
+            Network::LpipsHeads,
+            Network::AlexNet,
+            Network::RaftLarge,
+            Network::URanker,
+            Network::Musiq,
+        ],
+    );
+    #[cfg(not(feature = "nets"))]
+    no_files(models)
+}
+
+/// The files of some networks that are in a models folder, relative to it.
+#[cfg(feature = "nets")]
+pub(super) fn model_files(models: &Path, networks: &[Network]) -> Vec<PathBuf> {
+    let folder = Models::open(models);
+    let found = networks.iter().filter_map(|n| folder.find(*n));
+    found.filter_map(|path| path.strip_prefix(models).ok().map(Path::to_path_buf)).collect()
+}
+
+/// A build without networks reads no model files.
+#[cfg(not(feature = "nets"))]
+fn no_files(_: &Path) -> Vec<PathBuf> {
+    Vec::new()
+}

@@ -1,0 +1,371 @@
+//! The real table of stages: what its keys hold, and what they leave out.
+//!
+//! What the engine does with a table is tested on stages of its own; whether this table says the truth about itself, here.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use serde_json::{Value, json};
+use use3d_pipeline::engine::code::CodeTable;
+use use3d_pipeline::engine::{
+    Batch, Cache, Engine, Graph, Listener, Registry, RunOptions, Scene, Silent, Variant,
+};
+use use3d_pipeline::stages::registry;
+
+fn table() -> Registry {
+    registry().expect("the stage table")
+}
+
+/// Modules of the pipeline crate that write no byte of an artifact: the engine and its clients.
+const WITHOUT_ARTIFACTS: [&str; 6] =
+    ["src/lib.rs", "src/engine/", "src/config/", "src/stages/mod.rs", "src/results.rs", "build.rs"];
+
+#[test]
+fn every_stage_is_made_of_the_files_it_uses_and_of_no_others() {
+    let table = table();
+    let has = |stage: &str, code: &str| table.code_of(stage).expect("a stage").ours.contains_key(code);
+    for stage in table.stages() {
+        let name = stage.name();
+        assert!(has(name, &format!("src/stages/{name}.rs")), "{name}");
+        // An edit of the table or of another stage's own file must not make hours of training stale.
+        assert!(!has(name, "src/stages/mod.rs") && !has(name, "src/lib.rs"), "{name}");
+    }
+    for (stage, used) in [
+        ("import", "src/stages/common.rs"),
+        ("reconstruct", "src/stages/common.rs"),
+        ("reconstruct", "src/stages/contact.rs"),
+        ("reconstruct", "src/stages/proposals.rs"),
+        ("reconstruct", "use3d-medium"),
+        ("enhance", "src/report/plot.rs"),
+        ("enhance", "src/stages/proposer.rs"),
+        ("enhance", "use3d-ubaf"),
+        ("evaluate", "src/truth.rs"),
+        ("evaluate", "use3d-metrics"),
+        ("report", "templates/report.html"),
+        ("report", "src/engine/digest.rs"),
+        ("report", "src/tables/paper.rs"),
+    ] {
+        assert!(has(stage, used), "{stage} is not made of {used}");
+    }
+    for (stage, unused) in [
+        ("import", "use3d-splat"),
+        ("import", "use3d-scene"),
+        ("calibrate", "use3d-synth"),
+        ("calibrate", "use3d-scene"),
+        ("reconstruct", "use3d-atc"),
+        ("reconstruct", "use3d-nets"),
+        ("reconstruct", "use3d-enhance"),
+        ("reconstruct", "use3d-synth"),
+        ("targets", "use3d-reconstruct"),
+        ("enhance", "use3d-reconstruct"),
+    ] {
+        assert!(!has(stage, unused), "{stage} needs not be made of {unused}");
+    }
+    assert!(table.code_of("report").expect("a stage").third_party.contains_key("askama"));
+    // Whatever this crate gains is somebody's, or is known to write no artifact.
+    let reached: BTreeSet<&str> = table
+        .stages()
+        .iter()
+        .flat_map(|s| table.code_of(s.name()).expect("a stage").ours.keys())
+        .map(String::as_str)
+        .collect();
+    let forgotten: Vec<&str> = CodeTable::built_in()
+        .files()
+        .filter(|file| {
+            !reached.contains(file) && !WITHOUT_ARTIFACTS.iter().any(|known| file.starts_with(known))
+        })
+        .collect();
+    if cfg!(feature = "nets") {
+        assert!(forgotten.is_empty(), "no stage is made of {forgotten:?}");
+    }
+}
+
+/// Copies what the digests are made of.
+fn copy_tree(to: &Path) -> BTreeMap<String, Vec<PathBuf>> {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let mut sources = BTreeMap::new();
+    for file in ["Cargo.toml", "Cargo.lock"] {
+        std::fs::copy(here.join(file), to.join(file)).expect("copied");
+    }
+    for entry in std::fs::read_dir(here.join("crates")).expect("crates").map(|e| e.expect("entry")) {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        for part in ["src", "Cargo.toml", "build.rs", "templates"] {
+            for file in walkdir::WalkDir::new(entry.path().join(part)).into_iter().filter_map(Result::ok) {
+                if file.file_type().is_file() {
+                    let relative = file.path().strip_prefix(&here).expect("below");
+                    let target = to.join(relative);
+                    std::fs::create_dir_all(target.parent().expect("a folder")).expect("folder");
+                    std::fs::copy(file.path(), &target).expect("copied");
+                    let counts = file.path().extension().is_some_and(|e| e == "rs" || e == "html");
+                    if counts && part != "build.rs" {
+                        sources.entry(name.clone()).or_insert_with(Vec::new).push(target);
+                    }
+                }
+            }
+        }
+    }
+    sources
+}
+
+/// One more token in every file of the workspace in turn (one file of every crate at a time): exactly the stages whose code reaches
+/// the file become stale.
+#[test]
+fn a_token_in_any_file_makes_every_stage_stale_that_reaches_it() {
+    let dir = tempfile::tempdir().expect("folder");
+    let sources = copy_tree(dir.path());
+    let read = || CodeTable::of_tree(dir.path()).expect("digests");
+    let stages = table();
+    let code = |table: &CodeTable| Registry::with_code(stages.stages().to_vec(), table).expect("a table");
+    let before = code(&read());
+    let below = |file: &Path, krate: &str| -> String {
+        let folder = dir.path().join("crates").join(krate);
+        file.strip_prefix(folder).expect("below").to_string_lossy().into_owned()
+    };
+    // A crate counts as one, so one of its files is changed at a time; files of the pipeline crate count one by one, so all are at once.
+    let rounds = sources
+        .iter()
+        .filter(|(krate, _)| *krate != "pipeline")
+        .map(|(_, files)| files.len())
+        .max()
+        .unwrap_or(0);
+    let mut of_no_stage = Vec::new();
+    for round in 0..rounds {
+        let mut changed = Vec::new();
+        for (krate, files) in &sources {
+            let now = match (krate.as_str(), round) {
+                ("pipeline", 0) => files.as_slice(),
+                ("pipeline", _) => &[],
+                _ => files.get(round..=round).unwrap_or_default(),
+            };
+            for file in now {
+                let text = std::fs::read_to_string(file).expect("text");
+                let is_rust = file.extension().is_some_and(|e| e == "rs");
+                let token = if is_rust { "\nconst _ADDED: u8 = 1;\n" } else { "<hr>" };
+                std::fs::write(file, format!("{text}{token}")).expect("written");
+                changed.push((krate.clone(), below(file, krate), file, text));
+            }
+        }
+        let after = code(&read());
+        for (krate, file, _, _) in &changed {
+            let key = if krate == "pipeline" { file.clone() } else { format!("use3d-{krate}") };
+            let mut reached = false;
+            for stage in stages.stages() {
+                let of = |table: &Registry| table.code_of(stage.name()).expect("a stage").clone();
+                let (old, new) = (of(&before), of(&after));
+                if old.ours.contains_key(&key) {
+                    reached = true;
+                    let stale = old.ours.get(&key) != new.ours.get(&key) && old.digest() != new.digest();
+                    assert!(stale || is_test_file(file), "{}: {krate}/{file}", stage.name());
+                }
+            }
+            if !reached && !is_test_file(file) {
+                of_no_stage.push(format!("{krate}/{file}"));
+            }
+        }
+        for (_, _, file, text) in changed {
+            std::fs::write(file, text).expect("written");
+        }
+    }
+    // The command, test support, and the modules without artifacts; nothing of the method.
+    let known = |path: &String| {
+        let (krate, file) = path.split_once('/').expect("a crate");
+        match krate {
+            "cli" | "golden" => true,
+            "pipeline" => WITHOUT_ARTIFACTS.iter().any(|known| file.starts_with(known)),
+            _ => false,
+        }
+    };
+    of_no_stage.retain(|path| !known(path));
+    if cfg!(feature = "nets") {
+        assert!(of_no_stage.is_empty(), "{of_no_stage:?}");
+    }
+}
+
+/// Whether a file holds tests only, by the project's names for such files.
+fn is_test_file(file: &str) -> bool {
+    ["tests.rs", "golden.rs", "testing.rs", "plain.rs"].iter().any(|name| file.ends_with(name))
+        || file.contains("/tests/")
+}
+
+#[test]
+fn parameters_without_effect_are_in_no_key_and_the_log_is() {
+    let table = table();
+    for (stage, changed, counts) in [
+        ("reconstruct", json!({"checkpoint_minutes": 0.5}), false),
+        ("reconstruct", json!({"checkpoint_steps": 7}), false),
+        ("enhance", json!({"checkpoint_every": 7}), false),
+        ("enhance", json!({"cache_mib": 7}), false),
+        ("calibrate", json!({"extractor": {"cells": 8}}), false),
+        ("pairs", json!({"extractor": {"cells": 8}}), true),
+        // The training log is part of the artifact.
+        ("reconstruct", json!({"log_every": 7}), true),
+        ("enhance", json!({"log_every": 7}), true),
+        ("reconstruct", json!({"evaluate_every": 7}), true),
+    ] {
+        let stage = table.stage(stage).expect("a stage");
+        let of = |given: &Value| stage.key_parameters(&stage.parameters(given).expect("parameters"));
+        assert_eq!(of(&json!({})) != of(&changed), counts, "{changed}");
+    }
+}
+
+/// Dotted paths of the values in some parameters.
+fn leaves(value: &Value, place: &str, found: &mut BTreeSet<String>) {
+    match value {
+        Value::Object(fields) => {
+            for (key, inner) in fields {
+                leaves(inner, &if place.is_empty() { key.clone() } else { format!("{place}.{key}") }, found);
+            }
+        }
+        _ => {
+            found.insert(place.to_string());
+        }
+    }
+}
+
+/// What stands in backticks.
+fn code_words(text: &str) -> impl Iterator<Item = &str> {
+    text.split('`').skip(1).step_by(2)
+}
+
+#[test]
+fn the_page_of_decisions_names_every_parameter_and_no_other() {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/decisions.md");
+    let page = std::fs::read_to_string(page).expect("docs/decisions.md");
+    let (rows, list) = page.split_once("## Every parameter").expect("the list of parameters");
+    let table = table();
+    let mut all = BTreeSet::new();
+    for stage in table.stages() {
+        let start = format!("* `{}`:", stage.name());
+        let (_, entry) = list
+            .split_once(&start)
+            .unwrap_or_else(|| panic!("docs/decisions.md lists no parameters of `{}`", stage.name()));
+        let entry = entry.split("\n* ").next().unwrap_or_default();
+        let listed: BTreeSet<String> = code_words(entry).map(String::from).collect();
+        let mut there = BTreeSet::new();
+        leaves(&stage.parameters(&json!({})).expect("defaults"), "", &mut there);
+        assert_eq!(listed, there, "docs/decisions.md, the parameters of `{}`", stage.name());
+        all.extend(there);
+    }
+    // The switches of the rows are parameters: of a stage, or of the pipeline file itself.
+    let of_the_file = ["seed", "pairs"];
+    for row in rows.lines().filter(|l| l.starts_with("| R")) {
+        let switches = row.trim_end_matches(" |").rsplit(" | ").next().unwrap_or_default();
+        for switch in code_words(switches) {
+            let name = switch.split('=').next().unwrap_or_default().trim();
+            let known = all
+                .iter()
+                .any(|p| p == name || p.ends_with(&format!(".{name}")) || p.starts_with(&format!("{name}.")));
+            assert!(known || of_the_file.contains(&name), "`{switch}` is no parameter: {row}");
+        }
+    }
+}
+
+#[test]
+fn one_seed_moves_every_stage_that_draws() {
+    let table = table();
+    let seeded: Vec<&str> = table.stages().iter().filter(|s| s.is_seeded()).map(|s| s.name()).collect();
+    assert_eq!(seeded, ["pairs", "calibrate", "reconstruct", "targets", "enhance"]);
+    // No stage has a seed of its own beside it.
+    fn seeds(value: &Value, place: &str, found: &mut Vec<String>) {
+        for (key, inner) in value.as_object().into_iter().flatten() {
+            if key == "seed" {
+                found.push(format!("{place}.{key}"));
+            }
+            seeds(inner, &format!("{place}.{key}"), found);
+        }
+    }
+    let mut found = Vec::new();
+    for stage in table.stages() {
+        seeds(&stage.parameters(&json!({})).expect("defaults"), stage.name(), &mut found);
+    }
+    assert!(found.is_empty(), "{found:?}");
+    // A variant with another seed shares with the others only what draws nothing.
+    let mut batch = Batch { name: "two".into(), seed: 42, ..Batch::default() };
+    let capture = Ok(PathBuf::from("/capture"));
+    batch.scenes.push(Scene {
+        name: "reef".into(),
+        externals: [("capture".into(), capture)].into(),
+        ..Scene::default()
+    });
+    batch.variants = vec![
+        Variant { name: "full".into(), ..Variant::default() },
+        Variant { name: "seed-7".into(), seed: Some(7), ..Variant::default() },
+    ];
+    let graph = Graph::new(&table, &batch).expect("a graph");
+    let other = |n: &&use3d_pipeline::engine::graph::Node| n.variant == "seed-7";
+    let shared: Vec<&str> =
+        graph.nodes.iter().filter(other).filter(|n| n.same_as.is_some()).map(|n| n.stage_name).collect();
+    assert_eq!(shared, ["import"]);
+    assert!(graph.nodes.iter().filter(other).count() >= 7);
+}
+
+fn run(cache: &Path, capture: &Path, parameters: &[(&str, Value)]) -> (Vec<String>, usize) {
+    let engine = Engine::new(table(), Cache::open(cache, false).expect("a cache"));
+    let mut batch = Batch { name: "tiny".into(), seed: 42, ..Batch::default() };
+    let externals = [("capture".into(), Ok(capture.to_path_buf()))].into();
+    batch.scenes.push(Scene { name: "reef".into(), externals, ..Scene::default() });
+    batch.defaults.insert("reconstruct".into(), json!({"iterations": 3, "schedule": 3}));
+    for (stage, value) in parameters {
+        batch.forced.insert((*stage).into(), value.clone());
+    }
+    let graph = Graph::new(&engine.registry, &batch).expect("a graph");
+    let listener: Arc<dyn Listener> = Arc::new(Silent);
+    let options = RunOptions { until: Some(vec!["reconstruct".into()]), ..RunOptions::default() };
+    let summary = engine.run(&graph, &options, &listener);
+    assert_eq!(summary.exit_code(), 0, "{summary}");
+    let keys = ["import", "reconstruct"].map(|stage| {
+        let path = summary.artifact("reef", "", stage).expect("it ran").path.clone();
+        path.file_name().expect("a key").to_string_lossy().into_owned()
+    });
+    (keys.to_vec(), summary.done())
+}
+
+/// Everything a cache holds of artifacts but their manifests, which tell times and hosts.
+fn payload(cache: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let artifacts = cache.join("v1/artifacts");
+    let files = walkdir::WalkDir::new(&artifacts).into_iter().map(|e| e.expect("entry"));
+    files
+        .filter(|e| e.file_type().is_file() && e.file_name() != "manifest.json")
+        .map(|e| {
+            (
+                e.path().strip_prefix(&artifacts).expect("below").to_path_buf(),
+                std::fs::read(e.path()).expect("file"),
+            )
+        })
+        .collect()
+}
+
+#[test]
+fn a_capture_under_another_name_with_other_things_beside_it_has_the_same_keys_and_bytes() {
+    let dir = tempfile::tempdir().expect("folder");
+    let (reef, copy) = (dir.path().join("reef"), dir.path().join("Other name"));
+    let params = use3d_synth::CaptureParams { views: 5, width: 40, height: 32, ..Default::default() };
+    use3d_synth::write_capture(&params, &reef, &mut |_, _| {}).expect("a capture");
+    let files: Vec<_> = walkdir::WalkDir::new(&reef).into_iter().map(|e| e.expect("entry")).collect();
+    for file in files.iter().filter(|e| e.file_type().is_file()) {
+        let target = copy.join(file.path().strip_prefix(&reef).expect("below"));
+        std::fs::create_dir_all(target.parent().expect("a folder")).expect("folder");
+        std::fs::copy(file.path(), target).expect("copied");
+    }
+    // Another, smaller model and another image folder, neither of them used.
+    for (from, to) in [("sparse/0", "colmap/sparse/0"), ("images", "images_wb")] {
+        std::fs::create_dir_all(copy.join(to)).expect("folder");
+        for file in std::fs::read_dir(reef.join(from)).expect("files").map(|e| e.expect("entry")) {
+            std::fs::copy(file.path(), copy.join(to).join(file.file_name())).expect("copied");
+        }
+    }
+    let caches = [dir.path().join("a"), dir.path().join("b")];
+    let (keys, done) = run(&caches[0], &reef, &[]);
+    assert!(done >= 2);
+    assert_eq!(run(&caches[1], &copy, &[]).0, keys);
+    let (first, second) = (payload(&caches[0]), payload(&caches[1]));
+    assert!(first.len() > 10 && first.keys().eq(second.keys()));
+    for (file, bytes) in &first {
+        assert!(second[file] == *bytes, "{} differs", file.display());
+    }
+
+    // How often a checkpoint is written reruns nothing.
+    let often = json!({"iterations": 3, "schedule": 3, "checkpoint_steps": 1, "checkpoint_minutes": 0.1});
+    assert_eq!(run(&caches[0], &reef, &[("reconstruct", often)]), (keys, 0));
+}
