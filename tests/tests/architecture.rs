@@ -1,7 +1,8 @@
-//! The arrows of the architecture, enforced: a crate may depend only on crates below it, and only one crate may use the
-//! tensor library. Reads `cargo metadata`, so a forbidden edge fails here before anyone gets used to it.
+//! The arrows of the architecture, enforced: a crate may depend only on crates below it and only on what it uses, and heavy or
+//! delicate third-party crates stay in the crates that own them. Reads `cargo metadata`, so a forbidden edge fails here before anyone gets used to it.
 
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use serde_json::Value;
@@ -21,7 +22,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("water", &["capture", "numerics"]),
     ("ubaf", &["capture", "numerics"]),
     ("atc", &["capture", "numerics", "splat"]),
-    ("training", &["capture", "numerics"]),
+    ("training", &["numerics"]),
     ("scene", &["capture", "numerics", "splat", "medium", "ubaf"]),
     ("reconstruct", &["capture", "numerics", "splat", "medium", "metrics", "training", "scene"]),
     ("enhance", &["capture", "numerics", "splat", "medium", "ubaf", "atc", "training", "scene"]),
@@ -29,7 +30,6 @@ const ALLOWED: &[(&str, &[&str])] = &[
 
 /// Crates that may use these heavy or delicate third-party crates.
 const RESERVED: &[(&str, &[&str])] = &[
-    ("candle-core", &["nets"]),
     ("libm", &["numerics"]),
     ("pytorch-reader", &["nets"]),
     ("bincode", &["training"]),
@@ -105,4 +105,53 @@ fn every_crate_inherits_the_workspace_lints() {
         let text = std::fs::read_to_string(path).expect("a manifest");
         assert!(text.contains("[lints]\nworkspace = true"), "{path} does not inherit the workspace lints");
     }
+}
+
+/// Rust text below `paths` of a crate, comments left out.
+fn source(folder: &Path, paths: &[&str]) -> String {
+    let mut open: Vec<PathBuf> = paths.iter().map(|p| folder.join(p)).collect();
+    let mut text = String::new();
+    while let Some(path) = open.pop() {
+        if path.is_dir() {
+            open.extend(std::fs::read_dir(&path).expect("a folder").map(|e| e.expect("an entry").path()));
+        } else if path.extension().is_some_and(|e| e == "rs") && path.exists() {
+            let file = std::fs::read_to_string(&path).expect("a source file");
+            file.lines().filter(|l| !l.trim_start().starts_with("//")).for_each(|l| {
+                text.push_str(l);
+                text.push('\n');
+            });
+        }
+    }
+    text
+}
+
+/// Whether a word stands in a text by itself.
+fn names(text: &str, word: &str) -> bool {
+    let part = |c: Option<char>| c.is_some_and(|c| c.is_alphanumeric() || c == '_');
+    text.match_indices(word)
+        .any(|(at, _)| !part(text[..at].chars().next_back()) && !part(text[at + word.len()..].chars().next()))
+}
+
+/// A dependency that nothing names costs build time, and here more: it is an ingredient of the keys of cached results.
+#[test]
+fn every_declared_dependency_is_used() {
+    let mut unused = Vec::new();
+    for package in metadata()["packages"].as_array().expect("packages") {
+        let manifest = PathBuf::from(package["manifest_path"].as_str().expect("a path"));
+        let folder = manifest.parent().expect("a folder");
+        let everywhere = source(folder, &["src", "tests", "examples", "benches"]);
+        let (shipped, build) = (source(folder, &["src"]), source(folder, &["build.rs", "src"]));
+        for dependency in package["dependencies"].as_array().expect("dependencies") {
+            let name = dependency["rename"].as_str().or(dependency["name"].as_str()).expect("a name");
+            let text = match dependency["kind"].as_str() {
+                Some("dev") => &everywhere,
+                Some("build") => &build,
+                _ => &shipped,
+            };
+            if !names(text, &name.replace('-', "_")) {
+                unused.push(format!("{}: {name}", manifest.display()));
+            }
+        }
+    }
+    assert!(unused.is_empty(), "remove from Cargo.toml what nothing names: {unused:#?}");
 }
