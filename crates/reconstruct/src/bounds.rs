@@ -82,7 +82,7 @@ mod tests {
     fn capture(views: usize, width: usize, height: usize, points: usize) -> Capture {
         let intrinsics = Intrinsics { width, height, fx: 9.0, fy: 9.0, cx: 4.0, cy: 3.0 };
         let view = |i: usize| View {
-            name: format!("{i}.png"),
+            name: use3d_capture::FileName::numbered(i),
             id: i as u32,
             image: std::path::PathBuf::new(),
             mask: None,
