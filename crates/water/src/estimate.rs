@@ -100,7 +100,7 @@ pub struct Water {
     pub points: usize,
     /// 5th, 50th and 95th percentile of the distances.
     pub distances: [f64; 3],
-    /// Whether the three attenuations are alike within their errors, as lamps, exposure or a haze make them, and hardly water.
+    /// Whether the three attenuations are within a factor of 1.5, as lamps, exposure or a haze make them, and hardly water.
     pub grey: bool,
 }
 
@@ -246,7 +246,8 @@ impl Data {
         }
         let mut prior = Prior {
             attenuation: (math::ln(0.5), 2.0),
-            ratio: (0.0, params.ratio_width),
+            // Whatever was given, a width is positive.
+            ratio: (0.0, params.ratio_width.max(1e-3)),
             veil: (math::ln(VEIL_PRIOR.0), VEIL_PRIOR.1),
             slope: 0.0,
             gain: 0.0,

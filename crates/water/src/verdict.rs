@@ -58,8 +58,10 @@ impl fmt::Display for Verdict {
 const SIGNIFICANT: f64 = 3.0;
 /// Least share of the loss that water must explain.
 const EXPLAINED: f64 = 0.03;
-/// Largest relative error of a coefficient that counts as known.
+/// Largest relative error of an attenuation that counts as known.
 const KNOWN: f64 = 0.35;
+/// Largest relative error of `β_b`, nothing assumed about its size, with which it counts as told apart from the veil.
+const APART: f64 = 0.2;
 /// An optical depth (`β_a` times the distance of the far points) below this is what differences in sharpness alone can show.
 const THINNEST: f64 = 0.06;
 
@@ -78,18 +80,21 @@ pub(crate) fn judge(
         Verdict::NoWater
     } else if !(error <= KNOWN && theta[ATTENUATION] < math::ln(THICKEST)) {
         Verdict::NotObservable
-    } else if covariance.backscatter_alone <= KNOWN {
+    } else if covariance.backscatter_alone <= APART {
         Verdict::Found
     } else {
         Verdict::VeilNotSeparable
     }
 }
 
-/// Whether the attenuations are alike: largest over smallest below 1.3, or within two errors of that.
+/// Largest over smallest attenuation of a grey loss. In none of Jerlov's ten types of water are red, green and blue within 1.6.
+const GREY: f64 = 1.5;
+
+/// Whether the attenuations are alike.
 pub(crate) fn grey(channels: &[ChannelWater; 3]) -> bool {
     if !channels.iter().all(|c| c.verdict.usable()) {
         return false;
     }
     let by = |f: fn(f64, f64) -> f64, start: f64| channels.iter().map(|c| c.attenuation.value).fold(start, f);
-    by(f64::max, 0.0) < 1.3 * by(f64::min, f64::INFINITY)
+    by(f64::max, 0.0) < GREY * by(f64::min, f64::INFINITY)
 }

@@ -222,6 +222,10 @@ fn what_cannot_tell_is_refused() {
     few.observations.retain(|o| o.point < 4);
     let water = solve(&few, &WaterParams { min_points: 0, ..params });
     assert!(water.channels.iter().all(|w| !w.attenuation.value.is_nan()));
+    // Parameters that make no sense give no nonsense.
+    let odd = WaterParams { ratio_width: f64::NAN, ..params };
+    assert!(solve(&make(&SEA), &odd).channels.iter().all(|w| w.attenuation.value.is_finite()));
+    refused(&make(&SEA), &WaterParams { distance_ratio: f64::NAN, ..params });
     // Clipped by the camera everywhere in one channel: the others are found.
     let mut clipped = make(&Truth { noise: 0.005, ..SEA });
     clipped.observations.iter_mut().for_each(|o| o.value[0] = f64::NAN);
