@@ -7,7 +7,8 @@ use std::fmt;
 use serde::Serialize;
 use use3d_capture::Frame;
 use use3d_io_colmap::{ImportError, Imported, load_mask, load_pixels};
-use use3d_water::{ChannelWater, Measured, ObserveError, Water, WaterParams, estimate, observe};
+use use3d_reconstruct::FoundWater;
+use use3d_water::{ChannelWater, Measured, ObserveError, Verdict, Water, WaterParams, estimate, observe};
 
 /// Why a capture's tracks could not be looked up.
 #[derive(Debug, thiserror::Error)]
@@ -37,6 +38,27 @@ pub fn from_tracks(imported: &Imported, params: &WaterParams) -> Result<Water, T
     })?;
     let positions: Vec<_> = tracks.iter().map(|t| t.position).collect();
     Ok(estimate(&observations, tracks.len(), &positions, cameras.len(), params))
+}
+
+/// What training may start from; `None` where a channel is not known, or where the channels lose alike, as with lamps, exposure
+/// or haze in air. A channel on which distance shows no water loses nothing, if another channel does.
+pub fn found_water(water: &Water) -> Option<FoundWater> {
+    let known = |c: &ChannelWater| c.verdict.usable() || c.verdict == Verdict::NoWater;
+    let any = water.channels.iter().any(|c| c.verdict.usable());
+    if water.grey || !any || !water.channels.iter().all(known) {
+        return None;
+    }
+    let of = |value: fn(&ChannelWater) -> f64| {
+        water.channels.each_ref().map(|c| if c.verdict.usable() { value(c) } else { 0.0 })
+    };
+    let radiances = water.radiances.iter();
+    Some(FoundWater {
+        attenuation: of(|c| c.attenuation.value),
+        backscatter: of(|c| c.backscatter.value),
+        veil: of(|c| c.veil_constant),
+        veil_slope: water.channels.each_ref().map(|c| c.veil_slope),
+        radiances: radiances.map(|point| point.map(|p| p.map(|m| (m.value, m.error)))).collect(),
+    })
 }
 
 /// What is told about a capture's water. Lengths are COLMAP units, directions COLMAP's axes.

@@ -16,7 +16,7 @@ use use3d_numerics::random::{Purpose, Stream};
 use use3d_numerics::spherical_harmonics::C0;
 use use3d_splat::{Gaussians, NEAR};
 
-use crate::{ReconstructError, ReconstructParams};
+use crate::{FoundWater, ReconstructError, ReconstructParams};
 
 /// Fewer sparse points than this are not a start.
 pub(crate) const FEWEST_POINTS: usize = 100;
@@ -25,17 +25,19 @@ const NEIGHBOURS: usize = 3;
 const SMALLEST: f64 = 1e-5;
 const LARGEST: f64 = 2.0;
 
-/// The initial Gaussians, at most `most`; messages for a person go to `notice`.
+/// The initial Gaussians, at most `most`, with the colours behind the water where that was found; messages for a person go to `notice`.
 pub(crate) fn gaussians(
     capture: &Capture,
+    found: Option<&FoundWater>,
     params: &ReconstructParams,
     most: usize,
     mut notice: impl FnMut(&str),
 ) -> Result<Gaussians, ReconstructError> {
     let cameras: Vec<Camera> = capture.training_views().map(|v| v.camera).collect();
-    let finite = capture.points.iter().filter(|p| p.position.is_finite());
+    let finite = capture.points.iter().enumerate().filter(|(_, p)| p.position.is_finite());
+    let color = |i: usize, seen: [f64; 3]| found.map_or(seen, |found| found.color(i, seen));
     let mut points: Vec<(DVec3, [f64; 3])> =
-        finite.map(|p| (p.position, p.color.map(|c| f64::from(c) / 255.0))).collect();
+        finite.map(|(i, p)| (p.position, color(i, p.color.map(|c| f64::from(c) / 255.0)))).collect();
     if points.len() < capture.points.len() {
         notice(&format!(
             "{} sparse points are not finite and are left out",

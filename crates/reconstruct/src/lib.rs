@@ -9,6 +9,7 @@
 mod bounds;
 pub mod engine;
 mod error;
+mod found;
 mod initialise;
 pub mod losses;
 mod parameters;
@@ -19,10 +20,13 @@ mod views;
 
 pub use bounds::{MemoryNeed, memory_need, most_gaussians};
 pub use error::ReconstructError;
-pub use parameters::{Densify, DepthPrior, Images, LearningRates, Medium, Rate, ReconstructParams};
+pub use found::FoundWater;
+pub use parameters::{
+    Densify, DepthPrior, Images, LearningRates, Medium, MediumPrior, Rate, ReconstructParams,
+};
 pub use profile::{StepPart, Stretch, growth};
 pub use record::{Evaluation, LogEntry, ViewScore, plot};
-pub use train::{Outcome, reconstruct};
+pub use train::{Outcome, reconstruct, reconstruct_in};
 pub use views::{Dropped, LoadedView, Target, TrainingView, ViewLoader};
 
 #[cfg(test)]

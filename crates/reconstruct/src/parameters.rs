@@ -38,6 +38,17 @@ pub enum DepthPrior {
     DepthAnythingV2,
 }
 
+/// What is known of the water before training.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum MediumPrior {
+    /// Nothing: the water starts as the method has it and is learnt from the first step on.
+    #[default]
+    Off,
+    /// What the capture's tracks tell, where they do; else as `off`, and the log says why. For the `rbf` and `global` waters.
+    Tracks,
+}
+
 /// Which images a scene is learnt from. The loop itself is the same; whoever loads the views follows this.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -193,6 +204,12 @@ pub struct ReconstructParams {
     pub anchors: usize,
     /// Anchors that share a view.
     pub top_k: usize,
+    /// What the water starts from.
+    pub medium_prior: MediumPrior,
+    /// Share of the run, 0 to 1, for which water that was found beforehand is held.
+    pub medium_hold: f64,
+    /// What the water's rates are multiplied by after that, 0 to 1.
+    pub medium_release: f64,
     /// Where depth priors come from.
     pub depth_prior: DepthPrior,
     /// Weight of the depth term.
@@ -240,6 +257,9 @@ impl Default for ReconstructParams {
             medium: Medium::Rbf,
             anchors: 8,
             top_k: 4,
+            medium_prior: MediumPrior::Off,
+            medium_hold: 0.5,
+            medium_release: 0.1,
             depth_prior: DepthPrior::Auto,
             depth_weight: 0.1,
             depth_gradient: true,
@@ -307,6 +327,16 @@ impl ReconstructParams {
         }
         if self.sh_degree > 3 {
             return Err(format!("sh_degree is {}; expected 0 to 3", self.sh_degree));
+        }
+        share("medium_hold", self.medium_hold)?;
+        share("medium_release", self.medium_release)?;
+        if self.medium_prior == MediumPrior::Tracks {
+            if !matches!(self.medium, Medium::Rbf | Medium::Global) {
+                return Err("medium_prior is tracks; expected off with this medium (rbf and global can start from tracks)".into());
+            }
+            if self.images == Images::Proposed {
+                return Err("medium_prior is tracks; expected off with images = \"proposed\", whose water is no longer the photographs'".into());
+            }
         }
         share("structure_weight", self.structure_weight)?;
         share("initial_opacity", self.initial_opacity)?;
@@ -383,6 +413,11 @@ impl ReconstructParams {
     pub fn active_degree(&self, step: u64) -> usize {
         let every = (self.sh_every * self.course() as f64).round().max(1.0) as u64;
         ((step / every) as usize).min(self.sh_degree)
+    }
+
+    /// What the rates of water that was found beforehand are multiplied by at `step`.
+    pub(crate) fn water_release(&self, step: u64) -> f64 {
+        if (step as f64) < self.medium_hold * self.course() as f64 { 0.0 } else { self.medium_release }
     }
 
     /// The step from which nothing is added any more.

@@ -1,6 +1,6 @@
 //! The whole of stage 1: one golden step, and short runs on a tiny scene.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3};
 use use3d_capture::{
@@ -15,8 +15,8 @@ use use3d_training::{Observer, Progress, Silent};
 
 use crate::engine::{CpuEngine, Engine, StepRates, StepSettings};
 use crate::{
-    DepthPrior, LoadedView, LogEntry, Medium, Outcome, ReconstructError, ReconstructParams, TrainingView,
-    reconstruct,
+    DepthPrior, FoundWater, Images, LoadedView, LogEntry, Medium, MediumPrior, Outcome, ReconstructError,
+    ReconstructParams, TrainingView, reconstruct, reconstruct_in,
 };
 
 const NO_RATES: StepRates = StepRates {
@@ -277,6 +277,86 @@ fn a_short_run_learns_the_scene_and_its_water() {
         };
         assert!(psnr(&other) > first(&other).unwrap() + 1.0, "{medium:?}: {:.2} dB", psnr(&other));
     }
+}
+
+/// The tiny reef's own water.
+fn true_water(points: usize) -> FoundWater {
+    let c0 = f64::from(use3d_numerics::spherical_harmonics::C0);
+    let soft = |x: f64| math::ln_1p(math::exp(c0 * x));
+    FoundWater {
+        veil: [-1.4, -0.6, 0.2].map(|x| c0 * x + 0.5),
+        veil_slope: [[0.0; 3]; 3],
+        backscatter: [-2.0, -1.5, -1.0].map(soft),
+        attenuation: [1.0, -1.5, -3.0].map(soft),
+        radiances: vec![None; points],
+    }
+}
+
+#[test]
+fn water_that_was_found_is_held_and_then_let_go_gently() {
+    let (capture, loaded) = tiny_capture(8);
+    let found = true_water(capture.points.len());
+    let run = |found: Option<&FoundWater>, hold: f64, release: f64, stop: Option<u64>, dir: Option<&Path>| {
+        let params = ReconstructParams { medium_hold: hold, medium_release: release, ..tiny_params(40) };
+        let mut watcher = Watcher { stop_at: stop, ..Watcher::default() };
+        reconstruct_in(&capture, found, &loader(&loaded), &params, dir, &mut watcher)
+    };
+    let water = |outcome: &Outcome| match &outcome.scene.medium {
+        MediumModel::Rbf(rbf) => rbf.clone(),
+        other => panic!("{:?}", other.kind()),
+    };
+    let start = found.coefficients();
+    let held = run(Some(&found), 1.0, 1.0, None, None).unwrap();
+    assert!(water(&held).coefficients.iter().all(|anchor| *anchor == start));
+    assert_eq!(water(&held).centers, MediumRbf::new(8, 4).centers);
+    assert!(held.scene.medium_degree >= 1, "the veil's slope needs its bands");
+    let half = run(Some(&found), 0.5, 0.1, None, None).unwrap();
+    let moved = |o: &Outcome| (water(o).coefficients[0][1][0][0] - start[1][0][0]).abs();
+    let free = run(Some(&found), 0.0, 1.0, None, None).unwrap();
+    assert!(moved(&half) > 0.0 && moved(&half) < 0.2 * moved(&free), "{} {}", moved(&half), moved(&free));
+    // What was found is part of what a checkpoint must agree with, and a stopped run ends as an undisturbed one.
+    let dir = tempfile::tempdir().unwrap();
+    let stopped = run(Some(&found), 0.5, 0.1, Some(25), Some(dir.path()));
+    assert!(matches!(stopped, Err(ReconstructError::Interrupted { step: 25, .. })));
+    let other = FoundWater { veil: [0.1; 3], ..found.clone() };
+    assert!(!same(&run(Some(&other), 0.5, 0.1, None, Some(dir.path())).unwrap(), &half));
+    assert!(same(&run(Some(&found), 0.5, 0.1, None, Some(dir.path())).unwrap(), &half));
+    // Without any, neither parameter has an effect.
+    let (a, b) = (run(None, 0.5, 0.1, None, None).unwrap(), run(None, 1.0, 0.0, None, None).unwrap());
+    assert!(same(&a, &b));
+}
+
+#[test]
+fn right_water_held_gives_truer_colours_than_water_that_is_learnt_with_them() {
+    let (capture, loaded) = tiny_capture(10);
+    let found = true_water(capture.points.len());
+    let params = tiny_params(160);
+    let run = |found: Option<&FoundWater>| {
+        reconstruct_in(&capture, found, &loader(&loaded), &params, None, &mut Silent).unwrap().scene
+    };
+    // The scene's mean colour without its water; the truth's albedo has a mean of about 0.55, 0.5, 0.5.
+    let mean = |scene: &use3d_scene::Scene| -> [f64; 3] {
+        let n = scene.gaussians.len() as f64;
+        let c0 = f64::from(use3d_numerics::spherical_harmonics::C0);
+        std::array::from_fn(|c| {
+            scene.gaussians.sh.iter().map(|sh| 0.5 + c0 * f64::from(sh[0][c])).sum::<f64>() / n
+        })
+    };
+    let off = |scene: &use3d_scene::Scene| {
+        mean(scene).iter().zip([0.55, 0.5, 0.5]).map(|(found, truth)| (found - truth).abs()).sum::<f64>()
+    };
+    let (held, learnt) = (run(Some(&found)), run(None));
+    assert!(off(&held) < off(&learnt), "{:?} held, {:?} learnt", mean(&held), mean(&learnt));
+}
+
+#[test]
+fn tracks_are_for_waters_that_can_start_from_them() {
+    let params = ReconstructParams { medium_prior: MediumPrior::Tracks, ..ReconstructParams::default() };
+    params.validate().unwrap();
+    let wrong = |params: ReconstructParams| params.validate().unwrap_err();
+    assert!(wrong(ReconstructParams { medium: Medium::Mlp, ..params.clone() }).contains("medium_prior"));
+    assert!(wrong(ReconstructParams { images: Images::Proposed, ..params.clone() }).contains("images"));
+    assert!(wrong(ReconstructParams { medium_hold: 1.5, ..params }).contains("medium_hold"));
 }
 
 #[test]

@@ -18,7 +18,7 @@ use crate::engine::{CpuEngine, Engine, EngineState, RefineSettings, StepRates, S
 use crate::profile::{StepPart, Stretch};
 use crate::record::{Evaluation, LogEntry, ViewScore, plot};
 use crate::views::{Dropped, TrainingView, ViewLoader};
-use crate::{DepthPrior, Medium, ReconstructError, ReconstructParams, initialise};
+use crate::{DepthPrior, FoundWater, Medium, ReconstructError, ReconstructParams, initialise};
 
 /// What the names of this loop's checkpoints begin with.
 const CHECKPOINT: &str = "reconstruct";
@@ -143,23 +143,42 @@ pub fn reconstruct(
     checkpoint_dir: Option<&Path>,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, ReconstructError> {
+    reconstruct_in(capture, None, loader, params, checkpoint_dir, observer)
+}
+
+/// As [`reconstruct`], in water that is known beforehand (`None`: in water that is not): it starts there, is held for
+/// `medium_hold` of the run, and learnt at `medium_release` of its rates from then on.
+pub fn reconstruct_in(
+    capture: &Capture,
+    found: Option<&FoundWater>,
+    loader: &dyn ViewLoader,
+    params: &ReconstructParams,
+    checkpoint_dir: Option<&Path>,
+    observer: &mut dyn Observer,
+) -> Result<Outcome, ReconstructError> {
     params.validate().map_err(ReconstructError::Parameter)?;
     capture.validate()?;
     if let [only] = capture.split.train[..] {
         return Err(ReconstructError::OneView { view: capture.views[only].name.to_string() });
     }
     let most = most_gaussians(capture, params);
-    let gaussians = initialise::gaussians(capture, params, most, |message| observer.notice(message))?;
+    let start = found.and_then(|found| Some((found, found.model(params)?)));
+    let found = start.as_ref().map(|(found, _)| *found);
+    let least_water_degree = found.map_or(0, |_| FoundWater::DEGREE.min(params.sh_degree));
+    let gaussians = initialise::gaussians(capture, found, params, most, |message| observer.notice(message))?;
     let initial = gaussians.len();
-    let mut engine = CpuEngine::new(gaussians, water(params), params.structure_weight);
+    let water = start.map_or_else(|| water(params), |(_, model)| model);
+    let mut engine = CpuEngine::new(gaussians, water, params.structure_weight);
+    engine.keep_water_degree(least_water_degree);
     let views = load(capture, loader, params, observer)?;
-    let fingerprint = fingerprint(capture, params, &views);
+    let fingerprint = fingerprint(capture, found, params, &views);
     let names: Vec<String> = views.train.iter().map(|v| v.name.clone()).collect();
     for view in views.train {
         engine.upload(view);
     }
     let mut run = Run {
         params,
+        holds_water: found.is_some(),
         observer,
         names,
         held_out: views.test,
@@ -181,7 +200,8 @@ pub fn reconstruct(
     let (log, growth) = (std::mem::take(&mut run.log), std::mem::take(&mut run.growth));
     let initial_gaussians = run.initial;
     let (gaussians, medium) = engine.download();
-    let medium_degree = params.active_degree(params.iterations.saturating_sub(1));
+    let last_degree = params.active_degree(params.iterations.saturating_sub(1));
+    let medium_degree = last_degree.max(least_water_degree);
     let scene = Scene { gaussians, frame: capture.frame, medium, medium_degree, enhancement: None };
     let (profile, memory) = (engine.profile().clone(), engine.memory());
     Ok(Outcome { scene, log, evaluation, initial_gaussians, profile, growth, memory })
@@ -268,7 +288,12 @@ fn check_masks(
 }
 
 /// What a checkpoint must agree with to be gone on from: parameters, cameras, points and pixels.
-fn fingerprint(capture: &Capture, params: &ReconstructParams, views: &Views) -> [u8; 32] {
+fn fingerprint(
+    capture: &Capture,
+    found: Option<&FoundWater>,
+    params: &ReconstructParams,
+    views: &Views,
+) -> [u8; 32] {
     let mut hasher = blake3::Hasher::new();
     // How often checkpoints are written changes nothing, nor does the length beyond the schedules; the cap counts as what it comes to.
     let params = ReconstructParams {
@@ -287,12 +312,17 @@ fn fingerprint(capture: &Capture, params: &ReconstructParams, views: &Views) -> 
         hasher.update(bytemuck::bytes_of(&point.position.to_array()));
         hasher.update(&point.color);
     }
+    if let Some(found) = found {
+        found.fingerprint(&mut hasher);
+    }
     *hasher.finalize().as_bytes()
 }
 
 /// A run between its first and last step.
 struct Run<'a> {
     params: &'a ReconstructParams,
+    /// Whether the water was known beforehand.
+    holds_water: bool,
     observer: &'a mut dyn Observer,
     names: Vec<String>,
     held_out: Vec<TrainingView>,
@@ -427,7 +457,8 @@ impl Run<'_> {
         // The water starts far from where it ends and Adam's steps are as long as the rate, whatever the gradient: a compressed run
         // takes longer steps to get as far, within reason. (The Gaussians start where they belong.)
         let compressed = (params.schedule as f64 / params.course() as f64).min(MOST_COMPRESSED);
-        let water = |rate: crate::Rate| compressed * rate.at(step, params.course());
+        let let_go = if self.holds_water { params.water_release(step) } else { 1.0 };
+        let water = |rate: crate::Rate| let_go * compressed * rate.at(step, params.course());
         let settings = StepSettings {
             step,
             divisor: params.divisor(step),

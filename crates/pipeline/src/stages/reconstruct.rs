@@ -6,10 +6,11 @@ use use3d_io_colmap::{load_depth_prior, load_mask, load_pixels};
 use use3d_io_image::write_png;
 use use3d_metrics::Score;
 use use3d_reconstruct::{
-    DepthPrior, Evaluation, Images, LoadedView, ReconstructError, ReconstructParams, growth, memory_need,
-    reconstruct,
+    DepthPrior, Evaluation, FoundWater, Images, LoadedView, MediumPrior, ReconstructError, ReconstructParams,
+    growth, memory_need, reconstruct_in,
 };
 use use3d_scene::Origin;
+use use3d_water::WaterParams;
 
 use super::captured::capture;
 use super::common::{write_json, write_text};
@@ -18,6 +19,10 @@ use super::names::{CONTACT, EVALUATION};
 use super::proposals;
 use super::watch::Watch;
 use crate::engine::{Scope, Stage, StageContext, StageError};
+use crate::water::{WaterReport, found_water, from_tracks};
+
+/// What the capture's tracks told of its water.
+const WATER: &str = "water.json";
 
 /// `evaluation.json`.
 #[derive(Serialize)]
@@ -82,6 +87,24 @@ fn prior_in_force(params: &ReconstructParams, capture: &Capture, made: bool) -> 
     }
 }
 
+/// What the capture's tracks tell of the water, said and written beside the scene; `None` where they cannot tell.
+fn water_from_tracks(context: &StageContext) -> Result<Option<FoundWater>, StageError> {
+    let imported = use3d_io_colmap::load_prepared(context.input("import")?).map_err(StageError::bad_input)?;
+    let water = from_tracks(&imported, &WaterParams::default()).map_err(StageError::bad_input)?;
+    let report = WaterReport::new(&imported, &water);
+    write_json(&context.output().join(WATER), &report)?;
+    context.log(report.to_string().trim_end());
+    let found = found_water(&water);
+    let names = ["red", "green", "blue"];
+    let told = water.channels.iter().zip(names).map(|(c, name)| format!("{name} {}", c.verdict));
+    let told = told.collect::<Vec<_>>().join("; ");
+    context.say(match &found {
+        Some(_) => format!("water from tracks: {told}"),
+        None => format!("water from tracks: {told}; the water starts as with medium_prior = \"off\""),
+    });
+    Ok(found)
+}
+
 fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageError> {
     let mut capture = capture(context)?;
     if let Some(depth) = context.optional_input("depth") {
@@ -108,7 +131,12 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         need.most,
         "lower `reconstruct.max_gaussians`, or `import.size` for smaller images",
     )?;
-    let outcome = reconstruct(&capture, &load, &params, context.checkpoints(), &mut Watch::new(context));
+    let found = match params.medium_prior {
+        MediumPrior::Off => None,
+        MediumPrior::Tracks => water_from_tracks(context)?,
+    };
+    let watch = &mut Watch::new(context);
+    let outcome = reconstruct_in(&capture, found.as_ref(), &load, &params, context.checkpoints(), watch);
     let outcome = match outcome {
         Ok(outcome) => outcome,
         Err(ReconstructError::Interrupted { .. }) => return Err(StageError::Cancelled),

@@ -21,6 +21,8 @@ pub struct CpuEngine {
     moments: Moments,
     statistics: Statistics,
     medium: MediumModel,
+    /// The water's degree is never below this.
+    least_water_degree: usize,
     /// First and second moments of the water's flat parameters.
     medium_moments: [Vec<f32>; 2],
     views: Vec<TrainingView>,
@@ -68,8 +70,14 @@ impl CpuEngine {
             },
             gaussians,
             medium,
+            least_water_degree: 0,
             profile: Profile::default(),
         }
+    }
+
+    /// Lets the water have at least this degree of spherical harmonics (0 to 3), whatever is active.
+    pub(crate) fn keep_water_degree(&mut self, degree: usize) {
+        self.least_water_degree = degree;
     }
 
     /// Loss and all gradients of one view, left in the buffers; the value and the depth term.
@@ -86,7 +94,8 @@ impl CpuEngine {
         profile.lap(StepPart::Target);
         let water = !self.medium.is_none();
         if water {
-            self.medium.maps(&camera, &lattice, settings.degree, &mut b.maps);
+            let degree = settings.degree.max(self.least_water_degree);
+            self.medium.maps(&camera, &lattice, degree, &mut b.maps);
         }
         let maps = water.then_some(&b.maps);
         if let Some(alpha) = &b.target.alpha {
@@ -137,7 +146,7 @@ impl CpuEngine {
             self.medium.backward(
                 &camera,
                 &lattice,
-                settings.degree,
+                settings.degree.max(self.least_water_degree),
                 &b.maps,
                 &b.map_gradients,
                 &mut b.medium_gradient,
@@ -284,7 +293,7 @@ impl Engine for CpuEngine {
     fn render(&mut self, camera: &Camera, degree: usize, out: &mut Rendered, water: &mut MediumMaps) {
         let lattice = Lattice::full(&camera.intrinsics);
         let b = &mut self.buffers;
-        self.medium.maps(camera, &lattice, degree, water);
+        self.medium.maps(camera, &lattice, degree.max(self.least_water_degree), water);
         b.prepared.prepare(&self.gaussians, camera, &lattice, Colors::Sh { degree });
         let maps = (!self.medium.is_none()).then_some(&*water);
         b.rasterizer.forward(&b.prepared, maps, &Options::default(), out);

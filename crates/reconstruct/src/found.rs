@@ -1,0 +1,162 @@
+//! Water that is known before training: where it starts, how long it is held, and the colours behind it.
+//!
+//! Trained jointly from nothing, water drifts: Gaussians start with the photographs' hazy colours, so that a right water in front of
+//! them is too much haze, and the water, whose rates are high, gives way before the colours do. Water that is known beforehand
+//! (from the capture's tracks) therefore does three things:
+//!
+//! * every anchor starts at it: `c_m(d) = v + g·d` in the bands of degree 0 and 1, `β` in the constant band through the
+//!   inverse of softplus. The water's active degree is at least 1 from the first step on;
+//! * Gaussians start with the radiance J behind the water where tracks tell it, the more so the surer it is:
+//!   `(w J + (1-w) I)` with `w = σ₀² / (σ₀² + σ_J²)`, σ₀ = 0.2 of display range, I the point's colour in the photographs;
+//! * it is held for a share of the run (`medium_hold`) and then learnt at a fraction of its rates (`medium_release`).
+
+use use3d_medium::{Coefficients, MediumGlobal, MediumModel, MediumRbf};
+use use3d_numerics::math;
+use use3d_numerics::spherical_harmonics::{C0, C1};
+
+use crate::{Medium, ReconstructParams};
+
+/// An error of J, display range, at which the photographs' colour counts as much.
+const EVEN: f64 = 0.2;
+/// The least coefficient that softplus is asked to give, 1/normalised unit.
+const LEAST: f64 = 1e-4;
+
+/// Water found beforehand, in the normalised frame; channels are red, green, blue.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FoundWater {
+    /// `β_attn`, 1/normalised unit, not negative.
+    pub attenuation: [f64; 3],
+    /// `β_bs`, 1/normalised unit, not negative.
+    pub backscatter: [f64; 3],
+    /// `v` of `c_m(d) = v + g·d`, display range, for unit directions d of the normalised frame.
+    pub veil: [f64; 3],
+    /// `g` per channel.
+    pub veil_slope: [[f64; 3]; 3],
+    /// Radiance behind the water and its standard error, per channel, of the capture's points in their order; `None` where
+    /// nothing is known.
+    pub radiances: Vec<Option<[(f64, f64); 3]>>,
+}
+
+impl FoundWater {
+    /// The least active degree of the water: its veil needs the bands of degree 1.
+    pub(crate) const DEGREE: usize = 1;
+
+    /// As spherical-harmonic coefficients `[c_m, β_bs, β_attn][band][RGB]`.
+    pub fn coefficients(&self) -> Coefficients {
+        let mut out = Coefficients::default();
+        let (c0, c1) = (f64::from(C0), f64::from(C1));
+        // softplus⁻¹(β) = ln(e^β - 1)
+        let raw = |beta: f64| (math::ln(math::exp_m1(beta.max(LEAST))) / c0) as f32;
+        for c in 0..3 {
+            let [x, y, z] = self.veil_slope[c];
+            out[0][0][c] = ((self.veil[c] - 0.5) / c0) as f32;
+            out[0][1][c] = (-y / c1) as f32;
+            out[0][2][c] = (z / c1) as f32;
+            out[0][3][c] = (-x / c1) as f32;
+            out[1][0][c] = raw(self.backscatter[c]);
+            out[2][0][c] = raw(self.attenuation[c]);
+        }
+        out
+    }
+
+    /// The model of the water at the start; `None` for a model that does not start from spherical harmonics.
+    pub(crate) fn model(&self, params: &ReconstructParams) -> Option<MediumModel> {
+        let coefficients = self.coefficients();
+        match params.medium {
+            Medium::Rbf => {
+                let start = MediumRbf::new(params.anchors, params.top_k);
+                let all = vec![coefficients; start.len()];
+                Some(MediumModel::Rbf(MediumRbf { coefficients: all, ..start }))
+            }
+            Medium::Global => Some(MediumModel::Global(MediumGlobal { coefficients })),
+            Medium::Mlp | Medium::None => None,
+        }
+    }
+
+    /// The colour that the Gaussian of a point starts with, from its colour in the photographs (display range).
+    pub(crate) fn color(&self, point: usize, photographed: [f64; 3]) -> [f64; 3] {
+        let Some(Some(radiance)) = self.radiances.get(point) else { return photographed };
+        std::array::from_fn(|c| {
+            let (value, error) = radiance[c];
+            let sure = EVEN * EVEN / (EVEN * EVEN + error * error);
+            if value.is_finite() && sure.is_finite() {
+                sure * value.clamp(0.0, 1.0) + (1.0 - sure) * photographed[c]
+            } else {
+                photographed[c]
+            }
+        })
+    }
+
+    /// Adds everything that training starts from to a checkpoint's fingerprint.
+    pub(crate) fn fingerprint(&self, hasher: &mut blake3::Hasher) {
+        hasher.update(format!("{self:?}").as_bytes());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use use3d_capture::{Camera, Intrinsics, Lattice, MediumMaps, Pose};
+
+    use super::*;
+
+    fn found() -> FoundWater {
+        FoundWater {
+            attenuation: [0.9, 0.31, 0.0],
+            backscatter: [0.7, 0.42, 0.05],
+            veil: [0.2, 0.5, 0.55],
+            veil_slope: [[0.05, -0.02, 0.08], [0.0, 0.1, -0.04], [0.03, 0.0, 0.06]],
+            radiances: vec![Some([(0.8, 0.0), (1.7, 0.1), (0.4, f64::INFINITY)]), None],
+        }
+    }
+
+    #[test]
+    fn every_model_starts_at_the_water_that_was_found() {
+        let found = found();
+        let intrinsics = Intrinsics { width: 5, height: 4, fx: 4.0, fy: 4.0, cx: 2.5, cy: 2.0 };
+        let pose = Pose::look_at([0.3, -0.2, 0.1].into(), [1.0, 0.4, -0.3].into(), glam::DVec3::Z);
+        let camera = Camera { intrinsics, pose };
+        let lattice = Lattice::full(&camera.intrinsics);
+        for medium in [Medium::Rbf, Medium::Global] {
+            let params = ReconstructParams { medium, ..ReconstructParams::default() };
+            let model = found.model(&params).expect("spherical harmonics");
+            let mut maps = MediumMaps::zeros(5, 4);
+            model.maps(&camera, &lattice, FoundWater::DEGREE, &mut maps);
+            for y in 0..4 {
+                for x in 0..5 {
+                    let ray = camera.ray(x as f64 + 0.5, y as f64 + 0.5).normalize();
+                    let d = camera.pose.rotation.transpose() * ray;
+                    for c in 0..3 {
+                        let close = |what: &str, got: f32, wanted: f64| {
+                            assert!(
+                                (f64::from(got) - wanted).abs() < 2e-5,
+                                "{what} {c}: {got}, not {wanted}"
+                            );
+                        };
+                        let slope = glam::DVec3::from_array(found.veil_slope[c]).dot(d);
+                        close("veil", maps.color.pixel(x, y)[c], found.veil[c] + slope);
+                        close("backscatter", maps.backscatter.pixel(x, y)[c], found.backscatter[c]);
+                        close(
+                            "attenuation",
+                            maps.attenuation.pixel(x, y)[c],
+                            found.attenuation[c].max(LEAST),
+                        );
+                    }
+                }
+            }
+        }
+        let none = ReconstructParams { medium: Medium::Mlp, ..ReconstructParams::default() };
+        assert!(found.model(&none).is_none());
+    }
+
+    #[test]
+    fn colours_are_the_radiance_as_far_as_it_is_known() {
+        let found = found();
+        let seen = [0.3, 0.4, 0.5];
+        let [red, green, blue] = found.color(0, seen);
+        assert_eq!((red, blue), (0.8, 0.5));
+        // Clamped to display range, then four parts of five.
+        assert!((green - (0.8 * 1.0 + 0.2 * 0.4)).abs() < 1e-12, "{green}");
+        assert_eq!(found.color(1, seen), seen);
+        assert_eq!(found.color(7, seen), seen);
+    }
+}
