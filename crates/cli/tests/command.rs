@@ -214,7 +214,18 @@ fn a_scene_can_be_learnt_from_proposals_and_is_scored_as_such() {
     "#;
     std::fs::write(&file, text).unwrap();
     let out = at("out");
-    expect(0, &["-q", "run", &file, "--cache", &at("cache"), "--out", &out, "--until", "evaluate"]);
+    let cache = at("cache");
+    let mut arguments = vec!["-q", "run", &file, "--cache", &cache, "--out", &out, "--until", "evaluate"];
+    for set in [
+        "enhance.iterations=5",
+        "pairs.synthetic.pairs=8",
+        "pairs.synthetic.width=64",
+        "pairs.synthetic.height=48",
+        "calibrate.steps=20",
+    ] {
+        arguments.extend(["--set", set]);
+    }
+    expect(0, &arguments);
     let text = std::fs::read_to_string(Path::new(&out).join("tiny@first/scores/scores.json")).unwrap();
     let scores: use3d_pipeline::scores::SceneScores = serde_json::from_str(&text).unwrap();
     use use3d_pipeline::scores::Method;
