@@ -270,7 +270,7 @@ fn a_scene_is_not_scored_on_what_it_was_trained_with_nor_on_another_capture() {
     let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
     let (all, most) = (at("all"), at("most"));
     let quick = ["--set", "iterations=5", "--set", "random_points=200"];
-    for (out, split) in [(&all, "split.every=0"), (&most, "split.every=4")] {
+    for (out, split) in [(&all, "split.every=0"), (&most, "split.every=5")] {
         let mut arguments = vec!["-q", "reconstruct", &reef, "--out", out, "--set", split];
         arguments.extend(quick);
         check(&[(&arguments, 0, &[])]);
@@ -278,7 +278,7 @@ fn a_scene_is_not_scored_on_what_it_was_trained_with_nor_on_another_capture() {
     check(&[
         (&["evaluate", &all, &reef], 2, &["was trained with", "split.every = 0"]),
         (&["evaluate", &most, &reef], 2, &["was trained with", "--set split.every=N"]),
-        (&["-q", "evaluate", &most, &reef, "--set", "split.every=4"], 0, &[]),
+        (&["-q", "evaluate", &most, &reef, "--set", "split.every=5"], 0, &[]),
     ]);
     // The same swim under other names is another capture.
     let other = at("other");
@@ -296,7 +296,7 @@ fn a_scene_is_not_scored_on_what_it_was_trained_with_nor_on_another_capture() {
     }
     let target = at("t.safetensors");
     check(&[
-        (&["evaluate", &most, &other, "--set", "split.every=4"], 2, &["was made from another capture"]),
+        (&["evaluate", &most, &other, "--set", "split.every=5"], 2, &["was made from another capture"]),
         (
             &["targets", &most, &other, "--calibrator", &at("c.safetensors"), "--out", &target],
             2,

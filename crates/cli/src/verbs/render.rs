@@ -65,12 +65,12 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     app.listener.event(&Event::Done { node: 0, label: "render", cached: true, seconds: 0.0 });
     if let Some(video) = video {
         video.finish()?;
-        if let Some(path) = &args.video {
+        if let Some(path) = args.video.as_ref().filter(|_| !app.quiet) {
             let size = std::fs::metadata(path).map_or(0, |m| m.len());
             eprintln!("{}: {total} frames of {}, {}", path.display(), args.modes[0], bytes(size));
         }
     }
-    if let Some(out) = &args.out {
+    if let Some(out) = args.out.as_ref().filter(|_| !app.quiet) {
         eprintln!("{}: {total} frames, modes {}", out.display(), args.modes.join(", "));
     }
     Ok(())

@@ -85,7 +85,9 @@ fn capture_params(args: &SynthCaptureArgs) -> Result<CaptureParams, CliError> {
 pub(crate) fn capture(app: &App, args: &SynthCaptureArgs) -> Done {
     let (params, out) = (capture_params(args)?, &args.common.out);
     write_capture(&params, out, &mut tell(app, "synth capture")).map_err(error)?;
-    eprintln!("{}: {} views of {}x{}", out.display(), params.views, params.width, params.height);
+    if !app.quiet {
+        eprintln!("{}: {} views of {}x{}", out.display(), params.views, params.width, params.height);
+    }
     Ok(())
 }
 
@@ -98,6 +100,8 @@ pub(crate) fn pairs(app: &App, args: &SynthArgs) -> Done {
         (params.width, params.height) = parse_size(size)?;
     }
     write_pairs(&params, &args.out, &mut tell(app, "synth pairs")).map_err(error)?;
-    eprintln!("{}: {} pairs of {}x{}", args.out.display(), params.pairs, params.width, params.height);
+    if !app.quiet {
+        eprintln!("{}: {} pairs of {}x{}", args.out.display(), params.pairs, params.width, params.height);
+    }
     Ok(())
 }
