@@ -84,7 +84,7 @@ fn every_stage_is_made_of_the_files_it_uses_and_of_no_others() {
 /// Copies what the digests are made of.
 fn copy_tree(to: &Path) -> BTreeMap<String, Vec<PathBuf>> {
     let here = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let mut sources = BTreeMap::new();
+    let mut sources: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
     for file in ["Cargo.toml", "Cargo.lock"] {
         std::fs::copy(here.join(file), to.join(file)).expect("copied");
     }
@@ -99,7 +99,7 @@ fn copy_tree(to: &Path) -> BTreeMap<String, Vec<PathBuf>> {
                     std::fs::copy(file.path(), &target).expect("copied");
                     let counts = file.path().extension().is_some_and(|e| e == "rs" || e == "html");
                     if counts && part != "build.rs" {
-                        sources.entry(name.clone()).or_insert_with(Vec::new).push(target);
+                        sources.entry(name.clone()).or_default().push(target);
                     }
                 }
             }

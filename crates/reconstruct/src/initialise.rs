@@ -53,7 +53,7 @@ pub(crate) fn gaussians(
             "{most} of {} sparse points are kept, chosen at random: a scene begins with at most its cap of Gaussians (`max_gaussians`)",
             points.len()
         ));
-        points = choose(points, most, params.seed);
+        points = choose(&points, most, params.seed);
     }
     if points.len() < FEWEST_POINTS.min(most) {
         let added = random_points(&cameras, &points, params, most - points.len());
@@ -82,7 +82,7 @@ pub(crate) fn gaussians(
 }
 
 /// `most` of the points, in their order. Any part of a file may be one part of the scene, so the choice is random, not every n-th.
-fn choose<T: Copy>(points: Vec<T>, most: usize, seed: u64) -> Vec<T> {
+fn choose<T: Copy>(points: &[T], most: usize, seed: u64) -> Vec<T> {
     let stream = Stream::new(seed, Purpose::new("points kept"), 0);
     let mut kept = stream.permutation(points.len());
     kept.truncate(most);
