@@ -312,6 +312,8 @@ impl Reader<'_> {
                 return self.document.error(&join(base, &error.path), format!("{place} needs {missing}"));
             }
             let unknown = error.unknown.as_deref().filter(|_| error.message.starts_with("unknown field"));
+            // Tables below have words of their own.
+            let unknown = unknown.filter(|_| !error.path.contains('.'));
             let known = || more.iter().copied().chain(error.known.iter().map(String::as_str));
             if let Some((stage, name)) = unknown.and_then(|u| parameters::meant(self.registry, u, known())) {
                 let place = match base {

@@ -88,13 +88,17 @@ fn settings_of_the_command_line_win() {
     let shorthand = parameters(FILE, &["calibrator.proposer=fusion"], "Curasao", "full", "targets");
     assert_eq!(shorthand["proposer"], "fusion");
     assert_eq!(parameters(FILE, &["size=64x48"], "Curasao", "full", "import")["size"], "64x48");
+    // A number to TOML, a text to the stage.
+    for text in ["640", "0x0"] {
+        let set = format!("size={text}");
+        assert_eq!(parameters(FILE, &[set.as_str()], "Curasao", "full", "import")["size"], text);
+    }
     assert_eq!(load(FILE, &["seed=9"]).expect("loaded").batch.seed, 9);
     for (set, expected) in [
         ("reconstruct.iteratons=3", "did you mean `iterations`?"),
         ("reconstuct.iterations=3", "did you mean `reconstruct`?"),
         ("reconstruct.iterations=many", "expected a whole number, 0 or more, found \"many\""),
         ("reconstruct.iterations=-5", "expected a whole number, 0 or more, found -5"),
-        ("size=0x0", "0x0"),
         ("scene.Curasao=1", "scene.Curasao.reconstruct.iterations=3000"),
         ("reconstruct.medium=rbff", "did you mean `rbf`?"),
         ("reconstruct.rate=-1.0", "a positive number"),
@@ -125,13 +129,21 @@ fn mistakes_point_at_line_and_column_with_the_nearest_key() {
     let scene = "[[scene]]\nname = \"a\"\ncapture = \"a\"\n";
     for (text, place, expected) in [
         (format!("{head}sed = 3\n{scene}"), "dir/p.toml:2:1", "did you mean `seed`?"),
-        (format!("{head}seed = \"x\"\n{scene}"), "dir/p.toml:2:8", "expected u64"),
+        (
+            format!("{head}seed = \"x\"\n{scene}"),
+            "dir/p.toml:2:8",
+            "expected a whole number, 0 or more, found \"x\"",
+        ),
         (
             format!("{head}{scene}[defaults.reconstruct]\niteratons = 3\n"),
             "dir/p.toml:6:1",
             "did you mean `iterations`?",
         ),
-        (format!("{head}{scene}[defaults.reconstruct]\nrate = \"fast\"\n"), "dir/p.toml:6:8", "expected f64"),
+        (
+            format!("{head}{scene}[defaults.reconstruct]\nrate = \"fast\"\n"),
+            "dir/p.toml:6:8",
+            "expected a number",
+        ),
         (
             format!("{head}{scene}[defaults.reconstruct]\nrate = -1.0\n"),
             "dir/p.toml:6:8",
@@ -153,7 +165,7 @@ fn mistakes_point_at_line_and_column_with_the_nearest_key() {
             "dir/p.toml:5:1",
             "did you mean `reconstruct = { iterations = … }`?",
         ),
-        (format!("{head}{scene}size = 3\n"), "dir/p.toml:5:8", "expected a string"),
+        (format!("{head}{scene}size = 3\n"), "dir/p.toml:5:8", "expected text, found 3"),
         (format!("{head}{scene}imprt = {{ every = 2 }}\n"), "dir/p.toml:5:1", "did you mean `import`?"),
         (format!("{head}{scene}import = {{ evry = 2 }}\n"), "dir/p.toml:5:12", "did you mean `every`?"),
         (format!("{head}{scene}{scene}"), "dir/p.toml:6:8", "names are unique"),
@@ -167,7 +179,7 @@ fn mistakes_point_at_line_and_column_with_the_nearest_key() {
             "dir/p.toml:6:1",
             "did you mean `proposer`?",
         ),
-        (format!("{head}{scene}[calibrator]\nproposer = 3\n"), "dir/p.toml:6:12", "expected a string"),
+        (format!("{head}{scene}[calibrator]\nproposer = 3\n"), "dir/p.toml:6:12", "expected text, found 3"),
         (format!("{head}{scene}[models]\ndirs = \"x\"\n"), "dir/p.toml:6:1", "did you mean `dir`?"),
         (
             format!("{head}{scene}[[variant]]\nname = \"v\"\nenhance = {{ strenght = 1.0 }}\n"),
