@@ -100,7 +100,7 @@ pub struct Ours {
 /// How closely listed files are looked at.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Look {
-    /// A file as old as the record and of the listed size is taken to be as listed.
+    /// A file that is older than the record and of the listed size is taken to be as listed.
     Quick,
     /// Every byte is read.
     Close,
@@ -182,7 +182,7 @@ fn look_once(folder: &Path, look: Look) -> Result<Standing, PlaceError> {
     let changed = record.files.par_iter().find_map_first(|listed| {
         let data = found.get(&listed.path)?;
         let same = data.len() == listed.size
-            && (look == Look::Quick && not_newer(data, written)
+            && (look == Look::Quick && is_older(data, written)
                 || digest(&folder.join(&listed.path)).is_ok_and(|d| d == listed.digest));
         (!same).then(|| listed.path.clone())
     });
@@ -195,9 +195,9 @@ fn look_once(folder: &Path, look: Look) -> Result<Standing, PlaceError> {
     Ok(Standing::Ours(Ours { key: record.key, whole, listed, extra }))
 }
 
-/// Whether a file was not written after the record.
-fn not_newer(data: &fs::Metadata, than: Option<SystemTime>) -> bool {
-    matches!((data.modified().ok(), than), (Some(file), Some(record)) if file <= record)
+/// Whether a file was written before the record. Clocks of file systems tick slowly: at the same tick, it may have been edited.
+fn is_older(data: &fs::Metadata, than: Option<SystemTime>) -> bool {
+    matches!((data.modified().ok(), than), (Some(file), Some(record)) if file < record)
 }
 
 fn read_record(path: &Path) -> Option<Record> {
