@@ -293,7 +293,7 @@ mod tests {
     fn view(width: usize, height: usize) -> View {
         let intrinsics = Intrinsics { width, height, fx: 9.0, fy: 9.0, cx: 4.0, cy: 3.0 };
         View {
-            name: use3d_capture::FileName::numbered(1),
+            name: use3d_capture::FileName::new("a.png").unwrap(),
             id: 1,
             image: PathBuf::new(),
             mask: None,
