@@ -241,8 +241,8 @@ pub(crate) fn sparse_points(model: &Model, frame: &Frame) -> Vec<SparsePoint> {
     model.points.iter().map(point).collect()
 }
 
-/// The folder's own name, also for `.` and the like.
-pub(crate) fn capture_name(dir: &Path) -> String {
+/// What a capture is called: its folder's own name, also for `.` and the like.
+pub fn capture_name(dir: &Path) -> String {
     let real = dir.canonicalize().unwrap_or_else(|_| dir.to_path_buf());
     real.file_name().map_or_else(|| "capture".into(), |n| n.to_string_lossy().into_owned())
 }

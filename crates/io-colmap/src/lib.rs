@@ -50,7 +50,7 @@ mod white_balance;
 
 pub use cameras::read_cameras;
 pub use error::{ImportError, ModelError};
-pub use import::{Imported, import};
+pub use import::{Imported, capture_name, import};
 pub use layout::has_depth_folder;
 pub use lens::{Lens, LensModel};
 pub use load::{load_depth_prior, load_mask, load_pixels};

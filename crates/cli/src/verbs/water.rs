@@ -1,6 +1,6 @@
 //! What water a capture was taken in, before anything is reconstructed.
 
-use use3d_io_colmap::load_prepared;
+use use3d_io_colmap::{capture_name, load_prepared};
 use use3d_pipeline::water::{WaterReport, from_tracks};
 use use3d_water::WaterParams;
 
@@ -16,7 +16,8 @@ pub(crate) fn run(app: &App, args: &WaterArgs) -> Done {
     let folder = imported(app, &registry, &args.capture, &parameters[0], scratch.path())?;
     let capture = load_prepared(&folder).map_err(CliError::input)?;
     let water = from_tracks(&capture, &WaterParams::default()).map_err(CliError::input)?;
-    let report = WaterReport::new(&capture, &water);
+    // An import does not keep the name, since equal captures give equal bytes.
+    let report = WaterReport { capture: capture_name(&args.capture), ..WaterReport::new(&capture, &water) };
     if args.json {
         return crate::verbs::run::json(&report);
     }

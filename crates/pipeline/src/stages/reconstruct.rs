@@ -91,7 +91,8 @@ fn prior_in_force(params: &ReconstructParams, capture: &Capture, made: bool) -> 
 fn water_from_tracks(context: &StageContext) -> Result<Option<FoundWater>, StageError> {
     let imported = use3d_io_colmap::load_prepared(context.input("import")?).map_err(StageError::bad_input)?;
     let water = from_tracks(&imported, &WaterParams::default()).map_err(StageError::bad_input)?;
-    let report = WaterReport::new(&imported, &water);
+    // Without a name: the folder that an import lies in is not part of it.
+    let report = WaterReport { capture: "capture".into(), ..WaterReport::new(&imported, &water) };
     write_json(&context.output().join(WATER), &report)?;
     context.log(report.to_string().trim_end());
     let found = found_water(&water);
