@@ -48,6 +48,7 @@ pub(super) fn stage() -> Stage {
         .or_external("calibrator")
         .optional_external("models", "models")
         .select(super::weights::files_of_proposer)
+        .seeded()
         .cost(0, 2 << 30)
 }
 
