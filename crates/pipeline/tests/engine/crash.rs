@@ -67,15 +67,16 @@ fn killed_again_and_again_it_ends_with_the_same_bytes() {
         .collect();
     let folder = dir.path().join("cache");
     let open = || Cache::open(&folder, false).expect("cache");
-    let (mut kills, mut whole, mut seen) = (0, 0, BTreeMap::new());
+    let (mut kills, mut whole, mut seen) = (0u64, 0, BTreeMap::new());
     let mut random = 0x2545_f491_4f6c_dd1d_u64;
     let start = Instant::now();
-    while kills < 55 {
+    // A busy machine takes longer to each stage: the later the kill, the longer it waits, until enough stages were hit.
+    while kills < 55 || (seen.len() < 4 && kills < 400) {
         random ^= random << 13;
         random ^= random >> 7;
         random ^= random << 17;
         let mut process = spawn(dir.path());
-        std::thread::sleep(Duration::from_millis(4 + random % 56));
+        std::thread::sleep(Duration::from_millis(4 + random % (56 + 2 * kills)));
         if process.try_wait().expect("a state").is_none() {
             process.kill().expect("killed");
             kills += 1;
