@@ -310,10 +310,9 @@ impl Models {
         let path = self.find(network).ok_or_else(|| self.not_available(network))?;
         if expected_digest(known, &path).is_some()
             && let Some(found) = inspect(known, path.clone(), &|| true)?
+            && let Verdict::Different { expected } = found.verdict
         {
-            if let Verdict::Different { expected } = found.verdict {
-                return Err(NetError::Digest { path, expected, found: found.sha256 });
-            }
+            return Err(NetError::Digest { path, expected, found: found.sha256 });
         }
         let mut checkpoint = Checkpoint::open(&path)?;
         if network == Network::RaftLarge && checkpoint.tensors().any(|(name, _)| name.starts_with("fnet.")) {

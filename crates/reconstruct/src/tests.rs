@@ -31,8 +31,8 @@ const NO_RATES: StepRates = StepRates {
     medium_network: 0.0,
 };
 
-fn view_named(name: String, camera: Camera) -> View {
-    let name = use3d_capture::FileName::new(&name).expect("a name");
+fn view_named(name: &str, camera: Camera) -> View {
+    let name = use3d_capture::FileName::new(name).expect("a name");
     View { name, id: 0, image: PathBuf::new(), mask: None, depth_prior: None, camera }
 }
 
@@ -169,7 +169,7 @@ fn tiny_capture(views: usize) -> (Capture, Vec<LoadedView>) {
                 mask: None,
                 depth_prior: Some(prior),
             });
-            view_named(format!("{i:03}.png"), camera)
+            view_named(&format!("{i:03}.png"), camera)
         })
         .collect();
     let split = Split::every(views.len(), 5);

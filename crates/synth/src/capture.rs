@@ -213,7 +213,7 @@ enum Between {
     /// The method's own formation, display values.
     Display(Condition),
     /// Spectral transport, and what the camera sets for each view.
-    Spectral { water: Spectral, gains: Vec<Vec3>, middle: f32 },
+    Spectral { water: Box<Spectral>, gains: Vec<Vec3>, middle: f32 },
 }
 
 /// Everything that a view is rendered from.
@@ -264,7 +264,7 @@ impl Studio {
                 // White light, and no veil to brighten the picture.
                 let white = Condition { light: Vec3::ONE, water: None };
                 let light = Vec3::splat(expose(&scene, &some, &white, 0.36));
-                (Between::Spectral { water, gains, middle }, light)
+                (Between::Spectral { water: Box::new(water), gains, middle }, light)
             }
         };
         let frame = colmap_frame(params.seed);

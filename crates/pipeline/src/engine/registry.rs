@@ -103,8 +103,8 @@ fn check(stage: &Stage, before: &[Stage]) -> Result<(), String> {
         return Err(format!("two stages are called `{name}`"));
     }
     if let Ok(defaults) = stage.parameters(&serde_json::json!({})) {
-        let named = stage.without_effect.iter().chain(stage.length_like);
-        for path in named.filter(|path| canonical::at(&defaults, path).is_none()) {
+        let mut named = stage.without_effect.iter().chain(stage.length_like);
+        if let Some(path) = named.find(|path| canonical::at(&defaults, path).is_none()) {
             return Err(format!("stage `{name}` has no parameter `{path}`"));
         }
     }

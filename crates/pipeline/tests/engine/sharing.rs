@@ -188,7 +188,7 @@ fn a_sample_that_is_stopped_reports_no_damage() {
     let quick = engine(&dir.path().join("cache"));
     run(&quick, &batch);
     // The same stages, which now take long enough to be stopped.
-    let slow = Engine::new(super::stages::registry(200), quick.cache.clone());
+    let slow = Engine::new(super::stages::registry(200), quick.cache);
     let graph = Graph::new(&slow.registry, &batch).expect("graph");
     let options = RunOptions::default();
     let (stop, count) = (options.stop.clone(), Mutex::new(0));

@@ -60,8 +60,10 @@ impl Uses {
     /// The files that are named by the file `own`, itself excepted.
     pub(crate) fn files(&self, own: &str, modules: &Modules) -> BTreeSet<String> {
         let Some((here, _)) = modules.iter().find(|(_, file)| *file == own) else { return BTreeSet::new() };
-        let below =
-            self.modules.iter().filter_map(|name| modules.get(&[here.as_slice(), &[name.clone()]].concat()));
+        let below = self
+            .modules
+            .iter()
+            .filter_map(|name| modules.get(&[here.as_slice(), std::slice::from_ref(name)].concat()));
         let named = self.paths.iter().filter_map(|(around, path)| resolve(here, around, path, modules));
         below.chain(named).filter(|file| *file != own).cloned().collect()
     }
