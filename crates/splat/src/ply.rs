@@ -363,7 +363,7 @@ pub fn write(gaussians: &Gaussians, writer: impl Write) -> io::Result<()> {
     write_with_comments(gaussians, &[], writer)
 }
 
-/// As [`write`], with comment lines in the header; a line break in one becomes a space.
+/// As [`write()`], with comment lines in the header; a line break in one becomes a space.
 pub fn write_with_comments(gaussians: &Gaussians, comments: &[String], writer: impl Write) -> io::Result<()> {
     let mut out = BufWriter::with_capacity(1 << 18, writer);
     let mut names: Vec<String> = ["x", "y", "z", "nx", "ny", "nz"].map(str::to_string).to_vec();
