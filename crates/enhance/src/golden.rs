@@ -183,13 +183,13 @@ fn golden_whole_steps() {
     }
 }
 
-/// Distances along a direction, in units of the parameters. Long ones bend and cross nodes of the guide, along which the field is
-/// only piecewise linear; short ones drown in the rounding of f32. One in between must agree, so the best is asked.
-const DISTANCES: [f64; 5] = [2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4];
+/// Distances along a direction, in units of the parameters. Over long ones the loss bends, short ones drown in the rounding of f32;
+/// one in between must agree, so the best is asked.
+const DISTANCES: [f64; 6] = [3.2e-2, 1.6e-2, 8e-3, 4e-3, 2e-3, 1e-3];
 /// Differences that are added up for each distance, of slightly different length, so that their rounding averages out.
 const REPEATS: u32 = 8;
 /// By what share of a direction's slope a difference may deviate, beside its rounding.
-const DEVIATION: f64 = 0.02;
+const DEVIATION: f64 = 0.01;
 
 /// Central differences of the loss, added up, and the gradient's word on them.
 #[derive(Debug)]
@@ -263,11 +263,22 @@ fn whole_steps_agree_with_their_differences() {
             for (i, p) in e.field.parameters.iter_mut().enumerate() {
                 *p += 0.1 * draw.normal(i as u64) as f32;
             }
+            // The field is piecewise linear along the guide, and one node crossed can be a third of the slope. A difference across it
+            // says nothing about the derivative, so the nodes are put on straight lines, each of another slope.
+            let s = e.field.shape();
+            for rank in 0..s.rank {
+                let slope = draw.normal(80_000 + rank as u64);
+                let at = |node: usize| s.factors().start + (3 * s.resolution + node) * s.rank + rank;
+                let middle = f64::from(e.field.parameters[at(s.resolution / 2)]);
+                for node in 0..s.resolution {
+                    let along = 2.0 * node as f64 / (s.resolution - 1) as f64 - 1.0;
+                    e.field.parameters[at(node)] = (middle + 1.5 * slope * along) as f32;
+                }
+            }
             e.total();
             e.step.losses(&e.view, &e.goals, true).unwrap();
             e.step.backward(&e.field, &e.view, &e.frozen, e.goals.lambda_variation);
             let gradient = e.step.gradient.values.clone();
-            let s = e.field.shape();
             for (group, range) in [
                 ("factors", s.factors()),
                 ("hidden", s.hidden_weight().start..s.hidden_bias().end),
@@ -287,13 +298,13 @@ fn whole_steps_agree_with_their_differences() {
                 let differences = e.differences(&gradient, range, &uphill);
                 let right = differences.iter().any(|d| d.agrees(1.0));
                 assert!(right, "seed {seed}, {group}, uphill: {differences:#?}");
-                for (name, factor) in [("shorter", 0.9), ("longer", 1.1)] {
+                for (name, factor) in [("shorter", 0.95), ("longer", 1.05)] {
                     let passes = differences.iter().any(|d| d.agrees(factor));
                     unnoticed.entry((group, name)).and_modify(|all| *all &= passes).or_insert(passes);
                 }
             }
         }
         unnoticed.retain(|_, passes| *passes);
-        assert!(unnoticed.is_empty(), "a gradient a tenth off would go unnoticed: {unnoticed:?}");
+        assert!(unnoticed.is_empty(), "a gradient 5 % off would go unnoticed: {unnoticed:?}");
     }
 }
