@@ -185,10 +185,10 @@ fn golden_whole_steps() {
 
 /// Distances along a direction, in units of the parameters. Over long ones the loss bends, short ones drown in the rounding of f32;
 /// one in between must agree, so the best is asked.
-const DISTANCES: [f64; 6] = [3.2e-2, 1.6e-2, 8e-3, 4e-3, 2e-3, 1e-3];
+const DISTANCES: [f64; 8] = [3.2e-2, 8e-3, 4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4];
 /// Differences that are added up for each distance, of slightly different length, so that their rounding averages out.
 const REPEATS: u32 = 8;
-/// By what share of a direction's slope a difference may deviate, beside its rounding.
+/// By what share of a direction's slope a difference may deviate, beside its rounding, which may take no more than that.
 const DEVIATION: f64 = 0.01;
 
 /// Central differences of the loss, added up, and the gradient's word on them.
@@ -210,7 +210,7 @@ impl Difference {
 }
 
 impl Example {
-    /// Differences along `direction` in the parameters of `range`, one for each distance.
+    /// Differences along `direction` in the parameters of `range`, one for each distance that stands out of rounding.
     fn differences(&mut self, gradient: &[f64], range: Range<usize>, direction: &[f64]) -> Vec<Difference> {
         let start = self.field.parameters.clone();
         let slope: f64 = range.clone().zip(direction).map(|(i, d)| (gradient[i] * d).abs()).sum();
@@ -243,7 +243,7 @@ impl Example {
             sum
         });
         self.field.parameters.copy_from_slice(&start);
-        differences.into()
+        differences.into_iter().filter(|d| d.noise < DEVIATION * d.scale).collect()
     }
 }
 
