@@ -5,6 +5,7 @@ mod common;
 use common::{draw, mini, taught};
 use use3d_capture::Lattice;
 use use3d_enhance::{EnhanceError, Look, Renderer, bake};
+use use3d_numerics::math;
 use use3d_scene::Scene;
 use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered};
 
@@ -38,6 +39,113 @@ fn strength_goes_from_the_reconstruction_to_the_enhancement() {
         Renderer::new(&scene, Look::Enhanced { strength: 1.0 }).err(),
         Some(EnhanceError::NotEnhanced)
     ));
+}
+
+#[test]
+fn water_goes_from_all_of_it_to_the_clear_radiance() {
+    let (scene, views) = mini();
+    let teacher = taught(&scene);
+    let camera = &views[3].camera;
+    let lattice = Lattice::full(&camera.intrinsics);
+    for look in [Look::Reconstruction, Look::Enhanced { strength: 1.0 }] {
+        let at = |water: f32| {
+            let mut out = Rendered::new();
+            let mut renderer = Renderer::new(&teacher, look).unwrap().with_water(water).unwrap();
+            renderer.render(camera, &lattice, true, &mut out);
+            out
+        };
+        let shares = [0.0f32, 0.2, 0.4, 0.6, 0.8, 1.0].map(at);
+        let [none, .., all] = &shares;
+        assert_eq!(all.image, draw(&teacher, look, camera), "all of it is the picture as it was");
+        let clear = &all.layers.as_ref().unwrap().clear;
+        assert_eq!(&none.image, clear, "none of it is the clear radiance, to the bit");
+        let mut drawn = Rendered::new();
+        let mut renderer = Renderer::new(&teacher, look).unwrap();
+        renderer.render_clear(camera, &lattice, &mut drawn);
+        assert_eq!(&drawn.image, clear);
+        let layers = |r: &Rendered| r.layers.clone().unwrap();
+        for pair in shares.windows(2) {
+            let (less, more) = (layers(&pair[0]), layers(&pair[1]));
+            let water = |l: &use3d_splat::Layers, p: usize| l.medium.data()[p] + l.far.data()[p];
+            let (mut scene_light, mut water_light) = ([0.0f64; 2], [0.0f64; 2]);
+            for p in 0..less.object.data().len() {
+                assert!(water(&more, p) >= water(&less, p) - 1e-5, "water {p}");
+                if look == Look::Reconstruction {
+                    // Enhanced colours may be negative: their sum need not shrink everywhere.
+                    assert!(more.object.data()[p] <= less.object.data()[p] + 1e-5, "object {p}");
+                }
+                for (k, layers) in [&less, &more].into_iter().enumerate() {
+                    scene_light[k] += f64::from(layers.object.data()[p]);
+                    water_light[k] += f64::from(water(layers, p));
+                }
+            }
+            assert!(scene_light[1] < scene_light[0] && water_light[1] > water_light[0]);
+            let sum = |l: &use3d_splat::Layers, p: usize| l.object.data()[p] + water(l, p);
+            for (p, v) in pair[1].image.data().iter().enumerate() {
+                assert!((sum(&more, p) - v).abs() < 2e-5, "layers add up at every share");
+            }
+        }
+        let mut out = Rendered::new();
+        Renderer::new(&teacher, look)
+            .unwrap()
+            .with_water(0.4)
+            .unwrap()
+            .render(camera, &lattice, false, &mut out);
+        assert_eq!((&out.image, &out.layers), (&shares[2].image, &None), "layers are an extra");
+    }
+    for water in [-0.1, 1.1, f32::NAN] {
+        let refused = Renderer::new(&teacher, Look::Reconstruction).unwrap().with_water(water).err();
+        assert!(matches!(refused, Some(EnhanceError::Water(_))));
+        assert!(refused.unwrap().to_string().contains("expected 0"));
+    }
+}
+
+#[test]
+fn a_share_of_the_water_is_the_documented_sum() {
+    let (scene, views) = mini();
+    let camera = &views[3].camera;
+    let lattice = Lattice::full(&camera.intrinsics);
+    let share = 0.35f32;
+    // The Gaussian that covers most, alone: the picture has a closed form.
+    let alone = |i: usize| Scene { gaussians: scene.gaussians.select(&[i]), ..scene.clone() };
+    let covered = |i: usize| {
+        let mut out = Rendered::new();
+        let alone = alone(i);
+        Renderer::new(&alone, Look::Reconstruction).unwrap().render(camera, &lattice, false, &mut out);
+        out.accumulation.data().iter().map(|w| f64::from(*w)).sum::<f64>()
+    };
+    let most = (0..scene.gaussians.len()).max_by(|a, b| covered(*a).total_cmp(&covered(*b))).unwrap();
+    let single = alone(most);
+    let (mut whole, mut part) = (Rendered::new(), Rendered::new());
+    let mut renderer = Renderer::new(&single, Look::Reconstruction).unwrap();
+    renderer.render(camera, &lattice, true, &mut whole);
+    let maps = renderer.medium().unwrap().clone();
+    let mut renderer = renderer.with_water(share).unwrap();
+    renderer.render(camera, &lattice, false, &mut part);
+    assert_eq!(renderer.medium(), Some(&maps), "the water itself is told whole");
+    let layers = whole.layers.as_ref().unwrap();
+    let (mut hit, mut open) = (0, 0);
+    for y in 0..lattice.height() {
+        for x in 0..lattice.width() {
+            let w = f64::from(whole.accumulation.pixel(x, y)[0]);
+            let s = if w > 0.0 { f64::from(layers.distance.pixel(x, y)[0]) } else { 0.0 };
+            if w > 0.0 {
+                hit += 1
+            } else {
+                open += 1
+            }
+            for c in 0..3 {
+                let at = |image: &use3d_capture::Image| f64::from(image.pixel(x, y)[c]);
+                let a = f64::from(share);
+                let attenuated = math::exp(-a * at(&maps.attenuation) * s);
+                let veil = math::exp(-a * at(&maps.backscatter) * s);
+                let water = at(&maps.color) * ((1.0 - veil) + a * (1.0 - w) * veil);
+                let expected = at(&layers.clear) * attenuated + water;
+                assert!((at(&part.image) - expected).abs() < 1e-5, "{x} {y} {c}: {expected}");
+            }
+        }
+    }
+    assert!(hit > 20 && open > 20, "{hit} pixels see the Gaussian, {open} open water");
 }
 
 #[test]
