@@ -1,7 +1,8 @@
 //! Every picture a scene can give, for one camera at a time.
 //!
-//! `reconstruction` is stage 1 with its water, `clear` its object radiance without water, `enhanced` stage 2's full composite. No
-//! 2D network is involved: the enhancement is in the scene.
+//! `reconstruction` is stage 1 with its water, `clear` its object radiance without water. `enhanced` is stage 2's full composite,
+//! `enhanced-clear` its object radiance without water. No 2D network is involved: the enhancement is in the scene. How much of the
+//! water is left in `reconstruction` and `enhanced` is a matter of the moment ([`SceneRenderer::with_water`]).
 
 use use3d_capture::{Camera, Image, Lattice, Map, MediumMaps, Pose};
 use use3d_enhance::{EnhanceError, Look, Renderer};
@@ -19,6 +20,8 @@ pub enum Mode {
     Clear,
     /// Stage 2: object, medium and transport enhanced.
     Enhanced,
+    /// Stage 2's object radiance without water.
+    EnhancedClear,
     /// Expected depth along the optical axis, scene units; 0 where nothing is.
     Depth,
     /// Accumulated opacity.
@@ -35,10 +38,11 @@ pub enum Mode {
 
 impl Mode {
     /// All modes.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Reconstruction,
         Self::Clear,
         Self::Enhanced,
+        Self::EnhancedClear,
         Self::Depth,
         Self::Alpha,
         Self::Object,
@@ -53,6 +57,7 @@ impl Mode {
             Self::Reconstruction => "reconstruction",
             Self::Clear => "clear",
             Self::Enhanced => "enhanced",
+            Self::EnhancedClear => "enhanced-clear",
             Self::Depth => "depth",
             Self::Alpha => "alpha",
             Self::Object => "object",
@@ -67,8 +72,18 @@ impl Mode {
         Self::ALL.into_iter().find(|m| m.name() == name)
     }
 
+    /// Whether it shows stage 2.
+    pub fn is_enhanced(self) -> bool {
+        matches!(self, Self::Enhanced | Self::EnhancedClear)
+    }
+
+    /// Whether [`SceneRenderer::with_water`] changes it.
+    pub fn shows_water(self) -> bool {
+        matches!(self, Self::Reconstruction | Self::Enhanced | Self::Object | Self::Medium)
+    }
+
     fn needs_layers(self) -> bool {
-        matches!(self, Self::Clear | Self::Object | Self::Medium)
+        matches!(self, Self::Clear | Self::EnhancedClear | Self::Object | Self::Medium)
     }
 }
 
@@ -89,7 +104,10 @@ pub struct SceneRenderer<'a> {
 }
 
 impl<'a> SceneRenderer<'a> {
-    /// Prepares a scene; `strength` in `[0, 1]` is how much of its enhancement, if it has one, `enhanced` shows.
+    /// Prepares a scene; `strength` in `[0, 1]` is how much of its enhancement, if it has one, `enhanced` and `enhanced-clear` show.
+    ///
+    /// # Errors
+    /// A strength outside that range.
     pub fn new(scene: &'a Scene, strength: f32) -> Result<Self, EnhanceError> {
         let enhanced = match scene.enhancement {
             Some(_) => Some(Renderer::new(scene, Look::Enhanced { strength })?),
@@ -98,20 +116,40 @@ impl<'a> SceneRenderer<'a> {
         Ok(Self { plain: Renderer::new(scene, Look::Reconstruction)?, enhanced, rendered: Rendered::new() })
     }
 
-    /// Whether the scene can show [`Mode::Enhanced`].
+    /// Leaves only a share of the water, in `[0, 1]`, in `reconstruction`, its parts `object` and `medium`, and `enhanced`: at 0 these are
+    /// `clear` and `enhanced-clear`. Coefficients are shown as they are.
+    ///
+    /// # Errors
+    /// A share outside that range.
+    pub fn with_water(self, water: f32) -> Result<Self, EnhanceError> {
+        let Self { plain, enhanced, rendered } = self;
+        let enhanced = enhanced.map(|renderer| renderer.with_water(water)).transpose()?;
+        Ok(Self { plain: plain.with_water(water)?, enhanced, rendered })
+    }
+
+    /// Whether the scene can show [`Mode::Enhanced`] and [`Mode::EnhancedClear`].
     pub fn is_enhanced(&self) -> bool {
         self.enhanced.is_some()
     }
 
-    /// Renders `modes` from a camera in the scene's normalised frame, in the order asked for. `Enhanced` of a scene without an
-    /// enhancement is its reconstruction.
+    /// Renders `modes` from a camera in the scene's normalised frame, in the order asked for. `Enhanced` and `EnhancedClear` of a scene
+    /// without an enhancement are its reconstruction and its clear rendering.
     pub fn render(&mut self, camera: &Camera, modes: &[Mode]) -> Vec<Frame> {
         let lattice = Lattice::full(&camera.intrinsics);
         let mut frames: Vec<Option<Frame>> = vec![None; modes.len()];
-        if let (true, Some(enhanced)) = (modes.contains(&Mode::Enhanced), &mut self.enhanced) {
-            enhanced.render(camera, &lattice, false, &mut self.rendered);
-            for (frame, _) in frames.iter_mut().zip(modes).filter(|(_, m)| **m == Mode::Enhanced) {
-                *frame = Some(Frame::Color(self.rendered.image.clone()));
+        if let Some(enhanced) = &mut self.enhanced {
+            let wanted = |mode| modes.contains(&mode);
+            match (wanted(Mode::Enhanced), wanted(Mode::EnhancedClear)) {
+                (false, false) => {}
+                (false, true) => enhanced.render_clear(camera, &lattice, &mut self.rendered),
+                (true, clear) => enhanced.render(camera, &lattice, clear, &mut self.rendered),
+            }
+            let Rendered { image, layers, .. } = &self.rendered;
+            for (frame, mode) in frames.iter_mut().zip(modes).filter(|(_, mode)| mode.is_enhanced()) {
+                // Rendered without water, the picture has no layers and is itself clear.
+                let clear = layers.as_ref().map_or(image, |layers| &layers.clear);
+                let shown = if *mode == Mode::Enhanced { image } else { clear };
+                *frame = Some(Frame::Color(shown.clone()));
             }
         }
         if frames.iter().any(Option::is_none) {
@@ -125,13 +163,17 @@ impl<'a> SceneRenderer<'a> {
             .collect()
     }
 
-    /// Draws `Enhanced` or, for any other mode, `Reconstruction`, and lends the image: a frame at the least cost.
+    /// Draws `Clear`, `Enhanced`, `EnhancedClear` or, for any other mode, `Reconstruction`, and lends the image: a frame at the least cost.
     pub fn draw(&mut self, camera: &Camera, mode: Mode) -> &Image {
-        let renderer = match (mode, &mut self.enhanced) {
-            (Mode::Enhanced, Some(enhanced)) => enhanced,
+        let renderer = match &mut self.enhanced {
+            Some(enhanced) if mode.is_enhanced() => enhanced,
             _ => &mut self.plain,
         };
-        renderer.render(camera, &Lattice::full(&camera.intrinsics), false, &mut self.rendered);
+        let lattice = Lattice::full(&camera.intrinsics);
+        match mode {
+            Mode::Clear | Mode::EnhancedClear => renderer.render_clear(camera, &lattice, &mut self.rendered),
+            _ => renderer.render(camera, &lattice, false, &mut self.rendered),
+        }
         &self.rendered.image
     }
 
@@ -155,7 +197,7 @@ impl<'a> SceneRenderer<'a> {
         };
         match mode {
             Mode::Reconstruction | Mode::Enhanced => Frame::Color(rendered.image.clone()),
-            Mode::Clear => layer(|l| &l.clear),
+            Mode::Clear | Mode::EnhancedClear => layer(|l| &l.clear),
             Mode::Object => layer(|l| &l.object),
             Mode::Medium => {
                 let mut sum = rendered.layers.as_ref().map_or_else(none, |l| l.medium.clone());
@@ -282,8 +324,63 @@ pub fn medium_along(medium: &MediumModel, degree: usize, cameras: &[Camera]) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use use3d_capture::Intrinsics;
+    use use3d_capture::{Frame as FrameOf, Intrinsics};
     use use3d_medium::MediumRbf;
+    use use3d_splat::Gaussians;
+
+    /// A Gaussian two units ahead in water, not enhanced.
+    fn scene() -> (Scene, Camera) {
+        let gaussians = Gaussians {
+            sh_degree: 0,
+            means: vec![[0.0, 0.0, 2.0]],
+            log_scales: vec![[-1.5; 3]],
+            quaternions: vec![[1.0, 0.0, 0.0, 0.0]],
+            opacity_logits: vec![2.0],
+            sh: vec![[[0.5, 0.2, -0.3]; 16]],
+        };
+        let scene = Scene {
+            gaussians,
+            frame: FrameOf::IDENTITY,
+            medium: MediumModel::Rbf(MediumRbf::new(8, 4)),
+            medium_degree: 3,
+            enhancement: None,
+        };
+        let intrinsics = Intrinsics { width: 20, height: 14, fx: 16.0, fy: 16.0, cx: 10.0, cy: 7.0 };
+        (scene, Camera { intrinsics, pose: Pose::IDENTITY })
+    }
+
+    #[test]
+    fn every_mode_has_a_name_of_its_own() {
+        for mode in Mode::ALL {
+            assert_eq!(Mode::from_name(mode.name()), Some(mode));
+        }
+        assert_eq!(Mode::from_name("enhanced-clear"), Some(Mode::EnhancedClear));
+        assert_eq!(Mode::from_name("Enhanced"), None);
+    }
+
+    #[test]
+    fn with_no_water_left_the_reconstruction_is_clear_and_its_coefficients_stay() {
+        let (scene, camera) = scene();
+        let mut whole = SceneRenderer::new(&scene, 1.0).unwrap();
+        let frames = whole.render(&camera, &Mode::ALL);
+        let of =
+            |frames: &[Frame], mode: Mode| frames[Mode::ALL.iter().position(|m| *m == mode).unwrap()].clone();
+        assert_ne!(of(&frames, Mode::Reconstruction), of(&frames, Mode::Clear));
+        // Nothing is enhanced here.
+        assert_eq!(of(&frames, Mode::Enhanced), of(&frames, Mode::Reconstruction));
+        assert_eq!(of(&frames, Mode::EnhancedClear), of(&frames, Mode::Clear));
+        for mode in [Mode::Reconstruction, Mode::Clear, Mode::Enhanced, Mode::EnhancedClear] {
+            assert_eq!(Frame::Color(whole.draw(&camera, mode).clone()), of(&frames, mode), "{}", mode.name());
+        }
+        let mut none = SceneRenderer::new(&scene, 1.0).unwrap().with_water(0.0).unwrap();
+        let dry = none.render(&camera, &Mode::ALL);
+        for mode in Mode::ALL {
+            let same = of(&dry, mode) == of(&frames, mode);
+            assert_eq!(same, !mode.shows_water(), "{}", mode.name());
+        }
+        assert_eq!(of(&dry, Mode::Reconstruction), of(&frames, Mode::Clear));
+        assert!(SceneRenderer::new(&scene, 1.0).unwrap().with_water(1.01).is_err());
+    }
 
     #[test]
     fn the_water_changes_along_the_cameras_as_its_anchors_do() {

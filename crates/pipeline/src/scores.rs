@@ -25,15 +25,17 @@ pub enum Method {
     Reconstruction,
     /// Stage 1 without water.
     Clear,
-    /// Stage 2.
+    /// Stage 2 with its water.
     Enhanced,
+    /// Stage 2 without water.
+    EnhancedClear,
     /// A scene reconstructed from per-view proposals, for comparison.
     EnhanceThenReconstruct,
 }
 
 impl Method {
     /// All, in the order of tables.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Captured,
         Self::Proposal,
         Self::Reconstruction,
@@ -41,6 +43,7 @@ impl Method {
         Self::ProposalOfRender,
         Self::EnhanceThenReconstruct,
         Self::Enhanced,
+        Self::EnhancedClear,
     ];
 
     /// As tables call it.
@@ -52,6 +55,7 @@ impl Method {
             Self::Reconstruction => "Stage 1",
             Self::Clear => "Stage 1, clear render",
             Self::Enhanced => "3D-USE, this program",
+            Self::EnhancedClear => "3D-USE, enhanced-clear",
             Self::EnhanceThenReconstruct => "Enhance, then reconstruct",
         }
     }
@@ -65,6 +69,7 @@ impl Method {
             Self::Reconstruction => "reconstruction",
             Self::Clear => "clear",
             Self::Enhanced => "enhanced",
+            Self::EnhancedClear => "enhanced-clear",
             Self::EnhanceThenReconstruct => "enhance-then-reconstruct",
         }
     }

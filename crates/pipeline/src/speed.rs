@@ -24,7 +24,7 @@ const SHORTEST: Duration = Duration::from_secs(5);
 /// What was measured.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Speed {
-    /// `reconstruction` or `enhanced`.
+    /// `reconstruction`, `clear`, `enhanced` or `enhanced-clear`.
     pub mode: &'static str,
     /// Frames per second: 1000 over `milliseconds`.
     pub fps: f64,

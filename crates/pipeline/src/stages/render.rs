@@ -1,4 +1,4 @@
-//! The held-out views as pictures: captured, reconstruction, clear, enhanced, depth, and the water's maps.
+//! The held-out views as pictures: captured, reconstruction, clear, enhanced, enhanced-clear, depth, and the water's maps.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -17,13 +17,15 @@ use crate::rendering::{Frame, Mode, SceneRenderer, coefficient_picture, depth_pi
 pub(super) struct Params {
     /// How much of the enhancement is shown, 0 to 1.
     pub(super) strength: f32,
+    /// How much of the water is left in `reconstruction` and `enhanced`, 0 (none: they are `clear` and `enhanced-clear`) to 1.
+    pub(super) water: f32,
     /// Whether depth is also written as EXR, in normalised scene units.
     pub(super) depth_exr: bool,
 }
 
 impl Default for Params {
     fn default() -> Self {
-        Self { strength: 1.0, depth_exr: true }
+        Self { strength: 1.0, water: 1.0, depth_exr: true }
     }
 }
 
@@ -32,12 +34,12 @@ pub(super) fn stage() -> Stage {
         .about("pictures of the held-out views")
         .made_of(&[], &["src/stages/render.rs"])
         .check(|p: &Params| {
-            let fits = (0.0..=1.0).contains(&p.strength);
-            if fits {
-                Ok(())
-            } else {
-                Err(("strength".into(), format!("is {}; expected 0 to 1", p.strength)))
+            for (name, value) in [("strength", p.strength), ("water", p.water)] {
+                if !(0.0..=1.0).contains(&value) {
+                    return Err((name.into(), format!("is {value}; expected 0 to 1")));
+                }
             }
+            Ok(())
         })
         .input("import", "import")
         .input("scene", "reconstruct")
@@ -49,10 +51,10 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let capture = capture(context)?;
     let role = if context.optional_input("enhanced").is_some() { "enhanced" } else { "scene" };
     let scene = scene(context, role)?;
-    let mut renderer = SceneRenderer::new(&scene, params.strength)?;
+    let mut renderer = SceneRenderer::new(&scene, params.strength)?.with_water(params.water)?;
     let mut modes = vec![Mode::Reconstruction, Mode::Clear, Mode::Depth];
     if renderer.is_enhanced() {
-        modes.push(Mode::Enhanced);
+        modes.extend([Mode::Enhanced, Mode::EnhancedClear]);
     }
     if !scene.medium.is_none() {
         modes.extend([Mode::Medium, Mode::Backscatter, Mode::Attenuation]);

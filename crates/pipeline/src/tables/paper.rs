@@ -42,13 +42,14 @@ const ALL: &str = "All scenes";
 const TRUTH: [Quantity; 2] =
     [("truth_psnr", "PSNR", Better::Higher, 2), ("truth_delta_e", "ΔE₀₀", Better::Lower, 2)];
 /// What is compared with the true clean images.
-const CLEAN: [Method; 6] = [
+const CLEAN: [Method; 7] = [
     Method::Captured,
     Method::Proposal,
     Method::Clear,
     Method::ProposalOfRender,
     Method::EnhanceThenReconstruct,
     Method::Enhanced,
+    Method::EnhancedClear,
 ];
 
 /// Whether a scene is the paper's: its name, size and split.
