@@ -59,7 +59,9 @@ pub struct SceneSection {
 pub struct ViewSection {
     /// Its name.
     pub name: String,
-    /// `captured`, `reconstruction`, `clear`, `enhanced`, `depth`, …
+    /// What stands first, side by side: captured, 2D enhancer, `enhanced-clear`.
+    pub lead: Vec<Picture>,
+    /// The other pictures: `clear`, `enhanced`, `reconstruction`, `depth`, …
     pub images: Vec<Picture>,
     /// Short texts such as `PSNR 24.1`.
     pub scores: Vec<String>,
@@ -360,7 +362,8 @@ mod tests {
                 name: "reef".into(),
                 views: vec![ViewSection {
                     name: "v".into(),
-                    images: vec![picture],
+                    lead: vec![picture.clone()],
+                    images: vec![Picture { label: "depth".into(), ..picture }],
                     scores: vec!["PSNR 1".into()],
                 }],
                 ..SceneSection::default()
@@ -369,6 +372,12 @@ mod tests {
         };
         let html = page.html().unwrap();
         assert!(!html.contains("<b>") && html.contains("data:image/jpeg;base64,"));
+        let at = |text: &str| html.find(text).unwrap_or_else(|| panic!("{text}"));
+        assert!(at("class=\"lead\"") < at("alt=\"v: captured\""), "the leading pictures stand first");
+        assert!(
+            at("alt=\"v: captured\"") < at("class=\"strip\"")
+                && at("class=\"strip\"") < at("alt=\"v: depth\"")
+        );
         assert!(
             !html.contains("http://")
                 || html.matches("http://").count() == html.matches("http://www.w3.org").count()

@@ -1,5 +1,7 @@
 //! Held-out views scored: stage 1 against the photographs, every appearance for itself; and neighbouring views for consistency.
 //!
+//! The 2D enhancer's images of the held-out photographs are kept, for the report to show beside the scene's.
+//!
 //! Rendered images are scored as they are rendered (f32, clamped to the display range), not from files; the `render` stage shows
 //! the same images, and both are functions of the same artifacts. Where the capture has its truth beside it, appearances, depth and
 //! water are also measured against that ([`crate::truth`]).
@@ -21,10 +23,10 @@ use use3d_metrics::{Mask, mask_of};
 use use3d_scene::Scene;
 
 use super::captured::capture;
-use super::common::{read_json, write_json};
-use super::names::EVALUATION;
+use super::common::{folder, read_json, write_json};
+use super::names::{ENHANCED_IN_2D, EVALUATION};
 pub use super::names::{SCORES, SPEED, STRIP};
-use super::proposals::asked_for;
+use super::proposals::{asked_for, file};
 use super::proposer::{ProposerChoice, open};
 use super::scenes::scene;
 use crate::engine::{Scope, Stage, StageContext, StageError, machine};
@@ -125,7 +127,7 @@ impl Looker<'_> {
             modes.push(Mode::Clear);
         }
         if self.renderer.is_enhanced() {
-            modes.push(Mode::Enhanced);
+            modes.extend([Mode::Enhanced, Mode::EnhancedClear]);
         }
         let mut images = Vec::new();
         if let Some(captured) = photograph {
@@ -145,6 +147,7 @@ impl Looker<'_> {
                 }
                 (Mode::Clear, Frame::Color(image)) => images.push((Method::Clear, image)),
                 (Mode::Enhanced, Frame::Color(image)) => images.push((Method::Enhanced, image)),
+                (Mode::EnhancedClear, Frame::Color(image)) => images.push((Method::EnhancedClear, image)),
                 (Mode::Depth, Frame::Scalar(map)) => depth = map,
                 (Mode::Attenuation | Mode::Backscatter, Frame::Color(image)) => water.push(image),
                 _ => {}
@@ -341,11 +344,16 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let scale = capture.frame.scale;
     let mut water = [[0.0; 3]; 2];
 
+    let enhanced_in_2d = context.output().join(ENHANCED_IN_2D);
+    folder(&enhanced_in_2d)?;
     let mut per_view: Lists<ViewScores> = Vec::new();
     for (i, view) in views.iter().enumerate() {
         context.alive()?;
         context.progress_with(i as u64, views.len() as u64, "views", &view.name);
         let now = evaluation.looker.view(view)?;
+        if let Some(proposal) = now.of(Method::Proposal) {
+            write_png(&file(&enhanced_in_2d, view), proposal)?;
+        }
         let mask = mask(view)?;
         let judges = &evaluation.judges;
         let true_view = truth.as_ref().map(|t| t.view(view.stem())).transpose()?.flatten();
@@ -437,7 +445,7 @@ fn strip(context: &StageContext, capture: &Capture, looker: &mut Looker<'_>) -> 
         context.log("no spot is seen by three neighbouring views: no consistency strip");
         return Ok(());
     };
-    let last = if looker.renderer.is_enhanced() { Method::Enhanced } else { looker.learnt };
+    let last = if looker.renderer.is_enhanced() { Method::EnhancedClear } else { looker.learnt };
     let shown = [Method::Captured, Method::Proposal, Method::ProposalOfRender, last];
     let shown: Vec<Method> =
         shown.into_iter().filter(|m| looks.iter().all(|look| look.of(*m).is_some())).collect();

@@ -14,6 +14,8 @@ pub const TARGETS: &str = "targets.safetensors";
 pub const SCORES: &str = "scores.json";
 /// The consistency strip in `evaluate`, and what it shows.
 pub const STRIP: (&str, &str) = ("strip.png", "strip.json");
+/// The folder in `evaluate` with the held-out photographs enhanced in 2D, by stem.
+pub(super) const ENHANCED_IN_2D: &str = "proposal";
 /// The note of `evaluate` with how fast the scene is drawn.
 pub const SPEED: &str = "speed";
 /// In `reconstruct`: which images the scene was learnt from, and how held-out ones came out.

@@ -12,9 +12,9 @@ use use3d_scene::Scene;
 
 use super::calibrator::read_calibrator;
 use super::common::{folder, read_json, write_json, write_text};
-use super::names::{CONTACT, SCORES, STRIP};
+use super::names::{CONTACT, ENHANCED_IN_2D, SCORES, STRIP};
 use crate::engine::{Digest, Scope, Stage, StageContext, StageError, StageInput};
-use crate::rendering::{WaterSample, medium_along, medium_profile};
+use crate::rendering::{Mode, WaterSample, medium_along, medium_profile};
 use crate::report::plot::{Plot, RGB, Series};
 use crate::report::{CalibratorSection, Page, Picture, PlotFigure, SceneSection, ViewSection};
 use crate::scores::{Method, MethodScores, SceneScores, ScoredScene};
@@ -204,7 +204,7 @@ fn section(
         section.notes = left_out(scores);
     }
     if let Some(renders) = parts.path("renders") {
-        section.views = views(renders, scores, params.views)?;
+        section.views = views(renders, parts.path("scores"), scores, params.views)?;
     }
     for (role, file, caption) in [
         ("scene", "training.svg", "Stage 1: loss, PSNR and number of Gaussians"),
@@ -247,7 +247,13 @@ fn inline(svg: &str) -> String {
     svg.find("<svg").map_or_else(String::new, |start| svg[start..].to_string())
 }
 
-fn views(renders: &Path, scores: Option<&SceneScores>, most: usize) -> Result<Vec<ViewSection>, StageError> {
+/// The held-out views: what was captured, what a 2D enhancer makes of it and what the scene makes of it lead, the other pictures follow.
+fn views(
+    renders: &Path,
+    evaluated: Option<&Path>,
+    scores: Option<&SceneScores>,
+    most: usize,
+) -> Result<Vec<ViewSection>, StageError> {
     let captured = renders.join("captured");
     let mut stems: Vec<String> = std::fs::read_dir(&captured)
         .map_err(|e| StageError::io(&captured, e))?
@@ -258,23 +264,35 @@ fn views(renders: &Path, scores: Option<&SceneScores>, most: usize) -> Result<Ve
     let chosen: Vec<String> = (0..count).map(|k| stems[k * stems.len() / count.max(1)].clone()).collect();
     let mut sections = Vec::new();
     for stem in chosen {
-        let mut images = Vec::new();
-        for mode in [
-            "captured",
-            "reconstruction",
-            "clear",
-            "enhanced",
-            "depth",
-            "medium",
-            "attenuation",
-            "backscatter",
-        ] {
-            let path = renders.join(mode).join(format!("{stem}.png"));
-            if path.is_file() {
-                images.push(Picture::embed(mode, "", &read_image(&path)?)?);
+        let file = |folder: &Path| folder.join(format!("{stem}.png"));
+        let picture = |label: &str, folder: &Path| -> Result<Option<Picture>, StageError> {
+            let path = file(folder);
+            if !path.is_file() {
+                return Ok(None);
             }
-        }
-        sections.push(ViewSection { scores: view_scores(&stem, scores), name: stem, images });
+            Ok(Some(Picture::embed(label, "", &read_image(&path)?)?))
+        };
+        let rendered = |mode: Mode| picture(mode.name(), &renders.join(mode.name()));
+        let enhanced = file(&renders.join(Mode::EnhancedClear.name())).is_file();
+        let best = if enhanced { Mode::EnhancedClear } else { Mode::Clear };
+        let proposal = match evaluated {
+            Some(evaluated) => picture("2D enhancer", &evaluated.join(ENHANCED_IN_2D))?,
+            None => None,
+        };
+        let lead = [picture("captured", &captured)?, proposal, rendered(best)?];
+        let others = [
+            Mode::Clear,
+            Mode::Enhanced,
+            Mode::Reconstruction,
+            Mode::Depth,
+            Mode::Medium,
+            Mode::Attenuation,
+            Mode::Backscatter,
+        ];
+        let images = others.into_iter().filter(|mode| *mode != best).map(rendered);
+        let images = images.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect();
+        let lead = lead.into_iter().flatten().collect();
+        sections.push(ViewSection { scores: view_scores(&stem, scores), name: stem, lead, images });
     }
     Ok(sections)
 }
@@ -284,7 +302,8 @@ fn view_scores(stem: &str, scores: Option<&SceneScores>) -> Vec<String> {
         (Method::Reconstruction, "psnr", "PSNR", 2),
         (Method::Reconstruction, "ssim", "SSIM", 3),
         (Method::Captured, "uciqe", "UCIQE captured", 3),
-        (Method::Enhanced, "uciqe", "UCIQE enhanced", 3),
+        (Method::EnhancedClear, "uciqe", "UCIQE enhanced-clear", 3),
+        (Method::EnhancedClear, "truth_psnr", "PSNR enhanced-clear against the truth", 2),
     ];
     let of = |method: Method, metric: &str| -> Option<f64> {
         let views = &scores?.methods.iter().find(|m| m.method == method)?.views;
