@@ -109,13 +109,14 @@ pub(crate) enum Verb {
     /// Render a scene from given cameras.
     #[command(
         after_help = "Examples:\n  use3d render scene/ --cameras my-reef/ --out renders/ --modes reconstruction,clear,depth\n  \
-        use3d render enhanced-scene/ --cameras my-reef/ --path spiral --frames 120 --modes enhanced --video swim.mp4\n  \
+        use3d render enhanced-scene/ --cameras my-reef/ --path spiral --frames 120 --modes enhanced-clear --video swim.mp4\n  \
+        use3d render enhanced-scene/ --cameras my-reef/ --out half/ --modes enhanced --water 0.5\n  \
         use3d render enhanced-scene/ --cameras my-reef/ --fps"
     )]
     Render(RenderArgs),
     /// Write a scene as a 3D Gaussian splatting PLY for other viewers.
     #[command(
-        after_help = "Example:\n  use3d export enhanced-scene/ --ply reef.ply --what enhanced --frame colmap"
+        after_help = "Example:\n  use3d export enhanced-scene/ --ply reef.ply --what enhanced-clear --frame colmap"
     )]
     Export(ExportArgs),
     /// Make synthetic underwater data with known truth.
@@ -522,7 +523,7 @@ pub(crate) struct RenderArgs {
     /// The folder for the frames; each mode gets a folder of its own.
     #[arg(long, value_name = "DIR", required_unless_present_any = ["video", "fps"])]
     pub(crate) out: Option<PathBuf>,
-    /// What to render: reconstruction, clear, enhanced, depth, alpha, object, medium, backscatter, attenuation.
+    /// What to render: reconstruction, clear, enhanced, enhanced-clear, depth, alpha, object, medium, backscatter, attenuation.
     #[arg(long, value_delimiter = ',', default_value = "reconstruction", value_name = "MODE,...")]
     pub(crate) modes: Vec<String>,
     /// How to write the frames.
@@ -555,17 +556,24 @@ pub(crate) struct RenderArgs {
     /// How much of the enhancement to apply, 0 (reconstruction) to 1.
     #[arg(long, default_value_t = 1.0, value_name = "0..1")]
     pub(crate) strength: f32,
+    /// How much of the water to leave in reconstruction and enhanced, 0 (they are clear and enhanced-clear) to 1.
+    #[arg(long, default_value_t = 1.0, value_name = "0..1")]
+    pub(crate) water: f32,
     #[command(flatten)]
     pub(crate) replace: Replace,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ExportWhat {
+    /// As clear: a PLY holds no water.
+    Reconstruction,
     /// Object radiance without water.
     #[default]
     Clear,
-    /// The enhanced field baked into the colours.
+    /// As enhanced-clear: a PLY holds no water.
     Enhanced,
+    /// Enhanced object radiance without water: the enhancement is baked into the colours.
+    EnhancedClear,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -587,7 +595,7 @@ pub(crate) struct ExportArgs {
     /// The PLY file.
     #[arg(long, value_name = "FILE")]
     pub(crate) ply: PathBuf,
-    /// Which colours.
+    /// Which colours, in the words of `use3d render --modes`.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) what: ExportWhat,
     /// In which frame.

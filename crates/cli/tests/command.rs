@@ -139,6 +139,8 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
         "tiny/scene/contact.png",
         "tiny/enhanced-scene/ubaf.safetensors",
         "tiny/renders/enhanced",
+        "tiny/renders/enhanced-clear",
+        "tiny/scores/proposal",
         "tiny/scores/scores.json",
         "tiny/scores/strip.png",
     ] {
@@ -148,7 +150,8 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     let text = std::fs::read_to_string(Path::new(&out).join("tiny/scores/scores.json")).unwrap();
     let scores: use3d_pipeline::scores::SceneScores = serde_json::from_str(&text).unwrap();
     use use3d_pipeline::scores::Method;
-    for method in [Method::Captured, Method::Proposal, Method::Clear, Method::Enhanced] {
+    for method in [Method::Captured, Method::Proposal, Method::Clear, Method::Enhanced, Method::EnhancedClear]
+    {
         for metric in ["truth_psnr", "truth_delta_e"] {
             let value = scores.mean(method, metric).and_then(|s| s.value()).unwrap();
             assert!(value > 0.0 && value < 60.0, "{method:?} {metric}: {value}");
@@ -156,7 +159,7 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     }
     // Consistency has the fair baseline, by one warp, over the path and over neighbours, with what was compared.
     assert_eq!(scores.warp, use3d_pipeline::scores::Warp::Reference);
-    for method in [Method::ProposalOfRender, Method::Enhanced] {
+    for method in [Method::ProposalOfRender, Method::Clear, Method::Enhanced, Method::EnhancedClear] {
         for metric in ["w_delta_e", "coverage", "path_w_delta_e", "path_coverage"] {
             assert!(scores.mean(method, metric).and_then(|s| s.value()).is_some(), "{method:?} {metric}");
         }
@@ -175,6 +178,11 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     assert!(!text.contains("fps"), "a time in an artifact");
     let page = std::fs::read_to_string(Path::new(&out).join("report.html")).unwrap();
     assert!(page.contains("path_pairs") && page.contains("FPS") && page.contains("training view"));
+    let label = |name: &str| page.find(&format!("data-label=\"{name}\"")).unwrap_or_else(|| panic!("{name}"));
+    let order =
+        ["captured", "2D enhancer", "enhanced-clear", "clear", "enhanced", "reconstruction"].map(label);
+    assert!(order.is_sorted(), "the page leads with what is asked for: {order:?}");
+    one_word_for_each_look(&path(&[Path::new(&out), Path::new("tiny/enhanced-scene")]), &capture, dir.path());
     let depth = scores.mean(Method::Reconstruction, "depth_error").and_then(|s| s.value()).unwrap();
     assert!(depth < 0.5, "depth off by {depth}");
     let water = scores.water.expect("the scene has water");
@@ -191,6 +199,55 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     assert!(changed.contains("4 done, 5 cached"), "enhance, render, evaluate, report: {changed}");
     let threads = run(&["--threads", "1"]);
     assert!(threads.contains("0 done, 9 cached"), "{threads}");
+}
+
+/// The same words mean the same pictures in `render`, `export` and at every amount of water.
+fn one_word_for_each_look(scene: &str, capture: &str, dir: &Path) {
+    let at = |name: &str| path(&[dir, Path::new(name)]);
+    let render = |out: &str, modes: &str, more: &[&str]| {
+        let mut arguments =
+            vec!["-q", "render", scene, "--cameras", capture, "--held-out", "--format", "exr"];
+        let out = at(out);
+        arguments.extend(["--out", &out, "--modes", modes]);
+        arguments.extend(more);
+        expect(0, &arguments);
+    };
+    let all = "reconstruction,clear,enhanced,enhanced-clear";
+    render("whole", all, &[]);
+    render("all", all, &["--water", "1"]);
+    render("none", all, &["--water", "0"]);
+    render("half", all, &["--water", "0.5"]);
+    render("only", "enhanced-clear", &[]);
+    let frames = |out: &str, mode: &str| -> Vec<Vec<u8>> {
+        let mut files: Vec<_> =
+            std::fs::read_dir(Path::new(&at(out)).join(mode)).unwrap().map(|e| e.unwrap().path()).collect();
+        files.sort();
+        assert!(!files.is_empty());
+        files.iter().map(|file| std::fs::read(file).unwrap()).collect()
+    };
+    for (mode, clear) in [("reconstruction", "clear"), ("enhanced", "enhanced-clear")] {
+        assert_eq!(frames("whole", mode), frames("all", mode), "{mode}: all of the water");
+        assert_eq!(frames("none", mode), frames("whole", clear), "{mode}: none of the water");
+        assert_ne!(frames("half", mode), frames("none", mode));
+        assert_ne!(frames("half", mode), frames("all", mode));
+        assert_eq!(frames("half", clear), frames("whole", clear), "{clear} knows no water");
+    }
+    assert_ne!(frames("whole", "clear"), frames("whole", "enhanced-clear"));
+    assert_eq!(frames("only", "enhanced-clear"), frames("whole", "enhanced-clear"));
+    let export = |what: &str| {
+        let ply = at(&format!("{what}.ply"));
+        let (_, said) = expect(0, &["-q", "export", scene, "--ply", &ply, "--what", what]);
+        (std::fs::read(&ply).unwrap(), said)
+    };
+    for (mode, clear) in [("reconstruction", "clear"), ("enhanced", "enhanced-clear")] {
+        let ((with, said), (without, _)) = (export(mode), export(clear));
+        assert_eq!(with, without, "a PLY holds no water");
+        assert!(said.contains("holds no water") && said.contains(clear), "{said}");
+        let header = String::from_utf8_lossy(&with[..400]).into_owned();
+        assert!(header.contains(&format!("comment what: {clear}\n")), "{header}");
+    }
+    let written = |what: &str| std::fs::read(at(&format!("{what}.ply"))).unwrap();
+    assert_ne!(written("clear"), written("enhanced-clear"));
 }
 
 #[test]
@@ -339,9 +396,16 @@ fn stages_by_hand_make_the_same_scene_and_export_opens_again() {
         (&96.into(), &2.into(), &"held-out".into())
     );
     assert!(measured["modes"][0]["fps"].as_f64().unwrap() > 0.0, "{measured}");
-    let (_, err) =
-        expect(2, &["render", &one, "--cameras", &capture, "--out", &at("r"), "--modes", "enhanced"]);
-    assert!(err.contains("use3d enhance"), "{err}");
+    for mode in ["enhanced", "enhanced-clear"] {
+        let (_, err) =
+            expect(2, &["render", &one, "--cameras", &capture, "--out", &at("r"), "--modes", mode]);
+        assert!(err.contains(&format!("--modes {mode}:")) && err.contains("use3d enhance"), "{err}");
+    }
+    for water in ["1.5", "-0.1", "nan"] {
+        let flag = format!("--water={water}");
+        let (_, err) = expect(2, &["render", &one, "--cameras", &capture, "--out", &at("r"), &flag]);
+        assert!(err.contains("--water") && err.contains("expected 0 to 1"), "{err}");
+    }
     expect(
         0,
         &[

@@ -1,4 +1,7 @@
 //! A scene as a PLY that other 3D Gaussian splatting viewers open.
+//!
+//! The colours are asked for by the names of `use3d render`'s modes. A PLY holds Gaussians and no water, so a mode with water is written
+//! as the one without, said aloud and in the file's header.
 
 use clap::ValueEnum;
 use glam::{DMat3, DVec3};
@@ -15,14 +18,25 @@ use crate::error::{CliError, Done};
 pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
     check_file("--ply", &args.ply, args.replace.force, &["ply"])?;
     let scene = Scene::load(&args.scene).map_err(CliError::input)?;
-    if args.what == ExportWhat::Clear && scene.enhancement.is_some() {
+    let what = match args.what {
+        ExportWhat::Reconstruction | ExportWhat::Clear => ExportWhat::Clear,
+        ExportWhat::Enhanced | ExportWhat::EnhancedClear => ExportWhat::EnhancedClear,
+    };
+    if what == ExportWhat::Clear && scene.enhancement.is_some() {
         eprintln!(
-            "the scene is enhanced; `--what enhanced` has that in the colours, this is the radiance without water"
+            "the scene is enhanced; `--what enhanced-clear` has that in the colours, `--what clear` is stage 1's radiance"
         );
     }
-    let gaussians = match args.what {
-        ExportWhat::Clear => scene.gaussians.clone(),
-        ExportWhat::Enhanced => {
+    if what != args.what {
+        eprintln!(
+            "a PLY holds no water: instead of `{}` this is `{}`, the same without it; `use3d render` shows it with water",
+            name(&args.what),
+            name(&what)
+        );
+    }
+    let gaussians = match what {
+        ExportWhat::Reconstruction | ExportWhat::Clear => scene.gaussians.clone(),
+        ExportWhat::Enhanced | ExportWhat::EnhancedClear => {
             let (baked, report) = use3d_enhance::bake(&scene, 1.0).map_err(CliError::input)?;
             eprintln!(
                 "baked: the colour clamp is active in {:.2} % of samples; mean colour error {:.5}, there {:.5}, largest {:.4}",
@@ -46,7 +60,7 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
     };
     let comments = [
         format!("use3d {}", env!("CARGO_PKG_VERSION")),
-        format!("what: {}", name(&args.what)),
+        format!("what: {}", name(&what)),
         format!("frame: {}", name(&args.frame)),
     ];
     write_file("--ply", &args.ply, |writer| ply::write_with_comments(&gaussians, &comments, writer))?;

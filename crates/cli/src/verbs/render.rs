@@ -21,15 +21,22 @@ use crate::video::Video;
 
 pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     let modes = modes(&args.modes)?;
-    if !(0.0..=1.0).contains(&args.strength) {
-        return Err(CliError::Input(format!("--strength {}: expected 0 to 1", args.strength)));
+    for (flag, value) in [("--strength", args.strength), ("--water", args.water)] {
+        if !(0.0..=1.0).contains(&value) {
+            return Err(CliError::Input(format!("{flag} {value}: expected 0 to 1")));
+        }
     }
     let scene = Scene::load(&args.scene).map_err(CliError::input)?;
-    if modes.contains(&Mode::Enhanced) && scene.enhancement.is_none() {
+    if let (Some(mode), None) = (modes.iter().find(|mode| mode.is_enhanced()), &scene.enhancement) {
         return Err(CliError::Input(format!(
-            "--modes enhanced: {} holds no enhancement; make one with `use3d enhance`",
+            "--modes {}: {} holds no enhancement; make one with `use3d enhance`",
+            mode.name(),
             args.scene.display()
         )));
+    }
+    if args.water < 1.0 && !args.fps && !modes.iter().any(|mode| mode.shows_water()) {
+        let unchanged: Vec<&str> = modes.iter().map(|mode| mode.name()).collect();
+        eprintln!("--water {} changes nothing in {}", args.water, unchanged.join(", "));
     }
     if args.fps {
         return super::speed::run(app, args, &scene);
@@ -37,7 +44,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     let cameras = cameras(args, &scene)?;
     let files = files(&cameras, args.format)?;
     check_places(args, &modes, &files)?;
-    let mut renderer = SceneRenderer::new(&scene, args.strength).map_err(CliError::input)?;
+    let mut renderer = renderer(args, &scene)?;
     let mut video = args.video.as_deref().map(|path| Video::create(path, args.frame_rate)).transpose()?;
     let total = cameras.len() as u64;
     for (i, ((name, camera), file)) in cameras.iter().zip(&files).enumerate() {
@@ -84,6 +91,12 @@ fn modes(names: &[String]) -> Result<Vec<Mode>, CliError> {
             .ok_or_else(|| CliError::Input(format!("--modes {name}: expected some of {known}")))
     };
     names.iter().map(find).collect()
+}
+
+/// The scene, ready to be drawn as asked for.
+pub(crate) fn renderer<'s>(args: &RenderArgs, scene: &'s Scene) -> Result<SceneRenderer<'s>, CliError> {
+    let renderer = SceneRenderer::new(scene, args.strength).map_err(CliError::input)?;
+    renderer.with_water(args.water).map_err(CliError::input)
 }
 
 /// The cameras asked for, in the scene's frame.

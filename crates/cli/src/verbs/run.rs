@@ -223,11 +223,22 @@ fn deliver(app: &App, summary: &Summary, out: &Path, silent: bool) -> Done {
         }
         for node in summary.nodes.iter().filter(|n| n.stage == "evaluate") {
             let Some(artifact) = &node.artifact else { continue };
-            let scores = read_json::<SceneScores>(&artifact.path.join(SCORES)).ok();
-            let psnr = scores.and_then(|s| s.mean(Method::Reconstruction, "psnr").and_then(|s| s.value()));
-            if let Some(psnr) = psnr {
-                let of = node.label.trim_end_matches(" · evaluate");
+            let Ok(scores) = read_json::<SceneScores>(&artifact.path.join(SCORES)) else { continue };
+            let of = node.label.trim_end_matches(" · evaluate");
+            let mean = |method, metric| scores.mean(method, metric).and_then(|s| s.value());
+            if let Some(psnr) = mean(Method::Reconstruction, "psnr") {
                 println!("{of}: views that no training saw are reconstructed at {psnr:.2} dB PSNR");
+            }
+            let against_truth: Vec<String> = [
+                (Method::Captured, "photographs"),
+                (Method::Proposal, "2D enhancer"),
+                (Method::EnhancedClear, "enhanced-clear"),
+            ]
+            .into_iter()
+            .filter_map(|(method, name)| Some(format!("{name} {:.2} dB", mean(method, "truth_psnr")?)))
+            .collect();
+            if !against_truth.is_empty() {
+                println!("{of}: against the true scene without water: {}", against_truth.join(", "));
             }
         }
     }

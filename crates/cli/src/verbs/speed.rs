@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 use use3d_capture::{Camera, FileName};
-use use3d_pipeline::rendering::{Mode, SceneRenderer};
+use use3d_pipeline::rendering::Mode;
 use use3d_pipeline::speed::{Speed, measure};
 use use3d_scene::Scene;
 
@@ -10,7 +10,7 @@ use crate::App;
 use crate::args::RenderArgs;
 use crate::error::{CliError, Done};
 use crate::interrupt;
-use crate::verbs::render::{cameras, held_out};
+use crate::verbs::render::{cameras, held_out, renderer};
 use crate::verbs::run::json;
 
 /// The figures and what they were measured on.
@@ -40,10 +40,10 @@ pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene) -> Done {
     let any = given.iter().any(|(name, _)| is_held_out(name));
     let chosen: Vec<Camera> =
         given.iter().filter(|(name, _)| !any || is_held_out(name)).map(|(_, camera)| *camera).collect();
-    let mut renderer = SceneRenderer::new(scene, args.strength).map_err(CliError::input)?;
+    let mut renderer = renderer(args, scene)?;
     let mut modes = vec![Mode::Reconstruction];
     if renderer.is_enhanced() {
-        modes.push(Mode::Enhanced);
+        modes.extend([Mode::Enhanced, Mode::EnhancedClear]);
     }
     let mut speeds = Vec::new();
     for mode in modes {
