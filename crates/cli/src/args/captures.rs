@@ -1,0 +1,84 @@
+//! Captures: synthetic ones, and what water one was taken in.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+
+use super::shared::Settings;
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Synth {
+    /// A swim over a procedural reef: images, COLMAP model, and the truth.
+    #[command(
+        after_help = "Examples:\n  use3d synth capture --out reef/ --views 48 --size 640x360 --water 3C --seed 1\n  \
+        use3d synth capture --out dive/ --physics spectral --water II --depth 10 --auto-exposure 1 --fish 3"
+    )]
+    Capture(SynthCaptureArgs),
+    /// Clean and underwater images of the same places, to train a calibrator on.
+    #[command(after_help = "Example:\n  use3d synth pairs --out pairs/ --views 96")]
+    Pairs(SynthArgs),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct SynthArgs {
+    /// Where it goes.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+    /// Everything random follows from it.
+    #[arg(long, default_value_t = 42, value_name = "N")]
+    pub(crate) seed: u64,
+    /// Number of views or pairs.
+    #[arg(long, value_name = "N")]
+    pub(crate) views: Option<usize>,
+    /// Image size.
+    #[arg(long, value_name = "WxH")]
+    pub(crate) size: Option<String>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct SynthCaptureArgs {
+    #[command(flatten)]
+    pub(crate) common: SynthArgs,
+    /// Water type (Jerlov): I, IA, IB, II, III, 1C, 3C, 5C, 7C, 9C; with --physics spectral also `air`.
+    #[arg(long, value_name = "TYPE")]
+    pub(crate) water: Option<String>,
+    /// Image formation: `display` is the method's own, on display values; `spectral` is not: wavelengths in linear light, a
+    /// camera that sets itself for every view.
+    #[arg(long, value_name = "NAME", default_value = "display")]
+    pub(crate) physics: String,
+    /// Depth below the surface, metres, 0 to 60.
+    #[arg(long, value_name = "M")]
+    pub(crate) depth: Option<f32>,
+    /// Share of the colour cast that the camera removes, 0 to 1.
+    #[arg(long, value_name = "SHARE")]
+    pub(crate) white_balance: Option<f32>,
+    /// Sensor noise of a middle tone, 0 to 0.2 of display range.
+    #[arg(long, value_name = "SIGMA")]
+    pub(crate) noise: Option<f32>,
+    /// Spectral: how far exposure and white balance are set for each view on its own, 0 to 1.
+    #[arg(long, value_name = "SHARE")]
+    pub(crate) auto_exposure: Option<f32>,
+    /// Spectral: two lamps at the camera, their light a metre ahead in units of daylight at the surface, 0 to 20.
+    #[arg(long, value_name = "LIGHT")]
+    pub(crate) lamps: Option<f32>,
+    /// Spectral: marine snow before the lens, 0 to 1.
+    #[arg(long, value_name = "AMOUNT")]
+    pub(crate) snow: Option<f32>,
+    /// Spectral: fish in every view, hidden by masks.
+    #[arg(long, value_name = "N")]
+    pub(crate) fish: Option<usize>,
+    /// Write no depth priors (they are made from the true depth).
+    #[arg(long)]
+    pub(crate) no_depth_priors: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct WaterArgs {
+    /// The capture folder; its COLMAP model must hold tracks.
+    pub(crate) capture: PathBuf,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+}

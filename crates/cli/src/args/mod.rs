@@ -1,0 +1,177 @@
+//! The words of the command line: the command and its verbs here, what each verb takes by family below.
+
+mod captures;
+mod pictures;
+mod pipelines;
+mod shared;
+mod stages;
+mod upkeep;
+
+use clap::{Parser, Subcommand};
+
+pub(crate) use captures::{Synth, SynthArgs, SynthCaptureArgs, WaterArgs};
+pub(crate) use pictures::{CameraPath, ExportArgs, ExportFrame, ExportWhat, FrameFormat, RenderArgs};
+pub(crate) use pipelines::{DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, RunArgs, WhyArgs};
+pub(crate) use shared::{CacheArgs, CalibrationArgs, Replace, Settings, StageSettings};
+pub(crate) use stages::{
+    CalibrateArgs, EnhanceArgs, EvaluateArgs, ImportArgs, ReconstructArgs, TableFormat, TargetsArgs,
+};
+pub(crate) use upkeep::{CompletionsArgs, GcArgs, ManArgs, ModelsArgs, ParamsArgs, VerifyArgs};
+
+use shared::count;
+
+/// Underwater 3D scenes that look clear, from any viewpoint, reproducibly.
+///
+/// Reconstructs a scene together with its water, learns from image pairs what "enhanced" means, and stores that
+/// enhancement in the scene itself, so that every new view comes out enhanced and consistent.
+#[derive(Debug, Parser)]
+#[command(
+    name = "use3d",
+    version,
+    max_term_width = 110,
+    subcommand_required = true,
+    arg_required_else_help = true
+)]
+#[command(
+    after_help = "Start with `use3d demo`, then `use3d run CAPTURE_DIR` on your own COLMAP folder.\n\n\
+    Exit codes: 0 done; 1 a stage failed; 2 wrong usage or bad input; 130 interrupted."
+)]
+pub(crate) struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub(crate) verb: Verb,
+    /// Say more (-v: details, -vv: everything).
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub(crate) verbose: u8,
+    /// Say only what went wrong.
+    #[arg(short, long, global = true)]
+    pub(crate) quiet: bool,
+    /// Threads to compute with (default: all cores). Never changes a result.
+    #[arg(long, global = true, value_name = "N", env = "USE3D_THREADS", value_parser = count(MAX_THREADS))]
+    pub(crate) threads: Option<usize>,
+}
+
+/// More threads than any one machine has cores; each costs memory of its own.
+const MAX_THREADS: u64 = 1024;
+
+/// The verbs.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Verb {
+    /// A synthetic underwater capture, then the whole pipeline on it, then the report.
+    #[command(after_help = "Examples:\n  use3d demo\n  use3d demo --size full --out ~/use3d-demo\n  \
+        use3d demo --set reconstruct.iterations=300 --set enhance.iterations=100    only to see it run")]
+    Demo(DemoArgs),
+    /// Run a pipeline file, or the whole pipeline with defaults on one capture folder.
+    #[command(
+        after_help = "Examples:\n  use3d run my-reef/                      results in ./use3d-out/my-reef\n  \
+        use3d run pipelines/seathru4.toml --jobs 2 --keep-going\n  \
+        use3d run pipelines/seathru4.toml --scene Panama --until reconstruct\n  \
+        use3d run my-reef/ --set reconstruct.iterations=3000 --set import.size=640x360\n  \
+        use3d run my-reef/ --pairs uieb/raw-890 uieb/reference-890"
+    )]
+    Run(RunArgs),
+    /// What would run, what is cached, why, and the forecast cost.
+    #[command(after_help = "Examples:\n  use3d plan pipelines/seathru4.toml\n  use3d plan my-reef/ --json")]
+    Plan(PlanArgs),
+    /// Scene × stage table: cached, stale, missing or failed.
+    #[command(after_help = "Example:\n  use3d status pipelines/seathru4.toml")]
+    Status(PlanArgs),
+    /// Which ingredient of a stage's key changed, with its old and new value.
+    #[command(after_help = "Example:\n  use3d why pipelines/seathru4.toml Panama enhance")]
+    Why(WhyArgs),
+    /// The pipeline's graph with its states, as Mermaid or SVG.
+    #[command(after_help = "Example:\n  use3d graph pipelines/seathru4.toml --format svg > graph.svg")]
+    Graph(GraphArgs),
+    /// Read a COLMAP folder: find model and images, undistort, resize, normalise, split.
+    #[command(after_help = "Examples:\n  use3d import my-reef/ --out prepared/\n  \
+        use3d import my-reef/ --out prepared/ --set size=1400x933 --set image_dir=images_wb")]
+    Import(ImportArgs),
+    /// Stage 1: reconstruct the scene with its water.
+    #[command(after_help = "Examples:\n  use3d reconstruct my-reef/ --out scene/\n  \
+        use3d reconstruct my-reef/ --out scene/ --set iterations=3000 --set medium=rbf --set image_dir=images_2")]
+    Reconstruct(ReconstructArgs),
+    /// Learn from image pairs what "enhanced" means.
+    #[command(
+        after_help = "Examples:\n  use3d calibrate --input uieb/raw-890 --target uieb/reference-890 --out calibrator.safetensors\n  \
+        use3d calibrate --input a/ --target b/ --out c.safetensors --proposer fusion"
+    )]
+    Calibrate(CalibrateArgs),
+    /// Build the scene-global and Gaussian-local targets (appearance transition consensus).
+    #[command(
+        after_help = "Example:\n  use3d targets scene/ my-reef/ --calibrator calibrator.safetensors --out targets.safetensors"
+    )]
+    Targets(TargetsArgs),
+    /// Stage 2: store the enhancement in the scene.
+    #[command(
+        after_help = "Example:\n  use3d enhance scene/ my-reef/ --targets targets.safetensors --out enhanced-scene/"
+    )]
+    Enhance(EnhanceArgs),
+    /// Score a scene on its held-out views, or plain folders of images.
+    #[command(
+        after_help = "Examples:\n  use3d evaluate enhanced-scene/ my-reef/\n  use3d evaluate --images renders/ --reference photos/ --format csv"
+    )]
+    Evaluate(EvaluateArgs),
+    /// Render a scene from given cameras.
+    #[command(
+        after_help = "Examples:\n  use3d render scene/ --cameras my-reef/ --out renders/ --modes reconstruction,clear,depth\n  \
+        use3d render enhanced-scene/ --cameras my-reef/ --path spiral --frames 120 --modes enhanced-clear --video swim.mp4\n  \
+        use3d render enhanced-scene/ --cameras my-reef/ --out half/ --modes enhanced --water 0.5\n  \
+        use3d render enhanced-scene/ --cameras my-reef/ --fps"
+    )]
+    Render(RenderArgs),
+    /// Write a scene as a 3D Gaussian splatting PLY for other viewers.
+    #[command(
+        after_help = "Example:\n  use3d export enhanced-scene/ --ply reef.ply --what enhanced-clear --frame colmap"
+    )]
+    Export(ExportArgs),
+    /// Make synthetic underwater data with known truth.
+    Synth {
+        /// What to make.
+        #[command(subcommand)]
+        what: Synth,
+    },
+    /// What water a capture was taken in: attenuation, backscatter and veil from its sparse points, with error bars.
+    #[command(
+        after_help = "Examples:\n  use3d water my-reef/\n  use3d water my-reef/ --set image_dir=images_2 --json"
+    )]
+    Water(WaterArgs),
+    /// Networks trained by others: which files are looked for, found or missing, licence, where to get them.
+    #[command(after_help = "Example:\n  use3d models --dir ~/use3d-models")]
+    Models(ModelsArgs),
+    /// Remove what is cheapest to make again from the cache.
+    #[command(after_help = "Examples:\n  use3d gc --max-bytes 50GB --dry-run\n  use3d gc --older-than 30d")]
+    Gc(GcArgs),
+    /// Check the cache's files against their digests, and optionally recompute a sample.
+    #[command(after_help = "Examples:\n  use3d verify\n  use3d verify pipelines/demo.toml --sample 5%")]
+    Verify(VerifyArgs),
+    /// Every parameter that `--set` and pipeline files know: default, range, meaning.
+    #[command(after_help = "Examples:\n  use3d params\n  use3d params reconstruct\n  use3d params --json")]
+    Params(ParamsArgs),
+    /// Completions of this command for a shell, on stdout.
+    #[command(
+        after_help = "Example:\n  use3d completions bash > ~/.local/share/bash-completion/completions/use3d"
+    )]
+    Completions(CompletionsArgs),
+    /// Man pages of this command, one per verb, from the same texts as --help.
+    #[command(after_help = "Example:\n  use3d man --out ~/.local/share/man/man1")]
+    Man(ManArgs),
+}
+
+impl Verb {
+    /// Whether one JSON document is expected on stdout.
+    pub(crate) fn wants_json(&self) -> bool {
+        match self {
+            Self::Run(args) => args.json,
+            Self::Plan(args) | Self::Status(args) => args.json,
+            Self::Why(args) => args.json,
+            Self::Evaluate(args) => args.json || args.format == TableFormat::Json,
+            Self::Render(args) => args.json,
+            Self::Models(args) => args.json,
+            Self::Gc(args) => args.json,
+            Self::Verify(args) => args.json,
+            Self::Params(args) => args.json,
+            Self::Water(args) => args.json,
+            _ => false,
+        }
+    }
+}

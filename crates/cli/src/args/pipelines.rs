@@ -1,0 +1,129 @@
+//! Whole pipelines: run, plan, status, why, graph, and the demo.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+
+use super::shared::{CacheArgs, CalibrationArgs, Settings, count};
+
+/// More stages side by side than any one machine has memory for.
+const MAX_JOBS: u64 = 256;
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum DemoSize {
+    /// A few minutes on two cores.
+    #[default]
+    Small,
+    /// The demo at the size of a real capture.
+    Full,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct DemoArgs {
+    /// Where the capture, the results and the report go.
+    #[arg(long, default_value = "use3d-out/demo", value_name = "DIR")]
+    pub(crate) out: PathBuf,
+    /// How large the pictures are, and how long the training.
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) size: DemoSize,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+    #[command(flatten)]
+    pub(crate) cache: CacheArgs,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct RunArgs {
+    /// A pipeline file (.toml) or a capture folder.
+    #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
+    pub(crate) target: PathBuf,
+    /// Only this scene; may be repeated.
+    #[arg(long, value_name = "NAME")]
+    pub(crate) scene: Vec<String>,
+    /// Stop after this stage.
+    #[arg(long, value_name = "STAGE")]
+    pub(crate) until: Option<String>,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+    /// Stages to run side by side, within the cores and memory there are.
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = count(MAX_JOBS))]
+    pub(crate) jobs: usize,
+    /// Go on with the other scenes when one fails.
+    #[arg(long)]
+    pub(crate) keep_going: bool,
+    /// Only say what would run (the same as `use3d plan`).
+    #[arg(long)]
+    pub(crate) dry_run: bool,
+    /// Where results go (default: ./use3d-out/NAME). Results of earlier runs there are brought up to date; what is not a result
+    /// of this program is never replaced.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) calibration: CalibrationArgs,
+    #[command(flatten)]
+    pub(crate) cache: CacheArgs,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct PlanArgs {
+    /// A pipeline file (.toml) or a capture folder.
+    #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
+    pub(crate) target: PathBuf,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+    #[command(flatten)]
+    pub(crate) calibration: CalibrationArgs,
+    #[command(flatten)]
+    pub(crate) cache: CacheArgs,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct WhyArgs {
+    /// A pipeline file (.toml) or a capture folder.
+    #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
+    pub(crate) target: PathBuf,
+    /// The scene's name.
+    pub(crate) scene: String,
+    /// The stage's name.
+    pub(crate) stage: String,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+    #[command(flatten)]
+    pub(crate) calibration: CalibrationArgs,
+    #[command(flatten)]
+    pub(crate) cache: CacheArgs,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum GraphFormat {
+    /// Text that many pages draw.
+    #[default]
+    Mermaid,
+    /// A picture.
+    Svg,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct GraphArgs {
+    /// A pipeline file (.toml) or a capture folder.
+    #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
+    pub(crate) target: PathBuf,
+    /// How to draw it.
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) format: GraphFormat,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+    #[command(flatten)]
+    pub(crate) calibration: CalibrationArgs,
+    #[command(flatten)]
+    pub(crate) cache: CacheArgs,
+}

@@ -1,0 +1,72 @@
+//! What several verbs take.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use clap::builder::{RangedU64ValueParser, TypedValueParser};
+
+/// `--set` of a whole pipeline.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct Settings {
+    /// Set a parameter of a stage, e.g. `reconstruct.iterations=3000`; may be repeated. `use3d params` lists them.
+    #[arg(long = "set", value_name = "STAGE.PARAMETER=VALUE")]
+    pub(crate) set: Vec<String>,
+}
+
+/// `--set` of one stage.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct StageSettings {
+    /// Set a parameter of this stage, or `STAGE.PARAMETER` of one that it needs; may be repeated. `use3d params` lists
+    /// them.
+    #[arg(long = "set", value_name = "PARAMETER=VALUE")]
+    pub(crate) set: Vec<String>,
+}
+
+/// What "enhanced" is learnt from, on the command line.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct CalibrationArgs {
+    /// Learn from these pairs: two folders of images with equal file stems (they win over the pipeline file's).
+    #[arg(long, num_args = 2, value_names = ["INPUT", "TARGET"], conflicts_with = "calibrator")]
+    pairs: Vec<PathBuf>,
+    /// Use this finished calibrator: `use3d calibrate`'s, or the authors' transition_calibrator.pth. Nothing is learnt then.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) calibrator: Option<PathBuf>,
+}
+
+impl CalibrationArgs {
+    /// The two folders of pairs, if they were given.
+    pub(crate) fn pairs(&self) -> Option<(PathBuf, PathBuf)> {
+        match self.pairs.as_slice() {
+            [input, target] => Some((input.clone(), target.clone())),
+            _ => None,
+        }
+    }
+}
+
+/// The cache.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct CacheArgs {
+    /// The cache folder (default: the pipeline's, or ~/.cache/use3d).
+    #[arg(long, env = "USE3D_CACHE", value_name = "DIR")]
+    pub(crate) cache: Option<PathBuf>,
+    /// The models folder (default: the pipeline's, or ./models).
+    #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
+    pub(crate) models: Option<PathBuf>,
+    /// Read every input again instead of trusting unchanged sizes and times.
+    #[arg(long)]
+    pub(crate) rehash: bool,
+}
+
+/// What may be replaced.
+#[derive(Clone, Copy, Debug, Default, Args)]
+pub(crate) struct Replace {
+    /// Replace an earlier result in the same place. Only what this program wrote is ever replaced.
+    #[arg(long)]
+    pub(crate) force: bool,
+}
+
+/// A whole number from 1 to `most`.
+pub(crate) fn count(most: u64) -> impl TypedValueParser<Value = usize> {
+    // `most` fits wherever a `usize` has 32 bits.
+    RangedU64ValueParser::<u64>::new().range(1..=most).map(|n| n as usize)
+}

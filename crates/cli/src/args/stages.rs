@@ -1,0 +1,153 @@
+//! One stage by hand.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+
+use super::shared::{Replace, StageSettings};
+
+#[derive(Debug, Args)]
+pub(crate) struct ImportArgs {
+    /// The capture folder.
+    pub(crate) capture: PathBuf,
+    /// Where the prepared capture goes.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+    #[command(flatten)]
+    pub(crate) settings: StageSettings,
+    #[command(flatten)]
+    pub(crate) replace: Replace,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct ReconstructArgs {
+    /// The capture folder.
+    pub(crate) capture: PathBuf,
+    /// Where the scene goes.
+    #[arg(long, value_name = "SCENE_DIR")]
+    pub(crate) out: PathBuf,
+    /// The models folder, for `--set images=proposed` and `--set depth_prior=depth-anything-v2`.
+    #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
+    pub(crate) models: Option<PathBuf>,
+    /// Print where a step's time goes: milliseconds and share of each part. Never stored.
+    #[arg(long)]
+    pub(crate) profile: bool,
+    #[command(flatten)]
+    pub(crate) settings: StageSettings,
+    #[command(flatten)]
+    pub(crate) replace: Replace,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct CalibrateArgs {
+    /// Underwater images.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) input: PathBuf,
+    /// Their enhanced counterparts, with equal file stems.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) target: PathBuf,
+    /// The calibrator file.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: PathBuf,
+    /// The 2D enhancer that proposes: `nu2net` or `fusion` (default: nu2net when its weights are there).
+    #[arg(long, value_name = "NAME")]
+    pub(crate) proposer: Option<String>,
+    /// The models folder.
+    #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
+    pub(crate) models: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) settings: StageSettings,
+    #[command(flatten)]
+    pub(crate) replace: Replace,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct TargetsArgs {
+    /// The reconstructed scene.
+    #[arg(value_name = "SCENE_DIR")]
+    pub(crate) scene: PathBuf,
+    /// The capture it was made from.
+    #[arg(value_name = "CAPTURE_DIR")]
+    pub(crate) capture: PathBuf,
+    /// The calibrator file.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) calibrator: PathBuf,
+    /// The targets file.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: PathBuf,
+    /// The models folder.
+    #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
+    pub(crate) models: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) settings: StageSettings,
+    #[command(flatten)]
+    pub(crate) replace: Replace,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct EnhanceArgs {
+    /// The reconstructed scene.
+    #[arg(value_name = "SCENE_DIR")]
+    pub(crate) scene: PathBuf,
+    /// The capture it was made from.
+    #[arg(value_name = "CAPTURE_DIR")]
+    pub(crate) capture: PathBuf,
+    /// The targets file.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) targets: PathBuf,
+    /// Where the enhanced scene goes.
+    #[arg(long, value_name = "SCENE_DIR2")]
+    pub(crate) out: PathBuf,
+    /// The models folder, for `--set objective=pseudo-labels` with a network's targets.
+    #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
+    pub(crate) models: Option<PathBuf>,
+    /// Print where a step's time goes: milliseconds and share of each part. Never stored.
+    #[arg(long)]
+    pub(crate) profile: bool,
+    #[command(flatten)]
+    pub(crate) settings: StageSettings,
+    #[command(flatten)]
+    pub(crate) replace: Replace,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum TableFormat {
+    /// A table for people.
+    #[default]
+    Table,
+    /// Comma-separated values.
+    Csv,
+    /// JSON.
+    Json,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct EvaluateArgs {
+    /// The scene to score.
+    #[arg(value_name = "SCENE_DIR", required_unless_present = "images", requires = "capture")]
+    pub(crate) scene: Option<PathBuf>,
+    /// The capture whose held-out views are scored.
+    #[arg(value_name = "CAPTURE_DIR")]
+    pub(crate) capture: Option<PathBuf>,
+    /// Compare neighbouring views by the depth of this scene (stage 1 of the same capture) instead of the scene's own, so that
+    /// several scenes are judged by the same pixels.
+    #[arg(long, value_name = "SCENE_DIR", conflicts_with = "images")]
+    pub(crate) warp_by: Option<PathBuf>,
+    /// Score a plain folder of images instead.
+    #[arg(long, value_name = "DIR", conflicts_with = "scene")]
+    pub(crate) images: Option<PathBuf>,
+    /// What the images are compared with, by equal file stems.
+    #[arg(long, value_name = "DIR", requires = "images")]
+    pub(crate) reference: Option<PathBuf>,
+    /// The models folder.
+    #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
+    pub(crate) models: Option<PathBuf>,
+    /// How to print the scores.
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) format: TableFormat,
+    /// The same as `--format json`.
+    #[arg(long)]
+    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) settings: StageSettings,
+}

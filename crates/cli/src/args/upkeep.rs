@@ -1,0 +1,78 @@
+//! The cache, the models folder, and the command itself.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::shared::{CacheArgs, CalibrationArgs};
+
+#[derive(Debug, Args)]
+pub(crate) struct ModelsArgs {
+    /// The folder to look in.
+    #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
+    pub(crate) dir: Option<PathBuf>,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct GcArgs {
+    /// Keep the cache below this size, e.g. 50GB.
+    #[arg(long, value_name = "SIZE")]
+    pub(crate) max_bytes: Option<String>,
+    /// Remove what was not used for this long, e.g. 30d.
+    #[arg(long, value_name = "AGE")]
+    pub(crate) older_than: Option<String>,
+    /// Never touch what these pipelines use.
+    #[arg(long = "keep", value_name = "PIPELINE.toml")]
+    pub(crate) keep: Vec<PathBuf>,
+    /// Only say what would go.
+    #[arg(long)]
+    pub(crate) dry_run: bool,
+    #[command(flatten)]
+    pub(crate) cache: CacheArgs,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct VerifyArgs {
+    /// The pipeline whose stages may be recomputed (needed for --sample).
+    #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
+    pub(crate) target: Option<PathBuf>,
+    /// Recompute this share of the stages and compare, e.g. 5%.
+    #[arg(long, value_name = "SHARE")]
+    pub(crate) sample: Option<String>,
+    #[command(flatten)]
+    pub(crate) calibration: CalibrationArgs,
+    #[command(flatten)]
+    pub(crate) cache: CacheArgs,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct ParamsArgs {
+    /// Only this stage.
+    pub(crate) stage: Option<String>,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct CompletionsArgs {
+    /// The shell.
+    #[arg(value_enum)]
+    pub(crate) shell: clap_complete::Shell,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct ManArgs {
+    /// The folder to write to, e.g. ~/.local/share/man/man1.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+}
