@@ -8,7 +8,7 @@ use use3d_atc::consensus::{Proposals, Recorder, TargetsParams, ViewInput, target
 use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::progress::unwatched;
 use use3d_atc::proposers::{Fusion, Proposer};
-use use3d_capture::{Camera, Image, Intrinsics, Pose};
+use use3d_capture::{Appearance, Camera, Image, Intrinsics, Pose};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::Gaussians;
@@ -62,8 +62,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     let started = Instant::now();
     let params = TargetsParams::default();
-    let (_, report) =
-        targets_from_records(&gaussians, &records, Fusion.id(), &calibrator, &params, &mut unwatched)?;
+    let (_, report) = targets_from_records(
+        &gaussians,
+        &records,
+        Appearance::Water,
+        Fusion.id(),
+        &calibrator,
+        &params,
+        &mut unwatched,
+    )?;
     println!(
         "{VIEWS} views of {}x{}, {GAUSSIANS} Gaussians ({} supported): proposals and transitions {proposing:.1} s, consensus {:.1} s",
         SIZE.0,

@@ -13,7 +13,7 @@ use use3d_atc::consensus::{
 };
 use use3d_atc::progress::unwatched;
 use use3d_atc::proposers::{Fusion, Proposer};
-use use3d_capture::{SparsePoint, View};
+use use3d_capture::{Appearance, SparsePoint, View};
 use use3d_io_colmap::{ImportParams, import, load_pixels};
 use use3d_io_image::{write_png, write_png_map};
 use use3d_numerics::math;
@@ -75,15 +75,23 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         Ok(input)
     };
     let started = Instant::now();
+    let proposals = Proposals::From(&Fusion);
     let mut recorder = Recorder::new();
     let mut records: Vec<ViewRecord> = Vec::new();
     for view in &views {
-        records.push(recorder.record(&load(view)?, Proposals::From(&Fusion), &calibrator)?);
+        records.push(recorder.record(&load(view)?, proposals, &calibrator)?);
     }
     let extracted = started.elapsed();
     let params = TargetsParams::default();
-    let (targets, report) =
-        targets_from_records(&scene, &records, Fusion.id(), &calibrator, &params, &mut unwatched)?;
+    let (targets, report) = targets_from_records(
+        &scene,
+        &records,
+        Appearance::Water,
+        Fusion.id(),
+        &calibrator,
+        &params,
+        &mut unwatched,
+    )?;
     println!(
         "{} views, {} Gaussians, {} supported: {:.1} s (loading images {:.1} s, extraction {:.1} s, lifting {:.1} s)",
         views.len(),
@@ -97,8 +105,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("dispersion {:.4} (norm over 30 responses)", report.dispersion);
     println!("scene operator {:.3?}", targets.scene);
     let params = TargetsParams { measure_order: true, ..params };
-    let (_, shuffled) =
-        targets_from_records(&scene, &records, Fusion.id(), &calibrator, &params, &mut unwatched)?;
+    let (_, shuffled) = targets_from_records(
+        &scene,
+        &records,
+        Appearance::Water,
+        Fusion.id(),
+        &calibrator,
+        &params,
+        &mut unwatched,
+    )?;
     println!("shuffled views: {:?}", shuffled.order);
 
     std::fs::create_dir_all(out)?;
@@ -106,7 +121,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for v in (0..views.len()).step_by(views.len().div_ceil(4)) {
         let input = load(views[v])?;
         let preview =
-            Preview::new(&scene, &input, &records[v], &Fusion, &calibrator, &targets, &mut rasterizer)?;
+            Preview::new(&scene, &input, &records[v], proposals, &calibrator, &targets, &mut rasterizer)?;
         let name = input.name.replace('/', "_");
         write_png(&Path::new(out).join(format!("{name}.png")), &preview.sheet())?;
         write_png_map(&Path::new(out).join(format!("{name}_support.png")), &preview.support)?;

@@ -10,6 +10,7 @@
 //! * Colours are display-referred, `[0, 1]`, the PNG value over 255; they are never linearised.
 //! * Lengths are in scene units (COLMAP's, or normalised by [`Frame`]); never metric.
 
+mod appearance;
 mod camera;
 mod capture;
 mod lattice;
@@ -18,6 +19,7 @@ pub mod path;
 mod raster;
 mod track;
 
+pub use appearance::Appearance;
 pub use camera::{Camera, CameraError, Frame, Intrinsics, Pose};
 pub use capture::{Capture, CaptureError, Pixels, SparsePoint, Split, View};
 pub use lattice::{Lattice, MediumMaps, world_direction};

@@ -109,6 +109,44 @@ fn the_authors_calibrator_serves_a_whole_run_and_by_hand() {
     }
 }
 
+/// From stage 1's own knowledge of the scene: a whole run and by hand, without a calibrator, and what does not go together is said.
+#[test]
+fn a_scene_proposes_for_itself_in_clear_radiance() {
+    let dir = place();
+    let at = dir.path();
+    let own = ["--set", "targets.proposer=scene"];
+    let run = ["-q", "run", "reef", "--out", "out"];
+    let (out, _) = expect(0, at, &[&run[..], &QUICK, &own].concat());
+    // Neither pairs nor a fit: import, reconstruct, targets, enhance, render, evaluate, report.
+    assert!(out.contains("reef: 7 done, 0 cached"), "{out}");
+    let page = std::fs::read_to_string(at.join("out/report.html")).expect("the report");
+    assert!(page.contains("proposed by `scene`; not calibrated"), "the report says what was done");
+    let read = |path: &str| -> serde_json::Value {
+        let bytes = std::fs::read(at.join(path)).expect("a file");
+        serde_json::from_slice(&bytes).expect("JSON")
+    };
+    assert_eq!(read("out/reef/scene/scene.json")["enhancement"]["appearance"], "clear");
+
+    let hand = ["targets", "out/reef/scene", "reef", "--out", "t.safetensors"];
+    let (_, err) = expect(0, at, &[&hand[..], &["--set", "proposer=scene"]].concat());
+    assert!(err.contains("proposer: scene, in clear radiance, not calibrated: "), "{err}");
+    let (_, err) = expect(2, at, &[&hand[..], &["--force"]].concat());
+    assert!(err.contains("--set proposer=scene"), "{err}");
+    let (_, err) = expect(
+        2,
+        at,
+        &[&hand[..], &["--force", "--set", "proposer=scene", "--calibrator", RELEASED]].concat(),
+    );
+    assert!(err.contains("leave one of the two out"), "{err}");
+    let enhance = ["enhance", "out/reef/scene", "reef", "--targets", "t.safetensors", "--out", "e", "--set"];
+    let (_, err) = expect(0, at, &[&enhance[..], &["iterations=3"]].concat());
+    assert!(err.contains("learnt in clear radiance"), "{err}");
+    let (_, err) = expect(2, at, &[&enhance[..], &["objective=pseudo-labels", "--force"]].concat());
+    assert!(err.contains("these targets are in clear radiance"), "{err}");
+    let (out, _) = expect(1, at, &[&run[..], &QUICK, &own, &["--calibrator", RELEASED]].concat());
+    assert!(out.contains("leave one of the two out"), "{out}");
+}
+
 #[test]
 fn a_calibrator_of_our_own_serves_a_pipeline_and_a_scene_of_it() {
     let dir = place();

@@ -4,7 +4,7 @@
 //! every buffer, so that a step allocates nothing once the largest view was seen.
 
 use use3d_atc::extractor::{Affine, Workspace};
-use use3d_capture::{Image, MediumMaps};
+use use3d_capture::{Appearance, Image, MediumMaps};
 use use3d_scene::Scene;
 use use3d_splat::{Options, Rasterizer, Rendered};
 use use3d_training::{Observer, Profile};
@@ -253,8 +253,10 @@ impl<'a> Engine<'a> {
         if let Guidance::Targets(targets) = guidance {
             targets.check_scene(&scene.gaussians)?;
         }
+        let appearance = guidance.appearance();
+        // The water asks at the cameras, and so near the anchors; clear radiance is asked for at the Gaussians alone.
         let anchors = match &scene.medium {
-            use3d_medium::MediumModel::Rbf(rbf) => rbf.centers.as_slice(),
+            use3d_medium::MediumModel::Rbf(rbf) if appearance == Appearance::Water => rbf.centers.as_slice(),
             _ => &[],
         };
         let bounds = FieldBox::of_scene(&scene.gaussians.means, anchors);
@@ -291,7 +293,7 @@ impl<'a> Engine<'a> {
             goals: Goals::new(guidance, params),
             field,
             views: constants,
-            store: Store { scene, lookups, kept, spare: None },
+            store: Store { scene, appearance, lookups, kept, spare: None },
         })
     }
 
@@ -384,6 +386,11 @@ impl<'a> Engine<'a> {
         &self.step.rendered
     }
 
+    /// What pictures are compared in.
+    pub(crate) fn appearance(&self) -> Appearance {
+        self.store.appearance
+    }
+
     /// Prepares views as the extractor reads an image, every pixel that it weighs.
     pub(crate) fn whole<'s>(&self, guidance: Guidance<'s>) -> Preparer<'s>
     where
@@ -403,6 +410,7 @@ impl<'a> Engine<'a> {
 /// The large constants of views: those that are kept, and the last one made besides.
 struct Store<'a> {
     scene: &'a Scene,
+    appearance: Appearance,
     lookups: Lookups,
     kept: Vec<Option<Frozen>>,
     spare: Option<(usize, Frozen)>,
@@ -417,7 +425,10 @@ impl Store<'_> {
         let made = match self.spare.take() {
             Some((of, frozen)) if of == index => frozen,
             // Trimmed like the kept ones: the same Gaussians in the same order give the same bits.
-            _ => Frozen::new(self.scene, &self.lookups, &view.camera, &view.lattice, Some(rasterizer)),
+            _ => {
+                let Self { scene, appearance, lookups, .. } = self;
+                Frozen::new(scene, *appearance, lookups, &view.camera, &view.lattice, Some(rasterizer))
+            }
         };
         &mut self.spare.insert((index, made)).1
     }

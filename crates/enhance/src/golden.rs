@@ -7,7 +7,7 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 use use3d_atc::consensus::ViewTarget;
 use use3d_atc::extractor::{ExtractorSettings, Form, Geometry, Source};
-use use3d_capture::{Camera, Image, Intrinsics, MediumMaps, Pose};
+use use3d_capture::{Appearance, Camera, Image, Intrinsics, MediumMaps, Pose};
 use use3d_golden::{Case, Part};
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Colors, Gaussians, Options, Prepared, Rasterizer, Rendered, view_colors};
@@ -37,7 +37,7 @@ fn image(case: &Case<'_>, name: &str) -> Image {
 }
 
 impl Example {
-    fn new(case: &Case<'_>) -> Self {
+    fn new(case: &Case<'_>, appearance: Appearance) -> Self {
         let sh = case.rows::<48>("in.sh");
         let gaussians = Gaussians {
             sh_degree: case.count("sh_degree"),
@@ -72,7 +72,8 @@ impl Example {
         let mut prepared = Prepared::new();
         prepared.prepare(&gaussians, &camera, &lattice, Colors::Given(&base));
         let mut rendered = Rendered::new();
-        Rasterizer::new().forward(&prepared, Some(&maps), &Options::default(), &mut rendered);
+        let maps = (appearance == Appearance::Water).then_some(maps);
+        Rasterizer::new().forward(&prepared, maps.as_ref(), &Options::default(), &mut rendered);
         let source = Source::on_lattice(&geometry, &rendered.image).unwrap();
         let shape = case.shape("in.delta_target");
         let target = ViewTarget {
@@ -113,7 +114,7 @@ impl Example {
                 prepared,
                 listed: Listed::all(objects.sites()),
                 base,
-                water: Some(Water::new(maps)),
+                water: maps.map(Water::new),
             },
             step: Step::new(&field, objects),
             stage1: rendered.image,
@@ -136,11 +137,19 @@ fn steps(part: &Part) -> Vec<Case<'_>> {
     cases
 }
 
+/// The same, each with water and in clear radiance.
+fn in_both(part: &Part) -> Vec<(Case<'_>, Appearance)> {
+    let each = [Appearance::Water, Appearance::Clear];
+    each.into_iter()
+        .flat_map(|appearance| steps(part).into_iter().map(move |case| (case, appearance)))
+        .collect()
+}
+
 #[test]
 fn golden_whole_steps() {
     let part = Part::math("ubaf");
     for case in steps(&part) {
-        let mut e = Example::new(&case);
+        let mut e = Example::new(&case, Appearance::Water);
         case.check_planes("out.rec", e.stage1.data());
         e.step.render(&e.field, &e.view, &mut e.frozen);
         case.check("out.colors_plus", e.step.colors.as_flattened());
@@ -210,6 +219,15 @@ impl Difference {
 }
 
 impl Example {
+    /// Whether the loss stays as it is, to the bit, whatever the parameters of `range` are.
+    fn unmoved_by(&mut self, range: Range<usize>) -> bool {
+        let (start, here) = (self.field.parameters.clone(), self.total());
+        self.field.parameters[range].iter_mut().for_each(|p| *p += 0.5);
+        let there = self.total();
+        self.field.parameters.copy_from_slice(&start);
+        here.to_bits() == there.to_bits()
+    }
+
     /// Differences along `direction` in the parameters of `range`, one for each distance that stands out of rounding.
     fn differences(&mut self, gradient: &[f64], range: Range<usize>, direction: &[f64]) -> Vec<Difference> {
         let start = self.field.parameters.clone();
@@ -251,10 +269,10 @@ impl Example {
 #[test]
 fn whole_steps_agree_with_their_differences() {
     let part = Part::math("ubaf");
-    for case in steps(&part) {
+    for (case, appearance) in in_both(&part) {
         let mut unnoticed = BTreeMap::new();
         for seed in 0..4 {
-            let mut e = Example::new(&case);
+            let mut e = Example::new(&case, appearance);
             if seed % 2 == 1 {
                 // As large scenes are trained: the mean over some Gaussians, the others only where the view sees them.
                 e.frozen.relist(&Lookups::new(e.step.objects.sites().clone(), 5));
@@ -287,6 +305,11 @@ fn whole_steps_agree_with_their_differences() {
                 ("affine", s.affine()),
                 ("transport", s.transport()),
             ] {
+                if group == "transport" && appearance == Appearance::Clear {
+                    let still = gradient[range.clone()].iter().all(|&g| g == 0.0);
+                    assert!(still && e.unmoved_by(range), "clear radiance says nothing about the water");
+                    continue;
+                }
                 let random = |i: usize| draw.normal(50_000 + i as u64);
                 let across: Vec<f64> = range.clone().map(|i| random(i).signum()).collect();
                 let differences = e.differences(&gradient, range.clone(), &across);

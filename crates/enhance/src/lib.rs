@@ -11,12 +11,16 @@
 //! Only the field's parameters learn. Everything that does not depend on them is computed once per view: projection and tile
 //! lists, base colours, the frozen water, the extractor's source, the rasterised local target.
 //!
+//! Targets say in which appearance their transitions are. *With water*, renders are full composites and the field grades the water
+//! too. *In clear radiance*, both renders are `Σ wᵢ cᵢ`, without water; then nothing says what the water should become, its part of the
+//! field gets no gradient, and the enhanced scene keeps stage 1's.
+//!
 //! Approximation: a step renders a view only at the pixels nearest to those of an image of
 //! [`sample_side`](EnhanceParams::sample_side) pixels on its long side, in place of all that the extractor's resize to 384
 //! weighs. Source and render are sampled alike, so equal images still have the identity transition, and operators are means
 //! over many pixels, which a tenth of them give as well. What was reached is measured with the whole resize.
 //!
-//! [`enhance`] is the loop; [`Renderer`] draws a scene with or without its enhancement; [`bake`] writes the
+//! [`enhance`] is the loop; [`KnownViews`] draws what stage 1 knows of a view, which targets in clear radiance start from; [`Renderer`] draws a scene with or without its enhancement; [`bake`] writes the
 //! enhancement into spherical harmonics for viewers that know nothing of it.
 
 mod bake;
@@ -25,6 +29,7 @@ mod error;
 mod fingerprint;
 #[cfg(test)]
 mod golden;
+mod known;
 mod objective;
 mod params;
 mod profile;
@@ -36,6 +41,7 @@ mod view;
 pub use bake::{BakeReport, bake};
 pub use engine::{Engine, StepLosses};
 pub use error::EnhanceError;
+pub use known::KnownViews;
 pub use objective::{Realised, global_loss, local_loss, smooth_l1};
 pub use params::{EnhanceParams, Objective, PixelLoss};
 pub use profile::StepPart;

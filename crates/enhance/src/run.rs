@@ -236,7 +236,7 @@ fn finish(
         scene_affine,
         rendered_share: engine.rendered_share(),
     };
-    let enhancement = Enhancement { field: engine.field.clone(), centre };
+    let enhancement = Enhancement { field: engine.field.clone(), centre, appearance: engine.appearance() };
     let scene = Scene { enhancement: Some(enhancement), ..scene.clone() };
     Ok(Outcome { scene, log: state.log, report, profile: engine.profile().clone() })
 }

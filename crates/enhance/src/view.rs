@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use use3d_atc::consensus::{Targets, ViewTarget};
 use use3d_atc::extractor::{ExtractorSettings, Geometry, Source};
-use use3d_capture::{Camera, Image, Lattice, MediumMaps, Raster, View};
+use use3d_capture::{Appearance, Camera, Image, Lattice, MediumMaps, Raster, View};
 use use3d_scene::Scene;
 use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered, view_colors};
 use use3d_ubaf::{Sites, Water};
@@ -39,6 +39,16 @@ pub enum Guidance<'a> {
     Targets(&'a Targets),
     /// One enhanced image per view.
     Labels(&'a dyn LabelSource),
+}
+
+impl Guidance<'_> {
+    /// What is compared: targets say it; labels are enhanced photographs, which show the water.
+    pub fn appearance(&self) -> Appearance {
+        match self {
+            Self::Targets(targets) => targets.appearance,
+            Self::Labels(_) => Appearance::Water,
+        }
+    }
 }
 
 /// What a rendered view is compared with.
@@ -154,7 +164,7 @@ pub(crate) struct Frozen {
     pub(crate) listed: Listed,
     /// Their stage-1 colours in this view.
     pub(crate) base: Vec<[f32; 3]>,
-    /// The frozen water; `None` in a scene without.
+    /// The frozen water; `None` in a scene without, and in clear radiance.
     pub(crate) water: Option<Water>,
 }
 
@@ -162,6 +172,7 @@ impl Frozen {
     /// Without what no pixel sees if there is a `trimmer`.
     pub(crate) fn new(
         scene: &Scene,
+        appearance: Appearance,
         lookups: &Lookups,
         camera: &Camera,
         lattice: &Lattice,
@@ -176,7 +187,8 @@ impl Frozen {
         }
         let listed = lookups.of(&prepared);
         let base = listed.rows(colors);
-        let water = (!scene.medium.is_none()).then(|| {
+        let shown = appearance == Appearance::Water && !scene.medium.is_none();
+        let water = shown.then(|| {
             let mut maps = MediumMaps::zeros(0, 0);
             scene.medium.maps(camera, lattice, scene.medium_degree, &mut maps);
             Water::new(maps)
@@ -269,7 +281,8 @@ impl<'a> Preparer<'a> {
         let sampled = self.sampled(size)?;
         let Sampled { geometry, lattice, .. } = &*sampled;
         let trimmer = trim.then_some(&mut self.rasterizer);
-        let frozen = Frozen::new(self.scene, &self.lookups, &camera, lattice, trimmer);
+        let appearance = self.guidance.appearance();
+        let frozen = Frozen::new(self.scene, appearance, &self.lookups, &camera, lattice, trimmer);
         let reference = match self.guidance {
             Guidance::Targets(targets) => {
                 let maps = frozen.water.as_ref().map(|w| &w.maps);

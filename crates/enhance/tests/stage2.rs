@@ -3,10 +3,16 @@
 mod common;
 
 use common::{Labels, draw, mini, quick, targets, taught};
+use use3d_atc::consensus::Targets;
+use use3d_capture::{Appearance, Lattice};
 use use3d_enhance::{
-    Engine, EnhanceError, EnhanceParams, Guidance, Look, Objective, Outcome, PixelLoss, enhance,
+    Engine, EnhanceError, EnhanceParams, Guidance, KnownViews, Look, Objective, Outcome, PixelLoss, Renderer,
+    enhance,
 };
+use use3d_medium::MediumModel;
 use use3d_numerics::math;
+use use3d_scene::Scene;
+use use3d_splat::Rendered;
 use use3d_training::{Observer, Progress, Silent};
 
 /// Stops after some steps and remembers what it was told.
@@ -161,6 +167,75 @@ fn pseudo_labels_are_reproduced() {
             |pick: &dyn Fn(&use3d_enhance::ViewReport) -> f64| out.report.views.iter().map(pick).sum::<f64>();
         let (before, after) = (sum(&|v| v.before.pixels), sum(&|v| v.after.pixels));
         assert!(after < 0.4 * before, "{pixel_loss:?}: {before} -> {after}");
+    }
+}
+
+/// In clear radiance stage 2 is that of a scene without its water, and the water of the enhanced scene is stage 1's.
+#[test]
+fn clear_radiance_is_learnt_without_the_water_and_leaves_it_alone() {
+    let (scene, views) = mini();
+    let dry = Scene { medium: MediumModel::None, ..scene.clone() };
+    let wanted = targets(&dry, &taught(&dry), &views);
+    let clear = Targets { appearance: Appearance::Clear, ..wanted.clone() };
+    let run = |scene: &Scene, targets: &Targets| {
+        enhance(scene, &views, Guidance::Targets(targets), &quick(120), None, &mut Silent).unwrap()
+    };
+    let (wet, alone) = (run(&scene, &clear), run(&dry, &wanted));
+    let learnt = wet.scene.enhancement.as_ref().unwrap();
+    assert_eq!(learnt.appearance, Appearance::Clear);
+    assert_eq!(learnt.field, alone.scene.enhancement.as_ref().unwrap().field);
+    assert_eq!(wet.report.views, alone.report.views);
+    assert_eq!(wet.report.transport_ratios, [1.0; 2]);
+    let (before, after) = wet.report.global_errors().unwrap();
+    assert!(after < 0.4 * before, "global {before} -> {after}");
+    // Full composites: enhanced objects behind the very water of stage 1.
+    let lattice = Lattice::full(&views[0].camera.intrinsics);
+    let drawn = |look| {
+        let (mut renderer, mut out) = (Renderer::new(&wet.scene, look).unwrap(), Rendered::new());
+        renderer.render(&views[0].camera, &lattice, true, &mut out);
+        (renderer.medium().unwrap().clone(), out.layers.unwrap())
+    };
+    let (stage1, plain) = drawn(Look::Reconstruction);
+    let (water, layers) = drawn(Look::Enhanced { strength: 1.0 });
+    assert_eq!(water, stage1);
+    assert_eq!((&layers.medium, &layers.far), (&plain.medium, &plain.far));
+    // Without the water, what was learnt is what is seen.
+    let without = draw(&alone.scene, Look::Enhanced { strength: 1.0 }, &views[0].camera);
+    let farthest =
+        layers.clear.data().iter().zip(without.data()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(farthest < 1e-5, "{farthest}");
+    assert_ne!(layers.clear, plain.clear);
+    // The same targets, said to be with water, lead elsewhere.
+    assert_ne!(run(&scene, &wanted).report.views, wet.report.views);
+}
+
+#[test]
+fn what_stage_1_knows_of_a_view_is_what_its_layers_say() {
+    let (scene, views) = mini();
+    for scene in [scene.clone(), Scene { medium: MediumModel::None, ..scene }] {
+        let camera = &views[0].camera;
+        let known = KnownViews::new(&scene).view(camera);
+        let (mut renderer, mut out) = (Renderer::new(&scene, Look::Reconstruction).unwrap(), Rendered::new());
+        renderer.render(camera, &Lattice::full(&camera.intrinsics), true, &mut out);
+        let layers = out.layers.as_ref().unwrap();
+        let apart = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(apart(known.clear.data(), layers.clear.data()) < 1e-6);
+        assert_eq!(known.accumulation, out.accumulation);
+        // Each channel arrives attenuated, and no more of it than there is.
+        let n = known.accumulation.pixels();
+        for (i, (arriving, clear)) in known.arriving.data().iter().zip(layers.clear.data()).enumerate() {
+            let accumulation = known.accumulation.data()[i % n];
+            assert!((0.0..=accumulation + 1e-6).contains(arriving), "{arriving} of {accumulation}");
+            // A surface of one colour: what arrives of it is its share.
+            let share = arriving / accumulation.max(1e-6);
+            let object = layers.object.data()[i];
+            assert!((object - share * clear).abs() < 0.12, "{object} {share} {clear}");
+        }
+        if scene.medium.is_none() {
+            assert!(apart(&known.arriving.data()[..n], known.accumulation.data()) < 1e-6);
+        } else {
+            assert!(apart(&known.arriving.data()[..n], known.accumulation.data()) > 0.1);
+        }
     }
 }
 

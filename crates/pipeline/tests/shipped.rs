@@ -46,6 +46,53 @@ fn a_scene_learnt_from_proposals_has_no_second_stage() {
     assert!(full.contains(&"enhance") && !full.contains(&"propose"), "{full:?}");
 }
 
+/// Targets in clear radiance have no calibrator, and nobody makes one that no scene asks for.
+#[test]
+fn a_scene_that_proposes_for_itself_needs_neither_pairs_nor_a_calibrator() {
+    use use3d_pipeline::config::for_capture;
+
+    let registry = registry().expect("the stage table");
+    let dir = tempfile::tempdir().expect("folder");
+    let reef = dir.path().join("reef");
+    std::fs::create_dir(&reef).expect("folder");
+    let graph = |sets: &[&str]| {
+        let sets = sets.iter().map(ToString::to_string).collect();
+        let options = LoadOptions { sets, ..LoadOptions::default() };
+        let pipeline = for_capture(&registry, &reef, &options).unwrap_or_else(|e| panic!("{e}"));
+        Graph::new(&registry, &pipeline.batch).expect("a graph")
+    };
+    let stages = |graph: &Graph| -> Vec<&str> { graph.nodes.iter().map(|n| n.stage_name).collect() };
+    let usual = stages(&graph(&[]));
+    assert!(usual.contains(&"pairs") && usual.contains(&"calibrate"), "{usual:?}");
+    for word in ["targets.proposer=scene", "calibrator.proposer=scene"] {
+        let own = stages(&graph(&[word]));
+        assert!(!own.contains(&"pairs") && !own.contains(&"calibrate"), "{word}: {own:?}");
+        assert!(own.contains(&"targets") && own.contains(&"enhance"), "{word}: {own:?}");
+    }
+
+    // One scene of two: the other's calibrator is none of its business.
+    let file = dir.path().join("p.toml");
+    let text = "name = \"p\"\n[[scene]]\nname = \"own\"\ncapture = \"reef\"\n[scene.targets]\nproposer = \"scene\"\n\
+                [[scene]]\nname = \"other\"\ncapture = \"reef\"\n";
+    std::fs::write(&file, text).expect("written");
+    let needs = |scene: &str| {
+        let options = LoadOptions { scenes: vec![scene.into()], ..LoadOptions::default() };
+        let pipeline = load(&registry, &file, &options).unwrap_or_else(|e| panic!("{e}"));
+        let graph = Graph::new(&registry, &pipeline.batch).expect("a graph");
+        let wanted = graph.wanted(Some(&["targets".into()]));
+        graph.nodes.iter().zip(wanted).any(|(n, w)| w && n.stage_name == "calibrate")
+    };
+    assert!(needs("other") && !needs("own"));
+    for stage in ["propose", "evaluate"] {
+        let options = LoadOptions { sets: vec![format!("{stage}.proposer=scene")], ..LoadOptions::default() };
+        let refused = for_capture(&registry, &reef, &options)
+            .map_err(|e| e.to_string())
+            .and_then(|p| Graph::new(&registry, &p.batch).map_err(|e| e.to_string()));
+        let message = refused.err().expect("refused");
+        assert!(message.contains("for `targets` only"), "{stage}: {message}");
+    }
+}
+
 #[test]
 fn without_depth_is_there_as_the_authors_ran_it_and_with_the_prior_alone_off() {
     let registry = registry().expect("the stage table");

@@ -53,6 +53,8 @@ fn every_stage_is_made_of_the_files_it_uses_and_of_no_others() {
         ("import", "use3d-scene"),
         ("calibrate", "use3d-synth"),
         ("calibrate", "use3d-scene"),
+        ("calibrate", "use3d-nets"),
+        ("calibrate", "src/stages/proposer.rs"),
         ("reconstruct", "use3d-atc"),
         ("reconstruct", "use3d-nets"),
         ("reconstruct", "use3d-enhance"),

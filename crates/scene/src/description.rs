@@ -4,7 +4,7 @@ use std::path::{Component, Path};
 
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
-use use3d_capture::{Frame, shown};
+use use3d_capture::{Appearance, Frame, shown};
 use use3d_medium::{MediumKind, MediumModel};
 
 use crate::{Origin, Scene, SceneError, files};
@@ -57,6 +57,9 @@ pub(crate) struct MediumEntry {
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct EnhancementEntry {
     pub(crate) file: String,
+    /// Scenes of before there was a choice were enhanced with their water.
+    #[serde(default)]
+    pub(crate) appearance: Appearance,
 }
 
 impl From<FrameRows> for Frame {
@@ -102,7 +105,7 @@ impl Description {
             enhancement: scene
                 .enhancement
                 .as_ref()
-                .map(|_| EnhancementEntry { file: files::ENHANCEMENT.into() }),
+                .map(|e| EnhancementEntry { file: files::ENHANCEMENT.into(), appearance: e.appearance }),
             origin: None,
         }
     }

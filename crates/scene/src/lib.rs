@@ -1,7 +1,7 @@
 //! The scene folder: what stage 1 and stage 2 write, and what rendering and export read.
 //!
 //! ```text
-//! scene.json            format, version, frame, medium, enhancement, the views it was made from
+//! scene.json            format, version, frame, medium, enhancement (and its appearance), the views it was made from
 //! gaussians.ply         the usual 3D Gaussian splatting layout
 //! medium.safetensors    the medium's tensors (absent for `none`)
 //! ubaf.safetensors      the enhancement's tensors (stage 2 only)
@@ -113,7 +113,10 @@ impl Scene {
         gaussians.validate().map_err(|source| SceneError::Gaussians { path: ply, source })?;
         let (medium, medium_degree) = files::read_medium(dir, &description.medium)?;
         let enhancement = match &description.enhancement {
-            Some(enhancement) => Some(files::read_enhancement(&dir.join(&enhancement.file))?),
+            Some(entry) => {
+                let read = files::read_enhancement(&dir.join(&entry.file))?;
+                Some(Enhancement { appearance: entry.appearance, ..read })
+            }
             None => None,
         };
         Ok(Self { gaussians, frame: description.frame.into(), medium, medium_degree, enhancement })

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use glam::{DMat3, DVec3};
-use use3d_capture::Frame;
+use use3d_capture::{Appearance, Frame};
 use use3d_medium::{MediumModel, MediumRbf};
 use use3d_scene::{Scene, SceneError};
 use use3d_splat::Gaussians;
@@ -35,7 +35,11 @@ fn sample() -> Scene {
         },
         medium: MediumModel::Rbf(MediumRbf::new(8, 4)),
         medium_degree: 2,
-        enhancement: Some(Enhancement { field: field.unwrap(), centre: [0.5, 0.25, 0.0, -1.0, 2.0, 3.0] }),
+        enhancement: Some(Enhancement {
+            field: field.unwrap(),
+            centre: [0.5, 0.25, 0.0, -1.0, 2.0, 3.0],
+            appearance: Appearance::Water,
+        }),
     }
 }
 
@@ -57,6 +61,25 @@ fn a_scene_survives_the_disk_bit_for_bit() {
     let plain = Scene::load(dir.path()).unwrap();
     assert!(plain.enhancement.is_none() && plain.medium.is_none());
     assert!(!dir.path().join("ubaf.safetensors").exists() && !dir.path().join("medium.safetensors").exists());
+}
+
+#[test]
+fn what_an_enhancement_was_learnt_in_is_kept_and_older_scenes_were_enhanced_with_their_water() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut scene = sample();
+    scene.enhancement.as_mut().unwrap().appearance = Appearance::Clear;
+    scene.save(dir.path()).unwrap();
+    assert_eq!(Scene::load(dir.path()).unwrap(), scene);
+    let path = dir.path().join("scene.json");
+    let mut json: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    assert_eq!(json["enhancement"]["appearance"], "clear");
+    json["enhancement"].as_object_mut().unwrap().remove("appearance");
+    fs::write(&path, json.to_string()).unwrap();
+    assert_eq!(Scene::load(dir.path()).unwrap().enhancement.unwrap().appearance, Appearance::Water);
+    json["enhancement"]["appearance"] = "fog".into();
+    fs::write(&path, json.to_string()).unwrap();
+    let message = Scene::load(dir.path()).unwrap_err().to_string();
+    assert!(message.contains("scene.json") && message.contains("`fog`"), "{message}");
 }
 
 #[test]

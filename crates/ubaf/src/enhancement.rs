@@ -6,10 +6,13 @@
 //! **Strength** `s` in `[0, 1]` scales every departure from the identity in its own space: log-gain, bias, affine minus identity
 //! and transport log-ratio. `s = 0` is the reconstruction exactly, `s = 1` the enhanced scene exactly, and the path between
 //! is smooth and keeps gains positive; it is not a blend of the two images.
+//!
+//! **Appearance.** A field that was learnt in clear radiance says what the objects' own colours become; it knows nothing of the water, which
+//! then stays as stage 1 found it.
 
 use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
-use use3d_capture::MediumMaps;
+use use3d_capture::{Appearance, MediumMaps};
 
 use crate::OUTPUTS;
 use crate::field::{Field, apply_affine};
@@ -27,6 +30,9 @@ pub struct Enhancement {
     pub field: Field,
     /// The constant mode of the field's raw outputs: their mean over the scene's Gaussians when training ended.
     pub centre: [f32; OUTPUTS],
+    /// What it was learnt in, and so what it changes: objects and water, or objects alone. Its tensors do not hold this; the scene's
+    /// description does.
+    pub appearance: Appearance,
 }
 
 /// A per-Gaussian affine colour map `c⁺ = exp(s a) ⊙ (c + s (δA c + b_g)) + s b`, ready for any view.
@@ -57,8 +63,12 @@ impl Enhancement {
         ObjectGrades { affine: self.field.affine().map(|row| row.map(|v| strength * v)), grades }
     }
 
-    /// The enhanced water of a view: `maps` are the frozen medium's, `camera` the camera centre in the scene's frame.
+    /// The enhanced water of a view: `maps` are the frozen medium's, `camera` the camera centre in the scene's frame. What was learnt in clear
+    /// radiance leaves the water as it is.
     pub fn water(&self, camera: [f32; 3], maps: MediumMaps, strength: f32) -> MediumMaps {
+        if self.appearance == Appearance::Clear {
+            return maps;
+        }
         let water = Water::new(maps);
         let mut out = MediumMaps::zeros(0, 0);
         WaterPass::new().forward(&self.field, camera, &water, strength, &mut out);
@@ -126,7 +136,7 @@ mod tests {
         let dc: Vec<[f32; 3]> = (300..600).map(point).collect();
         let mut pass = ObjectPass::new(&field, &means, dc.iter().copied());
         pass.forward(&field);
-        (Enhancement { centre: pass.mean(), field }, means, dc)
+        (Enhancement { centre: pass.mean(), field, appearance: Appearance::Water }, means, dc)
     }
 
     #[test]
@@ -163,6 +173,8 @@ mod tests {
         maps.attenuation.data_mut().fill(0.3);
         assert_eq!(e.water([0.1, 0.2, 0.3], maps.clone(), 0.0), maps);
         assert_ne!(e.water([0.1, 0.2, 0.3], maps.clone(), 1.0), maps);
+        let clear = Enhancement { appearance: Appearance::Clear, ..e };
+        assert_eq!(clear.water([0.1, 0.2, 0.3], maps.clone(), 1.0), maps, "it says nothing about the water");
     }
 
     #[test]

@@ -11,11 +11,13 @@
 //! | `box` | `[2, 3]` | lower and upper corner of the field |
 //! | `centre` | `[6]` | the removed constant mode |
 //!
+//! What the field was learnt in ([`Enhancement::appearance`]) is not in here; a reader that knows sets it, else it is with water.
 //! All f32, little-endian. Unknown tensors are an error: a file that says more than we read would be read wrongly.
 
 use std::ops::Range;
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use use3d_capture::Appearance;
 
 use crate::OUTPUTS;
 use crate::enhancement::Enhancement;
@@ -144,6 +146,7 @@ impl Enhancement {
         Ok(Self {
             field: Field::from_parameters(shape, bounds, parameters)?,
             centre: std::array::from_fn(|o| centre[o]),
+            appearance: Appearance::default(),
         })
     }
 }
@@ -200,7 +203,8 @@ mod tests {
         for (i, p) in field.parameters.iter_mut().enumerate() {
             *p += i as f32 * 1e-3;
         }
-        Enhancement { field, centre: [0.1, 0.2, 0.3, -0.1, -0.2, -0.3] }
+        let centre = [0.1, 0.2, 0.3, -0.1, -0.2, -0.3];
+        Enhancement { field, centre, appearance: Appearance::Water }
     }
 
     #[test]

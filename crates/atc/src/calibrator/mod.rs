@@ -47,6 +47,12 @@ pub const GLOBAL_CONDITION: usize = GLOBAL_DESCRIPTOR + 12;
 /// Conditions of the local head: cell 6, descriptor 18, proposal global 12, proposal local 6, global 12.
 pub const LOCAL_CONDITION: usize = LOCAL_DESCRIPTOR + GLOBAL_DESCRIPTOR + 12 + 6 + 12;
 
+/// Usual scales of a global operator's row: half the interquartile ranges of residuals of synthetic pairs, as proposals that know the
+/// scene are off by less.
+const USUAL_GLOBAL: [f32; 4] = [0.3, 0.3, 0.3, 0.15];
+/// Usual scales of a local operator, likewise.
+const USUAL_LOCAL: [f32; 6] = [0.08, 0.08, 0.08, 0.03, 0.03, 0.03];
+
 /// Where a calibrator comes from.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
@@ -94,6 +100,15 @@ impl Calibrator {
             local: Head::identity(LOCAL_CONDITION, 8, 6),
             provenance: Provenance::default(),
         }
+    }
+
+    /// The same for proposals of which there are no pairs: it returns them unchanged, with scales that are usual for transitions of
+    /// underwater images, as nothing says what they are for these.
+    pub fn uncalibrated(extractor: ExtractorSettings, proposer: ProposerId) -> Self {
+        let mut calibrator = Self::identity(extractor, proposer);
+        calibrator.global.residual.range = USUAL_GLOBAL.repeat(3);
+        calibrator.local.residual.range = USUAL_LOCAL.to_vec();
+        calibrator
     }
 
     /// Whether the global and the local head correct anything. A head that keeps no share of its correction returns the proposal.

@@ -24,6 +24,7 @@ pub use views::{Proposals, Recorder, ViewInput, ViewRecord};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use use3d_capture::Appearance;
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::Gaussians;
@@ -32,6 +33,7 @@ use crate::calibrator::Calibrator;
 use crate::error::AtcError;
 use crate::extractor::Affine;
 use crate::progress::{Progress, Watch, report};
+use crate::proposers::ProposerId;
 
 /// Parameters of the targets.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -77,9 +79,18 @@ pub struct TargetsReport {
     pub supported: usize,
     /// How much the targets depend on the order of the views, if it was measured.
     pub order: Option<OrderEffect>,
+    /// Whose proposals they are.
+    #[serde(default)]
+    pub proposer: ProposerId,
+    /// What the transitions are between.
+    #[serde(default)]
+    pub appearance: Appearance,
+    /// Whether a calibrator corrected any of them.
+    #[serde(default)]
+    pub calibrated: bool,
 }
 
-/// Builds the targets of a scene. `views` are the training views in capture order; each is dropped before the next is taken.
+/// Builds the targets of a scene from photographs. `views` are the training views in capture order; each is dropped before the next is taken.
 pub fn build_targets(
     gaussians: &Gaussians,
     views: impl IntoIterator<Item = Result<ViewInput, AtcError>>,
@@ -96,14 +107,15 @@ pub fn build_targets(
         report(watch, Progress::View { index, name: &view.name })?;
         records.push(recorder.record(&view, proposals, calibrator)?);
     }
-    targets_from_records(gaussians, &records, proposals.id(), calibrator, params, watch)
+    targets_from_records(gaussians, &records, Appearance::Water, proposals.id(), calibrator, params, watch)
 }
 
-/// The second half of [`build_targets`], for a caller that keeps the records.
+/// The second half of [`build_targets`], for a caller that keeps the records, of pictures in `appearance`.
 pub fn targets_from_records(
     gaussians: &Gaussians,
     records: &[ViewRecord],
-    proposer: crate::proposers::ProposerId,
+    appearance: Appearance,
+    proposer: ProposerId,
     calibrator: &Calibrator,
     params: &TargetsParams,
     watch: &mut Watch<'_>,
@@ -114,7 +126,8 @@ pub fn targets_from_records(
     let state = fuse_views(gaussians, records, &capture_order, calibrator, &global.operator, watch)?;
     let targets = Targets {
         extractor: calibrator.extractor.clone(),
-        proposer,
+        proposer: proposer.clone(),
+        appearance,
         scene: global.operator,
         dispersion: global.dispersion,
         global_scales: calibrator.global_scales(),
@@ -148,6 +161,9 @@ pub fn targets_from_records(
         gaussians: gaussians.len(),
         supported: (0..gaussians.len()).filter(|&i| targets.state.supported(i)).count(),
         order,
+        proposer,
+        appearance,
+        calibrated: calibrator.corrects() != [false; 2],
     };
     Ok((targets, report))
 }

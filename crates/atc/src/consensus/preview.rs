@@ -9,19 +9,18 @@ use use3d_numerics::math;
 use use3d_splat::{Gaussians, Rasterizer};
 
 use super::rasterise::support_map;
-use super::{Targets, ViewInput, ViewRecord};
+use super::{Proposals, Targets, ViewInput, ViewRecord};
 use crate::calibrator::Calibrator;
 use crate::error::AtcError;
 use crate::extractor::resize::Resize;
 use crate::extractor::{Affine, ExtractorSettings, Form, Source, affine_apply};
-use crate::proposers::Proposer;
 
 /// One view, four ways, all at the captured size, and where the targets reach.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Preview {
-    /// As captured.
+    /// As captured; of clear radiance, as stage 1 knows it.
     pub captured: Image,
-    /// As the 2D enhancer alone would have it.
+    /// As the proposer alone would have it.
     pub proposal: Image,
     /// With this view's own calibrated transition.
     pub calibrated: Image,
@@ -37,18 +36,19 @@ impl Preview {
         gaussians: &Gaussians,
         view: &ViewInput,
         record: &ViewRecord,
-        proposer: &dyn Proposer,
+        proposals: Proposals<'_>,
         calibrator: &Calibrator,
         targets: &Targets,
         rasterizer: &mut Rasterizer,
     ) -> Result<Self, AtcError> {
         let size = (view.image.width(), view.image.height());
-        let proposal = match &view.proposal {
-            Some(proposal) => proposal.clone(),
-            None => {
+        let proposal = match (&view.proposal, proposals) {
+            (Some(proposal), _) => proposal.clone(),
+            (None, Proposals::From(proposer)) => {
                 let settings: &ExtractorSettings = &calibrator.extractor;
                 proposer.propose(Source::from_image(&view.image, settings)?.image())?
             }
+            (None, Proposals::Given(id)) => return Err(proposals.missing(&view.name, id)),
         };
         let mut full = Image::new(0, 0);
         Resize::between((proposal.width(), proposal.height()), size).forward(&proposal, &mut full);

@@ -2,10 +2,10 @@
 //!
 //! One safetensors file: `scene` [3,4] f64, `global_scales` [12] and `local_scales` [6] f64, `mean` [N,6] and `weight` [N] f32,
 //! `count` [N] u32, `candidates` [V,3,4] f64. The header records extractor settings (and so the local form), proposer,
-//! dispersion and the names of the views.
+//! dispersion, the names of the views, and the appearance that transitions are in; a file without the last is of transitions with water.
 
 use serde::{Deserialize, Serialize};
-use use3d_capture::Camera;
+use use3d_capture::{Appearance, Camera};
 use use3d_splat::{Gaussians, Rasterizer};
 
 use super::{LocalConsensus, ViewTarget, view_target};
@@ -25,6 +25,8 @@ pub struct Targets {
     pub extractor: ExtractorSettings,
     /// The proposer behind them.
     pub proposer: ProposerId,
+    /// What the transitions are between: pictures with water, or of clear radiance.
+    pub appearance: Appearance,
     /// The scene's global operator minus the identity.
     pub scene: Affine,
     /// Median distance of the views from the consensus.
@@ -45,6 +47,8 @@ struct Header {
     version: u64,
     extractor: ExtractorSettings,
     proposer: ProposerId,
+    #[serde(default)]
+    appearance: Appearance,
     dispersion: f64,
     views: Vec<String>,
 }
@@ -95,6 +99,7 @@ impl Targets {
             version: VERSION,
             extractor: self.extractor.clone(),
             proposer: self.proposer.clone(),
+            appearance: self.appearance,
             dispersion: self.dispersion,
             views: self.views.iter().map(|(name, _)| name.clone()).collect(),
         };
@@ -124,6 +129,7 @@ impl Targets {
         Ok(Self {
             extractor: header.extractor,
             proposer: header.proposer,
+            appearance: header.appearance,
             scene: fixed(&array("scene", &[3, 4])?),
             dispersion: header.dispersion,
             global_scales: fixed(&global_scales),

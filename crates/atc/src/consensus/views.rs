@@ -9,13 +9,13 @@ use crate::error::AtcError;
 use crate::extractor::{Affine, Descriptors, Geometry, Source, Transition, Workspace, center};
 use crate::proposers::{Proposer, ProposerId};
 
-/// A captured view on its way into the consensus.
+/// A view on its way into the consensus.
 pub struct ViewInput {
     /// Its name, as reports show it.
     pub name: String,
     /// Its camera, in the scene's frame. The image has the camera's size.
     pub camera: Camera,
-    /// The captured image.
+    /// What the transition starts from: the captured image, or the view's clear radiance.
     pub image: Image,
     /// The proposer's result for it, at any size, where it was computed before.
     pub proposal: Option<Image>,
@@ -38,6 +38,11 @@ impl Proposals<'_> {
             Self::Given(id) => (*id).clone(),
         }
     }
+
+    /// A view that was to bring a proposal and does not.
+    pub(crate) fn missing(self, view: &str, id: &ProposerId) -> AtcError {
+        AtcError::View { view: view.into(), problem: format!("it has no proposal by `{}`", id.name) }
+    }
 }
 
 /// A view after extraction.
@@ -49,9 +54,9 @@ pub struct ViewRecord {
     pub camera: Camera,
     /// Columns and rows of its grid.
     pub grid: (usize, usize),
-    /// Descriptors of the captured image.
+    /// Descriptors of that image.
     pub descriptors: Descriptors,
-    /// `E(captured, proposal)`.
+    /// `E(image, proposal)`.
     pub proposal: Transition,
     /// The calibrated global operator: this view's candidate.
     pub candidate: Affine,
@@ -113,7 +118,7 @@ impl Recorder {
                 &computed
             }
             (None, Proposals::Given(id)) => {
-                return Err(fail(format!("it has no proposal by `{}`", id.name)));
+                return Err(proposals.missing(&view.name, id));
             }
         };
         let transition =

@@ -3,8 +3,11 @@
 //! What a proposer yields is never a target. The extractor turns it into a transition, the calibrator corrects that towards
 //! what paired data say, and the consensus makes one scene operator of all views. A calibrator is fitted for one proposer
 //! and records its name and digest; another proposer with it is an error (R25).
+//!
+//! [`scene`] is another kind: it starts from what stage 1 knows of a view, not from a photograph, so it is not behind the trait.
 
 pub mod fusion;
+pub mod scene;
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::Image;
@@ -12,6 +15,7 @@ use use3d_capture::Image;
 use crate::error::AtcError;
 
 pub use fusion::Fusion;
+pub use scene::{SceneFindings, SceneProposer, SceneSurvey, SceneView};
 
 /// A deterministic function from a photograph to an enhanced version of it.
 pub trait Proposer: Sync {

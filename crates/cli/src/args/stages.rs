@@ -69,9 +69,9 @@ pub(crate) struct TargetsArgs {
     /// The capture it was made from.
     #[arg(value_name = "CAPTURE_DIR")]
     pub(crate) capture: PathBuf,
-    /// The calibrator file.
+    /// The calibrator file; none with `--set proposer=scene`.
     #[arg(long, value_name = "FILE")]
-    pub(crate) calibrator: PathBuf,
+    pub(crate) calibrator: Option<PathBuf>,
     /// The targets file.
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,

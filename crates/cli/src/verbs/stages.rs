@@ -341,11 +341,18 @@ pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
     check_folder(&previews, args.replace.force)?;
     let registry = stages()?;
     let parameters = parameters(&registry, &["targets", "import"], &args.settings.set)?;
+    if args.calibrator.is_none() && parameters[0]["proposer"] != "scene" {
+        return Err(CliError::Input(
+            "proposals for photographs need a calibrator: give --calibrator FILE (`use3d calibrate` makes one), or start from what stage 1 \
+             knows of the scene, with --set proposer=scene"
+                .into(),
+        ));
+    }
     let scratch = scratch()?;
     let import = imported(app, &registry, &args.capture, &parameters[1], scratch.path())?;
     check_origin(&args.scene, &import, false)?;
-    let mut inputs =
-        vec![("import", import), ("scene", args.scene.clone()), ("calibrator", args.calibrator.clone())];
+    let mut inputs = vec![("import", import), ("scene", args.scene.clone())];
+    inputs.extend(args.calibrator.clone().map(|file| ("calibrator", file)));
     inputs.extend(args.models.clone().map(|dir| ("models", dir)));
     let out = scratch.path().join("targets");
     run_stage(app, registry.stage("targets").map_err(CliError::failed)?, &parameters[0], inputs, &out)?;

@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 use use3d_atc::consensus::{LocalConsensus, Targets};
 use use3d_atc::extractor::{ExtractorSettings, Source, Workspace};
 use use3d_atc::proposers::ProposerId;
-use use3d_capture::{Camera, Frame, Image, Intrinsics, Lattice, Pose};
+use use3d_capture::{Appearance, Camera, Frame, Image, Intrinsics, Lattice, Pose};
 use use3d_enhance::{EnhanceParams, EnhanceView, LabelSource, Look, Renderer};
 use use3d_golden::Part;
 use use3d_medium::{MediumModel, MediumRbf};
@@ -89,7 +89,7 @@ pub(crate) fn taught(scene: &Scene) -> Scene {
     field.parameters[shape.transport()].copy_from_slice(&[-0.25, -0.1]);
     let mut pass = ObjectPass::new(&field, &scene.gaussians.means, scene.gaussians.sh.iter().map(|sh| sh[0]));
     pass.forward(&field);
-    let enhancement = Enhancement { centre: pass.mean(), field };
+    let enhancement = Enhancement { centre: pass.mean(), field, appearance: Appearance::Water };
     Scene { enhancement: Some(enhancement), ..scene.clone() }
 }
 
@@ -125,6 +125,7 @@ pub(crate) fn targets(scene: &Scene, taught: &Scene, views: &[EnhanceView]) -> T
     Targets {
         extractor: settings,
         proposer: ProposerId::default(),
+        appearance: Appearance::Water,
         scene: operator,
         dispersion: 0.0,
         global_scales: [0.2; 12],

@@ -339,6 +339,9 @@ impl Builder<'_> {
                         input.instead.filter(|name| outside(name).is_some())
                     }
                 };
+                if external.is_none() && input.needed.as_ref().is_some_and(|needed| !needed(&all)) {
+                    continue;
+                }
                 let scene_name = scene.map(|s| s.name.clone()).unwrap_or_default();
                 let made = |scene_name: String, variant: &Variant, stage: &'static str| {
                     let node = self.place.get(&(scene_name, variant.name.clone(), stage));

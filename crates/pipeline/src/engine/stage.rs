@@ -39,6 +39,9 @@ pub enum Source {
 /// Chooses the files of an external input that a stage reads, relative to the input's path, from the parameters.
 pub type Select = Arc<dyn Fn(&Value, &Path) -> Result<Vec<PathBuf>, String> + Send + Sync>;
 
+/// Whether an artifact is read, from the parameters of all stages.
+pub(super) type Needed = Arc<dyn Fn(&AllParameters) -> bool + Send + Sync>;
+
 /// One input.
 #[derive(Clone)]
 pub struct Input {
@@ -53,6 +56,8 @@ pub struct Input {
     pub select: Option<Select>,
     /// A file or folder that is read in place of the stage's artifact where the pipeline names it.
     pub instead: Option<&'static str>,
+    /// For which parameters the stage's artifact is read at all; `None`: for all.
+    pub needed: Option<Needed>,
 }
 
 /// What the pipeline names outside itself, for [`Stage::when_named`]: for one scene, or, for a stage that is made once, for all of them.
@@ -177,6 +182,7 @@ impl Stage {
             optional: false,
             select: None,
             instead: None,
+            needed: None,
         })
     }
 
@@ -189,6 +195,7 @@ impl Stage {
             optional: true,
             select: None,
             instead: None,
+            needed: None,
         })
     }
 
@@ -208,6 +215,7 @@ impl Stage {
             optional: true,
             select: None,
             instead: None,
+            needed: None,
         })
     }
 
@@ -220,6 +228,7 @@ impl Stage {
             optional: false,
             select: None,
             instead: None,
+            needed: None,
         })
     }
 
@@ -232,6 +241,7 @@ impl Stage {
             optional: true,
             select: None,
             instead: None,
+            needed: None,
         })
     }
 
@@ -261,6 +271,16 @@ impl Stage {
     pub fn or_external(mut self, name: &'static str) -> Self {
         if let Some(input) = self.inputs.last_mut() {
             input.instead = Some(name);
+        }
+        self
+    }
+
+    /// The input added last, an artifact, is read only where this holds for the parameters of all stages. A file that the pipeline names in
+    /// its place is read in any case, so that the stage can say that it has no use for it.
+    #[must_use]
+    pub fn only_when(mut self, needed: impl Fn(&AllParameters) -> bool + Send + Sync + 'static) -> Self {
+        if let Some(input) = self.inputs.last_mut() {
+            input.needed = Some(Arc::new(needed));
         }
         self
     }

@@ -3,6 +3,7 @@
 use use3d_atc::calibrator::{Calibrator, CalibratorParams, Dataset, METHOD_PAIRS, train};
 use use3d_atc::progress::Progress;
 
+use super::calibrated::is_calibrated;
 use super::common::{read_json, write_json};
 use super::names::{CALIBRATOR, DATASET};
 use crate::engine::{Scope, Stage, StageContext, StageError};
@@ -13,7 +14,7 @@ pub(super) fn stage() -> Stage {
         .made_of(&[], &["src/stages/calibrate.rs"])
         .check(|p: &CalibratorParams| p.validate().map_err(|e| (String::new(), e.to_string())))
         .input("pairs", "pairs")
-        .when_named(|_, named| !named.has("calibrator"))
+        .when_named(|all, named| is_calibrated(all) && !named.has("calibrator"))
         .seeded()
         // The pairs bring theirs.
         .without_effect(&["extractor"])

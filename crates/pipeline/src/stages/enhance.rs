@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use use3d_atc::consensus::Targets;
-use use3d_capture::{Image, View};
+use use3d_capture::{Appearance, Image, View};
 use use3d_enhance::{
     EnhanceError, EnhanceParams, EnhanceView, Guidance, LabelSource, Objective, Report, enhance,
 };
@@ -90,6 +90,12 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
     let views: Vec<EnhanceView> = capture.training_views().map(EnhanceView::from).collect();
     let labels;
     let guidance = if params.objective == Objective::PseudoLabels {
+        if targets.appearance == Appearance::Clear {
+            return Err(StageError::bad_input_message(
+                "objective = \"pseudo-labels\" learns from photographs that a 2D enhancer enhanced, and these targets are in clear radiance, of \
+                 `scene`; make targets with a 2D enhancer (`targets.proposer`), or choose another objective",
+            ));
+        }
         let proposer = by_name(&targets.proposer.name, context.optional_input("models"))
             .map_err(StageError::bad_input_message)?;
         labels = Proposals { views: capture.training_views().collect(), proposer };
@@ -103,6 +109,11 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
         other => other?,
     };
     context.profile(&outcome.profile.table());
+    if targets.appearance == Appearance::Clear {
+        context.say(
+            "learnt in clear radiance: `enhanced` shows the enhanced objects behind the water of stage 1",
+        );
+    }
     for line in reached(&outcome.report, params.objective) {
         context.say(line);
     }

@@ -62,6 +62,7 @@ impl Default for Params {
 impl Params {
     fn check(&self) -> Result<(), (String, String)> {
         const MOST: usize = 10_000;
+        self.proposer.for_photographs()?;
         for (name, value, least) in [
             ("neighbour_pairs", self.neighbour_pairs, 0),
             ("path_pairs", self.path_pairs, 0),

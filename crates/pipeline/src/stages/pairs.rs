@@ -10,6 +10,7 @@ use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::progress::Progress;
 use use3d_io_image::read_image;
 
+use super::calibrated::is_calibrated;
 use super::common::write_json;
 use super::names::DATASET;
 use super::proposer::{ProposerChoice, open};
@@ -35,7 +36,7 @@ pub(super) fn stage() -> Stage {
         .optional_external("target", "pairs.target")
         .optional_external("models", "models")
         .select(super::weights::files_of_proposer)
-        .when_named(|_, named| !named.has("calibrator"))
+        .when_named(|all, named| is_calibrated(all) && !named.has("calibrator"))
         .seeded()
 }
 

@@ -1,4 +1,4 @@
-//! Which 2D enhancer proposes, and how it is opened.
+//! What proposes, and how a 2D enhancer is opened.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::proposers::{Fusion, Proposer};
 
-/// The 2D enhancer that proposes (R25).
+/// What proposes (R25).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ProposerChoice {
@@ -17,6 +17,19 @@ pub enum ProposerChoice {
     Nu2net,
     /// The classical fusion enhancer; needs no weights.
     Fusion,
+    /// What stage 1 knows of the scene, in clear radiance; no 2D enhancer, so for `targets` only.
+    Scene,
+}
+
+/// What is said where a 2D enhancer is needed.
+const NO_PHOTOGRAPHS: &str = "`scene` proposes for what stage 1 knows of a scene, not for photographs: it is for `targets` only; choose auto, \
+    nu2net or fusion here";
+
+impl ProposerChoice {
+    /// Refuses what does not enhance photographs, as the error of the parameter `proposer`.
+    pub(super) fn for_photographs(self) -> Result<(), (String, String)> {
+        if self == Self::Scene { Err(("proposer".into(), NO_PHOTOGRAPHS.into())) } else { Ok(()) }
+    }
 }
 
 #[cfg(feature = "nets")]
@@ -75,6 +88,7 @@ pub fn open(
     models: Option<&Path>,
     say: &mut dyn FnMut(&str),
 ) -> Result<Box<dyn Proposer>, String> {
+    choice.for_photographs().map_err(|(_, message)| message)?;
     let network = if choice == ProposerChoice::Fusion { Err("not asked for".into()) } else { nu2net(models) };
     match (choice, network) {
         (ProposerChoice::Fusion, _) => Ok(Box::new(Fusion)),
@@ -86,7 +100,9 @@ pub fn open(
             say(&format!("proposer: fusion (nu2net is not available: {reason})"));
             Ok(Box::new(Fusion))
         }
-        (ProposerChoice::Nu2net, Err(reason)) => Err(format!("proposer nu2net: {reason}")),
+        (ProposerChoice::Nu2net | ProposerChoice::Scene, Err(reason)) => {
+            Err(format!("proposer nu2net: {reason}"))
+        }
     }
 }
 
@@ -100,6 +116,7 @@ pub(super) fn of_calibrator(
         ProposerChoice::Auto => recorded,
         ProposerChoice::Nu2net => "nu2net",
         ProposerChoice::Fusion => "fusion",
+        ProposerChoice::Scene => "scene",
     };
     if asked != recorded {
         return Err(format!(
@@ -117,6 +134,7 @@ pub(super) fn by_name(name: &str, models: Option<&Path>) -> Result<Box<dyn Propo
         "nu2net" => {
             nu2net(models).map_err(|reason| format!("the calibrator was fitted for nu2net: {reason}"))
         }
+        "scene" => Err(NO_PHOTOGRAPHS.into()),
         other => Err(format!(
             "the calibrator was fitted for the proposer `{other}`, which this program does not have"
         )),

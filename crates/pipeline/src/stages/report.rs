@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::calibrator::Calibrator;
 use use3d_atc::consensus::TargetsReport;
-use use3d_capture::{Camera, flat_stem};
+use use3d_capture::{Appearance, Camera, flat_stem};
 use use3d_io_image::read_image;
 use use3d_scene::Scene;
 
@@ -220,7 +220,7 @@ fn section(
     if let Some(targets) = parts.path("targets") {
         let report: TargetsReport = read_json(&targets.join("report.json"))?;
         section.plots.push(dispersion(&report));
-        section.sheets.extend(sheets(&targets.join("previews"))?);
+        section.sheets.extend(sheets(&targets.join("previews"), &report)?);
     }
     Ok(section)
 }
@@ -398,14 +398,27 @@ fn dispersion(report: &TargetsReport) -> PlotFigure {
         log_y: false,
         series: vec![Series { label: String::new(), color: "#0b7285", points, dots: true }],
     };
+    let made = match (report.appearance, report.calibrated) {
+        (Appearance::Clear, _) => " Transitions of clear radiance, proposed by `scene`; not calibrated.",
+        (Appearance::Water, false) => " Proposals as they are: not calibrated.",
+        (Appearance::Water, true) => "",
+    };
     let caption = format!(
-        "Median {:.4}; {} of {} Gaussians have a target.",
+        "Median {:.4}; {} of {} Gaussians have a target.{made}",
         report.dispersion, report.supported, report.gaussians
     );
     PlotFigure { svg: plot.svg(), caption }
 }
 
-fn sheets(dir: &Path) -> Result<Vec<Picture>, StageError> {
+fn sheets(dir: &Path, report: &TargetsReport) -> Result<Vec<Picture>, StageError> {
+    let caption = match report.appearance {
+        Appearance::Water => {
+            "Left to right: captured, the proposal for this view alone, its transition as the calibrator leaves it, the consensus of all views (2D previews)."
+        }
+        Appearance::Clear => {
+            "Left to right: the clear radiance that stage 1 found, the scene's proposal for it, this view's transition (not calibrated), the consensus of all views (2D previews)."
+        }
+    };
     let Ok(entries) = std::fs::read_dir(dir) else { return Ok(Vec::new()) };
     let mut paths: Vec<_> = entries.filter_map(|e| Some(e.ok()?.path())).collect();
     paths.sort();
@@ -413,7 +426,6 @@ fn sheets(dir: &Path) -> Result<Vec<Picture>, StageError> {
         .iter()
         .map(|path| {
             let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-            let caption = "Left to right: captured, the proposal for this view alone, its transition as the calibrator leaves it, the consensus of all views (2D previews).";
             Ok(Picture::embed_wide(&format!("Consensus on {stem}"), caption, &read_image(path)?, 1600)?)
         })
         .collect()

@@ -2,32 +2,32 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use use3d_atc::AtcError;
-use use3d_atc::consensus::{Preview, Proposals, Recorder, TargetsParams, ViewInput, targets_from_records};
+use use3d_atc::consensus::{Preview, Recorder, TargetsParams, targets_from_records};
 use use3d_atc::progress::Progress;
 use use3d_capture::{Capture, View};
-use use3d_io_colmap::load_pixels;
 use use3d_io_image::{write_png, write_png_map};
 use use3d_splat::Rasterizer;
 
-use super::calibrator::read_calibrator;
+use super::calibrated::is_calibrated;
 use super::captured::capture;
 use super::common::{folder, write_json};
 use super::names::TARGETS;
 use super::proposals::asked_for;
-use super::proposer::{ProposerChoice, of_calibrator};
+use super::proposer::ProposerChoice;
 use super::scenes::scene;
+use super::starts::Starts;
 use crate::engine::{Scope, Stage, StageContext, StageError};
 
 /// Parameters of the targets.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct Params {
-    /// The 2D enhancer that proposes: `auto` is the one that the calibrator was fitted for, another one is refused.
+    /// What proposes. A 2D enhancer: `auto` is the one that the calibrator was fitted for, another one is refused. `scene`: stage 1's own
+    /// knowledge of the views, in clear radiance; it needs no calibrator.
     pub(super) proposer: ProposerChoice,
     /// The consensus.
     pub(super) consensus: TargetsParams,
-    /// Views shown side by side: captured, proposal, calibrated on its own, consensus.
+    /// Views shown side by side: captured (or clear), proposal, calibrated on its own, consensus.
     pub(super) previews: usize,
 }
 
@@ -46,48 +46,34 @@ pub(super) fn stage() -> Stage {
         .input("scene", "reconstruct")
         .input("calibrator", "calibrate")
         .or_external("calibrator")
+        .only_when(is_calibrated)
         .optional_external("models", "models")
         .select(super::weights::files_of_proposer)
         .seeded()
         .cost(0, 2 << 30)
 }
 
-/// A captured view for the consensus.
-fn input(view: &View) -> Result<ViewInput, AtcError> {
-    let pixels = load_pixels(view)
-        .map_err(|e| AtcError::View { view: view.name.to_string(), problem: e.to_string() })?;
-    Ok(ViewInput {
-        name: view.name.to_string(),
-        camera: view.camera,
-        image: pixels.to_image(),
-        proposal: None,
-    })
-}
-
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let capture: Capture = capture(context)?;
     let scene = scene(context, "scene")?;
-    let calibrator = read_calibrator(context.input("calibrator")?)?;
-    let proposer =
-        of_calibrator(params.proposer, &calibrator.proposer.name, context.optional_input("models"))
-            .map_err(StageError::bad_input_message)?;
-    calibrator.proposer.require(&proposer.id()).map_err(StageError::bad_input)?;
-
     let views: Vec<&View> = capture.training_views().collect();
+    let mut starts = Starts::open(context, params.proposer, &scene, &views)?;
     let total = 2 * views.len() as u64;
     let mut recorder = Recorder::new();
     let mut records = Vec::with_capacity(views.len());
     for (i, view) in views.iter().enumerate() {
         context.alive()?;
         context.progress_with(i as u64, total, "views", "proposals and transitions");
-        records.push(recorder.record(&input(view)?, Proposals::From(proposer.as_ref()), &calibrator)?);
+        let input = starts.view(view)?;
+        records.push(recorder.record(&input, starts.proposals(), &starts.calibrator)?);
     }
     let consensus = TargetsParams { seed: context.seed(), ..params.consensus.clone() };
     let built = targets_from_records(
         &scene.gaussians,
         &records,
-        proposer.id(),
-        &calibrator,
+        starts.appearance(),
+        starts.proposer.clone(),
+        &starts.calibrator,
         &consensus,
         &mut |progress| {
             if let Progress::Lift { index, .. } = progress {
@@ -123,6 +109,9 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let path = context.output().join(TARGETS);
     std::fs::write(&path, targets.to_bytes()?).map_err(|e| StageError::io(&path, e))?;
     write_json(&context.output().join("report.json"), &report)?;
+    if let Some(findings) = starts.findings() {
+        write_json(&context.output().join("scene.json"), findings)?;
+    }
 
     let shown = params.previews.min(views.len());
     if shown > 0 {
@@ -133,12 +122,13 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         for k in 0..shown {
             context.alive()?;
             let i = k * views.len() / shown;
+            let input = starts.view(views[i])?;
             let preview = Preview::new(
                 &scene.gaussians,
-                &input(views[i])?,
+                &input,
                 &records[i],
-                proposer.as_ref(),
-                &calibrator,
+                starts.proposals(),
+                &starts.calibrator,
                 &targets,
                 &mut rasterizer,
             )?;

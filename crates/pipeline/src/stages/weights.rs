@@ -18,7 +18,7 @@ pub(super) fn proposer_files(models: &Path) -> Vec<PathBuf> {
 /// The files in a models folder that the proposer of these parameters reads, relative to it; says what to put there where it is asked
 /// for by name and its weights are not there.
 pub(super) fn files_of_proposer(parameters: &Value, models: &Path) -> Result<Vec<PathBuf>, String> {
-    if parameters["proposer"] == "fusion" {
+    if parameters["proposer"] == "fusion" || parameters["proposer"] == "scene" {
         return Ok(Vec::new());
     }
     let files = proposer_files(models);

@@ -13,7 +13,7 @@
 //! unsharp mask; and a last stretch of the range, one curve for all channels, that takes the veil off hazy frames.
 //! Deterministic. Known limits: it knows nothing of distance, so far water is treated like near sand.
 
-mod pyramid;
+pub(super) mod pyramid;
 mod weights;
 mod white_balance;
 

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use use3d_capture::Raster;
 
 /// One level down.
-pub(super) fn reduce<const C: usize>(image: &Raster<f32, C>) -> Raster<f32, C> {
+pub(in crate::proposers) fn reduce<const C: usize>(image: &Raster<f32, C>) -> Raster<f32, C> {
     let (w, h) = (image.width(), image.height());
     let (half_w, half_h) = (w.div_ceil(2), h.div_ceil(2));
     let narrow = horizontal(image, half_w, |row, x| {
@@ -23,7 +23,11 @@ pub(super) fn reduce<const C: usize>(image: &Raster<f32, C>) -> Raster<f32, C> {
 }
 
 /// One level up, to a given size (that `reduce` brings back to the image's own).
-pub(super) fn expand<const C: usize>(image: &Raster<f32, C>, width: usize, height: usize) -> Raster<f32, C> {
+pub(in crate::proposers) fn expand<const C: usize>(
+    image: &Raster<f32, C>,
+    width: usize,
+    height: usize,
+) -> Raster<f32, C> {
     let (w, h) = (image.width(), image.height());
     let wide = horizontal(image, width, |row, x| {
         let at = |i: isize| row[((x / 2) as isize + i).clamp(0, w as isize - 1) as usize];

@@ -1,0 +1,404 @@
+//! `scene`: an enhancement proposed for what stage 1 knows of a view, not for a photograph.
+//!
+//! A photograph mixes surface and water, so whoever looks at it alone has to guess which is which. Stage 1 has told them apart: of a training
+//! view it knows the clear radiance `J` (display range, black where nothing is), the accumulation `A`, and per channel what of the
+//! surface's light arrives, `A t` with `t = e^{−β_attn s}`. A pixel is as *sure* as its least known channel, `w = min_c A t_c`. What is
+//! proposed is one grade for the whole scene, and one local rule:
+//!
+//! ```text
+//! m    = weighted medians over all views of ln J_c − mean_c ln J_c              the scene's mean colour
+//! d    = m − μ,   D² = (d_∥/σ_∥)² + (d_⊥/σ_⊥)²,   σ² = σ_0² + (standard error of m)²
+//! ln g = −max(0, 1 − 1/D²) d,   scaled so that |ln g_c| ≤ ln 1.5                white balance
+//! J̃    = Y (s C + (1 − s) C̄),   s = t²/(t² + t_0²),   t = min_c t_c             colour of far surfaces
+//! J⁺   = b (Y⁺/Y_95)^{p−1} g ⊙ J̃                                                brightness, contrast
+//! ```
+//!
+//! * *White balance.* Surfaces under white light are on average not grey but a little warm, `μ`: sand, rock and what grows on them reflect
+//!   the more the longer the wave. A mean colour from grey to twice as warm as `μ` says nothing about the light (`D ≤ 1`: gains of exactly one),
+//!   and a clear cast is taken off nearly whole: the positive-part rule of James and Stein, with `d` cut into its part along `μ` and across it,
+//!   as warmth varies more from scene to scene than tint. Water found by the method's own formation leaves no cast; daylight that faded
+//!   with depth, and a camera that balances by itself, do.
+//! * *Far surfaces.* `J = (I − veil)/t` multiplies noise and what is wrong about the water by `1/t`. Where `t` is below about `t_0`, colour
+//!   `C = J/Y` (Y: luminance) gives way to `C̄`, that of the sure neighbourhood: `Σ w² J / Σ w² Y` blurred over a sixteenth of the image.
+//! * *Brightness.* The bright end of what is sure (99th percentile of the largest channel) is brought to at least 0.85 and at most 0.97, by
+//!   a gain `b` in [1/1.2, 1.5] that clips at most 0.3 % of the surface. `Y_95` is the 95th percentile of luminance after the balance.
+//! * *Contrast.* Only of a scene whose luminance spans less than 3 : 1 from the 5th to the 95th percentile: `p` widens it, by at most 1.15.
+//!
+//! Medians and percentiles are of at most 4096 pixels of each view, on an even grid. A standard error counts every four views as one
+//! independent: neighbouring views see the same surfaces. Deterministic; no weights, no randomness.
+//!
+//! Limits: one light for the whole scene. A reef that is mostly of one vivid colour is taken for a cast, as by any such estimate, within
+//! the bounds of `g`. The constants are of everyday surfaces, not of any capture.
+
+use serde::{Deserialize, Serialize};
+use use3d_capture::{Image, Map, Raster};
+use use3d_numerics::math;
+
+use super::ProposerId;
+use super::fusion::pyramid::{expand, reduce};
+use crate::error::AtcError;
+use crate::extractor::global::LUMINANCE;
+
+/// The proposer's name.
+pub const NAME: &str = "scene";
+/// The version of the formula; raised when a constant or a step changes.
+const VERSION: &str = "1";
+
+/// Mean log-colour of surfaces under white light: between that of everyday photographs and that of sand.
+const WARMTH: [f64; 3] = [0.10, 0.03, -0.13];
+/// How far the mean log-colour of a scene under white light lies from that: along it (grey is one such distance away), and across.
+const SPREAD: [f64; 2] = [0.17, 0.10];
+/// Largest gain of a channel.
+const LARGEST_BALANCE: f64 = 1.5;
+/// Views that count as one independent look at the scene.
+const VIEWS_ALIKE: f64 = 4.0;
+/// Transmittance at which half the colour is the neighbourhood's.
+const HALF_TRUST: f32 = 0.05;
+/// Where the bright end of the scene may lie, display range.
+const BRIGHT_END: [f64; 2] = [0.85, 0.97];
+/// Bounds of the brightness.
+const BRIGHTNESS: [f64; 2] = [1.0 / 1.2, 1.5];
+/// Share of the surface that a brighter scene may clip.
+const CLIPPED: f64 = 0.003;
+/// The least range of luminance, 95th over 5th percentile, that is left as it is; and the largest exponent that widens a smaller one.
+const CONTRAST: (f64, f64) = (3.0, 1.15);
+/// Sampled pixels of a view, at most.
+const SAMPLES: usize = 4096;
+/// Least radiance of which a colour is taken: darker is noise.
+const DARK: f64 = 0.04;
+/// Least sum of weights, in pixels, that is believed.
+const LEAST_WEIGHT: f64 = 20.0;
+
+/// What stage 1 knows of a view. All three have one size.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneView {
+    /// Clear radiance `J`, display range, unclamped, black where nothing is.
+    pub clear: Image,
+    /// Accumulated opacity `A`, `[0, 1]`.
+    pub accumulation: Map,
+    /// What arrives of a white surface's light, `A t`, per channel, `[0, 1]`.
+    pub arriving: Image,
+}
+
+impl SceneView {
+    fn check(&self) -> Result<(), AtcError> {
+        let wrong = |message: String| AtcError::Proposer { proposer: NAME.into(), message };
+        let size = (self.clear.width(), self.clear.height());
+        if size.0 == 0 || size.1 == 0 {
+            return Err(AtcError::EmptyImage { role: "proposer's", width: size.0, height: size.1 });
+        }
+        let others = [
+            (self.accumulation.width(), self.accumulation.height()),
+            (self.arriving.width(), self.arriving.height()),
+        ];
+        if others != [size; 2] {
+            return Err(wrong(format!(
+                "clear radiance is {size:?}, accumulation and arriving light {others:?}"
+            )));
+        }
+        let all = [self.clear.data(), self.accumulation.data(), self.arriving.data()];
+        if !all.iter().all(|plane| plane.iter().all(|v| v.is_finite())) {
+            return Err(wrong("a render of stage 1 has a value that is not finite".into()));
+        }
+        Ok(())
+    }
+
+    /// `w = min_c A t_c`.
+    fn sureness(&self) -> Map {
+        let [r, g, b] = self.arriving.planes();
+        let data = r.iter().zip(g).zip(b).map(|((r, g), b)| r.min(*g).min(*b).clamp(0.0, 1.0)).collect();
+        let (w, h) = (self.clear.width(), self.clear.height());
+        Map::from_planes(w, h, data).unwrap_or_else(|| Map::new(w, h))
+    }
+}
+
+/// A sampled pixel of a surface.
+#[derive(Clone, Copy, Debug)]
+struct Sample {
+    radiance: [f64; 3],
+    weight: f64,
+}
+
+/// Looks at the views of a scene, one after another, before anything is proposed for any.
+#[derive(Clone, Debug, Default)]
+pub struct SceneSurvey {
+    views: Vec<Vec<Sample>>,
+}
+
+/// What was found about a scene, for reports.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SceneFindings {
+    /// The scene's mean colour `m`: log of each channel over their geometric mean.
+    pub mean_colour: [f64; 3],
+    /// Its standard error, over views.
+    pub standard_error: f64,
+    /// Share of the departure from the usual mean colour that is taken off, `[0, 1)`; 0: no cast is sure.
+    pub trusted: f64,
+    /// White balance `g`.
+    pub balance: [f64; 3],
+    /// Brightness `b`.
+    pub brightness: f64,
+    /// Exponent `p` of the contrast.
+    pub contrast: f64,
+    /// Luminance that contrast turns about, `Y_95`.
+    pub pivot: f64,
+    /// Share of sampled surface that leaves the display range once graded.
+    pub clipped: f64,
+}
+
+impl SceneFindings {
+    /// A scene that is left as it is.
+    const NONE: Self = Self {
+        mean_colour: [0.0; 3],
+        standard_error: 0.0,
+        trusted: 0.0,
+        balance: [1.0; 3],
+        brightness: 1.0,
+        contrast: 1.0,
+        pivot: 1.0,
+        clipped: 0.0,
+    };
+}
+
+impl SceneSurvey {
+    /// Nothing seen yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Looks at one training view.
+    pub fn add(&mut self, view: &SceneView) -> Result<(), AtcError> {
+        view.check()?;
+        let (w, h) = (view.clear.width(), view.clear.height());
+        let sure = view.sureness();
+        // As many columns and rows as keep the grid's cells square.
+        let share = (SAMPLES as f64 / (w * h) as f64).sqrt().min(1.0);
+        let axis = |n: usize| {
+            let count = ((n as f64 * share) as usize).max(1);
+            (0..count).map(move |i| (2 * i + 1) * n / (2 * count))
+        };
+        let mut samples = Vec::new();
+        for y in axis(h) {
+            for x in axis(w) {
+                let [accumulation] = view.accumulation.pixel(x, y);
+                if accumulation >= 0.5 {
+                    let radiance = view.clear.pixel(x, y).map(|v| f64::from(v.max(0.0)));
+                    samples.push(Sample { radiance, weight: f64::from(sure.pixel(x, y)[0]) });
+                }
+            }
+        }
+        self.views.push(samples);
+        Ok(())
+    }
+
+    /// The scene's proposer.
+    pub fn finish(self) -> SceneProposer {
+        SceneProposer { findings: self.findings().unwrap_or(SceneFindings::NONE) }
+    }
+
+    /// `None` where hardly anything is sure.
+    fn findings(&self) -> Option<SceneFindings> {
+        let coloured: Vec<Vec<([f64; 3], f64)>> =
+            self.views.iter().map(|v| v.iter().filter_map(log_colour).collect()).collect();
+        let (mean_colour, _) = middle(coloured.iter().flatten())?;
+        let standard_error = standard_error(&coloured, mean_colour);
+        let (balance, trusted) = balance(mean_colour, standard_error);
+
+        let all: Vec<Sample> = self.views.iter().flatten().copied().collect();
+        let graded = |s: &Sample| -> [f64; 3] { std::array::from_fn(|c| balance[c] * s.radiance[c]) };
+        let light: Vec<(f64, f64)> = all.iter().map(|s| (luminance(graded(s)), s.weight)).collect();
+        let pivot = quantile(&light, 0.95)?.max(1e-3);
+        let range = pivot / quantile(&light, 0.05)?.max(1e-3);
+        let contrast = (math::ln(CONTRAST.0) / math::ln(range.max(1.0 + 1e-9))).clamp(1.0, CONTRAST.1);
+        let largest = |s: &Sample| {
+            let x = graded(s);
+            curve(x, pivot, contrast) * x[0].max(x[1]).max(x[2])
+        };
+        let sure: Vec<(f64, f64)> = all.iter().map(|s| (largest(s), s.weight)).collect();
+        let surface: Vec<(f64, f64)> = sure.iter().map(|(v, _)| (*v, 1.0)).collect();
+        let bright = quantile(&sure, 0.99)?.max(1e-3);
+        let limit = quantile(&surface, 1.0 - CLIPPED)?.max(1e-3);
+        let brightness = (bright.clamp(BRIGHT_END[0], BRIGHT_END[1]) / bright)
+            .clamp(BRIGHTNESS[0], BRIGHTNESS[1])
+            // What was bright already, noise far away for one, does not make the scene darker than the bound.
+            .min((1.0 / limit).max(BRIGHTNESS[0]));
+        let over = surface.iter().filter(|(v, _)| brightness * v > 1.0).count();
+        Some(SceneFindings {
+            mean_colour,
+            standard_error,
+            trusted,
+            balance,
+            brightness,
+            contrast,
+            pivot,
+            clipped: over as f64 / surface.len().max(1) as f64,
+        })
+    }
+}
+
+/// Log of each channel over their geometric mean, and the weight, of a pixel that is neither dark nor clipped.
+fn log_colour(sample: &Sample) -> Option<([f64; 3], f64)> {
+    let shown = |v: &f64| (DARK / 4.0..1.0).contains(v);
+    let bright = luminance(sample.radiance) >= DARK;
+    if !(bright && sample.weight > 0.0 && sample.radiance.iter().all(shown)) {
+        return None;
+    }
+    let logs = sample.radiance.map(math::ln);
+    Some((centred(logs), sample.weight))
+}
+
+fn centred(v: [f64; 3]) -> [f64; 3] {
+    let mean = (v[0] + v[1] + v[2]) / 3.0;
+    v.map(|x| x - mean)
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn luminance(x: [f64; 3]) -> f64 {
+    dot(LUMINANCE, x)
+}
+
+/// `(Y/Y_95)^{p−1}`.
+fn curve(x: [f64; 3], pivot: f64, exponent: f64) -> f64 {
+    if exponent > 1.0 { math::powf((luminance(x) / pivot).max(1e-6), exponent - 1.0) } else { 1.0 }
+}
+
+/// The weighted median of each channel, centred, and the sum of the weights; `None` where that is too little.
+fn middle<'s>(colours: impl Iterator<Item = &'s ([f64; 3], f64)> + Clone) -> Option<([f64; 3], f64)> {
+    let total: f64 = colours.clone().map(|(_, w)| w).sum();
+    if total < LEAST_WEIGHT {
+        return None;
+    }
+    let mut medians = [0.0; 3];
+    for (c, median) in medians.iter_mut().enumerate() {
+        let values: Vec<(f64, f64)> = colours.clone().map(|(v, w)| (v[c], *w)).collect();
+        *median = quantile(&values, 0.5)?;
+    }
+    Some((centred(medians), total))
+}
+
+/// The least value up to which a share of the weight lies; `None` without weight.
+fn quantile(values: &[(f64, f64)], share: f64) -> Option<f64> {
+    let mut sorted: Vec<(f64, f64)> = values.iter().copied().filter(|(_, w)| *w > 0.0).collect();
+    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let total: f64 = sorted.iter().map(|(_, w)| w).sum();
+    let mut below = 0.0;
+    for (value, weight) in &sorted {
+        below += weight;
+        if below >= share * total {
+            return Some(*value);
+        }
+    }
+    sorted.last().map(|(value, _)| *value)
+}
+
+/// Root mean square over channels of the error of the mean colour, from how views differ.
+fn standard_error(views: &[Vec<([f64; 3], f64)>], mean: [f64; 3]) -> f64 {
+    let (mut weights, mut squares, mut spread) = (0.0, 0.0, 0.0);
+    for (own, weight) in views.iter().filter_map(|v| middle(v.iter())) {
+        weights += weight;
+        squares += weight * weight;
+        let apart: [f64; 3] = std::array::from_fn(|c| own[c] - mean[c]);
+        spread += weight * dot(apart, apart) / 3.0;
+    }
+    if weights <= 0.0 {
+        return 0.0;
+    }
+    let independent = (weights * weights / squares / VIEWS_ALIKE).max(1.0);
+    (spread / weights / independent).sqrt()
+}
+
+/// The gains that take off what of a mean colour is surely a cast, and its share.
+fn balance(mean: [f64; 3], error: f64) -> ([f64; 3], f64) {
+    let apart: [f64; 3] = std::array::from_fn(|c| mean[c] - WARMTH[c]);
+    let length = dot(WARMTH, WARMTH).sqrt();
+    let along = dot(apart, WARMTH) / length;
+    let across = (dot(apart, apart) - along * along).max(0.0);
+    let [own, other] = SPREAD.map(|s| s * s + error * error);
+    let distance = along * along / own + across / other;
+    let trusted = if distance > 1.0 { 1.0 - 1.0 / distance } else { 0.0 };
+    let most = apart.iter().fold(0.0f64, |m, d| m.max((trusted * d).abs()));
+    let bound = math::ln(LARGEST_BALANCE);
+    let trusted = if most > bound { trusted * bound / most } else { trusted };
+    (apart.map(|d| math::exp(-trusted * d)), trusted)
+}
+
+/// The grade of one scene, ready for each of its views.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneProposer {
+    findings: SceneFindings,
+}
+
+impl SceneProposer {
+    /// What identifies it: its formula, not the scene.
+    pub fn id() -> ProposerId {
+        ProposerId { name: NAME.into(), digest: VERSION.into() }
+    }
+
+    /// What it found.
+    pub fn findings(&self) -> &SceneFindings {
+        &self.findings
+    }
+
+    /// The enhanced clear radiance of a view, of its size; display range, not clamped.
+    pub fn propose(&self, view: &SceneView) -> Result<Image, AtcError> {
+        view.check()?;
+        let SceneFindings { balance, brightness, contrast, pivot, .. } = self.findings;
+        let mut out = calmed(view);
+        for p in 0..out.pixels() {
+            let x: [f64; 3] = std::array::from_fn(|c| balance[c] * f64::from(out.plane(c)[p]));
+            let curve = curve(x, pivot, contrast);
+            for (c, x) in x.into_iter().enumerate() {
+                out.plane_mut(c)[p] = (brightness * curve * x) as f32;
+            }
+        }
+        Ok(out)
+    }
+}
+
+/// `J̃`: where little of the surface's light arrives, its colour is that of the sure neighbourhood.
+fn calmed(view: &SceneView) -> Image {
+    let (w, h) = (view.clear.width(), view.clear.height());
+    let sure = view.sureness();
+    let mut out = view.clear.map(|v| v.max(0.0));
+    let luminance =
+        |x: [f32; 3]| LUMINANCE[0] as f32 * x[0] + LUMINANCE[1] as f32 * x[1] + LUMINANCE[2] as f32 * x[2];
+    // w² J and w² Y, blurred.
+    let mut sums = Raster::<f32, 4>::new(w, h);
+    for p in 0..w * h {
+        let x: [f32; 3] = std::array::from_fn(|c| out.plane(c)[p]);
+        let weight = sure.data()[p] * sure.data()[p];
+        for (c, v) in [x[0], x[1], x[2], luminance(x)].into_iter().enumerate() {
+            sums.plane_mut(c)[p] = weight * v;
+        }
+    }
+    let around = blurred(sums);
+    for p in 0..w * h {
+        let x: [f32; 3] = std::array::from_fn(|c| out.plane(c)[p]);
+        let (y, accumulation, around_y) = (luminance(x), view.accumulation.data()[p], around.plane(3)[p]);
+        if y <= 1e-3 || accumulation <= 1e-3 || around_y <= 1e-7 {
+            continue;
+        }
+        let t = sure.data()[p] / accumulation;
+        let own = t * t / (t * t + HALF_TRUST * HALF_TRUST);
+        for c in 0..3 {
+            let near = y * around.plane(c)[p] / around_y;
+            out.plane_mut(c)[p] = own * x[c] + (1.0 - own) * near;
+        }
+    }
+    out
+}
+
+/// Blurred over about a sixteenth of the long side: reduced until about twenty pixels are left of it, and expanded again.
+fn blurred<const C: usize>(image: Raster<f32, C>) -> Raster<f32, C> {
+    let (w, h) = (image.width(), image.height());
+    if w.max(h) <= 20 {
+        return image;
+    }
+    expand(&blurred(reduce(&image)), w, h)
+}
+
+#[cfg(test)]
+mod tests;
