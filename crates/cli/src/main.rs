@@ -21,7 +21,7 @@ use std::sync::atomic::AtomicBool;
 use clap::Parser;
 use use3d_pipeline::engine::Listener;
 
-use args::{Cli, Synth, Verb};
+use args::{Bench, Cli, Synth, Verb};
 use error::{CliError, Done};
 
 /// The seed of stages that are run by hand, as in a pipeline without one; `--set seed=N` is another.
@@ -84,6 +84,7 @@ fn run(app: &App, verb: Verb) -> Done {
         Verb::Export(args) => verbs::export::run(app, &args),
         Verb::Synth { what: Synth::Capture(args) } => verbs::synth::capture(app, &args),
         Verb::Synth { what: Synth::Pairs(args) } => verbs::synth::pairs(app, &args),
+        Verb::Bench { what: Bench::Truth(args) } => verbs::bench::truth(app, &args),
         Verb::Water(args) => verbs::water::run(app, &args),
         Verb::Models(args) => verbs::models::run(&args),
         Verb::Gc(args) => verbs::cache::gc(&args),

@@ -5,13 +5,14 @@
 //!
 //! | with a reference | without | between views |
 //! | --- | --- | --- |
-//! | [`psnr`], [`psnr_exposure_fitted`], [`ssim`], [`ms_ssim`], [`ciede2000`] | [`uciqe`], [`uiqm`] | [`warped_distance`] (flow), [`warped_delta_e`], [`warped_ssim`] (depth) |
+//! | [`psnr`], [`psnr_exposure_fitted`], [`affine_fit`], [`ssim`], [`ms_ssim`], [`ciede2000`] | [`uciqe`], [`uiqm`] | [`warped_distance`] (flow), [`warped_delta_e`], [`warped_ssim`] (depth) |
 //!
 //! Every measure of a photograph heeds a [`Mask`] of the pixels that count; every result becomes a [`Score`], which is finite or says
 //! why it is not there.
 //!
 //! Deterministic: long sums are f64 in a fixed order, the same bits for any number of threads.
 
+mod affine;
 mod ciede2000;
 mod consistency;
 mod error;
@@ -25,6 +26,7 @@ mod uciqe;
 mod uiqm;
 mod warp;
 
+pub use affine::{ColourMap, affine_fit, map_colours};
 pub use ciede2000::{ciede2000, delta_e_of_lab, mean_ciede2000};
 pub use consistency::{
     Consistency, GeometricView, geometric_warp, warped_delta_e, warped_distance, warped_ssim,

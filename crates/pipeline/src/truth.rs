@@ -9,6 +9,9 @@
 //!
 //! * `truth_psnr`, `truth_delta_e`: PSNR and mean CIEDE2000 of `clip(g x)` against the true clean image, `g = Σ x y / Σ x²`: one
 //!   gain for the whole image, since the absolute brightness of a scene without its water is not determined.
+//! * `truth_psnr_raw`, `truth_delta_e_raw`: the same of `clip(x)`, nothing fitted. `…_channel`: after one such gain per channel, as a
+//!   camera that balances its white differently would see it. `…_affine`: after the affine map of colours (3×4) of least squares per
+//!   image: what no adjustment of a whole picture mends is left. Gains and maps are fitted to values in `[0, 1]` before they are clipped.
 //! * `depth_error`: the median of `|z - z*| / z*` of the expected depth, `z*` the true depth times the scale of the recorded frame.
 //! * Water: the mean of a coefficient over all rays of the held-out views, in 1/metre. A length in the normalised frame is
 //!   `scale` times that in COLMAP's, which is `units_per_metre` times metres; a coefficient per length goes the other way.
@@ -18,7 +21,10 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Image, Map};
 use use3d_io_colmap::{ImageSize, ImportError, ImportParams, Imported, SplitParams, import, is_prepared};
-use use3d_metrics::{ExposureFit, Mask, exposure_gain, mean_ciede2000, psnr_exposure_fitted};
+use use3d_metrics::{
+    ExposureFit, Mask, MetricError, affine_fit, exposure_gain, map_colours, mean_ciede2000, psnr,
+    psnr_exposure_fitted,
+};
 use use3d_synth::CaptureTruth;
 
 use crate::scores::{Score, Scores};
@@ -155,6 +161,50 @@ pub struct WaterScores {
     pub true_backscatter: [f64; 3],
 }
 
+/// What is fitted to the true image before another is compared with it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fit {
+    /// Nothing.
+    Raw,
+    /// Gains.
+    Gain(ExposureFit),
+    /// An affine map of colours.
+    Affine,
+}
+
+/// The ends of the scores' names, and what they are after.
+pub const FITS: [(&str, Fit); 4] = [
+    ("_raw", Fit::Raw),
+    ("", Fit::Gain(ExposureFit::Global)),
+    ("_channel", Fit::Gain(ExposureFit::PerChannel)),
+    ("_affine", Fit::Affine),
+];
+
+impl Fit {
+    /// PSNR and mean CIEDE2000 of `x` against `y`, values in `[0, 1]`.
+    fn compare(self, x: &Image, y: &Image) -> (Score, Score) {
+        let (psnr, fitted) = match self {
+            Self::Raw => (psnr(x, y, None), Ok(x.clone())),
+            Self::Gain(fit) => {
+                let exposed = exposure_gain(x, y, fit).map(|gains| {
+                    let mut exposed = x.clone();
+                    for (c, gain) in gains.into_iter().enumerate() {
+                        exposed.plane_mut(c).iter_mut().for_each(|v| *v = (gain as f32 * *v).clamp(0.0, 1.0));
+                    }
+                    exposed
+                });
+                (psnr_exposure_fitted(x, y, fit).map(|(psnr, _)| psnr), exposed)
+            }
+            Self::Affine => {
+                let mapped = affine_fit(x, y).map(|map| map_colours(x, &map).map(|v| v.clamp(0.0, 1.0)));
+                let against = |x: &Image| psnr(x, y, None);
+                (mapped.as_ref().map_err(MetricError::clone).and_then(against), mapped)
+            }
+        };
+        (Score::measured(psnr), Score::measured(fitted.and_then(|x| mean_ciede2000(&x, y))))
+    }
+}
+
 /// The truth of one view.
 pub struct TrueView {
     clean: Image,
@@ -181,21 +231,29 @@ impl TrueView {
         row
     }
 
-    /// `truth_psnr` and `truth_delta_e` of an image, over the pixels of the mask.
+    /// The true clean image.
+    pub fn clean(&self) -> &Image {
+        &self.clean
+    }
+
+    /// `truth_psnr` and `truth_delta_e` of an image after each of the [`FITS`], over the pixels of the mask.
     pub fn scores(&self, image: &Image, mask: Option<&Mask>) -> Scores {
         let sizes = [(image.width(), image.height()), (self.clean.width(), self.clean.height())];
-        let (psnr, delta_e) = if sizes[0] == sizes[1] {
-            let (x, y) = (self.surface(image, mask), self.surface(&self.clean, mask));
-            let fitted = psnr_exposure_fitted(&x, &y, ExposureFit::Global).map(|(psnr, _)| psnr);
-            let exposed = exposure_gain(&x, &y, ExposureFit::Global)
-                .map(|[gain, ..]| x.map(|v| (gain as f32 * v).clamp(0.0, 1.0)));
-            (Score::measured(fitted), Score::measured(exposed.and_then(|x| mean_ciede2000(&x, &y))))
-        } else {
-            let [(w, h), (tw, th)] = sizes;
-            let reason = Score::NotAvailable(format!("the true image is {tw}x{th}, the view {w}x{h}"));
-            (reason.clone(), reason)
-        };
-        Scores::from([("truth_psnr".into(), psnr), ("truth_delta_e".into(), delta_e)])
+        let surfaces =
+            (sizes[0] == sizes[1]).then(|| (self.surface(image, mask), self.surface(&self.clean, mask)));
+        let mut scores = Scores::new();
+        for (suffix, fit) in FITS {
+            let (psnr, delta_e) = if let Some((x, y)) = &surfaces {
+                fit.compare(x, y)
+            } else {
+                let [(w, h), (tw, th)] = sizes;
+                let reason = Score::NotAvailable(format!("the true image is {tw}x{th}, the view {w}x{h}"));
+                (reason.clone(), reason)
+            };
+            scores.insert(format!("truth_psnr{suffix}"), psnr);
+            scores.insert(format!("truth_delta_e{suffix}"), delta_e);
+        }
+        scores
     }
 
     /// `depth_error` of a rendered z-depth in normalised units; `scale` is the recorded frame's.
@@ -261,6 +319,49 @@ mod tests {
         close(&truth.depth_error(&Map::filled(8, 4, 1.1), 0.5), 0.1, 1e-6);
         assert!(truth.depth_error(&Map::new(8, 4), 0.5).value().is_none());
         assert!(truth.scores(&Image::filled(3, 3, 0.5), None)["truth_psnr"].value().is_none());
+    }
+
+    #[test]
+    fn each_fit_forgives_what_it_can_and_nothing_else() {
+        let clean = {
+            let mut image = ramp(1.0);
+            // Colours in three dimensions, away from the ends of the range.
+            for (i, v) in image.data_mut().iter_mut().enumerate() {
+                *v = 0.3 + 0.4 * ((7 * i + i * i / 3) % 32) as f32 / 32.0;
+            }
+            image
+        };
+        let truth = TrueView { clean: clean.clone(), depth: None };
+        let equal = |score: &Score| score.value().is_none_or(|psnr| psnr > 90.0);
+        // Each distortion, and the fits that undo it.
+        let channels = |gains: [f32; 3]| {
+            let mut image = clean.clone();
+            for (c, gain) in gains.into_iter().enumerate() {
+                image.plane_mut(c).iter_mut().for_each(|v| *v *= gain);
+            }
+            image
+        };
+        let mixed = map_colours(&clean, &[[0.6, 0.2, 0.0, 0.05], [0.1, 0.7, 0.1, 0.0], [0.0, 0.2, 0.5, 0.1]]);
+        for (image, undone) in [
+            (clean.clone(), ["_raw", "", "_channel", "_affine"].as_slice()),
+            (channels([0.6; 3]), &["", "_channel", "_affine"]),
+            (channels([0.4, 0.8, 0.9]), &["_channel", "_affine"]),
+            (mixed, &["_affine"]),
+        ] {
+            let scores = truth.scores(&image, None);
+            for (suffix, _) in FITS {
+                let (psnr, delta_e) =
+                    (&scores[&format!("truth_psnr{suffix}")], &scores[&format!("truth_delta_e{suffix}")]);
+                let delta_e = delta_e.value().unwrap();
+                assert_eq!(equal(psnr), undone.contains(&suffix), "{suffix}: {scores:?}");
+                assert_eq!(delta_e < 0.02, undone.contains(&suffix), "{suffix}: {scores:?}");
+            }
+        }
+        // Another scene is none of them; what may do more comes closer.
+        let scores = truth.scores(&ramp(1.0), None);
+        let psnr = |suffix: &str| scores[&format!("truth_psnr{suffix}")].value().unwrap();
+        assert!(psnr("_affine") > psnr("_channel") && psnr("_channel") > psnr("") && psnr("") > psnr("_raw"));
+        assert!(psnr("_affine") < 30.0, "{scores:?}");
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! The words of the command line: the command and its verbs here, what each verb takes by family below.
 
+mod bench;
 mod captures;
 mod pictures;
 mod pipelines;
@@ -9,6 +10,7 @@ mod upkeep;
 
 use clap::{Parser, Subcommand};
 
+pub(crate) use bench::{Baselines, Bench, BenchTruthArgs};
 pub(crate) use captures::{Synth, SynthArgs, SynthCaptureArgs, WaterArgs};
 pub(crate) use pictures::{CameraPath, ExportArgs, ExportFrame, ExportWhat, FrameFormat, RenderArgs};
 pub(crate) use pipelines::{DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, RunArgs, WhyArgs};
@@ -131,6 +133,12 @@ pub(crate) enum Verb {
         #[command(subcommand)]
         what: Synth,
     },
+    /// Judge the program on captures whose truth is known.
+    Bench {
+        /// By what.
+        #[command(subcommand)]
+        what: Bench,
+    },
     /// What water a capture was taken in: attenuation, backscatter and veil from its sparse points, with error bars.
     #[command(
         after_help = "Examples:\n  use3d water my-reef/\n  use3d water my-reef/ --set image_dir=images_2 --json"
@@ -165,6 +173,7 @@ impl Verb {
             Self::Run(args) => args.json,
             Self::Plan(args) | Self::Status(args) => args.json,
             Self::Why(args) => args.json,
+            Self::Bench { what: Bench::Truth(args) } => args.json,
             Self::Evaluate(args) => args.json || args.format == TableFormat::Json,
             Self::Render(args) => args.json,
             Self::Models(args) => args.json,

@@ -7,7 +7,7 @@ use clap::{Args, ValueEnum};
 use super::shared::{CacheArgs, CalibrationArgs, Settings, count};
 
 /// More stages side by side than any one machine has memory for.
-const MAX_JOBS: u64 = 256;
+pub(super) const MAX_JOBS: u64 = 256;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum DemoSize {

@@ -1,5 +1,6 @@
 //! One file per verb, or per family of verbs.
 
+pub(crate) mod bench;
 pub(crate) mod cache;
 pub(crate) mod evaluate;
 pub(crate) mod export;

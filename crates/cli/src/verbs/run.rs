@@ -6,12 +6,9 @@ use std::time::Instant;
 
 use serde::Serialize;
 use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
-use use3d_pipeline::engine::code::CodeTable;
 use use3d_pipeline::engine::machine::seconds;
-use use3d_pipeline::engine::place::{self, Look, Standing};
-use use3d_pipeline::engine::{
-    Cache, Digest, Engine, Event, Graph, Listener, Plan, RunOptions, Summary, picture,
-};
+use use3d_pipeline::engine::place;
+use use3d_pipeline::engine::{Cache, Engine, Event, Graph, Listener, Plan, RunOptions, Summary, picture};
 use use3d_pipeline::results;
 use use3d_pipeline::scores::{Method, SceneScores};
 use use3d_pipeline::stages::{evaluate::SCORES, read_json};
@@ -23,6 +20,7 @@ use crate::args::{
 };
 use crate::error::{CliError, Done};
 use crate::verbs::stages::{scratch, stages};
+use crate::verbs::synth::keep_capture;
 
 /// A pipeline with the engine and graph to work on it.
 pub(crate) struct Loaded {
@@ -252,8 +250,7 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
         DemoSize::Full => (48, 640, 360, 15_000, 5000),
     };
     let params = use3d_synth::CaptureParams { views, width, height, ..use3d_synth::CaptureParams::default() };
-    let captures = args.out.join("captures");
-    let capture = captures.join("reef");
+    let capture = args.out.join("captures").join("reef");
     // The synthetic pairs are of the demo's own kinds of water.
     let mut sets = vec![
         format!("reconstruct.iterations={iterations}"),
@@ -270,27 +267,9 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
         &CalibrationArgs::default(),
         &CacheArgs { cache: Some(probe.path().join("cache")), ..args.cache.clone() },
     )?;
-    // The capture is a function of its parameters and of the code; one that is there with the same ones is taken as it is.
-    let code = CodeTable::built_in().stage(&["use3d-synth"], &[]).map_err(CliError::failed)?.digest();
-    let recipe = serde_json::json!({ "parameters": params, "code": code.to_string() });
-    let recipe = Digest::of(recipe.to_string().as_bytes());
     place::check(&capture, true)?;
     place::check_writable(&args.out)?;
-    let there = place::look(&capture, Look::Quick)?;
-    if !matches!(there, Standing::Ours(ours) if ours.whole && ours.key == Some(recipe)) {
-        std::fs::create_dir_all(&captures)
-            .map_err(|e| CliError::Input(format!("--out {}: {e}", args.out.display())))?;
-        let made = place::sibling(&capture);
-        let placed =
-            use3d_synth::write_capture(&params, &made, &mut super::synth::tell(app, "synth capture"))
-                .map_err(super::synth::error)
-                .and_then(|_| Ok(place::record(&made, Some(recipe))?))
-                .and_then(|()| Ok(place::put(&made, &capture, true)?));
-        if placed.is_err() {
-            let _ = std::fs::remove_dir_all(&made); // ours alone; the first error is the one to report
-        }
-        placed?;
-    }
+    keep_capture(app, &params, &capture)?;
     let mut cache = args.cache.clone();
     cache.cache.get_or_insert_with(|| args.out.join("cache"));
     let loaded = open(&capture, &[], &Settings { set: sets }, &CalibrationArgs::default(), &cache)?;

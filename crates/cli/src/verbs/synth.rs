@@ -1,9 +1,12 @@
 //! Synthetic data with known truth.
 
 use std::ops::ControlFlow;
+use std::path::Path;
 
 use serde::de::DeserializeOwned;
-use use3d_pipeline::engine::Event;
+use use3d_pipeline::engine::code::CodeTable;
+use use3d_pipeline::engine::place::{self, Look, Standing};
+use use3d_pipeline::engine::{Digest, Event};
 use use3d_synth::{CaptureParams, PairsParams, Physics, SynthError, WaterType, write_capture, write_pairs};
 
 use crate::App;
@@ -80,6 +83,31 @@ fn capture_params(args: &SynthCaptureArgs) -> Result<CaptureParams, CliError> {
     params.fish = args.fish.unwrap_or(params.fish);
     params.depth_priors = !args.no_depth_priors;
     Ok(params)
+}
+
+/// Makes a capture at `out`, unless one of the same parameters and code is there; another one of ours is replaced.
+pub(crate) fn keep_capture(app: &App, params: &CaptureParams, out: &Path) -> Done {
+    let code = CodeTable::built_in().stage(&["use3d-synth"], &[]).map_err(CliError::failed)?.digest();
+    let recipe = serde_json::json!({ "parameters": params, "code": code.to_string() });
+    let recipe = Digest::of(recipe.to_string().as_bytes());
+    place::check(out, true)?;
+    let there = place::look(out, Look::Quick)?;
+    if matches!(there, Standing::Ours(ours) if ours.whole && ours.key == Some(recipe)) {
+        return Ok(());
+    }
+    let folder = place::parent(out);
+    place::check_writable(folder)?;
+    std::fs::create_dir_all(folder)
+        .map_err(|e| CliError::Input(format!("--out {}: {e}", folder.display())))?;
+    let made = place::sibling(out);
+    let placed = write_capture(params, &made, &mut tell(app, "synth capture"))
+        .map_err(error)
+        .and_then(|_| Ok(place::record(&made, Some(recipe))?))
+        .and_then(|()| Ok(place::put(&made, out, true)?));
+    if placed.is_err() {
+        let _ = std::fs::remove_dir_all(&made); // ours alone; the first error is the one to report
+    }
+    placed
 }
 
 pub(crate) fn capture(app: &App, args: &SynthCaptureArgs) -> Done {

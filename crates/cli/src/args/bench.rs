@@ -1,0 +1,69 @@
+//! The words of `bench`.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand, ValueEnum};
+
+use super::pipelines::MAX_JOBS;
+use super::shared::{CacheArgs, CalibrationArgs, Settings, count};
+
+/// More photographs than a capture of synthetic views ever needs.
+const MAX_VIEWS: u64 = 10_000;
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Bench {
+    /// Synthetic captures, the whole pipeline and simple ways around it on each, and one table against the true clean scenes.
+    #[command(
+        after_help = "Examples:\n  use3d bench truth --out bench/                        all captures, seeds 1, 2 and 3\n  \
+        use3d bench truth --out quick/ --captures display-III,air --seeds 1 --iterations 600 --baselines simple\n\n\
+        Interrupted, the same command goes on from there; a second call computes nothing. docs/results.md explains the table."
+    )]
+    Truth(BenchTruthArgs),
+}
+
+/// Which of the things compared are run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Baselines {
+    /// All.
+    #[default]
+    All,
+    /// Only what needs no training of its own: photographs, and the 2D enhancer on them and on stage-1 renders.
+    Simple,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct BenchTruthArgs {
+    /// Where captures, table and pictures go.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+    /// Only these captures: display-I, display-II, display-III, display-1C, display-5C, spectral, lamps, air.
+    #[arg(long, value_delimiter = ',', value_name = "NAME,...")]
+    pub(crate) captures: Vec<String>,
+    /// The seeds, of captures and trainings alike.
+    #[arg(long, value_delimiter = ',', default_value = "1,2,3", value_name = "N,...")]
+    pub(crate) seeds: Vec<u32>,
+    /// Size of the photographs.
+    #[arg(long, default_value = "320x180", value_name = "WxH")]
+    pub(crate) size: String,
+    /// Photographs per capture; every eighth is held out.
+    #[arg(long, default_value_t = 28, value_name = "N", value_parser = count(MAX_VIEWS))]
+    pub(crate) views: usize,
+    /// Steps of stage 1; stage 2 has a fifth of them.
+    #[arg(long, default_value_t = 2000, value_name = "N", value_parser = count(200_000_000))]
+    pub(crate) iterations: usize,
+    /// What is compared: everything, or what needs no training of its own.
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) baselines: Baselines,
+    /// Stages to run side by side, within the cores and memory there are.
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = count(MAX_JOBS))]
+    pub(crate) jobs: usize,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+    #[command(flatten)]
+    pub(crate) calibration: CalibrationArgs,
+    #[command(flatten)]
+    pub(crate) cache: CacheArgs,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}

@@ -1,0 +1,115 @@
+//! The captures with truth, by name.
+//!
+//! Five follow the method's own formation in waters from clear ocean to turbid coast; three follow physics that is not the method's
+//! (wavelengths in linear light, a camera that exposes and balances every view on its own): daylight, lamps, air. None
+//! has depth priors, since those of synthetic captures are made from the true depth.
+
+use use3d_synth::{CaptureParams, Physics, WaterType};
+
+/// A capture that is made, not taken.
+#[derive(Clone, Copy, Debug)]
+pub struct Capture {
+    /// What tables, scenes and `--captures` call it.
+    pub name: &'static str,
+    /// What it is, for a reader of the table.
+    pub about: &'static str,
+    /// Water; air where there is none.
+    water: Option<WaterType>,
+    physics: Physics,
+    /// Light of the lamps, see [`CaptureParams::lamps`].
+    lamps: f32,
+}
+
+const fn display(name: &'static str, about: &'static str, water: WaterType) -> Capture {
+    Capture { name, about, water: Some(water), physics: Physics::Display, lamps: 0.0 }
+}
+
+const fn spectral(name: &'static str, about: &'static str, water: Option<WaterType>, lamps: f32) -> Capture {
+    Capture { name, about, water, physics: Physics::Spectral, lamps }
+}
+
+/// All of them.
+pub const CAPTURES: [Capture; 8] = [
+    display("display-I", "The method's own formation, clear ocean (Jerlov I)", WaterType::I),
+    display("display-II", "The method's own formation, ocean (Jerlov II)", WaterType::Ii),
+    display("display-III", "The method's own formation, dull ocean (Jerlov III)", WaterType::Iii),
+    display("display-1C", "The method's own formation, clear coast (Jerlov 1C)", WaterType::Coastal1),
+    display("display-5C", "The method's own formation, turbid coast (Jerlov 5C)", WaterType::Coastal5),
+    spectral(
+        "spectral",
+        "Ten wavelengths in linear light, ocean (Jerlov II), every view exposed and balanced on its own",
+        Some(WaterType::Ii),
+        0.0,
+    ),
+    spectral("lamps", "The same with two lamps at the camera", Some(WaterType::Ii), 3.0),
+    spectral("air", "The same without water and lamps", None, 0.0),
+];
+
+/// The captures of these names, in the order of [`CAPTURES`]; letter case is forgiven. All where none is named.
+///
+/// # Errors
+/// A name that is none of theirs; the message lists them.
+pub fn named(names: &[String]) -> Result<Vec<Capture>, String> {
+    let known = || CAPTURES.map(|c| c.name).join(", ");
+    if let Some(wrong) = names.iter().find(|n| !CAPTURES.iter().any(|c| c.name.eq_ignore_ascii_case(n))) {
+        return Err(format!("no capture `{wrong}`; expected some of {}", known()));
+    }
+    let asked = |c: &Capture| names.is_empty() || names.iter().any(|n| c.name.eq_ignore_ascii_case(n));
+    Ok(CAPTURES.into_iter().filter(asked).collect())
+}
+
+impl Capture {
+    /// What `synth` is asked for.
+    pub fn parameters(&self, seed: u64, views: usize, (width, height): (usize, usize)) -> CaptureParams {
+        let plain = CaptureParams {
+            seed,
+            views,
+            width,
+            height,
+            depth_priors: false,
+            physics: self.physics,
+            air: self.water.is_none(),
+            lamps: self.lamps,
+            ..CaptureParams::default()
+        };
+        let wet = CaptureParams { water: self.water.unwrap_or(plain.water), ..plain };
+        match self.physics {
+            Physics::Display => wet,
+            // What cameras do under water unless somebody tells them otherwise.
+            Physics::Spectral => CaptureParams { auto_exposure: 1.0, white_balance: 0.5, ..wet },
+        }
+    }
+
+    /// The folder of its photographs with a seed, below that of all captures.
+    pub fn folder(&self, seed: u64) -> String {
+        format!("{}-seed-{seed}", self.name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_capture_can_be_made_differs_from_the_others_and_has_no_depth_priors() {
+        let all: Vec<CaptureParams> = CAPTURES.iter().map(|c| c.parameters(3, 28, (320, 180))).collect();
+        for (i, params) in all.iter().enumerate() {
+            params.validate().unwrap();
+            assert!(!params.depth_priors && params.seed == 3);
+            assert!(all[..i].iter().all(|other| other != params), "{}", CAPTURES[i].name);
+        }
+        assert_eq!(all.iter().filter(|p| p.auto_exposure > 0.0).count(), 3);
+        assert_eq!(CAPTURES[0].folder(7), "display-I-seed-7");
+    }
+
+    #[test]
+    fn captures_are_named_in_any_order_and_case_and_no_other_is_known() {
+        let names = |names: &[&str]| {
+            let names: Vec<String> = names.iter().map(ToString::to_string).collect();
+            named(&names).map(|found| found.iter().map(|c| c.name).collect::<Vec<_>>())
+        };
+        assert_eq!(names(&["AIR", "display-i"]).unwrap(), ["display-I", "air"]);
+        assert_eq!(names(&[]).unwrap().len(), CAPTURES.len());
+        assert!(names(&["air", "reef"]).unwrap_err().contains("`reef`; expected some of display-I"));
+    }
+}
