@@ -21,12 +21,18 @@ pub const PSEUDO_LABELS: &str = "pseudo-labels";
 const BASELINES: [(&str, &str); 3] = [
     (PRIOR_OFF, "reconstruct = { medium_prior = \"off\" }"),
     (ENHANCE_FIRST, "reconstruct = { images = \"proposed\", medium = \"none\", medium_prior = \"off\" }"),
-    (PSEUDO_LABELS, "enhance = { objective = \"pseudo-labels\" }"),
+    // Its labels are images of photographs, whatever proposes for the scene.
+    (PSEUDO_LABELS, "targets = { proposer = \"auto\" }\nenhance = { objective = \"pseudo-labels\" }"),
 ];
 
 /// Parameters that tell the variants apart: a setting for all variants would make them one.
-const APART: [&str; 4] =
-    ["reconstruct.medium_prior", "reconstruct.images", "reconstruct.medium", "enhance.objective"];
+const APART: [&str; 5] = [
+    "reconstruct.medium_prior",
+    "reconstruct.images",
+    "reconstruct.medium",
+    "targets.proposer",
+    "enhance.objective",
+];
 
 /// The stages whose results the table is made of.
 pub const STAGES: [&str; 2] = ["evaluate", "render"];
