@@ -14,7 +14,7 @@ pub(crate) use bench::{Baselines, Bench, BenchTruthArgs};
 pub(crate) use captures::{Synth, SynthArgs, SynthCaptureArgs, WaterArgs};
 pub(crate) use pictures::{CameraPath, ExportArgs, ExportFrame, ExportWhat, FrameFormat, RenderArgs};
 pub(crate) use pipelines::{DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, RunArgs, WhyArgs};
-pub(crate) use shared::{CacheArgs, CalibrationArgs, Replace, Settings, StageSettings};
+pub(crate) use shared::{CacheArgs, CalibrationArgs, Settings};
 pub(crate) use stages::{
     CalibrateArgs, EnhanceArgs, EvaluateArgs, ImportArgs, ReconstructArgs, TableFormat, TargetsArgs,
 };

@@ -201,15 +201,15 @@ impl<'a> Bench<'a> {
         }
         let pixels = (self.recipe.size.0 * self.recipe.size.1) as f64;
         let guessed = trainings * self.recipe.iterations as f64 * pixels * STEP_PER_PIXEL;
-        let by = match (known > 0.0, trainings > 0.0) {
-            (true, false) => "by earlier runs",
-            (true, true) => {
-                "by earlier runs, and for trainings of which there are none by their pixels and steps on two cores"
-            }
-            _ => "for its trainings alone, by their pixels and steps on two cores",
+        let text = if known > 0.0 {
+            format!("{runs} stages to run, about {} one after another", seconds(known + guessed))
+        } else {
+            let trainings = seconds(guessed);
+            format!(
+                "{runs} stages to run; their trainings of stage 1 alone take about {trainings} on two idle cores, and the next seed has a \
+                 better forecast"
+            )
         };
-        let text =
-            format!("{runs} stages to run, about {} one after another ({by})", seconds(known + guessed));
         let seeds: Vec<String> = left.iter().map(|s| s.seed.to_string()).collect();
         let label = format!("seeds {}", seeds.join(", "));
         self.app.listener.event(&Event::Note { label: &label, text: &text });
