@@ -1,19 +1,21 @@
 //! Drawing a scene, as it was reconstructed or as it was enhanced, with all of its water, a share of it, or none; without any 2D
 //! network.
 //!
-//! **The amount of water** `a` in `[0, 1]` scales both coefficients, and the open water that is seen behind the last surface:
+//! **The amount of water** `a` in `[0, 1]` scales both coefficients, and the open water that is seen where nothing ends the ray:
 //!
 //! ```text
-//! rgb(a) = Σ w c e^{−a β_attn s}  +  Σ T c_m (e^{−a β_bs s'} − e^{−a β_bs s})  +  a T c_m e^{−a β_bs s_N}
-//!          object                    intervals                                    far end
+//! rgb(a) = Σ w c e^{−a β_attn s}  +  Σ w c_m (1 − e^{−a β_bs s})  +  a (1 − Σ w) c_m
+//!          surfaces                  the veil before them            open water
 //! ```
 //!
-//! `w`, `T`, `s` (scene units), `c_m`, `β` (per scene unit) as in the compositor. `a = 1` is the picture as it was learnt, to the bit;
-//! `a = 0` is the radiance of the Gaussians alone, `Σ w c`, black where nothing is: `clear`, or `enhanced-clear` with the enhanced
-//! colours. In between light that comes from the scene only grows and light that comes from the water only shrinks as `a` falls.
+//! `w`, `s` (scene units), `c_m`, `β` (per scene unit) as in the compositor, whose intervals and far end this is in other order. `a = 1` is
+//! the picture as it was learnt, to the bit; `a = 0` is the radiance of the Gaussians alone, `Σ w c`, black where nothing is: `clear`,
+//! or `enhanced-clear` with the enhanced colours. In between light that comes from surfaces only grows and light that comes from
+//! the water only shrinks as `a` falls.
 //!
-//! The far end alone would not fade: infinitely deep water has its colour `c_m` however thin it is. Its factor `a` is a choice, not
-//! physics; it makes open water darken steadily and meet the black of `a = 0`.
+//! Open water would not fade by its coefficients: infinitely deep, it has its colour `c_m` however thin it is. Its factor `a` is a choice,
+//! not physics; it makes open water darken steadily and meet the black of `a = 0`. It takes the share of a ray that no surface ends and
+//! not the compositor's far end, which begins at the last Gaussian however faint that is, and so shows the edges of faint Gaussians.
 
 use use3d_capture::{Camera, Image, Lattice, MediumMaps};
 use use3d_scene::Scene;
@@ -81,7 +83,7 @@ impl<'s> Renderer<'s> {
     }
 
     /// Draws the pixels of `lattice` seen by `camera` (in the scene's frame), with object, medium and clear layers if asked for.
-    /// The layers are those of the picture: `image = object + medium + far`, the far end with its factor.
+    /// The layers are those of the picture: `image = object + medium + far`.
     pub fn render(&mut self, camera: &Camera, lattice: &Lattice, layers: bool, out: &mut Rendered) {
         self.look_through(camera, lattice);
         self.draw(camera, lattice, self.water, layers, out);
@@ -108,10 +110,10 @@ impl<'s> Renderer<'s> {
         } else {
             Some(&self.maps)
         };
-        let options = Options { layers: layers || thinned, ..Options::default() };
+        let options = Options { layers, ..Options::default() };
         self.rasterizer.forward(&self.prepared, medium, &options, out);
         if thinned {
-            dim_far_end(out, water, layers);
+            dim_open_water(&self.maps.color, water, out);
         }
     }
 
@@ -146,16 +148,20 @@ fn thin(maps: &MediumMaps, share: f32, out: &mut MediumMaps) {
     scaled(&maps.attenuation, &mut out.attenuation);
 }
 
-/// Gives the far end its factor, in the picture and in its layer.
-fn dim_far_end(out: &mut Rendered, share: f32, keep_layers: bool) {
+/// Gives open water its factor, in the picture and in its layers: of the water's light `(1 − Σ w) c_m` belongs to rays that no surface
+/// ends, part of it to the intervals before the last Gaussian and part to the far end.
+fn dim_open_water(color: &Image, share: f32, out: &mut Rendered) {
+    let pixels = out.accumulation.pixels();
+    let open = |i: usize| (1.0 - out.accumulation.data()[i % pixels]) * color.data()[i];
     if let Some(layers) = &mut out.layers {
-        for (pixel, far) in out.image.data_mut().iter_mut().zip(layers.far.data_mut()) {
-            *pixel -= (1.0 - share) * *far;
+        let parts = layers.medium.data_mut().iter_mut().zip(layers.far.data_mut());
+        for (i, (intervals, far)) in parts.enumerate() {
+            *intervals -= (1.0 - share) * (open(i) - *far);
             *far *= share;
         }
     }
-    if !keep_layers {
-        out.layers = None;
+    for (i, pixel) in out.image.data_mut().iter_mut().enumerate() {
+        *pixel -= (1.0 - share) * open(i);
     }
 }
 

@@ -3,7 +3,7 @@
 mod common;
 
 use common::{draw, mini, taught};
-use use3d_capture::Lattice;
+use use3d_capture::{Camera, Lattice};
 use use3d_enhance::{EnhanceError, Look, Renderer, bake};
 use use3d_numerics::math;
 use use3d_scene::Scene;
@@ -100,13 +100,9 @@ fn water_goes_from_all_of_it_to_the_clear_radiance() {
     }
 }
 
-#[test]
-fn a_share_of_the_water_is_the_documented_sum() {
-    let (scene, views) = mini();
-    let camera = &views[3].camera;
+/// The scene with nothing but the Gaussian that covers most of a picture.
+fn most_covering(scene: &Scene, camera: &Camera) -> Scene {
     let lattice = Lattice::full(&camera.intrinsics);
-    let share = 0.35f32;
-    // The Gaussian that covers most, alone: the picture has a closed form.
     let alone = |i: usize| Scene { gaussians: scene.gaussians.select(&[i]), ..scene.clone() };
     let covered = |i: usize| {
         let mut out = Rendered::new();
@@ -114,8 +110,59 @@ fn a_share_of_the_water_is_the_documented_sum() {
         Renderer::new(&alone, Look::Reconstruction).unwrap().render(camera, &lattice, false, &mut out);
         out.accumulation.data().iter().map(|w| f64::from(*w)).sum::<f64>()
     };
-    let most = (0..scene.gaussians.len()).max_by(|a, b| covered(*a).total_cmp(&covered(*b))).unwrap();
-    let single = alone(most);
+    let most = (0..scene.gaussians.len()).max_by(|a, b| covered(*a).total_cmp(&covered(*b)));
+    alone(most.unwrap())
+}
+
+#[test]
+fn a_faint_gaussian_before_open_water_leaves_no_edge() {
+    let (scene, views) = mini();
+    let camera = &views[3].camera;
+    let lattice = Lattice::full(&camera.intrinsics);
+    let mut faint = most_covering(&scene, camera);
+    let alpha = 0.006f32;
+    let share = 0.4f32;
+    let mut drawn = |logit: f32| {
+        faint.gaussians.opacity_logits[0] = logit;
+        let mut out = Rendered::new();
+        let mut renderer = Renderer::new(&faint, Look::Reconstruction).unwrap().with_water(share).unwrap();
+        renderer.render(camera, &lattice, true, &mut out);
+        (out, renderer.medium().unwrap().clone())
+    };
+    let (with, maps) = drawn(math::ln(alpha / (1.0 - alpha)));
+    let (without, _) = drawn(-30.0);
+    let (mut seen, mut step) = (0, 0.0f32);
+    for y in 0..lattice.height() {
+        for x in 0..lattice.width() {
+            let w = with.accumulation.pixel(x, y)[0];
+            assert!(w <= 1.01 * alpha);
+            if w == 0.0 {
+                continue;
+            }
+            seen += 1;
+            let s = with.layers.as_ref().unwrap().distance.pixel(x, y)[0];
+            for c in 0..3 {
+                let change = (with.image.pixel(x, y)[c] - without.image.pixel(x, y)[c]).abs();
+                assert!(change < 1.5 * alpha, "{x} {y} {c}: {change}");
+                // How much of the water's light lies nearer than the Gaussian.
+                let nearer = 1.0 - math::exp(-share * maps.backscatter.pixel(x, y)[c] * s);
+                step = step.max((1.0 - share) * nearer * maps.color.pixel(x, y)[c]);
+            }
+        }
+    }
+    assert!(
+        seen > 10 && step > 3.0 * alpha,
+        "{seen} pixels; dimmed by the far end alone the edge would be {step}"
+    );
+}
+
+#[test]
+fn a_share_of_the_water_is_the_documented_sum() {
+    let (scene, views) = mini();
+    let camera = &views[3].camera;
+    let lattice = Lattice::full(&camera.intrinsics);
+    let share = 0.35f32;
+    let single = most_covering(&scene, camera);
     let (mut whole, mut part) = (Rendered::new(), Rendered::new());
     let mut renderer = Renderer::new(&single, Look::Reconstruction).unwrap();
     renderer.render(camera, &lattice, true, &mut whole);
@@ -139,7 +186,7 @@ fn a_share_of_the_water_is_the_documented_sum() {
                 let a = f64::from(share);
                 let attenuated = math::exp(-a * at(&maps.attenuation) * s);
                 let veil = math::exp(-a * at(&maps.backscatter) * s);
-                let water = at(&maps.color) * ((1.0 - veil) + a * (1.0 - w) * veil);
+                let water = at(&maps.color) * (w * (1.0 - veil) + a * (1.0 - w));
                 let expected = at(&layers.clear) * attenuated + water;
                 assert!((at(&part.image) - expected).abs() < 1e-5, "{x} {y} {c}: {expected}");
             }
