@@ -145,6 +145,15 @@ pub(crate) fn radiance(observations: impl Iterator<Item = (f64, f64, f64)>) -> (
     (if below > 0.0 { (above / below).max(0.0) } else { 0.0 }, below)
 }
 
+/// A point's radiance and `Σ w a²` at these parameters and weights; the terms of its observations are left in `seen`.
+fn point(channel: &Channel, shared: &Shared, weights: &[f64], p: usize, seen: &mut Vec<Terms>) -> (f64, f64) {
+    let range = channel.of_point(p);
+    seen.clear();
+    seen.extend(range.clone().map(|i| terms(channel, shared, i)));
+    let triple = |(i, t): (usize, &Terms)| (weights[i], t.left, channel.value[i] - t.added);
+    radiance(range.zip(&*seen).map(triple))
+}
+
 /// Residuals of every observation with every point's radiance at its place for these weights.
 pub(crate) fn residuals(channel: &Channel, theta: &[f64], weights: &[f64]) -> Vec<f64> {
     let shared = Shared::new(theta);
@@ -152,10 +161,7 @@ pub(crate) fn residuals(channel: &Channel, theta: &[f64], weights: &[f64]) -> Ve
     let mut seen: Vec<Terms> = Vec::new();
     for p in 0..channel.points() {
         let range = channel.of_point(p);
-        seen.clear();
-        seen.extend(range.clone().map(|i| terms(channel, &shared, i)));
-        let triple = |(i, t): (usize, &Terms)| (weights[i], t.left, channel.value[i] - t.added);
-        let (j, _) = radiance(range.clone().zip(&seen).map(triple));
+        let (j, _) = point(channel, &shared, weights, p, &mut seen);
         for (i, t) in range.zip(&seen) {
             all[i] = channel.value[i] - t.added - t.left * j;
         }
@@ -187,10 +193,7 @@ pub(crate) fn normal(
     let mut seen: Vec<Terms> = Vec::new();
     for p in 0..channel.points() {
         let range = channel.of_point(p);
-        seen.clear();
-        seen.extend(range.clone().map(|i| terms(channel, &shared, i)));
-        let triple = |(i, t): (usize, &Terms)| (weights[i], t.left, channel.value[i] - t.added);
-        let (j, below) = radiance(range.clone().zip(&seen).map(triple));
+        let (j, below) = point(channel, &shared, weights, p, &mut seen);
         // The point's own parameters: the shared ones, then one gain per observation (a view sees a point once).
         index.clear();
         index.extend(0..GAIN);
