@@ -3,9 +3,11 @@
 //! A cell is a number with the artifact it came from, or the reason why there is none. Best and second best are marked per
 //! column among all rows that have a number, published ones included (they are labelled as published).
 
+mod batch;
 mod format;
 pub mod paper;
 pub mod published;
+mod truth;
 
 use serde::Serialize;
 use use3d_numerics::math;

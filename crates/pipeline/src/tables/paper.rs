@@ -1,15 +1,9 @@
 //! The paper's tables from a batch's scores: reconstruction, enhancement, scene-wise, consistency, both ablations.
-//!
-//! A group's number is the unweighted mean over its scenes (scene-macro), as in the paper; with more than one group, that over all scenes
-//! follows. Published rows appear for a scene only when its name, size and split are the paper's, and for a group only when it holds
-//! the paper's scenes and no other.
 
-use super::published::{self, Published};
+use super::batch::{Batch, Quantity, published_cell};
+use super::published;
 use super::{Better, Cell, Column, Row, Table};
-use crate::scores::{Method, SceneScores, Score, ScoredScene, Warp};
-
-/// A quantity: its key in the scores, its name in heads, its direction, its decimals.
-type Quantity = (&'static str, &'static str, Better, usize);
+use crate::scores::{Method, ScoredScene, Warp};
 
 const RECONSTRUCTION: [Quantity; 3] = [
     ("psnr", "PSNR", Better::Higher, 3),
@@ -35,29 +29,6 @@ const CONSISTENCY: [Quantity; 8] = [
 ];
 /// Why a scene has no frames per second here.
 const NOT_TIMED: &str = "times are no part of an artifact: they are kept beside it and filled in when `use3d run` writes its results";
-/// The group of all scenes together.
-const ALL: &str = "All scenes";
-
-/// Against the truth of synthetic captures.
-const TRUTH: [Quantity; 2] =
-    [("truth_psnr", "PSNR", Better::Higher, 2), ("truth_delta_e", "ΔE₀₀", Better::Lower, 2)];
-/// What is compared with the true clean images.
-const CLEAN: [Method; 7] = [
-    Method::Captured,
-    Method::Proposal,
-    Method::Clear,
-    Method::ProposalOfRender,
-    Method::EnhanceThenReconstruct,
-    Method::Enhanced,
-    Method::EnhancedClear,
-];
-
-/// Whether a scene is the paper's: its name, size and split.
-fn is_the_papers(scene: &ScoredScene) -> bool {
-    let SceneScores { training_views, held_out_views, size, .. } = scene.scores;
-    let every_eighth = held_out_views == (training_views + held_out_views).div_ceil(8);
-    published::scene(&scene.scene).is_some_and(|(_, wanted)| wanted == size) && every_eighth
-}
 
 /// Every table that the scenes can fill, in the paper's order. Empty for no scenes.
 pub fn tables(scenes: &[ScoredScene]) -> Vec<Table> {
@@ -118,147 +89,7 @@ pub fn tables(scenes: &[ScoredScene]) -> Vec<Table> {
     tables
 }
 
-struct Batch<'a> {
-    scenes: &'a [ScoredScene],
-    /// Distinct groups (a scene without one forms its own), in order of appearance.
-    groups: Vec<String>,
-    /// Distinct variants, in order of appearance.
-    variants: Vec<&'a str>,
-}
-
-fn group_of(scene: &ScoredScene) -> &str {
-    if scene.group.is_empty() { &scene.scene } else { &scene.group }
-}
-
-impl<'a> Batch<'a> {
-    fn new(scenes: &'a [ScoredScene]) -> Self {
-        let (mut groups, mut variants): (Vec<String>, Vec<&str>) = (Vec::new(), Vec::new());
-        for scene in scenes {
-            if !groups.iter().any(|g| g == group_of(scene)) {
-                groups.push(group_of(scene).to_string());
-            }
-            if !variants.contains(&scene.variant.as_str()) {
-                variants.push(&scene.variant);
-            }
-        }
-        if groups.len() > 1 {
-            groups.push(ALL.into());
-        }
-        Self { scenes, groups, variants }
-    }
-
-    /// The scenes of a group in a variant.
-    fn of_group(&self, group: &str, variant: &str) -> Vec<&'a ScoredScene> {
-        let fits = |s: &&ScoredScene| (group == ALL || group_of(s) == group) && s.variant == variant;
-        self.scenes.iter().filter(fits).collect()
-    }
-
-    /// Whether the paper's numbers for this group may stand beside ours.
-    fn is_published(&self, group: &str) -> bool {
-        let wanted = match group {
-            ALL => published::SCENES,
-            _ if published::GROUPS.contains(&group) => published::scenes_of(group),
-            _ => return false,
-        };
-        self.variants.iter().any(|variant| {
-            let scenes = self.of_group(group, variant);
-            let belongs = |s: &&ScoredScene| {
-                group == ALL || published::scene(&s.scene).is_some_and(|(g, _)| g == group)
-            };
-            scenes.len() == wanted && scenes.iter().all(|s| is_the_papers(s) && belongs(s))
-        })
-    }
-
-    fn every_group_is_one_scene(&self) -> bool {
-        let variants = self.variants.len();
-        let of = |g: &String| self.scenes.iter().filter(|s| group_of(s) == g).count();
-        self.groups.iter().filter(|g| *g != ALL).all(|g| of(g) <= variants)
-    }
-
-    /// One row per variant and method. What a variant only repeats (photographs are the same in all of them) stands once.
-    fn rows(&self, methods: &[Method], quantities: &[Quantity]) -> Vec<Row> {
-        let mut rows: Vec<(Method, Row)> = Vec::new();
-        for variant in &self.variants {
-            for &method in methods {
-                let row = self.row(method, variant, quantities);
-                let values = |row: &Row| row.cells.iter().map(Cell::value).collect::<Vec<_>>();
-                let new = values(&row);
-                let repeats = |(m, r): &(Method, Row)| *m == method && values(r) == new;
-                if new.iter().all(Option::is_none) || !rows.iter().any(repeats) {
-                    rows.push((method, row));
-                }
-            }
-        }
-        rows.into_iter().map(|(_, row)| row).collect()
-    }
-
-    /// Stage 1's row of the second ablation, of the first variant that learnt from photographs.
-    fn before_stage2(&self, quantities: &[Quantity]) -> Option<Row> {
-        self.variants.iter().find_map(|variant| {
-            let scenes: Vec<&ScoredScene> = self.scenes.iter().filter(|s| s.variant == **variant).collect();
-            let cells: Vec<Cell> = (quantities.iter())
-                .map(|(key, ..)| macro_mean(&scenes, Method::Reconstruction, key))
-                .collect();
-            let known = cells.iter().any(|c| *c != Cell::Blank);
-            known.then(|| Row { label: Method::Reconstruction.label().into(), published: false, cells })
-        })
-    }
-
-    fn label(method: Method, variant: &str) -> String {
-        if variant.is_empty() { method.label().into() } else { format!("{} · {variant}", method.label()) }
-    }
-
-    fn row(&self, method: Method, variant: &str, quantities: &[Quantity]) -> Row {
-        let cells = self.groups.iter().flat_map(|group| {
-            let scenes = self.of_group(group, variant);
-            quantities.iter().map(move |(key, ..)| macro_mean(&scenes, method, key))
-        });
-        Row { label: Self::label(method, variant), published: false, cells: cells.collect() }
-    }
-
-    fn columns(&self, quantities: &[Quantity]) -> Vec<Column> {
-        let column = |group: &str, q: &Quantity| Column::new(group, q.1, q.2, q.3);
-        self.groups.iter().flat_map(|g| quantities.iter().map(move |q| column(g, q))).collect()
-    }
-
-    /// Published rows over our groups; groups that the paper does not have stay blank.
-    fn published_rows(&self, source: &[Published], quantities: &[Quantity]) -> Vec<Row> {
-        let mut methods: Vec<&str> = Vec::new();
-        for row in source.iter().filter(|r| self.groups.iter().any(|g| g == r.group && self.is_published(g)))
-        {
-            if !methods.contains(&row.method) {
-                methods.push(row.method);
-            }
-        }
-        let rows = methods.into_iter().map(|method| {
-            let cells = self.groups.iter().flat_map(|group| {
-                let found = source
-                    .iter()
-                    .find(|r| r.method == method && r.group == group && self.is_published(group));
-                quantities.iter().enumerate().map(move |(q, (key, ..))| {
-                    published_cell(match *key {
-                        "wlpips" => self.published_wlpips(method, group),
-                        _ => found.and_then(|r| r.values.get(q).copied()),
-                    })
-                })
-            });
-            Row { label: method.into(), published: true, cells: cells.collect() }
-        });
-        rows.collect()
-    }
-
-    /// The paper's wLPIPS of a method for one of our groups, if its numbers may stand beside ours.
-    fn published_wlpips(&self, method: &str, group: &str) -> Option<f64> {
-        if !self.is_published(group) {
-            return None;
-        }
-        if group == ALL {
-            return published::CONSISTENCY_ALL.iter().find(|(m, _)| *m == method).map(|(_, value)| *value);
-        }
-        let place = published::GROUPS.iter().position(|g| *g == group)?;
-        published::CONSISTENCY.iter().find(|(m, _)| *m == method).map(|(_, values)| values[place])
-    }
-
+impl Batch<'_> {
     fn reconstruction(&self) -> Table {
         let mut columns = self.columns(&RECONSTRUCTION);
         let mut rows = self.published_rows(published::RECONSTRUCTION, &RECONSTRUCTION);
@@ -349,208 +180,13 @@ impl<'a> Batch<'a> {
         };
         Table { name: "consistency".into(), caption, columns: self.columns(&CONSISTENCY), rows }
     }
-
-    /// Appearances against the true clean images, over the groups that have them.
-    fn truth(&self) -> Option<Table> {
-        let known = |s: &&ScoredScene| CLEAN.iter().any(|m| s.scores.mean(*m, TRUTH[0].0).is_some());
-        let groups: Vec<&String> = self
-            .groups
-            .iter()
-            .filter(|g| self.scenes.iter().filter(known).any(|s| group_of(s) == *g))
-            .collect();
-        if groups.is_empty() {
-            return None;
-        }
-        let rows = self.variants.iter().flat_map(|variant| {
-            CLEAN.map(|method| {
-                let cells = groups.iter().flat_map(|group| {
-                    let scenes: Vec<&ScoredScene> =
-                        self.of_group(group, variant).into_iter().filter(known).collect();
-                    TRUTH.map(|(key, ..)| macro_mean(&scenes, method, key))
-                });
-                Row { label: Self::label(method, variant), published: false, cells: cells.collect() }
-            })
-        });
-        let columns = groups.iter().flat_map(|g| TRUTH.map(|q| Column::new(g, q.1, q.2, q.3)));
-        Some(Table {
-            name: "truth".into(),
-            caption: "Against the truth (synthetic captures): held-out views against the true clean images, where they show a surface, after one least-squares gain per image".into(),
-            columns: columns.collect(),
-            rows: rows.collect(),
-        })
-    }
-
-    /// Recovered water and depth beside the true ones, scene by scene.
-    fn recovered(&self) -> Option<Table> {
-        const DEPTH: &str = "depth_error";
-        let mut names: Vec<&str> = Vec::new();
-        for scene in self.scenes {
-            let known = scene.scores.mean(Method::Reconstruction, DEPTH).is_some();
-            if known && !names.contains(&scene.scene.as_str()) {
-                names.push(&scene.scene);
-            }
-        }
-        let first = |name: &str| self.scenes.iter().find(|s| s.scene == name && s.scores.water.is_some());
-        let row = |label: String, cells: &dyn Fn(&str) -> Vec<Cell>| Row {
-            label,
-            published: false,
-            cells: names.iter().flat_map(|name| cells(name)).collect(),
-        };
-        let numbers = |values: [[f64; 3]; 2], source: &str| -> Vec<Cell> {
-            let cell = |value| Cell::Number { value, source: source.into() };
-            values.into_iter().flatten().map(cell).collect()
-        };
-        let mut rows = vec![row("Truth".into(), &|name| {
-            let mut cells = vec![Cell::Blank];
-            cells.extend(match first(name).and_then(|s| s.scores.water) {
-                Some(w) => {
-                    numbers([w.true_attenuation, w.true_backscatter], "truth/water.json of the capture")
-                }
-                None => vec![Cell::Blank; 6],
-            });
-            cells
-        })];
-        for variant in &self.variants {
-            let label =
-                if variant.is_empty() { "Recovered".into() } else { format!("Recovered · {variant}") };
-            rows.push(row(label, &|name| {
-                let found: Vec<&ScoredScene> =
-                    self.scenes.iter().filter(|s| s.scene == name && s.variant == **variant).collect();
-                let mut cells = vec![macro_mean(&found, Method::Reconstruction, DEPTH)];
-                cells.extend(match found.first().and_then(|s| Some((s, s.scores.water?))) {
-                    Some((s, w)) => numbers([w.attenuation, w.backscatter], &s.source),
-                    None => vec![Cell::Blank; 6],
-                });
-                cells
-            }));
-        }
-        let quantities: [(&str, Better); 7] = [
-            ("depth error", Better::Lower),
-            ("β_attn R", Better::Neither),
-            ("β_attn G", Better::Neither),
-            ("β_attn B", Better::Neither),
-            ("β_bs R", Better::Neither),
-            ("β_bs G", Better::Neither),
-            ("β_bs B", Better::Neither),
-        ];
-        let columns =
-            names.iter().flat_map(|n| quantities.map(|(name, better)| Column::new(n, name, better, 4)));
-        let columns: Vec<Column> = columns.collect();
-        (!names.is_empty()).then(|| Table {
-            name: "truth-scene".into(),
-            caption: "Against the truth (synthetic captures): median relative error of stage 1's depth, and the water's coefficients in 1/m, means over the rays of held-out views".into(),
-            columns,
-            rows,
-        })
-    }
-
-    fn by_scene(
-        &self,
-        name: &str,
-        caption: &str,
-        quantities: &[Quantity],
-        methods: &[Method],
-        source: &[Published],
-    ) -> Table {
-        let mut names: Vec<&str> = Vec::new();
-        for scene in self.scenes {
-            if !names.contains(&scene.scene.as_str()) {
-                names.push(&scene.scene);
-            }
-        }
-        let columns =
-            names.iter().flat_map(|n| quantities.iter().map(move |q| Column::new(n, q.1, q.2, q.3)));
-        let mut rows: Vec<Row> = Vec::new();
-        let mut published_methods: Vec<&str> = Vec::new();
-        let papers = |name: &str| self.scenes.iter().any(|s| s.scene == name && is_the_papers(s));
-        for row in source.iter().filter(|r| names.contains(&r.group) && papers(r.group)) {
-            if !published_methods.contains(&row.method) {
-                published_methods.push(row.method);
-            }
-        }
-        for method in published_methods {
-            let cells = names.iter().flat_map(|name| {
-                let found = source.iter().find(|r| r.method == method && r.group == *name && papers(name));
-                (0..quantities.len())
-                    .map(move |q| published_cell(found.and_then(|r| r.values.get(q).copied())))
-            });
-            rows.push(Row { label: method.into(), published: true, cells: cells.collect() });
-        }
-        for variant in &self.variants {
-            for &method in methods {
-                let cells = names.iter().flat_map(|name| {
-                    let found: Vec<&ScoredScene> =
-                        self.scenes.iter().filter(|s| s.scene == *name && s.variant == **variant).collect();
-                    quantities.iter().map(move |(key, ..)| macro_mean(&found, method, key))
-                });
-                let label = if methods.len() == 1 { Method::Enhanced } else { method };
-                rows.push(Row {
-                    label: Self::label(label, variant),
-                    published: false,
-                    cells: cells.collect(),
-                });
-            }
-        }
-        Table { name: name.into(), caption: caption.into(), columns: columns.collect(), rows }
-    }
-
-    /// One row per variant, averaged over all scenes of the run, of the first of some methods that the variant has.
-    fn ablation(
-        &self,
-        name: &str,
-        caption: &str,
-        quantities: &[Quantity],
-        methods: &[Method],
-        source: &[Published],
-    ) -> Table {
-        let columns = quantities.iter().map(|q| Column::new("", q.1, q.2, q.3)).collect();
-        let mut rows = Vec::new();
-        if self.groups.len() == 1 && self.groups[0] == "SeaThru-4" && self.is_published(&self.groups[0]) {
-            rows.extend(source.iter().map(|r| Row {
-                label: r.method.into(),
-                published: true,
-                cells: (0..quantities.len()).map(|q| published_cell(r.values.get(q).copied())).collect(),
-            }));
-        }
-        for variant in &self.variants {
-            let scenes: Vec<&ScoredScene> = self.scenes.iter().filter(|s| s.variant == **variant).collect();
-            let has =
-                |m: &&Method| quantities.iter().any(|(key, ..)| macro_mean(&scenes, **m, key) != Cell::Blank);
-            let Some(method) = methods.iter().find(has).copied() else { continue };
-            rows.push(Row {
-                label: if variant.is_empty() { "full model".into() } else { (*variant).into() },
-                published: false,
-                cells: quantities.iter().map(|(key, ..)| macro_mean(&scenes, method, key)).collect(),
-            });
-        }
-        Table { name: name.into(), caption: caption.into(), columns, rows }
-    }
-}
-
-fn published_cell(value: Option<f64>) -> Cell {
-    value.map_or(Cell::Blank, |value| Cell::Number { value, source: published::SOURCE.into() })
-}
-
-/// The unweighted mean of the scenes' means; blank when no scene has the method or the metric.
-fn macro_mean(scenes: &[&ScoredScene], method: Method, metric: &str) -> Cell {
-    let scores: Vec<&Score> = scenes.iter().filter_map(|s| s.scores.mean(method, metric)).collect();
-    if scores.is_empty() {
-        return Cell::Blank;
-    }
-    match Score::mean(scores) {
-        Score::Value(value) => {
-            let value = value.get();
-            let sources: Vec<&str> = scenes.iter().map(|s| s.source.as_str()).collect();
-            Cell::Number { value, source: sources.join(" ") }
-        }
-        Score::NotAvailable(reason) | Score::Undefined(reason) => Cell::NotAvailable { reason },
-    }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::batch::ALL;
     use super::*;
-    use crate::scores::{Finite, MethodScores, SceneSpeed, Scores, ViewScores};
+    use crate::scores::{Finite, MethodScores, SceneScores, SceneSpeed, Score, Scores, ViewScores};
     use crate::truth::WaterScores;
 
     fn scene(name: &str, group: &str, variant: &str, psnr: f64) -> ScoredScene {
@@ -628,37 +264,6 @@ mod tests {
     }
 
     #[test]
-    fn only_captures_with_their_truth_have_tables_of_it() {
-        let real = scene("reef", "", "", 20.0);
-        assert!(tables(std::slice::from_ref(&real)).iter().all(|t| !t.name.starts_with("truth")));
-        let mut synthetic = scene("synthetic", "", "", 20.0);
-        let methods = &mut synthetic.scores.methods;
-        methods[0].mean.insert("depth_error".into(), Score::of(0.05));
-        methods[1].mean.extend([
-            ("truth_psnr".to_string(), Score::of(25.0)),
-            ("truth_delta_e".to_string(), Score::of(4.0)),
-        ]);
-        synthetic.scores.water = Some(WaterScores {
-            attenuation: [0.3, 0.2, 0.1],
-            backscatter: [0.2, 0.1, 0.05],
-            true_attenuation: [0.31, 0.21, 0.11],
-            true_backscatter: [0.21, 0.11, 0.06],
-        });
-        let tables = tables(&[real, synthetic]);
-        let table = |name: &str| tables.iter().find(|t| t.name == name).unwrap();
-        let truth = table("truth");
-        assert_eq!(truth.columns.len(), 2, "the real capture has no columns");
-        let enhanced = truth.rows.iter().find(|r| r.label == Method::Enhanced.label()).unwrap();
-        assert_eq!(enhanced.cells.iter().map(Cell::value).collect::<Vec<_>>(), [Some(25.0), Some(4.0)]);
-        let scene = table("truth-scene");
-        let values = |row: usize| scene.rows[row].cells.iter().map(Cell::value).collect::<Vec<_>>();
-        assert_eq!(values(0)[..3], [None, Some(0.31), Some(0.21)]);
-        assert_eq!(values(1)[..3], [Some(0.05), Some(0.3), Some(0.2)]);
-        let latex = scene.latex();
-        assert!(latex.contains("$\\beta$\\_attn R") && latex.is_ascii(), "{latex}");
-    }
-
-    #[test]
     fn published_rows_need_the_papers_size_and_split_and_not_only_its_name() {
         let published =
             |scenes: &[ScoredScene]| tables(scenes).iter().any(|t| t.rows.iter().any(|r| r.published));
@@ -730,5 +335,36 @@ mod tests {
             ablation.rows.iter().map(|r| r.cells[0].value()).collect::<Vec<_>>(),
             [Some(20.0), Some(18.0)]
         );
+    }
+
+    #[test]
+    fn only_captures_with_their_truth_have_tables_of_it() {
+        let real = scene("reef", "", "", 20.0);
+        assert!(tables(std::slice::from_ref(&real)).iter().all(|t| !t.name.starts_with("truth")));
+        let mut synthetic = scene("synthetic", "", "", 20.0);
+        let methods = &mut synthetic.scores.methods;
+        methods[0].mean.insert("depth_error".into(), Score::of(0.05));
+        methods[1].mean.extend([
+            ("truth_psnr".to_string(), Score::of(25.0)),
+            ("truth_delta_e".to_string(), Score::of(4.0)),
+        ]);
+        synthetic.scores.water = Some(WaterScores {
+            attenuation: [0.3, 0.2, 0.1],
+            backscatter: [0.2, 0.1, 0.05],
+            true_attenuation: [0.31, 0.21, 0.11],
+            true_backscatter: [0.21, 0.11, 0.06],
+        });
+        let tables = tables(&[real, synthetic]);
+        let table = |name: &str| tables.iter().find(|t| t.name == name).unwrap();
+        let truth = table("truth");
+        assert_eq!(truth.columns.len(), 2, "the real capture has no columns");
+        let enhanced = truth.rows.iter().find(|r| r.label == Method::Enhanced.label()).unwrap();
+        assert_eq!(enhanced.cells.iter().map(Cell::value).collect::<Vec<_>>(), [Some(25.0), Some(4.0)]);
+        let scene = table("truth-scene");
+        let values = |row: usize| scene.rows[row].cells.iter().map(Cell::value).collect::<Vec<_>>();
+        assert_eq!(values(0)[..3], [None, Some(0.31), Some(0.21)]);
+        assert_eq!(values(1)[..3], [Some(0.05), Some(0.3), Some(0.2)]);
+        let latex = scene.latex();
+        assert!(latex.contains("$\\beta$\\_attn R") && latex.is_ascii(), "{latex}");
     }
 }
