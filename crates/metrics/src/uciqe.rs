@@ -135,8 +135,7 @@ fn per_pixel<T: Send + Copy + Default>(image: &Image8, f: impl Fn([u8; 3]) -> T 
     out
 }
 
-/// Lightness and chroma of every pixel in the variant's scale.
-fn lightness_and_chroma(image: &Image8, variant: UciqeVariant) -> Vec<[f64; 2]> {
+fn of_lab(image: &Image8, variant: UciqeVariant) -> (f64, f64, f64) {
     let table = LabTable::new();
     let length = |a: f64, b: f64| (a * a + b * b).sqrt();
     let (per_l, per_c) = match variant {
@@ -144,63 +143,67 @@ fn lightness_and_chroma(image: &Image8, variant: UciqeVariant) -> Vec<[f64; 2]> 
         UciqeVariant::Cielab255 => (1.0 / 255.0, 1.0 / 255.0),
         UciqeVariant::CielabRaw => (1.0, 1.0),
         _ => {
-            return per_pixel(image, |rgb| {
-                let [l, a, b] = quantise(table.lab(rgb)).map(|v| f64::from(v) / 255.0);
+            // Kept as the bytes that they are: three a pixel, not sixteen.
+            let pixels = per_pixel(image, |rgb| quantise(table.lab(rgb)));
+            let scaled = |i: usize| {
+                let [l, a, b] = pixels[i].map(|v| f64::from(v) / 255.0);
                 [l, length(a, b)]
-            });
+            };
+            return of_levels(pixels.len(), scaled, variant);
         }
     };
-    per_pixel(image, |rgb| {
+    let pixels = per_pixel(image, |rgb| {
         let [l, a, b] = table.lab(rgb);
         [l * per_l, length(a, b) * per_c]
-    })
+    });
+    of_levels(pixels.len(), |i| pixels[i], variant)
 }
 
-fn of_lab(image: &Image8, variant: UciqeVariant) -> (f64, f64, f64) {
-    let pixels = lightness_and_chroma(image, variant);
-    let n = pixels.len();
+/// The three terms of `n` pixels, from the lightness and chroma of each in the variant's scale.
+fn of_levels(n: usize, pixel: impl Fn(usize) -> [f64; 2] + Sync, variant: UciqeVariant) -> (f64, f64, f64) {
     let count = n as f64;
     let relative = matches!(variant, UciqeVariant::Lab8RelvarHist | UciqeVariant::Lab8RelvarStretch);
     let normalised = relative || variant == UciqeVariant::CielabUnit;
     let [chroma, saturation] = sums::sums::<2>(n, |i, t| {
-        let [l, c] = pixels[i];
+        let [l, c] = pixel(i);
         t[0] += c;
         let length = if normalised { (c * c + l * l).sqrt() } else { l };
         t[1] += if length > 0.0 { c / length } else { 0.0 };
     });
     let mean = chroma / count;
     let spread = sums::sum(n, |i| {
-        let c = pixels[i][1];
+        let c = pixel(i)[1];
         if relative { (1.0 - math::powi(mean / c.max(1e-12), 2)).abs() } else { math::powi(c - mean, 2) }
     });
-    let lightness: Vec<f64> = pixels.iter().map(|p| p[0]).collect();
+    let lightness = (0..n).map(|i| pixel(i)[0]);
     let contrast = match variant {
-        UciqeVariant::Lab8RelvarStretch => histogram_contrast(&lightness, 0.0, 1.0),
+        UciqeVariant::Lab8RelvarStretch => histogram_contrast(lightness, 0.0, 1.0),
         UciqeVariant::Lab8RelvarHist => {
-            let (low, high) = extremes(&lightness);
-            histogram_contrast(&lightness, low, high)
+            let (low, high) = extremes(lightness.clone());
+            histogram_contrast(lightness, low, high)
         }
-        _ => percentile_contrast(lightness),
+        _ => percentile_contrast(lightness.collect()),
     };
     ((spread / count).sqrt(), contrast, saturation / count)
 }
 
-fn extremes(values: &[f64]) -> (f64, f64) {
-    values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &v| (low.min(v), high.max(v)))
+fn extremes(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
 }
 
 /// The distance between the 1 % and 99 % levels of a histogram of 65536 bins over `[low, high]`, as a share of that range; 1
 /// where the levels coincide.
-fn histogram_contrast(values: &[f64], low: f64, high: f64) -> f64 {
+fn histogram_contrast(values: impl Iterator<Item = f64>, low: f64, high: f64) -> f64 {
     const TOP: usize = 65535;
     if high <= low {
         return 1.0;
     }
-    let mut counts = vec![0u32; TOP + 1];
+    let (mut counts, mut n) = (vec![0u32; TOP + 1], 0u64);
     for v in values {
         counts[(((v - low) / (high - low) * TOP as f64 + 0.5) as usize).min(TOP)] += 1;
+        n += 1;
     }
-    let n = values.len() as f64;
+    let n = n as f64;
     let (mut below, mut first, mut last) = (0u64, None, None);
     for (bin, &count) in counts.iter().enumerate() {
         below += u64::from(count);

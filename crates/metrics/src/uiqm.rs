@@ -83,10 +83,10 @@ fn colorfulness(image: &Image8) -> f64 {
     -0.0268 * math::hypot(mean_rg, mean_yb) + 0.1586 * (var_rg + var_yb).sqrt()
 }
 
-/// Squared Sobel magnitude of a plane, half-sample symmetric at the borders. Whole numbers, at most 2 · 1020².
-fn sobel_squared(plane: &[u8], width: usize, height: usize) -> Vec<i32> {
-    let mut out = vec![0i32; plane.len()];
-    out.par_chunks_mut(width).enumerate().for_each(|(y, line)| {
+/// Squared Sobel magnitude of some rows of a plane, half-sample symmetric at the plane's borders. Whole numbers, at most 2 · 1020².
+fn sobel_squared(plane: &[u8], width: usize, height: usize, rows: std::ops::Range<usize>) -> Vec<i32> {
+    let mut out = vec![0i32; rows.len() * width];
+    for (line, y) in out.chunks_mut(width).zip(rows) {
         let row = |y: usize| &plane[y * width..(y + 1) * width];
         let (above, here, below) = (row(y.saturating_sub(1)), row(y), row((y + 1).min(height - 1)));
         let at = |row: &[u8], x: usize| i32::from(row[x]);
@@ -102,22 +102,24 @@ fn sobel_squared(plane: &[u8], width: usize, height: usize) -> Vec<i32> {
         for x in 1..width.saturating_sub(1) {
             line[x] = magnitude(x - 1, x, x + 1);
         }
-    });
+    }
     out
 }
 
-/// The mean over whole blocks of `f(block's columns, block's rows)`, in a fixed order.
-fn mean_over_blocks(
+/// The mean over whole blocks of `f(what its row of blocks shares, block's columns, block's rows)`, in a fixed order.
+fn mean_over_blocks<R>(
     width: usize,
     height: usize,
-    f: impl Fn(std::ops::Range<usize>, std::ops::Range<usize>) -> f64 + Sync,
+    share: impl Fn(std::ops::Range<usize>) -> R + Sync,
+    f: impl Fn(&R, std::ops::Range<usize>, std::ops::Range<usize>) -> f64 + Sync,
 ) -> f64 {
     let (columns, rows) = (width / BLOCK, height / BLOCK);
     let sums: Vec<f64> = (0..rows)
         .into_par_iter()
         .map(|j| {
             let ys = j * BLOCK..(j + 1) * BLOCK;
-            (0..columns).map(|i| f(i * BLOCK..(i + 1) * BLOCK, ys.clone())).sum()
+            let shared = share(ys.clone());
+            (0..columns).map(|i| f(&shared, i * BLOCK..(i + 1) * BLOCK, ys.clone())).sum()
         })
         .collect();
     sums.iter().sum::<f64>() / (columns * rows) as f64
@@ -125,37 +127,32 @@ fn mean_over_blocks(
 
 fn sharpness(image: &Image8) -> f64 {
     let (width, height) = (image.width(), image.height());
-    let eme: Vec<f64> = (0..3usize)
-        .into_par_iter()
-        .map(|c| {
-            let plane = image.plane(c);
-            let edges = sobel_squared(plane, width, height);
-            let largest = edges.iter().copied().max().unwrap_or(0);
-            if largest == 0 {
-                return 0.0;
-            }
-            // (max/min) of 255 √e/√e_max · v needs neither the common factor nor the roots: compare e v², halve the logarithm.
-            2.0 * mean_over_blocks(width, height, |xs, ys| {
-                let (mut low, mut high) = (u64::MAX, 0u64);
-                for y in ys {
-                    for p in y * width + xs.start..y * width + xs.end {
-                        let v = u64::from(plane[p]);
-                        let e = edges[p] as u64 * v * v;
-                        low = low.min(e);
-                        high = high.max(e);
-                    }
+    let eme = [0, 1, 2].map(|c| {
+        let plane = image.plane(c);
+        // Edges are kept for one row of blocks: a whole plane of them would be four times the picture's own.
+        let edges = |ys| sobel_squared(plane, width, height, ys);
+        // (max/min) of 255 √e/√e_max · v needs neither the common factor nor the roots: compare e v², halve the logarithm.
+        2.0 * mean_over_blocks(width, height, edges, |edges, xs, ys| {
+            let (mut low, mut high) = (u64::MAX, 0u64);
+            for (line, y) in ys.enumerate() {
+                for x in xs.clone() {
+                    let v = u64::from(plane[y * width + x]);
+                    let e = edges[line * width + x] as u64 * v * v;
+                    low = low.min(e);
+                    high = high.max(e);
                 }
-                if low == 0 { 0.0 } else { 0.5 * math::ln(high as f64 / low as f64) }
-            })
+            }
+            if low == 0 { 0.0 } else { 0.5 * math::ln(high as f64 / low as f64) }
         })
-        .collect();
+    });
     0.299 * eme[0] + 0.587 * eme[1] + 0.144 * eme[2]
 }
 
 fn contrast(image: &Image8) -> f64 {
     let width = image.width();
     let planes = image.planes();
-    -mean_over_blocks(width, image.height(), |xs, ys| {
+    let nothing = |_| ();
+    -mean_over_blocks(width, image.height(), nothing, |(), xs, ys| {
         let (mut low, mut high) = (u8::MAX, 0u8);
         for y in ys {
             for plane in planes {

@@ -4,6 +4,7 @@
 //! hold no other. UIQM, URanker and MUSIQ judge whole pictures; they see black where nothing counts, in every method's picture
 //! alike. LPIPS sees the same and is divided by the share of pixels that count, as its mean runs over all of them.
 
+use std::borrow::Cow;
 use std::path::Path;
 
 use use3d_capture::{Camera, Image, Map};
@@ -59,6 +60,18 @@ impl Judges {
         Self {}
     }
 
+    /// About how much memory [`alone`](Self::alone), or with `compared` [`against`](Self::against), takes beside the images, bytes per
+    /// pixel; without masks, and for images within display range. Networks that look at a picture scaled down
+    /// to at most 1024 pixels take the same for any size, which is not in it.
+    pub fn bytes_per_pixel(&self, compared: bool) -> u64 {
+        /// Eight bits of every channel, and of its CIELAB (UCIQE).
+        const COLOURS: u64 = 6;
+        match compared {
+            false => COLOURS,
+            true => self.lpips_bytes_per_pixel(),
+        }
+    }
+
     /// PSNR, SSIM and LPIPS of an image against a reference of the same size, over the pixels of the mask. Both are clamped to the
     /// display range.
     pub fn against(&self, image: &Image, reference: &Image, mask: Option<&Mask>) -> Scores {
@@ -83,8 +96,11 @@ impl Judges {
     /// UCIQE, UIQM, URanker and MUSIQ of an image, over the pixels of the mask.
     pub fn alone(&self, image: &Image, mask: Option<&Mask>) -> Scores {
         let image = clamped(image);
-        let colours = mask.map_or_else(|| Ok(image.clone()), |mask| only_counted(&image, mask));
-        let uciqe = colours.and_then(|c| uciqe(&c, UciqeVariant::default()));
+        let variant = UciqeVariant::default();
+        let uciqe = match mask {
+            None => uciqe(&image, variant),
+            Some(mask) => only_counted(&image, mask).and_then(|colours| uciqe(&colours, variant)),
+        };
         let mut scores = Scores::from([("uciqe".to_string(), Score::measured(uciqe.map(|u| u.score)))]);
         let whole = whole(&image, mask);
         let of = |measure: &dyn Fn(&Image) -> Score| match &whole {
@@ -95,6 +111,17 @@ impl Judges {
         scores.insert("uranker".into(), of(&|image| self.uranker(image)));
         scores.insert("musiq".into(), of(&|image| self.musiq(image)));
         scores
+    }
+
+    /// What LPIPS keeps of two images, measured (docs/networks.md).
+    #[cfg(feature = "nets")]
+    fn lpips_bytes_per_pixel(&self) -> u64 {
+        if self.lpips.is_ok() { 92 } else { 0 }
+    }
+
+    #[cfg(not(feature = "nets"))]
+    fn lpips_bytes_per_pixel(&self) -> u64 {
+        0
     }
 
     #[cfg(feature = "nets")]
@@ -137,13 +164,21 @@ fn network<N>(net: &Result<N, String>, score: impl FnOnce(&N) -> Result<f64, use
     }
 }
 
-fn clamped(image: &Image) -> Image {
-    image.map(|v| v.clamp(0.0, 1.0))
+/// The picture in display range; copied only where it leaves it.
+fn clamped(image: &Image) -> Cow<'_, Image> {
+    if image.data().iter().any(|v| *v < 0.0 || *v > 1.0) {
+        Cow::Owned(image.map(|v| v.clamp(0.0, 1.0)))
+    } else {
+        Cow::Borrowed(image)
+    }
 }
 
 /// The picture, black where nothing counts.
-fn whole(image: &Image, mask: Option<&Mask>) -> Result<Image, MetricError> {
-    mask.map_or_else(|| Ok(image.clone()), |mask| blacked_out(image, mask))
+fn whole<'a>(image: &'a Image, mask: Option<&Mask>) -> Result<Cow<'a, Image>, MetricError> {
+    match mask {
+        None => Ok(Cow::Borrowed(image)),
+        Some(mask) => blacked_out(image, mask).map(Cow::Owned),
+    }
 }
 
 /// A flow to the next view with where it holds, or why there is none.
