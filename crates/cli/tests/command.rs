@@ -1,10 +1,14 @@
 //! The command as a user meets it: exit codes, messages, golden renders, and the whole chain on a tiny capture.
 
+mod tiny;
+
 use std::path::Path;
 use std::process::{Command, Output};
 
 use use3d_io_image::read_image;
 use use3d_numerics::math;
+
+use tiny::TINY;
 
 fn use3d(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_use3d"))
@@ -80,7 +84,7 @@ fn golden_scene_mini_renders_to_its_images_from_both_forms_of_its_model() {
 /// A capture so small that the whole chain takes seconds.
 fn tiny(dir: &Path) -> String {
     let capture = path(&[dir, Path::new("tiny")]);
-    expect(0, &["-q", "synth", "capture", "--out", &capture, "--views", "9", "--size", "96x64"]);
+    tiny::capture(&capture);
     capture
 }
 
@@ -115,16 +119,7 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     let (cache, out) = (path(&[dir.path(), Path::new("cache")]), path(&[dir.path(), Path::new("out")]));
     let run = |extra: &[&str]| {
         let mut arguments = vec!["-q", "run", &capture, "--cache", &cache, "--out", &out];
-        for set in [
-            "reconstruct.iterations=30",
-            "enhance.iterations=10",
-            "pairs.synthetic.pairs=8",
-            "pairs.synthetic.width=64",
-            "pairs.synthetic.height=48",
-            "calibrate.steps=20",
-        ] {
-            arguments.extend(["--set", set]);
-        }
+        TINY.iter().for_each(|set| arguments.extend(["--set", set]));
         arguments.extend(extra);
         expect(0, &arguments).0
     };
@@ -195,6 +190,38 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     }
     let second = run(&[]);
     assert!(second.contains("0 done, 9 cached"), "{second}");
+    // For programs: one document that says where everything is and what it scored.
+    let told: serde_json::Value = serde_json::from_str(&run(&["--json"])).unwrap();
+    assert_eq!(told["nodes"].as_array().unwrap().len(), 9);
+    for (what, scene, place) in [
+        ("report", "", "report.html"),
+        ("tables", "", "tables"),
+        ("reconstruct", "tiny", "tiny/scene"),
+        ("enhance", "tiny", "tiny/enhanced-scene"),
+        ("evaluate", "tiny", "tiny/scores"),
+    ] {
+        let results = told["results"].as_array().unwrap();
+        let result = results.iter().find(|r| r["what"] == what).unwrap_or_else(|| panic!("{what}: {told}"));
+        let place = Path::new(&out).join(place);
+        assert_eq!(
+            (result["scene"].as_str(), result["path"].as_str()),
+            (Some(scene), place.to_str()),
+            "{what}"
+        );
+        assert!(place.exists());
+    }
+    let means = &told["scores"][0];
+    assert_eq!(
+        (means["scene"].as_str(), means["file"].as_str().map(Path::new)),
+        (Some("tiny"), Some(Path::new(&out).join("tiny/scores/scores.json").as_path()))
+    );
+    let methods = means["methods"].as_array().unwrap();
+    assert_eq!(methods.len(), scores.methods.len());
+    for told in methods {
+        let method: Method = serde_json::from_value(told["method"].clone()).unwrap();
+        let mean: use3d_pipeline::scores::Scores = serde_json::from_value(told["mean"].clone()).unwrap();
+        assert_eq!(mean, scores.method(method).unwrap().mean, "{method:?}");
+    }
     let changed = run(&["--set", "enhance.lambda_variation=0.001"]);
     assert!(changed.contains("4 done, 5 cached"), "enhance, render, evaluate, report: {changed}");
     let threads = run(&["--threads", "1"]);
@@ -258,8 +285,6 @@ fn a_scene_can_be_learnt_from_proposals_and_is_scored_as_such() {
     let file = at("compare.toml");
     let text = r#"
         name = "compare"
-        [defaults.reconstruct]
-        iterations = 20
         [[scene]]
         name = "tiny"
         capture = "tiny"
@@ -273,15 +298,7 @@ fn a_scene_can_be_learnt_from_proposals_and_is_scored_as_such() {
     let out = at("out");
     let cache = at("cache");
     let mut arguments = vec!["-q", "run", &file, "--cache", &cache, "--out", &out, "--until", "evaluate"];
-    for set in [
-        "enhance.iterations=5",
-        "pairs.synthetic.pairs=8",
-        "pairs.synthetic.width=64",
-        "pairs.synthetic.height=48",
-        "calibrate.steps=20",
-    ] {
-        arguments.extend(["--set", set]);
-    }
+    TINY.iter().for_each(|set| arguments.extend(["--set", set]));
     expect(0, &arguments);
     let text = std::fs::read_to_string(Path::new(&out).join("tiny@first/scores/scores.json")).unwrap();
     let scores: use3d_pipeline::scores::SceneScores = serde_json::from_str(&text).unwrap();
@@ -299,7 +316,8 @@ fn a_scene_can_be_learnt_from_proposals_and_is_scored_as_such() {
     assert_eq!(photographs(&scores), photographs(&plain), "the same photographs, judged by other depths");
     // By hand the same scene comes out.
     let scene = at("scene");
-    let sets = ["--set", "images=proposed", "--set", "medium=none", "--set", "iterations=20"];
+    let steps = TINY.iter().find_map(|set| set.strip_prefix("reconstruct.")).unwrap();
+    let sets = ["--set", "images=proposed", "--set", "medium=none", "--set", steps];
     let mut arguments = vec!["-q", "reconstruct", &at("tiny"), "--out", &scene]
         .into_iter()
         .map(String::from)
@@ -329,8 +347,6 @@ fn a_black_held_out_photograph_and_anothers_truth_folder_do_not_end_a_run() {
     use3d_io_image::write_png(&images[0], &black).unwrap();
     let text = r#"
         name = "black"
-        [defaults.reconstruct]
-        iterations = 5
         [[scene]]
         name = "tiny"
         capture = "tiny"
@@ -342,9 +358,7 @@ fn a_black_held_out_photograph_and_anothers_truth_folder_do_not_end_a_run() {
     let out = at("out");
     let (toml, cache) = (at("black.toml"), at("cache"));
     let mut arguments = vec!["-q", "run", &toml, "--cache", &cache, "--out", &out];
-    for set in ["pairs.synthetic.pairs=8", "pairs.synthetic.width=64", "pairs.synthetic.height=48"] {
-        arguments.extend(["--set", set]);
-    }
+    TINY.iter().for_each(|set| arguments.extend(["--set", set]));
     expect(0, &arguments);
     let text = std::fs::read_to_string(Path::new(&out).join("tiny@first/scores/scores.json")).unwrap();
     assert!(!text.contains("\"value\": null") && text.contains("the images are equal"), "{text}");

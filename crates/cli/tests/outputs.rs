@@ -327,6 +327,18 @@ fn the_demo_leaves_captures_of_others_alone() {
     assert!(place.all() == before);
 }
 
+#[test]
+fn the_demo_renders_nothing_where_its_results_cannot_go() {
+    for taken in ["dm/reef/scene/mine.txt", "dm/report.html", "dm/tables/mine.txt"] {
+        let place = Place::new();
+        place.write(taken, "mine");
+        let before = place.all();
+        let said = place.expect(2, &["demo", "--out", "dm"]);
+        assert!(said.contains(taken.trim_end_matches("/mine.txt")), "{taken}: {said}");
+        assert!(!said.contains("synth") && place.all() == before, "{taken}: {said}");
+    }
+}
+
 #[cfg(unix)]
 #[test]
 fn a_changed_parameter_leaves_the_checkpoint_of_an_interrupted_training() {

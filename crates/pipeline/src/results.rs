@@ -8,6 +8,8 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
+
 use crate::engine::place::{self, Look, PlaceError, Standing};
 use crate::engine::run::RanNode;
 use crate::engine::{Digest, Graph, Summary};
@@ -70,11 +72,30 @@ pub fn check(graph: &Graph, until: Option<&[String]>, out: &Path) -> Result<(), 
     })
 }
 
-/// Fills `out` and says what is where: `report`, `tables`, one line per scene.
+/// A result that stands in the results folder.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Delivered {
+    /// `report`, `tables`, or the stage that made it.
+    pub what: String,
+    /// The scene; empty for what is over all scenes.
+    pub scene: String,
+    /// The variant; empty where there are none.
+    pub variant: String,
+    /// The file or folder.
+    pub path: PathBuf,
+}
+
+impl Delivered {
+    fn over_all(what: &str, path: PathBuf) -> Self {
+        Self { what: what.into(), scene: String::new(), variant: String::new(), path }
+    }
+}
+
+/// Fills `out` and says what is where: `report`, `tables`, and the folders of every scene.
 ///
 /// # Errors
 /// A place that is taken by something that is not ours, or that cannot be written; what was delivered before stays.
-pub fn deliver(summary: &Summary, out: &Path) -> Result<Vec<(String, PathBuf)>, PlaceError> {
+pub fn deliver(summary: &Summary, out: &Path) -> Result<Vec<Delivered>, PlaceError> {
     let mut delivered = Vec::new();
     at(out, "create", fs::create_dir_all(out))?;
     if let Some(report) = summary.artifact("", "", "report") {
@@ -86,7 +107,7 @@ pub fn deliver(summary: &Summary, out: &Path) -> Result<Vec<(String, PathBuf)>, 
         let html = timed.as_ref().map_or_else(|| html.clone(), |tables| with_tables(&html, tables));
         let html = with_costs(&html, &rows(summary), &parameters(summary));
         write(&page, stamped(&html).as_bytes())?;
-        delivered.push(("report".to_string(), page));
+        delivered.push(Delivered::over_all("report", page));
         if report.path.join(TABLES).is_dir() {
             let tables = out.join(TABLES);
             // How fast scenes are drawn follows from no key: they are written anew each time.
@@ -101,7 +122,7 @@ pub fn deliver(summary: &Summary, out: &Path) -> Result<Vec<(String, PathBuf)>, 
                 }
                 place::record(made, None)
             })?;
-            delivered.push(("tables".to_string(), tables));
+            delivered.push(Delivered::over_all("tables", tables));
         }
     }
     for node in &summary.nodes {
@@ -110,7 +131,8 @@ pub fn deliver(summary: &Summary, out: &Path) -> Result<Vec<(String, PathBuf)>, 
         let target = out.join(place);
         // Its manifest is the record.
         put(Some(artifact.manifest.key), &target, |made| place::copy_folder(&artifact.path, made))?;
-        delivered.push((node.stage.to_string(), target));
+        let (scene, variant) = (node.scene.clone(), node.variant.clone());
+        delivered.push(Delivered { what: node.stage.to_string(), scene, variant, path: target });
     }
     Ok(delivered)
 }

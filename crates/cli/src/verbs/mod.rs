@@ -6,6 +6,7 @@ pub(crate) mod evaluate;
 pub(crate) mod export;
 pub(crate) mod generate;
 pub(crate) mod models;
+pub(crate) mod outcome;
 pub(crate) mod params;
 pub(crate) mod render;
 pub(crate) mod run;

@@ -10,8 +10,6 @@ use use3d_pipeline::engine::machine::seconds;
 use use3d_pipeline::engine::place;
 use use3d_pipeline::engine::{Cache, Engine, Event, Graph, Listener, Plan, RunOptions, Summary, picture};
 use use3d_pipeline::results;
-use use3d_pipeline::scores::{Method, SceneScores};
-use use3d_pipeline::stages::{evaluate::SCORES, read_json};
 
 use crate::App;
 use crate::args::{
@@ -19,6 +17,7 @@ use crate::args::{
     WhyArgs,
 };
 use crate::error::{CliError, Done};
+use crate::verbs::outcome::{self, Outcome};
 use crate::verbs::stages::{scratch, stages};
 use crate::verbs::synth::keep_capture;
 
@@ -179,13 +178,16 @@ fn execute(
         ..RunOptions::default()
     };
     let summary = loaded.engine.run(&loaded.graph, &options, &delivering(app, out));
+    // What an interrupted run has finished was delivered scene by scene.
+    let delivered = if summary.interrupted { Ok(Vec::new()) } else { results::deliver(&summary, out) };
     if as_json {
-        json(&summary)?;
+        json(&Outcome::new(&summary, &delivered))?;
     } else {
         print!("{summary}");
     }
-    if !summary.interrupted {
-        deliver(app, &summary, out, as_json)?;
+    let delivered = delivered?;
+    if !app.quiet && !as_json {
+        outcome::tell(&delivered);
     }
     match summary.exit_code() {
         0 => Ok(()),
@@ -212,36 +214,8 @@ fn delivering(app: &App, out: &Path) -> Arc<dyn Listener> {
     })
 }
 
-/// Puts what a person wants to see into the results folder.
-fn deliver(app: &App, summary: &Summary, out: &Path, silent: bool) -> Done {
-    let delivered = results::deliver(summary, out)?;
-    if !app.quiet && !silent {
-        for (what, path) in delivered {
-            println!("{what:<12} {}", path.display());
-        }
-        for node in summary.nodes.iter().filter(|n| n.stage == "evaluate") {
-            let Some(artifact) = &node.artifact else { continue };
-            let Ok(scores) = read_json::<SceneScores>(&artifact.path.join(SCORES)) else { continue };
-            let of = node.label.trim_end_matches(" · evaluate");
-            let mean = |method, metric| scores.mean(method, metric).and_then(|s| s.value());
-            if let Some(psnr) = mean(Method::Reconstruction, "psnr") {
-                println!("{of}: views that no training saw are reconstructed at {psnr:.2} dB PSNR");
-            }
-            let against_truth: Vec<String> = [
-                (Method::Captured, "photographs"),
-                (Method::Proposal, "2D enhancer"),
-                (Method::EnhancedClear, "enhanced-clear"),
-            ]
-            .into_iter()
-            .filter_map(|(method, name)| Some(format!("{name} {:.2} dB", mean(method, "truth_psnr")?)))
-            .collect();
-            if !against_truth.is_empty() {
-                println!("{of}: against the true scene without water: {}", against_truth.join(", "));
-            }
-        }
-    }
-    Ok(())
-}
+/// The demo's capture, and so its scene.
+const SCENE: &str = "reef";
 
 pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     let started = Instant::now();
@@ -250,7 +224,7 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
         DemoSize::Full => (48, 640, 360, 15_000, 5000),
     };
     let params = use3d_synth::CaptureParams { views, width, height, ..use3d_synth::CaptureParams::default() };
-    let capture = args.out.join("captures").join("reef");
+    let capture = args.out.join("captures").join(SCENE);
     // The synthetic pairs are of the demo's own kinds of water.
     let mut sets = vec![
         format!("reconstruct.iterations={iterations}"),
@@ -258,15 +232,19 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
         "calibrate.trust=1".to_string(),
     ];
     sets.extend(args.settings.set.iter().cloned());
-    // Settings are checked before anything is rendered: a pipeline of an empty folder knows the same ones.
+    // Settings and the places of all results are checked before anything is rendered: the pipeline of an empty folder of the capture's
+    // name knows the same ones.
     let probe = scratch()?;
-    open(
-        probe.path(),
+    let empty = probe.path().join(SCENE);
+    std::fs::create_dir(&empty).map_err(CliError::failed)?;
+    let probed = open(
+        &empty,
         &[],
         &Settings { set: sets.clone() },
         &CalibrationArgs::default(),
         &CacheArgs { cache: Some(probe.path().join("cache")), ..args.cache.clone() },
     )?;
+    results::check(&probed.graph, None, &args.out)?;
     place::check(&capture, true)?;
     place::check_writable(&args.out)?;
     keep_capture(app, &params, &capture)?;

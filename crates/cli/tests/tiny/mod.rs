@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+/// What makes a run on it take seconds.
 pub(crate) const TINY: [&str; 7] = [
     "reconstruct.iterations=30",
     "enhance.iterations=10",
@@ -23,11 +24,7 @@ pub(crate) struct Place {
 impl Place {
     pub(crate) fn new() -> Self {
         let place = Self { dir: tempfile::tempdir().expect("a folder") };
-        let capture = place.at("tiny");
-        let arguments = ["-q", "synth", "capture", "--out", &capture, "--views", "9", "--size", "96x64"]
-            .map(String::from);
-        let output = command().args(arguments).output().expect("the command starts");
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        capture(&place.at("tiny"));
         place
     }
 
@@ -64,6 +61,13 @@ impl Place {
         names.sort();
         names
     }
+}
+
+/// Makes the tiny capture.
+pub(crate) fn capture(out: &str) {
+    let arguments = ["-q", "synth", "capture", "--out", out, "--views", "9", "--size", "96x64"];
+    let output = command().args(arguments).output().expect("the command starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
 pub(crate) fn command() -> Command {

@@ -1,0 +1,121 @@
+//! What a run left in its results folder, for people as lines and for programs as one JSON document.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use use3d_pipeline::engine::Summary;
+use use3d_pipeline::engine::place::PlaceError;
+use use3d_pipeline::results::Delivered;
+use use3d_pipeline::scores::{Method, MethodScores, SceneScores, Scores};
+use use3d_pipeline::stages::{evaluate::SCORES, read_json};
+
+/// The document of `run --json`.
+#[derive(Serialize)]
+pub(crate) struct Outcome<'a> {
+    #[serde(flatten)]
+    summary: &'a Summary,
+    /// Every result that is in the results folder; empty where the run was interrupted.
+    results: Vec<Delivered>,
+    /// The mean scores of every scene that was evaluated.
+    scores: Vec<SceneMeans>,
+    /// Why results could not be delivered.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    error: Option<String>,
+}
+
+/// The mean scores of a scene.
+#[derive(Serialize)]
+struct SceneMeans {
+    scene: String,
+    variant: String,
+    /// All of its scores.
+    file: PathBuf,
+    methods: Vec<MethodMeans>,
+}
+
+/// The mean scores of one method.
+#[derive(Serialize)]
+struct MethodMeans {
+    method: Method,
+    mean: Scores,
+}
+
+impl<'a> Outcome<'a> {
+    /// Of a run and what became of its results.
+    pub(crate) fn new(summary: &'a Summary, delivered: &Result<Vec<Delivered>, PlaceError>) -> Self {
+        let all = delivered.as_deref().unwrap_or_default();
+        let scores = all.iter().filter_map(|result| {
+            let scores = scores(result)?;
+            let means = |m: MethodScores| MethodMeans { method: m.method, mean: m.mean };
+            Some(SceneMeans {
+                scene: result.scene.clone(),
+                variant: result.variant.clone(),
+                file: whole(&result.path.join(SCORES)),
+                methods: scores.methods.into_iter().map(means).collect(),
+            })
+        });
+        let results = all.iter().map(|r| Delivered { path: whole(&r.path), ..r.clone() });
+        Self {
+            summary,
+            results: results.collect(),
+            scores: scores.collect(),
+            error: delivered.as_ref().err().map(ToString::to_string),
+        }
+    }
+}
+
+/// A path that means the same wherever it is read.
+fn whole(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf())
+}
+
+/// The scores that a result holds, if it is an evaluation's.
+fn scores(result: &Delivered) -> Option<SceneScores> {
+    if result.what != "evaluate" {
+        return None;
+    }
+    read_json(&result.path.join(SCORES)).ok()
+}
+
+/// Tells a person what is where, and how well scenes were reconstructed.
+pub(crate) fn tell(delivered: &[Delivered]) {
+    for Delivered { what, path, .. } in delivered {
+        println!("{what:<12} {}", path.display());
+    }
+    for result in delivered {
+        let Some(scores) = scores(result) else { continue };
+        let named = [result.scene.as_str(), result.variant.as_str()];
+        let of = named.into_iter().filter(|name| !name.is_empty()).collect::<Vec<_>>().join(" · ");
+        let mean = |method, metric| scores.mean(method, metric).and_then(|s| s.value());
+        if let Some(psnr) = mean(Method::Reconstruction, "psnr") {
+            println!("{of}: views that no training saw are reconstructed at {psnr:.2} dB PSNR");
+        }
+        let against_truth: Vec<String> = [
+            (Method::Captured, "photographs"),
+            (Method::Proposal, "2D enhancer"),
+            (Method::EnhancedClear, "enhanced-clear"),
+        ]
+        .into_iter()
+        .filter_map(|(method, name)| Some(format!("{name} {:.2} dB", mean(method, "truth_psnr")?)))
+        .collect();
+        if !against_truth.is_empty() {
+            println!("{of}: against the true scene without water: {}", against_truth.join(", "));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn results_that_could_not_be_delivered_are_said_in_the_same_document() {
+        let summary = Summary::of_scene(&[], "", "");
+        let failed = Err(PlaceError::Occupied { path: "out/reef".into(), reason: "somebody's".into() });
+        let told = serde_json::to_value(Outcome::new(&summary, &failed)).unwrap();
+        assert_eq!(told["error"], "out/reef: somebody's");
+        assert_eq!((&told["results"], &told["interrupted"]), (&serde_json::json!([]), &false.into()));
+        let none = serde_json::to_value(Outcome::new(&summary, &Ok(Vec::new()))).unwrap();
+        assert!(none.get("error").is_none(), "{none}");
+    }
+}
