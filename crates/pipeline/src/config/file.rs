@@ -49,11 +49,12 @@ pub(crate) struct Calibrator {
     pub(crate) file: Option<String>,
 }
 
-/// A scene's own calibrator.
+/// A calibrator of a scene or a variant alone.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct SceneCalibrator {
-    /// A calibrator that was made before, read for this scene in place of what the others use. Pairs are for all scenes.
+pub(crate) struct OwnCalibrator {
+    /// A calibrator that was made before, read here in place of what the others use; a variant's wins over a scene's. Pairs are for
+    /// all scenes and variants.
     pub(crate) file: String,
 }
 
@@ -80,7 +81,7 @@ pub(crate) struct SceneEntry {
     pub(crate) group: String,
     /// A finished calibrator for this scene only.
     #[serde(default)]
-    pub(crate) calibrator: Option<SceneCalibrator>,
+    pub(crate) calibrator: Option<OwnCalibrator>,
 }
 
 /// A named set of changes that every scene is computed with; what it does not change is shared.
@@ -92,4 +93,7 @@ pub(crate) struct VariantEntry {
     /// Another seed.
     #[serde(default)]
     pub(crate) seed: Option<u64>,
+    /// A finished calibrator for this variant only.
+    #[serde(default)]
+    pub(crate) calibrator: Option<OwnCalibrator>,
 }

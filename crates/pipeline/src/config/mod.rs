@@ -42,7 +42,7 @@ pub use document::ConfigError;
 use document::{Document, join, unknown_key};
 use file::{Calibrator, PipelineFile, SceneEntry, VariantEntry};
 pub use parameters::{Parameter, StageParameters, parameters};
-use places::{check_pairs, expand, home, key_of, say_instead};
+use places::{check_learning, check_pairs, expand, home, key_of, say_instead};
 pub use schema::{schema, schema_text};
 pub use set::stage_parameters;
 
@@ -124,6 +124,7 @@ fn parse(
     let (defaults, scenes, variants) = (take("defaults"), take("scene"), take("variant"));
     batch.defaults = reader.stages("defaults", reader.table("defaults", defaults)?)?;
     if let Some(calibrator) = top.get_mut("calibrator") {
+        reader.finished(calibrator)?;
         reader.shorthands("calibrator", "calibrator", calibrator, &mut batch.defaults)?;
     }
     if let Some(models) = top.get_mut("models") {
@@ -161,7 +162,13 @@ fn parse(
         let (rest, overrides) = reader.entry(&base, "variant", entry)?;
         let entry: VariantEntry = reader.typed(&base, &rest, &reader.words("variant"))?;
         reader.unique(&base, &entry.name, batch.variants.iter().map(|v| &v.name))?;
-        batch.variants.push(Variant { name: entry.name, seed: entry.seed, overrides, ..Variant::default() });
+        let said = |key: &str| format!("`{key}` of variant {} in {}", entry.name, file.display());
+        let mut variant =
+            Variant { name: entry.name.clone(), seed: entry.seed, overrides, ..Variant::default() };
+        if let Some(own) = &entry.calibrator {
+            variant.name_external("calibrator", expand(&own.file, folder), said(key_of("calibrator")));
+        }
+        batch.variants.push(variant);
     }
     let models = own.models.dir.map(|dir| (expand(&dir, folder), said(key_of("models"))));
     let cache = own.cache.map(|text| expand(&text, folder));
@@ -193,6 +200,7 @@ fn finish(
         say_instead(&mut batch, "calibrator", Ok(file.clone()), "--calibrator");
     }
     check_pairs(&batch)?;
+    check_learning(&batch)?;
     if let Some(models) = &options.models {
         batch.name_external("models", Ok(models.clone()), "--models or USE3D_MODELS");
     } else if !batch.externals.contains_key("models") && Path::new("models").is_dir() {
@@ -216,6 +224,9 @@ pub fn default_cache() -> Result<PathBuf, ConfigError> {
         )
     })
 }
+
+/// The stages that a finished calibrator leaves out.
+const LEARNING: [&str; 2] = ["pairs", "calibrate"];
 
 struct Reader<'r> {
     registry: &'r Registry,
@@ -331,6 +342,20 @@ impl Reader<'_> {
                 None => self.document.parameter_error(base, &error, more),
             }
         })
+    }
+
+    /// Refuses words about how a calibrator is learnt beside a finished one: they would do nothing.
+    fn finished(&self, calibrator: &Value) -> Result<(), ConfigError> {
+        let short = || self.registry.shorthands().iter().filter(|s| s.place == "calibrator");
+        let elsewhere = |key: &str| short().any(|s| s.key == key && !LEARNING.contains(&s.stage));
+        let useless = short().map(|s| s.key).find(|key| calibrator.get(key).is_some() && !elsewhere(key));
+        match useless.filter(|_| calibrator.get("file").is_some()) {
+            None => Ok(()),
+            Some(key) => Err(self.document.key_error(
+                &format!("calibrator.{key}"),
+                format!("`file` is a finished calibrator: nothing is learnt, so `{key}` has no effect; leave one of them out"),
+            )),
+        }
     }
 
     fn short_words(&self, place: &str) -> Vec<&'static str> {

@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use serde_json::Value;
+
 use super::document::ConfigError;
 use crate::engine::Batch;
 use crate::engine::graph::External;
@@ -32,19 +34,30 @@ pub(super) fn say_instead(batch: &mut Batch, external: &str, place: External, by
         "pairs.input" | "pairs.target" => &["calibrator"],
         _ => &[],
     };
-    for other in others {
-        batch.externals.remove(*other);
+    // What the command line says of all holds for a scene or a variant with a file of its own, too.
+    let own = ["calibrator"].into_iter().filter(|name| *name == external);
+    for name in others.iter().copied().chain(own) {
+        batch.externals.remove(name);
         batch.scenes.iter_mut().for_each(|scene| {
-            scene.externals.remove(*other);
+            scene.externals.remove(name);
         });
-    }
-    if external == "calibrator" {
-        // What the command line says of all scenes holds for a scene with a file of its own, too.
-        batch.scenes.iter_mut().for_each(|scene| {
-            scene.externals.remove(external);
+        batch.variants.iter_mut().for_each(|variant| {
+            variant.externals.remove(name);
         });
     }
     batch.name_external(external, place, by);
+}
+
+/// Refuses settings of the command line about how a calibrator is learnt where a finished one is read everywhere.
+pub(super) fn check_learning(batch: &Batch) -> Result<(), ConfigError> {
+    let Some(Value::Object(given)) = batch.forced.get("calibrate") else { return Ok(()) };
+    let (Some(name), true) = (given.keys().next(), batch.externals.contains_key("calibrator")) else {
+        return Ok(());
+    };
+    let by = batch.named.get("calibrator").map_or("", String::as_str);
+    Err(ConfigError::plain(format!(
+        "--set calibrate.{name}: {by} names a finished calibrator: nothing is learnt, so this has no effect; leave one of them out"
+    )))
 }
 
 /// Refuses one of the two folders of pairs without the other.

@@ -52,6 +52,10 @@ pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Re
     if let Some(rest) = key.strip_prefix("variant.") {
         let names: Vec<String> = batch.variants.iter().map(|v| v.name.clone()).collect();
         let (index, rest) = named("variant", rest, &names).map_err(wrong)?;
+        if rest == key_of("calibrator") {
+            batch.variants[index].name_external("calibrator", path(), by);
+            return Ok(());
+        }
         return place(registry, "variant", rest, (&value, text), &mut batch.variants[index].forced)
             .map_err(wrong);
     }

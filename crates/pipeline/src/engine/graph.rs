@@ -73,10 +73,22 @@ pub struct Variant {
     pub name: String,
     /// Another seed.
     pub seed: Option<u64>,
+    /// Its files and folders, by name; they win over a scene's.
+    pub externals: BTreeMap<String, External>,
+    /// Where the user named them, by name. For messages only.
+    pub named: BTreeMap<String, String>,
     /// Parameters for this variant only.
     pub overrides: Overrides,
     /// Parameters for this variant only that win over all but a scene's forced ones.
     pub forced: Overrides,
+}
+
+impl Variant {
+    /// Names a file or folder of this variant; `by` says in words where the user did.
+    pub fn name_external(&mut self, name: &str, place: External, by: impl Into<String>) {
+        self.externals.insert(name.to_string(), place);
+        self.named.insert(name.to_string(), by.into());
+    }
 }
 
 impl Batch {
@@ -286,8 +298,9 @@ impl Builder<'_> {
         Ok(all)
     }
 
-    /// What is named outside the pipeline for a scene; without one, what is named for all of them, together or one by one.
-    fn named(&self, scene: Option<&Scene>) -> Named {
+    /// What is named outside the pipeline for a scene in a variant; without a scene, what is named for all of them, together or one
+    /// by one.
+    fn named(&self, scene: Option<&Scene>, variant: &Variant) -> Named {
         let batch = self.batch.externals.iter();
         let each = match (scene, self.batch.scenes.split_first()) {
             (Some(scene), _) => scene.externals.iter().collect::<Vec<_>>(),
@@ -297,7 +310,12 @@ impl Builder<'_> {
             }
             (None, None) => Vec::new(),
         };
-        Named::new(batch.chain(each).map(|(name, place)| (name.clone(), place.clone().ok())))
+        Named::new(
+            batch
+                .chain(each)
+                .chain(&variant.externals)
+                .map(|(name, place)| (name.clone(), place.clone().ok())),
+        )
     }
 
     /// The place of a scene's reference variant, where a stage asks for one and a variant fulfils its condition.
@@ -321,17 +339,21 @@ impl Builder<'_> {
         scope: Scope,
     ) -> Result<(), EngineError> {
         let all = self.parameters(scene, variant)?;
-        let named = self.named(scene);
+        let named = self.named(scene, variant);
         for (index, stage) in self.registry.stages().iter().enumerate().filter(|(_, s)| s.scope == scope) {
             if stage.condition.as_ref().is_some_and(|asked| !asked(&all, &named)) {
                 continue;
             }
             let mut inputs = Vec::new();
             for (i, input) in stage.inputs.iter().enumerate() {
-                let outside = |name: &str| {
-                    let own = scene.and_then(|s| s.externals.get(name));
-                    own.or_else(|| self.batch.externals.get(name)).cloned().map(From::External)
+                // Who names it: the variant, the scene, or the pipeline, and where in words.
+                let namer = |name: &str| {
+                    let variant = [(&variant.externals, &variant.named)].into_iter();
+                    let scene = scene.map(|s| (&s.externals, &s.named));
+                    let batch = [(&self.batch.externals, &self.batch.named)];
+                    variant.chain(scene).chain(batch).find(|(externals, _)| externals.contains_key(name))
                 };
+                let outside = |name: &str| namer(name)?.0.get(name).cloned().map(From::External);
                 // What is read from outside: its name, or that of what stands in for an artifact.
                 let external = match input.source {
                     Source::External(name) => Some(name),
@@ -367,10 +389,7 @@ impl Builder<'_> {
                         }
                     })),
                 };
-                let said = external.and_then(|name| {
-                    let own = scene.filter(|s| s.externals.contains_key(name));
-                    own.map_or(&self.batch.named, |s| &s.named).get(name)
-                });
+                let said = external.and_then(|name| namer(name)?.1.get(name));
                 let named = said.cloned().unwrap_or_default();
                 inputs.push(NodeInput {
                     role: input.role,
@@ -391,7 +410,7 @@ impl Builder<'_> {
 
     fn add_batch_stages(&mut self, variants: &[Variant]) -> Result<(), EngineError> {
         let all = self.parameters(None, &Variant::default())?;
-        let named = self.named(None);
+        let named = self.named(None, &Variant::default());
         let groups: HashMap<&str, &str> =
             self.batch.scenes.iter().map(|s| (s.name.as_str(), s.group.as_str())).collect();
         for (index, stage) in

@@ -6,7 +6,7 @@ use std::path::Path;
 use use3d_pipeline::config::{LoadOptions, from_text};
 use use3d_pipeline::engine::plan::State;
 use use3d_pipeline::engine::run::{Became, RunOptions};
-use use3d_pipeline::engine::{Batch, Cache, Engine, Graph, Registry, Scope, Stage, StageContext};
+use use3d_pipeline::engine::{Batch, Cache, Engine, Graph, Registry, Scope, Stage, StageContext, Variant};
 
 use super::stages::{Strength, batch, engine, registry, run, run_with};
 
@@ -48,7 +48,8 @@ fn an_optional_input_that_is_named_and_missing_fails_what_needs_it_and_nothing_e
 #[test]
 fn each_input_from_outside_is_named_by_its_key_and_its_file() {
     let text = "name = \"x\"\n[models]\ndir = \"${USE3D_TEST_UNSET}\"\n[calibrator]\npairs = { input = \"a\", target = \"b\" }\n\
-        [[scene]]\nname = \"reef\"\ncapture = \"c\"\n[[scene]]\nname = \"own\"\ncapture = \"d\"\ncalibrator = { file = \"e.pth\" }\n";
+        [[scene]]\nname = \"reef\"\ncapture = \"c\"\n[[scene]]\nname = \"own\"\ncapture = \"d\"\ncalibrator = { file = \"e.pth\" }\n\
+        [[variant]]\nname = \"plain\"\n[[variant]]\nname = \"theirs\"\ncalibrator = { file = \"v.pth\" }\n";
     let load = |sets: &[&str], options: LoadOptions| {
         let sets = sets.iter().map(ToString::to_string).collect();
         from_text(&registry(0), text, Path::new("dir/p.toml"), &LoadOptions { sets, ..options })
@@ -63,6 +64,9 @@ fn each_input_from_outside_is_named_by_its_key_and_its_file() {
     assert_eq!(batch.scenes[0].named["capture"], "`capture` of scene reef in dir/p.toml");
     assert_eq!(batch.scenes[1].externals["calibrator"], Ok("dir/e.pth".into()));
     assert_eq!(batch.scenes[1].named["calibrator"], "`calibrator.file` of scene own in dir/p.toml");
+    assert_eq!(batch.variants[1].externals["calibrator"], Ok("dir/v.pth".into()));
+    assert_eq!(batch.variants[1].named["calibrator"], "`calibrator.file` of variant theirs in dir/p.toml");
+    assert!(batch.variants[0].externals.is_empty());
 
     // The command line wins as a whole: pairs over a file, a file over pairs; its paths start where it is given.
     let set = load(&["calibrator.file=f.pth"], LoadOptions::default()).expect("loaded");
@@ -71,6 +75,7 @@ fn each_input_from_outside_is_named_by_its_key_and_its_file() {
         (Ok("f.pth".into()), None)
     );
     assert!(!set.scenes[1].externals.contains_key("calibrator"));
+    assert!(!set.variants[1].externals.contains_key("calibrator"));
     let set = load(&["calibrator.pairs.input=q"], LoadOptions::default()).expect("loaded");
     assert_eq!(
         (set.externals["pairs.input"].clone(), set.externals["pairs.target"].clone()),
@@ -88,6 +93,8 @@ fn each_input_from_outside_is_named_by_its_key_and_its_file() {
     assert_eq!(given.externals["calibrator"], Ok("g.safetensors".into()));
     let set = load(&["scene.own.calibrator.file=h.pth"], LoadOptions::default()).expect("loaded");
     assert_eq!(set.scenes[1].externals["calibrator"], Ok("h.pth".into()));
+    let set = load(&["variant.plain.calibrator.file=i.pth"], LoadOptions::default()).expect("loaded");
+    assert_eq!(set.variants[0].externals["calibrator"], Ok("i.pth".into()));
 
     for (set, expected) in [
         ("calibrator.pair.input=a", "calibrator.pairs.input, calibrator.pairs.target, calibrator.file"),
@@ -115,6 +122,39 @@ fn half_of_the_pairs_is_said_at_the_pairs() {
     );
     let error = load(&both, &[]);
     assert!(error.contains("give one of them"), "{error}");
+}
+
+#[test]
+fn words_about_learning_beside_a_finished_calibrator_are_refused() {
+    let table = || {
+        Registry::new(super::stages::stages(0))
+            .expect("a table")
+            .shorthand("calibrator", "proposer", "calibrate", "proposer")
+            .shorthand("calibrator", "proposer", "targets", "proposer")
+            .shorthand("calibrator", "strength", "calibrate", "strength")
+    };
+    let load = |calibrator: &str, sets: &[&str], finished: Option<&str>| {
+        let text =
+            format!("name = \"x\"\n[calibrator]\n{calibrator}\n[[scene]]\nname = \"a\"\ncapture = \"a\"\n");
+        let options = LoadOptions {
+            sets: sets.iter().map(ToString::to_string).collect(),
+            calibrator: finished.map(Into::into),
+            ..LoadOptions::default()
+        };
+        from_text(&table(), &text, Path::new("p.toml"), &options).map(|_| ()).map_err(|e| e.to_string())
+    };
+    let pairs = "pairs = { input = \"a\", target = \"b\" }";
+    let error = load("file = \"c\"\nstrength = 3", &[], None).expect_err("no effect");
+    assert!(error.starts_with("p.toml:4:1: `file` is a finished calibrator"), "{error}");
+    assert!(error.contains("`strength` has no effect"), "{error}");
+    let error = load("file = \"c\"", &["calibrator.strength=3"], None).expect_err("no effect");
+    assert!(error.contains("--set calibrate.strength: `calibrator.file` in p.toml names"), "{error}");
+    let error = load(pairs, &["calibrate.strength=3"], Some("d")).expect_err("no effect");
+    assert!(error.contains("--calibrator names"), "{error}");
+    // What is said of the file's own pairs stands there for other runs; a proposer is asked for in any case.
+    assert_eq!(load(&format!("{pairs}\nstrength = 3"), &[], Some("d")), Ok(()));
+    assert_eq!(load(&format!("{pairs}\nstrength = 3"), &["calibrator.strength=4"], None), Ok(()));
+    assert_eq!(load("file = \"c\"\nproposer = \"fusion\"", &[], None), Ok(()));
 }
 
 #[test]
@@ -164,6 +204,45 @@ fn a_finished_artifact_stands_in_for_its_stage_where_it_is_named() {
     let graph = Graph::new(&engine.registry, &batch).expect("graph");
     let plan = engine.plan(&graph, None);
     assert_eq!(plan.nodes.iter().filter(|n| matches!(n.state, State::Unavailable(_))).count(), 3);
+}
+
+#[test]
+fn a_variant_may_read_a_finished_calibrator_of_its_own() {
+    let dir = tempfile::tempdir().expect("folder");
+    let (own, theirs) = (dir.path().join("own.bin"), dir.path().join("theirs.bin"));
+    fs::write(&own, "own").expect("file");
+    fs::write(&theirs, "theirs").expect("file");
+    let mut batch = batch(&dir.path().join("data"), &["a", "b"]);
+    batch.variants = ["made", "read"].map(|name| Variant { name: name.into(), ..Variant::default() }).into();
+    batch.variants[1].name_external("calibrator", Ok(theirs.clone()), "`calibrator.file` of variant read");
+    let engine = engine_with(&dir.path().join("cache"));
+    let graph = Graph::new(&engine.registry, &batch).expect("graph");
+    let reads = |graph: &Graph, scene: &str, variant: &str| {
+        let node = graph.find(scene, variant, "targets").expect("targets");
+        let plan = engine.plan(graph, None);
+        (plan.nodes[node].state.clone(), plan.nodes[node].key)
+    };
+    // Only the variant that learns asks for it.
+    let made = graph.nodes.iter().filter(|n| n.stage_name == "calibrate").map(|n| n.variant.as_str());
+    assert_eq!(made.collect::<Vec<_>>(), ["made"]);
+    let (summary, started, _) = run(&engine, &batch);
+    assert_eq!(summary.exit_code(), 0, "{summary}");
+    assert!(started.contains(&"a · made · targets".into()) && started.contains(&"a · read · targets".into()));
+    // Its file wins over a scene's.
+    let before = reads(&graph, "a", "read");
+    batch.scenes[0].name_external("calibrator", Ok(own), "`calibrator.file` of scene a");
+    let graph = Graph::new(&engine.registry, &batch).expect("graph");
+    assert_eq!(reads(&graph, "a", "read"), before);
+    assert!(matches!(reads(&graph, "a", "made").0, State::Run(_)), "it reads the scene's now");
+    // One that is missing is said with the variant's name.
+    batch.variants[1].name_external(
+        "calibrator",
+        Ok(dir.path().join("gone")),
+        "`calibrator.file` of variant read",
+    );
+    let graph = Graph::new(&engine.registry, &batch).expect("graph");
+    let State::Unavailable(why) = reads(&graph, "b", "read").0 else { panic!("it is not there") };
+    assert!(why.contains("of variant read") && why.contains("gone does not exist"), "{why}");
 }
 
 /// A small table in which `targets` and `report` read a calibrator, made or given.
