@@ -60,5 +60,5 @@ pub use model::{
 };
 pub use params::{ImageSize, ImportParams, SplitOrder, SplitParams, WhiteBalance};
 pub use prepare::{PreparedView, Progress, prepare};
-pub use prepared::{is_prepared, load_prepared};
+pub use prepared::{Extent, is_prepared, load_prepared, prepared_extent};
 pub use report::{CameraReport, ImportReport};

@@ -133,8 +133,8 @@ pub(crate) fn save(dir: &Path, capture: &Capture, report: &ImportReport) -> Resu
     .map_err(ImportError::file(&path))
 }
 
-/// Reads a prepared capture back exactly: the same cameras, points and split to the last bit.
-pub fn load_prepared(dir: &Path) -> Result<Imported, ImportError> {
+/// The manifest of a prepared capture.
+fn manifest(dir: &Path) -> Result<Manifest, ImportError> {
     let path = dir.join(MANIFEST);
     let bytes = std::fs::read(&path).map_err(ImportError::file(&path))?;
     let bad = |reason: String| ImportError::Prepared { path: path.clone(), reason };
@@ -145,6 +145,39 @@ pub fn load_prepared(dir: &Path) -> Result<Imported, ImportError> {
             manifest.format, manifest.version
         )));
     }
+    Ok(manifest)
+}
+
+/// How large a prepared capture is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Extent {
+    /// Width and height of every view, in the capture's order.
+    pub sizes: Vec<(usize, usize)>,
+    /// Which views train, as indices.
+    pub train: Vec<usize>,
+    /// Sparse points.
+    pub points: usize,
+}
+
+/// How large a prepared capture is, from its manifest alone: no picture and no model is opened, so that a plan over many scenes stays
+/// quick.
+///
+/// # Errors
+/// A manifest that is not there, or not one of ours.
+pub fn prepared_extent(dir: &Path) -> Result<Extent, ImportError> {
+    let manifest = manifest(dir)?;
+    Ok(Extent {
+        sizes: manifest.views.iter().map(|v| (v.width, v.height)).collect(),
+        train: manifest.train,
+        points: manifest.report.points,
+    })
+}
+
+/// Reads a prepared capture back exactly: the same cameras, points and split to the last bit.
+pub fn load_prepared(dir: &Path) -> Result<Imported, ImportError> {
+    let path = dir.join(MANIFEST);
+    let bad = |reason: String| ImportError::Prepared { path: path.clone(), reason };
+    let manifest = manifest(dir)?;
     let folder = Folder::open(dir, ".").ok_or_else(|| bad("its folder is gone".into()))?;
     let file = |name: &FileName| {
         // Paths are kept as given, not as resolved, so that a relative folder stays relative.

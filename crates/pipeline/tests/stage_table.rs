@@ -18,8 +18,15 @@ fn table() -> Registry {
 }
 
 /// Modules of the pipeline crate that write no byte of an artifact: the engine and its clients.
-const WITHOUT_ARTIFACTS: [&str; 6] =
-    ["src/lib.rs", "src/engine/", "src/config/", "src/stages/mod.rs", "src/results.rs", "build.rs"];
+const WITHOUT_ARTIFACTS: [&str; 7] = [
+    "src/lib.rs",
+    "src/engine/",
+    "src/config/",
+    "src/stages/mod.rs",
+    "src/stages/memory.rs",
+    "src/results.rs",
+    "build.rs",
+];
 
 #[test]
 fn every_stage_is_made_of_the_files_it_uses_and_of_no_others() {
@@ -322,6 +329,45 @@ fn run(cache: &Path, capture: &Path, parameters: &[(&str, Value)]) -> (Vec<Strin
         path.file_name().expect("a key").to_string_lossy().into_owned()
     });
     (keys.to_vec(), summary.done())
+}
+
+#[test]
+fn forecasts_of_memory_follow_the_size_of_the_pictures_and_change_no_key() {
+    let dir = tempfile::tempdir().expect("folder");
+    let planned = |side: usize| {
+        let capture = dir.path().join(format!("capture-{side}"));
+        let params = use3d_synth::CaptureParams {
+            views: 9,
+            width: side,
+            height: side * 3 / 4,
+            points: 200,
+            detail: 0.1,
+            ..use3d_synth::CaptureParams::default()
+        };
+        use3d_synth::write_capture(&params, &capture, &mut |_, _| ()).expect("a capture");
+        let engine = Engine::new(table(), Cache::open(&dir.path().join("cache"), false).expect("a cache"));
+        let mut batch = Batch { name: "sizes".into(), seed: 42, ..Batch::default() };
+        let externals = [("capture".into(), Ok(capture))].into();
+        batch.scenes.push(Scene { name: format!("reef-{side}"), externals, ..Scene::default() });
+        let graph = Graph::new(&engine.registry, &batch).expect("a graph");
+        let of = |plan: &use3d_pipeline::engine::Plan| -> BTreeMap<&'static str, Option<u64>> {
+            plan.nodes.iter().map(|n| (n.stage, n.memory)).collect()
+        };
+        let before = of(&engine.plan(&graph, None));
+        let options = RunOptions { until: Some(vec!["import".into()]), ..RunOptions::default() };
+        let summary = engine.run(&graph, &options, &(Arc::new(Silent) as Arc<dyn Listener>));
+        assert_eq!(summary.exit_code(), 0, "{summary}");
+        (before, of(&engine.plan(&graph, None)))
+    };
+    let ((before, small), (_, large)) = (planned(64), planned(256));
+    for stage in ["reconstruct", "targets", "enhance", "render", "evaluate"] {
+        let [fixed, small, large] = [&before, &small, &large].map(|plan| plan[stage].expect("a forecast"));
+        // Before the import nothing is known of the pictures; after it, tiny ones take less and larger ones more.
+        assert!(small < fixed, "{stage}: {small} of {fixed}");
+        assert!(large > small, "{stage}: {large} after {small}");
+        assert!((32 << 20..1 << 30).contains(&small), "{stage}: {small}");
+    }
+    assert_eq!(small["import"], None, "it is made");
 }
 
 /// Everything a cache holds of artifacts but their manifests, which tell times and hosts.

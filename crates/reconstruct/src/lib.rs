@@ -18,7 +18,7 @@ mod record;
 mod train;
 mod views;
 
-pub use bounds::{MemoryNeed, memory_need, most_gaussians};
+pub use bounds::{CaptureSize, MemoryNeed, memory_need, most_gaussians};
 pub use error::ReconstructError;
 pub use found::FoundWater;
 pub use parameters::{

@@ -55,6 +55,8 @@ pub struct PlannedNode {
     pub changes: Vec<Difference>,
     /// What it will probably cost.
     pub forecast: Option<Forecast>,
+    /// About how much memory it will take, bytes, judging by those of its inputs that are there; `None` where nobody knows.
+    pub memory: Option<u64>,
     /// The node that does the same work for it, in words.
     pub shared_with: Option<String>,
     /// Why the last attempt failed, when nothing has changed since.
@@ -131,6 +133,7 @@ impl Engine {
                 checkpoints: None,
                 changes: Vec::new(),
                 forecast: None,
+                memory: None,
                 shared_with: None,
                 failed: None,
                 had: record.last.is_some(),
@@ -156,6 +159,8 @@ impl Engine {
             if matches!(planned.state, State::Run(_) | State::Waiting(_)) {
                 let stage = &self.registry.stages()[node.stage];
                 planned.forecast = timings.forecast(stage.name, &node.scene, resolve::length(stage, node));
+                let memory = stage.memory_on(&node.parameters, &resolve::there(graph, i, &outcomes));
+                planned.memory = (memory > 0).then_some(memory);
             }
             nodes.push(planned);
         }

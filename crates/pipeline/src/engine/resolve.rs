@@ -131,6 +131,22 @@ pub(crate) fn resolve(
     Ok(Resolved { key: ingredients.key(), checkpoints, ingredients, inputs, artifacts, externals, bytes })
 }
 
+/// The inputs of a node that are there already, for forecasts.
+pub(crate) fn there(graph: &Graph, node: usize, outcomes: &[Outcome]) -> Vec<StageInput> {
+    let path = |input: &NodeInput| match &input.from {
+        From::Node(parent) => match &outcomes[*parent] {
+            Outcome::Ready(artifact) => Some(artifact.path.clone()),
+            Outcome::Open | Outcome::Unavailable(_) => None,
+        },
+        From::External(place) => place.clone().ok().filter(|path| path.exists()),
+    };
+    let given = |input: &NodeInput| {
+        let (scene, group, variant) = (input.scene.clone(), input.group.clone(), input.variant.clone());
+        Some(StageInput { role: input.role.to_string(), path: path(input)?, scene, group, variant })
+    };
+    graph.nodes[node].inputs.iter().filter_map(given).collect()
+}
+
 fn external(
     stage: &Stage,
     node: &Node,

@@ -141,6 +141,8 @@ struct Runner<'r> {
     outcomes: Vec<Outcome>,
     nodes: Vec<RanNode>,
     running: HashMap<usize, Running>,
+    /// What the nodes that could be started will take, bytes.
+    memory: Vec<Option<u64>>,
     /// How often an artifact was found damaged, so that a bad disk does not keep the run going for ever.
     damaged: HashMap<usize, usize>,
     halted: bool,
@@ -192,6 +194,7 @@ impl<'r> Runner<'r> {
                 .collect(),
             nodes: nodes.collect(),
             running: HashMap::new(),
+            memory: vec![None; graph.nodes.len()],
             damaged: HashMap::new(),
             halted: false,
             lease,
@@ -364,7 +367,9 @@ impl<'r> Runner<'r> {
         let jobs = self.options.jobs.max(1);
         let used_memory: u64 = self.running.values().map(|r| r.memory).sum();
         let used_cores: usize = self.running.values().map(|r| r.cores).sum();
-        let fits = used_memory.saturating_add(stage.memory) <= self.options.memory;
+        let memory = *self.memory[i]
+            .get_or_insert_with(|| stage.memory_on(&self.graph.nodes[i].parameters, &resolved.inputs));
+        let fits = used_memory.saturating_add(memory) <= self.options.memory;
         let twin = self.running.values().any(|r| r.key == resolved.key);
         if twin || self.running.len() >= jobs || (!fits && !self.running.is_empty()) {
             return false;
@@ -372,7 +377,7 @@ impl<'r> Runner<'r> {
         if !fits {
             let text = format!(
                 "needs about {} of memory, {} are free: running it alone",
-                machine::bytes(stage.memory),
+                machine::bytes(memory),
                 machine::bytes(self.options.memory)
             );
             self.listener.event(&Event::Warning { label: &self.nodes[i].label, text: &text });
@@ -383,7 +388,7 @@ impl<'r> Runner<'r> {
         self.lease.extend(resolved.checkpoints);
         self.lease.show();
         self.phase[i] = Phase::Running;
-        self.running.insert(i, Running { cores: threads, memory: stage.memory, key: resolved.key });
+        self.running.insert(i, Running { cores: threads, memory, key: resolved.key });
         let job = Job {
             engine: self.engine,
             pipeline: &self.graph.name,

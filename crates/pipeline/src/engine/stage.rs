@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
 use super::canonical;
-use super::context::StageContext;
+use super::context::{StageContext, StageInput};
 use super::error::{ParameterError, StageError};
 
 /// Over what a stage is made once.
@@ -91,6 +91,8 @@ type Canonicalise = Arc<dyn Fn(&Value) -> Result<Value, ParameterError> + Send +
 type Condition = Arc<dyn Fn(&AllParameters, &Named) -> bool + Send + Sync>;
 /// Whether a variant with these parameters is what others are compared by.
 type IsReference = Arc<dyn Fn(&AllParameters) -> bool + Send + Sync>;
+/// Bytes of memory, from the parameters and from those inputs that are there.
+type Memory = Arc<dyn Fn(&Value, &[StageInput]) -> Option<u64> + Send + Sync>;
 type Run = Arc<dyn Fn(&StageContext, &Value) -> Result<(), StageError> + Send + Sync>;
 
 /// A stage; see the [module documentation](super) for an example.
@@ -108,6 +110,7 @@ pub struct Stage {
     pub(crate) without_effect: &'static [&'static str],
     pub(crate) cores: usize,
     pub(crate) memory: u64,
+    pub(crate) memory_of: Option<Memory>,
     pub(crate) condition: Option<Condition>,
     pub(crate) reference: Option<IsReference>,
     pub(crate) canonicalise: Canonicalise,
@@ -140,6 +143,7 @@ impl Stage {
             without_effect: &[],
             cores: 0,
             memory: 0,
+            memory_of: None,
             condition: None,
             reference: None,
             canonicalise: Arc::new(canonicalise::<P>),
@@ -315,6 +319,21 @@ impl Stage {
         self
     }
 
+    /// About how many bytes of memory it takes on what it reads, from its parameters and from those of its inputs that are there already
+    /// (a plan knows some of them, a run all). Where they do not say (`None`), it is what [`cost`](Self::cost) says. It decides
+    /// what runs side by side, never what comes out.
+    #[must_use]
+    pub fn memory<P: DeserializeOwned + 'static>(
+        mut self,
+        estimate: impl Fn(&P, &[StageInput]) -> Option<u64> + Send + Sync + 'static,
+    ) -> Self {
+        self.memory_of = Some(Arc::new(move |value, inputs| {
+            let parameters: P = serde_json::from_value(value.clone()).ok()?;
+            estimate(&parameters, inputs)
+        }));
+        self
+    }
+
     /// It is only asked for when this holds for the parameters of all stages.
     #[must_use]
     pub fn when(self, condition: impl Fn(&AllParameters) -> bool + Send + Sync + 'static) -> Self {
@@ -384,6 +403,12 @@ impl Stage {
     /// Whether the pipeline's seed is part of its key.
     pub fn is_seeded(&self) -> bool {
         self.seeded
+    }
+
+    /// About how much memory it takes with these parameters on these inputs, bytes; 0 where nobody knows.
+    pub(crate) fn memory_on(&self, parameters: &Value, inputs: &[StageInput]) -> u64 {
+        let known = self.memory_of.as_ref().and_then(|of| of(parameters, inputs));
+        known.unwrap_or(self.memory)
     }
 
     /// The given parameters with defaults filled in.

@@ -24,6 +24,7 @@ mod depth;
 mod enhance;
 pub mod evaluate;
 mod import;
+mod memory;
 mod names;
 mod pairs;
 mod proposals;
@@ -62,6 +63,7 @@ pub fn registry() -> Result<Registry, EngineError> {
         evaluate::stage(),
         report::stage(),
     ];
+    let stages = stages.into_iter().map(memory::with_forecast).collect();
     Ok(Registry::new(stages)?
         .shorthand("scene", "size", "import", "size")
         .shorthand("calibrator", "proposer", "pairs", "proposer")

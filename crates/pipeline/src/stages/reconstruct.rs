@@ -126,7 +126,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         let pixels = learnt_from.views.iter().find(|v| v.name == view.name);
         load(view, pixels.unwrap_or(view))
     };
-    let need = memory_need(&capture, &params);
+    let need = memory_need(&(&capture).into(), &params);
     context.needs_memory(
         need.start,
         need.most,

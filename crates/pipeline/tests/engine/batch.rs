@@ -126,11 +126,16 @@ fn jobs_and_memory_bound_what_runs_at_once() {
     let batch = batch(&dir.path().join("data"), &names);
     let (now, most) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
     let threads = Arc::new(Mutex::new(Vec::new()));
-    let stage = |memory: u64| {
+    // A stage waits until so many run side by side, which a busy machine takes its time for, and then whether more come.
+    let stage = |memory: u64, expected: usize| {
         let (now, most, threads) = (now.clone(), most.clone(), threads.clone());
         Stage::new("busy", Scope::Scene, move |context, _: &Strength| {
             most.fetch_max(now.fetch_add(1, Ordering::SeqCst) + 1, Ordering::SeqCst);
             threads.lock().expect("lock").push((context.threads(), rayon::current_num_threads()));
+            let begun = Instant::now();
+            while most.load(Ordering::SeqCst) < expected && begun.elapsed() < Duration::from_secs(20) {
+                std::thread::sleep(Duration::from_millis(1));
+            }
             std::thread::sleep(Duration::from_millis(20));
             now.fetch_sub(1, Ordering::SeqCst);
             Ok(fs::write(context.output().join("x"), "x")?)
@@ -138,21 +143,41 @@ fn jobs_and_memory_bound_what_runs_at_once() {
         .external("capture", "capture")
         .cost(0, memory)
     };
-    let run = |folder: &str, memory: u64, jobs: usize| {
+    let run = |folder: &str, memory: u64, jobs: usize, expected: usize| {
         most.store(0, Ordering::SeqCst);
         threads.lock().expect("lock").clear();
         let mut engine = engine(&dir.path().join(folder));
-        engine.registry = Registry::new(vec![stage(memory)]).expect("table");
+        engine.registry = Registry::new(vec![stage(memory, expected)]).expect("table");
         let options = RunOptions { jobs, cores: 8, memory: 1000, ..RunOptions::default() };
         let (summary, ..) = run_with(&engine, &batch, &options);
         assert_eq!(summary.done(), 8);
         (most.load(Ordering::SeqCst), threads.lock().expect("lock").clone())
     };
-    let (most, threads) = run("one", 10, 4);
-    assert_eq!(most, 4);
+    let (at_once, threads) = run("one", 10, 4, 4);
+    assert_eq!(at_once, 4);
     assert!(threads.iter().all(|(given, pool)| *given == 2 && pool == given), "{threads:?}");
-    assert_eq!(run("two", 400, 4).0, 2, "two fit into the memory");
-    assert_eq!(run("three", 5000, 4).0, 1, "too large for the memory: alone");
+    assert_eq!(run("two", 400, 4, 2).0, 2, "two fit into the memory");
+    assert_eq!(run("three", 5000, 4, 1).0, 1, "too large for the memory: alone");
+    // What a stage reads may say better what it takes than its fixed figure.
+    let told = |folder: &str, known: Option<u64>, expected: usize| {
+        most.store(0, Ordering::SeqCst);
+        let mut engine = engine(&dir.path().join(folder));
+        let stage = stage(5000, expected).memory(move |_: &Strength, inputs| {
+            assert!(inputs.iter().any(|i| i.role == "capture" && i.path.exists()));
+            known
+        });
+        engine.registry = Registry::new(vec![stage]).expect("table");
+        let options = RunOptions { jobs: 4, cores: 8, memory: 1000, ..RunOptions::default() };
+        assert_eq!(run_with(&engine, &batch, &options).0.done(), 8);
+        let graph = Graph::new(&engine.registry, &batch).expect("graph");
+        let mut fresh = super::stages::engine(&dir.path().join(format!("{folder}-plan")));
+        fresh.registry = engine.registry;
+        let plan = fresh.plan(&graph, None);
+        assert!(plan.nodes.iter().all(|n| n.memory == Some(known.unwrap_or(5000))), "{plan:?}");
+        most.load(Ordering::SeqCst)
+    };
+    assert_eq!(told("four", Some(400), 2), 2, "two fit into the memory");
+    assert_eq!(told("five", None, 1), 1, "the fixed figure stands");
 }
 
 #[test]
