@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use use3d_capture::shown;
+use use3d_capture::{Image, shown};
 use use3d_io_image::{image_size, read_image};
 use use3d_pipeline::engine::machine::{available_memory, bytes};
 use use3d_pipeline::scores::{Method, SceneScores, Score, Scores};
@@ -72,8 +72,7 @@ fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Resul
     let mut rows = Vec::new();
     for (stem, path) in given {
         interrupt::check()?;
-        fits_memory(&path)?;
-        let image = read_image(&path).map_err(CliError::input)?;
+        let image = read(&path, &judges, false)?;
         let mut scores = judges.alone(&image, None);
         if let Some(references) = &references {
             let Some(path) = references.get(&stem) else {
@@ -84,7 +83,7 @@ fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Resul
                 rows.push(Row { method: String::new(), image: shown(&stem).into_owned(), scores });
                 continue;
             };
-            let reference = read_image(path).map_err(CliError::input)?;
+            let reference = read(path, &judges, true)?;
             if (image.width(), image.height()) != (reference.width(), reference.height()) {
                 return Err(CliError::Input(format!(
                     "{stem}: the image is {}x{}, its reference {}x{}; scores need equal sizes",
@@ -103,18 +102,25 @@ fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Resul
     Ok(rows)
 }
 
-/// Bytes per pixel while an image is scored: itself and a copy as f32, then either the reference likewise or what the metrics keep;
-/// measured, see docs/command-line.md.
-const BYTES_PER_PIXEL: u64 = 52;
+/// Bytes per pixel of an image in memory: three channels of f32.
+const IMAGE: u64 = 12;
+/// Bytes per pixel that decoding takes beside the image, at most: the samples of a file of four floats.
+const DECODING: u64 = 16;
 
-/// Refuses an image that would take more memory than there is, before it is decoded.
-fn fits_memory(path: &Path) -> Done {
+/// An image in display range, if there is memory to read and score it; `compared` says whether another of its size is held already.
+fn read(path: &Path, judges: &Judges, compared: bool) -> Result<Image, CliError> {
     let (width, height) = image_size(path).map_err(CliError::input)?;
-    refuse_beyond(path, (width * height) as u64, available_memory())
+    let beside = judges.bytes_per_pixel(compared).max(DECODING);
+    refuse_beyond(path, (width * height) as u64, IMAGE + beside, available_memory())?;
+    let mut image = read_image(path).map_err(CliError::input)?;
+    // In place: the judges copy what leaves the range.
+    image.data_mut().iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
+    Ok(image)
 }
 
-fn refuse_beyond(path: &Path, pixels: u64, free: Option<u64>) -> Done {
-    let need = BYTES_PER_PIXEL * pixels;
+/// Refuses an image that would take more memory than there is, before it is decoded.
+fn refuse_beyond(path: &Path, pixels: u64, bytes_per_pixel: u64, free: Option<u64>) -> Done {
+    let need = bytes_per_pixel * pixels;
     match free {
         Some(free) if need > free => Err(CliError::Input(format!(
             "{}: scoring its {pixels} pixels takes about {}, and {} of memory are free; scale the image down first",
@@ -240,11 +246,11 @@ mod tests {
     #[test]
     fn an_image_larger_than_the_memory_is_refused_by_name() {
         let path = Path::new("panorama.png");
-        assert!(refuse_beyond(path, 1 << 20, Some(1 << 30)).is_ok());
-        assert!(refuse_beyond(path, 1 << 27, None).is_ok(), "where the system does not say, it is tried");
-        let Err(CliError::Input(message)) = refuse_beyond(path, 1 << 27, Some(1 << 30)) else {
-            panic!("7 GB do not fit into 1 GiB");
+        assert!(refuse_beyond(path, 1 << 20, 30, Some(1 << 30)).is_ok());
+        assert!(refuse_beyond(path, 1 << 27, 30, None).is_ok(), "where the system does not say, it is tried");
+        let Err(CliError::Input(message)) = refuse_beyond(path, 1 << 27, 30, Some(1 << 30)) else {
+            panic!("4 GB do not fit into 1 GiB");
         };
-        assert!(message.contains("panorama.png") && message.contains("7.0 GB"), "{message}");
+        assert!(message.contains("panorama.png") && message.contains("4.0 GB"), "{message}");
     }
 }
