@@ -194,13 +194,17 @@ fn golden_whole_steps() {
 
 /// Distances along a direction, in units of the parameters. Over long ones the loss bends, short ones drown in the rounding of f32;
 /// one in between must agree, so the best is asked.
-const DISTANCES: [f64; 8] = [3.2e-2, 8e-3, 4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4];
+const DISTANCES: [f64; 5] = [1e-3, 5e-4, 2.5e-4, 1.25e-4, 6.3e-5];
 /// Differences that are added up for each distance, of slightly different length, so that their rounding averages out.
 const REPEATS: u32 = 8;
 /// By what share of a direction's slope a difference may deviate, beside its rounding, which may take no more than that.
-const DEVIATION: f64 = 0.01;
+const DEVIATION: f64 = 0.003;
+/// By what share a gradient may be too long or too short at most without being noticed.
+const NOTICED: f64 = 0.01;
 
-/// Central differences of the loss, added up, and the gradient's word on them.
+/// Differences of the loss, added up, and the gradient's word on them. From `Δ(h) = L(θ + h d) − L(θ − h d)` at one length and at twice
+/// that, `(8 Δ(h) − Δ(2h)) / 6 = 2 h L′ + O(h⁵)`: what bends like a cube cancels, so that longer ways, which stand further out of the
+/// rounding, are straight enough.
 #[derive(Debug)]
 struct Difference {
     found: f64,
@@ -249,13 +253,20 @@ impl Example {
             .map(|k| ((at(1e-5 * f64::from(k)).0 - here) + (at(-1e-5 * f64::from(k)).0 - here)).abs())
             .fold(0.0, f64::max);
         let differences = DISTANCES.map(|distance| {
+            // Each of the four values in it is rounded for itself, by 1.9 times the rounding of one in all; three are in what was
+            // measured, 2.4 times.
             let noise = noise * f64::from(REPEATS).sqrt();
             let mut sum = Difference { found: 0.0, expected: 0.0, scale: 0.0, noise };
             for k in 0..REPEATS {
                 let distance = distance * (1.0 + 0.03 * f64::from(k));
-                let ((up, moved_up), (down, moved_down)) = (at(distance), at(-distance));
-                sum.found += up - down;
-                sum.expected += moved_up - moved_down;
+                let mut over = |distance: f64| {
+                    let ((up, moved_up), (down, moved_down)) = (at(distance), at(-distance));
+                    [up - down, moved_up - moved_down]
+                };
+                let (near, far) = (over(distance), over(2.0 * distance));
+                let [found, expected] = [0, 1].map(|i| (8.0 * near[i] - far[i]) / 6.0);
+                sum.found += found;
+                sum.expected += expected;
                 sum.scale += 2.0 * distance * slope;
             }
             sum
@@ -321,13 +332,13 @@ fn whole_steps_agree_with_their_differences() {
                 let differences = e.differences(&gradient, range, &uphill);
                 let right = differences.iter().any(|d| d.agrees(1.0));
                 assert!(right, "seed {seed}, {group}, uphill: {differences:#?}");
-                for (name, factor) in [("shorter", 0.95), ("longer", 1.05)] {
+                for (name, factor) in [("shorter", 1.0 - NOTICED), ("longer", 1.0 + NOTICED)] {
                     let passes = differences.iter().any(|d| d.agrees(factor));
                     unnoticed.entry((group, name)).and_modify(|all| *all &= passes).or_insert(passes);
                 }
             }
         }
         unnoticed.retain(|_, passes| *passes);
-        assert!(unnoticed.is_empty(), "a gradient 5 % off would go unnoticed: {unnoticed:?}");
+        assert!(unnoticed.is_empty(), "a gradient {NOTICED} off would go unnoticed: {unnoticed:?}");
     }
 }
