@@ -190,6 +190,10 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     }
     let second = run(&[]);
     assert!(second.contains("0 done, 9 cached"), "{second}");
+    for setting in ["render.water=1.5", "render.water=-0.1"] {
+        let (_, err) = expect(2, &["run", &capture, "--cache", &cache, "--out", &out, "--set", setting]);
+        assert!(err.contains("water") && err.contains("expected 0 to 1"), "{err}");
+    }
     // For programs: one document that says where everything is and what it scored.
     let told: serde_json::Value = serde_json::from_str(&run(&["--json"])).unwrap();
     assert_eq!(told["nodes"].as_array().unwrap().len(), 9);

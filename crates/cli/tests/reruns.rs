@@ -46,6 +46,7 @@ fn a_change_reruns_its_stage_and_what_reads_the_changed_output() {
         ("targets.consensus.measure_order=true", with(&["targets"], &after_enhance)),
         ("enhance.lambda_variation=0.001", with(&[], &after_enhance)),
         ("render.strength=0.5", with(&["render", "report"], &[])),
+        ("render.water=0.5", with(&["render", "report"], &[])),
         ("report.views=1", with(&["report"], &[])),
     ] {
         let computed = place.computed(&[change]);

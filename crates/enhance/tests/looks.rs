@@ -177,9 +177,9 @@ fn a_share_of_the_water_is_the_documented_sum() {
             let w = f64::from(whole.accumulation.pixel(x, y)[0]);
             let s = if w > 0.0 { f64::from(layers.distance.pixel(x, y)[0]) } else { 0.0 };
             if w > 0.0 {
-                hit += 1
+                hit += 1;
             } else {
-                open += 1
+                open += 1;
             }
             for c in 0..3 {
                 let at = |image: &use3d_capture::Image| f64::from(image.pixel(x, y)[c]);
