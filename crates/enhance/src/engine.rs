@@ -307,6 +307,17 @@ impl<'a> Engine<'a> {
         &mut self.field
     }
 
+    /// Puts the scene's affine at the global target, where there is a global term.
+    pub(crate) fn start_at_the_operator(&mut self) {
+        if self.goals.lambda_global > 0.0 {
+            let affine = self.field.shape().affine();
+            self.field.parameters[affine]
+                .iter_mut()
+                .zip(self.goals.operator)
+                .for_each(|(p, t)| *p = t as f32);
+        }
+    }
+
     /// `∂L/∂` the field's parameters, of the last [`Engine::step`].
     pub fn gradient(&self) -> &Gradient {
         &self.step.gradient

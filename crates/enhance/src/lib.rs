@@ -43,7 +43,7 @@ pub use engine::{Engine, StepLosses};
 pub use error::EnhanceError;
 pub use known::KnownViews;
 pub use objective::{Realised, global_loss, local_loss, smooth_l1};
-pub use params::{EnhanceParams, Objective, PixelLoss};
+pub use params::{EnhanceParams, Objective, PixelLoss, Start};
 pub use profile::StepPart;
 pub use render::{Look, Renderer};
 pub use report::{LogEntry, Outcome, Report, ViewErrors, ViewReport};

@@ -32,6 +32,18 @@ pub enum PixelLoss {
     L2,
 }
 
+/// Where the field starts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Start {
+    /// At the identity: the method.
+    #[default]
+    Identity,
+    /// With the scene's affine at the global target. A composite is linear in its colours, so the global target is nearly met at once,
+    /// and the field's local part does not have to learn it first and unlearn it later. With objectives that have a global term.
+    Operator,
+}
+
 /// Parameters of stage 2. The defaults are the method's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -40,6 +52,8 @@ pub struct EnhanceParams {
     pub iterations: u64,
     /// What to learn from.
     pub objective: Objective,
+    /// Where the field starts.
+    pub start: Start,
     /// Weight λ_g of the global term.
     pub lambda_global: f64,
     /// Weight λ_ℓ of the local term.
@@ -81,6 +95,7 @@ impl Default for EnhanceParams {
         Self {
             iterations: 5000,
             objective: Objective::Full,
+            start: Start::Identity,
             lambda_global: 1.0,
             lambda_local: 1.0,
             lambda_variation: 1e-4,

@@ -15,7 +15,7 @@ use crate::engine::{Engine, StepLosses};
 use crate::fingerprint::fingerprint;
 use crate::report::{LogEntry, Outcome, Report, ViewReport};
 use crate::view::{EnhanceView, Guidance};
-use crate::{EnhanceError, EnhanceParams};
+use crate::{EnhanceError, EnhanceParams, Start};
 
 const VIEWS: Purpose = Purpose::new("stage 2 views");
 /// What the names of this loop's checkpoints begin with.
@@ -65,7 +65,7 @@ pub fn enhance(
     let checkpoints = checkpoint_dir.map(|dir| Checkpoints::new(dir, CHECKPOINT, &digest, params.iterations));
     let mut state = match resume(checkpoints.as_ref(), observer)? {
         Some(state) if state.parameters.len() == engine.field.parameters.len() => state,
-        _ => State::new(digest, &mut engine)?,
+        _ => State::new(digest, &mut engine, params)?,
     };
     engine.field.parameters.copy_from_slice(&state.parameters);
 
@@ -132,9 +132,16 @@ fn resume(
 }
 
 impl State {
-    fn new(fingerprint: [u8; 32], engine: &mut Engine<'_>) -> Result<Self, EnhanceError> {
+    fn new(
+        fingerprint: [u8; 32],
+        engine: &mut Engine<'_>,
+        params: &EnhanceParams,
+    ) -> Result<Self, EnhanceError> {
         let n = engine.field.parameters.len();
         let before = (0..engine.views.len()).map(|v| engine.evaluate(v)).collect::<Result<_, _>>()?;
+        if params.start == Start::Operator {
+            engine.start_at_the_operator();
+        }
         Ok(Self {
             fingerprint,
             step: 0,

@@ -7,7 +7,7 @@ use use3d_atc::consensus::Targets;
 use use3d_capture::{Appearance, Lattice};
 use use3d_enhance::{
     Engine, EnhanceError, EnhanceParams, Guidance, KnownViews, Look, Objective, Outcome, PixelLoss, Renderer,
-    enhance,
+    Start, enhance,
 };
 use use3d_medium::MediumModel;
 use use3d_numerics::math;
@@ -105,6 +105,35 @@ fn losses_fall_and_the_realised_operators_reach_the_targets() {
         local_only.report.global_errors().unwrap()
     );
     assert!(global_only.report.local_errors().unwrap().1 > local_only.report.local_errors().unwrap().1);
+}
+
+/// A composite is linear in its colours, so an affine of the colours is one of the picture: what is left of the global error is where
+/// accumulation is not one. In clear radiance and with water.
+#[test]
+fn the_scene_s_affine_at_the_global_target_nearly_meets_it() {
+    let (scene, views) = mini();
+    let mut wanted = targets(&scene, &taught(&scene), &views);
+    for appearance in [Appearance::Clear, Appearance::Water] {
+        wanted.appearance = appearance;
+        let run = |start, objective, iterations| {
+            let params = EnhanceParams { start, objective, ..quick(iterations) };
+            enhance(&scene, &views, Guidance::Targets(&wanted), &params, None, &mut Silent).unwrap().report
+        };
+        let (identity, operator) = (Start::Identity, Start::Operator);
+        let begun = run(operator, Objective::Full, 0);
+        let (before, after) = begun.global_errors().unwrap();
+        assert!(after < 0.3 * before, "{appearance:?}: global {before} -> {after}");
+        assert_eq!(
+            begun.global_errors().unwrap().0,
+            run(identity, Objective::Full, 0).global_errors().unwrap().0
+        );
+        // Nothing is left for the field's local part to learn and unlearn: the local targets are nearer after as many steps.
+        let local = |start| run(start, Objective::Full, 60).local_errors().unwrap().1;
+        assert!(local(operator) < local(identity), "{appearance:?}: {} {}", local(operator), local(identity));
+        // An objective without a global term starts at the identity.
+        let alone = run(operator, Objective::LocalOnly, 0).global_errors().unwrap();
+        assert!((alone.0 - alone.1).abs() < 1e-6, "{alone:?}");
+    }
 }
 
 /// Operators are means over many pixels: a part of them must lead to the same field's transition, measured with all.
