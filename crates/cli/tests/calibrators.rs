@@ -125,7 +125,7 @@ fn a_scene_proposes_for_itself_in_clear_radiance() {
         let bytes = std::fs::read(at.join(path)).expect("a file");
         serde_json::from_slice(&bytes).expect("JSON")
     };
-    assert_eq!(read("out/reef/scene/scene.json")["enhancement"]["appearance"], "clear");
+    assert_eq!(read("out/reef/enhanced-scene/scene.json")["enhancement"]["appearance"], "clear");
 
     let hand = ["targets", "out/reef/scene", "reef", "--out", "t.safetensors"];
     let (_, err) = expect(0, at, &[&hand[..], &["--set", "proposer=scene"]].concat());

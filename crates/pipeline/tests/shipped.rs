@@ -88,7 +88,7 @@ fn a_scene_that_proposes_for_itself_needs_neither_pairs_nor_a_calibrator() {
         let refused = for_capture(&registry, &reef, &options)
             .map_err(|e| e.to_string())
             .and_then(|p| Graph::new(&registry, &p.batch).map_err(|e| e.to_string()));
-        let message = refused.err().expect("refused");
+        let message = refused.expect_err("refused");
         assert!(message.contains("for `targets` only"), "{stage}: {message}");
     }
 }

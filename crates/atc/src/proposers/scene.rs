@@ -119,6 +119,9 @@ struct Sample {
     weight: f64,
 }
 
+/// A centred log-colour and its weight.
+type Coloured = ([f64; 3], f64);
+
 /// Looks at the views of a scene, one after another, before anything is proposed for any.
 #[derive(Clone, Debug, Default)]
 pub struct SceneSurvey {
@@ -198,9 +201,9 @@ impl SceneSurvey {
 
     /// `None` where hardly anything is sure.
     fn findings(&self) -> Option<SceneFindings> {
-        let coloured: Vec<Vec<([f64; 3], f64)>> =
+        let coloured: Vec<Vec<Coloured>> =
             self.views.iter().map(|v| v.iter().filter_map(log_colour).collect()).collect();
-        let (mean_colour, _) = middle(coloured.iter().flatten())?;
+        let (mean_colour, _) = middle(&coloured.concat())?;
         let standard_error = standard_error(&coloured, mean_colour);
         let (balance, trusted) = balance(mean_colour, standard_error);
 
@@ -237,7 +240,7 @@ impl SceneSurvey {
 }
 
 /// Log of each channel over their geometric mean, and the weight, of a pixel that is neither dark nor clipped.
-fn log_colour(sample: &Sample) -> Option<([f64; 3], f64)> {
+fn log_colour(sample: &Sample) -> Option<Coloured> {
     let shown = |v: &f64| (DARK / 4.0..1.0).contains(v);
     let bright = luminance(sample.radiance) >= DARK;
     if !(bright && sample.weight > 0.0 && sample.radiance.iter().all(shown)) {
@@ -266,14 +269,14 @@ fn curve(x: [f64; 3], pivot: f64, exponent: f64) -> f64 {
 }
 
 /// The weighted median of each channel, centred, and the sum of the weights; `None` where that is too little.
-fn middle<'s>(colours: impl Iterator<Item = &'s ([f64; 3], f64)> + Clone) -> Option<([f64; 3], f64)> {
-    let total: f64 = colours.clone().map(|(_, w)| w).sum();
+fn middle(colours: &[Coloured]) -> Option<([f64; 3], f64)> {
+    let total: f64 = colours.iter().map(|(_, w)| w).sum();
     if total < LEAST_WEIGHT {
         return None;
     }
     let mut medians = [0.0; 3];
     for (c, median) in medians.iter_mut().enumerate() {
-        let values: Vec<(f64, f64)> = colours.clone().map(|(v, w)| (v[c], *w)).collect();
+        let values: Vec<(f64, f64)> = colours.iter().map(|(v, w)| (v[c], *w)).collect();
         *median = quantile(&values, 0.5)?;
     }
     Some((centred(medians), total))
@@ -295,9 +298,9 @@ fn quantile(values: &[(f64, f64)], share: f64) -> Option<f64> {
 }
 
 /// Root mean square over channels of the error of the mean colour, from how views differ.
-fn standard_error(views: &[Vec<([f64; 3], f64)>], mean: [f64; 3]) -> f64 {
+fn standard_error(views: &[Vec<Coloured>], mean: [f64; 3]) -> f64 {
     let (mut weights, mut squares, mut spread) = (0.0, 0.0, 0.0);
-    for (own, weight) in views.iter().filter_map(|v| middle(v.iter())) {
+    for (own, weight) in views.iter().filter_map(|v| middle(v)) {
         weights += weight;
         squares += weight * weight;
         let apart: [f64; 3] = std::array::from_fn(|c| own[c] - mean[c]);
