@@ -214,7 +214,7 @@ fn a_variant_may_read_a_finished_calibrator_of_its_own() {
     fs::write(&theirs, "theirs").expect("file");
     let mut batch = batch(&dir.path().join("data"), &["a", "b"]);
     batch.variants = ["made", "read"].map(|name| Variant { name: name.into(), ..Variant::default() }).into();
-    batch.variants[1].name_external("calibrator", Ok(theirs.clone()), "`calibrator.file` of variant read");
+    batch.variants[1].name_external("calibrator", Ok(theirs), "`calibrator.file` of variant read");
     let engine = engine_with(&dir.path().join("cache"));
     let graph = Graph::new(&engine.registry, &batch).expect("graph");
     let reads = |graph: &Graph, scene: &str, variant: &str| {
