@@ -251,6 +251,7 @@ impl Data {
             veil: (math::ln(VEIL_PRIOR.0), VEIL_PRIOR.1),
             slope: 0.0,
             gain: 0.0,
+            trend: Vec::new(),
             water: true,
             strength: 1.0,
         };
@@ -305,7 +306,7 @@ impl Data {
         best: &Fit,
         prior: &Prior,
     ) -> ((Prior, Fit), f64) {
-        let prior = Prior { gain: 0.1, ..prior.clone() };
+        let prior = Prior { gain: 0.1, trend: trend(channel), ..prior.clone() };
         let mut freed = fit(channel, sigmas, &prior, &best.theta, &[1.0]);
         center_gains(&mut freed.theta);
         let total = |f: &Fit| f.residuals.iter().zip(sigmas).map(|(r, s)| loss(*r, *s, CAUCHY)).sum::<f64>();
@@ -424,6 +425,23 @@ fn dry(views: usize) -> Vec<f64> {
     let mut theta = vec![0.0; GAIN + views];
     (theta[ATTENUATION], theta[BACKSCATTER]) = (f64::NEG_INFINITY, f64::NEG_INFINITY);
     theta
+}
+
+/// Coefficients over the views of the least-squares slope over the views' mean distances; empty where all are as far.
+fn trend(channel: &Channel) -> Vec<f64> {
+    let mut sums = vec![(0.0, 0.0); channel.views];
+    for (view, distance) in channel.view.iter().zip(&channel.distance) {
+        sums[*view].0 += distance;
+        sums[*view].1 += 1.0;
+    }
+    let means: Vec<Option<f64>> = sums.iter().map(|(sum, n)| (*n > 0.0).then(|| sum / n)).collect();
+    let seen: Vec<f64> = means.iter().flatten().copied().collect();
+    let middle = seen.iter().sum::<f64>() / seen.len().max(1) as f64;
+    let spread: f64 = seen.iter().map(|m| square(m - middle)).sum();
+    if spread <= 1e-6 * seen.len() as f64 {
+        return Vec::new();
+    }
+    means.iter().map(|mean| mean.map_or(0.0, |mean| (mean - middle) / spread)).collect()
 }
 
 /// Standard deviation of the gains that the data show (one step of expectation and maximisation).

@@ -19,6 +19,10 @@ const STEPS: usize = 40;
 /// A step that lowers the cost by a smaller share than this is the last.
 const SETTLED: f64 = 1e-7;
 
+/// Width of the slope of log-gains over the views' mean distances, per median distance. Gains that fall with distance and water that is
+/// stronger by as much look alike; a camera has little reason to do that.
+const TREND: f64 = 0.03;
+
 /// What is known beforehand, as normal distributions (mean, width), and which parameters are free at all.
 #[derive(Clone, Debug)]
 pub(crate) struct Prior {
@@ -32,6 +36,8 @@ pub(crate) struct Prior {
     pub(crate) slope: f64,
     /// `γ`; a width of 0 holds them at 0.
     pub(crate) gain: f64,
+    /// Coefficients over the views of the slope of γ over a view's mean distance, which is 0 but for [`TREND`]; empty: not assumed.
+    pub(crate) trend: Vec<f64>,
     /// Without water only gains are fitted.
     pub(crate) water: bool,
     /// How many times fewer independent observations there are than observations: what is assumed about the water weighs as much more.
@@ -73,6 +79,12 @@ impl Prior {
         if self.gain > 0.0 {
             for k in GAIN..theta.len() {
                 term(&[(k, 1.0)], theta[k], self.gain);
+            }
+            let slope: Vec<(usize, f64)> =
+                self.trend.iter().enumerate().map(|(v, c)| (GAIN + v, *c)).collect();
+            if !slope.is_empty() {
+                let narrowed = self.strength.max(1.0).sqrt().recip();
+                term(&slope, slope.iter().map(|(k, c)| c * theta[*k]).sum(), TREND * narrowed);
             }
         }
     }
