@@ -5,7 +5,7 @@
 //!
 //! | with a reference | without | between views |
 //! | --- | --- | --- |
-//! | [`psnr`], [`psnr_exposure_fitted`], [`affine_fit`], [`ssim`], [`ms_ssim`], [`ciede2000`] | [`uciqe`], [`uiqm`] | [`warped_distance`] (flow), [`warped_delta_e`], [`warped_ssim`] (depth) |
+//! | [`psnr`], [`psnr_exposure_fitted`], [`affine_fit`], [`fitted_on_other_half`], [`ssim`], [`ms_ssim`], [`ciede2000`] | [`uciqe`], [`uiqm`] | [`warped_distance`] (flow), [`warped_delta_e`], [`warped_ssim`] (depth) |
 //!
 //! Every measure of a photograph heeds a [`Mask`] of the pixels that count; every result becomes a [`Score`], which is finite or says
 //! why it is not there.
@@ -16,6 +16,7 @@ mod affine;
 mod ciede2000;
 mod consistency;
 mod error;
+mod halves;
 mod lab;
 mod mask;
 pub mod ms_ssim;
@@ -32,6 +33,7 @@ pub use consistency::{
     Consistency, GeometricView, geometric_warp, warped_delta_e, warped_distance, warped_ssim,
 };
 pub use error::MetricError;
+pub use halves::fitted_on_other_half;
 pub use lab::{lab_of_srgb, lab8_of_srgb8};
 pub use mask::{blacked_out, counted, mask_of, only_counted};
 pub use psnr::{ExposureFit, decibels, exposure_gain, mean_square_error, psnr, psnr_exposure_fitted};

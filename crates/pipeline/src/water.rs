@@ -40,16 +40,47 @@ pub fn from_tracks(imported: &Imported, params: &WaterParams) -> Result<Water, T
     Ok(estimate(&observations, tracks.len(), &positions, cameras.len(), params))
 }
 
-/// What training may start from; `None` where a channel is not known, or where the channels lose alike, as with lamps, exposure
-/// or haze in air. A channel on which distance shows no water loses nothing, if another channel does.
+/// An optical depth of the far points below which a loss is small whatever it is.
+const SMALL: f64 = 0.25;
+/// Radiance, display range, that the 95th percentile of points has at most if only water has been taken away: a little above white.
+const BRIGHTEST: f64 = 1.3;
+
+/// Whether points would be brighter than white without what distance takes: light that comes from the camera (lamps) falls off with the
+/// distance, and water explains that only by colours that no surface has.
+pub fn lamps(water: &Water) -> bool {
+    (0..3).any(|c| water.channels[c].verdict.usable() && radiance(water, c)[2] > BRIGHTEST)
+}
+
+/// 5th, 50th and 95th percentile of the points' radiance in a channel; 0 where there is none.
+fn radiance(water: &Water, c: usize) -> [f64; 3] {
+    let mut all: Vec<f64> =
+        water.radiances.iter().flatten().map(|p| p[c].value).filter(|v| v.is_finite()).collect();
+    all.sort_unstable_by(f64::total_cmp);
+    [0.05, 0.5, 0.95].map(|q| all.get((q * all.len() as f64) as usize).copied().unwrap_or(0.0))
+}
+
+/// Whether distance shows no water in any channel.
+pub fn no_water(water: &Water) -> bool {
+    water.channels.iter().all(|c| c.verdict == Verdict::NoWater)
+}
+
+/// What training may start from; `None` where a channel is not known, or where there is no water. A channel on which distance shows no
+/// water loses nothing, if another channel does. Losses that are alike in all channels (lamps, haze, a camera that balances each view) are as
+/// good a start as any: what far points have lost is lost in the photographs. A channel whose loss is small whatever it is counts as known.
+/// Lamps at the camera are no water.
 pub fn found_water(water: &Water) -> Option<FoundWater> {
-    let known = |c: &ChannelWater| c.verdict.usable() || c.verdict == Verdict::NoWater;
+    let far = water.distances[2];
+    let small = |c: &ChannelWater| {
+        c.verdict == Verdict::NotObservable && far * (c.attenuation.value + 2.0 * c.attenuation.error) < SMALL
+    };
+    let told = |c: &ChannelWater| c.verdict.usable() || small(c);
+    let known = |c: &ChannelWater| told(c) || c.verdict == Verdict::NoWater;
     let any = water.channels.iter().any(|c| c.verdict.usable());
-    if water.grey || !any || !water.channels.iter().all(known) {
+    if !any || !water.channels.iter().all(known) || lamps(water) {
         return None;
     }
     let of = |value: fn(&ChannelWater) -> f64| {
-        water.channels.each_ref().map(|c| if c.verdict.usable() { value(c) } else { 0.0 })
+        water.channels.each_ref().map(|c| if told(c) { value(c) } else { 0.0 })
     };
     let radiances = water.radiances.iter();
     Some(FoundWater {
@@ -116,6 +147,8 @@ pub struct ChannelReport {
     pub significance: f64,
     /// Share of what distance changes that water explains.
     pub explained: f64,
+    /// 5th, 50th and 95th percentile of the points' radiance without water, display range.
+    pub radiance: [f64; 3],
     /// Points and observations that were used.
     pub used: [usize; 2],
 }
@@ -137,13 +170,15 @@ impl WaterReport {
             points: water.points,
             distances: water.distances.map(|s| s / frame.scale),
             grey: water.grey,
-            channels: water.channels.iter().zip(names).map(|(w, name)| channel(name, w, frame)).collect(),
+            channels: (water.channels.iter().zip(names).enumerate())
+                .map(|(c, (w, name))| channel(name, w, radiance(water, c), frame))
+                .collect(),
             gains,
         }
     }
 }
 
-fn channel(channel: &'static str, water: &ChannelWater, frame: &Frame) -> ChannelReport {
+fn channel(channel: &'static str, water: &ChannelWater, radiance: [f64; 3], frame: &Frame) -> ChannelReport {
     let told = |m: Measured, scale: f64| ValueReport {
         value: m.value * scale,
         error: m.error.is_finite().then_some(m.error * scale),
@@ -160,6 +195,7 @@ fn channel(channel: &'static str, water: &ChannelWater, frame: &Frame) -> Channe
         backscatter_veil_correlation: water.backscatter_veil_correlation,
         significance: water.significance,
         explained: water.explained,
+        radiance,
         used: [water.points, water.observations],
     }
 }
@@ -200,5 +236,64 @@ impl fmt::Display for WaterReport {
             writeln!(f, "exposure changes in {name}: gains {low:.2} to {high:.2}")?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn measured(value: f64, error: f64) -> Measured {
+        Measured { value, error }
+    }
+
+    /// Points of `radiance` seen up to 4 units away in water that takes `attenuation` per unit.
+    fn water(verdicts: [Verdict; 3], attenuation: [f64; 3], error: f64, radiance: f64) -> Water {
+        let channel = |c: usize| ChannelWater {
+            verdict: verdicts[c],
+            attenuation: measured(attenuation[c], error),
+            backscatter: measured(attenuation[c], error),
+            veil: measured(0.3, 0.01),
+            veil_constant: 0.3,
+            veil_slope: [0.0; 3],
+            backscatter_veil_correlation: 0.0,
+            significance: 9.0,
+            explained: 0.5,
+            gains_explain: 0.0,
+            noise: [0.01, 0.1],
+            points: 200,
+            observations: 900,
+        };
+        Water {
+            channels: [0, 1, 2].map(channel),
+            gains: vec![[1.0; 3]; 2],
+            radiances: vec![None, Some([measured(radiance, 0.01); 3]), Some([measured(0.2, 0.01); 3])],
+            points: 200,
+            distances: [1.0, 2.0, 4.0],
+            grey: false,
+        }
+    }
+
+    #[test]
+    fn water_is_taken_where_it_is_known_and_lamps_and_air_are_not_taken_for_it() {
+        let found = [Verdict::Found; 3];
+        let taken = found_water(&water(found, [0.3, 0.29, 0.28], 0.01, 0.8)).expect("losses may be alike");
+        assert_eq!(taken.attenuation, [0.3, 0.29, 0.28]);
+        // Brighter than white: no surface is.
+        let lit = water(found, [0.9, 0.6, 0.6], 0.01, 1.7);
+        assert!(lamps(&lit) && found_water(&lit).is_none());
+        // A channel that cannot be told: fine if it is small whatever it is, else not.
+        let vague = [Verdict::Found, Verdict::NotObservable, Verdict::NotObservable];
+        let small = found_water(&water(vague, [0.3, 0.02, 0.02], 0.01, 0.8)).expect("nearly nothing is lost");
+        assert_eq!(small.attenuation, [0.3, 0.02, 0.02]);
+        assert!(found_water(&water(vague, [0.3, 0.2, 0.2], 0.1, 0.8)).is_none());
+        // A channel without loss beside one with it, and none at all.
+        let red = [Verdict::VeilNotSeparable, Verdict::NoWater, Verdict::NoWater];
+        assert_eq!(
+            found_water(&water(red, [0.3, 0.1, 0.1], 0.01, 0.8)).expect("red").attenuation,
+            [0.3, 0.0, 0.0]
+        );
+        let air = water([Verdict::NoWater; 3], [0.01; 3], 0.01, 0.8);
+        assert!(no_water(&air) && found_water(&air).is_none() && !lamps(&air));
     }
 }

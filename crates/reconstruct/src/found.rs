@@ -21,6 +21,15 @@ const EVEN: f64 = 0.2;
 /// The least coefficient that softplus is asked to give, 1/normalised unit.
 const LEAST: f64 = 1e-4;
 
+/// What is known of a capture before training.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Known {
+    /// Its water; `None` where it is not known.
+    pub water: Option<FoundWater>,
+    /// Gains of all views of the capture, red, green, blue, all positive; empty where they are not known.
+    pub gains: Vec<[f64; 3]>,
+}
+
 /// Water found beforehand, in the normalised frame; channels are red, green, blue.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FoundWater {

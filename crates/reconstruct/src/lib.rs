@@ -9,6 +9,7 @@
 mod bounds;
 pub mod engine;
 mod error;
+mod exposure;
 mod found;
 mod initialise;
 pub mod losses;
@@ -20,12 +21,13 @@ mod views;
 
 pub use bounds::{CaptureSize, MemoryNeed, memory_need, most_gaussians};
 pub use error::ReconstructError;
-pub use found::FoundWater;
+pub use exposure::ExposureStep;
+pub use found::{FoundWater, Known};
 pub use parameters::{
-    Densify, DepthPrior, Images, LearningRates, Medium, MediumPrior, Rate, ReconstructParams,
+    Densify, DepthPrior, Exposure, Images, LearningRates, Medium, MediumPrior, Rate, ReconstructParams,
 };
 pub use profile::{StepPart, Stretch, growth};
-pub use record::{Evaluation, LogEntry, ViewScore, plot};
+pub use record::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
 pub use train::{Outcome, reconstruct, reconstruct_in};
 pub use views::{Dropped, LoadedView, Target, TrainingView, ViewLoader};
 

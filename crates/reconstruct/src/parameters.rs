@@ -49,6 +49,18 @@ pub enum MediumPrior {
     Tracks,
 }
 
+/// Whether photographs of one scene may differ in exposure and white balance.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Exposure {
+    /// All views show the scene with one exposure, as the method has it.
+    #[default]
+    Off,
+    /// Every training view has a gain per channel, learnt with the scene and left out of what is rendered; held-out views are also scored after
+    /// a gain that is fitted on their other half.
+    PerView,
+}
+
 /// Which images a scene is learnt from. The loop itself is the same; whoever loads the views follows this.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -99,6 +111,8 @@ pub struct LearningRates {
     pub medium_directional: Rate,
     /// The weights of the `mlp` water.
     pub medium_network: Rate,
+    /// The views' log-gains, where `exposure` lets them have some; a compressed run multiplies them as those of the water.
+    pub exposure: Rate,
 }
 
 impl Default for LearningRates {
@@ -113,6 +127,7 @@ impl Default for LearningRates {
             medium_constant: Rate(2.5e-3, 2.5e-4),
             medium_directional: Rate(1.25e-4, 1.25e-5),
             medium_network: Rate(1e-3, 1.5e-4),
+            exposure: Rate(2e-3, 2e-4),
         }
     }
 }
@@ -210,6 +225,10 @@ pub struct ReconstructParams {
     pub medium_hold: f64,
     /// What the water's rates are multiplied by after that, 0 to 1.
     pub medium_release: f64,
+    /// Whether views differ in exposure and white balance.
+    pub exposure: Exposure,
+    /// How strongly the views' gains are drawn to one: λ of `λ/2 · (ln gain)²` in the loss.
+    pub exposure_weight: f64,
     /// Where depth priors come from.
     pub depth_prior: DepthPrior,
     /// Weight of the depth term.
@@ -260,6 +279,8 @@ impl Default for ReconstructParams {
             medium_prior: MediumPrior::Off,
             medium_hold: 0.5,
             medium_release: 0.1,
+            exposure: Exposure::Off,
+            exposure_weight: 0.02,
             depth_prior: DepthPrior::Auto,
             depth_weight: 0.1,
             depth_gradient: true,
@@ -345,6 +366,9 @@ impl ReconstructParams {
         if !(self.depth_weight.is_finite() && self.depth_weight >= 0.0) {
             return Err(format!("depth_weight is {}; expected 0 or more", self.depth_weight));
         }
+        if !(self.exposure_weight.is_finite() && self.exposure_weight >= 0.0) {
+            return Err(format!("exposure_weight is {}; expected 0 or more", self.exposure_weight));
+        }
         positive("sh_every", self.sh_every)?;
         let schedule = &self.resolution_schedule;
         let starts_at_zero = schedule.first().is_some_and(|s| s.0 == 0.0);
@@ -384,6 +408,7 @@ impl ReconstructParams {
             ("medium_constant", r.medium_constant),
             ("medium_directional", r.medium_directional),
             ("medium_network", r.medium_network),
+            ("exposure", r.exposure),
         ] {
             positive(&format!("learning_rates.{name}[0]"), rate.0)?;
             positive(&format!("learning_rates.{name}[1]"), rate.1)?;

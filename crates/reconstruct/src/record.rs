@@ -88,6 +88,18 @@ pub struct ViewScore {
     pub psnr: Score,
     /// SSIM, 11-tap window, over the windows all of whose pixels count.
     pub ssim: Score,
+    /// The same after gains that were fitted on the other half of the view, where views have gains.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fitted: Option<FittedScore>,
+}
+
+/// Scores of an image whose halves were each given the gains per channel that fit the other half best.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FittedScore {
+    /// As [`ViewScore::psnr`].
+    pub psnr: Score,
+    /// As [`ViewScore::ssim`].
+    pub ssim: Score,
 }
 
 /// Held-out scores: per view, and their means.
@@ -99,6 +111,9 @@ pub struct Evaluation {
     pub psnr: Score,
     /// Mean SSIM over the views that have one.
     pub ssim: Score,
+    /// Means of the views' fitted scores, where views have gains.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fitted: Option<FittedScore>,
 }
 
 impl Evaluation {
@@ -106,7 +121,12 @@ impl Evaluation {
     pub fn of(views: Vec<ViewScore>) -> Self {
         let psnr = Score::mean(views.iter().map(|v| &v.psnr));
         let ssim = Score::mean(views.iter().map(|v| &v.ssim));
-        Self { views, psnr, ssim }
+        let fitted: Vec<&FittedScore> = views.iter().filter_map(|v| v.fitted.as_ref()).collect();
+        let fitted = (!fitted.is_empty()).then(|| FittedScore {
+            psnr: Score::mean(fitted.iter().map(|f| &f.psnr)),
+            ssim: Score::mean(fitted.iter().map(|f| &f.ssim)),
+        });
+        Self { views, psnr, ssim, fitted }
     }
 }
 

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Capture, MediumMaps, View};
 use use3d_medium::{MediumGlobal, MediumMlp, MediumModel, MediumRbf};
-use use3d_metrics::{Score, mask_of, psnr, ssim};
+use use3d_metrics::{Score, fitted_on_other_half, mask_of, psnr, ssim};
 use use3d_numerics::random::Purpose;
 use use3d_scene::Scene;
 use use3d_splat::Rendered;
@@ -16,9 +16,12 @@ use use3d_training::{Checkpoints, NonFinite, Observer, Pace, Profile, Progress, 
 use crate::bounds::most_gaussians;
 use crate::engine::{CpuEngine, Engine, EngineState, RefineSettings, StepRates, StepReport, StepSettings};
 use crate::profile::{StepPart, Stretch};
-use crate::record::{Evaluation, LogEntry, ViewScore, plot};
+use crate::record::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
 use crate::views::{Dropped, TrainingView, ViewLoader};
-use crate::{DepthPrior, FoundWater, Medium, ReconstructError, ReconstructParams, initialise};
+use crate::{
+    DepthPrior, Exposure, ExposureStep, FoundWater, Known, Medium, ReconstructError, ReconstructParams,
+    initialise,
+};
 
 /// What the names of this loop's checkpoints begin with.
 const CHECKPOINT: &str = "reconstruct";
@@ -38,6 +41,8 @@ pub struct Outcome {
     pub log: Vec<LogEntry>,
     /// Held-out scores; `None` if no view is held out.
     pub evaluation: Option<Evaluation>,
+    /// Gain per channel of every training view, by name; empty where all were taken with one exposure.
+    pub exposures: Vec<(String, [f32; 3])>,
     /// Gaussians at the start.
     pub initial_gaussians: usize,
     /// Time per part of a step, of this process.
@@ -143,14 +148,14 @@ pub fn reconstruct(
     checkpoint_dir: Option<&Path>,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, ReconstructError> {
-    reconstruct_in(capture, None, loader, params, checkpoint_dir, observer)
+    reconstruct_in(capture, &Known::default(), loader, params, checkpoint_dir, observer)
 }
 
-/// As [`reconstruct`], in water that is known beforehand (`None`: in water that is not): it starts there, is held for
-/// `medium_hold` of the run, and learnt at `medium_release` of its rates from then on.
+/// As [`reconstruct`], with what is known beforehand. Known water is where the water starts; it is held for
+/// `medium_hold` of the run, and learnt at `medium_release` of its rates from then on. Known gains are where gains start.
 pub fn reconstruct_in(
     capture: &Capture,
-    found: Option<&FoundWater>,
+    known: &Known,
     loader: &dyn ViewLoader,
     params: &ReconstructParams,
     checkpoint_dir: Option<&Path>,
@@ -162,7 +167,7 @@ pub fn reconstruct_in(
         return Err(ReconstructError::OneView { view: capture.views[only].name.to_string() });
     }
     let most = most_gaussians(capture, params);
-    let start = found.and_then(|found| Some((found, found.model(params)?)));
+    let start = known.water.as_ref().and_then(|found| Some((found, found.model(params)?)));
     let found = start.as_ref().map(|(found, _)| *found);
     let least_water_degree = found.map_or(0, |_| FoundWater::DEGREE.min(params.sh_degree));
     let gaussians = initialise::gaussians(capture, found, params, most, |message| observer.notice(message))?;
@@ -171,10 +176,18 @@ pub fn reconstruct_in(
     let mut engine = CpuEngine::new(gaussians, water, params.structure_weight);
     engine.keep_water_degree(least_water_degree);
     let views = load(capture, loader, params, observer)?;
-    let fingerprint = fingerprint(capture, found, params, &views);
+    let exposes = params.exposure == Exposure::PerView;
+    let gains: Vec<[f64; 3]> = match known.gains.is_empty() {
+        true => vec![[1.0; 3]; capture.split.train.len()],
+        false => capture.split.train.iter().map(|view| known.gains[*view]).collect(),
+    };
+    let fingerprint = fingerprint(capture, found, exposes.then_some(&gains), params, &views);
     let names: Vec<String> = views.train.iter().map(|v| v.name.clone()).collect();
     for view in views.train {
         engine.upload(view);
+    }
+    if exposes {
+        engine.expose(&gains);
     }
     let mut run = Run {
         params,
@@ -198,13 +211,14 @@ pub fn reconstruct_in(
     run.go()?;
     let evaluation = run.evaluate();
     let (log, growth) = (std::mem::take(&mut run.log), std::mem::take(&mut run.growth));
+    let exposures = std::mem::take(&mut run.names).into_iter().zip(run.engine.exposures()).collect();
     let initial_gaussians = run.initial;
     let (gaussians, medium) = engine.download();
     let last_degree = params.active_degree(params.iterations.saturating_sub(1));
     let medium_degree = last_degree.max(least_water_degree);
     let scene = Scene { gaussians, frame: capture.frame, medium, medium_degree, enhancement: None };
     let (profile, memory) = (engine.profile().clone(), engine.memory());
-    Ok(Outcome { scene, log, evaluation, initial_gaussians, profile, growth, memory })
+    Ok(Outcome { scene, log, evaluation, exposures, initial_gaussians, profile, growth, memory })
 }
 
 /// The water at the start.
@@ -291,6 +305,7 @@ fn check_masks(
 fn fingerprint(
     capture: &Capture,
     found: Option<&FoundWater>,
+    gains: Option<&Vec<[f64; 3]>>,
     params: &ReconstructParams,
     views: &Views,
 ) -> [u8; 32] {
@@ -314,6 +329,9 @@ fn fingerprint(
     }
     if let Some(found) = found {
         found.fingerprint(&mut hasher);
+    }
+    if let Some(gains) = gains {
+        hasher.update(bytemuck::cast_slice(gains.as_flattened()));
     }
     *hasher.finalize().as_bytes()
 }
@@ -476,6 +494,10 @@ impl Run<'_> {
             },
             depth_weight: if params.depth_prior == DepthPrior::Off { 0.0 } else { params.depth_weight },
             depth_gradient: params.depth_gradient,
+            exposure: (params.exposure == Exposure::PerView).then(|| ExposureStep {
+                rate: compressed * rate(r.exposure),
+                weight: params.exposure_weight,
+            }),
             gather: (params.densify.enabled
                 && step >= params.densify.statistics_from.min(params.warm_up())
                 && step < params.densify_end())
@@ -579,10 +601,24 @@ impl Run<'_> {
             let image = rendered.image.map(|v| v.clamp(0.0, 1.0));
             let mask = target.mask.as_ref().map(mask_of);
             let measured = |result| Score::measured(result).named(&view.name);
+            let fitted = (self.params.exposure == Exposure::PerView).then(|| {
+                let image = fitted_on_other_half(&rendered.image, &target.image, mask.as_ref())
+                    .map(|image| image.map(|v| v.clamp(0.0, 1.0)));
+                let of = |score: fn(&_, &_, Option<&_>) -> _| {
+                    measured(
+                        image
+                            .as_ref()
+                            .map_err(Clone::clone)
+                            .and_then(|i| score(i, &target.image, mask.as_ref())),
+                    )
+                };
+                FittedScore { psnr: of(psnr), ssim: of(ssim) }
+            });
             scores.push(ViewScore {
                 view: view.name.clone(),
                 psnr: measured(psnr(&image, &target.image, mask.as_ref())),
                 ssim: measured(ssim(&image, &target.image, mask.as_ref())),
+                fitted,
             });
         }
         let evaluation = Evaluation::of(scores);

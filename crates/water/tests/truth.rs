@@ -53,3 +53,33 @@ fn a_reef_has_the_water_it_was_photographed_through_and_none_without() {
     let dry = solve(&out, "truth/clean");
     assert!(dry.channels.iter().all(|w| !w.verdict.usable()), "{:?}", dry.channels);
 }
+
+#[test]
+fn a_camera_that_exposes_each_view_on_its_own_is_not_taken_for_water() {
+    let dir = tempfile::tempdir().unwrap();
+    let attenuation = |auto_exposure: f32| {
+        let out = dir.path().join(format!("reef {auto_exposure}"));
+        let params = CaptureParams {
+            views: 20,
+            width: 240,
+            height: 135,
+            points: 2500,
+            detail: 0.3,
+            depth_priors: false,
+            seed: 1,
+            physics: use3d_synth::Physics::Spectral,
+            water: use3d_synth::WaterType::Ii,
+            white_balance: 0.5,
+            auto_exposure,
+            ..CaptureParams::default()
+        };
+        write_capture(&params, &out, &mut |_, _| ()).unwrap();
+        let water = solve(&out, "images");
+        water.channels.each_ref().map(|w| w.attenuation.value)
+    };
+    let (one, each) = (attenuation(0.0), attenuation(1.0));
+    for c in 0..3 {
+        let off = each[c] / one[c] - 1.0;
+        assert!(off.abs() < 0.3, "channel {c}: {each:?} in place of {one:?}");
+    }
+}

@@ -6,8 +6,8 @@ use use3d_io_colmap::{load_depth_prior, load_mask, load_pixels};
 use use3d_io_image::write_png;
 use use3d_metrics::Score;
 use use3d_reconstruct::{
-    DepthPrior, Evaluation, FoundWater, Images, LoadedView, MediumPrior, ReconstructError, ReconstructParams,
-    growth, memory_need, reconstruct_in,
+    DepthPrior, Evaluation, Exposure, Images, Known, LoadedView, Medium, MediumPrior, ReconstructError,
+    ReconstructParams, growth, memory_need, reconstruct_in,
 };
 use use3d_scene::Origin;
 use use3d_water::WaterParams;
@@ -19,10 +19,12 @@ use super::names::{CONTACT, EVALUATION};
 use super::proposals;
 use super::watch::Watch;
 use crate::engine::{Scope, Stage, StageContext, StageError};
-use crate::water::{WaterReport, found_water, from_tracks};
+use crate::water::{WaterReport, found_water, from_tracks, lamps, no_water};
 
 /// What the capture's tracks told of its water.
 const WATER: &str = "water.json";
+/// The training views' gains.
+const EXPOSURES: &str = "exposures.json";
 
 /// `evaluation.json`.
 #[derive(Serialize)]
@@ -87,23 +89,42 @@ fn prior_in_force(params: &ReconstructParams, capture: &Capture, made: bool) -> 
     }
 }
 
-/// What the capture's tracks tell of the water, said and written beside the scene; `None` where they cannot tell.
-fn water_from_tracks(context: &StageContext) -> Result<Option<FoundWater>, StageError> {
+/// What the capture's tracks tell of the water and of the views' gains, said and written beside the scene; and whether they tell that there is
+/// no water.
+fn known_from_tracks(context: &StageContext) -> Result<(Known, bool), StageError> {
     let imported = use3d_io_colmap::load_prepared(context.input("import")?).map_err(StageError::bad_input)?;
     let water = from_tracks(&imported, &WaterParams::default()).map_err(StageError::bad_input)?;
     // Without a name: the folder that an import lies in is not part of it.
     let report = WaterReport { capture: "capture".into(), ..WaterReport::new(&imported, &water) };
     write_json(&context.output().join(WATER), &report)?;
     context.log(report.to_string().trim_end());
-    let found = found_water(&water);
+    let (found, dry) = (found_water(&water), no_water(&water));
     let names = ["red", "green", "blue"];
     let told = water.channels.iter().zip(names).map(|(c, name)| format!("{name} {}", c.verdict));
     let told = told.collect::<Vec<_>>().join("; ");
     context.say(match &found {
         Some(_) => format!("water from tracks: {told}"),
+        None if dry => "no water found: points look alike from near and far, so the water is off (medium = \"none\")".into(),
+        None if lamps(&water) => "water from tracks: points would be brighter than white without it, so light comes from the camera (lamps); the water starts as with \
+            medium_prior = \"off\"".into(),
         None => format!("water from tracks: {told}; the water starts as with medium_prior = \"off\""),
     });
-    Ok(found)
+    Ok((Known { water: found, gains: water.gains }, dry))
+}
+
+/// `exposures.json`: the gain of every training view that was learnt with the scene. Renders show the scene without them.
+#[derive(Serialize)]
+struct Exposures {
+    format: &'static str,
+    version: u32,
+    views: Vec<ViewExposure>,
+}
+
+/// One view's gain, red, green, blue; their geometric mean over the views is 1.
+#[derive(Serialize)]
+struct ViewExposure {
+    view: String,
+    gain: [f32; 3],
 }
 
 fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageError> {
@@ -115,7 +136,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         }
     }
     context.say(prior_in_force(params, &capture, context.optional_input("depth").is_some()));
-    let params = ReconstructParams { seed: context.seed(), ..params.clone() };
+    let mut params = ReconstructParams { seed: context.seed(), ..params.clone() };
     // Masks and priors are the photographs' in any case.
     let mut learnt_from = capture.clone();
     if params.images == Images::Proposed {
@@ -132,12 +153,15 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         need.most,
         "lower `reconstruct.max_gaussians`, or `import.size` for smaller images",
     )?;
-    let found = match params.medium_prior {
-        MediumPrior::Off => None,
-        MediumPrior::Tracks => water_from_tracks(context)?,
+    let (known, dry) = match params.medium_prior {
+        MediumPrior::Off => (Known::default(), false),
+        MediumPrior::Tracks => known_from_tracks(context)?,
     };
+    if dry {
+        (params.medium, params.medium_prior) = (Medium::None, MediumPrior::Off);
+    }
     let watch = &mut Watch::new(context);
-    let outcome = reconstruct_in(&capture, found.as_ref(), &load, &params, context.checkpoints(), watch);
+    let outcome = reconstruct_in(&capture, &known, &load, &params, context.checkpoints(), watch);
     let outcome = match outcome {
         Ok(outcome) => outcome,
         Err(ReconstructError::Interrupted { .. }) => return Err(StageError::Cancelled),
@@ -162,11 +186,24 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
             text(&evaluation.ssim, "", 4),
             outcome.scene.gaussians.len()
         ));
+        if let Some(fitted) = &evaluation.fitted {
+            context.say(format_args!(
+                "held-out views{against}, after gains fitted on their other half: PSNR {}, SSIM {}",
+                text(&fitted.psnr, " dB", 2),
+                text(&fitted.ssim, "", 4)
+            ));
+        }
     }
     // Times are told, not stored: the artifact is the same on every machine.
     context.profile(&(outcome.profile.table() + &growth(&outcome.growth)));
     let out = context.output();
     outcome.scene.save(out)?;
+    if params.exposure == Exposure::PerView {
+        let views =
+            outcome.exposures.iter().map(|(view, gain)| ViewExposure { view: view.clone(), gain: *gain });
+        let exposures = Exposures { format: "3d-use exposures", version: 1, views: views.collect() };
+        write_json(&out.join(EXPOSURES), &exposures)?;
+    }
     Origin::of(&capture).write(out)?;
     if let Some(sheet) = sheet(&learnt_from, &outcome.scene)? {
         write_png(&out.join(CONTACT), &sheet)?;

@@ -11,6 +11,7 @@ use use3d_training::Profile;
 use super::adam::Moments;
 use super::density::{self, Origin, Statistics};
 use super::{Engine, EngineState, RefineReport, RefineSettings, StepReport, StepSettings};
+use crate::exposure::{Exposures, expose, expose_backward};
 use crate::losses::{DepthPriorLoss, PhotometricLoss, PhotometricValue};
 use crate::profile::StepPart;
 use crate::views::{Target, TrainingView};
@@ -25,6 +26,7 @@ pub struct CpuEngine {
     least_water_degree: usize,
     /// First and second moments of the water's flat parameters.
     medium_moments: [Vec<f32>; 2],
+    exposures: Exposures,
     views: Vec<TrainingView>,
     buffers: Buffers,
     profile: Profile<StepPart>,
@@ -38,7 +40,10 @@ struct Buffers {
     rasterizer: Rasterizer,
     rendered: Rendered,
     photometric: PhotometricLoss,
+    /// The rendered image with the view's gain.
+    exposed: Image,
     image_gradient: Image,
+    exposure_gradient: [f64; 3],
     depth_gradient: Map,
     gradients: GaussianGradients,
     map_gradients: MediumMaps,
@@ -54,6 +59,7 @@ impl CpuEngine {
             moments: Moments::new(&gaussians),
             statistics: Statistics::new(n),
             medium_moments: [vec![0.0; count], vec![0.0; count]],
+            exposures: Exposures::default(),
             views: Vec::new(),
             buffers: Buffers {
                 target: Target::default(),
@@ -62,7 +68,9 @@ impl CpuEngine {
                 rasterizer: Rasterizer::new(),
                 rendered: Rendered::new(),
                 photometric: PhotometricLoss::new(structure_weight),
+                exposed: Image::new(0, 0),
                 image_gradient: Image::new(0, 0),
+                exposure_gradient: [0.0; 3],
                 depth_gradient: Map::new(0, 0),
                 gradients: GaussianGradients::new(n),
                 map_gradients: MediumMaps::zeros(0, 0),
@@ -98,8 +106,9 @@ impl CpuEngine {
             self.medium.maps(&camera, &lattice, degree, &mut b.maps);
         }
         let maps = water.then_some(&b.maps);
+        let gain = settings.exposure.map(|_| self.exposures.gain(view));
         if let Some(alpha) = &b.target.alpha {
-            over_water(&mut b.target.image, alpha, maps);
+            over_water(&mut b.target.image, alpha, maps, gain.unwrap_or([1.0; 3]));
         }
         profile.lap(StepPart::Water);
         b.prepared.prepare(&self.gaussians, &camera, &lattice, Colors::Sh { degree: settings.degree });
@@ -108,7 +117,17 @@ impl CpuEngine {
         b.rasterizer.forward(&b.prepared, maps, &options, &mut b.rendered);
         profile.lap(StepPart::Compose);
         let mask = b.target.mask.as_ref();
-        let value = b.photometric.evaluate(&b.rendered.image, &b.target.image, mask, &mut b.image_gradient);
+        let shown = match gain {
+            Some(gain) => {
+                expose(&b.rendered.image, gain, &mut b.exposed);
+                &b.exposed
+            }
+            None => &b.rendered.image,
+        };
+        let value = b.photometric.evaluate(shown, &b.target.image, mask, &mut b.image_gradient);
+        if let Some(gain) = gain {
+            b.exposure_gradient = expose_backward(&b.exposed, gain, &mut b.image_gradient);
+        }
         let depth_loss = match &mut b.target.prior {
             Some(prior) if settings.depth_weight > 0.0 => {
                 if let Some(mask) = mask {
@@ -187,13 +206,13 @@ impl CpuEngine {
     }
 }
 
-/// Transparent pixels take the water's colour (black without water).
-fn over_water(image: &mut Image, alpha: &Map, maps: Option<&MediumMaps>) {
+/// Transparent pixels take the water's colour (black without water) as the view's gain shows it.
+fn over_water(image: &mut Image, alpha: &Map, maps: Option<&MediumMaps>, gain: [f32; 3]) {
     let n = image.pixels();
     let color = maps.map(|m| m.color.data());
     for (i, value) in image.data_mut().iter_mut().enumerate() {
         let a = alpha.data()[i % n];
-        *value = a * *value + (1.0 - a) * color.map_or(0.0, |c| c[i]);
+        *value = a * *value + (1.0 - a) * color.map_or(0.0, |c| gain[i / n] * c[i]);
     }
 }
 
@@ -201,6 +220,14 @@ impl Engine for CpuEngine {
     fn upload(&mut self, view: TrainingView) -> usize {
         self.views.push(view);
         self.views.len() - 1
+    }
+
+    fn expose(&mut self, gains: &[[f64; 3]]) {
+        self.exposures = Exposures::new(gains);
+    }
+
+    fn exposures(&self) -> Vec<[f32; 3]> {
+        self.exposures.gains()
     }
 
     fn gaussians(&self) -> usize {
@@ -233,6 +260,12 @@ impl Engine for CpuEngine {
         if !self.update_medium(settings) && report.non_finite.is_none() {
             let index = use3d_training::guard::first_non_finite(&self.medium.flat());
             report.non_finite = Some(("the water's parameters", index));
+        }
+        if let Some(exposure) = &settings.exposure {
+            self.exposures.update(view, self.buffers.exposure_gradient, exposure);
+            if !self.exposures.is_finite() && report.non_finite.is_none() {
+                report.non_finite = Some(("the views' gains", None));
+            }
         }
         self.profile.lap(StepPart::Adam);
         if let Some(reference) = settings.gather {
@@ -322,6 +355,7 @@ impl Engine for CpuEngine {
             norms: (&self.statistics.norms).into(),
             renders: (&self.statistics.renders).into(),
             medium: [self.medium.flat().into(), first.into(), second.into()],
+            exposures: self.exposures.state(),
         }
     }
 
@@ -332,6 +366,9 @@ impl Engine for CpuEngine {
         let count = self.medium.parameter_count();
         let lengths = [first.len(), second.len(), state.norms.len(), state.renders.len()];
         if lengths.iter().any(|l| *l != n) || state.medium.iter().any(|m| m.len() != count) {
+            return false;
+        }
+        if !self.exposures.restore(&state.exposures) {
             return false;
         }
         let [medium, medium_first, medium_second] = &state.medium;

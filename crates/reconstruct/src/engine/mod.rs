@@ -16,6 +16,7 @@ use use3d_training::Profile;
 pub use cpu::CpuEngine;
 pub use state::{EngineState, GaussianArrays};
 
+use crate::exposure::ExposureStep;
 use crate::profile::StepPart;
 use crate::views::TrainingView;
 
@@ -57,6 +58,8 @@ pub struct StepSettings {
     pub depth_weight: f64,
     /// Whether gradients flow through ray distances (R2).
     pub depth_gradient: bool,
+    /// How the view's gain is learnt; `None`: every gain is one.
+    pub exposure: Option<ExposureStep>,
     /// Whether screen gradients are gathered for density control, and for how many pixels its threshold is meant (0: not scaled).
     pub gather: Option<u64>,
 }
@@ -124,6 +127,10 @@ pub struct RefineReport {
 pub trait Engine {
     /// Takes a training view; its index.
     fn upload(&mut self, view: TrainingView) -> usize;
+    /// Lets every uploaded view have a gain per channel, starting from these (positive, one row per view).
+    fn expose(&mut self, gains: &[[f64; 3]]);
+    /// The views' gains as they are; empty where they have none.
+    fn exposures(&self) -> Vec<[f32; 3]>;
     /// Number of Gaussians.
     fn gaussians(&self) -> usize;
     /// One step on an uploaded view: render, loss, gradients, Adam.

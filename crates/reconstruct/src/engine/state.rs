@@ -5,6 +5,8 @@ use std::borrow::Cow;
 use serde::{Deserialize, Serialize};
 use use3d_splat::Gaussians;
 
+use crate::exposure::ExposureArrays;
+
 /// The five arrays of [`Gaussians`], flat.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct GaussianArrays<'a> {
@@ -59,4 +61,6 @@ pub struct EngineState<'a> {
     pub(crate) renders: Cow<'a, [u32]>,
     /// The water's flat parameters and moments.
     pub(crate) medium: [Cow<'a, [f32]>; 3],
+    /// The views' gains.
+    pub(crate) exposures: ExposureArrays<'a>,
 }
