@@ -194,7 +194,7 @@ fn golden_whole_steps() {
 
 /// Distances along a direction, in units of the parameters. Over long ones the loss bends, short ones drown in the rounding of f32;
 /// one in between must agree, so the best is asked.
-const DISTANCES: [f64; 5] = [1e-3, 5e-4, 2.5e-4, 1.25e-4, 6.3e-5];
+const DISTANCES: [f64; 8] = [1e-3, 5e-4, 2.5e-4, 1.25e-4, 6.3e-5, 3.1e-5, 1.6e-5, 8e-6];
 /// Differences that are added up for each distance, of slightly different length, so that their rounding averages out.
 const REPEATS: u32 = 8;
 /// By what share of a direction's slope a difference may deviate, beside its rounding, which may take no more than that.
@@ -250,7 +250,7 @@ impl Example {
         let here = at(0.0).0;
         // Over so short a way the loss is straight: what is left of it is rounding.
         let noise = (1..=4)
-            .map(|k| ((at(1e-5 * f64::from(k)).0 - here) + (at(-1e-5 * f64::from(k)).0 - here)).abs())
+            .map(|k| ((at(2e-6 * f64::from(k)).0 - here) + (at(-2e-6 * f64::from(k)).0 - here)).abs())
             .fold(0.0, f64::max);
         let differences = DISTANCES.map(|distance| {
             // Each of the four values in it is rounded for itself, by 1.9 times the rounding of one in all; three are in what was
