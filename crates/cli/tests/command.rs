@@ -175,7 +175,7 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     assert!(page.contains("path_pairs") && page.contains("FPS") && page.contains("training view"));
     let label = |name: &str| page.find(&format!("data-label=\"{name}\"")).unwrap_or_else(|| panic!("{name}"));
     let order =
-        ["captured", "2D enhancer", "enhanced-clear", "clear", "enhanced", "reconstruction"].map(label);
+        ["captured", "2D enhancer", "enhanced", "clear", "enhanced-clear", "reconstruction"].map(label);
     assert!(order.is_sorted(), "the page leads with what is asked for: {order:?}");
     one_word_for_each_look(&path(&[Path::new(&out), Path::new("tiny/enhanced-scene")]), &capture, dir.path());
     let depth = scores.mean(Method::Reconstruction, "depth_error").and_then(|s| s.value()).unwrap();

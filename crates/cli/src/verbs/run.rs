@@ -225,11 +225,13 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     };
     let params = use3d_synth::CaptureParams { views, width, height, ..use3d_synth::CaptureParams::default() };
     let capture = args.out.join("captures").join(SCENE);
-    // The synthetic pairs are of the demo's own kinds of water.
+    // What shows a scene at its best where nothing but photographs and their model is given.
     let mut sets = vec![
         format!("reconstruct.iterations={iterations}"),
+        "reconstruct.medium_prior=tracks".to_string(),
+        "targets.proposer=scene".to_string(),
+        "enhance.start=operator".to_string(),
         format!("enhance.iterations={steps}"),
-        "calibrate.trust=1".to_string(),
     ];
     sets.extend(args.settings.set.iter().cloned());
     // Settings and the places of all results are checked before anything is rendered: the pipeline of an empty folder of the capture's

@@ -16,7 +16,7 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::proposers::Proposer;
-use use3d_capture::{Camera, Capture, Frame as FrameOf, Image, Map, View, path};
+use use3d_capture::{Appearance, Camera, Capture, Frame as FrameOf, Image, Map, View, path};
 use use3d_io_colmap::{load_mask, load_pixels};
 use use3d_io_image::write_png;
 use use3d_metrics::{Mask, mask_of};
@@ -382,7 +382,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     }
     let mut neighbours = evaluation.neighbours(params.neighbour_pairs)?;
     let mut path = evaluation.path(params.path_pairs, params.path_steps)?;
-    strip(context, &capture, &mut evaluation.looker)?;
+    strip(context, &capture, &scene, &mut evaluation.looker)?;
     time(context, &views, &mut evaluation.looker.renderer);
 
     let take = |lists: &mut Lists<PairScores>, method| {
@@ -432,7 +432,12 @@ fn time(context: &StageContext, views: &[&View], renderer: &mut SceneRenderer<'_
 }
 
 /// The same spot in three neighbouring views: captured, enhanced in 2D, and as the scene shows it.
-fn strip(context: &StageContext, capture: &Capture, looker: &mut Looker<'_>) -> Result<(), StageError> {
+fn strip(
+    context: &StageContext,
+    capture: &Capture,
+    scene: &Scene,
+    looker: &mut Looker<'_>,
+) -> Result<(), StageError> {
     context.alive()?;
     let held_out = &capture.split.test;
     let middle = held_out.get(held_out.len() / 2).copied().unwrap_or(capture.views.len() / 2);
@@ -446,7 +451,11 @@ fn strip(context: &StageContext, capture: &Capture, looker: &mut Looker<'_>) -> 
         context.log("no spot is seen by three neighbouring views: no consistency strip");
         return Ok(());
     };
-    let last = if looker.renderer.is_enhanced() { Method::EnhancedClear } else { looker.learnt };
+    let last = match scene.enhancement.as_ref().map(|e| e.appearance) {
+        Some(Appearance::Clear) => Method::EnhancedClear,
+        Some(Appearance::Water) => Method::Enhanced,
+        None => looker.learnt,
+    };
     let shown = [Method::Captured, Method::Proposal, Method::ProposalOfRender, last];
     let shown: Vec<Method> =
         shown.into_iter().filter(|m| looks.iter().all(|look| look.of(*m).is_some())).collect();

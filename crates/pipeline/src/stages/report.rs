@@ -204,7 +204,8 @@ fn section(
         section.notes = left_out(scores);
     }
     if let Some(renders) = parts.path("renders") {
-        section.views = views(renders, parts.path("scores"), scores, params.views)?;
+        let best = best_look(parts.path("enhanced"))?;
+        section.views = views(renders, parts.path("scores"), scores, best, params.views)?;
     }
     for (role, file, caption) in [
         ("scene", "training.svg", "Stage 1: loss, PSNR and number of Gaussians"),
@@ -247,11 +248,24 @@ fn inline(svg: &str) -> String {
     svg.find("<svg").map_or_else(String::new, |start| svg[start..].to_string())
 }
 
+/// The look that a scene leads with: the one that its enhancement was learnt in. Colours that were learnt to look right through water
+/// are too strong without it.
+fn best_look(enhanced: Option<&Path>) -> Result<Mode, StageError> {
+    let Some(folder) = enhanced else { return Ok(Mode::Clear) };
+    let appearance = Scene::load(folder)?.enhancement.map(|e| e.appearance);
+    Ok(match appearance {
+        Some(Appearance::Clear) => Mode::EnhancedClear,
+        Some(Appearance::Water) => Mode::Enhanced,
+        None => Mode::Clear,
+    })
+}
+
 /// The held-out views: what was captured, what a 2D enhancer makes of it and what the scene makes of it lead, the other pictures follow.
 fn views(
     renders: &Path,
     evaluated: Option<&Path>,
     scores: Option<&SceneScores>,
+    best: Mode,
     most: usize,
 ) -> Result<Vec<ViewSection>, StageError> {
     let captured = renders.join("captured");
@@ -273,8 +287,6 @@ fn views(
             Ok(Some(Picture::embed(label, "", &read_image(&path)?)?))
         };
         let rendered = |mode: Mode| picture(mode.name(), &renders.join(mode.name()));
-        let enhanced = file(&renders.join(Mode::EnhancedClear.name())).is_file();
-        let best = if enhanced { Mode::EnhancedClear } else { Mode::Clear };
         let proposal = match evaluated {
             Some(evaluated) => picture("2D enhancer", &evaluated.join(ENHANCED_IN_2D))?,
             None => None,
@@ -283,6 +295,7 @@ fn views(
         let others = [
             Mode::Clear,
             Mode::Enhanced,
+            Mode::EnhancedClear,
             Mode::Reconstruction,
             Mode::Depth,
             Mode::Medium,
