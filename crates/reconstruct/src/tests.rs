@@ -337,7 +337,7 @@ fn a_camera_that_exposes_each_view_on_its_own_is_seen_through() {
     assert_eq!(found.len(), truth.len());
     for c in 0..3 {
         let (a, b) = (log(&found, c), log(&truth, c));
-        let error = a.iter().zip(&b).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+        let error = a.iter().zip(&b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>();
         let size = b.iter().map(|b| b * b).sum::<f64>();
         // In so few steps most of it, not all.
         assert!(error < 0.4 * size, "channel {c}: {a:?} for {b:?}");
@@ -349,7 +349,7 @@ fn a_camera_that_exposes_each_view_on_its_own_is_seen_through() {
     let fitted = with.fitted.as_ref().expect("views have gains").psnr.value().unwrap();
     assert!(fitted > with.psnr.value().unwrap().max(without.psnr.value().unwrap()) + 1.0, "{fitted}");
     // Known gains are where they start, and part of what a checkpoint must agree with; a stopped run ends as an undisturbed one.
-    let known = Known { water: None, gains: gains.clone() };
+    let known = Known { water: None, gains };
     let dir = tempfile::tempdir().unwrap();
     let stopped = run(Exposure::PerView, &known, 60, Some(35), Some(dir.path()));
     assert!(matches!(stopped, Err(ReconstructError::Interrupted { step: 35, .. })));
