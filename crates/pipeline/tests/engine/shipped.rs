@@ -16,6 +16,7 @@ fn registry() -> Registry {
             .optional_external("input", "pairs.input")
             .optional_external("target", "pairs.target"),
         stage("reconstruct", Scope::Scene).input("capture", "import"),
+        stage("targets", Scope::Scene).input("scene", "reconstruct").input("calibrator", "calibrate"),
         stage("enhance", Scope::Scene).input("scene", "reconstruct").input("calibrator", "calibrate"),
     ];
     Registry::new(stages).expect("a table").shorthand("scene", "size", "import", "size")
