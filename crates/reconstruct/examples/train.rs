@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use use3d_capture::{Lattice, MediumMaps, View};
 use use3d_io_colmap::{ImportParams, import, load_depth_prior, load_mask, load_pixels};
+use use3d_reconstruct::engine::CpuEngine;
 use use3d_reconstruct::{LoadedView, ReconstructParams, reconstruct};
 use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered};
 use use3d_training::{Observer, Progress};
@@ -80,7 +81,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     );
     let started = Instant::now();
     let mut lines = Lines { last: started, started };
-    let outcome = reconstruct(capture, &load, &params, None, &mut lines)?;
+    let outcome = reconstruct(capture, &load, &params, &mut CpuEngine::new(), None, &mut lines)?;
     println!("{:.1} s", started.elapsed().as_secs_f64());
     print!("{}", outcome.profile.table());
     println!(

@@ -1,7 +1,7 @@
 //! What can go wrong in stage 1.
 
 use use3d_capture::{CameraError, CaptureError};
-use use3d_training::{CheckpointError, NonFinite};
+use use3d_training::{CheckpointError, EngineError, NonFinite};
 
 /// Why there is no reconstruction.
 #[derive(Debug, thiserror::Error)]
@@ -75,6 +75,9 @@ pub enum ReconstructError {
     /// The run diverged.
     #[error(transparent)]
     NonFinite(#[from] NonFinite),
+    /// The engine failed.
+    #[error(transparent)]
+    Engine(#[from] EngineError),
     /// The checkpoint could not be written or read.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),

@@ -14,8 +14,6 @@
 //! over the views is kept at 0 per channel. A gain in display range is one of linear light as far as display values follow a power law.
 //! Adam counts the steps of each view on its own.
 
-use std::borrow::Cow;
-
 use serde::{Deserialize, Serialize};
 use use3d_capture::Image;
 use use3d_numerics::adam::Adam;
@@ -31,25 +29,22 @@ pub struct ExposureStep {
     pub weight: f64,
 }
 
-/// The log-gains of all training views with Adam's moments.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Exposures {
-    log_gains: Vec<[f32; 3]>,
-    first: Vec<[f32; 3]>,
-    second: Vec<[f32; 3]>,
-    steps: Vec<u64>,
-}
-
-/// The same as flat arrays, for a checkpoint.
+/// The log-gains of all training views with Adam's moments, one row per view; no rows where no view has a gain.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct ExposureArrays<'a> {
-    values: [Cow<'a, [f32]>; 3],
-    steps: Cow<'a, [u64]>,
+pub struct Exposures {
+    /// γ.
+    pub log_gains: Vec<[f32; 3]>,
+    /// Means of gradients.
+    pub first: Vec<[f32; 3]>,
+    /// Means of squared gradients.
+    pub second: Vec<[f32; 3]>,
+    /// Adam's steps of each view.
+    pub steps: Vec<u64>,
 }
 
 impl Exposures {
     /// Starts from these gains, all positive.
-    pub(crate) fn new(gains: &[[f64; 3]]) -> Self {
+    pub fn new(gains: &[[f64; 3]]) -> Self {
         let n = gains.len();
         let mut exposures = Self {
             log_gains: gains.iter().map(|g| g.map(|v| math::ln(v) as f32)).collect(),
@@ -62,17 +57,17 @@ impl Exposures {
     }
 
     /// `e^γ` of a view; 1 for one without a gain.
-    pub(crate) fn gain(&self, view: usize) -> [f32; 3] {
+    pub fn gain(&self, view: usize) -> [f32; 3] {
         self.log_gains.get(view).map_or([1.0; 3], |g| g.map(math::exp))
     }
 
     /// Gains of all views.
-    pub(crate) fn gains(&self) -> Vec<[f32; 3]> {
+    pub fn gains(&self) -> Vec<[f32; 3]> {
         (0..self.log_gains.len()).map(|v| self.gain(v)).collect()
     }
 
     /// One Adam step of a view's gains from `∂L/∂γ` without its λ term.
-    pub(crate) fn update(&mut self, view: usize, gradient: [f64; 3], step: &ExposureStep) {
+    pub fn update(&mut self, view: usize, gradient: [f64; 3], step: &ExposureStep) {
         let Some(gains) = self.log_gains.get_mut(view) else { return };
         self.steps[view] += 1;
         let gradient: [f32; 3] =
@@ -83,7 +78,7 @@ impl Exposures {
     }
 
     /// Whether every gain is a number.
-    pub(crate) fn is_finite(&self) -> bool {
+    pub fn is_finite(&self) -> bool {
         self.log_gains.as_flattened().iter().all(|g| g.is_finite())
     }
 
@@ -96,24 +91,9 @@ impl Exposures {
         }
     }
 
-    pub(crate) fn state(&self) -> ExposureArrays<'_> {
-        ExposureArrays {
-            values: [&self.log_gains, &self.first, &self.second].map(|a| a.as_flattened().into()),
-            steps: (&self.steps).into(),
-        }
-    }
-
-    /// Takes a state of as many views; `false` (nothing changed) if it is of another number.
-    pub(crate) fn restore(&mut self, state: &ExposureArrays<'_>) -> bool {
-        let n = self.log_gains.len();
-        if state.steps.len() != n || state.values.iter().any(|v| v.len() != 3 * n) {
-            return false;
-        }
-        let [log_gains, first, second] = &state.values;
-        let rows = |flat: &[f32]| flat.chunks_exact(3).map(|v| [v[0], v[1], v[2]]).collect();
-        (self.log_gains, self.first, self.second) = (rows(log_gains), rows(first), rows(second));
-        self.steps = state.steps.to_vec();
-        true
+    /// Rows of each array; all the same in a sound state.
+    pub(crate) fn lengths(&self) -> [usize; 4] {
+        [self.log_gains.len(), self.first.len(), self.second.len(), self.steps.len()]
     }
 }
 
@@ -192,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn the_views_common_gain_is_the_scenes_and_a_state_goes_there_and_back() {
+    fn the_views_common_gain_is_the_scenes() {
         let mut exposures = Exposures::new(&[[2.0, 1.0, 0.5], [0.5, 1.0, 0.5], [1.0, 1.0, 0.5]]);
         let product = |e: &Exposures, c: usize| e.gains().iter().map(|g| g[c]).product::<f32>();
         for c in 0..3 {
@@ -204,10 +184,6 @@ mod tests {
         let after = exposures.gain(0);
         assert!(after[0] < before[0] && after[2] > before[2]);
         assert!((product(&exposures, 2) - 1.0).abs() < 1e-5);
-        let mut other = Exposures::new(&[[1.0; 3]; 3]);
-        assert!(other.restore(&exposures.state()));
-        assert_eq!(other, exposures);
-        assert!(!Exposures::new(&[[1.0; 3]; 2]).restore(&exposures.state()));
         assert_eq!(exposures.gain(9), [1.0; 3]);
     }
 

@@ -1,12 +1,13 @@
 //! Stage 1: from a posed capture to a trained underwater scene.
 //!
 //! The loop ([`reconstruct`]) owns schedules and decides *what* happens at every step; an [`engine::Engine`] owns parameters, moments and
-//! buffers and does it. A step renders one training view through the water, compares it with the photograph ([`losses`]), and moves
+//! buffers and does it. Whoever calls chooses the engine: [`engine::CpuEngine`] is the reference, and any other crate may bring one. A step renders one training view through the water, compares it with the photograph ([`losses`]), and moves
 //! Gaussians and water by Adam. Now and then Gaussians are split, duplicated and removed (R9), and images grow from a quarter to full
 //! size (R11). Everything is a function of capture, parameters and seed: the same bits on any number of threads, and after any
 //! number of interruptions.
 
 mod bounds;
+pub mod density;
 pub mod engine;
 mod error;
 mod exposure;
@@ -21,7 +22,7 @@ mod views;
 
 pub use bounds::{CaptureSize, MemoryNeed, memory_need, most_gaussians};
 pub use error::ReconstructError;
-pub use exposure::ExposureStep;
+pub use exposure::{ExposureStep, Exposures};
 pub use found::{FoundWater, Known};
 pub use parameters::{
     Densify, DepthPrior, Exposure, Images, LearningRates, Medium, MediumPrior, Rate, ReconstructParams,

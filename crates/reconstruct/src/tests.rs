@@ -13,11 +13,34 @@ use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Colors, Gaussians, Options, Prepared, Rasterizer, Rendered};
 use use3d_training::{Observer, Progress, Silent};
 
-use crate::engine::{CpuEngine, Engine, StepRates, StepSettings};
+use crate::engine::{CpuEngine, Degrees, Engine, StepPlan, StepRates, TrainingState};
 use crate::{
     DepthPrior, Exposure, FoundWater, Images, Known, LoadedView, LogEntry, Medium, MediumPrior, Outcome,
-    ReconstructError, ReconstructParams, TrainingView, reconstruct, reconstruct_in,
+    ReconstructError, ReconstructParams, TrainingView, ViewLoader,
 };
+
+/// On the processor.
+fn reconstruct(
+    capture: &Capture,
+    loader: &dyn ViewLoader,
+    params: &ReconstructParams,
+    checkpoints: Option<&Path>,
+    observer: &mut dyn Observer,
+) -> Result<Outcome, ReconstructError> {
+    reconstruct_in(capture, &Known::default(), loader, params, checkpoints, observer)
+}
+
+/// On the processor.
+fn reconstruct_in(
+    capture: &Capture,
+    known: &Known,
+    loader: &dyn ViewLoader,
+    params: &ReconstructParams,
+    checkpoints: Option<&Path>,
+    observer: &mut dyn Observer,
+) -> Result<Outcome, ReconstructError> {
+    crate::reconstruct_in(capture, known, loader, params, &mut CpuEngine::new(), checkpoints, observer)
+}
 
 const NO_RATES: StepRates = StepRates {
     means: 0.0,
@@ -73,7 +96,7 @@ fn golden_stage1_step() {
             coefficients: bytemuck::cast_slice(&coefficients).to_vec(),
             top_k: case.count("top_k"),
         };
-        let mut engine = CpuEngine::new(gaussians, MediumModel::Rbf(water), case.number("lam"));
+        let mut engine = CpuEngine::new();
         let (w, h, target) = case.planes("in.target");
         let (_, _, prior) = case.planes("in.prior");
         let view = TrainingView::exact(
@@ -81,18 +104,21 @@ fn golden_stage1_step() {
             use3d_capture::Image::from_planes(w, h, target).unwrap(),
             use3d_capture::Map::from_planes(w, h, prior).unwrap(),
         );
-        let view = engine.upload(view);
-        let settings = StepSettings {
+        let view = engine.upload(view).unwrap();
+        engine.load(TrainingState::new(gaussians, MediumModel::Rbf(water), &[])).unwrap();
+        let degree = case.count("medium_degree");
+        let settings = StepPlan {
             step: 0,
             divisor: 1,
-            degree: case.count("medium_degree"),
+            degrees: Degrees { colors: degree, water: degree },
             rates: NO_RATES,
+            structure_weight: case.number("lam"),
             depth_weight: case.number("lam_d"),
             depth_gradient: true,
             exposure: None,
             gather: None,
         };
-        let (value, depth_loss) = engine.differentiate(view, &settings);
+        let (value, depth_loss) = engine.differentiate(view, &settings).unwrap();
         case.check_planes("out.rgb", engine.rendered().image.data());
         case.check_planes("out.depth", engine.rendered().depth.data());
         case.check_f64("out.reg_l1", &[value.reg_l1]);

@@ -1,20 +1,24 @@
 //! The loop of stage 1: what happens when. The work is the engine's.
 
 use std::borrow::Cow;
+use std::ops::Range;
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
-use use3d_capture::{Capture, MediumMaps, View};
+use use3d_capture::{Capture, Image, View};
 use use3d_medium::{MediumGlobal, MediumMlp, MediumModel, MediumRbf};
 use use3d_metrics::{Score, fitted_on_other_half, mask_of, psnr, ssim};
 use use3d_numerics::random::Purpose;
 use use3d_scene::Scene;
-use use3d_splat::Rendered;
-use use3d_training::{Checkpoints, NonFinite, Observer, Pace, Profile, Progress, Resumable, ViewOrder};
+use use3d_training::{
+    Checkpoints, Drain, Ended, EngineError, NonFinite, Observer, Profile, Progress, Resumable, Session,
+    Steps, ViewOrder,
+};
 
 use crate::bounds::most_gaussians;
-use crate::engine::{CpuEngine, Engine, EngineState, RefineSettings, StepRates, StepReport, StepSettings};
+use crate::density::{self, Draws, RefineSettings};
+use crate::engine::{Degrees, Engine, StepPlan, StepRates, StepReport, TrainingState};
 use crate::profile::{StepPart, Stretch};
 use crate::record::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
 use crate::views::{Dropped, TrainingView, ViewLoader};
@@ -45,11 +49,11 @@ pub struct Outcome {
     pub exposures: Vec<(String, [f32; 3])>,
     /// Gaussians at the start.
     pub initial_gaussians: usize,
-    /// Time per part of a step, of this process.
+    /// Time per part of a step, of this process, as far as the engine measures it.
     pub profile: Profile<StepPart>,
     /// The same over the course of the run: how a step grows with the scene.
     pub growth: Vec<Stretch>,
-    /// Bytes of parameters, moments, views and buffers at the end, about.
+    /// Bytes of parameters, moments, views and buffers at the end, about; 0 where the engine does not say.
     pub memory: usize,
 }
 
@@ -71,7 +75,7 @@ struct RunState<'a> {
     fingerprint: [u8; 32],
     step: u64,
     initial: usize,
-    engine: EngineState<'a>,
+    engine: Cow<'a, TrainingState>,
     log: Cow<'a, [LogEntry]>,
     window: Window,
 }
@@ -135,7 +139,7 @@ impl Window {
     }
 }
 
-/// Reconstructs an underwater scene from a capture.
+/// Reconstructs an underwater scene from a capture with an engine that has no views yet.
 ///
 /// Views are loaded once, through `loader`, at the size of their cameras. With a `checkpoint_dir` the run writes checkpoints there
 /// and goes on from the furthest one that belongs to the same capture and parameters, also where a run of another length left it;
@@ -145,10 +149,11 @@ pub fn reconstruct(
     capture: &Capture,
     loader: &dyn ViewLoader,
     params: &ReconstructParams,
+    engine: &mut dyn Engine,
     checkpoint_dir: Option<&Path>,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, ReconstructError> {
-    reconstruct_in(capture, &Known::default(), loader, params, checkpoint_dir, observer)
+    reconstruct_in(capture, &Known::default(), loader, params, engine, checkpoint_dir, observer)
 }
 
 /// As [`reconstruct`], with what is known beforehand. Known water is where the water starts; it is held for
@@ -158,6 +163,7 @@ pub fn reconstruct_in(
     known: &Known,
     loader: &dyn ViewLoader,
     params: &ReconstructParams,
+    engine: &mut dyn Engine,
     checkpoint_dir: Option<&Path>,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, ReconstructError> {
@@ -169,12 +175,9 @@ pub fn reconstruct_in(
     let most = most_gaussians(capture, params);
     let start = known.water.as_ref().and_then(|found| Some((found, found.model(params)?)));
     let found = start.as_ref().map(|(found, _)| *found);
-    let least_water_degree = found.map_or(0, |_| FoundWater::DEGREE.min(params.sh_degree));
     let gaussians = initialise::gaussians(capture, found, params, most, |message| observer.notice(message))?;
     let initial = gaussians.len();
     let water = start.map_or_else(|| water(params), |(_, model)| model);
-    let mut engine = CpuEngine::new(gaussians, water, params.structure_weight);
-    engine.keep_water_degree(least_water_degree);
     let views = load(capture, loader, params, observer)?;
     let exposes = params.exposure == Exposure::PerView;
     let gains: Vec<[f64; 3]> = match known.gains.is_empty() {
@@ -183,23 +186,27 @@ pub fn reconstruct_in(
     };
     let fingerprint = fingerprint(capture, found, exposes.then_some(&gains), params, &views);
     let names: Vec<String> = views.train.iter().map(|v| v.name.clone()).collect();
-    for view in views.train {
-        engine.upload(view);
+    for (index, view) in views.train.into_iter().enumerate() {
+        let taken = engine.upload(view)?;
+        if taken != index {
+            let what =
+                format!("the engine took training view {index} as its view {taken}: it is in use already");
+            return Err(EngineError::State(what).into());
+        }
     }
-    if exposes {
-        engine.expose(&gains);
-    }
+    engine.load(TrainingState::new(gaussians, water, if exposes { &gains } else { &[] }))?;
     let mut run = Run {
         params,
         holds_water: found.is_some(),
-        observer,
+        least_water_degree: found.map_or(0, |_| FoundWater::DEGREE.min(params.sh_degree)),
+        order: ViewOrder::new(params.seed, Purpose::new("training views"), names.len()),
         names,
         held_out: views.test,
-        engine: &mut engine,
-        checkpoints: checkpoint_dir
-            .map(|dir| Checkpoints::new(dir, CHECKPOINT, &fingerprint, params.iterations)),
+        engine,
         fingerprint,
         initial,
+        gaussians: initial,
+        first: 0,
         step: 0,
         log: Vec::new(),
         window: Window::default(),
@@ -207,18 +214,18 @@ pub fn reconstruct_in(
         cap_told: false,
         growth: Vec::new(),
     };
-    run.resume()?;
-    run.go()?;
-    let evaluation = run.evaluate();
-    let (log, growth) = (std::mem::take(&mut run.log), std::mem::take(&mut run.growth));
-    let exposures = std::mem::take(&mut run.names).into_iter().zip(run.engine.exposures()).collect();
-    let initial_gaussians = run.initial;
-    let (gaussians, medium) = engine.download();
-    let last_degree = params.active_degree(params.iterations.saturating_sub(1));
-    let medium_degree = last_degree.max(least_water_degree);
-    let scene = Scene { gaussians, frame: capture.frame, medium, medium_degree, enhancement: None };
-    let (profile, memory) = (engine.profile().clone(), engine.memory());
-    Ok(Outcome { scene, log, evaluation, exposures, initial_gaussians, profile, growth, memory })
+    let session = Session {
+        steps: params.iterations,
+        checkpoints: checkpoint_dir
+            .map(|dir| Checkpoints::new(dir, CHECKPOINT, &fingerprint, params.iterations)),
+        every_steps: params.checkpoint_steps,
+        every_minutes: params.checkpoint_minutes,
+    };
+    run.resume(&session, observer)?;
+    if let Ended::Stopped { step, saved } = session.run(run.step, &mut run, observer)? {
+        return Err(ReconstructError::Interrupted { step, steps: params.iterations, saved });
+    }
+    run.finish(capture)
 }
 
 /// The water at the start.
@@ -341,13 +348,18 @@ struct Run<'a> {
     params: &'a ReconstructParams,
     /// Whether the water was known beforehand.
     holds_water: bool,
-    observer: &'a mut dyn Observer,
+    /// The water's active degree is never below this.
+    least_water_degree: usize,
+    order: ViewOrder,
     names: Vec<String>,
     held_out: Vec<TrainingView>,
-    engine: &'a mut CpuEngine,
-    checkpoints: Option<Checkpoints>,
+    engine: &'a mut dyn Engine,
     fingerprint: [u8; 32],
     initial: usize,
+    /// Gaussians now.
+    gaussians: usize,
+    /// The step that this process began with.
+    first: u64,
     step: u64,
     log: Vec<LogEntry>,
     window: Window,
@@ -356,26 +368,74 @@ struct Run<'a> {
     growth: Vec<Stretch>,
 }
 
+impl Steps for Run<'_> {
+    type Error = ReconstructError;
+
+    fn step(&mut self, step: u64, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
+        let params = self.params;
+        let view = self.order.view(step);
+        self.engine.step(view, &self.plan(step))?;
+        self.drain(Drain::Ready)?;
+        let done = step + 1;
+        if done.is_multiple_of(params.iterations.div_ceil(STRETCHES)) || done == params.iterations {
+            self.look_at_pace(view)?;
+        }
+        // Refinements look at the state after the step's update.
+        self.control_density(observer)?;
+        self.step = done;
+        if done.is_multiple_of(params.log_every) {
+            self.end_window()?;
+        }
+        let due = params.evaluate_every > 0 && done.is_multiple_of(params.evaluate_every);
+        if due && done < params.iterations {
+            self.evaluate()?;
+        }
+        Ok(())
+    }
+
+    fn save(&mut self, done: u64, checkpoints: &Checkpoints) -> Result<(), ReconstructError> {
+        // A state that is not finite is none to go on from.
+        self.drain(Drain::All)?;
+        let state = RunState {
+            fingerprint: self.fingerprint,
+            step: done,
+            initial: self.initial,
+            engine: self.engine.save()?,
+            log: (&self.log).into(),
+            window: self.window.clone(),
+        };
+        Ok(checkpoints.save(done, &state)?)
+    }
+
+    fn work(&self, steps: Range<u64>) -> f64 {
+        steps.map(|step| self.params.step_work(step)).sum()
+    }
+
+    fn shown(&self) -> Progress {
+        Progress {
+            loss: self.window.smooth_loss,
+            psnr: self.window.smooth_psnr,
+            gaussians: Some(self.gaussians),
+            ..Progress::default()
+        }
+    }
+}
+
 impl Run<'_> {
     /// Goes on from the checkpoint, if there is one of this run.
-    fn resume(&mut self) -> Result<(), ReconstructError> {
-        let Some(checkpoints) = &self.checkpoints else { return Ok(()) };
-        let found = match checkpoints.load::<RunState<'_>>() {
-            Ok(found) => found,
-            Err(error) => {
-                self.observer.notice(&format!("{error}; starting anew"));
+    fn resume(&mut self, session: &Session, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
+        let Some(state) = session.furthest::<RunState<'_>>(observer) else { return Ok(()) };
+        let gaussians = state.engine.gaussians.len();
+        match self.engine.load(state.engine.into_owned()) {
+            Err(EngineError::State(why)) => {
+                observer.notice(&format!("the checkpoint does not fit this scene ({why}); starting anew"));
                 return Ok(());
             }
-        };
-        found.notices.iter().for_each(|notice| self.observer.notice(notice));
-        let Some(state) = found.state else { return Ok(()) };
-        if !self.engine.restore(&state.engine) {
-            self.observer.notice("the checkpoint does not fit this scene; starting anew");
-            return Ok(());
+            other => other?,
         }
-        self.observer.notice(&format!("going on from step {} of {}", state.step, self.params.iterations));
-        self.step = state.step;
-        self.initial = state.initial;
+        session.tell_resumed(state.step, observer);
+        (self.first, self.step) = (state.step, state.step);
+        (self.initial, self.gaussians) = (state.initial, gaussians);
         self.log = state.log.into_owned();
         self.window = state.window;
         // A run that ended here measured after its last checkpoint; one that goes on has that line in its log.
@@ -383,104 +443,73 @@ impl Run<'_> {
         let measured =
             matches!(self.log.last(), Some(LogEntry::Evaluation { step, .. }) if *step == self.step);
         if due && !measured && self.step < self.params.iterations {
-            self.evaluate();
+            self.evaluate()?;
         }
         Ok(())
     }
 
-    fn save(&self) -> Result<(), ReconstructError> {
-        if let Some(checkpoints) = &self.checkpoints {
-            let state = RunState {
-                fingerprint: self.fingerprint,
-                step: self.step,
-                initial: self.initial,
-                engine: self.engine.state(),
-                log: (&self.log).into(),
-                window: self.window.clone(),
-            };
-            checkpoints.save(self.step, &state)?;
-        }
-        Ok(())
-    }
-
-    fn go(&mut self) -> Result<(), ReconstructError> {
-        let params = self.params;
-        let mut order = ViewOrder::new(params.seed, Purpose::new("training views"), self.names.len());
-        let first = self.step;
-        let mut work_left: f64 = (first..params.iterations).map(|s| params.step_work(s)).sum();
-        let mut pace = Pace::start();
-        let (mut saved_at, mut saved_step) = (Instant::now(), self.step);
-        let stretch = params.iterations.div_ceil(STRETCHES);
-        while self.step < params.iterations {
-            let view = order.view(self.step);
-            self.one_step(view)?;
-            let done = self.step + 1;
-            if done.is_multiple_of(stretch) || done == params.iterations {
-                self.look_at_pace(view, done - first);
-            }
-            // Refinements look at the state after the step's update.
-            self.control_density();
-            self.step = done;
-            if done.is_multiple_of(params.log_every) {
-                self.end_window();
-            }
-            if params.evaluate_every > 0
-                && done.is_multiple_of(params.evaluate_every)
-                && done < params.iterations
-            {
-                self.evaluate();
-            }
-            let work = params.step_work(done - 1);
-            work_left -= work;
-            pace.step(work);
-            self.observer.progress(&Progress {
-                step: done,
-                steps: params.iterations,
-                loss: self.window.smooth_loss,
-                psnr: self.window.smooth_psnr,
-                gaussians: Some(self.engine.gaussians()),
-                steps_per_second: pace.steps_per_second(),
-                seconds_left: pace.seconds_for(work_left),
-            });
-            let stop = self.observer.should_stop() && done < params.iterations;
-            let due = done - saved_step >= params.checkpoint_steps
-                || saved_at.elapsed().as_secs_f64() >= 60.0 * params.checkpoint_minutes;
-            if due || stop || done == params.iterations {
-                self.save()?;
-                (saved_at, saved_step) = (Instant::now(), done);
-            }
-            if stop {
-                let saved = self.checkpoints.is_some();
-                return Err(ReconstructError::Interrupted { step: done, steps: params.iterations, saved });
-            }
-        }
+    /// What comes after the last step.
+    fn finish(mut self, capture: &Capture) -> Result<Outcome, ReconstructError> {
         // Only here, after the last checkpoint: a longer run that goes on from it still collects for this line.
         if self.window.steps > 0 {
-            self.end_window();
+            self.end_window()?;
+        }
+        let evaluation = self.evaluate()?;
+        let medium_degree = self.degrees(self.params.iterations.saturating_sub(1)).water;
+        let (profile, memory) = (self.engine.profile(), self.engine.memory());
+        let state = self.engine.save()?;
+        let exposures = self.names.into_iter().zip(state.exposures.gains()).collect();
+        // An engine's own state stays with it, one that was fetched is the run's: only the scene is copied.
+        let (gaussians, medium) = match state {
+            Cow::Borrowed(state) => (state.gaussians.clone(), state.medium.clone()),
+            Cow::Owned(state) => (state.gaussians, state.medium),
+        };
+        let scene = Scene { gaussians, frame: capture.frame, medium, medium_degree, enhancement: None };
+        let (log, growth, initial_gaussians) = (self.log, self.growth, self.initial);
+        Ok(Outcome { scene, log, evaluation, exposures, initial_gaussians, profile, growth, memory })
+    }
+
+    /// Takes up the reports of steps.
+    fn drain(&mut self, which: Drain) -> Result<(), ReconstructError> {
+        for report in self.engine.drain(which)? {
+            if let Some((what, index)) = report.non_finite {
+                let view = self.names.get(report.view).cloned().unwrap_or_default();
+                return Err(NonFinite { step: report.step, view, what: what.into(), index }.into());
+            }
+            self.window.add(&report);
         }
         Ok(())
+    }
+
+    /// Active degrees in a step.
+    fn degrees(&self, step: u64) -> Degrees {
+        let colors = self.params.active_degree(step);
+        Degrees { colors, water: colors.max(self.least_water_degree) }
     }
 
     /// The log line of the steps since the last one.
-    fn end_window(&mut self) {
+    fn end_window(&mut self) -> Result<(), ReconstructError> {
+        self.drain(Drain::All)?;
         let last = self.step.saturating_sub(1);
         let (divisor, degree) = (self.params.divisor(last), self.params.active_degree(last));
-        let entry = self.window.flush(self.step, self.engine.gaussians(), divisor, degree);
+        let entry = self.window.flush(self.step, self.gaussians, divisor, degree);
         self.log.push(entry);
+        Ok(())
     }
 
-    fn one_step(&mut self, view: usize) -> Result<(), ReconstructError> {
-        let (params, step, r) = (self.params, self.step, &self.params.learning_rates);
+    /// What a step does.
+    fn plan(&self, step: u64) -> StepPlan {
+        let (params, r) = (self.params, &self.params.learning_rates);
         let rate = |rate: crate::Rate| rate.at(step, params.course());
         // The water starts far from where it ends and Adam's steps are as long as the rate, whatever the gradient: a compressed run
         // takes longer steps to get as far, within reason. (The Gaussians start where they belong.)
         let compressed = (params.schedule as f64 / params.course() as f64).min(MOST_COMPRESSED);
         let let_go = if self.holds_water { params.water_release(step) } else { 1.0 };
         let water = |rate: crate::Rate| let_go * compressed * rate.at(step, params.course());
-        let settings = StepSettings {
+        StepPlan {
             step,
             divisor: params.divisor(step),
-            degree: params.active_degree(step),
+            degrees: self.degrees(step),
             rates: StepRates {
                 means: rate(r.means),
                 sh_constant: rate(r.sh_constant),
@@ -492,6 +521,7 @@ impl Run<'_> {
                 medium_directional: water(r.medium_directional),
                 medium_network: water(r.medium_network),
             },
+            structure_weight: params.structure_weight,
             depth_weight: if params.depth_prior == DepthPrior::Off { 0.0 } else { params.depth_weight },
             depth_gradient: params.depth_gradient,
             exposure: (params.exposure == Exposure::PerView).then(|| ExposureStep {
@@ -502,36 +532,31 @@ impl Run<'_> {
                 && step >= params.densify.statistics_from.min(params.warm_up())
                 && step < params.densify_end())
             .then_some(params.densify.reference_pixels),
-        };
-        let report = self.engine.step(view, &settings);
-        if let Some((what, index)) = report.non_finite {
-            let view = self.names[view].clone();
-            return Err(NonFinite { step, view, what: what.into(), index }.into());
         }
-        self.window.add(&report);
-        Ok(())
     }
 
-    /// Ends a stretch of the run at this step: `done` steps of this process.
-    fn look_at_pace(&mut self, view: usize, done: u64) {
+    /// Ends a stretch of the run at this step.
+    fn look_at_pace(&mut self, view: usize) -> Result<(), ReconstructError> {
         let (divisor, degree) = (self.params.divisor(self.step), self.params.active_degree(self.step));
         let told: u64 = self.growth.iter().map(|s| s.steps).sum();
         let before: Duration = self.growth.iter().map(|s| s.spent).sum();
+        let pairs = self.engine.contributing_pairs(view, divisor, degree)?;
         self.growth.push(Stretch {
             step: self.step + 1,
-            steps: done - told,
+            steps: self.step + 1 - self.first - told,
             divisor,
-            gaussians: self.engine.gaussians(),
-            pairs: 1e-6 * self.engine.contributing_pairs(view, divisor, degree),
-            spent: self.engine.profile().spent() - before,
+            gaussians: self.gaussians,
+            pairs: 1e-6 * pairs.unwrap_or(0.0),
+            spent: self.engine.profile().spent().saturating_sub(before),
         });
+        Ok(())
     }
 
     /// The refinement or the opacity ceiling that is due after this step (R9).
-    fn control_density(&mut self) {
+    fn control_density(&mut self, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
         let (params, d, step) = (self.params, &self.params.densify, self.step);
         if !d.enabled || step <= params.warm_up() {
-            return;
+            return Ok(());
         }
         let growing = step < params.densify_end();
         let phase = step % d.period;
@@ -539,35 +564,38 @@ impl Run<'_> {
             // Densification waits after a ceiling; culling alone goes on to the end.
             let pause = d.pause.min(self.names.len() as u64 + d.every);
             if !growing || phase >= pause {
-                self.refine(growing);
+                self.refine(growing, observer)?;
             } else {
-                self.engine.forget_statistics();
+                self.engine.forget_statistics()?;
             }
         }
         if growing && phase == d.every % d.period {
-            self.engine.limit_opacity(d.opacity_ceiling);
+            self.engine.limit_opacity(d.opacity_ceiling)?;
             self.log.push(LogEntry::Ceiling { step: step + 1 });
         }
+        Ok(())
     }
 
-    fn refine(&mut self, growing: bool) {
+    fn refine(&mut self, growing: bool, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
         let (params, d) = (self.params, &self.params.densify);
-        let report = self.engine.refine(&RefineSettings {
-            step: self.step,
-            seed: params.seed,
+        let settings = RefineSettings {
             grow: growing,
             gradient_threshold: d.gradient_threshold,
             split_scale: d.split_scale,
-            shrink: d.shrink,
             cull_opacity: if growing { d.cull_opacity } else { d.cull_opacity_late },
             cull_scale: d.cull_scale,
             floor: d.floor.max((d.floor_share * self.initial as f64) as usize),
             most: self.most,
-            reset_medium: d.reset_medium && growing,
-        });
+        };
+        let (rows, report) = density::plan(&self.engine.survey()?, &settings);
+        self.engine.rebuild(&rows, &Draws { seed: params.seed, step: self.step, shrink: d.shrink })?;
+        self.gaussians = rows.len();
+        if d.reset_medium && growing {
+            self.engine.forget_water_moments()?;
+        }
         if report.held_back > 0 && !self.cap_told {
             self.cap_told = true;
-            self.observer.notice(&format!(
+            observer.notice(&format!(
                 "step {}: the scene has reached its cap of {} Gaussians (`max_gaussians`); only the strongest {} of {} candidates were split or duplicated",
                 self.step,
                 self.most,
@@ -582,27 +610,28 @@ impl Run<'_> {
             culled: report.culled,
             spared: report.spared,
             held_back: report.held_back,
-            gaussians: self.engine.gaussians(),
+            gaussians: self.gaussians,
         });
+        Ok(())
     }
 
     /// PSNR and SSIM of the held-out views at full size over the pixels that count, also into the log; `None` if there are none.
-    fn evaluate(&mut self) -> Option<Evaluation> {
+    fn evaluate(&mut self) -> Result<Option<Evaluation>, ReconstructError> {
         if self.held_out.is_empty() {
-            return None;
+            return Ok(None);
         }
-        let degree = self.params.active_degree(self.step.saturating_sub(1));
-        let (mut rendered, mut water) = (Rendered::new(), MediumMaps::zeros(0, 0));
+        let degrees = self.degrees(self.step.saturating_sub(1));
+        let mut rendered = Image::new(0, 0);
         let mut scores = Vec::with_capacity(self.held_out.len());
         let mut target = crate::Target::default();
         for view in &self.held_out {
             let camera = view.target(1, &mut target);
-            self.engine.render(&camera, degree, &mut rendered, &mut water);
-            let image = rendered.image.map(|v| v.clamp(0.0, 1.0));
+            self.engine.render(&camera, degrees, &mut rendered)?;
+            let image = rendered.map(|v| v.clamp(0.0, 1.0));
             let mask = target.mask.as_ref().map(mask_of);
             let measured = |result| Score::measured(result).named(&view.name);
             let fitted = (self.params.exposure == Exposure::PerView).then(|| {
-                let image = fitted_on_other_half(&rendered.image, &target.image, mask.as_ref())
+                let image = fitted_on_other_half(&rendered, &target.image, mask.as_ref())
                     .map(|image| image.map(|v| v.clamp(0.0, 1.0)));
                 let of = |score: fn(&_, &_, Option<&_>) -> _| {
                     measured(
@@ -626,8 +655,8 @@ impl Run<'_> {
             step: self.step,
             psnr: evaluation.psnr.value(),
             ssim: evaluation.ssim.value(),
-            gaussians: self.engine.gaussians(),
+            gaussians: self.gaussians,
         });
-        Some(evaluation)
+        Ok(Some(evaluation))
     }
 }

@@ -131,6 +131,26 @@ impl TrainingView {
         Self { name: "exact".into(), camera, pixels, alpha: None, mask: None, prior: None, exact }
     }
 
+    /// The photograph as it is stored, at full size.
+    pub fn pixels(&self) -> &Pixels {
+        &self.pixels
+    }
+
+    /// Its opacity, 255 is opaque; `None` where all of it is.
+    pub fn alpha(&self) -> Option<&Raster<u8, 1>> {
+        self.alpha.as_ref()
+    }
+
+    /// What counts, 255 counts wholly; `None` where everything does.
+    pub fn mask(&self) -> Option<&Raster<u8, 1>> {
+        self.mask.as_ref()
+    }
+
+    /// The depth prior, stretched to 1…65535, 0 where unknown; `None` where there is none.
+    pub fn prior(&self) -> Option<&Raster<u16, 1>> {
+        self.prior.as_ref()
+    }
+
     /// Whether it has a depth prior.
     pub fn has_prior(&self) -> bool {
         self.prior.is_some()

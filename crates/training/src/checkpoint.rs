@@ -3,8 +3,8 @@
 //! Layout: 16 bytes of magic and format version, the 32-byte BLAKE3 digest of everything after it, then the state in bincode's
 //! standard configuration. State goes to the file and comes back through a small buffer: a checkpoint needs no memory of its own
 //! size. A new one is written to a sibling of its own, synced and renamed over the old one, so that the machine may die at any moment,
-//! and several processes may write the same one at once, and a good file remains. A file that is cut short, altered, or of another version is an error that says so; the loop
-//! then starts anew (and the caller says so aloud), never from half a state. Internal state only: exchange formats are open ones.
+//! and several processes may write the same one at once, and a good file remains. A file that is cut short, altered, or of another version is
+//! an error that says so; the loop then starts anew (and the caller says so aloud), never from half a state. Internal state only: exchange formats are open ones.
 
 use std::fs::{self, File, TryLockError};
 use std::io::{BufRead, BufReader, BufWriter, ErrorKind, Read, Seek, SeekFrom, Write};
@@ -15,7 +15,8 @@ use bincode::error::{DecodeError, EncodeError};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-const MAGIC: &[u8; 16] = b"3d-use state v01";
+/// The version rises whenever a loop's state changes its form: an older file is then refused by name.
+const MAGIC: &[u8; 16] = b"3d-use state v02";
 const DIGEST: usize = blake3::OUT_LEN;
 /// Bytes that are digested, written or read at a time.
 const BLOCK: usize = 1 << 20;

@@ -5,6 +5,7 @@ use use3d_capture::{Capture, View};
 use use3d_io_colmap::{load_depth_prior, load_mask, load_pixels};
 use use3d_io_image::write_png;
 use use3d_metrics::Score;
+use use3d_reconstruct::engine::CpuEngine;
 use use3d_reconstruct::{
     DepthPrior, Evaluation, Exposure, Images, Known, LoadedView, Medium, MediumPrior, ReconstructError,
     ReconstructParams, growth, memory_need, reconstruct_in,
@@ -161,11 +162,16 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         (params.medium, params.medium_prior) = (Medium::None, MediumPrior::Off);
     }
     let watch = &mut Watch::new(context);
-    let outcome = reconstruct_in(&capture, &known, &load, &params, context.checkpoints(), watch);
+    let mut engine = CpuEngine::new();
+    let outcome = reconstruct_in(&capture, &known, &load, &params, &mut engine, context.checkpoints(), watch);
     let outcome = match outcome {
         Ok(outcome) => outcome,
         Err(ReconstructError::Interrupted { .. }) => return Err(StageError::Cancelled),
-        Err(error @ (ReconstructError::NonFinite(_) | ReconstructError::Checkpoint(_))) => {
+        Err(
+            error @ (ReconstructError::NonFinite(_)
+            | ReconstructError::Checkpoint(_)
+            | ReconstructError::Engine(_)),
+        ) => {
             return Err(StageError::failed(error));
         }
         // Every other one lies in the capture or the parameters.

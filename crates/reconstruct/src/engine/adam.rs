@@ -10,7 +10,7 @@ use use3d_numerics::adam::{Adam, AdamScalars};
 use use3d_numerics::spherical_harmonics::bands;
 use use3d_splat::{GaussianGradients, Gaussians};
 
-use super::StepRates;
+use super::{Moments, StepRates};
 
 /// Gaussians per task.
 const CHUNK: usize = 1024;
@@ -18,31 +18,7 @@ const CHUNK: usize = 1024;
 const COEFFICIENTS: usize = 48;
 const CONSTANT: usize = 3;
 
-/// Both moments of every parameter, stored like the parameters.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Moments {
-    pub(crate) first: Gaussians,
-    pub(crate) second: Gaussians,
-}
-
-/// `n` Gaussians with every parameter zero.
-pub(crate) fn zeros(n: usize, sh_degree: usize) -> Gaussians {
-    Gaussians {
-        sh_degree,
-        means: vec![[0.0; 3]; n],
-        log_scales: vec![[0.0; 3]; n],
-        quaternions: vec![[0.0; 4]; n],
-        opacity_logits: vec![0.0; n],
-        sh: vec![[[0.0; 3]; 16]; n],
-    }
-}
-
 impl Moments {
-    pub(crate) fn new(gaussians: &Gaussians) -> Self {
-        let zeros = zeros(gaussians.len(), gaussians.sh_degree);
-        Self { first: zeros.clone(), second: zeros }
-    }
-
     /// One update of everything; the first array with a value that is not finite, and where.
     pub(crate) fn update(
         &mut self,
@@ -200,6 +176,7 @@ fn rows<S: Simd>(
 mod tests {
     use use3d_numerics::random::{Purpose, Stream};
 
+    use super::super::zeros;
     use super::*;
 
     fn random(n: usize, salt: u64) -> Gaussians {

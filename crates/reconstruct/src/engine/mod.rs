@@ -1,21 +1,38 @@
 //! Who owns the parameters: the loop decides *what* happens, an engine does it.
 //!
-//! An engine holds the Gaussians, the water, Adam's moments, the density statistics and every buffer of a step. The loop never touches
-//! a per-Gaussian array, so that an engine on another device can take this one's place.
+//! An engine holds the Gaussians, the water, Adam's moments, the density statistics and every buffer of a step. It need not be here, nor
+//! on the processor: everything that crosses this seam is public, owned or borrowed plainly, and the loop works on `&mut dyn Engine`.
+//!
+//! ```text
+//! upload every view ─▶ load a state ─▶ step, step, … ─▶ drain reports
+//!                                       │  now and then
+//!                                       ├─▶ survey ─▶ (the loop plans) ─▶ rebuild, limit_opacity
+//!                                       ├─▶ render (held-out views)
+//!                                       └─▶ save (checkpoints, the result)
+//! ```
+//!
+//! A step may only be *asked for*: an engine on another device may have several under way, and reports them when it can. Whatever else
+//! is asked of it comes after the steps that were asked for before. So a loop never waits for a device, except where it needs its
+//! numbers: at a line of the log, a refinement, a checkpoint.
+//!
+//! Which arithmetic an engine computes with is its own business, but the same engine on the same device gives the same bits for
+//! the same requests. An error ends the run; what was saved before stays good.
 
 mod adam;
 mod cpu;
-pub(crate) mod density;
 mod state;
 
-use use3d_capture::{Camera, MediumMaps};
-use use3d_medium::MediumModel;
-use use3d_splat::{Gaussians, Rendered};
-use use3d_training::Profile;
+use std::borrow::Cow;
+
+use use3d_capture::{Camera, Image};
+use use3d_training::{Drain, EngineError, Profile};
 
 pub use cpu::CpuEngine;
-pub use state::{EngineState, GaussianArrays};
+#[cfg(test)]
+pub(crate) use state::zeros;
+pub use state::{Moments, Statistics, TrainingState};
 
+use crate::density::{Draws, Origin, Survey};
 use crate::exposure::ExposureStep;
 use crate::profile::StepPart;
 use crate::views::TrainingView;
@@ -43,17 +60,28 @@ pub struct StepRates {
     pub medium_network: f64,
 }
 
-/// What one step does.
+/// Active degrees of spherical harmonics, 0 to 3.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Degrees {
+    /// Of the Gaussians' colours.
+    pub colors: usize,
+    /// Of the water.
+    pub water: usize,
+}
+
+/// What one step does. The same plan on the same state is the same step, so steps can be asked for again.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StepSettings {
+pub struct StepPlan {
     /// The step, from 0.
     pub step: u64,
     /// Image divisor.
     pub divisor: usize,
-    /// Active spherical-harmonics degree of Gaussians and water.
-    pub degree: usize,
+    /// Active degrees.
+    pub degrees: Degrees,
     /// Learning rates.
     pub rates: StepRates,
+    /// Weight λ of the structure term beside the L1 term.
+    pub structure_weight: f64,
     /// Weight of the depth term; 0 leaves it out.
     pub depth_weight: f64,
     /// Whether gradients flow through ray distances (R2).
@@ -67,6 +95,10 @@ pub struct StepSettings {
 /// What came of a step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StepReport {
+    /// The step, from 0.
+    pub step: u64,
+    /// The view's index.
+    pub view: usize,
     /// The whole loss.
     pub loss: f64,
     /// Reg-L1.
@@ -77,83 +109,67 @@ pub struct StepReport {
     pub depth_loss: Option<f64>,
     /// PSNR of the rendered view over the pixels that count, dB; `None` where it has no finite one.
     pub psnr: Option<f64>,
-    /// What was not finite, and its first bad element.
+    /// What was not finite, and its first bad element. The state is then of no use, and steps asked for later may be left out.
     pub non_finite: Option<(&'static str, Option<usize>)>,
 }
 
-/// What one refinement does.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RefineSettings {
-    /// The step, from 0: keys the random draws.
-    pub step: u64,
-    /// Seed of the run.
-    pub seed: u64,
-    /// Whether Gaussians are split and duplicated.
-    pub grow: bool,
-    /// Mean absolute screen gradient above which they are.
-    pub gradient_threshold: f64,
-    /// Largest standard deviation of a duplicate.
-    pub split_scale: f64,
-    /// Factor by which a split's children are smaller.
-    pub shrink: f64,
-    /// Opacity below which Gaussians are removed.
-    pub cull_opacity: f64,
-    /// Standard deviation above which they are removed.
-    pub cull_scale: f64,
-    /// Culling leaves at least this many.
-    pub floor: usize,
-    /// Growth leaves at most this many.
-    pub most: usize,
-    /// Whether Adam's moments of the water's coefficients start anew.
-    pub reset_medium: bool,
-}
+/// Does the work of training stage 1. See the [module](self) for the order of calls.
+pub trait Engine: Diagnostics {
+    /// Takes a training view: its camera and its pixels as they are stored. Views count from 0, in this order.
+    fn upload(&mut self, view: TrainingView) -> Result<usize, EngineError>;
 
-/// What came of a refinement.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct RefineReport {
-    /// Gaussians replaced by two smaller ones.
-    pub split: usize,
-    /// Gaussians that got a twin.
-    pub duplicated: usize,
-    /// Gaussians removed.
-    pub culled: usize,
-    /// Gaussians that would have been removed, but for the floor.
-    pub spared: usize,
-    /// Gaussians that would have been split or duplicated, but for the cap.
-    pub held_back: usize,
-}
+    /// Takes the state that the next step starts from: a [new](TrainingState::new) one or one that was saved, by whichever engine. One
+    /// that [does not agree with itself](TrainingState::check) is refused.
+    fn load(&mut self, state: TrainingState) -> Result<(), EngineError>;
 
-/// Does the work of training.
-pub trait Engine {
-    /// Takes a training view; its index.
-    fn upload(&mut self, view: TrainingView) -> usize;
-    /// Lets every uploaded view have a gain per channel, starting from these (positive, one row per view).
-    fn expose(&mut self, gains: &[[f64; 3]]);
-    /// The views' gains as they are; empty where they have none.
-    fn exposures(&self) -> Vec<[f32; 3]>;
-    /// Number of Gaussians.
-    fn gaussians(&self) -> usize;
-    /// One step on an uploaded view: render, loss, gradients, Adam.
-    fn step(&mut self, view: usize, settings: &StepSettings) -> StepReport;
-    /// Splits, duplicates and removes Gaussians; statistics start anew.
-    fn refine(&mut self, settings: &RefineSettings) -> RefineReport;
-    /// Density statistics start anew, without a refinement.
-    fn forget_statistics(&mut self);
+    /// The state after every step that was asked for. An engine whose state lies in main memory lends it.
+    fn save(&mut self) -> Result<Cow<'_, TrainingState>, EngineError>;
+
+    /// Asks for one step on an uploaded view: render, loss, gradients, Adam.
+    fn step(&mut self, view: usize, plan: &StepPlan) -> Result<(), EngineError>;
+
+    /// The reports of steps, in the order in which they were asked for, each once.
+    fn drain(&mut self, which: Drain) -> Result<Vec<StepReport>, EngineError>;
+
+    /// What density control needs to know of every Gaussian.
+    fn survey(&mut self) -> Result<Survey, EngineError>;
+
+    /// Density statistics start anew.
+    fn forget_statistics(&mut self) -> Result<(), EngineError>;
+
+    /// Makes the scene that these rows describe: what is kept keeps its moments, what is new starts with zero moments, and density
+    /// statistics start anew. [`rebuilt`](crate::density::rebuilt) says what every row is.
+    fn rebuild(&mut self, rows: &[Origin], draws: &Draws) -> Result<(), EngineError>;
+
     /// Lowers opacities to a ceiling and zeroes their moments.
-    fn limit_opacity(&mut self, ceiling: f64);
-    /// Renders a camera with the present state; `water` receives the medium's maps.
-    fn render(&mut self, camera: &Camera, degree: usize, out: &mut Rendered, water: &mut MediumMaps);
-    /// (pixel, Gaussian) pairs that contribute to an uploaded view with the present state, about: counted at every fourth pixel both
-    /// ways.
-    fn contributing_pairs(&mut self, view: usize, divisor: usize, degree: usize) -> f64;
-    /// Everything a checkpoint needs.
-    fn state(&self) -> EngineState<'_>;
-    /// Takes a checkpoint's state; `false` (nothing changed) if it does not fit.
-    fn restore(&mut self, state: &EngineState<'_>) -> bool;
-    /// The scene as it is.
-    fn download(&self) -> (Gaussians, MediumModel);
+    fn limit_opacity(&mut self, ceiling: f64) -> Result<(), EngineError>;
+
+    /// Adam's moments of the water's coefficients (constant and directional) start anew.
+    fn forget_water_moments(&mut self) -> Result<(), EngineError>;
+
+    /// Renders a camera with the present state, gains left out.
+    fn render(&mut self, camera: &Camera, degrees: Degrees, out: &mut Image) -> Result<(), EngineError>;
+}
+
+/// What an engine may tell of its work besides. Nothing here enters a result, and an engine that knows none of it keeps the defaults.
+pub trait Diagnostics {
+    /// (pixel, Gaussian) pairs that contribute to an uploaded view with the present state, about; `None` where nobody counts them.
+    fn contributing_pairs(
+        &mut self,
+        _view: usize,
+        _divisor: usize,
+        _degree: usize,
+    ) -> Result<Option<f64>, EngineError> {
+        Ok(None)
+    }
+
     /// Time spent per part of a step.
-    fn profile(&self) -> &Profile<StepPart>;
+    fn profile(&self) -> Profile<StepPart> {
+        Profile::default()
+    }
+
     /// Bytes of parameters, moments, views and buffers, about.
-    fn memory(&self) -> usize;
+    fn memory(&self) -> usize {
+        0
+    }
 }

@@ -1,66 +1,275 @@
-//! An engine's state as plain arrays: what a checkpoint holds. On the way out they are the engine's own, borrowed.
+//! The state of training between two steps: what an engine starts from, and what a checkpoint holds.
+//!
+//! Plain rows in main memory, the same for every engine, so that a run can go on with another one.
 
-use std::borrow::Cow;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use use3d_medium::{MOST_ANCHORS, MediumGlobal, MediumKind, MediumMlp, MediumModel, MediumRbf};
+use use3d_splat::{GaussianGradients, Gaussians};
+use use3d_training::EngineError;
 
-use serde::{Deserialize, Serialize};
-use use3d_splat::Gaussians;
+use crate::exposure::Exposures;
 
-use crate::exposure::ExposureArrays;
-
-/// The five arrays of [`Gaussians`], flat.
+/// Both moments of every parameter of the Gaussians, stored like the parameters.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct GaussianArrays<'a> {
-    sh_degree: usize,
-    means: Cow<'a, [f32]>,
-    log_scales: Cow<'a, [f32]>,
-    quaternions: Cow<'a, [f32]>,
-    opacity_logits: Cow<'a, [f32]>,
-    sh: Cow<'a, [f32]>,
+pub struct Moments {
+    /// Means of gradients.
+    #[serde(with = "GaussianRows")]
+    pub first: Gaussians,
+    /// Means of squared gradients.
+    #[serde(with = "GaussianRows")]
+    pub second: Gaussians,
 }
 
-impl<'a> From<&'a Gaussians> for GaussianArrays<'a> {
-    fn from(g: &'a Gaussians) -> Self {
-        Self {
-            sh_degree: g.sh_degree,
-            means: g.means.as_flattened().into(),
-            log_scales: g.log_scales.as_flattened().into(),
-            quaternions: g.quaternions.as_flattened().into(),
-            opacity_logits: (&g.opacity_logits).into(),
-            sh: g.sh.as_flattened().as_flattened().into(),
-        }
+impl Moments {
+    /// All zero.
+    pub fn new(gaussians: &Gaussians) -> Self {
+        let zeros = zeros(gaussians.len(), gaussians.sh_degree);
+        Self { first: zeros.clone(), second: zeros }
     }
 }
 
-impl GaussianArrays<'_> {
-    /// The Gaussians, if the lengths agree.
-    pub fn to_gaussians(&self) -> Option<Gaussians> {
-        let n = self.opacity_logits.len();
-        let fits = self.means.len() == 3 * n
-            && self.log_scales.len() == 3 * n
-            && self.quaternions.len() == 4 * n
-            && self.sh.len() == 48 * n
-            && self.sh_degree <= 3;
-        fits.then(|| Gaussians {
-            sh_degree: self.sh_degree,
-            means: bytemuck::cast_slice(&self.means).to_vec(),
-            log_scales: bytemuck::cast_slice(&self.log_scales).to_vec(),
-            quaternions: bytemuck::cast_slice(&self.quaternions).to_vec(),
-            opacity_logits: self.opacity_logits.to_vec(),
-            sh: bytemuck::cast_slice(&self.sh).to_vec(),
-        })
+/// Screen gradients since the last refinement, one row per Gaussian.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Statistics {
+    /// Sums of their norms, as [density control](crate::density) scales them.
+    pub norms: Vec<f32>,
+    /// Renders in which the Gaussian was visible.
+    pub renders: Vec<u32>,
+}
+
+impl Statistics {
+    /// Of `n` Gaussians that were not seen yet.
+    pub fn new(n: usize) -> Self {
+        Self { norms: vec![0.0; n], renders: vec![0; n] }
+    }
+
+    /// Adds one render of `width × height` pixels, norms times `scale`.
+    pub fn gather(&mut self, gradients: &GaussianGradients, width: usize, height: usize, scale: f32) {
+        let (sx, sy) = (0.5 * scale * width as f32, 0.5 * scale * height as f32);
+        for (i, (screen, &visible)) in gradients.screen.iter().zip(&gradients.visible).enumerate() {
+            if visible {
+                let (x, y) = (sx * screen[0], sy * screen[1]);
+                self.norms[i] += (x * x + y * y).sqrt();
+                self.renders[i] += 1;
+            }
+        }
+    }
+
+    /// The mean norm of a Gaussian, 0 where it was not seen.
+    pub fn mean(&self, gaussian: usize) -> f64 {
+        match self.renders[gaussian] {
+            0 => 0.0,
+            n => f64::from(self.norms[gaussian]) / f64::from(n),
+        }
     }
 }
 
 /// Parameters, moments and statistics of a run between two steps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct EngineState<'a> {
-    pub(crate) gaussians: GaussianArrays<'a>,
-    pub(crate) first: GaussianArrays<'a>,
-    pub(crate) second: GaussianArrays<'a>,
-    pub(crate) norms: Cow<'a, [f32]>,
-    pub(crate) renders: Cow<'a, [u32]>,
-    /// The water's flat parameters and moments.
-    pub(crate) medium: [Cow<'a, [f32]>; 3],
-    /// The views' gains.
-    pub(crate) exposures: ExposureArrays<'a>,
+pub struct TrainingState {
+    /// The form of this record, [`TrainingState::VERSION`].
+    pub version: u32,
+    /// The Gaussians, N of them.
+    #[serde(with = "GaussianRows")]
+    pub gaussians: Gaussians,
+    /// Their moments, N rows each.
+    pub moments: Moments,
+    /// Their statistics, N rows.
+    pub statistics: Statistics,
+    /// The water.
+    #[serde(with = "water")]
+    pub medium: MediumModel,
+    /// First and second moments of the water's [flat](MediumModel::flat) parameters.
+    pub medium_moments: [Vec<f32>; 2],
+    /// The training views' gains; none where all views are taken with one exposure.
+    pub exposures: Exposures,
+}
+
+impl TrainingState {
+    /// The form of this record.
+    pub const VERSION: u32 = 2;
+
+    /// What a run starts from: these Gaussians, this water, and these gains of the training views (positive, none if no view has
+    /// one).
+    pub fn new(gaussians: Gaussians, medium: MediumModel, gains: &[[f64; 3]]) -> Self {
+        let count = medium.parameter_count();
+        Self {
+            version: Self::VERSION,
+            moments: Moments::new(&gaussians),
+            statistics: Statistics::new(gaussians.len()),
+            gaussians,
+            medium,
+            medium_moments: [vec![0.0; count], vec![0.0; count]],
+            exposures: Exposures::new(gains),
+        }
+    }
+
+    /// Whether the version is this one and all lengths agree with each other and with so many training views.
+    pub fn check(&self, views: usize) -> Result<(), EngineError> {
+        let wrong = |what: String| Err(EngineError::State(what));
+        if self.version != Self::VERSION {
+            let (found, known) = (self.version, Self::VERSION);
+            return wrong(format!("it is of version {found}, expected {known}; start anew"));
+        }
+        let n = self.gaussians.len();
+        for (what, rows) in [
+            ("Gaussians", &self.gaussians),
+            ("first moments", &self.moments.first),
+            ("second moments", &self.moments.second),
+        ] {
+            let lengths = [
+                rows.means.len(),
+                rows.log_scales.len(),
+                rows.quaternions.len(),
+                rows.opacity_logits.len(),
+                rows.sh.len(),
+            ];
+            if lengths.iter().any(|l| *l != n) {
+                return wrong(format!("its {what} have {lengths:?} rows, expected {n} in every array"));
+            }
+        }
+        if self.gaussians.sh_degree > 3 {
+            return wrong(format!("its colours have degree {}, expected 0 to 3", self.gaussians.sh_degree));
+        }
+        let statistics = [self.statistics.norms.len(), self.statistics.renders.len()];
+        if statistics != [n; 2] {
+            return wrong(format!("its statistics have {statistics:?} rows, expected {n}"));
+        }
+        let (count, moments) = (self.medium.parameter_count(), self.medium_moments.each_ref().map(Vec::len));
+        if moments != [count; 2] {
+            return wrong(format!("the water's moments have {moments:?} values, expected {count}"));
+        }
+        let exposures = self.exposures.lengths();
+        if exposures != [exposures[0]; 4] || ![0, views].contains(&exposures[0]) {
+            return wrong(format!("its gains have {exposures:?} rows, expected none or {views}"));
+        }
+        Ok(())
+    }
+}
+
+/// `n` Gaussians with every parameter zero.
+pub(crate) fn zeros(n: usize, sh_degree: usize) -> Gaussians {
+    Gaussians {
+        sh_degree,
+        means: vec![[0.0; 3]; n],
+        log_scales: vec![[0.0; 3]; n],
+        quaternions: vec![[0.0; 4]; n],
+        opacity_logits: vec![0.0; n],
+        sh: vec![[[0.0; 3]; 16]; n],
+    }
+}
+
+/// How Gaussians are written: `splat` knows of no formats.
+#[derive(Serialize, Deserialize)]
+#[serde(remote = "Gaussians")]
+struct GaussianRows {
+    sh_degree: usize,
+    means: Vec<[f32; 3]>,
+    log_scales: Vec<[f32; 3]>,
+    quaternions: Vec<[f32; 4]>,
+    opacity_logits: Vec<f32>,
+    sh: Vec<[[f32; 3]; 16]>,
+}
+
+/// How the water is written: its kind, what its size follows from, and its flat parameters.
+mod water {
+    use super::*;
+
+    #[derive(Serialize, Deserialize)]
+    struct Flat {
+        kind: String,
+        anchors: usize,
+        top_k: usize,
+        values: Vec<f32>,
+    }
+
+    pub(super) fn serialize<S: Serializer>(water: &MediumModel, serializer: S) -> Result<S::Ok, S::Error> {
+        let (anchors, top_k) = match water {
+            MediumModel::Rbf(rbf) => (rbf.len(), rbf.top_k),
+            _ => (0, 0),
+        };
+        let kind = water.kind().name().to_string();
+        Flat { kind, anchors, top_k, values: water.flat() }.serialize(serializer)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<MediumModel, D::Error> {
+        use serde::de::Error;
+
+        let Flat { kind, anchors, top_k, values } = Flat::deserialize(deserializer)?;
+        let kind = MediumKind::from_name(&kind)
+            .ok_or_else(|| D::Error::custom(format!("there is no water of kind `{kind}`")))?;
+        let mut water = match kind {
+            MediumKind::None => MediumModel::None,
+            MediumKind::Global => MediumModel::Global(MediumGlobal::new()),
+            MediumKind::Rbf if (1..=MOST_ANCHORS).contains(&anchors) && (1..=anchors).contains(&top_k) => {
+                MediumModel::Rbf(MediumRbf::new(anchors, top_k))
+            }
+            MediumKind::Rbf => {
+                return Err(D::Error::custom(format!("water of {anchors} anchors, {top_k} of which count")));
+            }
+            MediumKind::Mlp => MediumModel::Mlp(MediumMlp::new(0)),
+        };
+        if water.set_flat(&values) {
+            Ok(water)
+        } else {
+            Err(D::Error::custom(format!("{} parameters of the water", values.len())))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn state(medium: MediumModel) -> TrainingState {
+        let mut gaussians = zeros(3, 2);
+        gaussians.means[1] = [1.0, -0.0, f32::MIN_POSITIVE];
+        gaussians.sh[2][15] = [0.25, 0.5, 0.75];
+        let mut state = TrainingState::new(gaussians, medium, &[[1.0; 3], [2.0; 3]]);
+        state.moments.second.quaternions[0][3] = 7.0;
+        state.statistics.renders[2] = 4;
+        state
+    }
+
+    #[test]
+    fn a_state_goes_through_a_checkpoint_whatever_its_water() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = use3d_training::CheckpointFile::new(dir.path(), "state");
+        let mut rbf = MediumRbf::new(5, 3);
+        rbf.log_widths[4] = 0.125;
+        let waters = [
+            MediumModel::None,
+            MediumModel::Global(MediumGlobal::new()),
+            MediumModel::Rbf(rbf),
+            MediumModel::Mlp(MediumMlp::new(9)),
+        ];
+        for water in waters {
+            let state = state(water);
+            file.save(&state).unwrap();
+            let read: TrainingState = file.load().unwrap().unwrap();
+            assert!(read == state, "{:?}", state.medium.kind());
+            read.check(2).unwrap();
+        }
+    }
+
+    #[test]
+    fn a_state_that_does_not_agree_is_refused_by_what_is_wrong() {
+        let good = state(MediumModel::Global(MediumGlobal::new()));
+        type Change = (&'static str, fn(&mut TrainingState));
+        let changes: [Change; 6] = [
+            ("version 1, expected 2", |s| s.version = 1),
+            ("first moments", |s| s.moments.first.means.truncate(1)),
+            ("Gaussians", |s| s.gaussians.sh.truncate(1)),
+            ("statistics", |s| s.statistics.norms.push(0.0)),
+            ("the water's moments", |s| s.medium_moments[1].clear()),
+            ("degree 4", |s| s.gaussians.sh_degree = 4),
+        ];
+        for (words, change) in changes {
+            let mut state = good.clone();
+            change(&mut state);
+            let error = state.check(2).unwrap_err().to_string();
+            assert!(error.contains(words), "{error}");
+        }
+        assert!(good.check(3).unwrap_err().to_string().contains("gains"));
+    }
 }

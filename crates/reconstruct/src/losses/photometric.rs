@@ -68,6 +68,11 @@ impl PhotometricLoss {
         }
     }
 
+    /// Takes another structure weight.
+    pub fn set_structure_weight(&mut self, lambda: f64) {
+        self.lambda = lambda;
+    }
+
     /// Value, and the gradient with respect to `prediction`. The images (and the mask, weights in `[0, 1]`) have one size.
     pub fn evaluate(
         &mut self,

@@ -11,50 +11,75 @@
 //! deviation exceeds a size is replaced by two drawn from it, 1.6 times smaller; a smaller one gets a twin. Faint and huge ones
 //! are removed, but never below a floor (the most opaque stay), and growth stops at a cap (the strongest pulls first). New Gaussians
 //! start with zero moments.
+//!
+//! An engine is asked for a [`Survey`]; [`plan`] says which rows the refined scene has, [`rebuilt`] what each of them is. Both are
+//! functions of their arguments alone, so that every engine refines alike: it may follow `rebuilt` or do the same where its arrays are.
 
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
-use use3d_splat::{GaussianGradients, Gaussians};
+use use3d_splat::Gaussians;
 
-use super::{RefineReport, RefineSettings};
+use crate::engine::Statistics;
 
-/// Screen gradients since the last refinement.
+/// What density control knows of every Gaussian: N rows each.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Statistics {
-    /// Sums of the norms.
-    pub(crate) norms: Vec<f32>,
-    /// Renders in which the Gaussian was visible.
-    pub(crate) renders: Vec<u32>,
+pub struct Survey {
+    /// Opacity logits.
+    pub opacity_logits: Vec<f32>,
+    /// The largest of the three log standard deviations.
+    pub log_sizes: Vec<f32>,
+    /// Screen gradients since the last refinement.
+    pub statistics: Statistics,
 }
 
-impl Statistics {
-    pub(crate) fn new(n: usize) -> Self {
-        Self { norms: vec![0.0; n], renders: vec![0; n] }
-    }
-
-    /// Adds one render of `width × height` pixels, norms times `scale`.
-    pub(crate) fn gather(&mut self, gradients: &GaussianGradients, width: usize, height: usize, scale: f32) {
-        let (sx, sy) = (0.5 * scale * width as f32, 0.5 * scale * height as f32);
-        for (i, (screen, &visible)) in gradients.screen.iter().zip(&gradients.visible).enumerate() {
-            if visible {
-                let (x, y) = (sx * screen[0], sy * screen[1]);
-                self.norms[i] += (x * x + y * y).sqrt();
-                self.renders[i] += 1;
-            }
+impl Survey {
+    /// Of Gaussians and their statistics in main memory.
+    pub fn of(gaussians: &Gaussians, statistics: &Statistics) -> Self {
+        Self {
+            opacity_logits: gaussians.opacity_logits.clone(),
+            log_sizes: gaussians.log_scales.iter().map(|s| s[0].max(s[1]).max(s[2])).collect(),
+            statistics: statistics.clone(),
         }
     }
+}
 
-    fn mean(&self, i: usize) -> f64 {
-        match self.renders[i] {
-            0 => 0.0,
-            n => f64::from(self.norms[i]) / f64::from(n),
-        }
-    }
+/// What one refinement goes by.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RefineSettings {
+    /// Whether Gaussians are split and duplicated.
+    pub grow: bool,
+    /// Mean absolute screen gradient above which they are.
+    pub gradient_threshold: f64,
+    /// Largest standard deviation of a duplicate.
+    pub split_scale: f64,
+    /// Opacity below which Gaussians are removed.
+    pub cull_opacity: f64,
+    /// Standard deviation above which they are removed.
+    pub cull_scale: f64,
+    /// Culling leaves at least this many.
+    pub floor: usize,
+    /// Growth leaves at most this many.
+    pub most: usize,
+}
+
+/// What comes of a refinement.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RefineReport {
+    /// Gaussians replaced by two smaller ones.
+    pub split: usize,
+    /// Gaussians that got a twin.
+    pub duplicated: usize,
+    /// Gaussians removed.
+    pub culled: usize,
+    /// Gaussians that would have been removed, but for the floor.
+    pub spared: usize,
+    /// Gaussians that would have been split or duplicated, but for the cap.
+    pub held_back: usize,
 }
 
 /// Where a row of the refined scene comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Origin {
+pub enum Origin {
     /// The Gaussian itself, with its moments.
     Kept(usize),
     /// A twin.
@@ -63,26 +88,54 @@ pub(crate) enum Origin {
     Child(usize, usize),
 }
 
+impl Origin {
+    /// The Gaussian that it is, or is made from.
+    pub fn source(self) -> usize {
+        match self {
+            Self::Kept(i) | Self::Twin(i) | Self::Child(i, _) => i,
+        }
+    }
+}
+
+/// What the children of a refinement are drawn with: the same draws wherever they are made.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Draws {
+    /// Seed of the run.
+    pub seed: u64,
+    /// The step, from 0.
+    pub step: u64,
+    /// Factor by which a split's children are smaller.
+    pub shrink: f64,
+}
+
+impl Draws {
+    /// Where a child lies in its parent, in standard deviations along the parent's axes.
+    pub fn place(&self, parent: usize, child: usize) -> [f64; 3] {
+        let stream = Stream::new(self.seed, Purpose::new("split Gaussians"), self.step);
+        std::array::from_fn(|axis| stream.normal((6 * parent + 3 * child + axis) as u64))
+    }
+
+    /// By how much a child's log scales are less than its parent's.
+    pub fn smaller(&self) -> f32 {
+        math::ln(self.shrink) as f32
+    }
+}
+
 /// The rows of the refined scene: survivors in their order, then twins and children in the order of their parents.
-pub(crate) fn plan(
-    gaussians: &Gaussians,
-    statistics: &Statistics,
-    settings: &RefineSettings,
-) -> (Vec<Origin>, RefineReport) {
-    let n = gaussians.len();
+/// All of `survey` has one length.
+pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineReport) {
+    let Survey { opacity_logits, log_sizes, statistics } = survey;
+    let n = opacity_logits.len();
     let mut report = RefineReport::default();
-    let largest = |i: usize| {
-        let s = gaussians.log_scales[i];
-        math::exp(f64::from(s[0].max(s[1]).max(s[2])))
-    };
+    let largest = |i: usize| math::exp(f64::from(log_sizes[i]));
     let faint = logit(settings.cull_opacity);
     let mut keep: Vec<bool> =
-        (0..n).map(|i| gaussians.opacity_logits[i] >= faint && largest(i) <= settings.cull_scale).collect();
+        (0..n).map(|i| opacity_logits[i] >= faint && largest(i) <= settings.cull_scale).collect();
     let survivors = keep.iter().filter(|k| **k).count();
     let floor = settings.floor.min(n);
     if survivors < floor {
         let mut condemned: Vec<usize> = (0..n).filter(|&i| !keep[i]).collect();
-        let opacity = |i: usize| gaussians.opacity_logits[i];
+        let opacity = |i: usize| opacity_logits[i];
         condemned.sort_by(|&a, &b| opacity(b).total_cmp(&opacity(a)).then(a.cmp(&b)));
         for &i in condemned.iter().take(floor - survivors) {
             keep[i] = true;
@@ -120,22 +173,16 @@ pub(crate) fn plan(
     (rows, report)
 }
 
-/// The Gaussians of a plan.
-pub(crate) fn apply(gaussians: &Gaussians, rows: &[Origin], settings: &RefineSettings) -> Gaussians {
-    let sources: Vec<usize> = rows
-        .iter()
-        .map(|r| match *r {
-            Origin::Kept(i) | Origin::Twin(i) | Origin::Child(i, _) => i,
-        })
-        .collect();
+/// The Gaussians of these rows: what is kept and twins as they are, children drawn from their parents and smaller.
+pub fn rebuilt(gaussians: &Gaussians, rows: &[Origin], draws: &Draws) -> Gaussians {
+    let sources: Vec<usize> = rows.iter().map(|row| row.source()).collect();
     let mut refined = gaussians.select(&sources);
-    let stream = Stream::new(settings.seed, Purpose::new("split Gaussians"), settings.step);
-    let smaller = math::ln(settings.shrink) as f32;
+    let smaller = draws.smaller();
     for (row, origin) in rows.iter().enumerate() {
         let Origin::Child(parent, child) = *origin else { continue };
+        let place = draws.place(parent, child);
         let local: [f64; 3] = std::array::from_fn(|axis| {
-            let draw = stream.normal((6 * parent + 3 * child + axis) as u64);
-            math::exp(f64::from(gaussians.log_scales[parent][axis])) * draw
+            math::exp(f64::from(gaussians.log_scales[parent][axis])) * place[axis]
         });
         let offset = rotate(gaussians.quaternions[parent], local);
         for axis in 0..3 {
@@ -160,25 +207,22 @@ pub(crate) fn logit(p: f64) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::adam::zeros;
     use super::*;
+    use crate::engine::zeros;
 
     const SETTINGS: RefineSettings = RefineSettings {
-        step: 700,
-        seed: 1,
         grow: true,
         gradient_threshold: 8e-4,
         split_scale: 1e-3,
-        shrink: 1.6,
         cull_opacity: 0.5,
         cull_scale: 10.0,
         floor: 2,
         most: 1000,
-        reset_medium: true,
     };
+    const DRAWS: Draws = Draws { seed: 1, step: 700, shrink: 1.6 };
 
     /// Gaussians with (opacity logit, standard deviation, mean screen gradient).
-    fn scene(rows: &[(f32, f32, f32)]) -> (Gaussians, Statistics) {
+    fn scene(rows: &[(f32, f32, f32)]) -> (Gaussians, Survey) {
         let mut g = zeros(rows.len(), 0);
         let mut statistics = Statistics::new(rows.len());
         for (i, &(logit, deviation, gradient)) in rows.iter().enumerate() {
@@ -189,7 +233,8 @@ mod tests {
             statistics.norms[i] = 4.0 * gradient;
             statistics.renders[i] = 4;
         }
-        (g, statistics)
+        let survey = Survey::of(&g, &statistics);
+        (g, survey)
     }
 
     #[test]
@@ -201,29 +246,29 @@ mod tests {
             (-0.1, 0.1, 1.0),  // faint: removed
             (2.0, 11.0, 1.0),  // huge: removed
         ]);
-        let (rows, report) = plan(&g, &s, &SETTINGS);
+        let (rows, report) = plan(&s, &SETTINGS);
         use Origin::*;
         assert_eq!(rows, [Kept(0), Kept(2), Child(1, 0), Child(1, 1), Twin(2)]);
         assert_eq!(report, RefineReport { split: 1, duplicated: 1, culled: 2, spared: 0, held_back: 0 });
-        let refined = apply(&g, &rows, &SETTINGS);
+        let refined = rebuilt(&g, &rows, &DRAWS);
         assert_eq!(refined.means[4], g.means[2]);
         assert!((refined.log_scales[2][0] - math::ln(0.1f32 / 1.6)).abs() < 1e-6);
         assert!(refined.means[2] != refined.means[3] && (refined.means[2][0] - 1.0).abs() < 0.6);
         // Drawn from the parent: next to nothing along its thin axes.
         assert!(refined.means[2][1].abs() < 1e-2);
         // Without growth only the removals remain.
-        let (rows, _) = plan(&g, &s, &RefineSettings { grow: false, ..SETTINGS });
+        let (rows, _) = plan(&s, &RefineSettings { grow: false, ..SETTINGS });
         assert_eq!(rows, [Kept(0), Kept(1), Kept(2)]);
     }
 
     #[test]
     fn the_floor_spares_the_most_opaque_and_the_cap_prefers_the_strongest_pulls() {
-        let (g, s) = scene(&[(-3.0, 0.1, 0.0), (-1.0, 0.1, 0.0), (-2.0, 0.1, 0.0)]);
-        let (rows, report) = plan(&g, &s, &SETTINGS);
+        let (_, s) = scene(&[(-3.0, 0.1, 0.0), (-1.0, 0.1, 0.0), (-2.0, 0.1, 0.0)]);
+        let (rows, report) = plan(&s, &SETTINGS);
         assert_eq!(rows, [Origin::Kept(1), Origin::Kept(2)]);
         assert_eq!((report.culled, report.spared), (1, 2));
-        let (g, s) = scene(&[(2.0, 1e-4, 1e-3), (2.0, 1e-4, 3e-3), (2.0, 1e-4, 2e-3)]);
-        let (rows, report) = plan(&g, &s, &RefineSettings { most: 4, ..SETTINGS });
+        let (_, s) = scene(&[(2.0, 1e-4, 1e-3), (2.0, 1e-4, 3e-3), (2.0, 1e-4, 2e-3)]);
+        let (rows, report) = plan(&s, &RefineSettings { most: 4, ..SETTINGS });
         assert_eq!(rows.last(), Some(&Origin::Twin(1)));
         assert_eq!((rows.len(), report.held_back), (4, 2));
     }
@@ -239,8 +284,8 @@ mod tests {
             g.quaternions[i] = [2.0 * math::cos(angle), 0.0, 0.0, 2.0 * math::sin(angle)];
         }
         let settings = RefineSettings { most: 10 * n, ..SETTINGS };
-        let (rows, _) = plan(&g, &s, &settings);
-        let refined = apply(&g, &rows, &settings);
+        let (rows, _) = plan(&s, &settings);
+        let refined = rebuilt(&g, &rows, &DRAWS);
         let spread = |axis: usize| {
             (refined.means.iter().map(|m| math::powi(f64::from(m[axis]), 2)).sum::<f64>()
                 / refined.len() as f64)
