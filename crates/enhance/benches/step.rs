@@ -9,7 +9,8 @@ use use3d_atc::consensus::{LocalConsensus, Targets};
 use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::proposers::ProposerId;
 use use3d_capture::{Appearance, Camera, Frame, Image, Intrinsics, Lattice, MediumMaps, Pose};
-use use3d_enhance::{Engine, EnhanceParams, EnhanceView, Guidance};
+use use3d_enhance::engine::CpuFieldEngine;
+use use3d_enhance::{EnhanceParams, EnhanceView, Guidance};
 use use3d_medium::{MediumModel, MediumRbf};
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_scene::Scene;
@@ -103,10 +104,11 @@ fn steps(c: &mut Criterion) {
 
         let view = EnhanceView { name: "bench".into(), camera };
         let params = EnhanceParams::default();
-        let mut engine = Engine::new(&scene, &[view], Guidance::Targets(&targets), &params, &mut Silent)
-            .expect("a valid scene");
+        let guidance = Guidance::Targets(&targets);
+        let mut engine =
+            CpuFieldEngine::new(&scene, &[view], guidance, &params, &mut Silent).expect("a valid scene");
         group.bench_function("stage 2 step", |b| {
-            b.iter(|| black_box(engine.step(0).expect("a finite step").total));
+            b.iter(|| black_box(engine.differentiate(0).expect("a finite step").total));
         });
         group.finish();
     }

@@ -1,7 +1,7 @@
 //! What can go wrong in stage 2.
 
 use use3d_atc::AtcError;
-use use3d_training::{CheckpointError, NonFinite};
+use use3d_training::{CheckpointError, EngineError, NonFinite};
 use use3d_ubaf::FieldError;
 
 /// An error of stage 2.
@@ -48,6 +48,9 @@ pub enum EnhanceError {
     /// Numbers left the finite range.
     #[error(transparent)]
     NonFinite(#[from] NonFinite),
+    /// The engine failed.
+    #[error(transparent)]
+    Engine(#[from] EngineError),
     /// A checkpoint could not be written.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),

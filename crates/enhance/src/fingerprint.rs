@@ -2,7 +2,7 @@
 
 use use3d_scene::Scene;
 
-use crate::view::{EnhanceView, Guidance, Reference, ViewConstants};
+use crate::view::{EnhanceView, Guidance};
 use crate::{EnhanceError, EnhanceParams};
 
 /// The digest. How long to train, how often to save and how much to keep in memory are left out: they may change between two
@@ -11,7 +11,6 @@ pub(crate) fn fingerprint(
     scene: &Scene,
     views: &[EnhanceView],
     guidance: Guidance<'_>,
-    constants: &[ViewConstants],
     params: &EnhanceParams,
 ) -> Result<[u8; 32], EnhanceError> {
     let mut hash = blake3::Hasher::new();
@@ -49,11 +48,9 @@ pub(crate) fn fingerprint(
         Guidance::Targets(targets) => {
             hash.update(&targets.to_bytes()?);
         }
-        Guidance::Labels(_) => {
-            for view in constants {
-                if let Reference::Label(pixels) = &view.reference {
-                    hash.update(bytemuck::cast_slice(pixels.data()));
-                }
+        Guidance::Labels(labels) => {
+            for pixels in labels.views() {
+                hash.update(bytemuck::cast_slice(pixels.data()));
             }
         }
     }

@@ -20,16 +20,17 @@
 //! weighs. Source and render are sampled alike, so equal images still have the identity transition, and operators are means
 //! over many pixels, which a tenth of them give as well. What was reached is measured with the whole resize.
 //!
-//! [`enhance`] is the loop; [`KnownViews`] draws what stage 1 knows of a view, which targets in clear radiance start from; [`Renderer`] draws a scene with or without its enhancement; [`bake`] writes the
+//! [`enhance`] is the loop; the work of its steps is a [`FieldEngine`](engine::FieldEngine)'s, which whoever calls chooses; [`KnownViews`] draws what stage 1 knows of a view, which targets in clear radiance start from; [`Renderer`] draws a scene with or without its enhancement; [`bake`] writes the
 //! enhancement into spherical harmonics for viewers that know nothing of it.
 
 mod bake;
-mod engine;
+pub mod engine;
 mod error;
 mod fingerprint;
 #[cfg(test)]
 mod golden;
 mod known;
+mod labels;
 mod objective;
 mod params;
 mod profile;
@@ -39,13 +40,13 @@ mod run;
 mod view;
 
 pub use bake::{BakeReport, bake};
-pub use engine::{Engine, StepLosses};
 pub use error::EnhanceError;
 pub use known::KnownViews;
+pub use labels::{LabelSource, PseudoLabels};
 pub use objective::{Realised, global_loss, local_loss, smooth_l1};
 pub use params::{EnhanceParams, Objective, PixelLoss, Start};
 pub use profile::StepPart;
 pub use render::{Look, Renderer};
 pub use report::{LogEntry, Outcome, Report, ViewErrors, ViewReport};
 pub use run::enhance;
-pub use view::{EnhanceView, Guidance, LabelSource};
+pub use view::{EnhanceView, Guidance};

@@ -3,19 +3,22 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use use3d_numerics::adam::Adam;
 use use3d_numerics::random::Purpose;
 use use3d_scene::Scene;
-use use3d_training::guard::first_non_finite;
-use use3d_training::{Checkpoints, NonFinite, Observer, Pace, Progress, Resumable, ViewOrder};
+use use3d_training::{
+    Checkpoints, Drain, Ended, EngineError, NonFinite, Observer, Progress, Resumable, Session, Steps,
+    ViewOrder,
+};
 use use3d_ubaf::Enhancement;
 use use3d_ubaf::water::ratios;
 
-use crate::engine::{Engine, StepLosses};
+use crate::engine::{
+    Coverage, FieldEngine, FieldPlan, FieldState, Reading, StepLosses, check_inputs, initial_field,
+};
 use crate::fingerprint::fingerprint;
 use crate::report::{LogEntry, Outcome, Report, ViewReport};
 use crate::view::{EnhanceView, Guidance};
-use crate::{EnhanceError, EnhanceParams, Start};
+use crate::{EnhanceError, EnhanceParams, Start, ViewErrors};
 
 const VIEWS: Purpose = Purpose::new("stage 2 views");
 /// What the names of this loop's checkpoints begin with.
@@ -27,14 +30,10 @@ struct State {
     fingerprint: [u8; 32],
     /// Steps done.
     step: u64,
-    parameters: Vec<f32>,
-    first_moment: Vec<f32>,
-    second_moment: Vec<f32>,
+    engine: FieldState,
     log: Vec<LogEntry>,
-    /// Sums over the current window of the log.
-    window: [f64; 7],
-    windowed: u64,
-    before: Vec<crate::ViewErrors>,
+    window: Window,
+    before: Vec<ViewErrors>,
 }
 
 impl Resumable for State {
@@ -47,132 +46,15 @@ impl Resumable for State {
     }
 }
 
-/// Learns the enhanced appearance of a reconstructed scene.
-///
-/// `views` are the training views, in the scene's frame. With a `checkpoint_dir`, the state is saved there every
-/// `checkpoint_every` steps and when the observer asks to stop; a later call with the same inputs goes on from it with the same
-/// bits as an uninterrupted run. The scene's Gaussians and medium come back untouched.
-pub fn enhance(
-    scene: &Scene,
-    views: &[EnhanceView],
-    guidance: Guidance<'_>,
-    params: &EnhanceParams,
-    checkpoint_dir: Option<&Path>,
-    observer: &mut dyn Observer,
-) -> Result<Outcome, EnhanceError> {
-    let mut engine = Engine::new(scene, views, guidance, params, observer)?;
-    let digest = fingerprint(scene, views, guidance, &engine.views, params)?;
-    let checkpoints = checkpoint_dir.map(|dir| Checkpoints::new(dir, CHECKPOINT, &digest, params.iterations));
-    let mut state = match resume(checkpoints.as_ref(), observer)? {
-        Some(state) if state.parameters.len() == engine.field.parameters.len() => state,
-        _ => State::new(digest, &mut engine, params)?,
-    };
-    engine.field.parameters.copy_from_slice(&state.parameters);
-
-    let mut order = ViewOrder::new(params.seed, VIEWS, views.len());
-    let mut gradient = vec![0.0f32; engine.field.parameters.len()];
-    let mut display = Display::start();
-    while state.step < params.iterations {
-        let index = order.view(state.step);
-        let losses = engine.step(index)?;
-        let (step, name) = (state.step, &views[index].name);
-        let wrong = |what: &str, at| NonFinite { step, view: name.clone(), what: what.into(), index: at };
-        if !losses.total.is_finite() {
-            return Err(wrong("loss", None).into());
-        }
-        engine.gradient().round_into(&mut gradient);
-        if let Some(at) = first_non_finite(&gradient) {
-            return Err(wrong("gradient", Some(at)).into());
-        }
-        state.update(&mut engine, &gradient, params);
-        engine.end_step();
-        if let Some(at) = first_non_finite(&engine.field.parameters) {
-            return Err(wrong("parameter", Some(at)).into());
-        }
-        state.step += 1;
-        state.record(&losses, params);
-        observer.progress(&display.progress(
-            state.step,
-            losses.total,
-            params.iterations,
-            scene.gaussians.len(),
-        ));
-
-        let stop = observer.should_stop() && state.step < params.iterations;
-        if let Some(checkpoints) = &checkpoints
-            && (stop || state.step % params.checkpoint_every == 0 || state.step == params.iterations)
-        {
-            state.parameters.copy_from_slice(&engine.field.parameters);
-            checkpoints.save(state.step, &state)?;
-        }
-        if stop {
-            return Err(EnhanceError::Stopped { step: state.step });
-        }
-    }
-    // Only here, after the last checkpoint: a longer run that goes on from it still collects for this line.
-    if state.windowed > 0 {
-        state.end_window();
-    }
-    finish(scene, views, guidance, &mut engine, state)
+/// Sums since the last line of the log.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+struct Window {
+    sums: [f64; 7],
+    steps: u64,
 }
 
-/// The furthest state that this run can go on from.
-fn resume(
-    checkpoints: Option<&Checkpoints>,
-    observer: &mut dyn Observer,
-) -> Result<Option<State>, EnhanceError> {
-    let Some(checkpoints) = checkpoints else { return Ok(None) };
-    let found = checkpoints.load::<State>()?;
-    let going_on = found.state.as_ref().map(|state| format!("going on from step {}", state.step));
-    for message in found.notices.into_iter().chain(going_on) {
-        tracing::info!("{message}");
-        observer.notice(&message);
-    }
-    Ok(found.state)
-}
-
-impl State {
-    fn new(
-        fingerprint: [u8; 32],
-        engine: &mut Engine<'_>,
-        params: &EnhanceParams,
-    ) -> Result<Self, EnhanceError> {
-        let n = engine.field.parameters.len();
-        let before = (0..engine.views.len()).map(|v| engine.evaluate(v)).collect::<Result<_, _>>()?;
-        if params.start == Start::Operator {
-            engine.start_at_the_operator();
-        }
-        Ok(Self {
-            fingerprint,
-            step: 0,
-            parameters: engine.field.parameters.clone(),
-            first_moment: vec![0.0; n],
-            second_moment: vec![0.0; n],
-            log: Vec::new(),
-            window: [0.0; 7],
-            windowed: 0,
-            before,
-        })
-    }
-
-    /// Adam with a constant learning rate per group.
-    fn update(&mut self, engine: &mut Engine<'_>, gradient: &[f32], params: &EnhanceParams) {
-        let transport = engine.field.shape().transport();
-        let groups =
-            [(0..transport.start, params.learning_rate), (transport, params.transport_learning_rate)];
-        for (range, rate) in groups {
-            Adam::SPLATTING.update(
-                self.step + 1,
-                rate,
-                &mut engine.field.parameters[range.clone()],
-                &gradient[range.clone()],
-                &mut self.first_moment[range.clone()],
-                &mut self.second_moment[range],
-            );
-        }
-    }
-
-    fn record(&mut self, losses: &StepLosses, params: &EnhanceParams) {
+impl Window {
+    fn add(&mut self, losses: &StepLosses) {
         let values = [
             losses.total,
             losses.global.loss,
@@ -182,95 +64,205 @@ impl State {
             losses.global.error,
             losses.local.error,
         ];
-        for (sum, v) in self.window.iter_mut().zip(values) {
+        for (sum, v) in self.sums.iter_mut().zip(values) {
             *sum += v;
         }
-        self.windowed += 1;
-        if self.step.is_multiple_of(params.log_every) {
-            self.end_window();
-        }
+        self.steps += 1;
     }
 
-    /// The log line of the steps since the last one.
-    fn end_window(&mut self) {
+    /// The line of the steps up to `step`; the window starts anew.
+    fn flush(&mut self, step: u64) -> LogEntry {
+        let Self { sums, steps } = std::mem::take(self);
         let [loss, global, local, pixels, variation, global_error, local_error] =
-            self.window.map(|sum| sum / self.windowed as f64);
-        self.log.push(LogEntry {
-            step: self.step,
-            loss,
-            global,
-            local,
-            pixels,
-            variation,
-            global_error,
-            local_error,
-        });
-        self.window = [0.0; 7];
-        self.windowed = 0;
+            sums.map(|sum| sum / steps as f64);
+        LogEntry { step, loss, global, local, pixels, variation, global_error, local_error }
     }
 }
 
-fn finish(
+/// Learns the enhanced appearance of a reconstructed scene, with an engine that was made for this scene, these views and this guidance.
+///
+/// `views` are the training views, in the scene's frame. With a `checkpoint_dir`, the state is saved there every
+/// `checkpoint_every` steps and when the observer asks to stop; a later call with the same inputs goes on from it with the same
+/// bits as an uninterrupted run. The scene's Gaussians and medium come back untouched.
+pub fn enhance(
     scene: &Scene,
     views: &[EnhanceView],
     guidance: Guidance<'_>,
-    engine: &mut Engine<'_>,
-    state: State,
+    params: &EnhanceParams,
+    engine: &mut dyn FieldEngine,
+    checkpoint_dir: Option<&Path>,
+    observer: &mut dyn Observer,
 ) -> Result<Outcome, EnhanceError> {
-    let mut reports = Vec::with_capacity(views.len());
-    // Operators are measured as the extractor reads an image. Labels keep their sample: making them again would cost a proposal per
-    // view, and before and after must be of the same pixels.
-    let mut whole = match guidance {
-        Guidance::Targets(_) => Some(engine.whole(guidance)),
-        Guidance::Labels(_) => None,
+    check_inputs(scene, views, guidance, params)?;
+    let fingerprint = fingerprint(scene, views, guidance, params)?;
+    let session = Session {
+        steps: params.iterations,
+        checkpoints: checkpoint_dir
+            .map(|dir| Checkpoints::new(dir, CHECKPOINT, &fingerprint, params.iterations)),
+        every_steps: params.checkpoint_every,
+        every_minutes: f64::INFINITY,
     };
-    for (index, view) in views.iter().enumerate() {
-        let after = match &mut whole {
-            Some(whole) => engine.evaluate_with(whole, index, view)?,
-            None => engine.evaluate(index)?,
-        };
-        reports.push(ViewReport { name: view.name.clone(), before: state.before[index], after });
-    }
-    let centre = engine.centre();
-    let mut scene_affine = engine.field.affine();
-    for (r, row) in scene_affine.iter_mut().enumerate() {
-        row[r] += 1.0;
-    }
-    let report = Report {
-        views: reports,
-        views_in_memory: engine.views_in_memory(),
-        transport_ratios: ratios(&engine.field, 1.0),
-        scene_affine,
-        rendered_share: engine.rendered_share(),
+    let mut run = Run {
+        scene,
+        views,
+        guidance,
+        params,
+        order: ViewOrder::new(params.seed, VIEWS, views.len()),
+        engine,
+        fingerprint,
+        step: 0,
+        log: Vec::new(),
+        window: Window::default(),
+        before: Vec::new(),
+        smooth_loss: None,
     };
-    let enhancement = Enhancement { field: engine.field.clone(), centre, appearance: engine.appearance() };
-    let scene = Scene { enhancement: Some(enhancement), ..scene.clone() };
-    Ok(Outcome { scene, log: state.log, report, profile: engine.profile().clone() })
+    if !run.resume(&session, observer)? {
+        run.begin()?;
+    }
+    if let Ended::Stopped { step, .. } = session.run(run.step, &mut run, observer)? {
+        return Err(EnhanceError::Stopped { step });
+    }
+    run.finish()
 }
 
-/// Pace and smoothed loss for progress displays; not part of the result.
-struct Display {
-    pace: Pace,
-    loss: Option<f64>,
+/// A run between its first and last step.
+struct Run<'a> {
+    scene: &'a Scene,
+    views: &'a [EnhanceView],
+    guidance: Guidance<'a>,
+    params: &'a EnhanceParams,
+    order: ViewOrder,
+    engine: &'a mut dyn FieldEngine,
+    fingerprint: [u8; 32],
+    /// Steps done.
+    step: u64,
+    log: Vec<LogEntry>,
+    window: Window,
+    before: Vec<ViewErrors>,
+    /// For a person's eyes; not part of the result.
+    smooth_loss: Option<f64>,
 }
 
-impl Display {
-    fn start() -> Self {
-        Self { pace: Pace::start(), loss: None }
-    }
+impl Steps for Run<'_> {
+    type Error = EnhanceError;
 
-    fn progress(&mut self, step: u64, loss: f64, steps: u64, gaussians: usize) -> Progress {
-        let smooth = self.loss.map_or(loss, |old| 0.95 * old + 0.05 * loss);
-        self.loss = Some(smooth);
-        self.pace.step(1.0);
-        Progress {
-            step,
-            steps,
-            loss: Some(smooth),
-            psnr: None,
-            gaussians: Some(gaussians),
-            steps_per_second: self.pace.steps_per_second(),
-            seconds_left: self.pace.seconds_for((steps - step) as f64),
+    fn step(&mut self, step: u64, _observer: &mut dyn Observer) -> Result<(), EnhanceError> {
+        let (rate, transport_rate) = (self.params.learning_rate, self.params.transport_learning_rate);
+        self.engine.step(self.order.view(step), &FieldPlan { step, rate, transport_rate })?;
+        self.drain(Drain::Ready)?;
+        self.step = step + 1;
+        if self.step.is_multiple_of(self.params.log_every) {
+            self.end_window()?;
         }
+        Ok(())
+    }
+
+    fn save(&mut self, done: u64, checkpoints: &Checkpoints) -> Result<(), EnhanceError> {
+        // A state that is not finite is none to go on from.
+        self.drain(Drain::All)?;
+        let state = State {
+            fingerprint: self.fingerprint,
+            step: done,
+            engine: self.engine.save()?,
+            log: self.log.clone(),
+            window: self.window.clone(),
+            before: self.before.clone(),
+        };
+        Ok(checkpoints.save(done, &state)?)
+    }
+
+    fn shown(&self) -> Progress {
+        Progress {
+            loss: self.smooth_loss,
+            gaussians: Some(self.scene.gaussians.len()),
+            ..Progress::default()
+        }
+    }
+}
+
+impl Run<'_> {
+    /// Goes on from the furthest state that this run can go on from, if there is one.
+    fn resume(&mut self, session: &Session, observer: &mut dyn Observer) -> Result<bool, EnhanceError> {
+        let Some(state) = session.furthest::<State>(observer) else { return Ok(false) };
+        match self.engine.load(state.engine) {
+            Err(EngineError::State(why)) => {
+                observer.notice(&format!("the checkpoint does not fit this scene ({why}); starting anew"));
+                return Ok(false);
+            }
+            other => other?,
+        }
+        session.tell_resumed(state.step, observer);
+        (self.step, self.log, self.window, self.before) = (state.step, state.log, state.window, state.before);
+        Ok(true)
+    }
+
+    /// Measures every view at the identity, then goes where the run starts.
+    fn begin(&mut self) -> Result<(), EnhanceError> {
+        let mut field = initial_field(self.scene, self.guidance, self.params)?;
+        self.engine.load(FieldState::new(&field))?;
+        let views = 0..self.views.len();
+        self.before = views.map(|v| self.engine.evaluate(v, Reading::Sampled)).collect::<Result<_, _>>()?;
+        let (lambda_global, _) = self.params.transition_weights();
+        if let Guidance::Targets(targets) = self.guidance
+            && self.params.start == Start::Operator
+            && lambda_global > 0.0
+        {
+            let affine = field.shape().affine();
+            field.parameters[affine].iter_mut().zip(targets.scene).for_each(|(p, t)| *p = t as f32);
+            self.engine.load(FieldState::new(&field))?;
+        }
+        Ok(())
+    }
+
+    /// Takes up the reports of steps.
+    fn drain(&mut self, which: Drain) -> Result<(), EnhanceError> {
+        for report in self.engine.drain(which)? {
+            if let Some((what, index)) = report.non_finite {
+                let view = self.views.get(report.view).map(|view| view.name.clone()).unwrap_or_default();
+                return Err(NonFinite { step: report.step, view, what: what.into(), index }.into());
+            }
+            self.window.add(&report.losses);
+            let loss = report.losses.total;
+            self.smooth_loss = Some(self.smooth_loss.map_or(loss, |old| 0.95 * old + 0.05 * loss));
+        }
+        Ok(())
+    }
+
+    /// The log line of the steps since the last one.
+    fn end_window(&mut self) -> Result<(), EnhanceError> {
+        self.drain(Drain::All)?;
+        self.log.push(self.window.flush(self.step));
+        Ok(())
+    }
+
+    /// What comes after the last step.
+    fn finish(mut self) -> Result<Outcome, EnhanceError> {
+        // Only here, after the last checkpoint: a longer run that goes on from it still collects for this line.
+        self.drain(Drain::All)?;
+        if self.window.steps > 0 {
+            self.end_window()?;
+        }
+        // Operators are measured as the extractor reads an image.
+        let mut reports = Vec::with_capacity(self.views.len());
+        for (index, (view, before)) in self.views.iter().zip(&self.before).enumerate() {
+            let after = self.engine.evaluate(index, Reading::Whole)?;
+            reports.push(ViewReport { name: view.name.clone(), before: *before, after });
+        }
+        let centre = self.engine.centre()?;
+        let mut field = initial_field(self.scene, self.guidance, self.params)?;
+        let state = self.engine.save()?;
+        state.check(field.parameters.len())?;
+        field.parameters = state.parameters;
+        let mut scene_affine = field.affine();
+        for (r, row) in scene_affine.iter_mut().enumerate() {
+            row[r] += 1.0;
+        }
+        let Coverage { views_in_memory, rendered_share } = self.engine.coverage();
+        let transport_ratios = ratios(&field, 1.0);
+        let report =
+            Report { views: reports, views_in_memory, transport_ratios, scene_affine, rendered_share };
+        let enhancement = Enhancement { field, centre, appearance: self.guidance.appearance() };
+        let scene = Scene { enhancement: Some(enhancement), ..self.scene.clone() };
+        Ok(Outcome { scene, log: self.log, report, profile: self.engine.profile() })
     }
 }

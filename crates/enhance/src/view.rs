@@ -4,12 +4,13 @@ use std::sync::Arc;
 
 use use3d_atc::consensus::{Targets, ViewTarget};
 use use3d_atc::extractor::{ExtractorSettings, Geometry, Source};
-use use3d_capture::{Appearance, Camera, Image, Lattice, MediumMaps, Raster, View};
+use use3d_capture::{Appearance, Camera, Lattice, MediumMaps, Raster, View};
 use use3d_scene::Scene;
 use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered, view_colors};
 use use3d_ubaf::{Sites, Water};
 
 use crate::EnhanceError;
+use crate::labels::PseudoLabels;
 
 /// A training view: its name for messages, its camera in the scene's frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,19 +27,13 @@ impl From<&View> for EnhanceView {
     }
 }
 
-/// Enhanced images of the training views, for the objective `pseudo-labels`.
-pub trait LabelSource {
-    /// The enhanced image of view `index` of the list given to stage 2, of the camera's size; or what is wrong.
-    fn label(&self, index: usize) -> Result<Image, String>;
-}
-
 /// What stage 2 is guided by.
 #[derive(Clone, Copy)]
 pub enum Guidance<'a> {
     /// Transition targets.
     Targets(&'a Targets),
     /// One enhanced image per view.
-    Labels(&'a dyn LabelSource),
+    Labels(&'a PseudoLabels),
 }
 
 impl Guidance<'_> {
@@ -56,7 +51,7 @@ pub(crate) enum Reference {
     /// The stage-1 render as the extractor sees it, and the local target on its grid.
     Transition(Box<Source>, ViewTarget),
     /// The pseudo-label's pixels on the lattice, 16 bit.
-    Label(Raster<u16, 3>),
+    Label(Arc<Raster<u16, 3>>),
 }
 
 /// The small constants of a view, always kept.
@@ -215,10 +210,37 @@ impl Frozen {
 }
 
 /// Which pixels of views of one size are rendered, and how the extractor reads them.
-struct Sampled {
+pub(crate) struct Sampled {
     size: (usize, usize),
     geometry: Arc<Geometry>,
-    lattice: Lattice,
+    pub(crate) lattice: Lattice,
+}
+
+/// The same for views of several sizes.
+pub(crate) struct Samplings {
+    settings: ExtractorSettings,
+    /// Pixels of the long side; 0 for all that the extractor weighs.
+    side: usize,
+    known: Vec<Arc<Sampled>>,
+}
+
+impl Samplings {
+    pub(crate) fn new(settings: ExtractorSettings, side: usize) -> Self {
+        Self { settings, side, known: Vec::new() }
+    }
+
+    /// Of views of this size.
+    pub(crate) fn of(&mut self, size: (usize, usize)) -> Result<Arc<Sampled>, EnhanceError> {
+        if let Some(known) = self.known.iter().find(|s| s.size == size) {
+            return Ok(known.clone());
+        }
+        let whole = Geometry::new(size.0, size.1, &self.settings)?;
+        let some = if self.side > 0 { whole.sampled(self.side)? } else { None };
+        let (lattice, geometry) = some.unwrap_or_else(|| (whole.lattice(), whole));
+        let sampled = Arc::new(Sampled { size, geometry: Arc::new(geometry), lattice });
+        self.known.push(sampled.clone());
+        Ok(sampled)
+    }
 }
 
 /// Prepares views one after another; views of one size share what depends on the size alone.
@@ -226,8 +248,7 @@ pub(crate) struct Preparer<'a> {
     pub(crate) scene: &'a Scene,
     pub(crate) guidance: Guidance<'a>,
     lookups: Lookups,
-    sample_side: usize,
-    samplings: Vec<Arc<Sampled>>,
+    samplings: Samplings,
     rasterizer: Rasterizer,
     rendered: Rendered,
 }
@@ -239,32 +260,19 @@ impl<'a> Preparer<'a> {
         lookups: Lookups,
         sample_side: usize,
     ) -> Self {
+        // Pseudo-labels are compared on the pixels that the default extractor would read.
+        let settings = match guidance {
+            Guidance::Targets(targets) => targets.extractor.clone(),
+            Guidance::Labels(_) => ExtractorSettings::default(),
+        };
         Self {
             scene,
             guidance,
             lookups,
-            sample_side,
-            samplings: Vec::new(),
+            samplings: Samplings::new(settings, sample_side),
             rasterizer: Rasterizer::new(),
             rendered: Rendered::new(),
         }
-    }
-
-    fn sampled(&mut self, size: (usize, usize)) -> Result<Arc<Sampled>, EnhanceError> {
-        if let Some(known) = self.samplings.iter().find(|s| s.size == size) {
-            return Ok(known.clone());
-        }
-        // Pseudo-labels are compared on the pixels that the default extractor would read.
-        let settings = match self.guidance {
-            Guidance::Targets(targets) => targets.extractor.clone(),
-            Guidance::Labels(_) => ExtractorSettings::default(),
-        };
-        let whole = Geometry::new(size.0, size.1, &settings)?;
-        let some = if self.sample_side > 0 { whole.sampled(self.sample_side)? } else { None };
-        let (lattice, geometry) = some.unwrap_or_else(|| (whole.lattice(), whole));
-        let sampled = Arc::new(Sampled { size, geometry: Arc::new(geometry), lattice });
-        self.samplings.push(sampled.clone());
-        Ok(sampled)
     }
 
     /// The constants of a view, trimmed if it is to be rendered again and again. `local` is its local target where that is known
@@ -278,7 +286,7 @@ impl<'a> Preparer<'a> {
     ) -> Result<(ViewConstants, Frozen), EnhanceError> {
         let camera = view.camera;
         let size = (camera.intrinsics.width, camera.intrinsics.height);
-        let sampled = self.sampled(size)?;
+        let sampled = self.samplings.of(size)?;
         let Sampled { geometry, lattice, .. } = &*sampled;
         let trimmer = trim.then_some(&mut self.rasterizer);
         let appearance = self.guidance.appearance();
@@ -295,34 +303,9 @@ impl<'a> Preparer<'a> {
                 };
                 Reference::Transition(Box::new(source), target)
             }
-            Guidance::Labels(labels) => {
-                let wrong = |problem: String| EnhanceError::Label { view: view.name.clone(), problem };
-                let label = labels.label(index).map_err(wrong)?;
-                if (label.width(), label.height()) != size {
-                    return Err(wrong(format!(
-                        "it is {}x{}, the camera is {}x{}",
-                        label.width(),
-                        label.height(),
-                        size.0,
-                        size.1
-                    )));
-                }
-                Reference::Label(on_lattice(&label, lattice))
-            }
+            Guidance::Labels(labels) => Reference::Label(labels.of(index, view, lattice)?),
         };
         let center = camera.pose.center().as_vec3().to_array();
         Ok((ViewConstants { camera, center, lattice: lattice.clone(), reference }, frozen))
     }
-}
-
-/// The pixels of a label that the lattice has, rounded to 16 bit.
-fn on_lattice(label: &Image, lattice: &Lattice) -> Raster<u16, 3> {
-    let mut out = Raster::new(lattice.width(), lattice.height());
-    for (y, &row) in lattice.rows().iter().enumerate() {
-        for (x, &column) in lattice.columns().iter().enumerate() {
-            let pixel = label.pixel(column as usize, row as usize);
-            out.set_pixel(x, y, pixel.map(|v| (v.clamp(0.0, 1.0) * 65535.0 + 0.5) as u16));
-        }
-    }
-    out
 }

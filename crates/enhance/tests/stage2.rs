@@ -5,15 +5,29 @@ mod common;
 use common::{Labels, draw, mini, quick, targets, taught};
 use use3d_atc::consensus::Targets;
 use use3d_capture::{Appearance, Lattice};
+use use3d_enhance::engine::{CpuFieldEngine, FieldEngine, Reading};
 use use3d_enhance::{
-    Engine, EnhanceError, EnhanceParams, Guidance, KnownViews, Look, Objective, Outcome, PixelLoss, Renderer,
-    Start, enhance,
+    EnhanceError, EnhanceParams, EnhanceView, Guidance, KnownViews, Look, Objective, Outcome, PixelLoss,
+    PseudoLabels, Renderer, Start,
 };
 use use3d_medium::MediumModel;
 use use3d_numerics::math;
 use use3d_scene::Scene;
 use use3d_splat::Rendered;
 use use3d_training::{Observer, Progress, Silent};
+
+/// On the processor.
+fn enhance(
+    scene: &Scene,
+    views: &[EnhanceView],
+    guidance: Guidance<'_>,
+    params: &EnhanceParams,
+    checkpoints: Option<&std::path::Path>,
+    observer: &mut dyn Observer,
+) -> Result<Outcome, EnhanceError> {
+    let mut engine = CpuFieldEngine::new(scene, views, guidance, params, observer)?;
+    use3d_enhance::enhance(scene, views, guidance, params, &mut engine, checkpoints, observer)
+}
 
 /// Stops after some steps and remembers what it was told.
 struct Watcher {
@@ -48,10 +62,11 @@ fn it_starts_at_the_identity() {
     let wanted = targets(&scene, &taught(&scene), &views);
     // Every pixel, so that the render can be laid beside the whole view.
     let params = EnhanceParams { sample_side: 0, ..quick(1) };
-    let mut engine = Engine::new(&scene, &views, Guidance::Targets(&wanted), &params, &mut Silent).unwrap();
+    let mut engine =
+        CpuFieldEngine::new(&scene, &views, Guidance::Targets(&wanted), &params, &mut Silent).unwrap();
     let rms = (wanted.scene.iter().map(|t| math::powi(t / 0.2, 2)).sum::<f64>() / 12.0).sqrt();
     for (index, view) in views.iter().enumerate() {
-        let errors = engine.evaluate(index).unwrap();
+        let errors = engine.evaluate(index, Reading::Sampled).unwrap();
         // The realised operator is zero, so all that remains is the target.
         assert!((errors.global.unwrap().error - rms).abs() < 1e-6, "{} {rms}", errors.global.unwrap().error);
         let stage1 = draw(&scene, Look::Reconstruction, &view.camera);
@@ -175,9 +190,10 @@ fn a_mean_over_some_gaussians_teaches_the_same() {
     assert!((with_some - with_all).abs() < 0.05 * before, "{before} {with_all} {with_some}");
     // What was trained is what is drawn: the stored centre is that of the steps.
     let params = EnhanceParams { sample_side: 0, centre_sample: scene.gaussians.len() / 3, ..quick(1) };
-    let mut engine = Engine::new(&scene, &views, Guidance::Targets(&wanted), &params, &mut Silent).unwrap();
+    let mut engine =
+        CpuFieldEngine::new(&scene, &views, Guidance::Targets(&wanted), &params, &mut Silent).unwrap();
     *engine.field_mut() = some.scene.enhancement.as_ref().unwrap().field.clone();
-    engine.evaluate(1).unwrap();
+    engine.evaluate(1, Reading::Sampled).unwrap();
     let drawn = draw(&some.scene, Look::Enhanced { strength: 1.0 }, &views[1].camera);
     for (a, b) in engine.rendered().image.data().iter().zip(drawn.data()) {
         assert!((a - b).abs() < 2e-5, "{a} {b}");
@@ -191,6 +207,7 @@ fn pseudo_labels_are_reproduced() {
     let labels = Labels { taught: &teacher, views: &views };
     for pixel_loss in [PixelLoss::L1, PixelLoss::L2] {
         let params = EnhanceParams { objective: Objective::PseudoLabels, pixel_loss, ..quick(150) };
+        let labels = PseudoLabels::new(&labels, &views, &params).unwrap();
         let out = enhance(&scene, &views, Guidance::Labels(&labels), &params, None, &mut Silent).unwrap();
         let sum =
             |pick: &dyn Fn(&use3d_enhance::ViewReport) -> f64| out.report.views.iter().map(pick).sum::<f64>();
@@ -361,10 +378,15 @@ fn wrong_input_is_named() {
         enhance(scene, views, guidance, params, None, &mut Silent).unwrap_err().to_string()
     };
     assert!(message(&scene, &[], guidance, &quick(1)).contains("no training views"));
-    let labels = Labels { taught: &teacher, views: &views };
+    let labels = PseudoLabels::new(&Labels { taught: &teacher, views: &views }, &views, &quick(1)).unwrap();
     assert!(message(&scene, &views, Guidance::Labels(&labels), &quick(1)).contains("transition targets"));
     let params = EnhanceParams { objective: Objective::PseudoLabels, ..quick(1) };
     assert!(message(&scene, &views, guidance, &params).contains("enhanced images"));
+    // Labels of other pixels, and of fewer views.
+    let other = EnhanceParams { sample_side: 16, ..params.clone() };
+    assert!(message(&scene, &views, Guidance::Labels(&labels), &other).contains("another `sample_side`"));
+    let one = PseudoLabels::new(&Labels { taught: &teacher, views: &views }, &views[..1], &params).unwrap();
+    assert!(message(&scene, &views, Guidance::Labels(&one), &params).contains("there is none"));
     let params = EnhanceParams { lambda_local: f64::NAN, ..quick(1) };
     assert!(message(&scene, &views, guidance, &params).contains("lambda_local"));
     let params = EnhanceParams { rank: 99, ..quick(1) };

@@ -451,6 +451,7 @@ impl Run<'_> {
     /// What comes after the last step.
     fn finish(mut self, capture: &Capture) -> Result<Outcome, ReconstructError> {
         // Only here, after the last checkpoint: a longer run that goes on from it still collects for this line.
+        self.drain(Drain::All)?;
         if self.window.steps > 0 {
             self.end_window()?;
         }

@@ -4,8 +4,9 @@ use std::path::Path;
 
 use use3d_atc::consensus::Targets;
 use use3d_capture::{Appearance, Image, View};
+use use3d_enhance::engine::CpuFieldEngine;
 use use3d_enhance::{
-    EnhanceError, EnhanceParams, EnhanceView, Guidance, LabelSource, Objective, Report, enhance,
+    EnhanceError, EnhanceParams, EnhanceView, Guidance, LabelSource, Objective, PseudoLabels, Report, enhance,
 };
 use use3d_io_colmap::load_pixels;
 use use3d_scene::Origin;
@@ -44,7 +45,7 @@ fn read_targets(path: &Path) -> Result<Targets, StageError> {
     Targets::from_bytes(&bytes).map_err(|e| StageError::bad_input_message(format!("{}: {e}", file.display())))
 }
 
-/// The proposer's images of the training views, made when they are asked for.
+/// The proposer's images of the training views.
 struct Proposals<'a> {
     views: Vec<&'a View>,
     proposer: Box<dyn use3d_atc::proposers::Proposer>,
@@ -98,13 +99,16 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
         }
         let proposer = by_name(&targets.proposer.name, context.optional_input("models"))
             .map_err(StageError::bad_input_message)?;
-        labels = Proposals { views: capture.training_views().collect(), proposer };
+        let source = Proposals { views: capture.training_views().collect(), proposer };
+        labels = PseudoLabels::new(&source, &views, &params)?;
         Guidance::Labels(&labels)
     } else {
         Guidance::Targets(&targets)
     };
-    let outcome = enhance(&scene, &views, guidance, &params, context.checkpoints(), &mut Watch::new(context));
-    let outcome = match outcome {
+    let watch = &mut Watch::new(context);
+    let mut engine = CpuFieldEngine::new(&scene, &views, guidance, &params, watch)?;
+    let outcome = match enhance(&scene, &views, guidance, &params, &mut engine, context.checkpoints(), watch)
+    {
         Err(EnhanceError::Stopped { .. }) => return Err(StageError::Cancelled),
         other => other?,
     };

@@ -1,37 +1,31 @@
-//! One step of stage 2: field → colours and water → compositor → extractor → losses, and all the way back.
+//! The engine on the processor, the reference. A step: field → colours and water → compositor → extractor → losses, and all the way back.
 //!
 //! Gradients reach the field's parameters only; Gaussians, medium, targets and the stage-1 render are constants. The engine owns
 //! every buffer, so that a step allocates nothing once the largest view was seen.
 
 use use3d_atc::extractor::{Affine, Workspace};
 use use3d_capture::{Appearance, Image, MediumMaps};
+use use3d_numerics::adam::Adam;
 use use3d_scene::Scene;
 use use3d_splat::{Options, Rasterizer, Rendered};
-use use3d_training::{Observer, Profile};
+use use3d_training::guard::first_non_finite;
+use use3d_training::{Drain, EngineError, Observer, Profile};
 use use3d_ubaf::objects::guide_color;
-use use3d_ubaf::{Field, FieldBox, Gradient, ObjectPass, WaterPass, variation};
+use use3d_ubaf::{Field, Gradient, OUTPUTS, ObjectPass, WaterPass, variation};
 
-use crate::objective::{Realised, global_loss, local_loss};
-use crate::params::{Objective, PixelLoss};
+use super::{
+    Coverage, FieldDiagnostics, FieldEngine, FieldPlan, FieldReport, FieldState, Reading, StepLosses,
+    check_inputs, initial_field,
+};
+use crate::objective::{global_loss, local_loss};
+use crate::params::PixelLoss;
 use crate::profile::StepPart;
 use crate::report::ViewErrors;
 use crate::view::{EnhanceView, Frozen, Guidance, Lookups, Preparer, Reference, ViewConstants};
 use crate::{EnhanceError, EnhanceParams};
 
-/// The losses of one step.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct StepLosses {
-    /// Weighted total.
-    pub total: f64,
-    /// Global term.
-    pub global: Realised,
-    /// Local term.
-    pub local: Realised,
-    /// Pseudo-label term.
-    pub pixels: f64,
-    /// Total variation of the factors.
-    pub variation: f64,
-}
+/// The engine's name in messages.
+const NAME: &str = "cpu";
 
 /// What a step aims at, apart from the view's own reference.
 #[derive(Clone, Debug)]
@@ -223,18 +217,28 @@ impl Step {
     }
 }
 
-/// Stage 2's state that does not fit a checkpoint: the frozen scene as every view sees it, the field, the buffers.
-pub struct Engine<'a> {
-    pub(crate) field: Field,
-    pub(crate) views: Vec<ViewConstants>,
+/// The field with its moments, the frozen scene as every view sees it, and the buffers of a step. A step is done when it was asked for.
+pub struct CpuFieldEngine<'a> {
+    field: Field,
+    /// First and second moments of the field's parameters.
+    moments: [Vec<f32>; 2],
+    list: Vec<EnhanceView>,
+    views: Vec<ViewConstants>,
+    guidance: Guidance<'a>,
     goals: Goals,
     step: Step,
+    /// The gradient in f32, as Adam takes it.
+    rounded: Vec<f32>,
+    /// What was not drained yet.
+    reports: Vec<FieldReport>,
     store: Store<'a>,
+    /// Prepares views with every pixel that the extractor weighs; made when it is needed.
+    whole: Option<Preparer<'a>>,
 }
 
-impl<'a> Engine<'a> {
-    /// Prepares every view once. Views whose constants do not fit `params.cache_mib` are prepared again when needed; the observer is
-    /// told.
+impl<'a> CpuFieldEngine<'a> {
+    /// Prepares every view once, and starts at the identity. Views whose constants do not fit `params.cache_mib` are prepared again when
+    /// needed; the observer is told.
     pub fn new(
         scene: &'a Scene,
         views: &[EnhanceView],
@@ -242,25 +246,9 @@ impl<'a> Engine<'a> {
         params: &EnhanceParams,
         observer: &mut dyn Observer,
     ) -> Result<Self, EnhanceError> {
-        params.validate()?;
-        check_guidance(guidance, params.objective)?;
-        if scene.gaussians.is_empty() {
-            return Err(EnhanceError::EmptyScene);
-        }
-        if views.is_empty() {
-            return Err(EnhanceError::NoViews);
-        }
-        if let Guidance::Targets(targets) = guidance {
-            targets.check_scene(&scene.gaussians)?;
-        }
+        check_inputs(scene, views, guidance, params)?;
         let appearance = guidance.appearance();
-        // The water asks at the cameras, and so near the anchors; clear radiance is asked for at the Gaussians alone.
-        let anchors = match &scene.medium {
-            use3d_medium::MediumModel::Rbf(rbf) if appearance == Appearance::Water => rbf.centers.as_slice(),
-            _ => &[],
-        };
-        let bounds = FieldBox::of_scene(&scene.gaussians.means, anchors);
-        let field = Field::identity(params.shape(), bounds, params.seed)?;
+        let field = initial_field(scene, guidance, params)?;
         let guides = scene.gaussians.sh.iter().map(|sh| guide_color(sh[0]));
         let objects =
             ObjectPass::with_guides(use3d_ubaf::Level::new(), &field, &scene.gaussians.means, guides);
@@ -288,18 +276,20 @@ impl<'a> Engine<'a> {
             tracing::warn!("{message}");
             observer.notice(&message);
         }
+        let n = field.parameters.len();
         Ok(Self {
             step: Step::new(&field, objects),
             goals: Goals::new(guidance, params),
             field,
+            moments: [vec![0.0; n], vec![0.0; n]],
+            list: views.to_vec(),
             views: constants,
+            guidance,
+            rounded: vec![0.0; n],
+            reports: Vec::new(),
             store: Store { scene, appearance, lookups, kept, spare: None },
+            whole: None,
         })
-    }
-
-    /// The field.
-    pub fn field(&self) -> &Field {
-        &self.field
     }
 
     /// The field, to be changed between steps.
@@ -307,39 +297,13 @@ impl<'a> Engine<'a> {
         &mut self.field
     }
 
-    /// Puts the scene's affine at the global target, where there is a global term.
-    pub(crate) fn start_at_the_operator(&mut self) {
-        if self.goals.lambda_global > 0.0 {
-            let affine = self.field.shape().affine();
-            self.field.parameters[affine]
-                .iter_mut()
-                .zip(self.goals.operator)
-                .for_each(|(p, t)| *p = t as f32);
-        }
-    }
-
-    /// `∂L/∂` the field's parameters, of the last [`Engine::step`].
-    pub fn gradient(&self) -> &Gradient {
-        &self.step.gradient
-    }
-
-    /// Views whose large constants are kept.
-    pub fn views_in_memory(&self) -> usize {
-        self.store.kept.iter().flatten().count()
-    }
-
-    /// Rendered pixels of all views over all their pixels.
-    pub fn rendered_share(&self) -> f64 {
-        let (mut rendered, mut all) = (0.0, 0.0);
-        for view in &self.views {
-            rendered += (view.lattice.width() * view.lattice.height()) as f64;
-            all += (view.camera.intrinsics.width * view.camera.intrinsics.height) as f64;
-        }
-        rendered / all
+    /// The render of the last step or evaluation, on the view's lattice.
+    pub fn rendered(&self) -> &Rendered {
+        &self.step.rendered
     }
 
     /// Losses and gradient at view `index`.
-    pub fn step(&mut self, index: usize) -> Result<StepLosses, EnhanceError> {
+    pub fn differentiate(&mut self, index: usize) -> Result<StepLosses, EnhanceError> {
         self.step.profile.start();
         let view = &self.views[index];
         let frozen = self.store.of(index, view, &mut self.step.rasterizer);
@@ -353,8 +317,35 @@ impl<'a> Engine<'a> {
         Ok(losses)
     }
 
-    /// How far view `index` is from its reference.
-    pub fn evaluate(&mut self, index: usize) -> Result<ViewErrors, EnhanceError> {
+    /// Adam with the gradient of [`CpuFieldEngine::differentiate`], a constant learning rate per group; what was not finite.
+    fn update(&mut self, losses: &StepLosses, plan: &FieldPlan) -> Option<(&'static str, Option<usize>)> {
+        if !losses.total.is_finite() {
+            return Some(("loss", None));
+        }
+        self.step.gradient.round_into(&mut self.rounded);
+        if let Some(at) = first_non_finite(&self.rounded) {
+            return Some(("gradient", Some(at)));
+        }
+        let transport = self.field.shape().transport();
+        let [first, second] = &mut self.moments;
+        for (range, rate) in [(0..transport.start, plan.rate), (transport, plan.transport_rate)] {
+            Adam::SPLATTING.update(
+                plan.step + 1,
+                rate,
+                &mut self.field.parameters[range.clone()],
+                &self.rounded[range.clone()],
+                &mut first[range.clone()],
+                &mut second[range],
+            );
+        }
+        self.step.profile.lap(StepPart::Adam);
+        self.step.profile.stop();
+        self.step.profile.steps += 1;
+        first_non_finite(&self.field.parameters).map(|at| ("parameter", Some(at)))
+    }
+
+    /// How far view `index` is from its reference, on the pixels of the steps.
+    fn evaluate_sampled(&mut self, index: usize) -> Result<ViewErrors, EnhanceError> {
         let view = &self.views[index];
         let frozen = self.store.of(index, view, &mut self.step.rasterizer);
         self.step.render(&self.field, view, frozen);
@@ -363,59 +354,94 @@ impl<'a> Engine<'a> {
         Ok(errors(&losses, measured))
     }
 
-    /// How far view `index` is from its reference, sampled as `whole` does and not as the steps do.
-    pub(crate) fn evaluate_with(
-        &mut self,
-        whole: &mut Preparer<'_>,
-        index: usize,
-        view: &EnhanceView,
-    ) -> Result<ViewErrors, EnhanceError> {
+    /// How far view `index` is from its targets, on every pixel that the extractor weighs.
+    fn evaluate_whole(&mut self, index: usize) -> Result<ViewErrors, EnhanceError> {
         let local = match &self.views[index].reference {
             Reference::Transition(_, target) => Some(target),
             Reference::Label(_) => None,
         };
-        let (constants, mut frozen) = whole.view(index, view, local, false)?;
+        let (scene, guidance, lookups) = (self.store.scene, self.guidance, &self.store.lookups);
+        let whole = self.whole.get_or_insert_with(|| Preparer::new(scene, guidance, lookups.clone(), 0));
+        let (constants, mut frozen) = whole.view(index, &self.list[index], local, false)?;
         self.step.render(&self.field, &constants, &mut frozen);
         let losses = self.step.losses(&constants, &self.goals, false)?;
         Ok(errors(&losses, local.is_some()))
     }
 
-    /// Ends a step: the time since its gradient was the optimiser's.
-    pub(crate) fn end_step(&mut self) {
-        self.step.profile.lap(StepPart::Adam);
-        self.step.profile.stop();
-        self.step.profile.steps += 1;
+    /// Refuses a view that there is not.
+    fn know(&self, view: usize) -> Result<(), EngineError> {
+        let count = self.views.len();
+        let what = || format!("there is no view {view}, only {count}");
+        if view < count { Ok(()) } else { Err(EngineError::Request { engine: NAME, what: what() }) }
+    }
+}
+
+impl FieldEngine for CpuFieldEngine<'_> {
+    fn load(&mut self, state: FieldState) -> Result<(), EngineError> {
+        state.check(self.field.parameters.len())?;
+        let FieldState { version: _, parameters, first, second } = state;
+        self.field.parameters = parameters;
+        self.moments = [first, second];
+        self.reports.clear();
+        Ok(())
     }
 
-    /// Where the time of the steps went.
-    pub fn profile(&self) -> &Profile<StepPart> {
-        &self.step.profile
+    fn save(&mut self) -> Result<FieldState, EngineError> {
+        let [first, second] = self.moments.clone();
+        Ok(FieldState {
+            version: FieldState::VERSION,
+            parameters: self.field.parameters.clone(),
+            first,
+            second,
+        })
     }
 
-    /// The render of the last [`Engine::step`] or [`Engine::evaluate`], on the view's lattice.
-    pub fn rendered(&self) -> &Rendered {
-        &self.step.rendered
+    fn step(&mut self, view: usize, plan: &FieldPlan) -> Result<(), EngineError> {
+        self.know(view)?;
+        let losses = self.differentiate(view).map_err(failed)?;
+        let non_finite = self.update(&losses, plan);
+        self.reports.push(FieldReport { step: plan.step, view, losses, non_finite });
+        Ok(())
     }
 
-    /// What pictures are compared in.
-    pub(crate) fn appearance(&self) -> Appearance {
-        self.store.appearance
+    fn drain(&mut self, _which: Drain) -> Result<Vec<FieldReport>, EngineError> {
+        Ok(std::mem::take(&mut self.reports))
     }
 
-    /// Prepares views as the extractor reads an image, every pixel that it weighs.
-    pub(crate) fn whole<'s>(&self, guidance: Guidance<'s>) -> Preparer<'s>
-    where
-        'a: 's,
-    {
-        Preparer::new(self.store.scene, guidance, self.store.lookups.clone(), 0)
+    fn evaluate(&mut self, view: usize, reading: Reading) -> Result<ViewErrors, EngineError> {
+        self.know(view)?;
+        match (reading, self.guidance) {
+            (Reading::Whole, Guidance::Targets(_)) => self.evaluate_whole(view),
+            // Labels keep their sample: before and after must be of the same pixels.
+            _ => self.evaluate_sampled(view),
+        }
+        .map_err(failed)
     }
 
-    /// The constant mode of the current field over the Gaussians that define it (R22).
-    pub(crate) fn centre(&mut self) -> [f32; use3d_ubaf::OUTPUTS] {
+    fn centre(&mut self) -> Result<[f32; OUTPUTS], EngineError> {
         self.step.objects.move_to(&self.store.lookups.centre());
         self.step.objects.forward(&self.field);
-        self.step.objects.mean()
+        Ok(self.step.objects.mean())
     }
+
+    fn coverage(&self) -> Coverage {
+        let (mut rendered, mut all) = (0.0, 0.0);
+        for view in &self.views {
+            rendered += (view.lattice.width() * view.lattice.height()) as f64;
+            all += (view.camera.intrinsics.width * view.camera.intrinsics.height) as f64;
+        }
+        Coverage { views_in_memory: self.store.kept.iter().flatten().count(), rendered_share: rendered / all }
+    }
+}
+
+impl FieldDiagnostics for CpuFieldEngine<'_> {
+    fn profile(&self) -> Profile<StepPart> {
+        self.step.profile.clone()
+    }
+}
+
+fn failed(error: EnhanceError) -> EngineError {
+    EngineError::Failed(Box::new(error))
 }
 
 /// The large constants of views: those that are kept, and the last one made besides.
@@ -452,22 +478,4 @@ fn errors(losses: &StepLosses, measured: bool) -> ViewErrors {
         local: measured.then_some(losses.local),
         pixels: losses.pixels,
     }
-}
-
-fn check_guidance(guidance: Guidance<'_>, objective: Objective) -> Result<(), EnhanceError> {
-    let (objective, needed, fits) = match objective {
-        Objective::Full => ("full", "transition targets", matches!(guidance, Guidance::Targets(_))),
-        Objective::GlobalOnly => {
-            ("global-only", "transition targets", matches!(guidance, Guidance::Targets(_)))
-        }
-        Objective::LocalOnly => {
-            ("local-only", "transition targets", matches!(guidance, Guidance::Targets(_)))
-        }
-        Objective::PseudoLabels => (
-            "pseudo-labels",
-            "enhanced images of the training views",
-            matches!(guidance, Guidance::Labels(_)),
-        ),
-    };
-    if fits { Ok(()) } else { Err(EnhanceError::Guidance { objective, needed }) }
 }

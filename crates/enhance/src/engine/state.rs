@@ -1,0 +1,69 @@
+//! The state of stage 2 between two steps: what an engine starts from, and what a checkpoint holds.
+
+use serde::{Deserialize, Serialize};
+use use3d_training::EngineError;
+use use3d_ubaf::Field;
+
+/// The field's parameters with Adam's moments, in the field's order.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FieldState {
+    /// The form of this record, [`FieldState::VERSION`].
+    pub version: u32,
+    /// Parameters.
+    pub parameters: Vec<f32>,
+    /// Means of gradients.
+    pub first: Vec<f32>,
+    /// Means of squared gradients.
+    pub second: Vec<f32>,
+}
+
+impl FieldState {
+    /// The form of this record.
+    pub const VERSION: u32 = 2;
+
+    /// What a run starts from: this field.
+    pub fn new(field: &Field) -> Self {
+        let zeros = vec![0.0; field.parameters.len()];
+        Self {
+            version: Self::VERSION,
+            parameters: field.parameters.clone(),
+            first: zeros.clone(),
+            second: zeros,
+        }
+    }
+
+    /// Whether the version is this one and all lengths are those of a field with so many parameters.
+    pub fn check(&self, parameters: usize) -> Result<(), EngineError> {
+        if self.version != Self::VERSION {
+            let (found, known) = (self.version, Self::VERSION);
+            let what = format!("it is of version {found}, expected {known}; start anew");
+            return Err(EngineError::State(what));
+        }
+        let lengths = [self.parameters.len(), self.first.len(), self.second.len()];
+        if lengths != [parameters; 3] {
+            let what = format!("it holds {lengths:?} parameters and moments, the field has {parameters}");
+            return Err(EngineError::State(what));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use use3d_ubaf::{FieldBox, Shape};
+
+    use super::*;
+
+    #[test]
+    fn a_state_of_another_field_or_version_is_refused() {
+        let bounds = FieldBox { low: [0.0; 3], high: [1.0; 3] };
+        let field = Field::identity(Shape::default(), bounds, 1).unwrap();
+        let state = FieldState::new(&field);
+        state.check(field.parameters.len()).unwrap();
+        let error = state.check(field.parameters.len() + 1).unwrap_err().to_string();
+        assert!(error.contains("the field has"), "{error}");
+        let old = FieldState { version: 1, ..state };
+        let error = old.check(field.parameters.len()).unwrap_err().to_string();
+        assert!(error.contains("version 1, expected 2"), "{error}");
+    }
+}
