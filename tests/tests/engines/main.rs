@@ -1,0 +1,67 @@
+//! A second engine for each stage, outside the crates of the loops: what another device's engine has to do, done through public items
+//! alone. Both take steps on request and do them later, several at once, as a device does; both trade whole states.
+
+mod stage1;
+mod stage2;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use use3d_scene::Scene;
+use use3d_training::{EngineError, Observer, Progress};
+
+/// Steps that may be under way before one is done.
+const UNDER_WAY: usize = 3;
+
+/// A device that vanished.
+fn lost() -> EngineError {
+    EngineError::DeviceLost { engine: "late", reason: "it was unplugged".into() }
+}
+
+/// Stops after some steps, and keeps what it was told.
+struct Watcher {
+    stop_at: u64,
+    step: u64,
+    notices: Vec<String>,
+}
+
+impl Watcher {
+    fn new(stop_at: u64) -> Self {
+        Self { stop_at, step: 0, notices: Vec::new() }
+    }
+}
+
+impl Observer for Watcher {
+    fn progress(&mut self, progress: &Progress) {
+        self.step = progress.step;
+    }
+
+    fn notice(&mut self, message: &str) {
+        self.notices.push(message.into());
+    }
+
+    fn should_stop(&self) -> bool {
+        self.step == self.stop_at
+    }
+}
+
+/// Every file of a saved scene.
+fn bytes(scene: &Scene) -> BTreeMap<String, Vec<u8>> {
+    fn collect(dir: &Path, files: &mut BTreeMap<String, Vec<u8>>) {
+        for entry in std::fs::read_dir(dir).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() {
+                collect(&path, files);
+            } else {
+                let name = path.file_name().expect("a name").to_string_lossy().into_owned();
+                files.insert(name, std::fs::read(&path).expect("a file"));
+            }
+        }
+    }
+    let dir = tempfile::tempdir().expect("a folder");
+    scene.save(dir.path()).expect("a scene");
+    let mut files = BTreeMap::new();
+    collect(dir.path(), &mut files);
+    assert!(files.len() > 1);
+    files
+}
