@@ -24,6 +24,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("atc", &["capture", "numerics", "splat"]),
     ("training", &["numerics"]),
     ("scene", &["capture", "numerics", "splat", "medium", "ubaf"]),
+    ("render", &["capture", "numerics", "splat", "medium", "ubaf", "scene"]),
     ("reconstruct", &["capture", "numerics", "splat", "medium", "metrics", "training", "scene"]),
     ("enhance", &["capture", "numerics", "splat", "medium", "ubaf", "atc", "training", "scene"]),
 ];

@@ -12,7 +12,6 @@ mod listener;
 mod logging;
 mod size;
 mod verbs;
-mod video;
 
 use std::process::ExitCode;
 use std::sync::Arc;

@@ -60,15 +60,6 @@ pub enum EnhanceError {
         /// Steps done.
         step: u64,
     },
-    /// A scene that stage 2 has not seen.
-    #[error("the scene has no enhancement; run `use3d enhance` on it first")]
-    NotEnhanced,
-    /// A strength outside `[0, 1]`.
-    #[error("strength is {0}; expected 0 (the reconstruction) to 1 (fully enhanced)")]
-    Strength(f32),
-    /// An amount of water outside `[0, 1]`.
-    #[error("the amount of water is {0}; expected 0 (none is left) to 1 (all of it)")]
-    Water(f32),
 }
 
 impl EnhanceError {

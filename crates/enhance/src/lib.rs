@@ -20,33 +20,27 @@
 //! weighs. Source and render are sampled alike, so equal images still have the identity transition, and operators are means
 //! over many pixels, which a tenth of them give as well. What was reached is measured with the whole resize.
 //!
-//! [`enhance`] is the loop; the work of its steps is a [`FieldEngine`](engine::FieldEngine)'s, which whoever calls chooses; [`KnownViews`] draws what stage 1 knows of a view, which targets in clear radiance start from; [`Renderer`] draws a scene with or without its enhancement; [`bake`] writes the
-//! enhancement into spherical harmonics for viewers that know nothing of it.
+//! [`enhance`] is the loop; the work of its steps is a [`FieldEngine`](engine::FieldEngine)'s, which whoever calls chooses. What the
+//! enhanced scene looks like is drawn by `render`.
 
-mod bake;
 pub mod engine;
 mod error;
 mod fingerprint;
 #[cfg(test)]
 mod golden;
-mod known;
 mod labels;
 mod objective;
 mod params;
 mod profile;
-mod render;
 mod report;
 mod run;
 mod view;
 
-pub use bake::{BakeReport, bake};
 pub use error::EnhanceError;
-pub use known::KnownViews;
 pub use labels::{LabelSource, PseudoLabels};
 pub use objective::{Realised, global_loss, local_loss, smooth_l1};
 pub use params::{EnhanceParams, Objective, PixelLoss, Start};
 pub use profile::StepPart;
-pub use render::{Look, Renderer};
 pub use report::{LogEntry, Outcome, Report, ViewErrors, ViewReport};
 pub use run::enhance;
 pub use view::{EnhanceView, Guidance};

@@ -6,7 +6,7 @@ use use3d_atc::consensus::{Targets, ViewTarget};
 use use3d_atc::extractor::{ExtractorSettings, Geometry, Source};
 use use3d_capture::{Appearance, Camera, Lattice, MediumMaps, Raster, View};
 use use3d_scene::Scene;
-use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered, view_colors};
+use use3d_splat::{Options, Prepared, Rasterizer, Rendered};
 use use3d_ubaf::{Sites, Water};
 
 use crate::EnhanceError;
@@ -173,21 +173,16 @@ impl Frozen {
         lattice: &Lattice,
         trimmer: Option<&mut Rasterizer>,
     ) -> Self {
-        let mut colors = Vec::new();
-        view_colors(&scene.gaussians, camera, scene.gaussians.sh_degree, &mut colors);
-        let mut prepared = Prepared::new();
-        prepared.prepare(&scene.gaussians, camera, lattice, Colors::Given(&colors));
+        let (mut colors, mut prepared) = (Vec::new(), Prepared::new());
+        scene.project(camera, lattice, |_| (), &mut colors, &mut prepared);
         if let Some(rasterizer) = trimmer {
             rasterizer.trim(&mut prepared);
         }
         let listed = lookups.of(&prepared);
         let base = listed.rows(colors);
-        let shown = appearance == Appearance::Water && !scene.medium.is_none();
-        let water = shown.then(|| {
-            let mut maps = MediumMaps::zeros(0, 0);
-            scene.medium.maps(camera, lattice, scene.medium_degree, &mut maps);
-            Water::new(maps)
-        });
+        let mut maps = MediumMaps::zeros(0, 0);
+        let shown = appearance == Appearance::Water && scene.look_through(camera, lattice, &mut maps);
+        let water = shown.then(|| Water::new(maps));
         Self { prepared, listed, base, water }
     }
 

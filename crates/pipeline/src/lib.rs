@@ -1,13 +1,12 @@
 //! Stages, keys, cache, plans, batches, tables and report: from captures to results, computing nothing twice.
 //!
 //! [`engine`] knows what a stage is and when it must run; [`config`] reads pipeline files; [`stages`] is the table of the method's
-//! stages. [`rendering`] and [`scoring`] are what several stages share; [`water`] is a capture's water before any stage; [`truth`], [`strip`] and [`speed`] measure and show; [`tables`] and [`report`] lay out what they found;
+//! stages. [`scoring`] is what several stages share; [`water`] is a capture's water before any stage; [`truth`], [`strip`] and [`speed`] measure and show; [`tables`] and [`report`] lay out what they found;
 //! [`results`] puts it where a person looks; [`mod@bench`] does all of it on captures whose truth is known.
 
 pub mod bench;
 pub mod config;
 pub mod engine;
-pub mod rendering;
 pub mod report;
 pub mod results;
 pub mod scores;

@@ -11,8 +11,7 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 use use3d_capture::Camera;
-
-use crate::rendering::{Mode, SceneRenderer};
+use use3d_render::{Mode, RenderError, SceneRenderer};
 
 /// Passes that do not count.
 const WARM_UP: usize = 2;
@@ -39,22 +38,28 @@ pub struct Speed {
 }
 
 /// Times the drawing of every camera's view. `None` without cameras, or when `stop` said so.
+///
+/// # Errors
+/// What the renderer's device says.
 pub fn measure(
     renderer: &mut SceneRenderer<'_>,
     cameras: &[Camera],
     mode: Mode,
     stop: &dyn Fn() -> bool,
-) -> Option<Speed> {
+) -> Result<Option<Speed>, RenderError> {
     measure_for(renderer, cameras, mode, SHORTEST, stop)
 }
 
 /// As [`measure`], but no longer than the passes take: for a figure beside a table rather than a benchmark.
+///
+/// # Errors
+/// What the renderer's device says.
 pub fn measure_briefly(
     renderer: &mut SceneRenderer<'_>,
     cameras: &[Camera],
     mode: Mode,
     stop: &dyn Fn() -> bool,
-) -> Option<Speed> {
+) -> Result<Option<Speed>, RenderError> {
     measure_for(renderer, cameras, mode, Duration::ZERO, stop)
 }
 
@@ -64,9 +69,9 @@ fn measure_for(
     mode: Mode,
     shortest: Duration,
     stop: &dyn Fn() -> bool,
-) -> Option<Speed> {
+) -> Result<Option<Speed>, RenderError> {
     if cameras.is_empty() {
-        return None;
+        return Ok(None);
     }
     let mut times = Vec::new();
     let (mut passes, mut begin) = (0, Instant::now());
@@ -77,24 +82,24 @@ fn measure_for(
         }
         for camera in cameras {
             if stop() {
-                return None;
+                return Ok(None);
             }
             let start = Instant::now();
-            std::hint::black_box(renderer.draw(camera, mode));
+            std::hint::black_box(renderer.draw(camera, mode)?);
             times.push(1e3 * start.elapsed().as_secs_f64());
         }
         passes += 1;
     }
     times.sort_unstable_by(f64::total_cmp);
     let milliseconds = times[times.len() / 2];
-    Some(Speed {
+    Ok(Some(Speed {
         mode: mode.name(),
         fps: 1e3 / milliseconds,
         milliseconds,
         fastest: times[0],
         slowest: times[times.len() - 1],
         passes: passes - WARM_UP,
-    })
+    }))
 }
 
 #[cfg(test)]
@@ -130,14 +135,15 @@ mod tests {
         let scene = scene();
         let mut renderer = SceneRenderer::new(&scene, 1.0).unwrap();
         let speed = measure_for(&mut renderer, &[camera; 2], Mode::Reconstruction, Duration::ZERO, &|| false)
+            .unwrap()
             .unwrap();
         assert_eq!((speed.mode, speed.passes), ("reconstruction", PASSES));
         assert!(speed.fastest <= speed.milliseconds && speed.milliseconds <= speed.slowest);
         assert_eq!(speed.fps, 1e3 / speed.milliseconds);
-        let drawn = renderer.draw(&camera, Mode::Reconstruction).clone();
-        assert_eq!(drawn, renderer.color(&camera, Mode::Reconstruction));
+        let drawn = renderer.draw(&camera, Mode::Reconstruction).unwrap().clone();
+        assert_eq!(drawn, renderer.color(&camera, Mode::Reconstruction).unwrap());
         assert!(drawn.data().iter().any(|v| *v > 0.1), "the Gaussian is in the picture");
-        assert_eq!(measure(&mut renderer, &[camera], Mode::Reconstruction, &|| true), None);
-        assert_eq!(measure(&mut renderer, &[], Mode::Reconstruction, &|| false), None);
+        assert_eq!(measure(&mut renderer, &[camera], Mode::Reconstruction, &|| true).unwrap(), None);
+        assert_eq!(measure(&mut renderer, &[], Mode::Reconstruction, &|| false).unwrap(), None);
     }
 }

@@ -50,6 +50,8 @@ fn every_stage_is_made_of_the_files_it_uses_and_of_no_others() {
         ("enhance", "use3d-ubaf"),
         ("evaluate", "src/truth.rs"),
         ("evaluate", "use3d-metrics"),
+        ("evaluate", "use3d-render"),
+        ("render", "use3d-render"),
         ("report", "templates/report.html"),
         ("report", "src/engine/digest.rs"),
         ("report", "src/tables/paper.rs"),
@@ -69,6 +71,17 @@ fn every_stage_is_made_of_the_files_it_uses_and_of_no_others() {
         ("reconstruct", "use3d-synth"),
         ("targets", "use3d-reconstruct"),
         ("enhance", "use3d-reconstruct"),
+        // What pictures look like is no part of what is trained, nor how training goes of pictures of a scene.
+        ("reconstruct", "use3d-render"),
+        ("targets", "use3d-render"),
+        ("targets", "use3d-enhance"),
+        ("enhance", "use3d-render"),
+        ("render", "use3d-atc"),
+        ("render", "use3d-training"),
+        ("render", "use3d-reconstruct"),
+        ("render", "use3d-enhance"),
+        ("evaluate", "use3d-reconstruct"),
+        ("evaluate", "use3d-enhance"),
     ] {
         assert!(!has(stage, unused), "{stage} needs not be made of {unused}");
     }
@@ -190,6 +203,38 @@ fn a_token_in_any_file_makes_every_stage_stale_that_reaches_it() {
     if cfg!(feature = "nets") {
         assert!(of_no_stage.is_empty(), "{of_no_stage:?}");
     }
+}
+
+/// The stages that one more token in a file makes stale.
+fn stale_after(file: &str) -> Vec<&'static str> {
+    let dir = tempfile::tempdir().expect("folder");
+    copy_tree(dir.path());
+    let stages = table();
+    let code = || {
+        let read = CodeTable::of_tree(dir.path()).expect("digests");
+        let table = Registry::with_code(stages.stages().to_vec(), &read).expect("a table");
+        let digest = |name| table.code_of(name).expect("a stage").digest();
+        stages.stages().iter().map(|s| (s.name(), digest(s.name()))).collect::<BTreeMap<_, _>>()
+    };
+    let before = code();
+    let path = dir.path().join(file);
+    let text = std::fs::read_to_string(&path).expect(file);
+    std::fs::write(&path, format!("{text}\nconst _ADDED: u8 = 1;\n")).expect("written");
+    let after = code();
+    let stale = stages.stages().iter().map(|s| s.name()).filter(|name| before[name] != after[name]);
+    stale.collect()
+}
+
+#[test]
+fn an_edit_of_the_calibrator_leaves_trained_scenes_and_their_pictures_as_they_are() {
+    let stale = stale_after("crates/atc/src/calibrator/mod.rs");
+    assert!(["calibrate", "targets", "enhance"].iter().all(|s| stale.contains(s)), "{stale:?}");
+    assert!(["import", "reconstruct", "render"].iter().all(|s| !stale.contains(s)), "{stale:?}");
+}
+
+#[test]
+fn an_edit_of_the_colour_maps_trains_nothing_anew() {
+    assert_eq!(stale_after("crates/render/src/pictures.rs"), ["render", "evaluate", "report"]);
 }
 
 /// Whether a file holds tests only, by the project's names for such files.

@@ -37,7 +37,7 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
     let gaussians = match what {
         ExportWhat::Reconstruction | ExportWhat::Clear => scene.gaussians.clone(),
         ExportWhat::Enhanced | ExportWhat::EnhancedClear => {
-            let (baked, report) = use3d_enhance::bake(&scene, 1.0).map_err(CliError::input)?;
+            let (baked, report) = use3d_render::bake(&scene, 1.0).map_err(CliError::input)?;
             eprintln!(
                 "baked: the colour clamp is active in {:.2} % of samples; mean colour error {:.5}, there {:.5}, largest {:.4}",
                 100.0 * report.clamped_share,

@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use use3d_capture::{Camera, FileName, Image, Intrinsics, path, stem};
+use use3d_capture::{Camera, FileName, path, stem};
 use use3d_io_colmap::read_cameras;
 use use3d_io_image::{write_exr, write_exr_map, write_png, write_png_map};
 use use3d_pipeline::engine::machine::bytes;
 use use3d_pipeline::engine::{Event, place};
-use use3d_pipeline::rendering::{Frame, Mode, SceneRenderer, coefficient_picture, depth_picture};
+use use3d_render::{Film, FilmError, Frame, Mode, SceneRenderer, cover, focus, picture};
 use use3d_scene::{Origin, Scene};
 
 use crate::App;
@@ -17,7 +17,6 @@ use crate::destination::check_file;
 use crate::error::{CliError, Done};
 use crate::interrupt;
 use crate::size::parse_size;
-use crate::video::Video;
 
 pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     let modes = modes(&args.modes)?;
@@ -45,7 +44,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     let files = files(&cameras, args.format)?;
     check_places(args, &modes, &files)?;
     let mut renderer = renderer(args, &scene)?;
-    let mut video = args.video.as_deref().map(|path| Video::create(path, args.frame_rate)).transpose()?;
+    let mut film = args.video.as_deref().map(|path| film(path, args.frame_rate)).transpose()?;
     let total = cameras.len() as u64;
     for (i, ((name, camera), file)) in cameras.iter().zip(&files).enumerate() {
         interrupt::check()?;
@@ -59,9 +58,9 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
             message: name,
             seconds_left: None,
         });
-        let frames = renderer.render(camera, &modes);
-        if let (Some(video), Some(frame), Some(mode)) = (&mut video, frames.first(), modes.first()) {
-            video.push(&picture(*mode, frame).to_8bit())?;
+        let frames = renderer.render(camera, &modes).map_err(CliError::failed)?;
+        if let (Some((path, film)), Some(frame), Some(mode)) = (&mut film, frames.first(), modes.first()) {
+            film.push(&picture(*mode, frame).to_8bit()).map_err(|e| not_filmed(path, &e))?;
         }
         if let Some(out) = &args.out {
             for (mode, frame) in modes.iter().zip(&frames) {
@@ -70,9 +69,9 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
         }
     }
     app.listener.event(&Event::Done { node: 0, label: "render", cached: true, seconds: 0.0 });
-    if let Some(video) = video {
-        video.finish()?;
-        if let Some(path) = args.video.as_ref().filter(|_| !app.quiet) {
+    if let Some((path, film)) = film {
+        film.finish().map_err(|e| not_filmed(path, &e))?;
+        if !app.quiet {
             let size = std::fs::metadata(path).map_or(0, |m| m.len());
             eprintln!("{}: {total} frames of {}, {}", path.display(), args.modes[0], bytes(size));
         }
@@ -138,7 +137,7 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName,
     if let Some(size) = &args.size {
         let (width, height) = parse_size(size)?;
         for (_, camera) in &mut cameras {
-            camera.intrinsics = covering(&camera.intrinsics, width, height);
+            camera.intrinsics = cover(&camera.intrinsics, width, height);
         }
     }
     let keys: Vec<Camera> = cameras.iter().map(|(_, camera)| *camera).collect();
@@ -146,19 +145,11 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName,
         None => return Ok(cameras),
         Some(CameraPath::Interpolate) => path::interpolate(&keys, args.frames),
         Some(CameraPath::Spiral) => {
-            let focus = focus(scene, &keys);
+            let focus = keys.first().map_or(1.0, |camera| focus(scene, camera));
             path::spiral(&keys, args.frames, 0.12 * focus, focus)
         }
     };
     Ok(film.into_iter().enumerate().map(|(i, camera)| (FileName::frame(i), camera)).collect())
-}
-
-/// A lens whose pictures are scaled to cover `width × height` and cropped centrally: nothing is stretched.
-fn covering(k: &Intrinsics, width: usize, height: usize) -> Intrinsics {
-    let scale = (width as f64 / k.width as f64).max(height as f64 / k.height as f64);
-    let (wide, high) = (scale * k.width as f64, scale * k.height as f64);
-    let whole = k.scaled(scale, scale, wide.round() as usize, high.round() as usize);
-    whole.cropped((wide - width as f64) / 2.0, (high - height as f64) / 2.0, width, height)
 }
 
 /// The names of the held-out views of a capture with default parameters; none of what is no capture.
@@ -167,33 +158,16 @@ pub(crate) fn held_out(capture: &Path) -> Vec<String> {
         .map_or_else(|_| Vec::new(), |imported| imported.report.test)
 }
 
-/// The median depth of the Gaussians in front of the first camera, scene units.
-fn focus(scene: &Scene, keys: &[Camera]) -> f64 {
-    let Some(camera) = keys.first() else { return 1.0 };
-    let point = |m: &[f32; 3]| glam::DVec3::new(m[0].into(), m[1].into(), m[2].into());
-    let mut depths: Vec<f64> =
-        scene.gaussians.means.iter().filter_map(|m| camera.project(point(m)).map(|(_, z)| z)).collect();
-    depths.sort_unstable_by(f64::total_cmp);
-    depths.get(depths.len() / 2).copied().filter(|d| d.is_finite() && *d > 0.0).unwrap_or(1.0)
+/// A film at a path, as `--video` names it.
+fn film(path: &Path, frame_rate: u32) -> Result<(&Path, Film), CliError> {
+    let film = Film::create(path, place::sibling(path), frame_rate).map_err(|e| not_filmed(path, &e))?;
+    Ok((path, film))
 }
 
-/// A frame as people look at it.
-fn picture(mode: Mode, frame: &Frame) -> Image {
-    match frame {
-        Frame::Color(image) if matches!(mode, Mode::Backscatter | Mode::Attenuation) => {
-            coefficient_picture(image)
-        }
-        Frame::Color(image) => image.clone(),
-        Frame::Scalar(map) if mode == Mode::Depth => depth_picture(map),
-        Frame::Scalar(map) => {
-            let mut image = Image::new(map.width(), map.height());
-            let n = map.pixels();
-            for c in 0..3 {
-                image.data_mut()[c * n..(c + 1) * n].copy_from_slice(map.data());
-            }
-            image
-        }
-    }
+/// Why there is no film.
+fn not_filmed(path: &Path, error: &FilmError) -> CliError {
+    let message = format!("--video {}: {error}", path.display());
+    if error.is_of_the_request() { CliError::Input(message) } else { CliError::Failed(message) }
 }
 
 /// The files' names, one per camera.
@@ -251,20 +225,4 @@ fn write(out: &Path, mode: Mode, file: &FileName, frame: &Frame, format: FrameFo
         (FrameFormat::Png, frame) => write_png(&path, &picture(mode, frame)),
     };
     written.map_err(CliError::input)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn another_aspect_is_cropped_and_never_stretched() {
-        let k = Intrinsics { width: 1600, height: 900, fx: 1000.0, fy: 1000.0, cx: 800.0, cy: 450.0 };
-        let square = covering(&k, 450, 450);
-        assert_eq!((square.width, square.height), (450, 450));
-        assert_eq!((square.fx, square.fy), (500.0, 500.0));
-        assert_eq!((square.cx, square.cy), (225.0, 225.0));
-        let half = covering(&k, 800, 450);
-        assert_eq!((half.fx, half.fy, half.cx, half.cy), (500.0, 500.0, 400.0, 225.0));
-    }
 }

@@ -2,8 +2,8 @@
 
 use serde::Serialize;
 use use3d_capture::{Camera, FileName};
-use use3d_pipeline::rendering::Mode;
 use use3d_pipeline::speed::{Speed, measure};
+use use3d_render::Mode;
 use use3d_scene::Scene;
 
 use crate::App;
@@ -50,7 +50,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene) -> Done {
         if !app.quiet {
             eprintln!("timing {} of {} views", mode.name(), chosen.len());
         }
-        let speed = measure(&mut renderer, &chosen, mode, &interrupt::requested);
+        let speed = measure(&mut renderer, &chosen, mode, &interrupt::requested).map_err(CliError::failed)?;
         speeds.push(speed.ok_or(CliError::Stopped)?);
     }
     let size = chosen.first().map_or((0, 0), |c| (c.intrinsics.width, c.intrinsics.height));

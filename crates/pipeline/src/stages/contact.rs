@@ -1,11 +1,11 @@
 //! A contact sheet of stage 1: photographs beside what the scene shows from the same places.
 //!
-//! Drawn with the compositor alone, so that stage 1's artifact depends on nothing of stage 2.
+//! Drawn with the scene's own compositor, so that stage 1's artifact depends neither on stage 2 nor on how pictures are shown.
 
 use use3d_capture::{Camera, Capture, Image, Lattice, MediumMaps, View};
 use use3d_io_colmap::{ImportError, load_pixels};
-use use3d_scene::Scene;
-use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered, view_colors};
+use use3d_scene::{Compositor, Scene};
+use use3d_splat::{Options, Rendered};
 
 /// Most views on a sheet.
 const MOST: usize = 8;
@@ -29,20 +29,13 @@ pub(super) fn chosen(capture: &Capture) -> Vec<&View> {
 }
 
 /// What the scene shows from a camera, with its water.
-fn draw(scene: &Scene, camera: &Camera) -> Image {
-    let g = &scene.gaussians;
+fn draw(compositor: &mut Compositor, scene: &Scene, camera: &Camera) -> Image {
     let lattice = Lattice::full(&camera.intrinsics);
-    let mut colors = Vec::new();
-    view_colors(g, camera, g.sh_degree, &mut colors);
-    let mut prepared = Prepared::new();
-    prepared.prepare(g, camera, &lattice, Colors::Given(&colors));
     let mut maps = MediumMaps::zeros(0, 0);
-    let medium = (!scene.medium.is_none()).then(|| {
-        scene.medium.maps(camera, &lattice, scene.medium_degree, &mut maps);
-        &maps
-    });
+    let water = scene.look_through(camera, &lattice, &mut maps);
+    compositor.prepare(scene, camera, &lattice, |_| ());
     let mut rendered = Rendered::new();
-    Rasterizer::new().forward(&prepared, medium, &Options::default(), &mut rendered);
+    compositor.draw(water.then_some(&maps), &Options::default(), &mut rendered);
     rendered.image
 }
 
@@ -92,9 +85,10 @@ fn lay_out(pairs: &[[Image; 2]]) -> Image {
 
 /// The sheet of a capture and the scene made from it; `None` without views.
 pub(super) fn sheet(capture: &Capture, scene: &Scene) -> Result<Option<Image>, ImportError> {
+    let mut compositor = Compositor::new();
     let pair = |view: &View| -> Result<[Image; 2], ImportError> {
         let captured = load_pixels(view)?.to_image();
-        Ok([thumbnail(&captured), thumbnail(&draw(scene, &view.camera))])
+        Ok([thumbnail(&captured), thumbnail(&draw(&mut compositor, scene, &view.camera))])
     };
     let pairs = chosen(capture).into_iter().map(pair).collect::<Result<Vec<_>, _>>()?;
     Ok((!pairs.is_empty()).then(|| lay_out(&pairs)))

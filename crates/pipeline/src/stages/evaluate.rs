@@ -20,6 +20,7 @@ use use3d_capture::{Appearance, Camera, Capture, Frame as FrameOf, Image, Map, V
 use use3d_io_colmap::{load_mask, load_pixels};
 use use3d_io_image::write_png;
 use use3d_metrics::{Mask, mask_of};
+use use3d_render::{Frame, Mode, SceneRenderer};
 use use3d_scene::Scene;
 
 use super::captured::capture;
@@ -30,7 +31,6 @@ use super::proposals::{asked_for, file};
 use super::proposer::{ProposerChoice, open};
 use super::scenes::scene;
 use crate::engine::{Scope, Stage, StageContext, StageError, machine};
-use crate::rendering::{Frame, Mode, SceneRenderer};
 use crate::scores::{
     self, Finite, Method, MethodScores, PairScores, SceneScores, SceneSpeed, Scores, ViewScores, Warp,
 };
@@ -137,7 +137,7 @@ impl Looker<'_> {
         }
         let mut depth = Map::new(0, 0);
         let mut water = Vec::new();
-        for (mode, frame) in modes.iter().zip(self.renderer.render(camera, &modes)) {
+        for (mode, frame) in modes.iter().zip(self.renderer.render(camera, &modes)?) {
             match (mode, frame) {
                 (Mode::Reconstruction, Frame::Color(image)) => {
                     if self.learnt == Method::Reconstruction {
@@ -191,7 +191,7 @@ impl Evaluation<'_> {
         let looks = self.looker.look(camera, photograph)?;
         let (mut depth, mut render) = (looks.depth.clone(), looks.of(self.looker.learnt).cloned());
         if let Some(reference) = &mut self.reference {
-            let (theirs, image) = reference.look(camera);
+            let (theirs, image) = reference.look(camera)?;
             (depth, render) = (theirs, Some(image));
         }
         let raw = looks.of(Method::Captured).cloned().or(render).unwrap_or_else(|| Image::new(0, 0));
@@ -294,7 +294,7 @@ impl<'a> Reference<'a> {
     }
 
     /// Depth, in units of the scored scene, and rendering at one of its cameras.
-    fn look(&mut self, camera: &Camera) -> (Map, Image) {
+    fn look(&mut self, camera: &Camera) -> Result<(Map, Image), StageError> {
         let mut camera = *camera;
         let mut unit = None;
         if let Some([scored, reference]) = &self.between {
@@ -302,16 +302,16 @@ impl<'a> Reference<'a> {
             unit = Some((scored.scale / reference.scale) as f32);
         }
         let (mut depth, mut image) = (Map::new(0, 0), Image::new(0, 0));
-        for frame in self.renderer.render(&camera, &[Mode::Depth, Mode::Reconstruction]) {
+        for frame in self.renderer.render(&camera, &[Mode::Depth, Mode::Reconstruction])? {
             match frame {
                 Frame::Scalar(map) => depth = map,
                 Frame::Color(rendered) => image = rendered,
             }
         }
-        match unit {
+        Ok(match unit {
             Some(unit) => (depth.map(|z| unit * z), image),
             None => (depth, image),
-        }
+        })
     }
 }
 
@@ -383,7 +383,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let mut neighbours = evaluation.neighbours(params.neighbour_pairs)?;
     let mut path = evaluation.path(params.path_pairs, params.path_steps)?;
     strip(context, &capture, &scene, &mut evaluation.looker)?;
-    time(context, &views, &mut evaluation.looker.renderer);
+    time(context, &views, &mut evaluation.looker.renderer)?;
 
     let take = |lists: &mut Lists<PairScores>, method| {
         lists.iter_mut().find(|(m, _)| *m == method).map(|(_, p)| std::mem::take(p)).unwrap_or_default()
@@ -413,15 +413,15 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
 }
 
 /// Notes how fast the scene is drawn at the held-out views' own size. A time is never part of an artifact.
-fn time(context: &StageContext, views: &[&View], renderer: &mut SceneRenderer<'_>) {
+fn time(context: &StageContext, views: &[&View], renderer: &mut SceneRenderer<'_>) -> Result<(), StageError> {
     if !context.keeps_notes() {
-        return;
+        return Ok(());
     }
     let cameras: Vec<Camera> = views.iter().take(4).map(|v| v.camera).collect();
     let mode = if renderer.is_enhanced() { Mode::Enhanced } else { Mode::Reconstruction };
-    let measured = speed::measure_briefly(renderer, &cameras, mode, &|| context.cancelled());
-    let (Some(measured), Some(camera)) = (measured, cameras.first()) else { return };
-    let Some(fps) = Finite::new(measured.fps) else { return };
+    let measured = speed::measure_briefly(renderer, &cameras, mode, &|| context.cancelled())?;
+    let (Some(measured), Some(camera)) = (measured, cameras.first()) else { return Ok(()) };
+    let Some(fps) = Finite::new(measured.fps) else { return Ok(()) };
     let size = (camera.intrinsics.width, camera.intrinsics.height);
     let speed = SceneSpeed { fps, size, processor: machine::processor(), threads: context.threads() };
     context.log(format_args!(
@@ -429,6 +429,7 @@ fn time(context: &StageContext, views: &[&View], renderer: &mut SceneRenderer<'_
         measured.mode, measured.fps, size.0, size.1, speed.threads, speed.processor
     ));
     context.note(SPEED, &speed);
+    Ok(())
 }
 
 /// The same spot in three neighbouring views: captured, enhanced in 2D, and as the scene shows it.
@@ -512,7 +513,7 @@ mod tests {
         let (scored, other) = (scene(1.0), scene(0.25));
         let depth = |reference: &Scene| {
             let mut reference = Reference::new(reference, &scored).map_err(|_| ()).expect("a renderer");
-            reference.look(&camera).0.pixel(8, 6)[0]
+            reference.look(&camera).map_err(|_| ()).expect("a picture").0.pixel(8, 6)[0]
         };
         assert!((depth(&scored) - 2.0).abs() < 0.2, "{}", depth(&scored));
         assert!((depth(&other) - depth(&scored)).abs() < 1e-2, "{} {}", depth(&other), depth(&scored));

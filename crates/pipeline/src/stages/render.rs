@@ -4,12 +4,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_io_colmap::load_pixels;
 use use3d_io_image::{write_exr_map, write_png, write_png8};
+use use3d_render::{Frame, Mode, SceneRenderer, picture};
 
 use super::captured::capture;
 use super::common::folder;
 use super::scenes::scene;
 use crate::engine::{Scope, Stage, StageContext, StageError};
-use crate::rendering::{Frame, Mode, SceneRenderer, coefficient_picture, depth_picture};
 
 /// Parameters of the pictures.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -75,18 +75,10 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         let stem = view.flat_stem();
         let file = |folder: &str| out.join(folder).join(format!("{stem}.png"));
         write_png8(&file("captured"), &load_pixels(view)?.to_image().to_8bit())?;
-        for (mode, frame) in modes.iter().zip(renderer.render(&view.camera, &modes)) {
-            match frame {
-                Frame::Color(image) if matches!(mode, Mode::Backscatter | Mode::Attenuation) => {
-                    write_png(&file(mode.name()), &coefficient_picture(&image))?;
-                }
-                Frame::Color(image) => write_png(&file(mode.name()), &image)?,
-                Frame::Scalar(map) => {
-                    write_png(&file(mode.name()), &depth_picture(&map))?;
-                    if params.depth_exr {
-                        write_exr_map(&out.join(mode.name()).join(format!("{stem}.exr")), &map, "Z")?;
-                    }
-                }
+        for (mode, frame) in modes.iter().zip(renderer.render(&view.camera, &modes)?) {
+            write_png(&file(mode.name()), &picture(*mode, &frame))?;
+            if let (Frame::Scalar(map), true) = (&frame, params.depth_exr) {
+                write_exr_map(&out.join(mode.name()).join(format!("{stem}.exr")), map, "Z")?;
             }
         }
     }

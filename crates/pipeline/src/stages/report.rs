@@ -8,13 +8,13 @@ use use3d_atc::calibrator::Calibrator;
 use use3d_atc::consensus::TargetsReport;
 use use3d_capture::{Appearance, Camera, flat_stem};
 use use3d_io_image::read_image;
+use use3d_render::{Mode, WaterSample, medium_along, medium_profile};
 use use3d_scene::Scene;
 
 use super::calibrator::read_calibrator;
 use super::common::{folder, read_json, write_json, write_text};
 use super::names::{CONTACT, ENHANCED_IN_2D, SCORES, STRIP};
 use crate::engine::{Digest, Scope, Stage, StageContext, StageError, StageInput};
-use crate::rendering::{Mode, WaterSample, medium_along, medium_profile};
 use crate::report::plot::{Plot, RGB, Series};
 use crate::report::{CalibratorSection, Page, Picture, PlotFigure, SceneSection, ViewSection};
 use crate::scores::{Method, MethodScores, SceneScores, ScoredScene};

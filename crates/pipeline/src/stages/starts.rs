@@ -4,11 +4,10 @@ use use3d_atc::AtcError;
 use use3d_atc::calibrator::Calibrator;
 use use3d_atc::consensus::{Proposals, ViewInput};
 use use3d_atc::extractor::ExtractorSettings;
-use use3d_atc::proposers::{Proposer, ProposerId, SceneFindings, SceneProposer, SceneSurvey};
+use use3d_atc::proposers::{Proposer, ProposerId, SceneFindings, SceneProposer, SceneSurvey, SceneView};
 use use3d_capture::{Appearance, View};
-use use3d_enhance::KnownViews;
 use use3d_io_colmap::load_pixels;
-use use3d_scene::Scene;
+use use3d_scene::{KnownView, KnownViews, Scene};
 
 use super::calibrator::read_calibrator;
 use super::proposer::{ProposerChoice, of_calibrator};
@@ -62,7 +61,7 @@ impl<'s> Starts<'s> {
         for (i, view) in views.iter().enumerate() {
             context.alive()?;
             context.progress_with(i as u64, views.len() as u64, "views", "looking at what stage 1 knows");
-            survey.add(&known.view(&view.camera))?;
+            survey.add(&seen(&mut known, view))?;
         }
         let proposer = survey.finish();
         context.say(said(proposer.findings()));
@@ -104,13 +103,19 @@ impl<'s> Starts<'s> {
                 (pixels.to_image(), None)
             }
             Start::Known(known) => {
-                let seen = known.0.view(&view.camera);
+                let seen = seen(&mut known.0, view);
                 let proposal = known.1.propose(&seen)?;
                 (seen.clear, Some(proposal))
             }
         };
         Ok(ViewInput { name: view.name.to_string(), camera: view.camera, image, proposal })
     }
+}
+
+/// What stage 1 knows of a view, as the proposer takes it.
+fn seen(known: &mut KnownViews<'_>, view: &View) -> SceneView {
+    let KnownView { clear, accumulation, arriving } = known.view(&view.camera);
+    SceneView { clear, accumulation, arriving }
 }
 
 /// The scene's grade, for a person to read.

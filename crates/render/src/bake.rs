@@ -13,8 +13,8 @@ use use3d_numerics::sums::sums;
 use use3d_scene::Scene;
 use use3d_splat::Gaussians;
 
-use crate::EnhanceError;
-use crate::render::grades;
+use crate::RenderError;
+use crate::cpu::grades;
 
 /// Directions on which the bake is checked, spread evenly over the sphere.
 const DIRECTIONS: usize = 48;
@@ -36,7 +36,7 @@ pub struct BakeReport {
 }
 
 /// Gaussians whose plain spherical harmonics are the enhanced object radiance at `strength`, in the scene's frame.
-pub fn bake(scene: &Scene, strength: f32) -> Result<(Gaussians, BakeReport), EnhanceError> {
+pub fn bake(scene: &Scene, strength: f32) -> Result<(Gaussians, BakeReport), RenderError> {
     let grades = grades(scene, strength)?;
     let mut baked = scene.gaussians.clone();
     let used = bands(baked.sh_degree.min(3));

@@ -4,9 +4,10 @@ mod common;
 
 use common::{draw, mini, taught};
 use use3d_capture::{Camera, Lattice};
-use use3d_enhance::{EnhanceError, Look, Renderer, bake};
+use use3d_medium::MediumModel;
 use use3d_numerics::math;
-use use3d_scene::Scene;
+use use3d_render::{Look, RenderError, Renderer, bake};
+use use3d_scene::{KnownViews, Scene};
 use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered};
 
 fn worst(a: &use3d_capture::Image, b: &use3d_capture::Image) -> f32 {
@@ -32,12 +33,12 @@ fn strength_goes_from_the_reconstruction_to_the_enhancement() {
     for strength in [-0.1, 1.1, f32::NAN] {
         assert!(matches!(
             Renderer::new(&teacher, Look::Enhanced { strength }).err(),
-            Some(EnhanceError::Strength(_))
+            Some(RenderError::Strength(_))
         ));
     }
     assert!(matches!(
         Renderer::new(&scene, Look::Enhanced { strength: 1.0 }).err(),
-        Some(EnhanceError::NotEnhanced)
+        Some(RenderError::NotEnhanced)
     ));
 }
 
@@ -51,7 +52,7 @@ fn water_goes_from_all_of_it_to_the_clear_radiance() {
         let at = |water: f32| {
             let mut out = Rendered::new();
             let mut renderer = Renderer::new(&teacher, look).unwrap().with_water(water).unwrap();
-            renderer.render(camera, &lattice, true, &mut out);
+            renderer.render(camera, &lattice, true, &mut out).unwrap();
             out
         };
         let shares = [0.0f32, 0.2, 0.4, 0.6, 0.8, 1.0].map(at);
@@ -61,7 +62,7 @@ fn water_goes_from_all_of_it_to_the_clear_radiance() {
         assert_eq!(&none.image, clear, "none of it is the clear radiance, to the bit");
         let mut drawn = Rendered::new();
         let mut renderer = Renderer::new(&teacher, look).unwrap();
-        renderer.render_clear(camera, &lattice, &mut drawn);
+        renderer.render_clear(camera, &lattice, &mut drawn).unwrap();
         assert_eq!(&drawn.image, clear);
         let layers = |r: &Rendered| r.layers.clone().unwrap();
         for pair in shares.windows(2) {
@@ -90,12 +91,13 @@ fn water_goes_from_all_of_it_to_the_clear_radiance() {
             .unwrap()
             .with_water(0.4)
             .unwrap()
-            .render(camera, &lattice, false, &mut out);
+            .render(camera, &lattice, false, &mut out)
+            .unwrap();
         assert_eq!((&out.image, &out.layers), (&shares[2].image, &None), "layers are an extra");
     }
     for water in [-0.1, 1.1, f32::NAN] {
         let refused = Renderer::new(&teacher, Look::Reconstruction).unwrap().with_water(water).err();
-        assert!(matches!(refused, Some(EnhanceError::Water(_))));
+        assert!(matches!(refused, Some(RenderError::Water(_))));
         assert!(refused.unwrap().to_string().contains("expected 0"));
     }
 }
@@ -107,7 +109,10 @@ fn most_covering(scene: &Scene, camera: &Camera) -> Scene {
     let covered = |i: usize| {
         let mut out = Rendered::new();
         let alone = alone(i);
-        Renderer::new(&alone, Look::Reconstruction).unwrap().render(camera, &lattice, false, &mut out);
+        Renderer::new(&alone, Look::Reconstruction)
+            .unwrap()
+            .render(camera, &lattice, false, &mut out)
+            .unwrap();
         out.accumulation.data().iter().map(|w| f64::from(*w)).sum::<f64>()
     };
     let most = (0..scene.gaussians.len()).max_by(|a, b| covered(*a).total_cmp(&covered(*b)));
@@ -126,7 +131,7 @@ fn a_faint_gaussian_before_open_water_leaves_no_edge() {
         faint.gaussians.opacity_logits[0] = logit;
         let mut out = Rendered::new();
         let mut renderer = Renderer::new(&faint, Look::Reconstruction).unwrap().with_water(share).unwrap();
-        renderer.render(camera, &lattice, true, &mut out);
+        renderer.render(camera, &lattice, true, &mut out).unwrap();
         (out, renderer.medium().unwrap().clone())
     };
     let (with, maps) = drawn(math::ln(alpha / (1.0 - alpha)));
@@ -165,10 +170,10 @@ fn a_share_of_the_water_is_the_documented_sum() {
     let single = most_covering(&scene, camera);
     let (mut whole, mut part) = (Rendered::new(), Rendered::new());
     let mut renderer = Renderer::new(&single, Look::Reconstruction).unwrap();
-    renderer.render(camera, &lattice, true, &mut whole);
+    renderer.render(camera, &lattice, true, &mut whole).unwrap();
     let maps = renderer.medium().unwrap().clone();
     let mut renderer = renderer.with_water(share).unwrap();
-    renderer.render(camera, &lattice, false, &mut part);
+    renderer.render(camera, &lattice, false, &mut part).unwrap();
     assert_eq!(renderer.medium(), Some(&maps), "the water itself is told whole");
     let layers = whole.layers.as_ref().unwrap();
     let (mut hit, mut open) = (0, 0);
@@ -209,7 +214,7 @@ fn a_crop_keeps_its_colours_and_layers_add_up() {
     assert!(worst(&draw(&crop, look, camera), &draw(&hidden, look, camera)) < 1e-6);
     let mut out = Rendered::new();
     let mut renderer = Renderer::new(&teacher, look).unwrap();
-    renderer.render(camera, &Lattice::full(&camera.intrinsics), true, &mut out);
+    renderer.render(camera, &Lattice::full(&camera.intrinsics), true, &mut out).unwrap();
     let layers = out.layers.as_ref().unwrap();
     for (p, v) in out.image.data().iter().enumerate() {
         let sum = layers.object.data()[p] + layers.medium.data()[p] + layers.far.data()[p];
@@ -237,7 +242,8 @@ fn a_baked_scene_shows_the_enhanced_radiance() {
     let mut out = Rendered::new();
     Renderer::new(&teacher, Look::Enhanced { strength: 1.0 })
         .unwrap()
-        .render(camera, &lattice, true, &mut out);
+        .render(camera, &lattice, true, &mut out)
+        .unwrap();
     let clear = &out.layers.as_ref().unwrap().clear;
     let mut prepared = Prepared::new();
     prepared.prepare(&baked, camera, &lattice, Colors::Sh { degree: 3 });
@@ -255,5 +261,35 @@ fn a_baked_scene_shows_the_enhanced_radiance() {
     let (_, report) = bake(&dark, 1.0).unwrap();
     assert!(report.clamped_share > 0.02 && report.max_error > 1e-3, "{report:?}");
     assert!(report.max_error_unclamped < 1e-5, "{report:?}");
-    assert!(matches!(bake(&scene, 1.0), Err(EnhanceError::NotEnhanced)));
+    assert!(matches!(bake(&scene, 1.0), Err(RenderError::NotEnhanced)));
+}
+
+#[test]
+fn what_stage_1_knows_of_a_view_is_what_its_layers_say() {
+    let (scene, views) = mini();
+    for scene in [scene.clone(), Scene { medium: MediumModel::None, ..scene }] {
+        let camera = &views[0].camera;
+        let known = KnownViews::new(&scene).view(camera);
+        let (mut renderer, mut out) = (Renderer::new(&scene, Look::Reconstruction).unwrap(), Rendered::new());
+        renderer.render(camera, &Lattice::full(&camera.intrinsics), true, &mut out).unwrap();
+        let layers = out.layers.as_ref().unwrap();
+        let apart = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(apart(known.clear.data(), layers.clear.data()) < 1e-6);
+        assert_eq!(known.accumulation, out.accumulation);
+        // Each channel arrives attenuated, and no more of it than there is.
+        let n = known.accumulation.pixels();
+        for (i, (arriving, clear)) in known.arriving.data().iter().zip(layers.clear.data()).enumerate() {
+            let accumulation = known.accumulation.data()[i % n];
+            assert!((0.0..=accumulation + 1e-6).contains(arriving), "{arriving} of {accumulation}");
+            // A surface of one colour: what arrives of it is its share.
+            let share = arriving / accumulation.max(1e-6);
+            let object = layers.object.data()[i];
+            assert!((object - share * clear).abs() < 0.12, "{object} {share} {clear}");
+        }
+        if scene.medium.is_none() {
+            assert!(apart(&known.arriving.data()[..n], known.accumulation.data()) < 1e-6);
+        } else {
+            assert!(apart(&known.arriving.data()[..n], known.accumulation.data()) > 0.1);
+        }
+    }
 }

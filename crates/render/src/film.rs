@@ -3,21 +3,67 @@
 
 use std::ffi::OsString;
 use std::fs::File;
-use std::io::{BufWriter, Read, Write};
+use std::io::{BufWriter, Error as IoError, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use use3d_capture::Image8;
-use use3d_pipeline::engine::place::{parent, sibling};
-
-use crate::error::CliError;
 
 /// Even sides, as 4:2:0 needs them, and what the numbers mean.
 const FILTER: &str =
     "pad=ceil(iw/2)*2:ceil(ih/2)*2,setparams=colorspace=bt709:color_primaries=bt709:color_trc=bt709:range=tv";
 
+/// A film that cannot be begun or written. Whoever asked for it knows its path.
+#[derive(Debug, thiserror::Error)]
+pub enum FilmError {
+    /// No frames per second.
+    #[error("0 frames per second; a film needs at least one")]
+    FrameRate,
+    /// The folder for the film cannot be made.
+    #[error("cannot make its folder: {0}")]
+    Folder(IoError),
+    /// The file that the film grows in cannot be made.
+    #[error("cannot write {}: {source}", path.display())]
+    Create {
+        /// That file.
+        path: PathBuf,
+        /// What the system says.
+        source: IoError,
+    },
+    /// The system has no `ffmpeg`.
+    #[error("cannot start ffmpeg ({0}); install ffmpeg, or name a .y4m file, which needs nothing")]
+    NoFfmpeg(IoError),
+    /// A frame of another size than those before.
+    #[error("frames of {}x{} and {}x{} cannot share a film; render one camera size with --size", first.0, first.1, other.0, other.1)]
+    Sizes {
+        /// Width and height of the frames before.
+        first: (usize, usize),
+        /// Width and height of this one.
+        other: (usize, usize),
+    },
+    /// A frame could not be written.
+    #[error("writing a frame failed: {0}")]
+    Frame(IoError),
+    /// `ffmpeg` did not write the film.
+    #[error("ffmpeg could not write it: {0}; .mp4, .webm, .gif and .y4m are known to work")]
+    Refused(String),
+    /// The film could not be ended.
+    #[error("{0}")]
+    Finish(IoError),
+}
+
+impl FilmError {
+    /// Whether something else was asked for than can be done, before or beside the writing itself.
+    pub fn is_of_the_request(&self) -> bool {
+        matches!(
+            self,
+            Self::FrameRate | Self::Folder(_) | Self::Create { .. } | Self::NoFfmpeg(_) | Self::Sizes { .. }
+        )
+    }
+}
+
 /// A film being written.
-pub(crate) struct Video {
+pub struct Film {
     sink: Sink,
     path: PathBuf,
     part: Part,
@@ -40,25 +86,26 @@ impl Drop for Part {
     }
 }
 
-impl Video {
-    /// Starts a film at `path`: `.y4m` is written directly, anything else needs `ffmpeg`.
-    pub(crate) fn create(path: &Path, fps: u32) -> Result<Self, CliError> {
-        let shown = path.display();
+impl Film {
+    /// Starts a film at `path`: `.y4m` is written directly, anything else needs `ffmpeg`. Until it is whole it grows in `part`, a place
+    /// in the same folder, with the film's extension put to it.
+    ///
+    /// # Errors
+    /// See [`FilmError`]; [`FilmError::is_of_the_request`] is true of all.
+    pub fn create(path: &Path, mut part: PathBuf, fps: u32) -> Result<Self, FilmError> {
         if fps == 0 {
-            return Err(CliError::Input("--frame-rate 0: a film needs at least one frame per second".into()));
+            return Err(FilmError::FrameRate);
         }
         // With its extension, by which ffmpeg knows what to write.
-        let mut part = sibling(path);
         if let Some(extension) = path.extension() {
             part.set_extension(extension);
         }
         let part = Part(part);
-        std::fs::create_dir_all(parent(path))
-            .map_err(|e| CliError::Input(format!("--video {shown}: cannot make its folder: {e}")))?;
+        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        std::fs::create_dir_all(folder).map_err(FilmError::Folder)?;
         let sink = if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("y4m")) {
-            let file = File::create(&part.0).map_err(|e| {
-                CliError::Input(format!("--video {shown}: cannot write {}: {e}", part.0.display()))
-            })?;
+            let file =
+                File::create(&part.0).map_err(|source| FilmError::Create { path: part.0.clone(), source })?;
             Sink::File(BufWriter::new(file))
         } else {
             let child = Command::new("ffmpeg")
@@ -71,18 +118,17 @@ impl Video {
                 .stdin(Stdio::piped())
                 .stderr(Stdio::piped())
                 .spawn()
-                .map_err(|e| {
-                    CliError::Input(format!(
-                        "--video {shown}: cannot start ffmpeg ({e}); install ffmpeg, or name a .y4m file, which needs nothing"
-                    ))
-                })?;
+                .map_err(FilmError::NoFfmpeg)?;
             Sink::Ffmpeg(child)
         };
         Ok(Self { sink, path: path.to_path_buf(), part, size: None, fps })
     }
 
     /// Appends a frame; all frames have one size.
-    pub(crate) fn push(&mut self, frame: &Image8) -> Result<(), CliError> {
+    ///
+    /// # Errors
+    /// A frame of another size, or one that cannot be written.
+    pub fn push(&mut self, frame: &Image8) -> Result<(), FilmError> {
         let size = (frame.width(), frame.height());
         let mut bytes = Vec::new();
         match self.size {
@@ -96,12 +142,7 @@ impl Video {
                     .as_bytes(),
                 );
             }
-            Some(expected) if expected != size => {
-                return Err(CliError::Input(format!(
-                    "--video: frames of {}x{} and {}x{} cannot share a film; render one camera size with --size",
-                    expected.0, expected.1, size.0, size.1
-                )));
-            }
+            Some(first) if first != size => return Err(FilmError::Sizes { first, other: size }),
             Some(_) => {}
         }
         bytes.extend_from_slice(b"FRAME\n");
@@ -115,32 +156,32 @@ impl Video {
         };
         written.map_err(|e| match &mut self.sink {
             // It has ended; why, it says itself.
-            Sink::Ffmpeg(child) => ended(&self.path, child, &e.to_string()),
-            Sink::File { .. } => {
-                CliError::Failed(format!("--video {}: writing a frame failed: {e}", self.path.display()))
-            }
+            Sink::Ffmpeg(child) => ended(child, &e.to_string()),
+            Sink::File { .. } => FilmError::Frame(e),
         })
     }
 
     /// Ends the film; only now does its name appear.
-    pub(crate) fn finish(self) -> Result<(), CliError> {
-        let failed = |e: std::io::Error| CliError::Failed(format!("--video {}: {e}", self.path.display()));
+    ///
+    /// # Errors
+    /// A film that could not be written to its end; its name does not appear.
+    pub fn finish(self) -> Result<(), FilmError> {
         match self.sink {
             Sink::File(writer) => {
-                let file = writer.into_inner().map_err(|e| failed(e.into_error()))?;
-                file.sync_all().map_err(failed)?;
+                let file = writer.into_inner().map_err(|e| FilmError::Finish(e.into_error()))?;
+                file.sync_all().map_err(FilmError::Finish)?;
             }
             Sink::Ffmpeg(mut child) => {
                 drop(child.stdin.take());
                 // Read first: a full pipe would keep it from ending.
                 let said = said(&mut child);
-                let status = child.wait().map_err(failed)?;
+                let status = child.wait().map_err(FilmError::Finish)?;
                 if !status.success() {
-                    return Err(refused(&self.path, &said, &status.to_string()));
+                    return Err(refused(&said, &status.to_string()));
                 }
             }
         }
-        std::fs::rename(&self.part.0, &self.path).map_err(failed)
+        std::fs::rename(&self.part.0, &self.path).map_err(FilmError::Finish)
     }
 }
 
@@ -161,21 +202,18 @@ fn said(child: &mut Child) -> String {
 }
 
 /// An ffmpeg that no longer takes frames.
-fn ended(path: &Path, child: &mut Child, otherwise: &str) -> CliError {
+fn ended(child: &mut Child, otherwise: &str) -> FilmError {
     drop(child.stdin.take());
     let said = said(child);
     let _ = child.wait();
-    refused(path, &said, otherwise)
+    refused(&said, otherwise)
 }
 
 /// Why ffmpeg did not write a film: the last of its words, without the memory addresses that it begins lines with.
-fn refused(path: &Path, said: &str, otherwise: &str) -> CliError {
+fn refused(said: &str, otherwise: &str) -> FilmError {
     let line = said.lines().map(str::trim).find(|l| !l.is_empty());
     let why = line.map_or(otherwise, |l| l.rsplit_once("] ").map_or(l, |(_, words)| words));
-    CliError::Failed(format!(
-        "--video {}: ffmpeg could not write it: {why}; .mp4, .webm, .gif and .y4m are known to work",
-        path.display()
-    ))
+    FilmError::Refused(why.to_string())
 }
 
 /// BT.709 planes Y (16 to 235), Cb, Cr (16 to 240).
@@ -203,13 +241,37 @@ mod tests {
         let image = Image8::from_interleaved(2, 1, &[128, 128, 128, 255, 0, 0]).unwrap();
         assert_eq!(to_ycbcr(&image), [126, 63, 128, 102, 128, 240]);
     }
+
     #[test]
     fn ffmpegs_words_are_told_without_its_addresses() {
         let said =
             "[NULL @ 0x55d0c8] Unable to choose an output format for 'a.xyz'\nError opening output file\n";
-        let CliError::Failed(message) = refused(Path::new("a.xyz"), said, "Broken pipe") else { panic!() };
+        let message = refused(said, "Broken pipe").to_string();
         assert!(message.contains("write it: Unable to choose an output format") && !message.contains("0x55"));
-        let CliError::Failed(message) = refused(Path::new("a.mp4"), "\n", "exit status: 1") else { panic!() };
+        let message = refused("\n", "exit status: 1").to_string();
         assert!(message.contains("exit status: 1"), "{message}");
+    }
+
+    #[test]
+    fn a_film_appears_whole_or_not_at_all() {
+        let dir = tempfile::tempdir().unwrap();
+        let (path, part) = (dir.path().join("swim.y4m"), dir.path().join("growing"));
+        let frame = |width| Image8::from_interleaved(width, 1, &vec![128; 3 * width]).unwrap();
+        let names = || std::fs::read_dir(dir.path()).unwrap().count();
+        assert!(matches!(Film::create(&path, part.clone(), 0), Err(FilmError::FrameRate)));
+        let mut film = Film::create(&path, part.clone(), 25).unwrap();
+        film.push(&frame(2)).unwrap();
+        assert!(matches!(film.push(&frame(3)), Err(FilmError::Sizes { first: (2, 1), other: (3, 1) })));
+        assert!(!path.exists() && names() == 1, "it grows beside its place");
+        drop(film);
+        assert_eq!(names(), 0, "and goes with a command that ends before");
+        let mut film = Film::create(&path, part, 25).unwrap();
+        film.push(&frame(2)).unwrap();
+        film.finish().unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        assert!(
+            bytes.starts_with(b"YUV4MPEG2 W2 H1 F25:1 ") && bytes.ends_with(&[126, 126, 128, 128, 128, 128])
+        );
+        assert_eq!(names(), 1);
     }
 }

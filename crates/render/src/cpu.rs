@@ -1,0 +1,122 @@
+//! The backend that defines what is right: the compositor on the processor, the same bytes on any number of threads.
+
+use use3d_capture::{Camera, Image, Lattice, MediumMaps};
+use use3d_scene::{Compositor, Scene};
+use use3d_splat::{Options, Rendered};
+use use3d_ubaf::enhancement::ObjectGrades;
+
+use crate::RenderError;
+use crate::backend::{Backend, Request};
+use crate::renderer::Look;
+
+/// Draws on the processor.
+pub struct Cpu<'s> {
+    scene: &'s Scene,
+    /// Per-Gaussian grades and the strength, if enhanced.
+    grades: Option<(ObjectGrades, f32)>,
+    compositor: Compositor,
+    /// The water in front of the last camera, as the look has it.
+    maps: MediumMaps,
+    /// `maps` with the coefficients of the water that is left.
+    thinned: MediumMaps,
+}
+
+impl<'s> Cpu<'s> {
+    /// For one look. The field is evaluated here, once; a view then costs one affine per Gaussian more than the reconstruction.
+    ///
+    /// # Errors
+    /// A strength outside `[0, 1]`, or a scene that is not enhanced.
+    pub fn new(scene: &'s Scene, look: Look) -> Result<Self, RenderError> {
+        let grades = match look {
+            Look::Reconstruction => None,
+            Look::Enhanced { strength } => Some((grades(scene, strength)?, strength)),
+        };
+        let (maps, thinned) = (MediumMaps::zeros(0, 0), MediumMaps::zeros(0, 0));
+        Ok(Self { scene, grades, compositor: Compositor::new(), maps, thinned })
+    }
+
+    /// The water in front of a camera, as this look has it, all of it.
+    fn look_through(&mut self, camera: &Camera, lattice: &Lattice) {
+        if !self.scene.look_through(camera, lattice, &mut self.maps) {
+            return;
+        }
+        if let (Some((_, strength)), Some(enhancement)) = (&self.grades, &self.scene.enhancement) {
+            let center = camera.pose.center().as_vec3().to_array();
+            let frozen = std::mem::replace(&mut self.maps, MediumMaps::zeros(0, 0));
+            self.maps = enhancement.water(center, frozen, *strength);
+        }
+    }
+}
+
+impl Backend for Cpu<'_> {
+    fn draw(&mut self, request: &Request<'_>, out: &mut Rendered) -> Result<(), RenderError> {
+        let Request { camera, lattice, water, layers } = *request;
+        if water.is_some() {
+            self.look_through(camera, lattice);
+        }
+        let water = water.unwrap_or(0.0);
+        let grades = &self.grades;
+        self.compositor.prepare(self.scene, camera, lattice, |colors| {
+            if let Some((grades, _)) = grades {
+                grades.apply(colors);
+            }
+        });
+        let dry = self.scene.medium.is_none() || water == 0.0;
+        let thinned = !dry && water < 1.0;
+        let medium = if dry {
+            None
+        } else if thinned {
+            thin(&self.maps, water, &mut self.thinned);
+            Some(&self.thinned)
+        } else {
+            Some(&self.maps)
+        };
+        self.compositor.draw(medium, &Options { layers, ..Options::default() }, out);
+        if thinned {
+            dim_open_water(&self.maps.color, water, out);
+        }
+        Ok(())
+    }
+
+    fn medium(&self) -> Option<&MediumMaps> {
+        (!self.scene.medium.is_none()).then_some(&self.maps)
+    }
+}
+
+/// Water of the same colour with `share` of its coefficients.
+fn thin(maps: &MediumMaps, share: f32, out: &mut MediumMaps) {
+    out.resize(maps.color.width(), maps.color.height());
+    out.color.data_mut().copy_from_slice(maps.color.data());
+    let scaled = |from: &Image, to: &mut Image| {
+        to.data_mut().iter_mut().zip(from.data()).for_each(|(to, from)| *to = share * from);
+    };
+    scaled(&maps.backscatter, &mut out.backscatter);
+    scaled(&maps.attenuation, &mut out.attenuation);
+}
+
+/// Gives open water its factor, in the picture and in its layers: of the water's light `(1 − Σ w) c_m` belongs to rays that no surface
+/// ends, part of it to the intervals before the last Gaussian and part to the far end.
+fn dim_open_water(color: &Image, share: f32, out: &mut Rendered) {
+    let pixels = out.accumulation.pixels();
+    let open = |i: usize| (1.0 - out.accumulation.data()[i % pixels]) * color.data()[i];
+    if let Some(layers) = &mut out.layers {
+        let parts = layers.medium.data_mut().iter_mut().zip(layers.far.data_mut());
+        for (i, (intervals, far)) in parts.enumerate() {
+            *intervals -= (1.0 - share) * (open(i) - *far);
+            *far *= share;
+        }
+    }
+    for (i, pixel) in out.image.data_mut().iter_mut().enumerate() {
+        *pixel -= (1.0 - share) * open(i);
+    }
+}
+
+/// The grades of a scene's Gaussians at a strength.
+pub(crate) fn grades(scene: &Scene, strength: f32) -> Result<ObjectGrades, RenderError> {
+    if !(0.0..=1.0).contains(&strength) {
+        return Err(RenderError::Strength(strength));
+    }
+    let enhancement = scene.enhancement.as_ref().ok_or(RenderError::NotEnhanced)?;
+    let g = &scene.gaussians;
+    Ok(enhancement.objects(&g.means, g.sh.iter().map(|sh| sh[0]), strength))
+}

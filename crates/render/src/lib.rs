@@ -1,0 +1,36 @@
+//! Every picture that a scene can give.
+//!
+//! ```text
+//! Scene ─▶ Backend ─▶ Renderer ─▶ SceneRenderer ─▶ picture ─▶ file, film
+//!          draws      a look      modes            colours for people
+//! ```
+//!
+//! A [`Backend`] holds a scene and draws it from any camera; [`Cpu`] is the one that defines what is right. A [`Renderer`] draws one
+//! [`Look`] with a share of the water, a [`SceneRenderer`] every [`Mode`] from one camera at a time. [`picture`] turns a mode's numbers
+//! into colours, [`cover`] and [`focus`] frame cameras, [`Film`] writes frames one after another. [`bake`] writes the enhancement
+//! into spherical harmonics for viewers that know nothing of it, [`medium_profile`] and [`medium_along`] read the water alone.
+//!
+//! Nothing here trains, and nothing that trains uses it: what a picture looks like changes no trained byte, and how training goes
+//! changes no picture of a given scene.
+
+mod backend;
+mod bake;
+mod cpu;
+mod error;
+mod film;
+mod framing;
+mod modes;
+mod pictures;
+mod profile;
+mod renderer;
+
+pub use backend::{Backend, Request};
+pub use bake::{BakeReport, bake};
+pub use cpu::Cpu;
+pub use error::RenderError;
+pub use film::{Film, FilmError};
+pub use framing::{cover, focus};
+pub use modes::{Frame, Mode, SceneRenderer};
+pub use pictures::{coefficient_picture, depth_picture, picture};
+pub use profile::{WaterSample, medium_along, medium_profile};
+pub use renderer::{Look, Renderer};

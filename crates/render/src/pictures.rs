@@ -1,0 +1,67 @@
+//! A mode's numbers as colours for people.
+
+use use3d_capture::{Image, Map};
+
+use crate::modes::{Frame, Mode};
+
+/// A frame as people look at it: colours as they are, coefficients by their hue, depths by a colour map, opacity in grey.
+pub fn picture(mode: Mode, frame: &Frame) -> Image {
+    match frame {
+        Frame::Color(image) if matches!(mode, Mode::Backscatter | Mode::Attenuation) => {
+            coefficient_picture(image)
+        }
+        Frame::Color(image) => image.clone(),
+        Frame::Scalar(map) if mode == Mode::Depth => depth_picture(map),
+        Frame::Scalar(map) => spread(map),
+    }
+}
+
+/// A map as a grey image.
+pub(crate) fn spread(map: &Map) -> Image {
+    let mut image = Image::new(map.width(), map.height());
+    let n = map.pixels();
+    for c in 0..3 {
+        image.data_mut()[c * n..(c + 1) * n].copy_from_slice(map.data());
+    }
+    image
+}
+
+/// A map for people: near is bright, far is deep blue, unknown (0) is black; scaled between the 2 % and 98 % quantiles of its
+/// positive values.
+pub fn depth_picture(depth: &Map) -> Image {
+    let mut known: Vec<f32> = depth.data().iter().copied().filter(|d| d.is_finite() && *d > 0.0).collect();
+    let mut image = Image::new(depth.width(), depth.height());
+    if known.is_empty() {
+        return image;
+    }
+    known.sort_unstable_by(f32::total_cmp);
+    let at = |share: f64| known[((known.len() - 1) as f64 * share) as usize];
+    let (near, far) = (at(0.02), at(0.98).max(at(0.02) * 1.0001));
+    // Inverse depth: what the eye reads as distance.
+    let scale = |d: f32| ((1.0 / d - 1.0 / far) / (1.0 / near - 1.0 / far)).clamp(0.0, 1.0);
+    for y in 0..depth.height() {
+        for x in 0..depth.width() {
+            let [d] = depth.pixel(x, y);
+            if d.is_finite() && d > 0.0 {
+                image.set_pixel(x, y, ramp(scale(d)));
+            }
+        }
+    }
+    image
+}
+
+/// Dark blue over teal and sand to pale yellow; lightness rises evenly.
+fn ramp(t: f32) -> [f32; 3] {
+    const STOPS: [[f32; 3]; 5] =
+        [[0.03, 0.05, 0.22], [0.06, 0.28, 0.47], [0.13, 0.55, 0.55], [0.62, 0.76, 0.45], [0.99, 0.95, 0.70]];
+    let place = t.clamp(0.0, 1.0) * (STOPS.len() - 1) as f32;
+    let i = (place as usize).min(STOPS.len() - 2);
+    let f = place - i as f32;
+    std::array::from_fn(|c| STOPS[i][c] * (1.0 - f) + STOPS[i + 1][c] * f)
+}
+
+/// Coefficients for people: divided by the largest value of the image, so that the hue shows which channel the water takes.
+pub fn coefficient_picture(map: &Image) -> Image {
+    let most = map.data().iter().copied().filter(|v| v.is_finite()).fold(1e-6f32, f32::max);
+    map.map(|v| v / most)
+}
