@@ -14,6 +14,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("golden", &[]),
     ("io-image", &["capture"]),
     ("io-colmap", &["capture", "numerics", "io-image"]),
+    ("import", &["capture", "numerics", "io-image", "io-colmap"]),
     ("metrics", &["capture", "numerics"]),
     ("nets", &["capture", "numerics"]),
     ("synth", &["capture", "numerics", "io-image", "io-colmap"]),

@@ -14,7 +14,7 @@ use use3d_atc::consensus::{
 use use3d_atc::progress::unwatched;
 use use3d_atc::proposers::{Fusion, Proposer};
 use use3d_capture::{Appearance, SparsePoint, View};
-use use3d_io_colmap::{ImportParams, import, load_pixels};
+use use3d_import::{ImportParams, import, load_pixels};
 use use3d_io_image::{write_png, write_png_map};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};

@@ -17,6 +17,7 @@ pub(crate) fn start(verbose: u8, quiet: bool) {
         "capture",
         "io_image",
         "io_colmap",
+        "import",
         "splat",
         "medium",
         "atc",
@@ -27,7 +28,7 @@ pub(crate) fn start(verbose: u8, quiet: bool) {
     ];
     let mut filter = String::from(default);
     if !quiet && verbose == 0 {
-        for name in ours.iter().chain(&["pipeline", "scene", "training"]) {
+        for name in ours.iter().chain(&["pipeline", "scene", "render", "training"]) {
             filter.push_str(&format!(",use3d_{name}=info"));
         }
     }

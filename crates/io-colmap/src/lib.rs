@@ -1,64 +1,19 @@
-//! COLMAP models and capture folders.
+//! COLMAP's files and lenses.
 //!
-//! [`import`] finds the model and the images of a capture, resolves names without ever leaving the image folder, turns every lens into
-//! a pinhole, normalises the frame (R7), chooses the split (R8), and says in an [`ImportReport`] what it did.
-//! Where pixels must change (distortion, size, white balance), [`prepare`] streams them into a self-contained folder
-//! that [`load_prepared`] reads back exactly. [`load_pixels`], [`load_mask`] and [`load_depth_prior`] load one view at
-//! its camera's size.
-//!
-//! [`Imported::tracks`] says which views saw each sparse point, and where.
-//!
-//! [`read_model`], [`write_model_binary`] and [`write_model_text`] are COLMAP's files in and out; [`read_cameras`] gives the cameras of a
-//! model, a capture or a JSON list.
-//!
-//! ```no_run
-//! # fn main() -> Result<(), use3d_io_colmap::ImportError> {
-//! use std::path::Path;
-//! use use3d_io_colmap::{ImportParams, import, load_pixels, prepare};
-//!
-//! let mut imported = import(Path::new("reef"), &ImportParams::default())?;
-//! print!("{}", imported.report);
-//! if imported.needs_preparation() {
-//!     imported = prepare(&imported, Path::new("reef-prepared"), 0, &|_, _| true)?;
-//! }
-//! let first = load_pixels(&imported.capture.views[0])?;
-//! # Ok(())
-//! # }
-//! ```
+//! [`read_model`], [`write_model_binary`] and [`write_model_text`] are COLMAP's models in and out, in both of their forms ([`binary`],
+//! [`text`]); [`Lens`] is where a ray lands on the sensor, and back, for each of COLMAP's camera models. What a capture is made of
+//! beside a model, and what becomes of its pictures, is the import's.
 
 pub mod binary;
-mod cameras;
 mod error;
-mod geometry;
-mod import;
 mod jet;
-mod layout;
 mod lens;
-mod load;
 mod model;
-mod normalise;
-mod params;
-mod prepare;
-mod prepared;
-mod report;
-mod resample;
-mod split;
 pub mod text;
-mod tracks;
-mod undistort;
-mod white_balance;
 
-pub use cameras::read_cameras;
-pub use error::{ImportError, ModelError};
-pub use import::{Imported, capture_name, import};
-pub use layout::has_depth_folder;
+pub use error::ModelError;
 pub use lens::{Lens, LensModel};
-pub use load::{load_depth_prior, load_mask, load_pixels};
 pub use model::{
-    Keypoint, Model, ModelCamera, ModelForm, ModelImage, ModelPoint, read_model, read_model_as,
-    write_model_binary, write_model_text,
+    Keypoint, Model, ModelCamera, ModelForm, ModelImage, ModelPoint, count_images, fits_single, form_of,
+    read_model, read_model_as, write_model_binary, write_model_text,
 };
-pub use params::{ImageSize, ImportParams, SplitOrder, SplitParams, WhiteBalance};
-pub use prepare::{PreparedView, Progress, prepare};
-pub use prepared::{Extent, is_prepared, load_prepared, prepared_extent};
-pub use report::{CameraReport, ImportReport};

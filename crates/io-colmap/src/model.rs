@@ -177,8 +177,11 @@ pub fn read_model(dir: &Path) -> Result<Model, ModelError> {
     read_model_as(dir, form_of(dir)?)
 }
 
-/// The form of the model in a folder, or why there is none.
-pub(crate) fn form_of(dir: &Path) -> Result<ModelForm, ModelError> {
+/// The form of the model in a folder.
+///
+/// # Errors
+/// Why there is none: no file of a model, or not all of them.
+pub fn form_of(dir: &Path) -> Result<ModelForm, ModelError> {
     ModelForm::of(dir).ok_or_else(|| match ModelForm::missing(dir) {
         Some(missing) => ModelError::Incomplete { path: dir.to_path_buf(), missing: missing.join(" and ") },
         None => ModelError::NotFound { path: dir.to_path_buf() },
@@ -209,7 +212,10 @@ pub fn read_model_as(dir: &Path, form: ModelForm) -> Result<Model, ModelError> {
 }
 
 /// How many images a model lists, without reading the rest of it.
-pub(crate) fn count_images(dir: &Path, form: ModelForm) -> Result<u64, ModelError> {
+///
+/// # Errors
+/// A list that cannot be read.
+pub fn count_images(dir: &Path, form: ModelForm) -> Result<u64, ModelError> {
     let path = &form.files(dir)[1];
     let open = |source| ModelError::Open { path: path.clone(), source };
     match form {
@@ -266,7 +272,7 @@ const RANGE: &str = "expected numbers up to 1e15";
 const SHORTEST_FOCAL: f64 = 1e-3;
 
 /// Whether a coordinate can be worked with in single precision.
-pub(crate) fn single(value: f64) -> bool {
+pub fn fits_single(value: f64) -> bool {
     value.abs() <= LARGEST
 }
 
@@ -332,11 +338,14 @@ impl Model {
     }
 
     /// Checks that every number that is trained or rendered with keeps its meaning in single precision.
-    pub(crate) fn check_single(&self, path: &Path) -> Result<(), ModelError> {
+    ///
+    /// # Errors
+    /// The first number that does not, by record.
+    pub fn check_single(&self, path: &Path) -> Result<(), ModelError> {
         let fail = |place: String, reason: String| Err(ModelError::broken(path, place, reason));
         for camera in &self.cameras {
             let place = format!("camera {}", camera.id);
-            if let Some(bad) = camera.parameters.iter().position(|p| !single(*p)) {
+            if let Some(bad) = camera.parameters.iter().position(|p| !fits_single(*p)) {
                 return fail(place, format!("parameter {bad} is {:e}; {RANGE}", camera.parameters[bad]));
             }
             let focal = camera.lens().map(|lens| lens.pinhole_part().0);
@@ -347,12 +356,12 @@ impl Model {
             }
         }
         for image in &self.images {
-            if image.translation.iter().any(|v| !single(*v)) {
+            if image.translation.iter().any(|v| !fits_single(*v)) {
                 let reason = format!("its translation is {:?}; {RANGE}", image.translation);
                 return fail(format!("image {} ({})", image.id, image.name), reason);
             }
         }
-        match self.points.iter().find(|p| p.position.iter().any(|v| !single(*v))) {
+        match self.points.iter().find(|p| p.position.iter().any(|v| !fits_single(*v))) {
             Some(point) => {
                 fail(format!("point {}", point.id), format!("its position is {:?}; {RANGE}", point.position))
             }
@@ -361,7 +370,7 @@ impl Model {
     }
 
     /// Keeps the images that `keep` says, and takes the others out of the points' tracks.
-    pub(crate) fn retain_images(&mut self, keep: impl Fn(&ModelImage) -> bool) {
+    pub fn retain_images(&mut self, keep: impl Fn(&ModelImage) -> bool) {
         let before = self.images.len();
         self.images.retain(keep);
         if self.images.len() < before {

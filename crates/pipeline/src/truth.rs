@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Image, Map};
-use use3d_io_colmap::{ImageSize, ImportError, ImportParams, Imported, SplitParams, import, is_prepared};
+use use3d_import::{ImageSize, ImportError, ImportParams, Imported, SplitParams, import, is_prepared};
 use use3d_metrics::{
     ExposureFit, Mask, MetricError, affine_fit, exposure_gain, map_colours, mean_ciede2000, psnr,
     psnr_exposure_fitted,

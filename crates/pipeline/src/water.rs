@@ -6,7 +6,7 @@ use std::fmt;
 
 use serde::Serialize;
 use use3d_capture::Frame;
-use use3d_io_colmap::{ImportError, Imported, load_mask, load_pixels};
+use use3d_import::{ImportError, Imported, load_mask, load_pixels};
 use use3d_reconstruct::FoundWater;
 use use3d_water::{ChannelWater, Measured, ObserveError, Verdict, Water, WaterParams, estimate, observe};
 

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use use3d_capture::{Lattice, MediumMaps, View};
-use use3d_io_colmap::{ImportParams, import, load_depth_prior, load_mask, load_pixels};
+use use3d_import::{ImportParams, import, load_depth_prior, load_mask, load_pixels};
 use use3d_reconstruct::engine::CpuEngine;
 use use3d_reconstruct::{LoadedView, ReconstructParams, reconstruct};
 use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered};
@@ -38,7 +38,7 @@ impl Observer for Lines {
 }
 
 fn load(view: &View) -> Result<LoadedView, String> {
-    let text = |e: use3d_io_colmap::ImportError| e.to_string();
+    let text = |e: use3d_import::ImportError| e.to_string();
     Ok(LoadedView {
         pixels: load_pixels(view).map_err(text)?,
         alpha: None,

@@ -350,7 +350,7 @@ fn initialised(points: &[(DVec3, [u8; 3])]) -> Gaussians {
 fn bar_scene() -> (String, Gaussians, Vec<Camera>) {
     if let Some(data) = std::env::var_os("USE3D_DATA") {
         let dir = std::path::Path::new(&data).join("reef_deepreefmap");
-        match use3d_io_colmap::import(&dir, &use3d_io_colmap::ImportParams::default()) {
+        match use3d_import::import(&dir, &use3d_import::ImportParams::default()) {
             Ok(imported) => {
                 let capture = imported.capture;
                 let points: Vec<_> = capture.points.iter().map(|p| (p.position, p.color)).collect();

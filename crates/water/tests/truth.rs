@@ -1,7 +1,7 @@
 //! A synthetic capture whose water is known: another camera, noise, blur, detection errors and mismatches than the model has.
 
 use use3d_capture::{Image, Map};
-use use3d_io_colmap::{ImportParams, import, load_pixels};
+use use3d_import::{ImportParams, import, load_pixels};
 use use3d_synth::{CaptureParams, write_capture};
 use use3d_water::{ObserveError, Water, WaterParams, estimate, observe};
 

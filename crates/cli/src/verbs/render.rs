@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use use3d_capture::{Camera, FileName, path, stem};
-use use3d_io_colmap::read_cameras;
+use use3d_import::read_cameras;
 use use3d_io_image::{write_exr, write_exr_map, write_png, write_png_map};
 use use3d_pipeline::engine::machine::bytes;
 use use3d_pipeline::engine::{Event, place};
@@ -122,7 +122,7 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName,
         match &origin {
             Some(origin) => cameras.retain(|(name, _)| origin.held_out.iter().any(|s| s == stem(name))),
             None => {
-                let split = use3d_io_colmap::import(&args.cameras, &use3d_io_colmap::ImportParams::default());
+                let split = use3d_import::import(&args.cameras, &use3d_import::ImportParams::default());
                 let held_out = split.map_err(CliError::input)?.report.test;
                 cameras.retain(|(name, _)| held_out.iter().any(|held| name == held));
             }
@@ -154,7 +154,7 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName,
 
 /// The names of the held-out views of a capture with default parameters; none of what is no capture.
 pub(crate) fn held_out(capture: &Path) -> Vec<String> {
-    use3d_io_colmap::import(capture, &use3d_io_colmap::ImportParams::default())
+    use3d_import::import(capture, &use3d_import::ImportParams::default())
         .map_or_else(|_| Vec::new(), |imported| imported.report.test)
 }
 

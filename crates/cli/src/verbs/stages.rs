@@ -202,7 +202,7 @@ pub(crate) fn imported(
     parameters: &Value,
     scratch: &Path,
 ) -> Result<PathBuf, CliError> {
-    if use3d_io_colmap::is_prepared(capture) {
+    if use3d_import::is_prepared(capture) {
         return Ok(capture.to_path_buf());
     }
     let folder = scratch.join("import");
@@ -215,7 +215,7 @@ pub(crate) fn imported(
 /// trained with.
 pub(crate) fn check_origin(scene: &Path, import: &Path, scored: bool) -> Done {
     let Some(origin) = Origin::read(scene).map_err(CliError::input)? else { return Ok(()) };
-    let capture = use3d_io_colmap::load_prepared(import).map_err(CliError::input)?.capture;
+    let capture = use3d_import::load_prepared(import).map_err(CliError::input)?.capture;
     origin.check_capture(scene, &capture).map_err(CliError::Input)?;
     if scored { origin.check_split(scene, &capture).map_err(CliError::Input) } else { Ok(()) }
 }
@@ -248,7 +248,7 @@ fn profiling(app: &App) -> App {
 /// Whether depth priors are to be made for a prepared capture.
 #[cfg(feature = "nets")]
 fn depth_wanted(reconstruct: &Value, depth: Option<&Value>, capture: &Path, models: Option<&Path>) -> bool {
-    let import = use3d_io_colmap::ImportParams::default();
+    let import = use3d_import::ImportParams::default();
     let depth = depth.unwrap_or(&Value::Null);
     use3d_pipeline::stages::depth_wanted(reconstruct, depth, Some((capture, &import)), models)
 }

@@ -1,6 +1,6 @@
 //! What water a capture was taken in, before anything is reconstructed.
 
-use use3d_io_colmap::{capture_name, load_prepared};
+use use3d_import::{capture_name, load_prepared};
 use use3d_pipeline::water::{WaterReport, from_tracks};
 use use3d_water::WaterParams;
 

@@ -6,7 +6,7 @@ use crate::engine::{StageContext, StageError};
 
 /// A capture as the import stage left it.
 pub(super) fn capture(context: &StageContext) -> Result<Capture, StageError> {
-    let imported = use3d_io_colmap::load_prepared(context.input("import")?).map_err(StageError::bad_input)?;
+    let imported = use3d_import::load_prepared(context.input("import")?).map_err(StageError::bad_input)?;
     imported.capture.validate().map_err(StageError::bad_input)?;
     Ok(imported.capture)
 }

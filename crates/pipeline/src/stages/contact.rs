@@ -3,7 +3,7 @@
 //! Drawn with the scene's own compositor, so that stage 1's artifact depends neither on stage 2 nor on how pictures are shown.
 
 use use3d_capture::{Camera, Capture, Image, Lattice, MediumMaps, View};
-use use3d_io_colmap::{ImportError, load_pixels};
+use use3d_import::{ImportError, load_pixels};
 use use3d_scene::{Compositor, Scene};
 use use3d_splat::{Options, Rendered};
 

@@ -8,7 +8,7 @@ use use3d_enhance::engine::CpuFieldEngine;
 use use3d_enhance::{
     EnhanceError, EnhanceParams, EnhanceView, Guidance, LabelSource, Objective, PseudoLabels, Report, enhance,
 };
-use use3d_io_colmap::load_pixels;
+use use3d_import::load_pixels;
 use use3d_scene::Origin;
 
 use super::captured::capture;

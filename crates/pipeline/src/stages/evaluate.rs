@@ -17,7 +17,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::proposers::Proposer;
 use use3d_capture::{Appearance, Camera, Capture, Frame as FrameOf, Image, Map, View, path};
-use use3d_io_colmap::{load_mask, load_pixels};
+use use3d_import::{load_mask, load_pixels};
 use use3d_io_image::write_png;
 use use3d_metrics::{Mask, mask_of};
 use use3d_render::{Frame, Mode, SceneRenderer};

@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
-use use3d_io_colmap::{ImportError, ImportParams, ModelError, import, prepare};
+use use3d_import::{ImportError, ImportParams, import, prepare};
+use use3d_io_colmap::ModelError;
 use use3d_io_image::ImageError;
 
 use super::common::write_json;
@@ -25,7 +26,7 @@ fn files(parameters: &Value, capture: &Path) -> Result<Vec<PathBuf>, String> {
     let params: ImportParams = serde_json::from_value(parameters.clone()).map_err(|e| e.to_string())?;
     let imported = import(capture, &params).map_err(|e| e.to_string())?;
     let views = &imported.capture.views;
-    if use3d_io_colmap::is_prepared(capture) {
+    if use3d_import::is_prepared(capture) {
         let read = views.iter().flat_map(|v| [Some(&v.image), v.mask.as_ref(), v.depth_prior.as_ref()]);
         let mut paths = vec![PathBuf::from(".")];
         paths.extend(read.flatten().filter_map(|p| hidden(p, capture, "")));

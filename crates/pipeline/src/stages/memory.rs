@@ -16,7 +16,7 @@
 use std::path::Path;
 
 use serde_json::Value;
-use use3d_io_colmap::{Extent, prepared_extent};
+use use3d_import::{Extent, prepared_extent};
 use use3d_reconstruct::{CaptureSize, ReconstructParams, memory_need};
 
 use super::weights::{judge_files, proposer_files};

@@ -4,7 +4,7 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use use3d_io_colmap::load_pixels;
+use use3d_import::load_pixels;
 use use3d_io_image::write_png;
 
 use super::captured::capture;

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 use use3d_capture::{Capture, View};
-use use3d_io_colmap::{load_depth_prior, load_mask, load_pixels};
+use use3d_import::{load_depth_prior, load_mask, load_pixels};
 use use3d_io_image::write_png;
 use use3d_metrics::Score;
 use use3d_reconstruct::engine::CpuEngine;
@@ -93,7 +93,7 @@ fn prior_in_force(params: &ReconstructParams, capture: &Capture, made: bool) -> 
 /// What the capture's tracks tell of the water and of the views' gains, said and written beside the scene; and whether they tell that there is
 /// no water.
 fn known_from_tracks(context: &StageContext) -> Result<(Known, bool), StageError> {
-    let imported = use3d_io_colmap::load_prepared(context.input("import")?).map_err(StageError::bad_input)?;
+    let imported = use3d_import::load_prepared(context.input("import")?).map_err(StageError::bad_input)?;
     let water = from_tracks(&imported, &WaterParams::default()).map_err(StageError::bad_input)?;
     // Without a name: the folder that an import lies in is not part of it.
     let report = WaterReport { capture: "capture".into(), ..WaterReport::new(&imported, &water) };

@@ -2,7 +2,7 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use use3d_io_colmap::load_pixels;
+use use3d_import::load_pixels;
 use use3d_io_image::{write_exr_map, write_png, write_png8};
 use use3d_render::{Frame, Mode, SceneRenderer, picture};
 

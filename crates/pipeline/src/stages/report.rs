@@ -335,7 +335,7 @@ fn water(parts: &Parts<'_>) -> Result<Vec<PlotFigure>, StageError> {
         return Ok(Vec::new());
     };
     let scene = Scene::load(scene)?;
-    let capture = use3d_io_colmap::load_prepared(import)?.capture;
+    let capture = use3d_import::load_prepared(import)?.capture;
     let cameras: Vec<Camera> = capture.training_views().map(|v| v.camera).collect();
     let Some(view) = capture.training_views().next() else { return Ok(Vec::new()) };
     let by_direction = medium_profile(&scene.medium, scene.medium_degree, &view.camera);

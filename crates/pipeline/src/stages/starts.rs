@@ -6,7 +6,7 @@ use use3d_atc::consensus::{Proposals, ViewInput};
 use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::proposers::{Proposer, ProposerId, SceneFindings, SceneProposer, SceneSurvey, SceneView};
 use use3d_capture::{Appearance, View};
-use use3d_io_colmap::load_pixels;
+use use3d_import::load_pixels;
 use use3d_scene::{KnownView, KnownViews, Scene};
 
 use super::calibrator::read_calibrator;

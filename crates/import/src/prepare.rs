@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use use3d_capture::{Capture, FileName, Map, Pixels, View};
+use use3d_io_colmap::{Keypoint, Model, ModelCamera, write_model_binary};
 use use3d_io_image::{
     image_size, read_pixels, read_pixels_with_alpha, write_atomically, write_exr_map, write_png_map,
     write_png_pixels,
@@ -18,7 +19,6 @@ use crate::error::ImportError;
 use crate::geometry::Geometry;
 use crate::import::{Imported, Plan, sparse_points};
 use crate::load::{read_depth_at, read_mask_at};
-use crate::model::{Keypoint, Model, ModelCamera, write_model_binary};
 use crate::params::WhiteBalance;
 use crate::prepared::{MODEL, save};
 use crate::white_balance;

@@ -13,9 +13,11 @@
 use std::sync::OnceLock;
 
 use use3d_capture::{Intrinsics, Raster};
+use use3d_io_colmap::Lens;
+#[cfg(test)]
+use use3d_io_colmap::LensModel;
 use use3d_numerics::math;
 
-use crate::lens::Lens;
 use crate::resample::Sample;
 
 const DIRECTIONS: usize = 720;
@@ -230,10 +232,13 @@ impl Undistortion {
 }
 
 #[cfg(test)]
+#[path = "../../io-colmap/tests/common/lenses.rs"]
+mod lenses;
+
+#[cfg(test)]
 mod tests {
+    use super::lenses::example;
     use super::*;
-    use crate::lens::LensModel;
-    use crate::lens::tests::example;
     use use3d_capture::Image;
 
     #[test]

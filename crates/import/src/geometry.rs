@@ -1,9 +1,9 @@
 //! What happens to the pixels of one camera's files: undistortion, then scale and crop; and the lens behind the result.
 
 use use3d_capture::{Intrinsics, Map, Pixels};
+use use3d_io_colmap::ModelCamera;
 
 use crate::error::ImportError;
-use crate::model::ModelCamera;
 use crate::params::ImportParams;
 use crate::resample::{Resize, with_pixels};
 use crate::undistort::{Undistortion, is_pinhole};

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 use use3d_capture::Frame;
+use use3d_import::*;
 use use3d_io_colmap::*;
 use use3d_io_image::read_image;
 

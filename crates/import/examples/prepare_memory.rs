@@ -1,15 +1,14 @@
 //! How much memory and time the preparation of a large capture takes: 300 JPEGs of 1920x1080 behind a distorting lens.
 //!
-//! `cargo run --release -p use3d-io-colmap --example prepare_memory [VIEWS] [THREADS]` makes the capture in a temporary folder,
+//! `cargo run --release -p use3d-import --example prepare_memory [VIEWS] [THREADS]` makes the capture in a temporary folder,
 //! prepares it, and prints the peak resident memory (on Linux) before and after, and the time.
 
 use std::time::Instant;
 
 use glam::{DMat3, DVec3};
 use use3d_capture::{FileName, Image, NameError, Pose};
-use use3d_io_colmap::{
-    ImportParams, LensModel, Model, ModelCamera, ModelImage, import, prepare, write_model_binary,
-};
+use use3d_import::{ImportParams, import, prepare};
+use use3d_io_colmap::{LensModel, Model, ModelCamera, ModelImage, write_model_binary};
 use use3d_numerics::math;
 
 const SIZE: (usize, usize) = (1920, 1080);

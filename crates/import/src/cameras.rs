@@ -19,10 +19,10 @@ use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde_json::Value;
 use use3d_capture::{Camera, FileName, Intrinsics, Pose};
+use use3d_io_colmap::{Model, ModelForm, read_model, read_model_as};
 
 use crate::error::ImportError;
 use crate::layout::find_models;
-use crate::model::{Model, ModelForm, read_model, read_model_as};
 use crate::params::ImportParams;
 use crate::prepared::{MODEL, from_row_major, is_prepared};
 use crate::undistort::{choose_pinhole, is_pinhole};

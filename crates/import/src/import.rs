@@ -9,12 +9,12 @@ use std::sync::Arc;
 use glam::DVec3;
 use rayon::prelude::*;
 use use3d_capture::{Camera, Capture, CaptureError, Frame, Intrinsics, SparsePoint, View};
+use use3d_io_colmap::{Model, ModelImage, ModelPoint, fits_single, read_model_as};
 use use3d_io_image::{ImageInfo, image_info};
 
 use crate::error::ImportError;
 use crate::geometry::Geometry;
 use crate::layout::{DEPTH_DIRS, MASK_DIRS, find_extra, find_images, find_models};
-use crate::model::{Model, ModelImage, read_model_as, single};
 use crate::normalise;
 use crate::params::{ImportParams, WhiteBalance};
 use crate::prepared;
@@ -165,8 +165,10 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     report.depth_priors = views.iter().filter(|v| v.depth_prior.is_some()).count();
 
     let points = sparse_points(&model, &frame);
-    let beyond =
-        points.iter().zip(&model.points).find(|(p, _)| p.position.to_array().iter().any(|v| !single(*v)));
+    let beyond = points
+        .iter()
+        .zip(&model.points)
+        .find(|(p, _)| p.position.to_array().iter().any(|v| !fits_single(*v)));
     if let Some((point, of)) = beyond {
         let reason = format!(
             "point {} lies at {:?} once the scene is scaled by {:e}: too far for single precision; take it out of the \
@@ -232,7 +234,7 @@ fn plan(
 
 /// The model's points in the capture's frame.
 pub(crate) fn sparse_points(model: &Model, frame: &Frame) -> Vec<SparsePoint> {
-    let point = |p: &crate::model::ModelPoint| SparsePoint {
+    let point = |p: &ModelPoint| SparsePoint {
         position: frame.apply(DVec3::from_array(p.position)),
         color: p.color,
         error: if p.error.is_finite() { p.error } else { -1.0 },

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use use3d_capture::{FileName, NameError};
+use use3d_io_colmap::{Model, ModelError, ModelForm, count_images, form_of};
 
-use crate::error::{ImportError, ModelError};
-use crate::model::{Model, ModelForm, count_images, form_of};
+use crate::error::ImportError;
 use crate::params::ImportParams;
 
 /// Image folders, tried in this order.

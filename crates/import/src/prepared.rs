@@ -13,12 +13,12 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Camera, Capture, FileName, Frame, Intrinsics, Pose, Split, View};
+use use3d_io_colmap::read_model;
 
 use crate::error::ImportError;
 use crate::geometry::Geometry;
 use crate::import::{Imported, Plan, capture_name, sparse_points};
 use crate::layout::Folder;
-use crate::model::read_model;
 use crate::params::WhiteBalance;
 use crate::report::ImportReport;
 

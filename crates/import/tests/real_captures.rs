@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use use3d_import::*;
 use use3d_io_colmap::*;
 
 fn data() -> Option<PathBuf> {

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use use3d_capture::{FileName, Image, Intrinsics, Pose};
+use use3d_import::*;
 use use3d_io_colmap::*;
 use use3d_io_image::write_png;
 

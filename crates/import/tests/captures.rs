@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3};
 use use3d_capture::{FileName, Image, Image8, Intrinsics, Map, Pixels, Pose};
+use use3d_import::*;
 use use3d_io_colmap::*;
 use use3d_io_image::*;
 use use3d_numerics::math;

@@ -1,0 +1,139 @@
+//! What can go wrong with a capture: the file, the place in it, what was expected, what to do next.
+
+use std::path::{Path, PathBuf};
+
+use use3d_capture::{CameraError, CaptureError, FileName, NameError};
+use use3d_io_colmap::ModelError;
+use use3d_io_image::ImageError;
+
+/// A capture that cannot be imported, prepared or loaded.
+#[derive(Debug, thiserror::Error)]
+pub enum ImportError {
+    /// The model.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// An image, a mask or a depth prior.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// The capture as a whole.
+    #[error("{}: {source}", path.display())]
+    Capture {
+        /// The capture's folder.
+        path: PathBuf,
+        /// What is wrong.
+        source: CaptureError,
+    },
+    /// No model in any of the places where one may be.
+    #[error(
+        "{}: no COLMAP model found (looked in {looked}); {hint}",
+        path.display()
+    )]
+    NoModel {
+        /// The capture's folder.
+        path: PathBuf,
+        /// Where we looked.
+        looked: String,
+        /// What to do, by what lies there instead.
+        hint: String,
+    },
+    /// No image folder, or none that holds any of the model's images.
+    #[error("{}: {reason} (looked in {looked})", path.display())]
+    NoImages {
+        /// The capture's folder.
+        path: PathBuf,
+        /// What exactly is missing, and what to do.
+        reason: String,
+        /// Where we looked.
+        looked: String,
+    },
+    /// A name in the model that leads out of the image folder.
+    #[error("the model names an image {name}, which {reason}; images must lie inside {}", folder.display())]
+    Name {
+        /// The name.
+        name: FileName,
+        /// Why it is refused.
+        reason: String,
+        /// The folder.
+        folder: PathBuf,
+    },
+    /// A result that cannot be called after its image.
+    #[error("an image's result: {0}")]
+    ResultName(#[from] NameError),
+    /// A file whose size does not go with its camera.
+    #[error("{}: the file is {} x {} pixels, {expected}", path.display(), found.0, found.1)]
+    Size {
+        /// The file.
+        path: PathBuf,
+        /// Its size.
+        found: (usize, usize),
+        /// What was expected, and what to do.
+        expected: String,
+    },
+    /// A lens whose images cannot be undistorted.
+    #[error(
+        "camera {camera} of the model: {reason}; calibrate it again, or undistort the images with COLMAP"
+    )]
+    Lens {
+        /// COLMAP's camera id.
+        camera: u32,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A view whose camera is not usable.
+    #[error("image {name}: {source}")]
+    Camera {
+        /// The image.
+        name: FileName,
+        /// What is wrong.
+        source: CameraError,
+    },
+    /// A parameter with an impossible value.
+    #[error("parameter `{field}`: {reason}")]
+    Parameter {
+        /// Its name.
+        field: &'static str,
+        /// What is wrong, and what is expected.
+        reason: String,
+    },
+    /// A split list that does not go with the capture.
+    #[error("{}: {reason}", path.display())]
+    SplitList {
+        /// The list.
+        path: PathBuf,
+        /// What is wrong, and what to do.
+        reason: String,
+    },
+    /// A prepared capture that cannot be read back.
+    #[error("{}: {reason}; import the capture again", path.display())]
+    Prepared {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A list of cameras that cannot be read.
+    #[error("{}: {reason}", path.display())]
+    CameraList {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, and what is expected.
+        reason: String,
+    },
+    /// A file that cannot be read or written.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The caller asked to stop.
+    #[error("the import was interrupted")]
+    Interrupted,
+}
+
+impl ImportError {
+    pub(crate) fn file(path: &Path) -> impl Fn(std::io::Error) -> Self + '_ {
+        |source| Self::File { path: path.to_path_buf(), source }
+    }
+}

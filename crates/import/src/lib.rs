@@ -1,0 +1,57 @@
+//! From a folder with pictures and a model of their cameras to a capture.
+//!
+//! ```text
+//! layout ─▶ import ─▶ prepare ─▶ prepared ─▶ load
+//! finds     chooses   resamples   reads back   one view's pixels
+//! ```
+//!
+//! [`import`] finds the model and the images of a capture, resolves names without ever leaving the image folder, turns every lens into
+//! a pinhole, normalises the frame (R7), chooses the split (R8), and says in an [`ImportReport`] what it did.
+//! Where pixels must change (distortion, size, white balance), [`prepare`] streams them into a self-contained folder
+//! that [`load_prepared`] reads back exactly. [`load_pixels`], [`load_mask`] and [`load_depth_prior`] load one view at
+//! its camera's size.
+//!
+//! [`Imported::tracks`] says which views saw each sparse point, and where. [`read_cameras`] gives the cameras of a model, a capture or
+//! a JSON list.
+//!
+//! ```no_run
+//! # fn main() -> Result<(), use3d_import::ImportError> {
+//! use std::path::Path;
+//! use use3d_import::{ImportParams, import, load_pixels, prepare};
+//!
+//! let mut imported = import(Path::new("reef"), &ImportParams::default())?;
+//! print!("{}", imported.report);
+//! if imported.needs_preparation() {
+//!     imported = prepare(&imported, Path::new("reef-prepared"), 0, &|_, _| true)?;
+//! }
+//! let first = load_pixels(&imported.capture.views[0])?;
+//! # Ok(())
+//! # }
+//! ```
+
+mod cameras;
+mod error;
+mod geometry;
+mod import;
+mod layout;
+mod load;
+mod normalise;
+mod params;
+mod prepare;
+mod prepared;
+mod report;
+mod resample;
+mod split;
+mod tracks;
+mod undistort;
+mod white_balance;
+
+pub use cameras::read_cameras;
+pub use error::ImportError;
+pub use import::{Imported, capture_name, import};
+pub use layout::has_depth_folder;
+pub use load::{load_depth_prior, load_mask, load_pixels};
+pub use params::{ImageSize, ImportParams, SplitOrder, SplitParams, WhiteBalance};
+pub use prepare::{PreparedView, Progress, prepare};
+pub use prepared::{Extent, is_prepared, load_prepared, prepared_extent};
+pub use report::{CameraReport, ImportReport};
