@@ -70,17 +70,19 @@ impl ModelError {
         Self::Broken { path: path.to_path_buf(), place, reason }
     }
 
-    /// A camera model that is not one of the eleven.
+    /// A camera model that is none of the lenses.
     pub(crate) fn unknown_lens(path: &Path, place: String, shown: &str, id: i32) -> Self {
-        let newer = &LensModel::NEWER;
-        let beyond = usize::try_from(id).ok().and_then(|id| id.checked_sub(LensModel::ALL.len()));
-        let by_id = beyond.and_then(|i| newer.get(i));
-        let named = by_id.map_or_else(|| shown.to_string(), |name| format!("{name} ({shown})"));
+        let (panorama, of_panoramas) = LensModel::PANORAMA;
         let known: Vec<&str> = LensModel::ALL.iter().map(|m| m.name()).collect();
-        let hint = if by_id.is_some() || newer.contains(&shown) {
-            "it is one of newer COLMAP versions: run `colmap image_undistorter` and import its result"
+        let (named, hint) = if id == of_panoramas || shown == panorama {
+            let named = if shown == panorama { shown.to_string() } else { format!("{panorama} ({shown})") };
+            (
+                named,
+                "a panorama has rays in all directions: cut it into perspective images before the model is made",
+            )
         } else {
-            "the file may be damaged: export the model again with COLMAP"
+            let hint = "the file may be damaged, or of a COLMAP after 4.2: export the model again, or run `colmap image_undistorter`";
+            (shown.to_string(), hint)
         };
         let reason =
             format!("the camera model {named} is not supported; {hint}. Supported are {}", known.join(", "));

@@ -133,25 +133,30 @@ fn what_is_wrong_is_named() {
 }
 
 #[test]
-fn newer_camera_models_are_named() {
+fn camera_models_that_are_no_lenses_are_named() {
     let path = Path::new("cameras.bin");
     let mut bytes = 1u64.to_le_bytes().to_vec();
     bytes.extend(1u32.to_le_bytes());
-    bytes.extend(11i32.to_le_bytes());
+    bytes.extend(17i32.to_le_bytes());
     bytes.resize(200, 0);
     let message = binary::cameras(&bytes, path).unwrap_err().to_string();
     assert!(
-        message.contains("RAD_TAN_THIN_PRISM_FISHEYE") && message.contains("image_undistorter"),
+        message.contains("EQUIRECTANGULAR (id 17)") && message.contains("perspective images"),
         "{message}"
     );
+    bytes[12..16].copy_from_slice(&18i32.to_le_bytes());
+    let message = binary::cameras(&bytes, path).unwrap_err().to_string();
+    assert!(message.contains("id 18") && message.contains("image_undistorter"), "{message}");
     // Found by fuzzing: the id next to the smallest number overflowed.
     bytes[12..16].copy_from_slice(&(i32::MIN + 1).to_le_bytes());
     let message = binary::cameras(&bytes, path).unwrap_err().to_string();
     assert!(message.contains("damaged"), "{message}");
-    let message = text::cameras(b"1 DIVISION 10 10 1 1 1 1 1", path).unwrap_err().to_string();
-    assert!(message.contains("DIVISION") && message.contains("OPENCV_FISHEYE"), "{message}");
+    let message = text::cameras(b"1 EQUIRECTANGULAR 20 10 20 10", path).unwrap_err().to_string();
+    assert!(message.contains("EQUIRECTANGULAR") && message.contains("perspective images"), "{message}");
     let message = text::cameras(b"1 NONSENSE 10 10 1", path).unwrap_err().to_string();
-    assert!(message.contains("NONSENSE") && message.contains("damaged"), "{message}");
+    assert!(message.contains("NONSENSE") && message.contains("OPENCV_FISHEYE"), "{message}");
+    let read = text::cameras(b"1 DIVISION 10 10 1 1 1 1 1", path).unwrap();
+    assert_eq!((read[0].model, read[0].parameters.len()), (LensModel::Division, 5));
 }
 
 #[test]
@@ -224,7 +229,8 @@ fn number() -> impl Strategy<Value = f64> {
 }
 
 fn any_model() -> impl Strategy<Value = Model> {
-    let camera = (0usize..11, 1usize..5000, 1usize..5000, prop::collection::vec(0.1f64..1e4, 12));
+    let camera =
+        (0..LensModel::ALL.len(), 1usize..5000, 1usize..5000, prop::collection::vec(0.1f64..1e4, 16));
     let keypoints =
         prop::collection::vec((number(), number(), prop_oneof![Just(u64::MAX), 0u64..1 << 40]), 0..5);
     let image =
