@@ -61,7 +61,7 @@ pub struct Ingredients {
     pub parameters: Value,
     /// The seed, for a stage that draws random numbers.
     pub seed: Option<u64>,
-    /// The class of machine arithmetic, see [`numeric_class`].
+    /// The class of arithmetic: the machine's, see [`numeric_class`], and the [device's](DeviceClass) where the stage computes on one.
     pub numeric_class: String,
     /// The inputs, sorted.
     pub inputs: Vec<InputDigest>,
@@ -193,6 +193,27 @@ pub fn numeric_class() -> String {
     #[cfg(not(any(target_arch = "x86", target_arch = "x86_64")))]
     let fused = cfg!(target_arch = "aarch64");
     format!("{arch}-{os}{}", if fused { "+fma" } else { "" })
+}
+
+/// What a stage computes with besides the processor: a device, and what runs on it. Any of it may change last bits.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DeviceClass {
+    /// The engine's name.
+    pub engine: String,
+    /// The device.
+    pub adapter: String,
+    /// Its driver, with its version.
+    pub driver: String,
+    /// Digest of the programs that run on it, as the driver is given them.
+    pub kernels: Digest,
+}
+
+impl DeviceClass {
+    /// The class of a stage that computes with this on a machine of class `machine`.
+    pub fn on(&self, machine: &str) -> String {
+        let Self { engine, adapter, driver, kernels } = self;
+        format!("{engine} on {adapter}, driver {driver}, kernels {kernels}; {machine}")
+    }
 }
 
 #[cfg(test)]

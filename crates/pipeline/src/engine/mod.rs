@@ -51,7 +51,8 @@
 //! # What a stage must keep to
 //!
 //! * Its files follow from its inputs, parameters and [seed](StageContext::seed) alone, whatever the number of threads: no
-//!   times, host names or paths in them. `use3d verify --sample` recomputes and compares.
+//!   times, host names or paths in them. `use3d verify --sample` recomputes and compares. Where that holds within one class of
+//!   arithmetic only, it says by which [figures](Stage::agrees_across_classes) artifacts of two classes are compared.
 //! * It reads nothing but its inputs, and writes nothing but its output folder and its checkpoints.
 //! * Long ones are [resumable](Stage::resumable): the checkpoint folder is keyed without the parameters that only say how far to
 //!   go, so that 20 000 steps after 15 000 cost 5 000, as long as nothing else in the stage depends on the total.
@@ -63,6 +64,7 @@
 //! inputs that are not read twice. [`graph`]: scenes × stages × variants. [`plan`], [`run`]: what would happen, making it
 //! happen. [`history`]: what happened, forecasts. [`place`]: results outside the cache, and what of them may be replaced.
 
+mod agree;
 mod alone;
 pub mod cache;
 pub mod canonical;
@@ -95,6 +97,7 @@ mod summary;
 mod text;
 pub mod verify;
 
+pub use agree::Figure;
 pub use alone::Alone;
 pub use cache::{Artifact, Cache};
 pub use context::{Notes, StageContext, StageInput};
@@ -102,6 +105,7 @@ pub use digest::Digest;
 pub use error::{EngineError, FileError, ParameterError, StageError};
 pub use events::{Event, Listener, Silent};
 pub use graph::{Batch, Graph, Scene, Variant};
+pub use key::DeviceClass;
 pub use plan::Plan;
 pub use registry::{Registry, Shorthand};
 pub use run::{RunOptions, Summary};

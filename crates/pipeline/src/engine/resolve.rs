@@ -122,7 +122,7 @@ pub(crate) fn resolve(
         third_party: code.third_party.clone(),
         parameters: stage.key_parameters(&node.parameters),
         seed: node.seed,
-        numeric_class: numeric_class.to_string(),
+        numeric_class: stage.numeric_class(numeric_class, &node.parameters),
         inputs: digests,
         missing,
     };

@@ -8,9 +8,11 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
+use super::agree::Figure;
 use super::canonical;
 use super::context::{StageContext, StageInput};
 use super::error::{ParameterError, StageError};
+use super::key::DeviceClass;
 
 /// Over what a stage is made once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -93,6 +95,8 @@ type Condition = Arc<dyn Fn(&AllParameters, &Named) -> bool + Send + Sync>;
 type IsReference = Arc<dyn Fn(&AllParameters) -> bool + Send + Sync>;
 /// Bytes of memory, from the parameters and from those inputs that are there.
 type Memory = Arc<dyn Fn(&Value, &[StageInput]) -> Option<u64> + Send + Sync>;
+/// The device that the stage computes on, from its parameters.
+type Device = Arc<dyn Fn(&Value) -> Option<DeviceClass> + Send + Sync>;
 type Run = Arc<dyn Fn(&StageContext, &Value) -> Result<(), StageError> + Send + Sync>;
 
 /// A stage; see the [module documentation](super) for an example.
@@ -108,6 +112,8 @@ pub struct Stage {
     pub(crate) seeded: bool,
     pub(crate) length_like: &'static [&'static str],
     pub(crate) without_effect: &'static [&'static str],
+    pub(crate) device: Option<Device>,
+    pub(crate) figures: &'static [Figure],
     pub(crate) cores: usize,
     pub(crate) memory: u64,
     pub(crate) memory_of: Option<Memory>,
@@ -141,6 +147,8 @@ impl Stage {
             seeded: false,
             length_like: &[],
             without_effect: &[],
+            device: None,
+            figures: &[],
             cores: 0,
             memory: 0,
             memory_of: None,
@@ -311,6 +319,24 @@ impl Stage {
         self
     }
 
+    /// It computes on a device with these parameters, or on the processor alone (`None`): the device is part of its class of arithmetic,
+    /// and so of its key.
+    #[must_use]
+    pub fn computes_on<P: DeserializeOwned + 'static>(
+        mut self,
+        device: impl Fn(&P) -> Option<DeviceClass> + Send + Sync + 'static,
+    ) -> Self {
+        self.device = Some(Arc::new(move |value| device(&serde_json::from_value(value.clone()).ok()?)));
+        self
+    }
+
+    /// Its bytes are the same within one class of arithmetic, not between two: there, these figures of its artifact agree.
+    #[must_use]
+    pub fn agrees_across_classes(mut self, figures: &'static [Figure]) -> Self {
+        self.figures = figures;
+        self
+    }
+
     /// What it can use: at most `cores` (0: as many as there are), and about `memory` bytes.
     #[must_use]
     pub fn cost(mut self, cores: usize, memory: u64) -> Self {
@@ -398,6 +424,12 @@ impl Stage {
         let mut effective = parameters.clone();
         self.without_effect.iter().for_each(|path| canonical::remove(&mut effective, path));
         effective
+    }
+
+    /// Its class of arithmetic with these parameters on a machine of class `machine`.
+    pub fn numeric_class(&self, machine: &str, parameters: &Value) -> String {
+        let device = self.device.as_ref().and_then(|device| device(parameters));
+        device.map_or_else(|| machine.to_string(), |device| device.on(machine))
     }
 
     /// Whether the pipeline's seed is part of its key.

@@ -1,4 +1,7 @@
 //! Checking the cache: every byte against its digest, and a sample computed again.
+//!
+//! What is computed again in its own class of arithmetic must come out the same to the byte. A cache may also hold what another machine
+//! or another device made; where a stage says that its bytes differ between classes, the figures that it names must agree.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -8,16 +11,17 @@ use std::sync::atomic::Ordering;
 use serde::Serialize;
 
 use super::Engine;
+use super::agree;
 use super::cache::{Artifact, Cache, Lookup, first_difference};
 use super::digest::Encoder;
 use super::error::{EngineError, FileError, StageError};
 use super::events::{Event, Listener};
 use super::files;
 use super::graph::Graph;
+use super::key::Ingredients;
 use super::lease::RunLease;
 use super::manifest::{MANIFEST, content_digest};
-use super::plan::State;
-use super::resolve::Outcome;
+use super::resolve::{self, Outcome};
 use super::run::RunOptions;
 
 /// Something that is not as it was written, or does not come out the same.
@@ -133,40 +137,42 @@ impl Engine {
         options: &RunOptions,
         listener: &Arc<dyn Listener>,
     ) -> Result<Verification, EngineError> {
-        let plan = self.plan(graph, None);
-        let outcomes = self.outcomes(&plan);
+        let (cached, outcomes) = self.cached_in_any_class(graph);
         let mut found = Verification { recomputed: Some(0), ..Verification::default() };
-        let mut chosen: Vec<(f64, usize)> = Vec::new();
-        for (i, node) in plan.nodes.iter().enumerate() {
-            if let (State::Cached, None, Some(key)) = (&node.state, &node.shared_with, node.key) {
-                let draw = Encoder::new("use3d 2026 verification sample v1")
-                    .bytes(key.as_bytes())
-                    .finish()
-                    .fraction();
-                chosen.push((draw, i));
-            }
+        let mut chosen: Vec<(f64, Made)> = Vec::new();
+        for made in cached {
+            let draw = Encoder::new("use3d 2026 verification sample v1")
+                .bytes(made.artifact.manifest.key.as_bytes())
+                .finish()
+                .fraction();
+            chosen.push((draw, made));
         }
         chosen.sort_by(|a, b| a.0.total_cmp(&b.0));
         let count = chosen.iter().filter(|(draw, _)| *draw < share).count().max(1);
         // What is read here is needed until it is compared.
         let mut lease = RunLease::new(&self.cache);
-        lease.extend(plan.nodes.iter().filter_map(|n| n.key));
-        for (_, i) in chosen.into_iter().take(count) {
+        let ready = |outcome: &Outcome| match outcome {
+            Outcome::Ready(artifact) => Some(artifact.manifest.key),
+            Outcome::Open | Outcome::Unavailable(_) => None,
+        };
+        lease.extend(outcomes.iter().filter_map(ready));
+        for (_, made) in chosen.into_iter().take(count) {
             if options.stop.load(Ordering::Relaxed) {
                 found.interrupted = true;
                 break;
             }
             lease.show();
-            let planned = &plan.nodes[i];
-            let label = graph.nodes[i].label();
-            let Some(key) = planned.key else { continue };
-            let Ok(Lookup::Whole(artifact)) = self.cache.lookup(planned.stage, &key) else { continue };
-            if let Err(what) = self.cache.verify(&artifact, false) {
+            let label = graph.nodes[made.node].label();
+            if let Err(what) = self.cache.verify(&made.artifact, false) {
                 found.problems.push(Problem { name: label, what });
                 continue;
             }
-            listener.event(&Event::Note { label: &label, text: "computing it again to compare" });
-            match self.recompute(graph, i, &outcomes, &artifact, options, listener)? {
+            let text = match made.in_another_class() {
+                None => "computing it again to compare".to_string(),
+                Some(class) => format!("made as {class}; computing it again as {} to compare", made.class),
+            };
+            listener.event(&Event::Note { label: &label, text: &text });
+            match self.recompute(graph, &made, &outcomes, options, listener)? {
                 Again::Same => {}
                 Again::Wrong(what) => found.problems.push(Problem { name: label, what }),
                 // This says nothing about the artifact.
@@ -177,34 +183,110 @@ impl Engine {
             }
             found.artifacts += 1;
             found.recomputed = found.recomputed.map(|n| n + 1);
-            found.bytes += artifact.manifest.bytes();
+            found.bytes += made.artifact.manifest.bytes();
         }
         Ok(found)
+    }
+
+    /// What the cache holds of a graph, one of each kind: artifacts of this machine's class, else those of another with the same
+    /// ingredients, which the stages after them then read.
+    fn cached_in_any_class(&self, graph: &Graph) -> (Vec<Made>, Vec<Outcome>) {
+        let mut outcomes = self.outcomes(&self.plan(graph, None));
+        let mut cached = Vec::new();
+        for (i, node) in graph.nodes.iter().enumerate() {
+            if let Some(first) = node.same_as {
+                outcomes[i] = outcomes[first].clone();
+                continue;
+            }
+            if matches!(outcomes[i], Outcome::Unavailable(_)) {
+                continue;
+            }
+            let resolved =
+                resolve::resolve(&self.registry, &self.cache, &self.numeric_class, graph, i, &outcomes);
+            let Ok(resolved) = resolved else { continue };
+            let artifact = match self.cache.lookup(node.stage_name, &resolved.key) {
+                Ok(Lookup::Whole(artifact)) => Some(artifact),
+                _ => self.cache.of_another_class(&resolved.ingredients),
+            };
+            let Some(artifact) = artifact else { continue };
+            outcomes[i] = Outcome::Ready(artifact.clone());
+            cached.push(Made { node: i, class: resolved.ingredients.numeric_class, artifact });
+        }
+        (cached, outcomes)
     }
 
     /// Makes an artifact again and compares.
     fn recompute(
         &self,
         graph: &Graph,
-        node: usize,
+        made: &Made,
         outcomes: &[Outcome],
-        artifact: &Artifact,
         options: &RunOptions,
         listener: &Arc<dyn Listener>,
     ) -> Result<Again, EngineError> {
         let scratch = self.cache.scratch()?;
-        let result = self.run_again(graph, node, outcomes, &scratch, options, listener);
-        let _ = std::fs::remove_dir_all(&scratch);
-        Ok(match result? {
+        let result = self.run_again(graph, made.node, outcomes, &scratch, options, listener);
+        let again = result.map(|result| match result {
             Err(StageError::Cancelled) => Again::Stopped,
             // Some stages say in their own words that they were asked to stop.
             Err(_) if options.stop.load(Ordering::Relaxed) => Again::Stopped,
             Err(error) => Again::Wrong(format!("cannot be computed again: {error}")),
-            Ok(files) if content_digest(&files) == artifact.manifest.content => Again::Same,
-            Ok(files) => Again::Wrong(format!(
-                "determinism alarm: computed again, {} comes out different",
-                first_difference(&artifact.manifest.files, &files)
-            )),
+            Ok(files) if content_digest(&files) == made.artifact.manifest.content => Again::Same,
+            Ok(files) => {
+                let figures = self.registry.stages()[graph.nodes[made.node].stage].figures;
+                let different = first_difference(&made.artifact.manifest.files, &files);
+                match made.in_another_class() {
+                    None => Again::Wrong(format!(
+                        "determinism alarm: computed again, {different} comes out different"
+                    )),
+                    Some(class) if figures.is_empty() => Again::Wrong(format!(
+                        "determinism alarm: made as {class} and computed again as {}, {different} comes out different, although the stage \
+                         promises the same bytes everywhere",
+                        made.class
+                    )),
+                    Some(class) => {
+                        let folder = scratch.join("artifact");
+                        match agree::disagreement(figures, &made.artifact.path, &folder) {
+                            None => Again::Same,
+                            Some(what) => Again::Wrong(format!(
+                                "made as {class} and computed again as {}, {what}",
+                                made.class
+                            )),
+                        }
+                    }
+                }
+            }
+        });
+        let _ = std::fs::remove_dir_all(&scratch);
+        again
+    }
+}
+
+/// An artifact that can be computed again.
+struct Made {
+    node: usize,
+    /// The class in which it would be made now.
+    class: String,
+    artifact: Box<Artifact>,
+}
+
+impl Made {
+    /// The class in which it was made, if that is another one.
+    fn in_another_class(&self) -> Option<&str> {
+        let class = self.artifact.manifest.ingredients.numeric_class.as_str();
+        (class != self.class).then_some(class)
+    }
+}
+
+impl Cache {
+    /// A whole artifact of these ingredients but for the class of arithmetic; the first by key.
+    fn of_another_class(&self, ingredients: &Ingredients) -> Option<Box<Artifact>> {
+        let keys = self.artifacts().into_iter().filter(|(stage, ..)| *stage == ingredients.stage);
+        keys.into_iter().find_map(|(stage, key, _)| {
+            let Ok(Lookup::Whole(artifact)) = self.lookup(&stage, &key) else { return None };
+            let theirs = &artifact.manifest.ingredients;
+            let same = Ingredients { numeric_class: theirs.numeric_class.clone(), ..ingredients.clone() };
+            (*theirs == same).then_some(artifact)
         })
     }
 }

@@ -18,8 +18,18 @@ use super::proposals::asked_for;
 use super::proposer::by_name;
 use super::scenes::scene;
 use super::watch::Watch;
-use crate::engine::{Scope, Stage, StageContext, StageError};
+use crate::engine::{Figure, Scope, Stage, StageContext, StageError};
 use crate::report::plot::{Plot, Series};
+
+/// What a scene says of its training, beside its log.
+const REPORT: &str = "report.json";
+
+/// How near two trainings in two classes of arithmetic are: means over views of what is left of the normalised errors.
+const FIGURES: [Figure; 3] = [
+    Figure { file: REPORT, at: "/views/*/after/global/error", within: 0.05 },
+    Figure { file: REPORT, at: "/views/*/after/local/error", within: 0.05 },
+    Figure { file: REPORT, at: "/views/*/after/pixels", within: 0.005 },
+];
 
 pub(super) fn stage() -> Stage {
     Stage::new("enhance", Scope::Scene, run)
@@ -35,6 +45,7 @@ pub(super) fn stage() -> Stage {
         .seeded()
         .resumable(&["iterations"])
         .without_effect(&["checkpoint_every", "cache_mib"])
+        .agrees_across_classes(&FIGURES)
         .cost(0, 4 << 30)
 }
 
@@ -127,7 +138,7 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
         origin.write(out)?;
     }
     write_text(&out.join("training.jsonl"), &outcome.log_lines())?;
-    write_json(&out.join("report.json"), &outcome.report)?;
+    write_json(&out.join(REPORT), &outcome.report)?;
     let line = |label: &str, color, pick: fn(&use3d_enhance::LogEntry) -> f64| Series {
         label: label.into(),
         color,

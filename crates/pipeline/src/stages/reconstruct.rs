@@ -19,13 +19,19 @@ use super::contact::sheet;
 use super::names::{CONTACT, EVALUATION};
 use super::proposals;
 use super::watch::Watch;
-use crate::engine::{Scope, Stage, StageContext, StageError};
+use crate::engine::{Figure, Scope, Stage, StageContext, StageError};
 use crate::water::{WaterReport, found_water, from_tracks, lamps, no_water};
 
 /// What the capture's tracks told of its water.
 const WATER: &str = "water.json";
 /// The training views' gains.
 const EXPOSURES: &str = "exposures.json";
+
+/// How near two trainings in two classes of arithmetic are: as good a scene, not the same one.
+const FIGURES: [Figure; 2] = [
+    Figure { file: EVALUATION, at: "/held_out/psnr/value", within: 0.25 },
+    Figure { file: EVALUATION, at: "/held_out/ssim/value", within: 0.01 },
+];
 
 /// `evaluation.json`.
 #[derive(Serialize)]
@@ -48,6 +54,7 @@ pub(super) fn stage() -> Stage {
         .seeded()
         .resumable(&["iterations"])
         .without_effect(&["checkpoint_steps", "checkpoint_minutes"])
+        .agrees_across_classes(&FIGURES)
         .cost(0, 4 << 30)
 }
 

@@ -417,3 +417,74 @@ fn one_stage_runs_by_itself_with_the_same_result() {
     assert_eq!(fs::read(out.join("words.txt")).expect("file"), words);
     assert_eq!(fs::read_dir(dir.path().join("out")).expect("folder").count(), 1);
 }
+
+#[test]
+fn artifacts_of_another_class_are_compared_as_their_stage_says() {
+    use std::sync::Arc;
+    use std::sync::atomic::AtomicU64;
+
+    use use3d_pipeline::engine::{Cache, DeviceClass, Digest, Engine, Figure, Registry, Scope, Stage};
+
+    const FIGURES: [Figure; 1] = [Figure { file: "score.json", at: "/psnr", within: 0.1 }];
+    let dir = tempfile::tempdir().expect("folder");
+    let batch = batch(&dir.path().join("data"), &["reef"]);
+    let driver = Arc::new(AtomicU64::new(1));
+    let off = Arc::new(AtomicU64::new(0));
+    let engine = |figures: &'static [Figure]| {
+        let (here, noise) = (driver.clone(), off.clone());
+        // Trains on a device: another score with every driver.
+        let train = Stage::new("train", Scope::Scene, move |context, _: &super::stages::Strength| {
+            let psnr = 30.0 + 0.01 * noise.load(Ordering::Relaxed) as f64;
+            Ok(fs::write(context.output().join("score.json"), json!({ "psnr": psnr }).to_string())?)
+        })
+        .external("capture", "capture")
+        .agrees_across_classes(figures)
+        .computes_on(move |_: &super::stages::Strength| {
+            Some(DeviceClass {
+                engine: "wgpu".into(),
+                adapter: "a card".into(),
+                driver: here.load(Ordering::Relaxed).to_string(),
+                kernels: Digest::of(b"kernels"),
+            })
+        });
+        // On the processor, from what came off the device.
+        let judge = Stage::new("judge", Scope::Scene, |context, _: &super::stages::Strength| {
+            let score = fs::read(context.input("train")?.join("score.json"))?;
+            Ok(fs::write(context.output().join("verdict"), score)?)
+        })
+        .input("train", "train");
+        let cache = Cache::open(&dir.path().join("cache"), false).expect("cache");
+        Engine::new(Registry::new(vec![train, judge]).expect("table"), cache)
+    };
+    let tolerant = engine(&FIGURES);
+    let (first, ..) = run(&tolerant, &batch);
+    let class = |stage: &str| {
+        first.artifact("reef", "", stage).expect("there").manifest.ingredients.numeric_class.clone()
+    };
+    assert!(class("train").starts_with("wgpu on a card, driver 1, kernels "), "{}", class("train"));
+    assert!(class("train").ends_with(&class("judge")), "{} {}", class("train"), class("judge"));
+
+    let graph = Graph::new(&tolerant.registry, &batch).expect("graph");
+    let listener: Arc<dyn use3d_pipeline::engine::Listener> = Arc::new(use3d_pipeline::engine::Silent);
+    let verify = |engine: &Engine, noise: u64| {
+        off.store(noise, Ordering::Relaxed);
+        engine.verify_sample(&graph, 1.0, &RunOptions::default(), &listener).expect("sample")
+    };
+    // In its own class to the byte, however near.
+    assert_eq!(verify(&tolerant, 0).problems, []);
+    assert!(verify(&tolerant, 1).problems[0].what.contains("determinism alarm"));
+    // Another driver is another class: nothing of it is cached, and what is there is compared by its figures; the stage after it is
+    // computed from what is there, to the byte.
+    driver.store(2, Ordering::Relaxed);
+    assert_eq!(tolerant.plan(&graph, None).cached(), 0);
+    let near = verify(&tolerant, 9);
+    assert_eq!((near.recomputed, near.problems.len()), (Some(2), 0), "{near}");
+    let far = verify(&tolerant, 11);
+    assert_eq!(far.problems.len(), 1, "{far}");
+    let what = &far.problems[0].what;
+    assert!(what.contains("driver 1") && what.contains("driver 2") && what.contains("/psnr is 30"), "{what}");
+    // A stage that does not say so promises the same bytes in every class.
+    let strict = engine(&[]);
+    let found = verify(&strict, 9);
+    assert!(found.problems.iter().any(|p| p.what.contains("promises the same bytes everywhere")), "{found}");
+}
