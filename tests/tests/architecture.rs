@@ -27,6 +27,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("scene", &["capture", "numerics", "splat", "medium", "ubaf"]),
     ("render", &["capture", "numerics", "splat", "medium", "ubaf", "scene"]),
     ("reconstruct", &["capture", "numerics", "splat", "medium", "metrics", "training", "scene"]),
+    ("web", &["capture", "numerics", "splat", "medium", "ubaf", "scene"]),
     ("enhance", &["capture", "numerics", "splat", "medium", "ubaf", "atc", "training", "scene"]),
 ];
 

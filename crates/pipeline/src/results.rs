@@ -1,4 +1,5 @@
-//! The results folder: the report with its costs, the tables, and the scenes, out of the cache and under names for people.
+//! The results folder: the report with its costs, the tables, the scenes, and a page per scene to walk through it in a browser, out of
+//! the cache and under names for people.
 //!
 //! An artifact holds nothing that depends on the clock or the machine. Times, memory, keys and how fast scenes are drawn are kept beside
 //! artifacts; they are added to the page and the tables here.
@@ -13,7 +14,8 @@ use serde::Serialize;
 use crate::engine::place::{self, Look, PlaceError, Standing};
 use crate::engine::run::RanNode;
 use crate::engine::{Digest, Graph, Summary};
-use crate::report::{StageRow, with_costs, with_tables};
+use crate::report::{StageRow, with_costs, with_tables, with_views};
+use crate::scene_page;
 use crate::scores::ScoredScene;
 use crate::stages::evaluate::SPEED;
 use crate::stages::report::write_tables;
@@ -22,6 +24,9 @@ use crate::tables::{Table, paper};
 /// The page and the tables over all scenes.
 const PAGE: &str = "report.html";
 const TABLES: &str = "tables";
+/// The page of a scene beside its folders, and the folder of that page's parts, should it be too large for one file.
+const VIEW: &str = "view.html";
+const VIEW_PARTS: &str = "view_files";
 /// Before the digest in the last line of a page.
 const STAMP: &str = "<!-- written by use3d, blake3 ";
 
@@ -38,8 +43,12 @@ fn place_of(stage: &str, scene: &str, variant: &str) -> Option<PathBuf> {
     if scene.is_empty() {
         return None;
     }
-    let name = if variant.is_empty() { scene.to_string() } else { format!("{scene}@{variant}") };
-    Some(Path::new(&name).join(folder))
+    Some(folder_of(scene, variant).join(folder))
+}
+
+/// Where everything of a scene in a variant goes below the results folder.
+fn folder_of(scene: &str, variant: &str) -> PathBuf {
+    if variant.is_empty() { scene.into() } else { format!("{scene}@{variant}").into() }
 }
 
 /// Looks, before anything is computed, whether the results of `until` (all where `None`) may go to `out`: whether it can be written,
@@ -59,6 +68,9 @@ pub fn check(graph: &Graph, until: Option<&[String]>, out: &Path) -> Result<(), 
                 node.label()
             );
             return Err(PlaceError::Occupied { path: out.join(place), reason });
+        }
+        if node.stage_name == "reconstruct" {
+            check_page(&out.join(folder_of(&node.scene, &node.variant)).join(VIEW))?;
         }
         if node.stage_name == "report" {
             check_page(&out.join(PAGE))?;
@@ -98,6 +110,16 @@ impl Delivered {
 pub fn deliver(summary: &Summary, out: &Path) -> Result<Vec<Delivered>, PlaceError> {
     let mut delivered = Vec::new();
     at(out, "create", fs::create_dir_all(out))?;
+    for node in &summary.nodes {
+        let Some(artifact) = &node.artifact else { continue };
+        let Some(place) = place_of(node.stage, &node.scene, &node.variant) else { continue };
+        let target = out.join(place);
+        // Its manifest is the record.
+        put(Some(artifact.manifest.key), &target, |made| place::copy_folder(&artifact.path, made))?;
+        let (scene, variant) = (node.scene.clone(), node.variant.clone());
+        delivered.push(Delivered { what: node.stage.to_string(), scene, variant, path: target });
+    }
+    let views = pages(summary, out)?;
     if let Some(report) = summary.artifact("", "", "report") {
         let page = out.join(PAGE);
         let source = report.path.join("index.html");
@@ -106,6 +128,10 @@ pub fn deliver(summary: &Summary, out: &Path) -> Result<Vec<Delivered>, PlaceErr
         let timed = timed_tables(summary, &report.path);
         let html = timed.as_ref().map_or_else(|| html.clone(), |tables| with_tables(&html, tables));
         let html = with_costs(&html, &rows(summary), &parameters(summary));
+        let links =
+            views.iter().map(|view| (view.scene.as_str(), view.variant.as_str(), view.path.as_path()));
+        let html =
+            with_views(&html, links.map(|(scene, variant, path)| (scene, variant, relative(path, out))));
         write(&page, stamped(&html).as_bytes())?;
         delivered.push(Delivered::over_all("report", page));
         if report.path.join(TABLES).is_dir() {
@@ -125,16 +151,63 @@ pub fn deliver(summary: &Summary, out: &Path) -> Result<Vec<Delivered>, PlaceErr
             delivered.push(Delivered::over_all("tables", tables));
         }
     }
-    for node in &summary.nodes {
-        let Some(artifact) = &node.artifact else { continue };
-        let Some(place) = place_of(node.stage, &node.scene, &node.variant) else { continue };
-        let target = out.join(place);
-        // Its manifest is the record.
-        put(Some(artifact.manifest.key), &target, |made| place::copy_folder(&artifact.path, made))?;
-        let (scene, variant) = (node.scene.clone(), node.variant.clone());
-        delivered.push(Delivered { what: node.stage.to_string(), scene, variant, path: target });
-    }
+    delivered.extend(views);
     Ok(delivered)
+}
+
+/// Writes the page of every scene of the run, enhanced where it is, and says where they are.
+fn pages(summary: &Summary, out: &Path) -> Result<Vec<Delivered>, PlaceError> {
+    let mut pages = Vec::new();
+    for node in summary.nodes.iter().filter(|n| n.stage == "reconstruct" && !n.scene.is_empty()) {
+        let (scene, variant) = (node.scene.as_str(), node.variant.as_str());
+        let shown = summary.artifact(scene, variant, "enhance").or(node.artifact.as_ref());
+        let Some(shown) = shown else { continue };
+        let folder = out.join(folder_of(scene, variant));
+        let page = folder.join(VIEW);
+        let delivered = Delivered {
+            what: "view".into(),
+            scene: scene.into(),
+            variant: variant.into(),
+            path: page.clone(),
+        };
+        // The page says which scene it was made of; made of the same one, it is the same.
+        let source = format!("<!-- of {} -->\n", shown.manifest.key);
+        check_page(&page)?;
+        if fs::read_to_string(&page).is_ok_and(|text| text.contains(&source)) {
+            pages.push(delivered);
+            continue;
+        }
+        let capture = summary.artifact(scene, variant, "import").map(|import| import.path.as_path());
+        let made = match scene_page::write(scene, &shown.path, capture, VIEW_PARTS) {
+            Ok(made) => made,
+            Err(error) => {
+                // The results are whole without it.
+                tracing::warn!("{scene}: no page for a browser: {error}");
+                continue;
+            }
+        };
+        at(&folder, "create", fs::create_dir_all(&folder))?;
+        if !made.parts.is_empty() {
+            put(None, &folder.join(VIEW_PARTS), |parts| {
+                at(parts, "create", fs::create_dir_all(parts))?;
+                for (name, text) in &made.parts {
+                    let part = parts.join(name);
+                    at(&part, "write", fs::write(&part, text))?;
+                }
+                place::record(parts, None)
+            })?;
+        }
+        write(&page, stamped(&format!("{}{source}", made.html)).as_bytes())?;
+        pages.push(delivered);
+    }
+    Ok(pages)
+}
+
+/// A path below the results folder as an address in its pages.
+fn relative(path: &Path, out: &Path) -> String {
+    let parts = path.strip_prefix(out).unwrap_or(path).components();
+    let parts = parts.map(|part| use3d_web::page::address(&part.as_os_str().to_string_lossy()));
+    parts.collect::<Vec<_>>().join("/")
 }
 
 /// The report's tables with how fast the scenes are drawn, which their evaluations noted beside their artifacts; `None` where nobody did.

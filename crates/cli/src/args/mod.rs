@@ -122,9 +122,10 @@ pub(crate) enum Verb {
         use3d render enhanced-scene/ --cameras my-reef/ --fps"
     )]
     Render(RenderArgs),
-    /// Write a scene as a 3D Gaussian splatting PLY for other viewers.
+    /// Write a scene as a page for a browser, or as a 3D Gaussian splatting PLY for other viewers.
     #[command(
-        after_help = "Example:\n  use3d export enhanced-scene/ --ply reef.ply --what enhanced-clear --frame colmap"
+        after_help = "Examples:\n  use3d export enhanced-scene/ --web reef.html --cameras my-reef/\n  \
+        use3d export enhanced-scene/ --ply reef.ply --what enhanced-clear --frame colmap"
     )]
     Export(ExportArgs),
     /// Make synthetic underwater data with known truth.

@@ -106,13 +106,22 @@ pub(crate) struct ExportArgs {
     /// The scene to export.
     #[arg(value_name = "SCENE_DIR")]
     pub(crate) scene: PathBuf,
-    /// The PLY file.
-    #[arg(long, value_name = "FILE")]
-    pub(crate) ply: PathBuf,
-    /// Which colours, in the words of `use3d render --modes`.
+    /// A PLY of 3D Gaussian splatting.
+    #[arg(long, value_name = "FILE", required_unless_present_any = ["web"])]
+    pub(crate) ply: Option<PathBuf>,
+    /// A page that shows the scene in a browser, with its water and enhancement: one file up to 32 MB, else with a folder.
+    #[arg(long, value_name = "FILE.html")]
+    pub(crate) web: Option<PathBuf>,
+    /// With --web: the capture whose photographs and places the page offers (or cameras alone, as `use3d render` reads them).
+    #[arg(long, value_name = "CAPTURE", requires = "web")]
+    pub(crate) cameras: Option<PathBuf>,
+    /// With --web: metres per unit of the COLMAP model, so that the page measures in metres.
+    #[arg(long, value_name = "M", requires = "web")]
+    pub(crate) metres_per_unit: Option<f64>,
+    /// Which colours a PLY has, in the words of `use3d render --modes`.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) what: ExportWhat,
-    /// In which frame.
+    /// In which frame a PLY is.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) frame: ExportFrame,
     #[command(flatten)]

@@ -1,7 +1,9 @@
-//! A scene as a PLY that other 3D Gaussian splatting viewers open.
+//! A scene as a page for a browser, and as a PLY that other 3D Gaussian splatting viewers open.
 //!
 //! The colours are asked for by the names of `use3d render`'s modes. A PLY holds Gaussians and no water, so a mode with water is written
 //! as the one without, said aloud and in the file's header.
+
+use std::path::Path;
 
 use clap::ValueEnum;
 use glam::{DMat3, DVec3};
@@ -14,10 +16,23 @@ use crate::App;
 use crate::args::{ExportArgs, ExportFrame, ExportWhat};
 use crate::destination::{check_file, path_text, write_file};
 use crate::error::{CliError, Done};
+use crate::verbs::web;
 
 pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
-    check_file("--ply", &args.ply, args.replace.force, &["ply"])?;
+    if let Some(path) = &args.ply {
+        check_file("--ply", path, args.replace.force, &["ply"])?;
+    }
+    if let Some(path) = &args.web {
+        web::check(path, args)?;
+    }
     let scene = Scene::load(&args.scene).map_err(CliError::input)?;
+    if let Some(path) = &args.web {
+        web::write(app, args, path, &scene)?;
+    }
+    args.ply.as_deref().map_or(Ok(()), |path| write_ply(app, args, path, &scene))
+}
+
+fn write_ply(app: &App, args: &ExportArgs, path: &Path, scene: &Scene) -> Done {
     let what = match args.what {
         ExportWhat::Reconstruction | ExportWhat::Clear => ExportWhat::Clear,
         ExportWhat::Enhanced | ExportWhat::EnhancedClear => ExportWhat::EnhancedClear,
@@ -37,7 +52,7 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
     let gaussians = match what {
         ExportWhat::Reconstruction | ExportWhat::Clear => scene.gaussians.clone(),
         ExportWhat::Enhanced | ExportWhat::EnhancedClear => {
-            let (baked, report) = use3d_render::bake(&scene, 1.0).map_err(CliError::input)?;
+            let (baked, report) = use3d_render::bake(scene, 1.0).map_err(CliError::input)?;
             eprintln!(
                 "baked: the colour clamp is active in {:.2} % of samples; mean colour error {:.5}, there {:.5}, largest {:.4}",
                 100.0 * report.clamped_share,
@@ -63,16 +78,11 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
         format!("what: {}", name(&what)),
         format!("frame: {}", name(&args.frame)),
     ];
-    write_file("--ply", &args.ply, |writer| ply::write_with_comments(&gaussians, &comments, writer))?;
+    write_file("--ply", path, |writer| ply::write_with_comments(&gaussians, &comments, writer))?;
     if !app.quiet {
         let [_, what, frame] = &comments;
-        let size = std::fs::metadata(&args.ply).map_or(0, |m| m.len());
-        eprintln!(
-            "{}: {} Gaussians, {what}, {frame}, {}",
-            path_text(&args.ply),
-            gaussians.len(),
-            bytes(size)
-        );
+        let size = std::fs::metadata(path).map_or(0, |m| m.len());
+        eprintln!("{}: {} Gaussians, {what}, {frame}, {}", path_text(path), gaussians.len(), bytes(size));
     }
     Ok(())
 }

@@ -14,3 +14,4 @@ pub(crate) mod speed;
 pub(crate) mod stages;
 pub(crate) mod synth;
 pub(crate) mod water;
+pub(crate) mod web;

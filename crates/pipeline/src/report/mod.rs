@@ -207,6 +207,13 @@ impl TablesTemplate {
 }
 
 #[derive(Template)]
+#[template(path = "view.html")]
+struct ViewLink<'a> {
+    name: &'a str,
+    address: &'a str,
+}
+
+#[derive(Template)]
 #[template(path = "costs.html")]
 struct CostsTemplate<'a> {
     stages: Vec<StageView>,
@@ -322,6 +329,22 @@ pub fn with_tables(html: &str, tables: &[Table]) -> String {
     }
 }
 
+/// A page with a link to each scene's own page, given as scene, variant and address: where results lie is no part of any artifact.
+pub fn with_views<'a>(html: &str, views: impl Iterator<Item = (&'a str, &'a str, String)>) -> String {
+    views.fold(html.to_string(), |html, (scene, variant, address)| {
+        // The section's name, as the template escapes it.
+        let name = if variant.is_empty() { scene.to_string() } else { format!("{scene} · {variant}") };
+        let link = ViewLink { name: &name, address: &address };
+        match link.render() {
+            Ok(filled) => {
+                let mark = filled.lines().next().unwrap_or_default();
+                html.replacen(&format!("{mark}\n"), &filled, 1)
+            }
+            Err(_) => html,
+        }
+    })
+}
+
 /// A page with what its stages cost and with which parameters they ran, as text: known only after the run, and no part of any artifact.
 pub fn with_costs(html: &str, rows: &[StageRow], parameters: &str) -> String {
     let longest = rows.iter().map(|s| s.seconds).fold(1e-9, f64::max);
@@ -392,6 +415,9 @@ mod tests {
             size: 2.0,
             key: "0123456789abcdef".into(),
         };
+        let views = [("reef", "", "reef/view.html".to_string()), ("gone", "", "gone/view.html".to_string())];
+        let linked = with_views(&html, views.into_iter());
+        assert!(linked.contains("href=\"reef/view.html\"") && !linked.contains("gone"));
         let parameters = "reef: evaluate\n{ \"path_pairs\": 8 } <&>";
         let whole = with_costs(&html, &[row], parameters);
         assert!(whole.contains("<code>0123456789ab</code>") && whole.contains("path_pairs"));

@@ -1,0 +1,95 @@
+//! A scene as a page for a browser.
+
+use std::path::{Path, PathBuf};
+
+use use3d_import::{ImportParams, capture_name, import, read_cameras};
+use use3d_pipeline::engine::machine::bytes;
+use use3d_pipeline::scene_page;
+use use3d_scene::{Origin, Scene};
+use use3d_web::{Page, PageView};
+
+use crate::App;
+use crate::args::ExportArgs;
+use crate::destination::{check_file, path_text, write_file};
+use crate::error::{CliError, Done};
+
+/// Refuses, before the scene is read, what cannot become a page.
+pub(crate) fn check(path: &Path, args: &ExportArgs) -> Done {
+    if let Some(metres) = args.metres_per_unit.filter(|m| !(m.is_finite() && *m > 0.0)) {
+        return Err(CliError::Input(format!("--metres-per-unit {metres}: expected a positive number")));
+    }
+    check_file("--web", path, args.replace.force, &["html"])
+}
+
+/// Writes the page, and its parts into a folder beside it where it is too large for one file.
+pub(crate) fn write(app: &App, args: &ExportArgs, path: &Path, scene: &Scene) -> Done {
+    let views = match &args.cameras {
+        Some(cameras) => views(cameras, &args.scene, scene)?,
+        None => Vec::new(),
+    };
+    let place = std::path::absolute(&args.scene).unwrap_or_else(|_| args.scene.clone());
+    // `reef/enhanced-scene` is the reef.
+    let name = match capture_name(&place).as_str() {
+        "scene" | "enhanced-scene" => place.parent().map_or_else(|| capture_name(&place), capture_name),
+        own => own.to_string(),
+    };
+    let folder = parts_folder(path);
+    let folder_name = folder.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let page = Page { name: &name, scene, views, metres_per_unit: args.metres_per_unit };
+    let written = use3d_web::write(&page, &folder_name).map_err(CliError::input)?;
+    for (file, text) in &written.parts {
+        let part = folder.join(file);
+        check_file("--web", &part, args.replace.force, &["js"])?;
+        write_file("--web", &part, |writer| std::io::Write::write_all(writer, text.as_bytes()))?;
+    }
+    write_file("--web", path, |writer| std::io::Write::write_all(writer, written.html.as_bytes()))?;
+    if !app.quiet {
+        let photographs = page.views.iter().filter(|v| v.photograph.is_some()).count();
+        let less = if written.degree < scene.gaussians.sh_degree.min(3) {
+            format!(", harmonics to degree {} so that it stays one file", written.degree)
+        } else {
+            String::new()
+        };
+        let beside = if written.parts.is_empty() {
+            String::new()
+        } else {
+            format!(" with {} beside it", path_text(&folder))
+        };
+        eprintln!(
+            "{}{beside}: {} Gaussians, {photographs} photographs, {}{less}; open it in a browser",
+            path_text(path),
+            scene.gaussians.len(),
+            bytes(written.bytes() as u64)
+        );
+    }
+    Ok(())
+}
+
+/// `reef.html` keeps its parts in `reef_files`.
+fn parts_folder(path: &Path) -> PathBuf {
+    let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+    path.with_file_name(format!("{stem}_files"))
+}
+
+/// The places of a capture's photographs, with the photographs; of anything else that has cameras, the places alone.
+fn views(cameras: &Path, folder: &Path, scene: &Scene) -> Result<Vec<PageView>, CliError> {
+    let origin = Origin::read(folder).map_err(CliError::input)?;
+    let placed = read_cameras(cameras).map_err(CliError::input)?;
+    // A model without its images is no capture, and has cameras all the same.
+    if cameras.is_dir()
+        && let Ok(imported) = import(cameras, &ImportParams::default())
+    {
+        if imported.needs_preparation() {
+            eprintln!(
+                "the photographs are shown as they were taken: their lens is not undistorted in the page"
+            );
+        }
+        return scene_page::views(scene, origin.as_ref(), &imported).map_err(CliError::input);
+    }
+    let place = |(name, mut camera): (use3d_capture::FileName, use3d_capture::Camera)| {
+        camera.pose = scene.frame.apply_pose(&camera.pose);
+        let name = use3d_capture::stem(&name).to_string();
+        PageView { held_out: scene_page::is_held_out(origin.as_ref(), &name), name, camera, photograph: None }
+    };
+    Ok(placed.into_iter().map(place).collect())
+}

@@ -1,0 +1,69 @@
+//! A scene's page for a browser, with the photographs of its capture and the places they were taken from.
+
+use std::path::Path;
+
+use use3d_import::{ImportError, Imported, load_prepared};
+use use3d_io_image::{ImageError, read_image};
+use use3d_scene::{Origin, Scene, SceneError};
+use use3d_web::{Page, PageView, Photograph, WebError, Written};
+
+/// A page that cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum ScenePageError {
+    /// The scene cannot be read.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The capture cannot be read.
+    #[error(transparent)]
+    Import(#[from] ImportError),
+    /// A photograph cannot be read.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// The page cannot be put together.
+    #[error(transparent)]
+    Web(#[from] WebError),
+}
+
+/// The views of a capture in the frame of a scene, with their photographs. `origin` says which ones training did not see.
+///
+/// # Errors
+/// A photograph that cannot be read.
+pub fn views(
+    scene: &Scene,
+    origin: Option<&Origin>,
+    imported: &Imported,
+) -> Result<Vec<PageView>, ScenePageError> {
+    let capture = &imported.capture;
+    let views = capture.views.iter().map(|view| {
+        let mut camera = view.camera;
+        camera.pose = scene.frame.apply_pose(&capture.frame.invert_pose(&camera.pose));
+        let name = view.stem().to_string();
+        let photograph = Some(Photograph::new(&name, &read_image(&view.image)?)?);
+        Ok(PageView { held_out: is_held_out(origin, &name), name, camera, photograph })
+    });
+    views.collect()
+}
+
+/// Whether a view of this stem was kept from training.
+pub fn is_held_out(origin: Option<&Origin>, stem: &str) -> bool {
+    origin.is_some_and(|origin| origin.held_out.iter().any(|held| held == stem))
+}
+
+/// The page of a scene folder with the views of an imported capture. `folder` is the name of the folder for its parts, should it need one.
+///
+/// # Errors
+/// What cannot be read or put together.
+pub(crate) fn write(
+    name: &str,
+    folder: &Path,
+    capture: Option<&Path>,
+    parts: &str,
+) -> Result<Written, ScenePageError> {
+    let scene = Scene::load(folder)?;
+    let origin = Origin::read(folder)?;
+    let views = match capture {
+        Some(capture) => views(&scene, origin.as_ref(), &load_prepared(capture)?)?,
+        None => Vec::new(),
+    };
+    Ok(use3d_web::write(&Page { name, scene: &scene, views, metres_per_unit: None }, parts)?)
+}

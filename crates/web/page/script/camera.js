@@ -1,0 +1,77 @@
+// Where the visitor stands: eye, rotation, vertical field of view, and the point of interest in front, around which one orbits. World up is +z
+// unless it was levelled; ups and views belong to the page, never to the scene.
+
+const DEGREE = Math.PI / 180;
+
+function makeCamera(header) {
+  const { low, high } = header.bounds;
+  const middle = scaled(add(low, high), 0.5), reach = Math.max(norm(subtract(high, low)) / 2, 1e-3);
+  const first = header.cameras[0];
+  const camera = { eye: [0, 0, 0], rotation: looking([0, 1, 0], [0, 0, 1]), fov: 50, focus: reach, up: [0, 0, 1], reach };
+
+  camera.state = () => ({ eye: [...camera.eye], rotation: camera.rotation.map(row => [...row]), fov: camera.fov, focus: camera.focus });
+  camera.set = ({ eye, rotation, fov, focus }) => {
+    Object.assign(camera, { eye: [...eye], rotation: orthonormal(rotation), fov: fov ?? camera.fov, focus: focus ?? camera.focus });
+  };
+  // The pinhole of a picture of this size; square pixels, principal point in the middle.
+  camera.pinhole = (width, height) => {
+    const f = height / 2 / Math.tan(camera.fov * DEGREE / 2);
+    return { eye: camera.eye, rotation: camera.rotation, lens: [f, f, width / 2, height / 2], width, height };
+  };
+  camera.target = () => along(camera.eye, camera.rotation[2], camera.focus);
+  // All of the scene in the picture, seen from where one looks now.
+  camera.framing = aspect => {
+    const half = Math.atan(Math.tan(camera.fov * DEGREE / 2) * Math.min(1, aspect));
+    const focus = reach / Math.sin(Math.min(half, 1.2));
+    return { eye: along(middle, camera.rotation[2], -focus), rotation: camera.rotation, fov: camera.fov, focus };
+  };
+  // A photograph's place; the field of view is its own.
+  camera.atView = view => ({
+    eye: view.eye, rotation: view.rotation, focus: view.focus || reach, fov: 2 * Math.atan(view.height / 2 / view.lens[1]) / DEGREE,
+  });
+  camera.home = () => {
+    if (first) return camera.atView(first);
+    const rotation = looking([0.5, 0.8, -0.35], [0, 0, 1]);
+    return { eye: along(middle, rotation[2], -1.2 * reach), rotation, fov: 50, focus: 1.2 * reach };
+  };
+  camera.levelled = () => ({ ...camera.state(), rotation: looking(camera.rotation[2], camera.up) });
+
+  camera.orbit = (yaw, pitch) => {
+    const target = camera.target();
+    camera.look(yaw, pitch);
+    camera.eye = along(target, camera.rotation[2], -camera.focus);
+  };
+  // Turns on the spot: yaw about up, pitch about the right axis, never over the poles.
+  camera.look = (yaw, pitch) => {
+    const tilt = Math.asin(clamp(dot(camera.rotation[2], camera.up), -1, 1)), most = 88 * DEGREE;
+    const allowed = clamp(tilt + pitch, Math.min(-most, tilt), Math.max(most, tilt)) - tilt;
+    let rows = camera.rotation.map(row => turned(row, camera.rotation[0], allowed));
+    rows = rows.map(row => turned(row, camera.up, yaw));
+    camera.rotation = orthonormal(rows);
+  };
+  camera.move = (right, up, forward) => {
+    const [r, d, f] = camera.rotation;
+    camera.eye = along(along(along(camera.eye, r, right), d, -up), f, forward);
+  };
+  camera.roll = angle => { camera.rotation = camera.rotation.map(row => turned(row, camera.rotation[2], angle)); };
+  // Towards a point of the picture, given as a direction.
+  camera.zoom = (factor, direction = camera.rotation[2]) => {
+    const step = camera.focus * (1 - factor);
+    camera.eye = along(camera.eye, direction, step);
+    camera.focus = clamp(camera.focus * factor, 1e-3 * reach, 20 * reach);
+  };
+  // Pixel (from the top left corner) and depth of a world point; null behind the eye.
+  camera.project = (point, width, height) => {
+    const away = subtract(point, camera.eye), z = dot(camera.rotation[2], away);
+    if (z <= 1e-3) return null;
+    const f = height / 2 / Math.tan(camera.fov * DEGREE / 2);
+    return [width / 2 + f * dot(camera.rotation[0], away) / z, height / 2 + f * dot(camera.rotation[1], away) / z, z];
+  };
+  // World direction with depth 1 through a pixel.
+  camera.through = (x, y, width, height) => {
+    const f = height / 2 / Math.tan(camera.fov * DEGREE / 2);
+    return add(camera.rotation[2], add(scaled(camera.rotation[0], (x - width / 2) / f), scaled(camera.rotation[1], (y - height / 2) / f)));
+  };
+  camera.set(camera.home());
+  return camera;
+}

@@ -1,0 +1,34 @@
+// One key for every action. Keys that belong to a text field or a slider stay there.
+
+function makeKeys(viewer, navigation, panel, views, path, measure) {
+  const { actions, modes } = panel;
+  const KEYS = {
+    f: actions.frame, r: actions.reset, l: actions.level, p: actions.picture, h: actions.help, '?': actions.help,
+    1: () => { navigation.setFlying(false); say('Orbit'); }, 2: () => { navigation.setFlying(true); say('Fly'); },
+    c: () => { element('compare').click(); }, m: () => measure.choose('distance'), g: () => measure.choose('ground'),
+    k: path.add, ' ': () => { if (path.keys.length > 1) (path.playing ? path.stop() : path.play()); },
+    n: () => views.go(views.current + 1), b: () => views.go(views.current - 1),
+    v: () => { element('show-frusta').click(); },
+    '.': () => step(1), ',': () => step(-1),
+    '[': () => viewer.setLook({ strength: clamp(viewer.look.strength - 0.1, 0, 1) }), ']': () => viewer.setLook({ strength: clamp(viewer.look.strength + 0.1, 0, 1) }),
+    '-': () => viewer.setLook({ water: clamp(viewer.look.water - 0.1, 0, 1) }), '=': () => viewer.setLook({ water: clamp(viewer.look.water + 0.1, 0, 1) }),
+    '+': () => viewer.setLook({ water: clamp(viewer.look.water + 0.1, 0, 1) }),
+    Escape: () => { if (measure.tool) measure.choose(measure.tool); path.stop(); },
+  };
+  function step(by) {
+    const mode = modes[(modes.indexOf(viewer.look.mode) + by + modes.length) % modes.length];
+    viewer.setLook({ mode });
+    say(`${MODES[mode].title}: ${MODES[mode].about}`);
+  }
+  addEventListener('keydown', event => {
+    if (event.ctrlKey || event.metaKey || event.altKey || element('help').open) return;
+    const field = event.target.closest?.('input:not([type=radio]):not([type=checkbox]), select, textarea');
+    if (field) return;
+    // Buttons and radio groups keep Space, Enter and the arrows.
+    const control = event.target.closest?.('button, input, [role=tab], [role=slider]');
+    if (control && (event.key === ' ' || event.key === 'Enter' || event.key.startsWith('Arrow'))) return;
+    if (navigation.press(event)) { event.preventDefault(); return; }
+    const act = KEYS[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+    if (act) { act(); event.preventDefault(); }
+  });
+}

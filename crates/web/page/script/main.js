@@ -1,0 +1,57 @@
+// Puts the page together. `window.use3d` is for scripts that steer it: `ready` resolves once a picture is shown.
+
+async function start() {
+  const canvas = element('view'), progress = element('progress');
+  const scene = await loadScene();
+  const viewer = makeViewer(canvas, scene), overlay = makeOverlay(element('overlay'), viewer);
+  const navigation = makeNavigation(canvas, viewer), panel = makePanel(viewer, navigation);
+  const views = makeViews(viewer, overlay), path = makePath(viewer, overlay), recorder = makeRecorder(viewer, path);
+  const measure = makeMeasure(viewer, overlay);
+  makeSplit(viewer);
+  makeKeys(viewer, navigation, panel, views, path, measure);
+  navigation.click = (x, y) => measure.click(x, y) || views.pick(x, y, canvas.clientWidth, canvas.clientHeight);
+  navigation.picking = () => measure.tool !== null;
+  navigation.interrupted = () => path.stop();
+  navigation.setFlying(false);
+  canvas.addEventListener('webglcontextlost', event => { event.preventDefault(); problem('The graphics driver stopped. Load the page again to go on.'); });
+  viewer.setLook({});
+  viewer.setCompare(null);
+  if (scene.header.cameras.length) views.current = 0;
+  await new Promise(done => { viewer.on('frame', done); });
+  progress.hidden = true;
+  document.body.classList.add('ready');
+  const settled = async () => {
+    for (;;) {
+      viewer.sorter.ask(viewer.camera.state());
+      if (viewer.settled()) return;
+      await new Promise(done => setTimeout(done, 5));
+    }
+  };
+  return {
+    viewer, navigation, views, path, recorder, measure, panel, scene: scene.header, settled,
+    // The float picture (RGBA, rows from the top) of a camera { eye, rotation, lens, width, height } and a look { mode, strength, water }.
+    async picture(view, look) {
+      const { held } = viewer;
+      viewer.held = true;
+      viewer.sorter.ask(view);
+      while (!viewer.sorter.settled()) await new Promise(done => setTimeout(done, 1));
+      const picture = viewer.renderer.picture(view, look);
+      viewer.held = held;
+      viewer.invalidate();
+      return picture;
+    },
+  };
+}
+
+function problem(text) {
+  const box = element('problem');
+  box.textContent = text;
+  box.hidden = false;
+  element('progress').hidden = true;
+}
+
+window.use3d = { ready: start().then(page => Object.assign(window.use3d, page)) };
+window.use3d.ready.catch(error => {
+  const old = typeof DecompressionStream === 'undefined' ? ' This browser is too old: Chrome 80, Firefox 113, Safari 16.4 or later can show it.' : '';
+  problem(`This scene cannot be shown: ${error.message}.${old}`);
+});

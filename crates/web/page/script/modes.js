@@ -1,0 +1,17 @@
+// What can be shown, in the words of `use3d render --modes`, and what each mode asks of the renderer:
+//   graded   enhanced colours                water    it has water, whose amount can be chosen
+//   objects  weight of the objects' light    veil     weight of the water's light, open water included
+const MODES = {
+  reconstruction: { title: 'Reconstruction', about: 'As photographed: the scene in its water', graded: false, water: true, objects: 1, veil: 1 },
+  clear: { title: 'Clear', about: 'The water taken away', graded: false, water: false, objects: 1, veil: 0 },
+  enhanced: { title: 'Enhanced', about: 'Enhanced colours, in the water', graded: true, water: true, objects: 1, veil: 1 },
+  'enhanced-clear': { title: 'Enhanced, clear', about: 'Enhanced colours without the water', graded: true, water: false, objects: 1, veil: 0 },
+  medium: { title: 'Water only', about: 'The light that the water itself sends', graded: false, water: true, objects: 0, veil: 1 },
+  depth: { title: 'Depth', about: 'Near is bright, far is dark', graded: false, water: false, objects: 0, veil: 0, depth: true },
+};
+
+// The modes that a scene has.
+const modesOf = header => Object.keys(MODES).filter(name => {
+  const mode = MODES[name];
+  return (!mode.graded || header.enhancement) && (name !== 'medium' || header.medium.kind !== 'none');
+});

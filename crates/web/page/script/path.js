@@ -1,0 +1,136 @@
+// Camera paths: keys with a time, a pose, a field of view and a look. Between two keys the eye follows a cubic through all keys (Hermite, with
+// the slope (p_{i+1} - p_{i-1}) / (t_{i+1} - t_{i-1}) at key i), the rotation turns at constant speed, field of view, strength and water change
+// linearly, and the mode is that of the key before. `use3d render --path` reads the same file and draws the same frames.
+//
+// Files are in the COLMAP frame, x_scene = scale (R x) + t, so that they outlive a scene that is trained again.
+
+const PATH_FORMAT = '3d-use camera path';
+
+function betweenKeys(keys, time) {
+  const t = clamp(time, keys[0].time, keys[keys.length - 1].time);
+  let i = 0;
+  while (i < keys.length - 2 && t >= keys[i + 1].time) i++;
+  if (keys.length === 1) return { ...keys[0] };
+  const a = keys[i], b = keys[i + 1], span = b.time - a.time, u = span > 0 ? (t - a.time) / span : 1;
+  const slope = k => {
+    const before = keys[Math.max(0, k - 1)], after = keys[Math.min(keys.length - 1, k + 1)], apart = after.time - before.time;
+    return apart > 0 ? scaled(subtract(after.eye, before.eye), 1 / apart) : [0, 0, 0];
+  };
+  const [va, vb] = [slope(i), slope(i + 1)], u2 = u * u, u3 = u2 * u;
+  const eye = [0, 1, 2].map(k => (2 * u3 - 3 * u2 + 1) * a.eye[k] + (u3 - 2 * u2 + u) * span * va[k] + (3 * u2 - 2 * u3) * b.eye[k] + (u3 - u2) * span * vb[k]);
+  const number = name => mix(a[name], b[name], u);
+  return {
+    eye, rotation: slerp(a.rotation, b.rotation, u), fov: number('fov'), focus: number('focus'),
+    mode: (u >= 1 ? b : a).mode, strength: number('strength'), water: number('water'), time: t,
+  };
+}
+
+// Rotation rows and centre in the COLMAP frame, and back.
+function toColmap(frame, { eye, rotation }) {
+  const r = k => [frame.rotation[k], frame.rotation[3 + k], frame.rotation[6 + k]];
+  const moved = scaled(subtract(eye, frame.translation), 1 / frame.scale);
+  return { center: [0, 1, 2].map(k => dot(r(k), moved)), rotation: rotation.map(row => [0, 1, 2].map(k => dot(row, r(k)))) };
+}
+function fromColmap(frame, { center, rotation }) {
+  const r = k => frame.rotation.slice(3 * k, 3 * k + 3);
+  return {
+    eye: [0, 1, 2].map(k => frame.scale * dot(r(k), center) + frame.translation[k]),
+    rotation: orthonormal(rotation.map(row => [0, 1, 2].map(k => dot(row, r(k))))),
+  };
+}
+
+function pathFile(keys, frame, framesPerSecond) {
+  return {
+    format: PATH_FORMAT, version: 1, frame: 'colmap', interpolation: 'hermite', frames_per_second: framesPerSecond,
+    keys: keys.map(key => ({ time: key.time, ...toColmap(frame, key), vertical_fov_degrees: key.fov, focus: key.focus / frame.scale, mode: key.mode, strength: key.strength, water: key.water })),
+  };
+}
+
+function keysOfFile(file, frame) {
+  const numbers = (list, count) => Array.isArray(list) && list.length === count && list.every(Number.isFinite);
+  if (file?.format !== PATH_FORMAT) throw new Error(`this is no camera path: its "format" is not "${PATH_FORMAT}"`);
+  if (file.version !== 1) throw new Error(`version ${file.version} of a camera path; this page reads version 1`);
+  if (!Array.isArray(file.keys) || !file.keys.length) throw new Error('the camera path has no keys');
+  const keys = file.keys.map((key, i) => {
+    const good = numbers(key.center, 3) && Array.isArray(key.rotation) && key.rotation.length === 3 && key.rotation.every(row => numbers(row, 3))
+      && Number.isFinite(key.time) && key.vertical_fov_degrees > 0 && key.vertical_fov_degrees < 180;
+    if (!good) throw new Error(`key ${i + 1}: expected time, center, rotation (three rows) and vertical_fov_degrees`);
+    const share = value => (Number.isFinite(value) ? clamp(value, 0, 1) : 1);
+    return {
+      ...fromColmap(frame, key), time: key.time, fov: key.vertical_fov_degrees, focus: (key.focus > 0 ? key.focus : 1) * frame.scale,
+      mode: MODES[key.mode] ? key.mode : 'reconstruction', strength: share(key.strength), water: share(key.water),
+    };
+  });
+  if (keys.some((key, i) => i && key.time < keys[i - 1].time)) throw new Error('the times of the keys do not rise');
+  return keys;
+}
+
+function makePath(viewer, overlay) {
+  const { camera, header } = viewer, available = modesOf(header), path = { keys: [], playing: null, framesPerSecond: 30 };
+  const list = element('keys');
+  path.length = () => (path.keys.length ? path.keys[path.keys.length - 1].time - path.keys[0].time : 0);
+  path.changed = () => {
+    list.replaceChildren(...path.keys.map((key, i) => make('li', { class: 'row' },
+      make('button', { type: 'button', class: 'link', onclick: () => path.show(key.time, true) }, `${i + 1}`, make('span', { class: 'soft' }, ` ${MODES[key.mode].title}`)),
+      make('label', { class: 'seconds' }, make('input', { type: 'number', min: 0, step: 0.5, value: +key.time.toFixed(2), 'aria-label': `Time of key ${i + 1} in seconds`, onchange: event => path.retime(i, Number(event.target.value)) }), ' s'),
+      make('button', { type: 'button', class: 'small', 'aria-label': `Delete key ${i + 1}`, onclick: () => { path.keys.splice(i, 1); path.changed(); } }, '✕'))));
+    element('no-keys').hidden = path.keys.length > 0;
+    for (const id of ['play', 'record', 'save-path']) element(id).disabled = path.keys.length < 2;
+    element('scrub').disabled = path.keys.length < 2;
+    element('scrub').max = path.length();
+    element('path-length').textContent = path.keys.length > 1 ? `${path.length().toFixed(1)} s` : '';
+    viewer.invalidate();
+  };
+  path.retime = (i, time) => {
+    if (Number.isFinite(time) && time >= 0) path.keys[i].time = time;
+    path.keys.sort((a, b) => a.time - b.time);
+    path.changed();
+  };
+  path.add = () => {
+    const last = path.keys[path.keys.length - 1], time = last ? last.time + Number(element('key-seconds').value || 3) : 0;
+    path.keys.push({ ...camera.state(), ...viewer.look, time });
+    path.changed();
+    say(`Key ${path.keys.length} added`);
+  };
+  path.show = (time, fly = false) => {
+    if (!path.keys.length) return;
+    const key = betweenKeys(path.keys, time), mode = available.includes(key.mode) ? key.mode : 'reconstruction';
+    viewer.setLook({ mode, strength: key.strength, water: key.water });
+    if (fly) viewer.fly(key); else { camera.set(key); viewer.moved(); }
+    element('scrub').value = time - path.keys[0].time;
+  };
+  path.stop = () => { if (path.playing) { path.playing.done?.(); path.playing = null; element('play').textContent = 'Play'; } };
+  path.play = done => {
+    viewer.flight.stop();
+    path.playing = { started: null, done };
+    element('play').textContent = 'Stop';
+    viewer.invalidate();
+  };
+  viewer.steps.push(now => {
+    if (!path.playing) return;
+    path.playing.started ??= now;
+    const time = (now - path.playing.started) / 1000;
+    path.show(path.keys[0].time + time);
+    if (time >= path.length()) path.stop();
+  });
+  element('add-key').onclick = path.add;
+  element('play').onclick = () => (path.playing ? path.stop() : path.play());
+  element('scrub').oninput = event => { path.stop(); path.show(path.keys[0].time + Number(event.target.value)); };
+  path.json = () => JSON.stringify(pathFile(path.keys, header.frame, path.framesPerSecond), null, 1);
+  element('save-path').onclick = () => download('camera-path.json', 'application/json', path.json());
+  path.read = text => { path.keys = keysOfFile(JSON.parse(text), header.frame); path.changed(); };
+  element('open-path').onchange = async event => {
+    const [file] = event.target.files;
+    event.target.value = '';
+    if (!file) return;
+    try { path.read(await readFile(file)); say(`${file.name}: ${path.keys.length} keys`); } catch (error) { say(`${file.name}: ${error.message}`); }
+  };
+  overlay.add(canvas => {
+    if (path.keys.length < 2 || path.playing || !element('panel-path').classList.contains('open')) return;
+    const steps = 12 * path.keys.length, start = path.keys[0].time;
+    canvas.line(Array.from({ length: steps + 1 }, (_, i) => betweenKeys(path.keys, start + path.length() * i / steps).eye), '#ffd166', 2);
+    path.keys.forEach(key => canvas.dot(key.eye, '#ffd166', 4));
+  });
+  path.changed();
+  return path;
+}

@@ -1,0 +1,25 @@
+// Asks the worker for the order of a pose; one question is under way at a time, and of the waiting ones only the newest counts.
+
+function makeSorter(centres, sorted) {
+  const source = document.getElementById('sort-worker').textContent;
+  const worker = new Worker(URL.createObjectURL(new Blob([source], { type: 'text/javascript' })));
+  worker.postMessage({ centres }, [centres.buffer]);
+  let busy = false, waiting = null, last = null, id = 0;
+  const sorter = { milliseconds: 0, settled: () => !busy && !waiting };
+  const send = pose => {
+    busy = true;
+    last = pose;
+    worker.postMessage({ id: ++id, forward: pose.rotation[2], offset: dot(pose.rotation[2], pose.eye) });
+  };
+  worker.onmessage = ({ data }) => {
+    sorter.milliseconds = data.milliseconds;
+    busy = false;
+    sorted(data.sorted);
+    if (waiting) { const next = waiting; waiting = null; send(next); }
+  };
+  const same = (a, b) => a && a.eye.every((v, i) => v === b.eye[i]) && a.rotation[2].every((v, i) => v === b.rotation[2][i]);
+  sorter.ask = pose => {
+    if (busy) { waiting = same(last, pose) ? null : pose; } else if (!same(last, pose)) send(pose);
+  };
+  return sorter;
+}

@@ -1,0 +1,87 @@
+// The picture on the screen and when it is drawn anew: only when something changed, at a lower resolution while moving if the machine is
+// too slow for the full one, and at the full one once still.
+
+const SCALES = [1, 0.75, 0.5, 0.35, 0.25], SLOW = 45, FAST = 18, STILL = 160;
+
+function makeViewer(canvas, scene) {
+  const { header } = scene, listeners = { frame: [], look: [] };
+  let dirty = true, movedAt = -1e9, rung = 0, lastFrame = 0, shownAt = 0;
+  const range = [1, 10];
+  const camera = makeCamera(header), renderer = makeRenderer(canvas, scene);
+  const invalidate = () => { dirty = true; };
+  const sorter = makeSorter(scene.centres, sorted => { renderer.setOrder(sorted); invalidate(); viewer.ready = true; });
+  const moved = () => { movedAt = performance.now(); invalidate(); };
+  const flight = makeFlight(camera, moved);
+  const viewer = {
+    camera, renderer, sorter, flight, header, invalidate, moved, ready: false,
+    held: false,              // somebody draws a picture of his own: no frames meanwhile
+    look: { mode: modesOf(header).includes('enhanced-clear') ? 'enhanced-clear' : 'reconstruction', strength: 1, water: 1 },
+    compare: null,            // the mode on the left, or null
+    at: 0.5,
+    on: (name, f) => listeners[name].push(f),
+    tell: name => listeners[name].forEach(f => f()),
+    setLook(change) { Object.assign(viewer.look, change); invalidate(); viewer.tell('look'); },
+    setCompare(mode, at = viewer.at) { viewer.compare = mode; viewer.at = clamp(at, 0, 1); invalidate(); viewer.tell('look'); },
+    leftLook: () => (viewer.compare ? { ...viewer.look, mode: viewer.compare } : null),
+    fly: (goal, seconds) => flight.to(goal, seconds),
+    steps: [],                // what moves the camera by itself, asked before every frame
+  };
+
+  // Depth is shown between the 2 % and 98 % quantiles of what is in the picture, looked up in a small one of its own.
+  function depthRange() {
+    const aspect = canvas.clientWidth / Math.max(1, canvas.clientHeight), height = 54, width = Math.max(8, Math.round(height * aspect));
+    const small = renderer.picture(camera.pinhole(width, height), { mode: 'depth', strength: 0, water: 0 });
+    const known = [];
+    for (let i = 0; i < small.length; i += 4) if (small[i] > 0 && small[i + 3] > 0.02) known.push(small[i]);
+    if (!known.length) return;
+    known.sort((a, b) => a - b);
+    range[0] = known[Math.floor(0.02 * (known.length - 1))];
+    range[1] = Math.max(known[Math.floor(0.98 * (known.length - 1))], 1.0001 * range[0]);
+  }
+
+  function draw(now) {
+    const moving = now - movedAt < STILL;
+    // While moving, a frame that came late asks for a smaller picture; one that came early may have a larger one.
+    if (moving && now - shownAt < 400) {
+      const took = now - shownAt;
+      if (took > SLOW) rung = Math.min(rung + 1, SCALES.length - 1); else if (took < FAST && now - lastFrame > 800) { rung = Math.max(rung - 1, 0); lastFrame = now; }
+    }
+    const scale = (moving ? SCALES[rung] : 1) * Math.min(window.devicePixelRatio || 1, 2);
+    const width = Math.max(1, Math.round(canvas.clientWidth * scale)), height = Math.max(1, Math.round(canvas.clientHeight * scale));
+    if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
+    if ([viewer.look.mode, viewer.compare].includes('depth') && !moving) depthRange();
+    renderer.draw(camera.pinhole(width, height), viewer.look, viewer.leftLook(), viewer.at, range);
+    shownAt = now;
+    // Sharp again once nothing moves.
+    if (moving && scale < Math.min(window.devicePixelRatio || 1, 2)) setTimeout(invalidate, STILL + 10);
+    viewer.tell('frame');
+  }
+
+  function frame(now) {
+    requestAnimationFrame(frame);
+    if (viewer.held) return;
+    flight.step(now);
+    for (const step of viewer.steps) step(now);
+    sorter.ask(camera.state());
+    if (!dirty || !viewer.ready || renderer.gl.isContextLost()) return;
+    dirty = false;
+    draw(now);
+  }
+  new ResizeObserver(invalidate).observe(canvas);
+  requestAnimationFrame(frame);
+  viewer.settled = () => viewer.ready && sorter.settled() && !dirty && !flight.busy();
+  // The middle depth of the picture around a place, in CSS pixels; null where there is nothing.
+  viewer.depthAt = (x, y) => {
+    const size = 9, pinhole = camera.pinhole(canvas.clientWidth, canvas.clientHeight), [fx, fy, cx, cy] = pinhole.lens;
+    const view = { ...pinhole, width: size, height: size, lens: [fx, fy, cx - x + size / 2, cy - y + size / 2] };
+    const part = renderer.picture(view, { mode: 'depth', strength: 0, water: 0 }), found = [];
+    for (let i = 0; i < part.length; i += 4) if (part[i + 3] > 0.25) found.push(part[i]);
+    invalidate();
+    return found.length ? found.sort((a, b) => a - b)[found.length >> 1] : null;
+  };
+  viewer.pointAt = (x, y) => {
+    const z = viewer.depthAt(x, y);
+    return z === null ? null : along(camera.eye, camera.through(x, y, canvas.clientWidth, canvas.clientHeight), z);
+  };
+  return viewer;
+}

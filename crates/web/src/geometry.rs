@@ -1,0 +1,60 @@
+//! Where a scene is: what a visitor wants to have in the picture, without the few Gaussians that fly far away.
+
+use glam::DVec3;
+use use3d_capture::Camera;
+use use3d_splat::Gaussians;
+
+/// Gaussians looked at for a quantile: more would not move it.
+const SAMPLE: usize = 20_000;
+
+fn sample(gaussians: &Gaussians) -> impl Iterator<Item = [f32; 3]> + '_ {
+    let step = gaussians.len().div_ceil(SAMPLE).max(1);
+    gaussians.means.iter().step_by(step).copied()
+}
+
+fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
+    values.sort_unstable_by(f64::total_cmp);
+    values.get(((values.len().saturating_sub(1)) as f64 * share) as usize).copied()
+}
+
+/// Lower and upper corner of the middle nine tenths of the centres, per axis.
+pub(crate) fn bounds(gaussians: &Gaussians) -> [[f64; 3]; 2] {
+    let corner = |share: f64| {
+        std::array::from_fn(|axis| {
+            let mut values: Vec<f64> = sample(gaussians).map(|m| f64::from(m[axis])).collect();
+            quantile(&mut values, share).unwrap_or(0.0)
+        })
+    };
+    [corner(0.05), corner(0.95)]
+}
+
+/// The median depth of the Gaussians that a camera sees, in scene units; `None` where it sees none.
+pub(crate) fn focus(gaussians: &Gaussians, camera: &Camera) -> Option<f64> {
+    let (w, h) = (camera.intrinsics.width as f64, camera.intrinsics.height as f64);
+    let mut depths: Vec<f64> = sample(gaussians)
+        .filter_map(|m| camera.project(DVec3::new(m[0].into(), m[1].into(), m[2].into())))
+        .filter(|(pixel, _)| (0.0..w).contains(&pixel.x) && (0.0..h).contains(&pixel.y))
+        .map(|(_, depth)| depth)
+        .collect();
+    quantile(&mut depths, 0.5)
+}
+
+/// The Gaussians along a space-filling curve, so that neighbours in space are neighbours in the file: it packs better, and a graphics card
+/// finds them in its cache.
+pub(crate) fn curve_order(gaussians: &Gaussians) -> Vec<u32> {
+    let [low, high] = bounds(gaussians);
+    let spread = |v: u32| {
+        // Two zeros between the ten bits of `v`.
+        (0..10).fold(0u32, |sum, bit| sum | (((v >> bit) & 1) << (3 * bit)))
+    };
+    let code = |m: &[f32; 3]| {
+        (0..3).fold(0u32, |code, axis| {
+            let side = (high[axis] - low[axis]).max(1e-9);
+            let at = ((f64::from(m[axis]) - low[axis]) / side * 1023.0).clamp(0.0, 1023.0);
+            code | (spread(at as u32) << axis)
+        })
+    };
+    let mut keyed: Vec<(u32, u32)> = gaussians.means.iter().map(code).zip(0..).collect();
+    keyed.sort_unstable();
+    keyed.into_iter().map(|(_, i)| i).collect()
+}

@@ -1,0 +1,41 @@
+//! A scene in a browser, and in other people's viewers.
+//!
+//! [`page`] makes one HTML file that shows a scene with everything that is in it: the water, the enhancement at any strength, the places
+//! that the photographs were taken from. It works from a disk, without a network, on any host. Its renderer is our own, in plain
+//! JavaScript and GLSL below `page/`; the files there are joined as they are, nothing is built or fetched.
+//!
+//! The compositor is exact. The program's picture `a (1 − Σw) c_m + Σ w (c A + c_m (1 − E))` with `A = e^{−β_attn s}`, `E = e^{−β_bs s}` is ordinary
+//! alpha blending of the colours `f = c A + c_m (1 − E)` over open water, so a browser draws it with one blend function. What is left of a
+//! difference to the program's own renderer is that of half-float sums and of 8-bit harmonics.
+//!
+//! Reading order: `scene_file` (numbers → bytes) → `water` and `enhancement` (what the page must know of both) → `photographs` → [`page`]. [`foreign`] stands for itself.
+
+mod enhancement;
+pub mod foreign;
+mod geometry;
+pub mod page;
+mod photographs;
+mod scene_file;
+mod water;
+
+pub use page::{Page, PageView, Written, write};
+pub use photographs::Photograph;
+
+/// A page that cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum WebError {
+    /// A scene without Gaussians.
+    #[error("the scene holds no Gaussians: there is nothing to show")]
+    Empty,
+    /// A photograph could not be encoded.
+    #[error("photograph `{name}`: {source}")]
+    Photograph {
+        /// Which one.
+        name: String,
+        /// Why.
+        source: image::ImageError,
+    },
+    /// Something could not be written down.
+    #[error("the page's data could not be packed: {0}")]
+    Packing(#[from] std::io::Error),
+}

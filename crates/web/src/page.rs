@@ -1,0 +1,330 @@
+//! The page: HTML, style, shaders and scripts joined with a scene.
+//!
+//! **One file if it may be.** Files below [`ONE_FILE`] open in every browser from a disk; larger ones do not everywhere. So harmonics of the
+//! highest degree that still fits are kept, down to none; a scene that is too large even then keeps all of them and gets a folder of
+//! scripts beside the page, which browsers also read from a disk.
+//!
+//! **Nothing is fetched, nothing is sent.** The page carries a content policy that forbids both; scripts and style run by their digests.
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+use use3d_capture::Camera;
+use use3d_scene::Scene;
+
+use crate::{Photograph, WebError, enhancement, geometry, scene_file, water};
+
+/// Most bytes of a page that is one file.
+pub const ONE_FILE: usize = 32_000_000;
+/// Most bytes of a part beside the page.
+const PART: usize = 12_000_000;
+
+/// The page's scripts, in the order in which they are joined.
+const SCRIPTS: &[&str] = &[
+    include_str!("../page/script/vectors.js"),
+    include_str!("../page/script/elements.js"),
+    include_str!("../page/script/data.js"),
+    include_str!("../page/script/modes.js"),
+    include_str!("../page/script/water.js"),
+    include_str!("../page/script/gl.js"),
+    include_str!("../page/script/renderer.js"),
+    include_str!("../page/script/sorter.js"),
+    include_str!("../page/script/camera.js"),
+    include_str!("../page/script/flight.js"),
+    include_str!("../page/script/viewer.js"),
+    include_str!("../page/script/navigation.js"),
+    include_str!("../page/script/overlay.js"),
+    include_str!("../page/script/split.js"),
+    include_str!("../page/script/views.js"),
+    include_str!("../page/script/path.js"),
+    include_str!("../page/script/recorder.js"),
+    include_str!("../page/script/measure.js"),
+    include_str!("../page/script/panel.js"),
+    include_str!("../page/script/keys.js"),
+    include_str!("../page/script/main.js"),
+];
+
+/// The shaders by the names that the scripts use.
+const SHADERS: &[(&str, &str)] = &[
+    ("harmonics", include_str!("../page/shaders/harmonics.glsl")),
+    ("screen.vert", include_str!("../page/shaders/screen.vert.glsl")),
+    ("water.frag", include_str!("../page/shaders/water.frag.glsl")),
+    ("background.frag", include_str!("../page/shaders/background.frag.glsl")),
+    ("splat.vert", include_str!("../page/shaders/splat.vert.glsl")),
+    ("splat.frag", include_str!("../page/shaders/splat.frag.glsl")),
+    ("show.frag", include_str!("../page/shaders/show.frag.glsl")),
+];
+
+const FRAME: &str = include_str!("../page/page.html");
+const STYLE: &str = include_str!("../page/page.css");
+const WORKER: &str = include_str!("../page/script/sort.worker.js");
+
+/// What a page shows.
+#[derive(Clone, Debug)]
+pub struct Page<'a> {
+    /// Its title: the scene's name.
+    pub name: &'a str,
+    /// The scene.
+    pub scene: &'a Scene,
+    /// The places that one can fly to.
+    pub views: Vec<PageView>,
+    /// Metres per unit of the COLMAP model, if that is known.
+    pub metres_per_unit: Option<f64>,
+}
+
+/// A photograph's place.
+#[derive(Clone, Debug)]
+pub struct PageView {
+    /// Its name.
+    pub name: String,
+    /// Where it was taken, in the scene's frame.
+    pub camera: Camera,
+    /// Whether training did not see it.
+    pub held_out: bool,
+    /// What it shows.
+    pub photograph: Option<Photograph>,
+}
+
+/// A page that was made.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Written {
+    /// The page.
+    pub html: String,
+    /// Scripts that belong into the folder beside it, by name; none if it is one file.
+    pub parts: Vec<(String, String)>,
+    /// The degree to which harmonics were kept.
+    pub degree: usize,
+}
+
+impl Written {
+    /// Bytes of all files together.
+    pub fn bytes(&self) -> usize {
+        self.html.len() + self.parts.iter().map(|(_, text)| text.len()).sum::<usize>()
+    }
+}
+
+/// Makes the page. `folder` is the name of the folder for its parts, should it need one: a plain name, relative to the page.
+///
+/// # Errors
+/// A scene without Gaussians.
+pub fn write(page: &Page<'_>, folder: &str) -> Result<Written, WebError> {
+    write_below(page, folder, ONE_FILE)
+}
+
+/// As [`write`], with another size for what may be one file.
+fn write_below(page: &Page<'_>, folder: &str, most: usize) -> Result<Written, WebError> {
+    let scene = page.scene;
+    if scene.gaussians.is_empty() {
+        return Err(WebError::Empty);
+    }
+    let order = geometry::curve_order(&scene.gaussians);
+    let grades = enhancement::grades(scene);
+    let full = scene.gaussians.sh_degree.min(3);
+    let pack = |bytes: Vec<u8>| Ok::<_, WebError>(STANDARD.encode(scene_file::packed(&bytes)?));
+    let harmonics = |degree: usize| match degree {
+        0 => Ok(String::new()),
+        _ => pack(scene_file::harmonics(scene, degree, &order)),
+    };
+    let (geometry, all) =
+        rayon::join(|| pack(scene_file::geometry(scene, grades.as_deref(), &order)), || harmonics(full));
+    let (geometry, all) = (geometry?, all?);
+    let cube = water::cube(scene).map_or_else(|| Ok(String::new()), pack)?;
+    let mut header = header(page);
+
+    // The page without its parts, and room for their elements.
+    let fixed = html(page.name, &header, "", true).len() + geometry.len() + cube.len() + 1000;
+    let mut degree = full;
+    let mut kept = all.clone();
+    while degree > 0 && fixed + kept.len() > most {
+        degree -= 1;
+        kept = harmonics(degree)?;
+    }
+    let one_file = fixed + kept.len() <= most;
+    if !one_file {
+        (degree, kept) = (full, all);
+    }
+    let sections = [("geometry", geometry), ("harmonics", kept), ("cube", cube)];
+    let sections: Vec<_> = sections.into_iter().filter(|(_, text)| !text.is_empty()).collect();
+    header["degree"] = degree.into();
+    header["harmonicBytes"] = scene_file::harmonic_bytes(degree).into();
+    let mut parts = Vec::new();
+    let mut entries = Vec::new();
+    let mut embedded = String::new();
+    for (name, text) in &sections {
+        // Base64 comes in fours, so every piece stands for whole bytes.
+        let pieces: Vec<&str> = if one_file { vec![text] } else { pieces(text, PART) };
+        entries.push(json!({ "name": name, "parts": pieces.len() }));
+        for piece in pieces {
+            if one_file {
+                embedded.push_str(&format!("<script type=\"text/plain\" data-part>{piece}</script>\n"));
+            } else {
+                let file = format!("part-{}.js", parts.len());
+                embedded
+                    .push_str(&format!("<script src=\"{}/{file}\"></script>\n", escaped(&address(folder))));
+                parts.push((file, format!("(window.use3dParts ||= []).push(\"{piece}\");\n")));
+            }
+        }
+    }
+    header["sections"] = entries.into();
+    Ok(Written { html: html(page.name, &header, &embedded, one_file), parts, degree })
+}
+
+/// `text` in pieces of at most `most` bytes, a multiple of four.
+fn pieces(text: &str, most: usize) -> Vec<&str> {
+    (0..text.len()).step_by(most).map(|at| &text[at..(at + most).min(text.len())]).collect()
+}
+
+/// What the page must know apart from the Gaussians.
+fn header(page: &Page<'_>) -> Value {
+    let scene = page.scene;
+    let [low, high] = geometry::bounds(&scene.gaussians);
+    let views: Vec<Value> = page
+        .views
+        .iter()
+        .map(|view| {
+            let (k, pose) = (&view.camera.intrinsics, &view.camera.pose);
+            let rows: [[f64; 3]; 3] = std::array::from_fn(|r| pose.rotation.row(r).to_array());
+            json!({
+                "name": view.name,
+                "eye": pose.center().to_array(),
+                "rotation": rows,
+                "lens": [k.fx, k.fy, k.cx, k.cy],
+                "width": k.width,
+                "height": k.height,
+                "heldOut": view.held_out,
+                "focus": geometry::focus(&scene.gaussians, &view.camera),
+                "photo": view.photograph.as_ref().map(|p| &p.address),
+            })
+        })
+        .collect();
+    let frame = &scene.frame;
+    json!({
+        "format": "3d-use web scene",
+        "version": 1,
+        "name": page.name,
+        "count": scene.gaussians.len(),
+        "frame": {
+            "scale": frame.scale,
+            "rotation": frame.rotation.transpose().to_cols_array(),
+            "translation": frame.translation.to_array(),
+        },
+        "bounds": { "low": low, "high": high },
+        "metresPerUnit": page.metres_per_unit,
+        "medium": water::entry(scene),
+        "enhancement": enhancement::entry(scene),
+        "cameras": views,
+    })
+}
+
+/// The text of the whole page.
+fn html(name: &str, header: &Value, parts: &str, one_file: bool) -> String {
+    let script = SCRIPTS.join("\n");
+    let script_element = format!("\n(() => {{\n'use strict';\n{script}\n}})();\n");
+    let style_element = format!("\n{STYLE}\n");
+    let digest = |text: &str| format!("'sha256-{}'", STANDARD.encode(Sha256::digest(text.as_bytes())));
+    // The parts beside a page come from where the page came from, be it a disk or a host.
+    let beside = if one_file { "" } else { " 'self' file:" };
+    let policy = format!(
+        "default-src 'none'; script-src {}{beside}; style-src {}; worker-src blob:; img-src data: blob:; media-src blob:; \
+         base-uri 'none'; form-action 'none'",
+        digest(&script_element),
+        digest(&style_element),
+    );
+    let shaders: Vec<String> = SHADERS
+        .iter()
+        .map(|(id, text)| format!("<script type=\"x-shader/glsl\" id=\"{id}\">\n{}\n</script>", text.trim()))
+        .collect();
+    // `<` would end the element that the JSON stands in.
+    let header = header.to_string().replace('<', "\\u003c");
+    let program = format!("3D-USE {}", env!("CARGO_PKG_VERSION"));
+    let fill = [
+        ("{{policy}}", policy.as_str()),
+        ("{{program}}", &program),
+        ("\n{{style}}\n", &style_element),
+        ("{{shaders}}", &shaders.join("\n")),
+        ("{{worker}}", WORKER),
+        ("{{header}}", &header),
+        ("{{parts}}", parts),
+        ("\n(() => {\n'use strict';\n{{script}}\n})();\n", &script_element),
+        ("{{title}}", &escaped(name)),
+    ];
+    filled(FRAME, &fill)
+}
+
+/// `frame` with its marks replaced, each wherever it stands; what is put in is not looked through again.
+fn filled(frame: &str, fill: &[(&str, &str)]) -> String {
+    let mut out = String::with_capacity(frame.len() + fill.iter().map(|(_, text)| text.len()).sum::<usize>());
+    let mut rest = frame;
+    loop {
+        let next =
+            fill.iter().filter_map(|(mark, text)| Some((rest.find(mark)?, mark, text))).min_by_key(|f| f.0);
+        let Some((at, mark, text)) = next else { break };
+        out.push_str(&rest[..at]);
+        out.push_str(text);
+        rest = &rest[at + mark.len()..];
+    }
+    out + rest
+}
+
+/// Text as it may stand in an element or an attribute.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+/// The name of a file or folder as a part of an address.
+pub fn address(name: &str) -> String {
+    let plain = |b: u8| b.is_ascii_alphanumeric() || b"-._~".contains(&b);
+    name.bytes().map(|b| if plain(b) { char::from(b).to_string() } else { format!("%{b:02X}") }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use use3d_capture::Frame;
+    use use3d_medium::MediumModel;
+    use use3d_numerics::random::{Purpose, Stream};
+    use use3d_splat::Gaussians;
+
+    fn scene(count: usize) -> Scene {
+        let draw = Stream::new(3, Purpose::new("page"), 0);
+        let noise = |i: usize| draw.uniform(i as u64) as f32;
+        let gaussians = Gaussians {
+            sh_degree: 3,
+            means: (0..count).map(|i| std::array::from_fn(|a| noise(3 * i + a))).collect(),
+            log_scales: vec![[-3.0; 3]; count],
+            quaternions: vec![[1.0, 0.0, 0.0, 0.0]; count],
+            opacity_logits: vec![1.0; count],
+            sh: (0..count)
+                .map(|i| std::array::from_fn(|k| std::array::from_fn(|c| noise(48 * i + 3 * k + c))))
+                .collect(),
+        };
+        let medium = MediumModel::None;
+        Scene { gaussians, frame: Frame::IDENTITY, medium, medium_degree: 0, enhancement: None }
+    }
+
+    #[test]
+    fn a_large_scene_gives_up_harmonics_and_a_larger_one_gets_a_folder() {
+        let scene = scene(3000);
+        let page = Page { name: "a <b> & \"c\"", scene: &scene, views: Vec::new(), metres_per_unit: None };
+        let whole = write(&page, "a b").unwrap();
+        assert_eq!((whole.degree, whole.parts.len()), (3, 0));
+        assert!(whole.html.contains("a &lt;b&gt; &amp; &quot;c&quot;") && !whole.html.contains("<b>"));
+        let less = write_below(&page, "a b", whole.html.len() - 20_000).unwrap();
+        assert!(less.degree < 3 && less.parts.is_empty() && less.bytes() < whole.bytes(), "{}", less.degree);
+        let folder = write_below(&page, "a b", 1000).unwrap();
+        assert_eq!(folder.degree, 3);
+        assert!(folder.html.contains("src=\"a%20b/part-0.js\"") && folder.parts.len() == 2);
+    }
+
+    #[test]
+    fn nothing_is_left_to_fill_in_and_nothing_names_another_host() {
+        let scene = scene(10);
+        let page = Page { name: "{{parts}}", scene: &scene, views: Vec::new(), metres_per_unit: None };
+        let html = write(&page, "x").unwrap().html;
+        assert_eq!(html.matches("{{").count(), html.matches("{{parts}}").count());
+        let named = html.matches("http").count() - html.matches("http-equiv").count();
+        assert_eq!(named, html.matches("xmlns='http://www.w3.org/2000/svg'").count());
+        assert!(html.contains("default-src 'none'"));
+    }
+}

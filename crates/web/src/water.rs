@@ -1,0 +1,81 @@
+//! What a page knows of the water: coefficients of its harmonics, or, for a network of the direction, a cube of directions filled here.
+//!
+//! The network is smooth, so faces of [`SIDE`] pixels, read with linear interpolation, follow it to about the half floats they are kept in.
+
+use glam::{DMat3, DVec3};
+use half::f16;
+use serde_json::{Value, json};
+use use3d_capture::{Camera, Image, Intrinsics, Lattice, MediumMaps, Pose};
+use use3d_medium::{Coefficients, MediumModel};
+use use3d_scene::Scene;
+
+/// Pixels along a face of the cube.
+const SIDE: usize = 64;
+
+fn flat(coefficients: &Coefficients) -> &[f32] {
+    coefficients.as_flattened().as_flattened()
+}
+
+/// The header's entry.
+pub(crate) fn entry(scene: &Scene) -> Value {
+    let kind = scene.medium.kind().name();
+    let degree = scene.medium_degree.min(3);
+    match &scene.medium {
+        MediumModel::None => json!({ "kind": kind }),
+        MediumModel::Global(m) => {
+            json!({ "kind": kind, "degree": degree, "coefficients": flat(&m.coefficients) })
+        }
+        MediumModel::Rbf(m) => json!({
+            "kind": kind,
+            "degree": degree,
+            "topK": m.top_k,
+            "centers": m.centers,
+            "logWidths": m.log_widths,
+            "coefficients": m.coefficients.iter().map(flat).collect::<Vec<_>>(),
+        }),
+        MediumModel::Mlp(_) => json!({ "kind": kind, "degree": 3, "side": SIDE }),
+    }
+}
+
+/// The faces of a cube map as OpenGL has them: a pixel `(s, t)` in `[−1, 1]²`, rows from the first, looks along `x s + y t + z`.
+const FACES: [[[f64; 3]; 3]; 6] = [
+    [[0.0, 0.0, -1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]],
+    [[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]],
+    [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]],
+    [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]],
+    [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]],
+    [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]],
+];
+
+/// The baked cube of a network: colour, backscatter, attenuation, each six faces of RGBA half floats. `None` for other waters.
+pub(crate) fn cube(scene: &Scene) -> Option<Vec<u8>> {
+    let MediumModel::Mlp(_) = &scene.medium else { return None };
+    let half_side = SIDE as f64 / 2.0;
+    let intrinsics =
+        Intrinsics { width: SIDE, height: SIDE, fx: half_side, fy: half_side, cx: half_side, cy: half_side };
+    let faces: Vec<MediumMaps> = FACES
+        .iter()
+        .map(|axes| {
+            // Camera axes as columns. A cube map is left-handed, which a map of directions does not mind.
+            let [x, y, z] = axes.map(DVec3::from_array);
+            let pose = Pose { rotation: DMat3::from_cols(x, y, z).transpose(), translation: DVec3::ZERO };
+            let mut maps = MediumMaps::zeros(0, 0);
+            scene.medium.maps(&Camera { intrinsics, pose }, &Lattice::full(&intrinsics), 3, &mut maps);
+            maps
+        })
+        .collect();
+    let quantities: [fn(&MediumMaps) -> &Image; 3] = [|m| &m.color, |m| &m.backscatter, |m| &m.attenuation];
+    let mut bytes = Vec::with_capacity(3 * 6 * SIDE * SIDE * 8);
+    for quantity in quantities {
+        for face in &faces {
+            let image = quantity(face);
+            for i in 0..SIDE * SIDE {
+                let pixel = image.pixel(i % SIDE, i / SIDE);
+                for v in pixel.into_iter().chain([1.0]) {
+                    bytes.extend(f16::from_f32(v).to_le_bytes());
+                }
+            }
+        }
+    }
+    Some(bytes)
+}

@@ -1,0 +1,229 @@
+//! What one does with the page: drag, press, touch, compare, measure, follow a path; and that everybody can.
+
+use serde_json::{Value, json};
+
+use crate::{opened, scenes};
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().expect("a number")
+}
+
+fn numbers(value: &Value) -> Vec<f64> {
+    value.as_array().expect("a list").iter().map(number).collect()
+}
+
+#[test]
+fn one_looks_around_by_mouse_keys_and_touch() {
+    let Some((mut browser, _dir)) = opened(&scenes::scene("rbf", 3)) else { return };
+    let eye = "(use3d.settled().then(() => use3d.viewer.camera.state().eye))";
+    let focus = "use3d.viewer.camera.state().focus";
+    // What the camera was remembered by, and that it is no longer there.
+    let remember = "window.before = JSON.stringify(use3d.viewer.camera.state()), null";
+    let moved = "JSON.stringify(use3d.viewer.camera.state()) !== window.before";
+    let start = numbers(&browser.evaluate(eye));
+
+    // Orbiting keeps the point of interest where it is, and its distance.
+    let target = numbers(&browser.evaluate("use3d.viewer.camera.target()"));
+    browser.evaluate(remember);
+    browser.drag([300.0, 300.0], [380.0, 320.0]);
+    browser.until(moved);
+    let kept = numbers(&browser.evaluate("use3d.viewer.camera.target()"));
+    assert!(target.iter().zip(&kept).all(|(a, b)| (a - b).abs() < 1e-9), "{target:?} {kept:?}");
+
+    // The wheel zooms in, to the pointer.
+    let far = number(&browser.evaluate(focus));
+    let wheel = json!({ "type": "mouseWheel", "x": 300, "y": 300, "deltaX": 0, "deltaY": -240 });
+    browser.ask("Input.dispatchMouseEvent", wheel);
+    browser.until(&format!("{focus} < {far}"));
+
+    // F frames all of it, R goes back, from the keyboard; looks and their strength follow keys, too.
+    browser.key("f", "KeyF");
+    browser.evaluate("use3d.settled()");
+    let seen = browser.evaluate(
+        "(() => { const { low, high } = use3d.scene.bounds, v = document.getElementById('view'); let all = true;
+          for (let i = 0; i < 8; i++) { const p = use3d.viewer.camera.project([0, 1, 2].map(a => (i >> a & 1 ? high : low)[a]), v.clientWidth, v.clientHeight);
+            all &&= p && p[0] >= 0 && p[1] >= 0 && p[0] <= v.clientWidth && p[1] <= v.clientHeight; } return all; })()",
+    );
+    assert_eq!(seen, json!(true), "framed, every corner is in the picture");
+    browser.key("r", "KeyR");
+    let back = numbers(&browser.evaluate(eye));
+    assert!(start.iter().zip(&back).all(|(a, b)| (a - b).abs() < 1e-6), "{start:?} {back:?}");
+    let mode = "use3d.viewer.look.mode";
+    let before = browser.evaluate(mode);
+    browser.key(".", "Period");
+    assert_ne!(browser.evaluate(mode), before);
+    browser.key("[", "BracketLeft");
+    assert!((number(&browser.evaluate("use3d.viewer.look.strength")) - 0.9).abs() < 1e-9);
+    browser.key("2", "Digit2");
+    assert_eq!(
+        browser.evaluate("document.getElementById('do-fly').getAttribute('aria-pressed')"),
+        json!("true")
+    );
+    browser.key("1", "Digit1");
+
+    // Flying with a held key.
+    browser.evaluate("document.getElementById('view').focus()");
+    browser.evaluate(remember);
+    browser.ask("Input.dispatchKeyEvent", json!({ "type": "keyDown", "key": "w", "code": "KeyW" }));
+    browser.until(moved);
+    browser.ask("Input.dispatchKeyEvent", json!({ "type": "keyUp", "key": "w", "code": "KeyW" }));
+
+    // A level horizon has no roll.
+    browser.evaluate("use3d.viewer.camera.roll(0.4)");
+    browser.key("l", "KeyL");
+    browser.evaluate("use3d.settled()");
+    assert!(number(&browser.evaluate("use3d.viewer.camera.state().rotation[0][2]")).abs() < 1e-9);
+
+    // One finger orbits, two that part zoom in.
+    browser.resize(390, 780, true);
+    browser.evaluate(remember);
+    browser.touch(&[([100.0, 200.0], [180.0, 220.0])]);
+    browser.until(moved);
+    let far = number(&browser.evaluate(focus));
+    browser.touch(&[([150.0, 200.0], [80.0, 200.0]), ([200.0, 200.0], [290.0, 210.0])]);
+    browser.until(&format!("{focus} < {far}"));
+    assert_eq!(browser.complaints, Vec::<String>::new());
+}
+
+#[test]
+fn two_looks_are_compared_and_photographs_stand_beside() {
+    let Some((mut browser, _dir)) = opened(&scenes::scene("rbf", 3)) else { return };
+    browser.evaluate("document.getElementById('compare').click()");
+    assert_eq!(browser.evaluate("use3d.viewer.compare"), json!("reconstruction"));
+    let width = number(&browser.evaluate("document.getElementById('view').clientWidth"));
+    browser.drag([width / 2.0, 300.0], [width * 0.25, 300.0]);
+    browser.until("Math.abs(use3d.viewer.at - 0.25) < 0.01");
+    let at = number(&browser.evaluate("use3d.viewer.at"));
+    browser.evaluate("document.getElementById('split').focus()");
+    browser.key("ArrowRight", "ArrowRight");
+    assert!((number(&browser.evaluate("use3d.viewer.at")) - at - 0.02).abs() < 1e-9);
+    // Left and right of it are the two looks, to the pixel.
+    let same = browser.evaluate(
+        "(async () => {
+          const view = document.getElementById('view'), grab = async () => { await use3d.settled(); const c = document.createElement('canvas');
+            c.width = view.width; c.height = view.height; const d = c.getContext('2d'); d.drawImage(view, 0, 0); return d.getImageData(0, 0, c.width, c.height).data; };
+          const both = await grab(), cut = Math.round(use3d.viewer.at * view.width), look = use3d.viewer.look.mode;
+          use3d.viewer.setCompare(null); const right = await grab();
+          use3d.viewer.setLook({ mode: 'reconstruction' }); const left = await grab();
+          use3d.viewer.setLook({ mode: look });
+          let differ = 0;
+          for (let y = 0; y < view.height; y++) for (let x = 0; x < view.width; x++) { const i = 4 * (y * view.width + x), from = x < cut ? left : right;
+            differ += Number(both[i] !== from[i] || both[i + 1] !== from[i + 1] || both[i + 2] !== from[i + 2]); }
+          return differ; })()",
+    );
+    assert_eq!(same, json!(0));
+
+    browser.evaluate("use3d.views.go(1)");
+    browser.evaluate("use3d.settled()");
+    assert_eq!(browser.evaluate("document.getElementById('photo').hidden"), json!(false));
+    assert_eq!(browser.evaluate("document.getElementById('photo-image').alt"), json!("Photograph photo_1"));
+    browser.evaluate("use3d.views.save('mine')");
+    assert_eq!(browser.evaluate("document.querySelectorAll('#saved-views li').length"), json!(1));
+    assert_eq!(browser.complaints, Vec::<String>::new());
+}
+
+#[test]
+fn paths_come_back_as_they_were_and_lengths_become_metres() {
+    let scene = scenes::scene("global", 3);
+    let Some((mut browser, _dir)) = opened(&scene) else { return };
+    let read = browser.evaluate(
+        "(async () => {
+          use3d.path.add(); use3d.viewer.camera.orbit(0.4, 0.1); use3d.viewer.camera.fov = 40; use3d.viewer.setLook({ mode: 'clear', strength: 0.25 });
+          use3d.path.add(); use3d.viewer.camera.move(0.2, 0, 0.1); use3d.path.add();
+          const before = structuredClone(use3d.path.keys), text = use3d.path.json();
+          use3d.path.read(text);
+          const apart = (a, b) => Math.max(...a.flat(9).map((v, i) => Math.abs(v - b.flat(9)[i])));
+          const worst = Math.max(...before.map((key, i) => { const other = use3d.path.keys[i];
+            return Math.max(apart([key.eye, key.rotation, key.fov, key.focus, key.time, key.strength, key.water], [other.eye, other.rotation, other.fov, other.focus, other.time, other.strength, other.water])); }));
+          const modes = use3d.path.keys.map(key => key.mode), file = JSON.parse(text);
+          let refused = ''; try { use3d.path.read('{\"format\":\"other\"}'); } catch (e) { refused = e.message; }
+          return { worst, modes, center: file.keys[0].center, eye: before[0].eye, refused };
+        })()",
+    );
+    assert!(number(&read["worst"]) < 1e-9, "{read}");
+    assert_eq!(read["modes"], json!(["enhanced-clear", "clear", "clear"]));
+    assert!(read["refused"].as_str().expect("text").contains("camera path"));
+    // Files are in the COLMAP frame.
+    let [center, eye] = ["center", "eye"].map(|name| glam::DVec3::from_slice(&numbers(&read[name])));
+    assert!((scene.frame.apply(center) - eye).length() < 1e-9);
+
+    // Two clicks measure; one true length makes metres of all.
+    let text = browser.evaluate(
+        "(async () => { await use3d.settled(); use3d.measure.choose('distance'); use3d.measure.take([0, 0, 0]); use3d.measure.take([0, 0.8, 0]);
+          const units = document.getElementById('distances').textContent;
+          document.getElementById('known-length').value = 3; document.getElementById('known').requestSubmit();
+          return [units, document.getElementById('distances').textContent, use3d.measure.metresPerUnit]; })()",
+    );
+    assert!(text[0].as_str().expect("text").contains("2.00 units"), "{text}");
+    assert!(text[1].as_str().expect("text").contains("3.00 m"), "{text}");
+    assert!((number(&text[2]) - 1.5).abs() < 1e-9);
+    // A click finds the surface that the depth tells of.
+    let point = browser.evaluate("(() => { const v = document.getElementById('view'); use3d.viewer.camera.set(use3d.viewer.camera.home()); return use3d.settled().then(() => use3d.viewer.pointAt(v.clientWidth / 2, v.clientHeight / 2)); })()");
+    assert_eq!(numbers(&point).len(), 3);
+    assert_eq!(browser.complaints, Vec::<String>::new());
+}
+
+#[test]
+fn everything_has_a_name_and_room_on_every_screen() {
+    let Some((mut browser, _dir)) = opened(&scenes::scene("rbf", 3)) else { return };
+    for tab in ["look", "views", "path", "measure"] {
+        browser.evaluate(&format!("document.getElementById('tab-{tab}').click()"));
+        let tree = browser.ask("Accessibility.getFullAXTree", json!({}));
+        let mut controls = 0;
+        for node in tree["nodes"].as_array().expect("nodes").iter().filter(|n| n["ignored"] != true) {
+            let role = node["role"]["value"].as_str().unwrap_or_default();
+            if [
+                "button",
+                "slider",
+                "radio",
+                "switch",
+                "checkbox",
+                "combobox",
+                "tab",
+                "textbox",
+                "spinbutton",
+                "application",
+                "img",
+            ]
+            .contains(&role)
+            {
+                controls += 1;
+                let name = node["name"]["value"].as_str().unwrap_or_default();
+                // Thumbnails stand inside a button that has the name.
+                assert!(
+                    !name.trim().is_empty() || role == "img",
+                    "a {role} without a name on the tab {tab}: {node}"
+                );
+            }
+        }
+        assert!(controls > 12, "{controls}");
+    }
+    for scheme in ["light", "dark"] {
+        browser.scheme(scheme);
+        for (width, height, phone) in [(320, 640, true), (390, 780, true), (1280, 720, false)] {
+            browser.resize(width, height, phone);
+            for tab in ["look", "views", "path", "measure"] {
+                browser.evaluate(&format!("document.getElementById('tab-{tab}').click()"));
+                let outside = browser.evaluate(
+                    "[...document.querySelectorAll('button, input, select, .choice, h1')].filter(e => e.offsetParent && !e.closest('dialog, #cameras'))
+                      .filter(e => { const b = e.getBoundingClientRect(); return b.width && (b.left < -1 || b.right > innerWidth + 1); }).map(e => e.id || e.textContent)",
+                );
+                assert_eq!(outside, json!([]), "{width} px, {tab}");
+                assert_eq!(
+                    browser.evaluate("document.documentElement.scrollWidth <= innerWidth"),
+                    json!(true)
+                );
+            }
+        }
+        // Text against its ground, as WCAG counts.
+        let faint = browser.evaluate(
+            "(() => { const channel = v => { v /= 255; return v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4; };
+              const light = c => 0.2126 * channel(c[0]) + 0.7152 * channel(c[1]) + 0.0722 * channel(c[2]);
+              const color = text => text.match(/[\\d.]+/g).map(Number), ground = e => { for (; e; e = e.parentElement) { const c = color(getComputedStyle(e).backgroundColor); if (c.length < 4 || c[3] > 0.8) return c; } return [0, 0, 0]; };
+              return [...document.querySelectorAll('#panel label, #panel p, #panel button, #panel h2, #panel .choice span')].filter(e => e.offsetParent && !e.matches(':disabled') && !e.closest('.slider:has(:disabled)')).map(e => {
+                const a = light(color(getComputedStyle(e).color)), b = light(ground(e)); return [(Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05), e.textContent]; }).filter(([ratio]) => ratio < 4.5); })()",
+        );
+        assert_eq!(faint, json!([]), "{scheme}");
+    }
+    assert_eq!(browser.complaints, Vec::<String>::new());
+}

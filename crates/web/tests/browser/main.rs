@@ -1,0 +1,42 @@
+//! The page in a real browser: its pictures against the program's own renderer, and everything that one can do with it.
+
+mod chromium;
+mod controls;
+mod pictures;
+mod scenes;
+
+use std::path::PathBuf;
+
+use use3d_capture::Image;
+use use3d_scene::Scene;
+use use3d_web::{Page, PageView, Photograph};
+
+use chromium::Chromium;
+
+/// A folder with a scene's page in it, with two photographs to fly to.
+fn exported(scene: &Scene) -> (tempfile::TempDir, PathBuf) {
+    let views = scenes::cameras(2, 160, 120).into_iter().enumerate().map(|(i, camera)| PageView {
+        name: format!("photo_{i}"),
+        camera,
+        held_out: i == 0,
+        photograph: Some(
+            Photograph::new("photo", &Image::filled(160, 120, 0.25 * (1 + i) as f32)).expect("a JPEG"),
+        ),
+    });
+    let page = Page { name: "reef <test>", scene, views: views.collect(), metres_per_unit: None };
+    let written = use3d_web::write(&page, "reef_files").expect("a page");
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("reef.html");
+    std::fs::write(&path, written.html).expect("written");
+    (dir, path)
+}
+
+/// The browser with the page of a scene open; nobody moves anything by himself.
+fn opened(scene: &Scene) -> Option<(Chromium, tempfile::TempDir)> {
+    let (dir, path) = exported(scene);
+    let mut browser = Chromium::start()?;
+    browser.scheme("light");
+    browser.resize(1000, 600, false);
+    browser.open(&path);
+    Some((browser, dir))
+}

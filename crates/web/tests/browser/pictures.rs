@@ -1,0 +1,124 @@
+//! The browser's pictures against the program's own renderer.
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use serde_json::json;
+use use3d_capture::{Camera, Lattice};
+use use3d_render::{Look, Renderer};
+use use3d_scene::Scene;
+use use3d_splat::Rendered;
+
+use crate::chromium::Chromium;
+use crate::{opened, scenes};
+
+/// What the program draws, interleaved RGB in the display range; depth in units of [`DEPTH`].
+fn drawn(scene: &Scene, camera: &Camera, mode: &str, strength: f32, water: f32) -> Vec<f32> {
+    let look = if mode.starts_with("enhanced") { Look::Enhanced { strength } } else { Look::Reconstruction };
+    let share = if mode.ends_with("clear") { 0.0 } else { water };
+    let mut renderer = Renderer::new(scene, look).expect("a scene").with_water(share).expect("a share");
+    let mut out = Rendered::new();
+    renderer
+        .render(camera, &Lattice::full(&camera.intrinsics), mode == "medium", &mut out)
+        .expect("a picture");
+    if mode == "depth" {
+        return out.depth.data().iter().flat_map(|&z| [(z / DEPTH).clamp(0.0, 1.0); 3]).collect();
+    }
+    let mut image = out.image;
+    if let Some(layers) = out.layers {
+        image = layers.medium;
+        image.data_mut().iter_mut().zip(layers.far.data()).for_each(|(m, f)| *m += f);
+    }
+    image.to_interleaved().into_iter().map(|v| v.clamp(0.0, 1.0)).collect()
+}
+
+/// Depths are compared as shares of this, scene units.
+const DEPTH: f32 = 4.0;
+
+/// What the browser draws.
+fn shown(browser: &mut Chromium, camera: &Camera, mode: &str, strength: f32, water: f32) -> Vec<f32> {
+    let (k, pose) = (&camera.intrinsics, &camera.pose);
+    let rows: [[f64; 3]; 3] = std::array::from_fn(|r| pose.rotation.row(r).to_array());
+    let view = json!({
+        "eye": pose.center().to_array(), "rotation": rows, "lens": [k.fx, k.fy, k.cx, k.cy], "width": k.width, "height": k.height,
+    });
+    let look = json!({ "mode": mode, "strength": strength, "water": water });
+    let scale = if mode == "depth" { 1.0 / DEPTH } else { 1.0 };
+    let text = browser.evaluate(&format!(
+        "(async () => {{
+            const picture = await use3d.picture({view}, {look}), out = new Uint16Array(picture.length / 4 * 3);
+            for (let i = 0, to = 0; i < picture.length; i += 4)
+                for (let c = 0; c < 3; c++) out[to++] = Math.round(65535 * Math.min(1, Math.max(0, {scale} * picture[i + ({grey} ? 0 : c)])));
+            const bytes = new Uint8Array(out.buffer), parts = [];
+            for (let i = 0; i < bytes.length; i += 32768) parts.push(String.fromCharCode(...bytes.subarray(i, i + 32768)));
+            return btoa(parts.join(''));
+        }})()",
+        grey = mode == "depth",
+    ));
+    let bytes = STANDARD.decode(text.as_str().expect("text")).expect("base64");
+    bytes.chunks_exact(2).map(|b| f32::from(u16::from_le_bytes([b[0], b[1]])) / 65535.0).collect()
+}
+
+/// Mean difference, and the share of values that differ by more than 0.01.
+fn difference(a: &[f32], b: &[f32]) -> (f64, f64) {
+    assert_eq!(a.len(), b.len());
+    let n = a.len() as f64;
+    let apart = a.iter().zip(b).map(|(a, b)| f64::from((a - b).abs()));
+    let far = apart.clone().filter(|d| *d > 0.01).count() as f64;
+    (apart.sum::<f64>() / n, far / n)
+}
+
+fn compare(browser: &mut Chromium, scene: &Scene, cameras: &[Camera], looks: &[(&str, f32, f32)]) {
+    // The page's own picture only costs time here.
+    browser.resize(400, 300, false);
+    browser.evaluate("use3d.viewer.held = true");
+    let mut worst = vec![(0.0f64, 0.0f64); looks.len()];
+    for (i, camera) in cameras.iter().enumerate() {
+        for ((mode, strength, water), worst) in looks.iter().zip(&mut worst) {
+            let ours = drawn(scene, camera, mode, *strength, *water);
+            let theirs = shown(browser, camera, mode, *strength, *water);
+            let (mean, far) = difference(&ours, &theirs);
+            assert!(
+                mean <= 1e-3 && far <= 1e-3,
+                "{mode} at strength {strength}, water {water}, camera {i}: mean {mean:.2e}, {:.3} % apart",
+                100.0 * far
+            );
+            *worst = (worst.0.max(mean), worst.1.max(far));
+        }
+    }
+    for ((mode, strength, water), (mean, far)) in looks.iter().zip(worst) {
+        eprintln!("{mode} {strength} {water}: mean ≤ {mean:.1e}, apart ≤ {:.3} %", 100.0 * far);
+    }
+    assert_eq!(browser.complaints, Vec::<String>::new());
+}
+
+#[test]
+fn the_page_draws_what_the_program_draws() {
+    let scene = scenes::scene("rbf", 3);
+    let Some((mut browser, _dir)) = opened(&scene) else { return };
+    let looks = [
+        ("reconstruction", 1.0, 1.0),
+        ("reconstruction", 1.0, 0.5),
+        ("clear", 1.0, 1.0),
+        ("enhanced", 0.0, 1.0),
+        ("enhanced", 0.5, 1.0),
+        ("enhanced", 1.0, 1.0),
+        ("enhanced", 1.0, 0.25),
+        ("enhanced-clear", 0.0, 1.0),
+        ("enhanced-clear", 0.5, 1.0),
+        ("enhanced-clear", 1.0, 1.0),
+        ("medium", 1.0, 1.0),
+        ("depth", 1.0, 1.0),
+    ];
+    compare(&mut browser, &scene, &scenes::cameras(20, 320, 180), &looks);
+}
+
+#[test]
+fn every_water_and_every_degree_is_drawn_alike() {
+    let looks = [("reconstruction", 1.0, 1.0), ("enhanced", 0.5, 1.0), ("medium", 1.0, 0.5)];
+    for (kind, degree) in [("global", 2), ("mlp", 1), ("none", 0)] {
+        let scene = scenes::scene(kind, degree);
+        let Some((mut browser, _dir)) = opened(&scene) else { return };
+        let looks = if kind == "none" { &looks[..2] } else { &looks[..] };
+        compare(&mut browser, &scene, &scenes::cameras(3, 160, 90), looks);
+    }
+}
