@@ -54,11 +54,15 @@ pub enum EnhanceError {
     /// A checkpoint could not be written.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// Somebody asked to stop; the state is in the checkpoint.
-    #[error("stopped on request after step {step}; run again to go on from there")]
-    Stopped {
+    /// The observer asked to stop; the checkpoint is written.
+    #[error("stopped at step {step} of {steps}{}", if *saved { "; run again to go on from there" } else { "" })]
+    Interrupted {
         /// Steps done.
         step: u64,
+        /// Steps in all.
+        steps: u64,
+        /// Whether a checkpoint holds the state.
+        saved: bool,
     },
 }
 

@@ -2,7 +2,7 @@
 
 use use3d_scene::Scene;
 
-use crate::view::{EnhanceView, Guidance};
+use crate::views::{EnhanceView, Guidance};
 use crate::{EnhanceError, EnhanceParams};
 
 /// The digest. How long to train, how often to save and how much to keep in memory are left out: they may change between two

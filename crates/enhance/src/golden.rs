@@ -16,7 +16,7 @@ use use3d_ubaf::{Field, FieldBox, Level, ObjectPass, Shape, Water, variation};
 
 use crate::engine::{Goals, Step};
 use crate::params::PixelLoss;
-use crate::view::{Frozen, Listed, Lookups, Reference, ViewConstants};
+use crate::views::{Frozen, Listed, Lookups, Reference, ViewConstants};
 
 struct Example {
     field: Field,

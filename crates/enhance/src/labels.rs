@@ -7,7 +7,7 @@ use std::sync::Arc;
 use use3d_atc::extractor::ExtractorSettings;
 use use3d_capture::{Image, Lattice, Raster};
 
-use crate::view::{EnhanceView, Samplings};
+use crate::views::{EnhanceView, Samplings};
 use crate::{EnhanceError, EnhanceParams};
 
 /// Enhanced images of the training views.

@@ -29,18 +29,19 @@ mod fingerprint;
 #[cfg(test)]
 mod golden;
 mod labels;
-mod objective;
+mod losses;
 mod params;
 mod profile;
 mod report;
 mod run;
-mod view;
+mod views;
+mod window;
 
 pub use error::EnhanceError;
 pub use labels::{LabelSource, PseudoLabels};
-pub use objective::{Realised, global_loss, local_loss, smooth_l1};
+pub use losses::{Realised, global_loss, local_loss, smooth_l1};
 pub use params::{EnhanceParams, Objective, PixelLoss, Start};
 pub use profile::StepPart;
 pub use report::{LogEntry, Outcome, Report, ViewErrors, ViewReport};
 pub use run::enhance;
-pub use view::{EnhanceView, Guidance};
+pub use views::{EnhanceView, Guidance};

@@ -5,7 +5,7 @@ use use3d_numerics::math;
 use use3d_scene::Scene;
 use use3d_training::Profile;
 
-use crate::objective::Realised;
+use crate::losses::Realised;
 use crate::profile::StepPart;
 
 /// Means over a window of steps.

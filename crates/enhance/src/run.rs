@@ -12,12 +12,11 @@ use use3d_training::{
 use use3d_ubaf::Enhancement;
 use use3d_ubaf::water::ratios;
 
-use crate::engine::{
-    Coverage, FieldEngine, FieldPlan, FieldState, Reading, StepLosses, check_inputs, initial_field,
-};
+use crate::engine::{Coverage, FieldEngine, FieldPlan, FieldState, Reading, check_inputs, initial_field};
 use crate::fingerprint::fingerprint;
 use crate::report::{LogEntry, Outcome, Report, ViewReport};
-use crate::view::{EnhanceView, Guidance};
+use crate::views::{EnhanceView, Guidance};
+use crate::window::Window;
 use crate::{EnhanceError, EnhanceParams, Start, ViewErrors};
 
 const VIEWS: Purpose = Purpose::new("stage 2 views");
@@ -43,39 +42,6 @@ impl Resumable for State {
 
     fn step(&self) -> u64 {
         self.step
-    }
-}
-
-/// Sums since the last line of the log.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
-struct Window {
-    sums: [f64; 7],
-    steps: u64,
-}
-
-impl Window {
-    fn add(&mut self, losses: &StepLosses) {
-        let values = [
-            losses.total,
-            losses.global.loss,
-            losses.local.loss,
-            losses.pixels,
-            losses.variation,
-            losses.global.error,
-            losses.local.error,
-        ];
-        for (sum, v) in self.sums.iter_mut().zip(values) {
-            *sum += v;
-        }
-        self.steps += 1;
-    }
-
-    /// The line of the steps up to `step`; the window starts anew.
-    fn flush(&mut self, step: u64) -> LogEntry {
-        let Self { sums, steps } = std::mem::take(self);
-        let [loss, global, local, pixels, variation, global_error, local_error] =
-            sums.map(|sum| sum / steps as f64);
-        LogEntry { step, loss, global, local, pixels, variation, global_error, local_error }
     }
 }
 
@@ -119,8 +85,8 @@ pub fn enhance(
     if !run.resume(&session, observer)? {
         run.begin()?;
     }
-    if let Ended::Stopped { step, .. } = session.run(run.step, &mut run, observer)? {
-        return Err(EnhanceError::Stopped { step });
+    if let Ended::Stopped { step, saved } = session.run(run.step, &mut run, observer)? {
+        return Err(EnhanceError::Interrupted { step, steps: params.iterations, saved });
     }
     run.finish()
 }

@@ -303,7 +303,7 @@ fn a_killed_run_goes_on_as_if_it_had_not_been() {
     let dir = tempfile::tempdir().unwrap();
     let stopped =
         enhance(&scene, &views, guidance, &params, Some(dir.path()), &mut Watcher::new(17)).unwrap_err();
-    assert!(matches!(stopped, EnhanceError::Stopped { step: 17 }), "{stopped}");
+    assert!(matches!(stopped, EnhanceError::Interrupted { step: 17, steps: 40, saved: true }), "{stopped}");
     let mut watcher = Watcher::new(u64::MAX);
     let resumed = enhance(&scene, &views, guidance, &params, Some(dir.path()), &mut watcher).unwrap();
     assert!(watcher.notices.iter().any(|n| n.contains("step 17")), "{:?}", watcher.notices);
@@ -353,7 +353,7 @@ fn wrong_input_is_named() {
     let params = EnhanceParams { objective: Objective::PseudoLabels, ..quick(1) };
     assert!(message(&scene, &views, guidance, &params).contains("enhanced images"));
     // Labels of other pixels, and of fewer views.
-    let other = EnhanceParams { sample_side: 16, ..params.clone() };
+    let other = EnhanceParams { sample_side: 16, ..params };
     assert!(message(&scene, &views, Guidance::Labels(&labels), &other).contains("another `sample_side`"));
     let one = PseudoLabels::new(&Labels { taught: &teacher, views: &views }, &views[..1], &params).unwrap();
     assert!(message(&scene, &views, Guidance::Labels(&one), &params).contains("there is none"));

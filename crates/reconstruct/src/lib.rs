@@ -11,25 +11,28 @@ pub mod density;
 pub mod engine;
 mod error;
 mod exposure;
+mod fingerprint;
 mod found;
 mod initialise;
+mod load;
 pub mod losses;
-mod parameters;
+mod params;
 mod profile;
-mod record;
-mod train;
+mod report;
+mod run;
 mod views;
+mod window;
 
 pub use bounds::{CaptureSize, MemoryNeed, memory_need, most_gaussians};
 pub use error::ReconstructError;
 pub use exposure::{ExposureStep, Exposures};
 pub use found::{FoundWater, Known};
-pub use parameters::{
+pub use params::{
     Densify, DepthPrior, Exposure, Images, LearningRates, Medium, MediumPrior, Rate, ReconstructParams,
 };
 pub use profile::{StepPart, Stretch, growth};
-pub use record::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
-pub use train::{Outcome, reconstruct, reconstruct_in};
+pub use report::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
+pub use run::{Outcome, reconstruct, reconstruct_in};
 pub use views::{Dropped, LoadedView, Target, TrainingView, ViewLoader};
 
 #[cfg(test)]

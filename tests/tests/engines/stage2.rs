@@ -138,7 +138,7 @@ fn another_engine_trains_the_same_bytes_and_takes_over_from_one() {
 
     let dir = tempfile::tempdir().unwrap();
     let stopped = run(&mut late(u64::MAX), Some(dir.path()), &mut Watcher::new(5)).unwrap_err();
-    assert!(matches!(stopped, EnhanceError::Stopped { step: 5 }), "{stopped}");
+    assert!(matches!(stopped, EnhanceError::Interrupted { step: 5, saved: true, .. }), "{stopped}");
     // Eight steps after that a checkpoint is written; the device is lost between that one and the next.
     let error = run(&mut late(12), Some(dir.path()), &mut Silent).unwrap_err();
     assert!(matches!(error, EnhanceError::Engine(EngineError::DeviceLost { .. })), "{error}");

@@ -17,11 +17,11 @@ use super::{
     Coverage, FieldDiagnostics, FieldEngine, FieldPlan, FieldReport, FieldState, Reading, StepLosses,
     check_inputs, initial_field,
 };
-use crate::objective::{global_loss, local_loss};
+use crate::losses::{global_loss, local_loss};
 use crate::params::PixelLoss;
 use crate::profile::StepPart;
 use crate::report::ViewErrors;
-use crate::view::{EnhanceView, Frozen, Guidance, Lookups, Preparer, Reference, ViewConstants};
+use crate::views::{EnhanceView, Frozen, Guidance, Lookups, Preparer, Reference, ViewConstants};
 use crate::{EnhanceError, EnhanceParams};
 
 /// The engine's name in messages.

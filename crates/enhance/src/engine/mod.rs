@@ -24,10 +24,10 @@ pub use cpu::CpuFieldEngine;
 pub(crate) use cpu::{Goals, Step};
 pub use state::FieldState;
 
-use crate::objective::Realised;
+use crate::losses::Realised;
 use crate::profile::StepPart;
 use crate::report::ViewErrors;
-use crate::view::{EnhanceView, Guidance};
+use crate::views::{EnhanceView, Guidance};
 use crate::{EnhanceError, EnhanceParams, Objective};
 
 /// What one step does.

@@ -120,7 +120,7 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
     let mut engine = CpuFieldEngine::new(&scene, &views, guidance, &params, watch)?;
     let outcome = match enhance(&scene, &views, guidance, &params, &mut engine, context.checkpoints(), watch)
     {
-        Err(EnhanceError::Stopped { .. }) => return Err(StageError::Cancelled),
+        Err(EnhanceError::Interrupted { .. }) => return Err(StageError::Cancelled),
         other => other?,
     };
     context.profile(&outcome.profile.table());

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
-use use3d_capture::{Capture, Image, View};
+use use3d_capture::{Capture, Image};
 use use3d_medium::{MediumGlobal, MediumMlp, MediumModel, MediumRbf};
 use use3d_metrics::{Score, fitted_on_other_half, mask_of, psnr, ssim};
 use use3d_numerics::random::Purpose;
@@ -18,10 +18,13 @@ use use3d_training::{
 
 use crate::bounds::most_gaussians;
 use crate::density::{self, Draws, RefineSettings};
-use crate::engine::{Degrees, Engine, StepPlan, StepRates, StepReport, TrainingState};
+use crate::engine::{Degrees, Engine, StepPlan, StepRates, TrainingState};
+use crate::fingerprint::fingerprint;
+use crate::load::load;
 use crate::profile::{StepPart, Stretch};
-use crate::record::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
-use crate::views::{Dropped, TrainingView, ViewLoader};
+use crate::report::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
+use crate::views::{TrainingView, ViewLoader};
+use crate::window::Window;
 use crate::{
     DepthPrior, Exposure, ExposureStep, FoundWater, Known, Medium, ReconstructError, ReconstructParams,
     initialise,
@@ -87,55 +90,6 @@ impl Resumable for RunState<'_> {
 
     fn step(&self) -> u64 {
         self.step
-    }
-}
-
-/// Sums since the last log line, and the smoothed numbers that a person sees.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-struct Window {
-    steps: u64,
-    loss: f64,
-    reg_l1: f64,
-    reg_ms_ssim: f64,
-    depth: (f64, u64),
-    psnr: (f64, u64),
-    smooth_loss: Option<f64>,
-    smooth_psnr: Option<f64>,
-}
-
-impl Window {
-    fn add(&mut self, report: &StepReport) {
-        self.steps += 1;
-        self.loss += report.loss;
-        self.reg_l1 += report.reg_l1;
-        self.reg_ms_ssim += report.reg_ms_ssim;
-        if let Some(psnr) = report.psnr {
-            self.psnr = (self.psnr.0 + psnr, self.psnr.1 + 1);
-        }
-        if let Some(depth) = report.depth_loss {
-            self.depth = (self.depth.0 + depth, self.depth.1 + 1);
-        }
-        let smooth = |old: Option<f64>, new: f64| Some(old.map_or(new, |old| 0.97 * old + 0.03 * new));
-        self.smooth_loss = smooth(self.smooth_loss, report.loss);
-        self.smooth_psnr = report.psnr.map_or(self.smooth_psnr, |psnr| smooth(self.smooth_psnr, psnr));
-    }
-
-    /// The log line of the window, which starts anew.
-    fn flush(&mut self, step: u64, gaussians: usize, divisor: usize, degree: usize) -> LogEntry {
-        let n = self.steps.max(1) as f64;
-        let entry = LogEntry::Steps {
-            step,
-            loss: self.loss / n,
-            reg_l1: self.reg_l1 / n,
-            reg_ms_ssim: self.reg_ms_ssim / n,
-            depth_loss: (self.depth.1 > 0).then(|| self.depth.0 / self.depth.1 as f64),
-            psnr: (self.psnr.1 > 0).then(|| self.psnr.0 / self.psnr.1 as f64),
-            gaussians,
-            divisor,
-            degree,
-        };
-        *self = Self { smooth_loss: self.smooth_loss, smooth_psnr: self.smooth_psnr, ..Self::default() };
-        entry
     }
 }
 
@@ -236,111 +190,6 @@ fn water(params: &ReconstructParams) -> MediumModel {
         Medium::Global => MediumModel::Global(MediumGlobal::new()),
         Medium::None => MediumModel::None,
     }
-}
-
-struct Views {
-    train: Vec<TrainingView>,
-    test: Vec<TrainingView>,
-}
-
-/// Loads every view once; priors without information are named.
-fn load(
-    capture: &Capture,
-    loader: &dyn ViewLoader,
-    params: &ReconstructParams,
-    observer: &mut dyn Observer,
-) -> Result<Views, ReconstructError> {
-    let mut one = |view: &View, training: bool| -> Result<TrainingView, ReconstructError> {
-        let mut loaded = loader
-            .load(view)
-            .map_err(|message| ReconstructError::Load { view: view.name.to_string(), message })?;
-        if params.depth_prior == DepthPrior::Off || !training {
-            loaded.depth_prior = None;
-        }
-        let (packed, dropped) = TrainingView::new(view, loaded)?;
-        if let Some(dropped) = dropped {
-            let why = match dropped {
-                Dropped::EmptyPrior => "has no finite positive pixel",
-                Dropped::ConstantPrior => "is the same everywhere",
-            };
-            observer.notice(&format!(
-                "view `{}`: its depth prior {why}; it is left out of the depth term",
-                view.name
-            ));
-        }
-        Ok(packed)
-    };
-    let train = capture.training_views().map(|v| one(v, true)).collect::<Result<Vec<_>, _>>()?;
-    let test = capture.test_views().map(|v| one(v, false)).collect::<Result<Vec<_>, _>>()?;
-    check_masks(&train, &test, observer)?;
-    let with_prior = train.iter().filter(|v| v.has_prior()).count();
-    if params.depth_prior != DepthPrior::Off && params.depth_weight > 0.0 && with_prior < train.len() {
-        let message = match with_prior {
-            0 => "no training view has a depth prior: the depth term is off".to_string(),
-            n => format!(
-                "only {n} of {} training views have a depth prior; the depth term is off for the others",
-                train.len()
-            ),
-        };
-        observer.notice(&message);
-    }
-    Ok(Views { train, test })
-}
-
-/// A view of which nothing counts teaches and judges nothing: said, and refused where no training view is left.
-fn check_masks(
-    train: &[TrainingView],
-    test: &[TrainingView],
-    observer: &mut dyn Observer,
-) -> Result<(), ReconstructError> {
-    for (views, what) in [(train, "training"), (test, "held-out")] {
-        let blank: Vec<&str> = views.iter().filter(|v| v.counts_nothing()).map(|v| v.name.as_str()).collect();
-        let Some(first) = blank.first() else { continue };
-        if blank.len() == views.len() && what == "training" {
-            return Err(ReconstructError::NothingCounts { views: views.len() });
-        }
-        observer.notice(&format!(
-            "the mask of {} of {} {what} views (first: `{first}`) leaves no pixel: they count for nothing; masks are white where pixels count",
-            blank.len(),
-            views.len()
-        ));
-    }
-    Ok(())
-}
-
-/// What a checkpoint must agree with to be gone on from: parameters, cameras, points and pixels.
-fn fingerprint(
-    capture: &Capture,
-    found: Option<&FoundWater>,
-    gains: Option<&Vec<[f64; 3]>>,
-    params: &ReconstructParams,
-    views: &Views,
-) -> [u8; 32] {
-    let mut hasher = blake3::Hasher::new();
-    // How often checkpoints are written changes nothing, nor does the length beyond the schedules; the cap counts as what it comes to.
-    let params = ReconstructParams {
-        iterations: params.course(),
-        max_gaussians: most_gaussians(capture, params),
-        checkpoint_steps: 1,
-        checkpoint_minutes: 1.0,
-        ..params.clone()
-    };
-    hasher.update(format!("{params:?}").as_bytes());
-    for view in views.train.iter().chain(&views.test) {
-        hasher.update(format!("{:?}", view.camera).as_bytes());
-        view.fingerprint(&mut hasher);
-    }
-    for point in &capture.points {
-        hasher.update(bytemuck::bytes_of(&point.position.to_array()));
-        hasher.update(&point.color);
-    }
-    if let Some(found) = found {
-        found.fingerprint(&mut hasher);
-    }
-    if let Some(gains) = gains {
-        hasher.update(bytemuck::cast_slice(gains.as_flattened()));
-    }
-    *hasher.finalize().as_bytes()
 }
 
 /// A run between its first and last step.

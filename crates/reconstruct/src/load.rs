@@ -1,0 +1,78 @@
+//! Loading a capture's views once, and saying what of them cannot be used.
+
+use use3d_capture::{Capture, View};
+use use3d_training::Observer;
+
+use crate::views::{Dropped, TrainingView, ViewLoader};
+use crate::{DepthPrior, ReconstructError, ReconstructParams};
+
+/// A capture's views in memory.
+pub(crate) struct Views {
+    pub(crate) train: Vec<TrainingView>,
+    pub(crate) test: Vec<TrainingView>,
+}
+
+/// Loads every view once; priors without information are named.
+pub(crate) fn load(
+    capture: &Capture,
+    loader: &dyn ViewLoader,
+    params: &ReconstructParams,
+    observer: &mut dyn Observer,
+) -> Result<Views, ReconstructError> {
+    let mut one = |view: &View, training: bool| -> Result<TrainingView, ReconstructError> {
+        let mut loaded = loader
+            .load(view)
+            .map_err(|message| ReconstructError::Load { view: view.name.to_string(), message })?;
+        if params.depth_prior == DepthPrior::Off || !training {
+            loaded.depth_prior = None;
+        }
+        let (packed, dropped) = TrainingView::new(view, loaded)?;
+        if let Some(dropped) = dropped {
+            let why = match dropped {
+                Dropped::EmptyPrior => "has no finite positive pixel",
+                Dropped::ConstantPrior => "is the same everywhere",
+            };
+            observer.notice(&format!(
+                "view `{}`: its depth prior {why}; it is left out of the depth term",
+                view.name
+            ));
+        }
+        Ok(packed)
+    };
+    let train = capture.training_views().map(|v| one(v, true)).collect::<Result<Vec<_>, _>>()?;
+    let test = capture.test_views().map(|v| one(v, false)).collect::<Result<Vec<_>, _>>()?;
+    check_masks(&train, &test, observer)?;
+    let with_prior = train.iter().filter(|v| v.has_prior()).count();
+    if params.depth_prior != DepthPrior::Off && params.depth_weight > 0.0 && with_prior < train.len() {
+        let message = match with_prior {
+            0 => "no training view has a depth prior: the depth term is off".to_string(),
+            n => format!(
+                "only {n} of {} training views have a depth prior; the depth term is off for the others",
+                train.len()
+            ),
+        };
+        observer.notice(&message);
+    }
+    Ok(Views { train, test })
+}
+
+/// A view of which nothing counts teaches and judges nothing: said, and refused where no training view is left.
+fn check_masks(
+    train: &[TrainingView],
+    test: &[TrainingView],
+    observer: &mut dyn Observer,
+) -> Result<(), ReconstructError> {
+    for (views, what) in [(train, "training"), (test, "held-out")] {
+        let blank: Vec<&str> = views.iter().filter(|v| v.counts_nothing()).map(|v| v.name.as_str()).collect();
+        let Some(first) = blank.first() else { continue };
+        if blank.len() == views.len() && what == "training" {
+            return Err(ReconstructError::NothingCounts { views: views.len() });
+        }
+        observer.notice(&format!(
+            "the mask of {} of {} {what} views (first: `{first}`) leaves no pixel: they count for nothing; masks are white where pixels count",
+            blank.len(),
+            views.len()
+        ));
+    }
+    Ok(())
+}
