@@ -1,13 +1,13 @@
-//! Writes the table of code digests (`code.json`) of the workspace that is being built; see `src/engine/code/`.
+//! Writes the table of code digests (`code.json`) of the workspace that is being built; see `code` of the crate `build`.
 
 use std::path::{Path, PathBuf};
 use std::{env, fs};
 
-#[path = "src/engine/code/tokens.rs"]
+#[path = "../build/src/code/tokens.rs"]
 mod tokens;
-#[path = "src/engine/code/tree.rs"]
+#[path = "../build/src/code/tree.rs"]
 mod tree;
-#[path = "src/engine/code/uses.rs"]
+#[path = "../build/src/code/uses.rs"]
 mod uses;
 
 fn main() -> Result<(), String> {

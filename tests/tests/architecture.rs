@@ -12,6 +12,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("numerics", &[]),
     ("capture", &["numerics"]),
     ("golden", &[]),
+    ("build", &["capture"]),
     ("io-image", &["capture"]),
     ("io-colmap", &["capture", "numerics", "io-image"]),
     ("import", &["capture", "numerics", "io-image", "io-colmap"]),

@@ -1,14 +1,14 @@
 //! Where results go: what may stand there, found out before any work is done.
 //!
-//! Folders follow the rules of [`use3d_pipeline::engine::place`]. A file is replaced only with `--force`, and only a regular
+//! Folders follow the rules of [`use3d_build::place`]. A file is replaced only with `--force`, and only a regular
 //! file: never a folder, a device or a symbolic link.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
+use use3d_build::place::{self, PlaceError};
 use use3d_capture::name::shown;
-use use3d_pipeline::engine::place::{self, PlaceError};
 
 use crate::error::{CliError, Done};
 

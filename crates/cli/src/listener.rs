@@ -6,9 +6,9 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use use3d_build::machine::seconds;
+use use3d_build::{Event, Listener};
 use use3d_capture::name::{shown, shown_lines};
-use use3d_pipeline::engine::machine::seconds;
-use use3d_pipeline::engine::{Event, Listener};
 
 /// How often a plain line is printed when stderr is no terminal.
 const PLAIN_INTERVAL: Duration = Duration::from_secs(10);

@@ -18,7 +18,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use clap::Parser;
-use use3d_pipeline::engine::Listener;
+use use3d_build::Listener;
 
 use args::{Bench, Cli, Synth, Verb};
 use error::{CliError, Done};

@@ -143,8 +143,8 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     }
     // The capture is synthetic: what can be held against its truth was, for every view and for the water.
     let text = std::fs::read_to_string(Path::new(&out).join("tiny/scores/scores.json")).unwrap();
-    let scores: use3d_pipeline::scores::SceneScores = serde_json::from_str(&text).unwrap();
-    use use3d_pipeline::scores::Method;
+    let scores: use3d_pipeline::judge::scores::SceneScores = serde_json::from_str(&text).unwrap();
+    use use3d_pipeline::judge::scores::Method;
     for method in [Method::Captured, Method::Proposal, Method::Clear, Method::Enhanced, Method::EnhancedClear]
     {
         for metric in ["truth_psnr", "truth_delta_e"] {
@@ -153,7 +153,7 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
         }
     }
     // Consistency has the fair baseline, by one warp, over the path and over neighbours, with what was compared.
-    assert_eq!(scores.warp, use3d_pipeline::scores::Warp::Reference);
+    assert_eq!(scores.warp, use3d_pipeline::judge::scores::Warp::Reference);
     for method in [Method::ProposalOfRender, Method::Clear, Method::Enhanced, Method::EnhancedClear] {
         for metric in ["w_delta_e", "coverage", "path_w_delta_e", "path_coverage"] {
             assert!(scores.mean(method, metric).and_then(|s| s.value()).is_some(), "{method:?} {metric}");
@@ -223,7 +223,8 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     assert_eq!(methods.len(), scores.methods.len());
     for told in methods {
         let method: Method = serde_json::from_value(told["method"].clone()).unwrap();
-        let mean: use3d_pipeline::scores::Scores = serde_json::from_value(told["mean"].clone()).unwrap();
+        let mean: use3d_pipeline::judge::scores::Scores =
+            serde_json::from_value(told["mean"].clone()).unwrap();
         assert_eq!(mean, scores.method(method).unwrap().mean, "{method:?}");
     }
     let changed = run(&["--set", "enhance.lambda_variation=0.001"]);
@@ -305,15 +306,15 @@ fn a_scene_can_be_learnt_from_proposals_and_is_scored_as_such() {
     TINY.iter().for_each(|set| arguments.extend(["--set", set]));
     expect(0, &arguments);
     let text = std::fs::read_to_string(Path::new(&out).join("tiny@first/scores/scores.json")).unwrap();
-    let scores: use3d_pipeline::scores::SceneScores = serde_json::from_str(&text).unwrap();
-    use use3d_pipeline::scores::Method;
+    let scores: use3d_pipeline::judge::scores::SceneScores = serde_json::from_str(&text).unwrap();
+    use use3d_pipeline::judge::scores::Method;
     assert!(scores.mean(Method::EnhanceThenReconstruct, "truth_psnr").and_then(|s| s.value()).is_some());
     assert!(scores.mean(Method::Reconstruction, "psnr").is_none());
     // Both variants are compared by the depth of the one that learnt from photographs, although it is listed last.
     let text = std::fs::read_to_string(Path::new(&out).join("tiny@plain/scores/scores.json")).unwrap();
-    let plain: use3d_pipeline::scores::SceneScores = serde_json::from_str(&text).unwrap();
-    assert_eq!(scores.warp, use3d_pipeline::scores::Warp::Reference);
-    let photographs = |scores: &use3d_pipeline::scores::SceneScores| {
+    let plain: use3d_pipeline::judge::scores::SceneScores = serde_json::from_str(&text).unwrap();
+    assert_eq!(scores.warp, use3d_pipeline::judge::scores::Warp::Reference);
+    let photographs = |scores: &use3d_pipeline::judge::scores::SceneScores| {
         scores.method(Method::Captured).unwrap().neighbours.clone()
     };
     assert!(!photographs(&plain).is_empty());
@@ -366,8 +367,8 @@ fn a_black_held_out_photograph_and_anothers_truth_folder_do_not_end_a_run() {
     expect(0, &arguments);
     let text = std::fs::read_to_string(Path::new(&out).join("tiny@first/scores/scores.json")).unwrap();
     assert!(!text.contains("\"value\": null") && text.contains("the images are equal"), "{text}");
-    let scores: use3d_pipeline::scores::SceneScores = serde_json::from_str(&text).unwrap();
-    let proposal = scores.method(use3d_pipeline::scores::Method::Proposal).unwrap();
+    let scores: use3d_pipeline::judge::scores::SceneScores = serde_json::from_str(&text).unwrap();
+    let proposal = scores.method(use3d_pipeline::judge::scores::Method::Proposal).unwrap();
     assert_eq!(proposal.left_out.get("psnr"), Some(&1));
     assert!(proposal.mean["psnr"].value().is_some(), "the other held-out view has one");
     // Equal images by hand: a reason, not null.

@@ -10,16 +10,16 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
+use use3d_build::place::{self, Look, PlaceError, Standing};
+use use3d_build::run::RanNode;
+use use3d_build::{Digest, Graph, Summary};
 
-use crate::engine::place::{self, Look, PlaceError, Standing};
-use crate::engine::run::RanNode;
-use crate::engine::{Digest, Graph, Summary};
-use crate::report::{StageRow, with_costs, with_tables, with_views};
+use crate::judge::report::{StageRow, with_costs, with_tables, with_views};
+use crate::judge::scores::ScoredScene;
+use crate::judge::tables::{Table, paper};
 use crate::scene_page;
-use crate::scores::ScoredScene;
 use crate::stages::evaluate::SPEED;
 use crate::stages::report::write_tables;
-use crate::tables::{Table, paper};
 
 /// The page and the tables over all scenes.
 const PAGE: &str = "report.html";
@@ -258,12 +258,8 @@ fn rows(summary: &Summary) -> Vec<StageRow> {
         Some(StageRow {
             scene,
             stage: node.stage.to_string(),
-            state: if matches!(node.result, crate::engine::run::Became::Done) {
-                "computed"
-            } else {
-                "cached"
-            }
-            .into(),
+            state: if matches!(node.result, use3d_build::run::Became::Done) { "computed" } else { "cached" }
+                .into(),
             seconds: manifest.full_seconds(),
             memory: (manifest.peak_memory > 0).then(|| mib(manifest.peak_memory)),
             size: mib(manifest.bytes()),

@@ -2,7 +2,7 @@
 //! ever held.
 
 use use3d_capture::Image;
-use use3d_pipeline::scoring::Judges;
+use use3d_pipeline::judge::scoring::Judges;
 
 /// The most memory this process ever held, bytes; `None` where the system does not say.
 fn peak() -> Option<u64> {

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use use3d_build::Graph;
 use use3d_pipeline::config::{LoadOptions, load, schema_text};
-use use3d_pipeline::engine::Graph;
 use use3d_pipeline::stages::registry;
 
 fn folder() -> PathBuf {
@@ -113,9 +113,9 @@ fn without_depth_is_there_as_the_authors_ran_it_and_with_the_prior_alone_off() {
 #[cfg(feature = "nets")]
 #[test]
 fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
+    use use3d_build::plan::State;
+    use use3d_build::{Cache, Engine};
     use use3d_pipeline::config::for_capture;
-    use use3d_pipeline::engine::plan::State;
-    use use3d_pipeline::engine::{Cache, Engine};
 
     let dir = tempfile::tempdir().expect("folder");
     let at = |name: &str| {

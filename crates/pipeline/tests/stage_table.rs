@@ -7,25 +7,26 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde_json::{Value, json};
-use use3d_pipeline::engine::code::CodeTable;
-use use3d_pipeline::engine::{
-    Batch, Cache, Engine, Graph, Listener, Registry, RunOptions, Scene, Silent, Variant,
-};
+use use3d_build::code::CodeTable;
+use use3d_build::{Batch, Cache, Engine, Graph, Listener, Registry, RunOptions, Scene, Silent, Variant};
+use use3d_pipeline::code::{RULES, built_in};
 use use3d_pipeline::stages::registry;
 
 fn table() -> Registry {
     registry().expect("the stage table")
 }
 
-/// Modules of the pipeline crate that write no byte of an artifact: the engine and its clients.
-const WITHOUT_ARTIFACTS: [&str; 8] = [
+/// Modules of the pipeline crate that write no byte of an artifact: the clients of the build system.
+const WITHOUT_ARTIFACTS: [&str; 10] = [
     "src/lib.rs",
     "src/bench/",
-    "src/engine/",
+    "src/code.rs",
+    "src/judge/mod.rs",
     "src/config/",
     "src/stages/mod.rs",
     "src/stages/memory.rs",
     "src/results.rs",
+    "src/scene_page.rs",
     "build.rs",
 ];
 
@@ -45,16 +46,15 @@ fn every_stage_is_made_of_the_files_it_uses_and_of_no_others() {
         ("reconstruct", "src/stages/contact.rs"),
         ("reconstruct", "src/stages/proposals.rs"),
         ("reconstruct", "use3d-medium"),
-        ("enhance", "src/report/plot.rs"),
+        ("enhance", "src/judge/report/plot.rs"),
         ("enhance", "src/stages/proposer.rs"),
         ("enhance", "use3d-ubaf"),
-        ("evaluate", "src/truth.rs"),
+        ("evaluate", "src/judge/truth.rs"),
         ("evaluate", "use3d-metrics"),
         ("evaluate", "use3d-render"),
         ("render", "use3d-render"),
         ("report", "templates/report.html"),
-        ("report", "src/engine/digest.rs"),
-        ("report", "src/tables/paper.rs"),
+        ("report", "src/judge/tables/paper.rs"),
     ] {
         assert!(has(stage, used), "{stage} is not made of {used}");
     }
@@ -82,6 +82,9 @@ fn every_stage_is_made_of_the_files_it_uses_and_of_no_others() {
         ("render", "use3d-enhance"),
         ("evaluate", "use3d-reconstruct"),
         ("evaluate", "use3d-enhance"),
+        // What decides that a stage runs is no part of what it makes.
+        ("import", "use3d-build"),
+        ("report", "use3d-build"),
     ] {
         assert!(!has(stage, unused), "{stage} needs not be made of {unused}");
     }
@@ -93,7 +96,7 @@ fn every_stage_is_made_of_the_files_it_uses_and_of_no_others() {
         .flat_map(|s| table.code_of(s.name()).expect("a stage").ours.keys())
         .map(String::as_str)
         .collect();
-    let forgotten: Vec<&str> = CodeTable::built_in()
+    let forgotten: Vec<&str> = built_in()
         .files()
         .filter(|file| {
             !reached.contains(file) && !WITHOUT_ARTIFACTS.iter().any(|known| file.starts_with(known))
@@ -137,9 +140,9 @@ fn copy_tree(to: &Path) -> BTreeMap<String, Vec<PathBuf>> {
 fn a_token_in_any_file_makes_every_stage_stale_that_reaches_it() {
     let dir = tempfile::tempdir().expect("folder");
     let sources = copy_tree(dir.path());
-    let read = || CodeTable::of_tree(dir.path()).expect("digests");
+    let read = || CodeTable::of_tree(dir.path(), RULES).expect("digests");
     let stages = table();
-    let code = |table: &CodeTable| Registry::with_code(stages.stages().to_vec(), table).expect("a table");
+    let code = |table: &CodeTable| Registry::new(stages.stages().to_vec(), table).expect("a table");
     let before = code(&read());
     let below = |file: &Path, krate: &str| -> String {
         let folder = dir.path().join("crates").join(krate);
@@ -190,11 +193,11 @@ fn a_token_in_any_file_makes_every_stage_stale_that_reaches_it() {
             std::fs::write(file, text).expect("written");
         }
     }
-    // The command, test support, and the modules without artifacts; nothing of the stages.
+    // The command, test support, the build system, and the modules without artifacts; nothing of the stages.
     let known = |path: &String| {
         let (krate, file) = path.split_once('/').expect("a crate");
         match krate {
-            "cli" | "golden" => true,
+            "cli" | "golden" | "build" | "web" => true,
             "pipeline" => WITHOUT_ARTIFACTS.iter().any(|known| file.starts_with(known)),
             _ => false,
         }
@@ -211,8 +214,8 @@ fn stale_after(file: &str) -> Vec<&'static str> {
     copy_tree(dir.path());
     let stages = table();
     let code = || {
-        let read = CodeTable::of_tree(dir.path()).expect("digests");
-        let table = Registry::with_code(stages.stages().to_vec(), &read).expect("a table");
+        let read = CodeTable::of_tree(dir.path(), RULES).expect("digests");
+        let table = Registry::new(stages.stages().to_vec(), &read).expect("a table");
         let digest = |name| table.code_of(name).expect("a stage").digest();
         stages.stages().iter().map(|s| (s.name(), digest(s.name()))).collect::<BTreeMap<_, _>>()
     };
@@ -349,7 +352,7 @@ fn one_seed_moves_every_stage_that_draws() {
         Variant { name: "seed-7".into(), seed: Some(7), ..Variant::default() },
     ];
     let graph = Graph::new(&table, &batch).expect("a graph");
-    let other = |n: &&use3d_pipeline::engine::graph::Node| n.variant == "seed-7";
+    let other = |n: &&use3d_build::graph::Node| n.variant == "seed-7";
     let shared: Vec<&str> =
         graph.nodes.iter().filter(other).filter(|n| n.same_as.is_some()).map(|n| n.stage_name).collect();
     assert_eq!(shared, ["import"]);
@@ -396,7 +399,7 @@ fn forecasts_of_memory_follow_the_size_of_the_pictures_and_change_no_key() {
         let externals = [("capture".into(), Ok(capture))].into();
         batch.scenes.push(Scene { name: format!("reef-{side}"), externals, ..Scene::default() });
         let graph = Graph::new(&engine.registry, &batch).expect("a graph");
-        let of = |plan: &use3d_pipeline::engine::Plan| -> BTreeMap<&'static str, Option<u64>> {
+        let of = |plan: &use3d_build::Plan| -> BTreeMap<&'static str, Option<u64>> {
             plan.nodes.iter().map(|n| (n.stage, n.memory)).collect()
         };
         let before = of(&engine.plan(&graph, None));

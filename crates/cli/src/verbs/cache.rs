@@ -2,9 +2,9 @@
 
 use std::collections::BTreeSet;
 
+use use3d_build::gc::{CleanOptions, parse_age, parse_bytes};
+use use3d_build::{Cache, RunOptions};
 use use3d_pipeline::config::default_cache;
-use use3d_pipeline::engine::gc::{CleanOptions, parse_age, parse_bytes};
-use use3d_pipeline::engine::{Cache, RunOptions};
 
 use crate::App;
 use crate::args::{CacheArgs, CalibrationArgs, GcArgs, Settings, VerifyArgs};

@@ -7,8 +7,8 @@ use std::path::Path;
 
 use clap::ValueEnum;
 use glam::{DMat3, DVec3};
+use use3d_build::machine::bytes;
 use use3d_capture::Frame;
-use use3d_pipeline::engine::machine::bytes;
 use use3d_scene::{Scene, similarity};
 use use3d_splat::ply;
 

@@ -5,8 +5,8 @@ use crate::error::{CliError, Done};
 
 #[cfg(feature = "nets")]
 pub(crate) fn run(args: &ModelsArgs) -> Done {
+    use use3d_build::machine::bytes;
     use use3d_nets::models::Verdict;
-    use use3d_pipeline::engine::machine::bytes;
 
     use crate::interrupt;
 

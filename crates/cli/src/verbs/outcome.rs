@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use use3d_pipeline::engine::Summary;
-use use3d_pipeline::engine::place::PlaceError;
+use use3d_build::Summary;
+use use3d_build::place::PlaceError;
+use use3d_pipeline::judge::scores::{Method, MethodScores, SceneScores, Scores};
 use use3d_pipeline::results::Delivered;
-use use3d_pipeline::scores::{Method, MethodScores, SceneScores, Scores};
 use use3d_pipeline::stages::{evaluate::SCORES, read_json};
 
 /// The document of `run --json`.

@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use use3d_build::machine::bytes;
+use use3d_build::{Event, place};
 use use3d_capture::{Camera, FileName, path, stem};
 use use3d_import::read_cameras;
 use use3d_io_image::{write_exr, write_exr_map, write_png, write_png_map};
-use use3d_pipeline::engine::machine::bytes;
-use use3d_pipeline::engine::{Event, place};
 use use3d_render::{Film, FilmError, Frame, Mode, SceneRenderer, cover, focus, picture};
 use use3d_scene::{Origin, Scene};
 

@@ -5,10 +5,10 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use serde::Serialize;
+use use3d_build::machine::seconds;
+use use3d_build::place;
+use use3d_build::{Cache, Engine, Event, Graph, Listener, Plan, RunOptions, Summary, picture};
 use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
-use use3d_pipeline::engine::machine::seconds;
-use use3d_pipeline::engine::place;
-use use3d_pipeline::engine::{Cache, Engine, Event, Graph, Listener, Plan, RunOptions, Summary, picture};
 use use3d_pipeline::results;
 
 use crate::App;

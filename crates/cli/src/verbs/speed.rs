@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 use use3d_capture::{Camera, FileName};
-use use3d_pipeline::speed::{Speed, measure};
+use use3d_pipeline::judge::speed::{Speed, measure};
 use use3d_render::Mode;
 use use3d_scene::Scene;
 

@@ -6,9 +6,9 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use serde_json::Value;
+use use3d_build::machine::{bytes, seconds};
+use use3d_build::{Alone, Event, Registry, Stage, StageError, leftovers};
 use use3d_pipeline::config::stage_parameters;
-use use3d_pipeline::engine::machine::{bytes, seconds};
-use use3d_pipeline::engine::{Alone, Event, Registry, Stage, StageError, leftovers};
 use use3d_pipeline::stages::{CALIBRATOR, TARGETS, registry};
 use use3d_scene::Origin;
 
@@ -393,7 +393,7 @@ pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
 
 #[cfg(test)]
 mod tests {
-    use use3d_pipeline::engine::Silent;
+    use use3d_build::Silent;
 
     use super::*;
 

@@ -4,9 +4,9 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use serde::de::DeserializeOwned;
-use use3d_pipeline::engine::code::CodeTable;
-use use3d_pipeline::engine::place::{self, Look, Standing};
-use use3d_pipeline::engine::{Digest, Event};
+use use3d_build::place::{self, Look, Standing};
+use use3d_build::{Digest, Event};
+use use3d_pipeline::code::built_in;
 use use3d_synth::{CaptureParams, PairsParams, Physics, SynthError, WaterType, write_capture, write_pairs};
 
 use crate::App;
@@ -87,7 +87,7 @@ fn capture_params(args: &SynthCaptureArgs) -> Result<CaptureParams, CliError> {
 
 /// Makes a capture at `out`, unless one of the same parameters and code is there; another one of ours is replaced.
 pub(crate) fn keep_capture(app: &App, params: &CaptureParams, out: &Path) -> Done {
-    let code = CodeTable::built_in().stage(&["use3d-synth"], &[]).map_err(CliError::failed)?.digest();
+    let code = built_in().stage(&["use3d-synth"], &[]).map_err(CliError::failed)?.digest();
     let recipe = serde_json::json!({ "parameters": params, "code": code.to_string() });
     let recipe = Digest::of(recipe.to_string().as_bytes());
     place::check(out, true)?;

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use use3d_build::machine::bytes;
 use use3d_import::{ImportParams, capture_name, import, read_cameras};
-use use3d_pipeline::engine::machine::bytes;
 use use3d_pipeline::scene_page;
 use use3d_scene::{Origin, Scene};
 use use3d_web::{Page, PageView};

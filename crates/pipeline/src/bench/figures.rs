@@ -12,8 +12,8 @@ use serde::{Deserialize, Serialize};
 
 use super::captures::Capture;
 use super::runs::{DEFAULT, ENHANCE_FIRST, PRIOR_OFF, PSEUDO_LABELS, Recipe};
-use crate::scores::{Finite, Method, SceneScores, Score};
-use crate::truth::WaterScores;
+use crate::judge::scores::{Finite, Method, SceneScores, Score};
+use crate::judge::truth::WaterScores;
 
 /// What `truth.json` calls itself.
 pub const FORMAT: &str = "3d-use bench truth";
@@ -223,7 +223,7 @@ pub fn of_capture(capture: &Capture, scored: &[Scored]) -> CaptureFigures {
 pub(super) mod tests {
     use super::*;
     use crate::bench::captures::CAPTURES;
-    use crate::scores::{self, MethodScores, ViewScores, Warp};
+    use crate::judge::scores::{self, MethodScores, ViewScores, Warp};
 
     /// Scores of one view per method.
     pub(crate) fn scored(

@@ -1,19 +1,19 @@
 //! The folder of a bench: `truth.md`, `truth.json`, `pictures/`.
 //!
 //! `captures/` and `cache/` may lie beside them, so the folder as a whole is nobody's result. Both files carry the digest of their own text,
-//! by which they are known to be ours and unchanged; the pictures have a record like any result folder ([`crate::engine::place`]).
+//! by which they are known to be ours and unchanged; the pictures have a record like any result folder ([`use3d_build::place`]).
 //! Whatever is not ours is refused.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use use3d_build::Digest;
+use use3d_build::place::{self, PlaceError};
 use use3d_io_image::{write_atomically, write_png};
 
 use super::figures::TruthFigures;
 use super::page::markdown;
 use super::picture::Sheet;
-use crate::engine::Digest;
-use crate::engine::place::{self, PlaceError};
 
 const PICTURES: &str = "pictures";
 

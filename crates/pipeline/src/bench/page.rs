@@ -6,7 +6,7 @@ use std::fmt::Write;
 
 use super::figures::{CaptureFigures, Figure, Figures, TruthFigures};
 use super::picture::Sheet;
-use crate::tables::Better;
+use crate::judge::tables::Better;
 
 /// A column: metric, head, decimals, factor, which direction is good.
 struct Column {
@@ -218,7 +218,7 @@ mod tests {
     use crate::bench::captures::CAPTURES;
     use crate::bench::figures::{FORMAT, of_capture, tests::scored};
     use crate::bench::runs::{DEFAULT, LearntFrom, Recipe};
-    use crate::scores::Method;
+    use crate::judge::scores::Method;
     use use3d_capture::Image;
 
     fn figures(seeds: &[u64]) -> TruthFigures {

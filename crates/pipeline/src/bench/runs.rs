@@ -156,8 +156,8 @@ mod tests {
     use super::*;
     use crate::bench::captures::CAPTURES;
     use crate::config::{LoadOptions, from_text};
-    use crate::engine::Graph;
     use crate::stages::registry;
+    use use3d_build::Graph;
 
     fn recipe(baselines: bool) -> Recipe {
         Recipe {

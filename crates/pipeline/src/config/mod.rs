@@ -27,9 +27,9 @@ use std::path::{Path, PathBuf};
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
-use crate::engine::error::nearest;
-use crate::engine::graph::{External, Overrides};
-use crate::engine::{Batch, ParameterError, Registry, Scene, Variant, canonical};
+use use3d_build::error::nearest;
+use use3d_build::graph::{External, Overrides};
+use use3d_build::{Batch, ParameterError, Registry, Scene, Variant, canonical};
 
 mod document;
 mod file;

@@ -2,9 +2,9 @@
 
 use serde::Serialize;
 use serde_json::{Value, json};
+use use3d_build::{EngineError, Registry};
 
 use super::schema::schema;
-use crate::engine::{EngineError, Registry};
 
 /// The parameters of a stage.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -61,7 +61,7 @@ pub(super) fn homes(registry: &Registry, name: &str) -> Vec<(&'static str, Strin
     if !exact.is_empty() {
         return exact;
     }
-    let near = crate::engine::error::nearest(name, all.iter().map(|(_, p)| p.as_str())).map(String::from);
+    let near = use3d_build::error::nearest(name, all.iter().map(|(_, p)| p.as_str())).map(String::from);
     all.into_iter().filter(|(_, p)| near.as_ref() == Some(p)).collect()
 }
 

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
+use use3d_build::Batch;
+use use3d_build::graph::External;
 
 use super::document::ConfigError;
-use crate::engine::Batch;
-use crate::engine::graph::External;
 
 /// The inputs from outside that hold for all scenes, with the key of the pipeline file that names each.
 const KEYS: [(&str, &str); 4] = [

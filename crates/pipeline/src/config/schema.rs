@@ -3,9 +3,9 @@
 use schemars::SchemaGenerator;
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value, json};
+use use3d_build::{Registry, Scope, canonical};
 
 use super::file::{PipelineFile, SceneEntry, VariantEntry};
-use crate::engine::{Registry, Scope, canonical};
 
 /// The schema for the stages of `registry`.
 pub fn schema(registry: &Registry) -> Value {
@@ -15,7 +15,7 @@ pub fn schema(registry: &Registry) -> Value {
     let mut variant = plain::<VariantEntry>(&mut generator);
     let mut stages = Map::new();
     for stage in registry.stages() {
-        let schema = (stage.schema)(&mut generator).to_value();
+        let schema = stage.schema(&mut generator).to_value();
         let schema = json!({ "description": stage.description(), "allOf": [schema] });
         stages.insert(stage.name().to_string(), schema.clone());
         if stage.scope() == Scope::Scene {

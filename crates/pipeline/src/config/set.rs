@@ -3,14 +3,14 @@
 use std::path::Path;
 
 use serde_json::{Map, Value};
+use use3d_build::error::EngineError;
+use use3d_build::graph::Overrides;
+use use3d_build::{Batch, ParameterError, Registry, Source, Stage};
 
 use super::document::{ConfigError, loose_value};
 use super::parameters::homes;
 use super::places::{expand, external_of, key_of, say_instead};
 use super::{did_you_mean, merge_into};
-use crate::engine::error::EngineError;
-use crate::engine::graph::Overrides;
-use crate::engine::{Batch, ParameterError, Registry, Source, Stage};
 
 /// A value of the command line as a stage's parameter expects it: `size=640` and `size=0x0` are numbers to TOML and texts to
 /// the stage.

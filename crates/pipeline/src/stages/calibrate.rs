@@ -2,11 +2,11 @@
 
 use use3d_atc::calibrator::{Calibrator, CalibratorParams, Dataset, METHOD_PAIRS, train};
 use use3d_atc::progress::Progress;
+use use3d_build::{Scope, Stage, StageContext, StageError};
 
 use super::calibrated::is_calibrated;
 use super::common::{read_json, write_json};
 use super::names::{CALIBRATOR, DATASET};
-use crate::engine::{Scope, Stage, StageContext, StageError};
 
 pub(super) fn stage() -> Stage {
     Stage::new("calibrate", Scope::Shared, run)

@@ -2,7 +2,7 @@
 //!
 //! Apart from what proposes, so that the calibrator is not made of the proposers' code.
 
-use crate::engine::AllParameters;
+use use3d_build::AllParameters;
 
 /// Whether targets start from photographs, whose transitions a calibrator corrects.
 pub(super) fn is_calibrated(all: &AllParameters) -> bool {

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use use3d_atc::calibrator::Calibrator;
+use use3d_build::StageError;
 
 use super::names::CALIBRATOR;
-use crate::engine::StageError;
 
 /// Far more than any calibrator holds; a larger file is another thing.
 const LARGEST_FILE: u64 = 1 << 30;

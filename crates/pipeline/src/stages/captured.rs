@@ -2,7 +2,7 @@
 
 use use3d_capture::Capture;
 
-use crate::engine::{StageContext, StageError};
+use use3d_build::{StageContext, StageError};
 
 /// A capture as the import stage left it.
 pub(super) fn capture(context: &StageContext) -> Result<Capture, StageError> {

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use crate::engine::StageError;
+use use3d_build::StageError;
 
 /// Writes pretty JSON with a final newline.
 pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), StageError> {

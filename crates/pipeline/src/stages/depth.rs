@@ -6,12 +6,12 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use use3d_build::{AllParameters, Named, Scope, Stage, StageContext, StageError};
 use use3d_import::{ImportParams, has_depth_folder, load_pixels};
 use use3d_io_image::write_png_map16;
 use use3d_nets::{DepthAnythingSize, Models, Network};
 
 use super::captured::capture;
-use crate::engine::{AllParameters, Named, Scope, Stage, StageContext, StageError};
 
 /// Which network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use use3d_atc::consensus::Targets;
+use use3d_build::{Figure, Scope, Stage, StageContext, StageError};
 use use3d_capture::{Appearance, Image, View};
 use use3d_enhance::engine::CpuFieldEngine;
 use use3d_enhance::{
@@ -18,8 +19,7 @@ use super::proposals::asked_for;
 use super::proposer::by_name;
 use super::scenes::scene;
 use super::watch::Watch;
-use crate::engine::{Figure, Scope, Stage, StageContext, StageError};
-use crate::report::plot::{Plot, Series};
+use crate::judge::report::plot::{Plot, Series};
 
 /// What a scene says of its training, beside its log.
 const REPORT: &str = "report.json";

@@ -4,7 +4,7 @@
 //!
 //! Rendered images are scored as they are rendered (f32, clamped to the display range), not from files; the `render` stage shows
 //! the same images, and both are functions of the same artifacts. Where the capture has its truth beside it, appearances, depth and
-//! water are also measured against that ([`crate::truth`]).
+//! water are also measured against that ([`crate::judge::truth`]).
 //!
 //! Consistency has two forms, both over views that lie next to each other. *Neighbours* are captured views that follow one another
 //! in the capture: only there are photographs, so only there can the 2D enhancer be tried on photographs. The *path* swims through the
@@ -16,6 +16,7 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::proposers::Proposer;
+use use3d_build::{Scope, Stage, StageContext, StageError, machine};
 use use3d_capture::{Appearance, Camera, Capture, Frame as FrameOf, Image, Map, View, path};
 use use3d_import::{load_mask, load_pixels};
 use use3d_io_image::write_png;
@@ -30,14 +31,13 @@ pub use super::names::{SCORES, SPEED, STRIP};
 use super::proposals::{asked_for, file};
 use super::proposer::{ProposerChoice, open};
 use super::scenes::scene;
-use crate::engine::{Scope, Stage, StageContext, StageError, machine};
-use crate::scores::{
+use crate::judge::scores::{
     self, Finite, Method, MethodScores, PairScores, SceneScores, SceneSpeed, Scores, ViewScores, Warp,
 };
-use crate::scoring::{Judges, Pairing, Seen as Compared};
-use crate::speed;
-use crate::strip::{Seen, Strip, choose, sheet};
-use crate::truth::{Truth, files};
+use crate::judge::scoring::{Judges, Pairing, Seen as Compared};
+use crate::judge::speed;
+use crate::judge::strip::{Seen, Strip, choose, sheet};
+use crate::judge::truth::{Truth, files};
 
 /// Parameters of the evaluation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

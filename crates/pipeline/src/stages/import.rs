@@ -3,12 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
+use use3d_build::{Scope, Stage, StageContext, StageError};
 use use3d_import::{ImportError, ImportParams, import, prepare};
 use use3d_io_colmap::ModelError;
 use use3d_io_image::ImageError;
 
 use super::common::write_json;
-use crate::engine::{Scope, Stage, StageContext, StageError};
 
 pub(super) fn stage() -> Stage {
     Stage::new("import", Scope::Scene, run)

@@ -16,11 +16,11 @@
 use std::path::Path;
 
 use serde_json::Value;
+use use3d_build::{Stage, StageInput};
 use use3d_import::{Extent, prepared_extent};
 use use3d_reconstruct::{CaptureSize, ReconstructParams, memory_need};
 
 use super::weights::{judge_files, proposer_files};
-use crate::engine::{Stage, StageInput};
 
 /// The program with its threads and tables.
 const PROGRAM: u64 = 40 << 20;

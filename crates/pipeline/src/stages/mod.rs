@@ -45,7 +45,9 @@ pub use depth::wanted as depth_wanted;
 pub use names::{CALIBRATOR, TARGETS};
 pub use proposer::{ProposerChoice, open as open_proposer};
 
-use crate::engine::{EngineError, Registry};
+use use3d_build::{EngineError, Registry};
+
+use crate::code::built_in;
 
 /// The table of stages with the short words of the pipeline file.
 pub fn registry() -> Result<Registry, EngineError> {
@@ -64,7 +66,7 @@ pub fn registry() -> Result<Registry, EngineError> {
         report::stage(),
     ];
     let stages = stages.into_iter().map(memory::with_forecast).collect();
-    Ok(Registry::new(stages)?
+    Ok(Registry::new(stages, built_in())?
         .shorthand("scene", "size", "import", "size")
         .shorthand("calibrator", "proposer", "pairs", "proposer")
         .shorthand("calibrator", "proposer", "targets", "proposer")

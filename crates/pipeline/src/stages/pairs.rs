@@ -8,13 +8,13 @@ use serde::{Deserialize, Serialize};
 use use3d_atc::calibrator::{Dataset, PairImages};
 use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::progress::Progress;
+use use3d_build::{Scope, Stage, StageContext, StageError, leftovers};
 use use3d_io_image::read_image;
 
 use super::calibrated::is_calibrated;
 use super::common::write_json;
 use super::names::DATASET;
 use super::proposer::{ProposerChoice, open};
-use crate::engine::{Scope, Stage, StageContext, StageError, leftovers};
 
 /// Parameters of the paired data.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -4,13 +4,13 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use use3d_build::{Scope, Stage, StageContext, StageError};
 use use3d_import::load_pixels;
 use use3d_io_image::write_png;
 
 use super::captured::capture;
 use super::proposals::{asked_for, file};
 use super::proposer::{ProposerChoice, open};
-use crate::engine::{Scope, Stage, StageContext, StageError};
 
 /// Parameters of the proposals.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]

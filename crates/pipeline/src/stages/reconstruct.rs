@@ -1,6 +1,7 @@
 //! Stage 1: the scene with its water.
 
 use serde::Serialize;
+use use3d_build::{Figure, Scope, Stage, StageContext, StageError};
 use use3d_capture::{Capture, View};
 use use3d_import::{load_depth_prior, load_mask, load_pixels};
 use use3d_io_image::write_png;
@@ -19,7 +20,6 @@ use super::contact::sheet;
 use super::names::{CONTACT, EVALUATION};
 use super::proposals;
 use super::watch::Watch;
-use crate::engine::{Figure, Scope, Stage, StageContext, StageError};
 use crate::water::{WaterReport, found_water, from_tracks, lamps, no_water};
 
 /// What the capture's tracks told of its water.

@@ -2,6 +2,7 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use use3d_build::{Scope, Stage, StageContext, StageError};
 use use3d_import::load_pixels;
 use use3d_io_image::{write_exr_map, write_png, write_png8};
 use use3d_render::{Frame, Mode, SceneRenderer, picture};
@@ -9,7 +10,6 @@ use use3d_render::{Frame, Mode, SceneRenderer, picture};
 use super::captured::capture;
 use super::common::folder;
 use super::scenes::scene;
-use crate::engine::{Scope, Stage, StageContext, StageError};
 
 /// Parameters of the pictures.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

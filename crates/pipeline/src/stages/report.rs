@@ -6,6 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::calibrator::Calibrator;
 use use3d_atc::consensus::TargetsReport;
+use use3d_build::{Scope, Stage, StageContext, StageError, StageInput};
 use use3d_capture::{Appearance, Camera, flat_stem};
 use use3d_io_image::read_image;
 use use3d_render::{Mode, WaterSample, medium_along, medium_profile};
@@ -14,12 +15,11 @@ use use3d_scene::Scene;
 use super::calibrator::read_calibrator;
 use super::common::{folder, read_json, write_json, write_text};
 use super::names::{CONTACT, ENHANCED_IN_2D, SCORES, STRIP};
-use crate::engine::{Digest, Scope, Stage, StageContext, StageError, StageInput};
-use crate::report::plot::{Plot, RGB, Series};
-use crate::report::{CalibratorSection, Page, Picture, PlotFigure, SceneSection, ViewSection};
-use crate::scores::{Method, MethodScores, SceneScores, ScoredScene};
-use crate::strip::Strip;
-use crate::tables::{Table, paper};
+use crate::judge::report::plot::{Plot, RGB, Series};
+use crate::judge::report::{CalibratorSection, Page, Picture, PlotFigure, SceneSection, ViewSection};
+use crate::judge::scores::{Method, MethodScores, SceneScores, ScoredScene};
+use crate::judge::strip::Strip;
+use crate::judge::tables::{Table, paper};
 
 /// Parameters of the report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -41,7 +41,7 @@ pub(super) fn stage() -> Stage {
     Stage::new("report", Scope::Batch, run)
         .about("tables and one page about the whole batch")
         // Its digests of score files are shown in the tables.
-        .made_of(&[], &["src/stages/report.rs", "src/engine/digest.rs"])
+        .made_of(&[], &["src/stages/report.rs"])
         .input("calibrator", "calibrate")
         .or_external("calibrator")
         .input("import", "import")
@@ -105,7 +105,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
                 scene: parts.scene.into(),
                 group: parts.group.into(),
                 variant: parts.variant.into(),
-                source: format!("{} {}", parts.name(), Digest::of(&bytes).short()),
+                source: format!("{} {}", parts.name(), &blake3::hash(&bytes).to_hex()[..12]),
                 scores,
                 speed: None,
             });

@@ -2,7 +2,7 @@
 
 use use3d_scene::Scene;
 
-use crate::engine::{StageContext, StageError};
+use use3d_build::{StageContext, StageError};
 
 /// The scene of a role.
 pub(super) fn scene(context: &StageContext, role: &str) -> Result<Scene, StageError> {

@@ -5,13 +5,13 @@ use use3d_atc::calibrator::Calibrator;
 use use3d_atc::consensus::{Proposals, ViewInput};
 use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::proposers::{Proposer, ProposerId, SceneFindings, SceneProposer, SceneSurvey, SceneView};
+use use3d_build::{StageContext, StageError};
 use use3d_capture::{Appearance, View};
 use use3d_import::load_pixels;
 use use3d_scene::{KnownView, KnownViews, Scene};
 
 use super::calibrator::read_calibrator;
 use super::proposer::{ProposerChoice, of_calibrator};
-use crate::engine::{StageContext, StageError};
 
 /// Where transitions start from.
 pub(super) enum Start<'s> {

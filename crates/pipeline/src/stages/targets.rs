@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::consensus::{Preview, Recorder, TargetsParams, targets_from_records};
 use use3d_atc::progress::Progress;
+use use3d_build::{Scope, Stage, StageContext, StageError};
 use use3d_capture::{Capture, View};
 use use3d_io_image::{write_png, write_png_map};
 use use3d_splat::Rasterizer;
@@ -16,7 +17,6 @@ use super::proposals::asked_for;
 use super::proposer::ProposerChoice;
 use super::scenes::scene;
 use super::starts::Starts;
-use crate::engine::{Scope, Stage, StageContext, StageError};
 
 /// Parameters of the targets.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

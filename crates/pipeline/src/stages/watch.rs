@@ -2,7 +2,7 @@
 
 use use3d_training::{Observer, Progress};
 
-use crate::engine::StageContext;
+use use3d_build::StageContext;
 
 /// A training loop's observer that speaks to the engine.
 pub(super) struct Watch<'a> {

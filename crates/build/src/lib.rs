@@ -1,0 +1,141 @@
+//! A build system for computations that take hours: what a stage is, its key, its artifact; the plan, the run, the cache.
+//!
+//! It knows nothing of what is computed.
+//!
+//! A [`Stage`] is data and one pure function. It says what it is called, which crates it is made of, which parameters it
+//! has and which inputs it reads, and its function fills one folder. From that the engine derives a [`key`]: a digest of the
+//! stage's code, parameters and the *content* of its inputs. The folder of a key is computed once and never changes;
+//! a stage whose inputs came out the same as before is not run again, whatever happened upstream.
+//!
+//! ```
+//! use std::sync::Arc;
+//! use use3d_build::code::CodeTable;
+//! use use3d_build::{Batch, Cache, Engine, Graph, Listener, Registry, RunOptions, Scene, Scope, Silent, Stage};
+//!
+//! #[derive(Default, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
+//! #[serde(deny_unknown_fields, default)]
+//! struct Import { upper_case: bool }
+//!
+//! let import = Stage::new("import", Scope::Scene, |context, parameters: &Import| {
+//!     let text = std::fs::read_to_string(context.input("capture")?.join("words.txt"))?;
+//!     let text = if parameters.upper_case { text.to_uppercase() } else { text };
+//!     Ok(std::fs::write(context.output().join("words.txt"), text)?)
+//! })
+//! .external("capture", "capture")                 // a folder that the pipeline file names
+//! .made_of(&[], &[]);                             // whose code it is, for the key
+//! let count = Stage::new("count", Scope::Scene, |context, _: &Import| {
+//!     let text = std::fs::read_to_string(context.input("words")?.join("words.txt"))?;
+//!     Ok(std::fs::write(context.output().join("count"), text.split(' ').count().to_string())?)
+//! })
+//! .input("words", "import");                      // another stage's artifact
+//!
+//! let folder = tempfile::tempdir()?;
+//! let capture = folder.path().join("capture");
+//! std::fs::create_dir(&capture)?;
+//! std::fs::write(capture.join("words.txt"), "clear water")?;
+//!
+//! let engine = Engine::new(Registry::new(vec![import, count], &CodeTable::default())?, Cache::open(&folder.path().join("cache"), false)?);
+//! let mut batch = Batch { name: "words".into(), seed: 42, ..Batch::default() };
+//! batch.scenes.push(Scene { name: "reef".into(), externals: [("capture".into(), Ok(capture))].into(), ..Scene::default() });
+//!
+//! let listener: Arc<dyn Listener> = Arc::new(Silent);
+//! let graph = Graph::new(&engine.registry, &batch)?;
+//! let first = engine.run(&graph, &RunOptions::default(), &listener);
+//! assert_eq!((first.done(), first.cached(), first.exit_code()), (2, 0, 0));
+//! let artifact = first.artifact("reef", "", "count").expect("it ran");
+//! assert_eq!(std::fs::read_to_string(artifact.path.join("count"))?, "2");
+//!
+//! batch.defaults.insert("import".into(), serde_json::json!({"upper_case": true}));
+//! let graph = Graph::new(&engine.registry, &batch)?;
+//! assert_eq!(engine.plan(&graph, None).to_run(), 2);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # What a stage must keep to
+//!
+//! * Its files follow from its inputs, parameters and [seed](StageContext::seed) alone, whatever the number of threads: no
+//!   times, host names or paths in them. `use3d verify --sample` recomputes and compares. Where that holds within one class of
+//!   arithmetic only, it says by which [figures](Stage::agrees_across_classes) artifacts of two classes are compared.
+//! * It reads nothing but its inputs, and writes nothing but its output folder and its checkpoints.
+//! * Long ones are [resumable](Stage::resumable): the checkpoint folder is keyed without the parameters that only say how far to
+//!   go, so that 20 000 steps after 15 000 cost 5 000, as long as nothing else in the stage depends on the total.
+//! * They look at [`StageContext::cancelled`] often and return [`StageError::Cancelled`] after saving a checkpoint.
+//!
+//! # Where things are
+//!
+//! [`cache`]: the folder layout, publishing, verification. [`code`]: token-level code digests. [`content`]: digests of
+//! inputs that are not read twice. [`graph`]: scenes × stages × variants. [`plan`], [`run`]: what would happen, making it
+//! happen. [`executor`]: where its jobs run. [`history`]: what happened, forecasts. [`place`]: results outside the cache, and what of them may be replaced.
+
+mod agree;
+mod alone;
+pub mod cache;
+pub mod canonical;
+pub mod code;
+pub mod content;
+mod context;
+pub mod digest;
+pub mod error;
+mod events;
+pub mod executor;
+pub mod files;
+pub mod gc;
+pub mod graph;
+pub mod history;
+mod job;
+pub mod key;
+mod lease;
+pub mod leftovers;
+pub mod machine;
+pub mod manifest;
+mod memory;
+pub mod picture;
+pub mod place;
+pub mod plan;
+mod registry;
+mod resolve;
+pub mod run;
+mod stage;
+pub mod status;
+mod summary;
+mod text;
+pub mod verify;
+
+pub use agree::Figure;
+pub use alone::Alone;
+pub use cache::{Artifact, Cache};
+pub use context::{Notes, StageContext, StageInput};
+pub use digest::Digest;
+pub use error::{EngineError, FileError, ParameterError, StageError};
+pub use events::{Event, Listener, Silent};
+pub use executor::{Executor, Threads};
+pub use graph::{Batch, Graph, Scene, Variant};
+pub use key::DeviceClass;
+pub use plan::Plan;
+pub use registry::{Registry, Shorthand};
+pub use run::{RunOptions, Summary};
+pub use stage::{AllParameters, Input, Named, Scope, Select, Source, Stage};
+
+/// Stages and the cache they work on.
+#[derive(Clone)]
+pub struct Engine {
+    /// The stages.
+    pub registry: Registry,
+    /// The cache.
+    pub cache: Cache,
+    numeric_class: String,
+}
+
+impl Engine {
+    /// An engine on this machine.
+    pub fn new(registry: Registry, cache: Cache) -> Self {
+        Self { registry, cache, numeric_class: key::numeric_class() }
+    }
+
+    /// The same engine as if on a machine with another class of arithmetic.
+    #[must_use]
+    pub fn with_numeric_class(mut self, class: &str) -> Self {
+        self.numeric_class = class.to_string();
+        self
+    }
+}

@@ -1,0 +1,148 @@
+//! The table of stages, checked when it is built.
+
+use super::canonical;
+use super::code::{CodeTable, StageCode};
+use super::error::EngineError;
+use super::stage::{Scope, Source, Stage};
+
+/// The stages in the order in which data flows through them.
+#[derive(Clone, Debug)]
+pub struct Registry {
+    stages: Vec<Stage>,
+    code: Vec<StageCode>,
+    shorthands: Vec<Shorthand>,
+}
+
+/// A key of the pipeline file that stands for a parameter of a stage, e.g. a scene's `size` for `import.size`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shorthand {
+    /// Where it stands: `scene`, `calibrator`, `models`, or empty for the top.
+    pub place: &'static str,
+    /// The key there.
+    pub key: &'static str,
+    /// The stage.
+    pub stage: &'static str,
+    /// The parameter, dotted.
+    pub parameter: &'static str,
+}
+
+impl Registry {
+    /// A table of these stages, made of the code in `table`. A stage's inputs come from stages before it; roles are unique; a shared
+    /// stage reads only shared ones; the code that a stage names exists.
+    ///
+    /// # Errors
+    /// Stages that do not fit together, or that name code that is not there.
+    pub fn new(stages: Vec<Stage>, table: &CodeTable) -> Result<Self, EngineError> {
+        for (i, stage) in stages.iter().enumerate() {
+            check(stage, &stages[..i]).map_err(EngineError::Registry)?;
+            let external =
+                |s: &Stage| s.inputs.iter().any(|input| input.source == Source::External(stage.name));
+            if stages.iter().any(external) {
+                let name = stage.name;
+                return Err(EngineError::Registry(format!(
+                    "`{name}` names an input from outside and a stage"
+                )));
+            }
+        }
+        let code = stages.iter().map(|stage| {
+            table
+                .stage(stage.crates, stage.sources)
+                .map_err(|source| EngineError::Code { stage: stage.name.to_string(), source })
+        });
+        Ok(Self { code: code.collect::<Result<_, _>>()?, stages, shorthands: Vec::new() })
+    }
+
+    /// Adds a shorthand; several may share a place and key, then the value goes to all of them.
+    #[must_use]
+    pub fn shorthand(
+        mut self,
+        place: &'static str,
+        key: &'static str,
+        stage: &'static str,
+        parameter: &'static str,
+    ) -> Self {
+        self.shorthands.push(Shorthand { place, key, stage, parameter });
+        self
+    }
+
+    /// The stages.
+    pub fn stages(&self) -> &[Stage] {
+        &self.stages
+    }
+
+    /// The shorthands.
+    pub fn shorthands(&self) -> &[Shorthand] {
+        &self.shorthands
+    }
+
+    /// A stage by name.
+    pub fn stage(&self, name: &str) -> Result<&Stage, EngineError> {
+        Ok(&self.stages[self.index(name)?])
+    }
+
+    /// Its place in the table.
+    pub(crate) fn index(&self, name: &str) -> Result<usize, EngineError> {
+        let found = self.stages.iter().position(|s| s.name == name);
+        found.ok_or_else(|| EngineError::unknown("stage", name, self.stages.iter().map(|s| s.name)))
+    }
+
+    /// What the stage of that name is made of.
+    pub fn code_of(&self, name: &str) -> Result<&StageCode, EngineError> {
+        Ok(&self.code[self.index(name)?])
+    }
+
+    /// What a stage is made of.
+    pub(crate) fn code(&self, index: usize) -> &StageCode {
+        &self.code[index]
+    }
+}
+
+fn check(stage: &Stage, before: &[Stage]) -> Result<(), String> {
+    let name = stage.name;
+    if name.is_empty() || !name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-') {
+        return Err(format!("`{name}`: a stage's name is lower-case letters, digits and hyphens"));
+    }
+    if ["scene", "variant", "defaults", "name", "group", "seed"].contains(&name) {
+        return Err(format!("`{name}` is a word of the pipeline file, not a name for a stage"));
+    }
+    if before.iter().any(|s| s.name == name) {
+        return Err(format!("two stages are called `{name}`"));
+    }
+    if let Ok(defaults) = stage.parameters(&serde_json::json!({})) {
+        let mut named = stage.without_effect.iter().chain(stage.length_like);
+        if let Some(path) = named.find(|path| canonical::at(&defaults, path).is_none()) {
+            return Err(format!("stage `{name}` has no parameter `{path}`"));
+        }
+    }
+    for (i, input) in stage.inputs.iter().enumerate() {
+        if stage.inputs[..i].iter().any(|other| other.role == input.role) {
+            return Err(format!("stage `{name}` has two inputs called `{}`", input.role));
+        }
+        let (Source::Stage(from) | Source::Reference(from)) = input.source else { continue };
+        let Some(from) = before.iter().find(|s| s.name == from) else {
+            return Err(format!("stage `{name}` reads `{from}`, which is not a stage before it"));
+        };
+        let fits = match stage.scope {
+            Scope::Shared => from.scope == Scope::Shared,
+            Scope::Scene => from.scope != Scope::Batch,
+            Scope::Batch => true,
+        };
+        if !fits {
+            return Err(format!(
+                "stage `{name}` is made once {} and cannot read `{}`, which is made once {}",
+                per(stage.scope),
+                from.name,
+                per(from.scope)
+            ));
+        }
+    }
+    Ok(())
+}
+
+fn per(scope: Scope) -> &'static str {
+    match scope {
+        Scope::Scene => "per scene",
+        Scope::Shared => "for all scenes",
+        Scope::Batch => "per batch",
+    }
+}

@@ -1,0 +1,520 @@
+//! Runs a batch: every node whose inputs are there, within the cores and the memory that there are.
+//!
+//! One thread decides, an [executor](super::executor) works. Nodes are started in the graph's order, so that scenes finish one after another.
+//! A failed node blocks what reads it and nothing else; stages over the whole batch go on with what there is. What the run has
+//! decided on is protected by a lease until it ends, and a scene is told as soon as its last stage is over, so that its results need
+//! not wait for the others.
+
+use std::collections::{BTreeMap, HashMap};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, mpsc};
+use std::time::Instant;
+
+use super::Engine;
+use super::cache::{Artifact, Lookup};
+use super::digest::Digest;
+use super::events::{Event, Listener};
+use super::executor::{Executor, Starter, Task, Threads};
+use super::graph::Graph;
+use super::history::{Failure, Made, Record};
+use super::job::{Ended, Job};
+use super::key::{Ingredients, Key};
+use super::lease::{HEARTBEAT, RunLease};
+use super::machine;
+use super::resolve::{self, Outcome, Unresolved};
+use super::stage::Scope;
+pub use super::summary::{Became, RanNode, Summary};
+
+/// How to run.
+#[derive(Clone, Debug)]
+pub struct RunOptions {
+    /// Stages side by side.
+    pub jobs: usize,
+    /// Cores in all.
+    pub cores: usize,
+    /// Memory in all, bytes.
+    pub memory: u64,
+    /// Go on with the other scenes when one fails.
+    pub keep_going: bool,
+    /// Stop after these stages; all without.
+    pub until: Option<Vec<String>>,
+    /// Set by whoever wants the run to end: stages save their checkpoints and leave.
+    pub stop: Arc<AtomicBool>,
+    /// Where jobs are done.
+    pub executor: Arc<dyn Executor>,
+}
+
+impl Default for RunOptions {
+    fn default() -> Self {
+        Self {
+            jobs: 1,
+            cores: machine::cores(),
+            memory: machine::available_memory().unwrap_or(u64::MAX),
+            keep_going: false,
+            until: None,
+            stop: Arc::default(),
+            executor: Arc::new(Threads),
+        }
+    }
+}
+
+impl Engine {
+    /// Runs `graph`. Failures of stages are in the summary.
+    pub fn run(&self, graph: &Graph, options: &RunOptions, listener: &Arc<dyn Listener>) -> Summary {
+        let start = Instant::now();
+        self.cache.contents().look_again();
+        let swept = self.cache.sweep();
+        if swept > 0 {
+            let text = format!(
+                "removed {swept} unfinished result(s) of runs that were cut off; going on from there"
+            );
+            listener.event(&Event::Note { label: &graph.name, text: &text });
+        }
+        let mut runner = Runner::new(self, graph, options, listener);
+        options.executor.serve(&mut |starter| runner.drive(starter));
+        let (nodes, lease) = (runner.nodes, runner.lease);
+        if let Err(error) = self.cache.contents().save() {
+            listener.event(&Event::Warning { label: &graph.name, text: &error.to_string() });
+        }
+        let interrupted = options.stop.load(Ordering::Relaxed);
+        Summary {
+            pipeline: graph.name.clone(),
+            nodes,
+            interrupted,
+            seconds: start.elapsed().as_secs_f64(),
+            lease: Some(Arc::new(lease)),
+        }
+    }
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    Pending,
+    Running,
+    Over,
+}
+
+/// Who waits for what a shared node makes.
+#[derive(Clone)]
+enum Need {
+    /// No scene was asked for that reads it: it was asked for itself.
+    Unasked,
+    /// A scene that can be computed.
+    Live,
+    /// Scenes of which that is not known yet.
+    Unknown,
+    /// No scene any more; what failed.
+    Nobody(String),
+}
+
+impl Need {
+    /// Of one reader: all that it reads must be there.
+    fn and(self, other: Self) -> Self {
+        match (self, other) {
+            (Self::Nobody(by), _) | (_, Self::Nobody(by)) => Self::Nobody(by),
+            (Self::Unknown, _) | (_, Self::Unknown) => Self::Unknown,
+            (one, _) => one,
+        }
+    }
+
+    /// Of several readers: one is enough.
+    fn or(self, other: Self) -> Self {
+        match (self, other) {
+            (Self::Unasked, one) | (one, Self::Unasked) => one,
+            (Self::Live, _) | (_, Self::Live) => Self::Live,
+            (Self::Unknown, _) | (_, Self::Unknown) => Self::Unknown,
+            (one, _) => one,
+        }
+    }
+}
+
+struct Running {
+    cores: usize,
+    memory: u64,
+    key: Key,
+}
+
+struct Runner<'r> {
+    engine: &'r Engine,
+    graph: &'r Graph,
+    options: &'r RunOptions,
+    listener: &'r Arc<dyn Listener>,
+    phase: Vec<Phase>,
+    outcomes: Vec<Outcome>,
+    nodes: Vec<RanNode>,
+    running: HashMap<usize, Running>,
+    /// What the nodes that could be started will take, bytes.
+    memory: Vec<Option<u64>>,
+    /// How often an artifact was found damaged, so that a bad disk does not keep the run going for ever.
+    damaged: HashMap<usize, usize>,
+    halted: bool,
+    lease: RunLease,
+    /// The nodes of each scene and variant that is not over.
+    scenes: BTreeMap<(String, String), Vec<usize>>,
+    sender: mpsc::Sender<(usize, Ended, Ingredients)>,
+    receiver: mpsc::Receiver<(usize, Ended, Ingredients)>,
+}
+
+impl<'r> Runner<'r> {
+    fn new(
+        engine: &'r Engine,
+        graph: &'r Graph,
+        options: &'r RunOptions,
+        listener: &'r Arc<dyn Listener>,
+    ) -> Self {
+        let wanted = graph.wanted(options.until.as_deref());
+        let nodes = graph.nodes.iter().zip(&wanted).map(|(node, wanted)| RanNode {
+            stage: node.stage_name,
+            scene: node.scene.clone(),
+            variant: node.variant.clone(),
+            label: node.label(),
+            result: if *wanted { Became::NotRun } else { Became::Unwanted },
+            seconds: 0.0,
+            shared: node.same_as.is_some(),
+            artifact: None,
+        });
+        let (sender, receiver) = mpsc::channel();
+        let mut lease = RunLease::new(&engine.cache);
+        let mut scenes: BTreeMap<(String, String), Vec<usize>> = BTreeMap::new();
+        for (i, node) in graph.nodes.iter().enumerate().filter(|(i, _)| wanted[*i]) {
+            // What a node had last is likely what it needs now, also while its inputs are being made.
+            lease.extend(engine.cache.record(&graph.name, node).last.map(|last| last.key));
+            if !node.scene.is_empty() {
+                scenes.entry((node.scene.clone(), node.variant.clone())).or_default().push(i);
+            }
+        }
+        lease.show();
+        Self {
+            engine,
+            graph,
+            options,
+            listener,
+            phase: wanted.iter().map(|w| if *w { Phase::Pending } else { Phase::Over }).collect(),
+            outcomes: wanted
+                .iter()
+                .map(|w| if *w { Outcome::Open } else { Outcome::Unavailable("nobody".to_string()) })
+                .collect(),
+            nodes: nodes.collect(),
+            running: HashMap::new(),
+            memory: vec![None; graph.nodes.len()],
+            damaged: HashMap::new(),
+            halted: false,
+            lease,
+            scenes,
+            sender,
+            receiver,
+        }
+    }
+
+    fn drive(&mut self, starter: &dyn Starter<'r>) {
+        loop {
+            let mut moved = true;
+            while moved && !self.stopped() {
+                moved = false;
+                for i in 0..self.graph.nodes.len() {
+                    if self.phase[i] == Phase::Pending && !self.stopped() {
+                        moved |= self.advance(i, starter);
+                    }
+                }
+            }
+            self.lease.show();
+            self.tell_scenes();
+            if self.running.is_empty() {
+                return;
+            }
+            if let Ok((i, ended, ingredients)) = self.receiver.recv_timeout(HEARTBEAT) {
+                self.finish(i, ended, ingredients);
+            }
+        }
+    }
+
+    /// Tells every scene whose last node is over.
+    fn tell_scenes(&mut self) {
+        let (phase, nodes, listener) = (&self.phase, &self.nodes, self.listener);
+        self.scenes.retain(|(scene, variant), own| {
+            let over = own.iter().all(|i| phase[*i] == Phase::Over);
+            if over {
+                listener.event(&Event::SceneOver { scene, variant, nodes });
+            }
+            !over
+        });
+    }
+
+    fn stopped(&self) -> bool {
+        self.halted || self.options.stop.load(Ordering::Relaxed)
+    }
+
+    /// Decides about a pending node, if that is possible now.
+    fn advance(&mut self, i: usize, starter: &dyn Starter<'r>) -> bool {
+        if let Some(first) = self.graph.nodes[i].same_as {
+            if self.phase[first] != Phase::Over {
+                return false;
+            }
+            self.outcomes[i] = self.outcomes[first].clone();
+            self.nodes[i].result = match &self.nodes[first].result {
+                Became::Done => Became::Cached,
+                other => other.clone(),
+            };
+            self.nodes[i].artifact = self.nodes[first].artifact.clone();
+            if let (Outcome::Ready(artifact), Became::Cached) = (&self.outcomes[i], &self.nodes[i].result) {
+                let (ingredients, content) =
+                    (artifact.manifest.ingredients.clone(), artifact.manifest.content);
+                self.record_made(i, ingredients, content);
+            }
+            self.phase[i] = Phase::Over;
+            return true;
+        }
+        let engine = self.engine;
+        let resolved = resolve::resolve(
+            &engine.registry,
+            &engine.cache,
+            &engine.numeric_class,
+            self.graph,
+            i,
+            &self.outcomes,
+        );
+        let resolved = match resolved {
+            Ok(resolved) => resolved,
+            Err(Unresolved::Waiting(_)) => return false,
+            Err(Unresolved::Blocked(by)) => {
+                self.nodes[i].result = Became::Blocked(by.clone());
+                self.outcomes[i] = Outcome::Unavailable(by);
+                self.phase[i] = Phase::Over;
+                return true;
+            }
+            Err(Unresolved::Input(reason)) => {
+                self.fail(i, None, reason);
+                return true;
+            }
+        };
+        self.lease.extend([resolved.key]);
+        match engine.cache.lookup(self.graph.nodes[i].stage_name, &resolved.key) {
+            Ok(Lookup::Whole(artifact)) => {
+                engine.cache.touch(&artifact.path);
+                self.listener.event(&Event::Done {
+                    node: i,
+                    label: &self.nodes[i].label,
+                    cached: true,
+                    seconds: 0.0,
+                });
+                self.ready(i, artifact, Became::Cached, 0.0, resolved.ingredients);
+                return true;
+            }
+            Ok(Lookup::Missing) => {}
+            Ok(Lookup::Damaged(reason)) => {
+                let aside = engine.cache.set_aside(self.graph.nodes[i].stage_name, &resolved.key);
+                let place = aside.map_or_else(|e| e.to_string(), |p| format!("moved to {}", p.display()));
+                let text = format!("its artifact is damaged: {reason}; {place}, computing it again");
+                self.listener.event(&Event::Warning { label: &self.nodes[i].label, text: &text });
+            }
+            Err(error) => {
+                self.fail(i, Some(resolved.key), error.to_string());
+                return true;
+            }
+        }
+        if engine.registry.stages()[self.graph.nodes[i].stage].scope == Scope::Shared {
+            match self.need(i) {
+                Need::Unasked | Need::Live => {}
+                Need::Unknown => return false,
+                Need::Nobody(by) => {
+                    self.nodes[i].result = Became::Blocked(by.clone());
+                    self.outcomes[i] = Outcome::Unavailable(by);
+                    self.phase[i] = Phase::Over;
+                    return true;
+                }
+            }
+        }
+        self.start(i, resolved, starter)
+    }
+
+    /// Whether some scene that reads a shared node can still be computed: [`Need::Unknown`] until the first of them has been read
+    /// in, which is quick beside a calibrator that nobody would use.
+    fn need(&self, shared: usize) -> Need {
+        let nodes = &self.graph.nodes;
+        let scope = |i: usize| self.engine.registry.stages()[nodes[i].stage].scope;
+        // Inputs come before what reads them: one pass finds all that follows from this node, and how the rest stands.
+        let mut follows = vec![false; nodes.len()];
+        let mut stands: Vec<Need> = Vec::with_capacity(nodes.len());
+        let mut need = Need::Unasked;
+        for i in 0..nodes.len() {
+            let parents = || nodes[i].inputs.iter().filter_map(|input| input.node());
+            follows[i] = i == shared || parents().any(|p| follows[p]);
+            let others = parents().filter(|p| !follows[*p]);
+            let standing = match &self.outcomes[i] {
+                Outcome::Unavailable(by) => Need::Nobody(by.clone()),
+                Outcome::Ready(_) => Need::Live,
+                Outcome::Open if follows[i] || parents().next().is_some() => {
+                    others.fold(Need::Live, |all, p| all.and(stands[p].clone()))
+                }
+                // Two shared nodes must not wait for each other.
+                Outcome::Open if scope(i) == Scope::Shared => Need::Live,
+                Outcome::Open => Need::Unknown,
+            };
+            if follows[i] && scope(i) == Scope::Scene && self.nodes[i].result != Became::Unwanted {
+                need = need.or(standing.clone());
+            }
+            stands.push(standing);
+        }
+        need
+    }
+
+    /// Starts a node if there is room for it and nobody here computes the same key.
+    fn start(&mut self, i: usize, resolved: resolve::Resolved, starter: &dyn Starter<'r>) -> bool {
+        let stage = &self.engine.registry.stages()[self.graph.nodes[i].stage];
+        let jobs = self.options.jobs.max(1);
+        let used_memory: u64 = self.running.values().map(|r| r.memory).sum();
+        let used_cores: usize = self.running.values().map(|r| r.cores).sum();
+        let memory = *self.memory[i]
+            .get_or_insert_with(|| stage.memory_on(&self.graph.nodes[i].parameters, &resolved.inputs));
+        let fits = used_memory.saturating_add(memory) <= self.options.memory;
+        let twin = self.running.values().any(|r| r.key == resolved.key);
+        if twin || self.running.len() >= jobs || (!fits && !self.running.is_empty()) {
+            return false;
+        }
+        if !fits {
+            let text = format!(
+                "needs about {} of memory, {} are free: running it alone",
+                machine::bytes(memory),
+                machine::bytes(self.options.memory)
+            );
+            self.listener.event(&Event::Warning { label: &self.nodes[i].label, text: &text });
+        }
+        let share = self.options.cores.saturating_sub(used_cores) / (jobs - self.running.len());
+        let most = if stage.cores == 0 { usize::MAX } else { stage.cores };
+        let threads = share.clamp(1, most.max(1));
+        self.lease.extend(resolved.checkpoints);
+        self.lease.show();
+        self.phase[i] = Phase::Running;
+        self.running.insert(i, Running { cores: threads, memory, key: resolved.key });
+        let job = Job {
+            engine: self.engine,
+            pipeline: &self.graph.name,
+            id: i,
+            node: &self.graph.nodes[i],
+            resolved,
+            threads,
+            stop: self.options.stop.clone(),
+            listener: self.listener.clone(),
+        };
+        let sender = self.sender.clone();
+        starter.start(Task {
+            pipeline: &self.graph.name,
+            label: self.nodes[i].label.clone(),
+            stage: self.graph.nodes[i].stage_name,
+            key: job.resolved.key,
+            threads,
+            memory,
+            work: Box::new(move || {
+                let ingredients = job.resolved.ingredients.clone();
+                let ended = job.execute();
+                // The receiver outlives the executor's service.
+                let _ = sender.send((i, ended, ingredients));
+            }),
+        });
+        true
+    }
+
+    fn finish(&mut self, i: usize, ended: Ended, ingredients: Ingredients) {
+        let key = self.running.remove(&i).map(|r| r.key);
+        match ended {
+            Ended::Ready { artifact, computed, seconds } => {
+                self.warn_if_changed(i, &artifact);
+                let label = &self.nodes[i].label;
+                self.listener.event(&Event::Done { node: i, label, cached: !computed, seconds });
+                let result = if computed { Became::Done } else { Became::Cached };
+                self.ready(i, artifact, result, seconds, ingredients);
+            }
+            Ended::Failed(reason) => self.fail(i, key, reason),
+            Ended::Cancelled => {
+                self.phase[i] = Phase::Over;
+                self.outcomes[i] = Outcome::Unavailable("the interruption".to_string());
+            }
+            Ended::DamagedInput(parent) => {
+                // What shares another node's work is made again by that one.
+                let maker = self.graph.nodes[parent].same_as.unwrap_or(parent);
+                let times = self.damaged.entry(maker).or_default();
+                *times += 1;
+                if *times > 2 {
+                    let whose = self.graph.nodes[maker].label();
+                    let root = self.engine.cache.root().display();
+                    let reason = format!(
+                        "{whose} is damaged or removed again and again; check the disk, and what else cleans up in {root}"
+                    );
+                    self.fail(i, key, reason);
+                    return;
+                }
+                for node in [i, parent, maker] {
+                    if self.phase[node] == Phase::Over || node == i {
+                        self.phase[node] = Phase::Pending;
+                        self.outcomes[node] = Outcome::Open;
+                    }
+                }
+            }
+        }
+    }
+
+    fn ready(
+        &mut self,
+        i: usize,
+        artifact: Box<Artifact>,
+        result: Became,
+        seconds: f64,
+        ingredients: Ingredients,
+    ) {
+        self.record_made(i, ingredients, artifact.manifest.content);
+        self.nodes[i].artifact = Some(artifact.as_ref().clone());
+        self.nodes[i].result = result;
+        self.nodes[i].seconds += seconds;
+        self.outcomes[i] = Outcome::Ready(artifact);
+        self.phase[i] = Phase::Over;
+    }
+
+    fn fail(&mut self, i: usize, key: Option<Key>, reason: String) {
+        let node = &self.graph.nodes[i];
+        let log = self.engine.cache.log_path(&self.graph.name, node);
+        let label = self.nodes[i].label.clone();
+        self.listener.event(&Event::Failed { node: i, label: &label, reason: &reason, log: &log });
+        let mut record = self.engine.cache.record(&self.graph.name, node);
+        let at = machine::utc(machine::now());
+        record.failure = Some(Failure { key, reason: reason.clone(), log: log.clone(), at });
+        self.write_record(i, &record);
+        self.nodes[i].result = Became::Failed { reason, log };
+        self.outcomes[i] = Outcome::Unavailable(label);
+        self.phase[i] = Phase::Over;
+        self.halted |= !self.options.keep_going;
+    }
+
+    fn record_made(&self, i: usize, ingredients: Ingredients, content: Digest) {
+        let mut record = self.engine.cache.record(&self.graph.name, &self.graph.nodes[i]);
+        let key = ingredients.key();
+        let same = record.last.as_ref().is_some_and(|last| last.key == key && last.content == content);
+        if same && record.failure.is_none() {
+            return;
+        }
+        record.failure = None;
+        if !same {
+            let made = Made { key, ingredients, content, at: machine::utc(machine::now()) };
+            let old = record.last.replace(made);
+            record.before = old.filter(|o| o.key != key).or(record.before);
+        }
+        self.write_record(i, &record);
+    }
+
+    fn write_record(&self, i: usize, record: &Record) {
+        // The artifact counts, not what is remembered about it.
+        if let Err(error) = self.engine.cache.write_record(&self.graph.name, &self.graph.nodes[i], record) {
+            self.listener.event(&Event::Warning { label: &self.nodes[i].label, text: &error.to_string() });
+        }
+    }
+
+    /// A key whose artifact was lost and came out different when it was made again.
+    fn warn_if_changed(&self, i: usize, artifact: &Artifact) {
+        let record = self.engine.cache.record(&self.graph.name, &self.graph.nodes[i]);
+        let other =
+            |made: &Made| made.key == artifact.manifest.key && made.content != artifact.manifest.content;
+        if record.last.as_ref().is_some_and(other) {
+            let text = "determinism alarm: made again for the same key, it came out with other bytes";
+            self.listener.event(&Event::Warning { label: &self.nodes[i].label, text });
+        }
+    }
+}

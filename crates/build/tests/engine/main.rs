@@ -1,0 +1,11 @@
+//! The build system with synthetic stages: small, fast, and shaped like the real ones.
+
+mod batch;
+mod caching;
+mod code;
+mod crash;
+mod executors;
+mod faults;
+mod reference;
+mod sharing;
+mod stages;

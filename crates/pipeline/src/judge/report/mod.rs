@@ -1,0 +1,439 @@
+//! One self-contained HTML page per run: no network, readable without scripts, on a phone and in the dark.
+//!
+//! This module only lays out what the stages measured and rendered; it computes nothing. Pictures are embedded as JPEG at a
+//! bounded size, so that the page of a large batch stays a file one can send.
+
+pub mod plot;
+
+use askama::Template;
+use base64::Engine as _;
+use use3d_capture::{Image, Image8};
+
+use crate::judge::tables::{Cell, Rank, Table};
+
+/// Long side of embedded pictures, pixels.
+pub const PICTURE_SIDE: usize = 960;
+/// JPEG quality of embedded pictures.
+const PICTURE_QUALITY: u8 = 86;
+
+/// A page.
+#[derive(Clone, Debug, Default)]
+pub struct Page {
+    /// The run's name.
+    pub title: String,
+    /// One line below it.
+    pub subtitle: String,
+    /// The tables, in order.
+    pub tables: Vec<Table>,
+    /// The scenes, in order.
+    pub scenes: Vec<SceneSection>,
+    /// What the calibrator learnt, if one was trained.
+    pub calibrator: Option<CalibratorSection>,
+    /// What could not be made and is not in it.
+    pub missing: Vec<String>,
+    /// Last line: program and version.
+    pub footer: String,
+}
+
+/// What there is to say about one scene.
+#[derive(Clone, Debug, Default)]
+pub struct SceneSection {
+    /// Its name.
+    pub name: String,
+    /// Its data set, or empty.
+    pub group: String,
+    /// One line: views, size, Gaussians.
+    pub summary: String,
+    /// Further lines: what was skipped, what is not available.
+    pub notes: Vec<String>,
+    /// Held-out views.
+    pub views: Vec<ViewSection>,
+    /// Plots.
+    pub plots: Vec<PlotFigure>,
+    /// Wide pictures, one below the other.
+    pub sheets: Vec<Picture>,
+}
+
+/// One held-out view.
+#[derive(Clone, Debug, Default)]
+pub struct ViewSection {
+    /// Its name.
+    pub name: String,
+    /// What stands first, side by side: captured, 2D enhancer, `enhanced-clear`.
+    pub lead: Vec<Picture>,
+    /// The other pictures: `clear`, `enhanced`, `reconstruction`, `depth`, …
+    pub images: Vec<Picture>,
+    /// Short texts such as `PSNR 24.1`.
+    pub scores: Vec<String>,
+}
+
+/// An embedded picture.
+#[derive(Clone, Debug, Default)]
+pub struct Picture {
+    /// What it shows.
+    pub label: String,
+    /// A longer explanation, may be empty.
+    pub caption: String,
+    /// A data URI.
+    pub source: String,
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+}
+
+/// An embedded plot.
+#[derive(Clone, Debug)]
+pub struct PlotFigure {
+    /// The SVG element.
+    pub svg: String,
+    /// What it shows.
+    pub caption: String,
+}
+
+/// The calibrator's held-out errors.
+#[derive(Clone, Debug)]
+pub struct CalibratorSection {
+    /// Pairs, proposer, form.
+    pub summary: String,
+    /// Name, error of the proposal, error after calibration, ratio.
+    pub rows: Vec<(String, String, String, String)>,
+}
+
+/// What one stage of one scene cost.
+#[derive(Clone, Debug)]
+pub struct StageRow {
+    /// The scene, or `shared`.
+    pub scene: String,
+    /// The stage.
+    pub stage: String,
+    /// `done`, `cached`, `failed`.
+    pub state: String,
+    /// Wall seconds when it was computed.
+    pub seconds: f64,
+    /// Peak memory, MiB.
+    pub memory: Option<f64>,
+    /// Size of the artifact, MiB.
+    pub size: f64,
+    /// Beginning of its key.
+    pub key: String,
+}
+
+/// A page that could not be laid out.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// A picture could not be encoded.
+    #[error("report picture `{label}`: {source}")]
+    Picture {
+        /// Which one.
+        label: String,
+        /// Why.
+        source: image::ImageError,
+    },
+    /// The template could not be filled.
+    #[error("report page: {0}")]
+    Template(#[from] askama::Error),
+}
+
+impl Picture {
+    /// Embeds an image (clamped to the display range), scaled down by box means to at most [`PICTURE_SIDE`].
+    pub fn embed(label: &str, caption: &str, image: &Image) -> Result<Self, ReportError> {
+        Self::embed_wide(label, caption, image, PICTURE_SIDE)
+    }
+
+    /// As [`Picture::embed`] with another limit for the long side, for contact sheets.
+    pub fn embed_wide(label: &str, caption: &str, image: &Image, side: usize) -> Result<Self, ReportError> {
+        let small = shrink(image, side);
+        let (width, height) = (small.width(), small.height());
+        let mut jpeg = Vec::new();
+        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, PICTURE_QUALITY)
+            .encode(&small.to_interleaved(), width as u32, height as u32, image::ExtendedColorType::Rgb8)
+            .map_err(|source| ReportError::Picture { label: label.into(), source })?;
+        let source =
+            format!("data:image/jpeg;base64,{}", base64::engine::general_purpose::STANDARD.encode(jpeg));
+        Ok(Self { label: label.into(), caption: caption.into(), source, width, height })
+    }
+}
+
+/// Box-mean reduction by the smallest whole factor that brings the long side to at most `side`.
+fn shrink(image: &Image, side: usize) -> Image8 {
+    let (w, h) = (image.width(), image.height());
+    let factor = w.max(h).div_ceil(side.max(1)).max(1);
+    if factor == 1 {
+        return image.to_8bit();
+    }
+    let (sw, sh) = ((w / factor).max(1), (h / factor).max(1));
+    let mut small = Image::new(sw, sh);
+    for y in 0..sh {
+        for x in 0..sw {
+            let mut sum = [0.0; 3];
+            let (ys, xs) = (y * factor..((y + 1) * factor).min(h), x * factor..((x + 1) * factor).min(w));
+            let count = (ys.len() * xs.len()).max(1) as f32;
+            for v in ys {
+                for u in xs.clone() {
+                    let pixel = image.pixel(u, v);
+                    (0..3).for_each(|c| sum[c] += pixel[c].clamp(0.0, 1.0));
+                }
+            }
+            small.set_pixel(x, y, sum.map(|s| s / count));
+        }
+    }
+    small.to_8bit()
+}
+
+#[derive(Template)]
+#[template(path = "report.html")]
+struct PageTemplate<'a> {
+    title: &'a str,
+    subtitle: &'a str,
+    has_tables: bool,
+    tables_section: &'a str,
+    scenes: &'a [SceneSection],
+    calibrator: &'a Option<CalibratorSection>,
+    missing: &'a [String],
+    footer: &'a str,
+}
+
+#[derive(Template)]
+#[template(path = "tables.html")]
+struct TablesTemplate {
+    tables: Vec<TableView>,
+}
+
+impl TablesTemplate {
+    fn new(tables: &[Table]) -> Self {
+        Self { tables: tables.iter().map(TableView::new).collect() }
+    }
+}
+
+#[derive(Template)]
+#[template(path = "view.html")]
+struct ViewLink<'a> {
+    name: &'a str,
+    address: &'a str,
+}
+
+#[derive(Template)]
+#[template(path = "costs.html")]
+struct CostsTemplate<'a> {
+    stages: Vec<StageView>,
+    parameters: &'a str,
+}
+
+struct TableView {
+    caption: String,
+    spans: Vec<(String, usize)>,
+    heads: Vec<String>,
+    rows: Vec<RowView>,
+    missing: Vec<String>,
+}
+
+struct RowView {
+    label: String,
+    published: bool,
+    cells: Vec<CellView>,
+}
+
+struct CellView {
+    text: String,
+    class: &'static str,
+    title: String,
+}
+
+struct StageView {
+    scene: String,
+    stage: String,
+    state: String,
+    seconds: String,
+    bar: u32,
+    memory: String,
+    size: String,
+    key: String,
+}
+
+impl TableView {
+    fn new(table: &Table) -> Self {
+        let mut spans: Vec<(String, usize)> = Vec::new();
+        for column in &table.columns {
+            match spans.last_mut() {
+                Some((group, count)) if *group == column.group => *count += 1,
+                _ => spans.push((column.group.clone(), 1)),
+            }
+        }
+        if spans.iter().all(|(group, _)| group.is_empty()) {
+            spans.clear();
+        }
+        let cell = |cell: &Cell, rank: Rank, decimals: usize| match cell {
+            Cell::Number { value, source } => CellView {
+                text: format!("{value:.decimals$}"),
+                class: match rank {
+                    Rank::Best => "best",
+                    Rank::Second => "second",
+                    Rank::Other => "",
+                },
+                title: source.clone(),
+            },
+            Cell::NotAvailable { reason } => {
+                CellView { text: "n/a".into(), class: "missing", title: reason.clone() }
+            }
+            Cell::Blank => CellView { text: "–".into(), class: "missing", title: String::new() },
+        };
+        let rows = table.rows.iter().zip(table.ranks()).map(|(row, ranks)| RowView {
+            label: row.label.clone(),
+            published: row.published,
+            cells: (row.cells.iter().zip(ranks).zip(&table.columns))
+                .map(|((c, r), k)| cell(c, r, k.decimals))
+                .collect(),
+        });
+        Self {
+            caption: table.caption.clone(),
+            spans,
+            heads: table.columns.iter().map(|c| format!("{}{}", c.name, c.better.arrow())).collect(),
+            rows: rows.collect(),
+            missing: table.missing().into_iter().map(str::to_string).collect(),
+        }
+    }
+}
+
+impl Page {
+    /// The page as HTML.
+    pub fn html(&self) -> Result<String, ReportError> {
+        let template = PageTemplate {
+            title: &self.title,
+            subtitle: &self.subtitle,
+            has_tables: !self.tables.is_empty(),
+            tables_section: &TablesTemplate::new(&self.tables).render()?,
+            scenes: &self.scenes,
+            calibrator: &self.calibrator,
+            missing: &self.missing,
+            footer: &self.footer,
+        };
+        Ok(template.render()?)
+    }
+}
+
+/// Where a page's costs go.
+const COSTS: &str = "<!--costs-->";
+
+/// The marks around a page's tables.
+const TABLES: (&str, &str) = ("<!--tables-->", "<!--end of tables-->");
+
+/// A page with other tables in the place of its own: those that also tell how fast scenes are drawn.
+pub fn with_tables(html: &str, tables: &[Table]) -> String {
+    let (Some(start), Some(end)) = (html.find(TABLES.0), html.find(TABLES.1)) else { return html.into() };
+    match TablesTemplate::new(tables).render() {
+        Ok(section) if start < end => {
+            format!("{}{section}\n{}", &html[..start + TABLES.0.len() + 1], &html[end..])
+        }
+        _ => html.into(),
+    }
+}
+
+/// A page with a link to each scene's own page, given as scene, variant and address: where results lie is no part of any artifact.
+pub fn with_views<'a>(html: &str, views: impl Iterator<Item = (&'a str, &'a str, String)>) -> String {
+    views.fold(html.to_string(), |html, (scene, variant, address)| {
+        // The section's name, as the template escapes it.
+        let name = if variant.is_empty() { scene.to_string() } else { format!("{scene} · {variant}") };
+        let link = ViewLink { name: &name, address: &address };
+        match link.render() {
+            Ok(filled) => {
+                let mark = filled.lines().next().unwrap_or_default();
+                html.replacen(&format!("{mark}\n"), &filled, 1)
+            }
+            Err(_) => html,
+        }
+    })
+}
+
+/// A page with what its stages cost and with which parameters they ran, as text: known only after the run, and no part of any artifact.
+pub fn with_costs(html: &str, rows: &[StageRow], parameters: &str) -> String {
+    let longest = rows.iter().map(|s| s.seconds).fold(1e-9, f64::max);
+    let stages = rows.iter().map(|s| StageView {
+        scene: s.scene.clone(),
+        stage: s.stage.clone(),
+        state: s.state.clone(),
+        seconds: format!("{:.1}", s.seconds),
+        bar: (120.0 * s.seconds / longest).round().max(1.0) as u32,
+        memory: s.memory.map_or_else(|| "–".into(), |m| format!("{m:.0}")),
+        size: format!("{:.1}", s.size),
+        key: s.key.chars().take(12).collect(),
+    });
+    // A template of plain strings cannot fail to render; without its table the page is still whole.
+    let costs = CostsTemplate { stages: stages.collect(), parameters }.render().unwrap_or_default();
+    html.replacen(COSTS, &costs, 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::judge::tables::{Better, Column, Row};
+
+    #[test]
+    fn a_page_is_one_file_that_escapes_what_it_shows() {
+        let picture = Picture::embed("captured", "", &Image::filled(2000, 10, 0.5)).unwrap();
+        assert_eq!((picture.width, picture.height), (666, 3));
+        let cell = Cell::Number { value: 1.0, source: "abc".into() };
+        let page = Page {
+            title: "a <b> & c".into(),
+            tables: vec![Table {
+                name: "t".into(),
+                caption: "caption".into(),
+                columns: vec![Column::new("G", "PSNR", Better::Higher, 2)],
+                rows: vec![Row { label: "x".into(), published: true, cells: vec![cell] }],
+            }],
+            scenes: vec![SceneSection {
+                name: "reef".into(),
+                views: vec![ViewSection {
+                    name: "v".into(),
+                    lead: vec![picture.clone()],
+                    images: vec![Picture { label: "depth".into(), ..picture }],
+                    scores: vec!["PSNR 1".into()],
+                }],
+                ..SceneSection::default()
+            }],
+            ..Page::default()
+        };
+        let html = page.html().unwrap();
+        assert!(!html.contains("<b>") && html.contains("data:image/jpeg;base64,"));
+        let at = |text: &str| html.find(text).unwrap_or_else(|| panic!("{text}"));
+        assert!(at("class=\"lead\"") < at("alt=\"v: captured\""), "the leading pictures stand first");
+        assert!(
+            at("alt=\"v: captured\"") < at("class=\"strip\"")
+                && at("class=\"strip\"") < at("alt=\"v: depth\"")
+        );
+        assert!(
+            !html.contains("http://")
+                || html.matches("http://").count() == html.matches("http://www.w3.org").count()
+        );
+        assert!(html.contains("(published)"));
+        let row = StageRow {
+            scene: "reef".into(),
+            stage: "import".into(),
+            state: "cached".into(),
+            seconds: 1.5,
+            memory: None,
+            size: 2.0,
+            key: "0123456789abcdef".into(),
+        };
+        let views = [("reef", "", "reef/view.html".to_string()), ("gone", "", "gone/view.html".to_string())];
+        let linked = with_views(&html, views.into_iter());
+        assert!(linked.contains("href=\"reef/view.html\"") && !linked.contains("gone"));
+        let parameters = "reef: evaluate\n{ \"path_pairs\": 8 } <&>";
+        let whole = with_costs(&html, &[row], parameters);
+        assert!(whole.contains("<code>0123456789ab</code>") && whole.contains("path_pairs"));
+        assert!(!whole.contains("<&>"));
+        let timed = Table {
+            name: "t".into(),
+            caption: "another caption".into(),
+            columns: vec![Column::new("", "FPS", Better::Neither, 2)],
+            rows: vec![Row {
+                label: "x".into(),
+                published: false,
+                cells: vec![Cell::Number { value: 12.34, source: "hardware".into() }],
+            }],
+        };
+        let other = with_tables(&whole, std::slice::from_ref(&timed));
+        assert!(other.contains("12.34") && other.contains("another caption") && !other.contains(">caption<"));
+        assert_eq!(with_tables(&other, &[timed]), other, "once more changes nothing");
+    }
+}

@@ -1,0 +1,300 @@
+//! What `evaluate` writes and tables are made from: scores per view, per pair of neighbouring views, per scene.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+pub use use3d_metrics::{Finite, Score};
+
+use crate::judge::truth::WaterScores;
+
+/// Scores by metric name (`psnr`, `ssim`, `lpips`, `uciqe`, `uiqm`, `uranker`, `musiq`, `wlpips`, `w_delta_e`, `w_ssim`, `coverage`,
+/// `path_wlpips`, …, `truth_psnr`, `truth_delta_e`, `depth_error`, …).
+pub type Scores = BTreeMap<String, Score>;
+
+/// What is scored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// The photograph itself.
+    Captured,
+    /// The 2D enhancer applied to each photograph on its own.
+    Proposal,
+    /// The 2D enhancer applied to each rendering of stage 1 on its own: what can be had at any camera without a second stage.
+    ProposalOfRender,
+    /// Stage 1 with its water.
+    Reconstruction,
+    /// Stage 1 without water.
+    Clear,
+    /// Stage 2 with its water.
+    Enhanced,
+    /// Stage 2 without water.
+    EnhancedClear,
+    /// A scene reconstructed from per-view proposals, for comparison.
+    EnhanceThenReconstruct,
+}
+
+impl Method {
+    /// All, in the order of tables.
+    pub const ALL: [Self; 8] = [
+        Self::Captured,
+        Self::Proposal,
+        Self::Reconstruction,
+        Self::Clear,
+        Self::ProposalOfRender,
+        Self::EnhanceThenReconstruct,
+        Self::Enhanced,
+        Self::EnhancedClear,
+    ];
+
+    /// As tables call it.
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::Captured => "Captured (raw input)",
+            Self::Proposal => "2D enhancer on photographs",
+            Self::ProposalOfRender => "2D enhancer on stage-1 renders",
+            Self::Reconstruction => "Stage 1",
+            Self::Clear => "Stage 1, clear render",
+            Self::Enhanced => "3D-USE, this program",
+            Self::EnhancedClear => "3D-USE, enhanced-clear",
+            Self::EnhanceThenReconstruct => "Enhance, then reconstruct",
+        }
+    }
+
+    /// As folders and report pictures call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Captured => "captured",
+            Self::Proposal => "proposal",
+            Self::ProposalOfRender => "proposal-of-render",
+            Self::Reconstruction => "reconstruction",
+            Self::Clear => "clear",
+            Self::Enhanced => "enhanced",
+            Self::EnhancedClear => "enhanced-clear",
+            Self::EnhanceThenReconstruct => "enhance-then-reconstruct",
+        }
+    }
+}
+
+/// One image's scores.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ViewScores {
+    /// The view's name.
+    pub view: String,
+    /// Its scores.
+    pub scores: Scores,
+}
+
+/// The consistency of two neighbouring views.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PairScores {
+    /// The earlier view.
+    pub first: String,
+    /// The later view.
+    pub second: String,
+    /// Its scores.
+    pub scores: Scores,
+}
+
+/// All scores of one method on one scene.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MethodScores {
+    /// What was scored.
+    pub method: Method,
+    /// Per held-out view.
+    pub views: Vec<ViewScores>,
+    /// Per pair of neighbouring captured views, in the capture's order.
+    pub neighbours: Vec<PairScores>,
+    /// Per pair of adjacent frames of the rendered path; the keys begin with `path_`.
+    pub path: Vec<PairScores>,
+    /// Means over views, neighbours and path, without the scores that are undefined.
+    pub mean: Scores,
+    /// How many scores each mean leaves out because they are undefined, where there are any.
+    pub left_out: BTreeMap<String, usize>,
+}
+
+impl MethodScores {
+    /// Gathers per-view and per-pair scores and their means.
+    pub fn new(
+        method: Method,
+        views: Vec<ViewScores>,
+        neighbours: Vec<PairScores>,
+        path: Vec<PairScores>,
+    ) -> Self {
+        let lists: [Vec<&Scores>; 3] = [
+            views.iter().map(|v| &v.scores).collect(),
+            neighbours.iter().map(|p| &p.scores).collect(),
+            path.iter().map(|p| &p.scores).collect(),
+        ];
+        let (mut mean, mut left_out) = (Scores::new(), BTreeMap::new());
+        for list in &lists {
+            let mut names: Vec<&String> = list.iter().flat_map(|s| s.keys()).collect();
+            names.sort();
+            names.dedup();
+            for name in names {
+                let of: Vec<&Score> = list.iter().filter_map(|s| s.get(name)).collect();
+                let undefined = of.iter().filter(|s| matches!(s, Score::Undefined(_))).count();
+                if undefined > 0 {
+                    left_out.insert(name.clone(), undefined);
+                }
+                mean.insert(name.clone(), Score::mean(of));
+            }
+        }
+        Self { method, views, neighbours, path, mean, left_out }
+    }
+
+    /// How many scores a mean is over.
+    pub fn counted(&self, metric: &str) -> usize {
+        let views = self.views.iter().map(|v| &v.scores);
+        let pairs = self.neighbours.iter().chain(&self.path).map(|p| &p.scores);
+        views.chain(pairs).filter(|s| s.get(metric).is_some_and(|s| s.value().is_some())).count()
+    }
+}
+
+/// By whose depth and masks neighbouring views are compared.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Warp {
+    /// Those of the reference variant's stage 1: the same for all variants of a scene.
+    Reference,
+    /// The scene's own, where no reference was given: not comparable with another scene's.
+    #[default]
+    Own,
+}
+
+/// What `scores.json` calls itself.
+pub const FORMAT: &str = "3d-use scores";
+/// Version of `scores.json`: 2 has finite scores or reasons, neighbouring captured views and the rendered path.
+pub const VERSION: u32 = 2;
+
+/// All scores of one scene: the file `scores.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SceneScores {
+    /// Always [`FORMAT`].
+    pub format: String,
+    /// Always [`VERSION`].
+    pub version: u32,
+    /// Number of training views.
+    pub training_views: usize,
+    /// Number of held-out views.
+    pub held_out_views: usize,
+    /// Image size of the first held-out view.
+    pub size: (usize, usize),
+    /// Number of Gaussians.
+    pub gaussians: usize,
+    /// By whose depth and masks neighbouring views are compared.
+    pub warp: Warp,
+    /// The recovered water beside the true one; only for synthetic captures with their truth, and scenes with water.
+    pub water: Option<WaterScores>,
+    /// The methods that were scored.
+    pub methods: Vec<MethodScores>,
+}
+
+impl SceneScores {
+    /// Reads `scores.json`.
+    ///
+    /// # Errors
+    /// A file of another format or version, or one that is damaged; the text names what is wrong.
+    pub fn parse(bytes: &[u8]) -> Result<Self, String> {
+        let value: serde_json::Value = serde_json::from_slice(bytes).map_err(|e| e.to_string())?;
+        let (format, version) = (value["format"].as_str(), value["version"].as_u64());
+        if format != Some(FORMAT) || version != Some(u64::from(VERSION)) {
+            return Err(format!(
+                "expected format \"{FORMAT}\", version {VERSION}, found {} {}; evaluate the scene again",
+                value["format"], value["version"]
+            ));
+        }
+        serde_json::from_value(value).map_err(|e| e.to_string())
+    }
+
+    /// All scores of a method.
+    pub fn method(&self, method: Method) -> Option<&MethodScores> {
+        self.methods.iter().find(|m| m.method == method)
+    }
+
+    /// A mean score of a method.
+    pub fn mean(&self, method: Method, metric: &str) -> Option<&Score> {
+        self.method(method)?.mean.get(metric)
+    }
+}
+
+/// A scene's scores with what a batch knows about the scene.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ScoredScene {
+    /// The scene's name.
+    pub scene: String,
+    /// Its data set, or empty.
+    pub group: String,
+    /// The variant, empty for the main run.
+    pub variant: String,
+    /// The artifact the scores came from.
+    pub source: String,
+    /// The scores.
+    pub scores: SceneScores,
+    /// How fast the scene is drawn on the machine that evaluated it; never part of an artifact, filled in when results are shown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub speed: Option<SceneSpeed>,
+}
+
+/// How fast a scene is drawn, and by what.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SceneSpeed {
+    /// Frames per second of `enhanced`, or of `reconstruction` where there is no enhanced scene.
+    pub fps: Finite,
+    /// Pixels across and down.
+    pub size: (usize, usize),
+    /// The processor's name.
+    pub processor: String,
+    /// Threads.
+    pub threads: usize,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn means_leave_out_what_is_undefined_and_say_how_many() {
+        let scores = |name: &str, score: Score| Scores::from([(name.to_string(), score)]);
+        let view = |score| ViewScores { view: "a".into(), scores: scores("psnr", score) };
+        let pair =
+            |name, score| PairScores { first: "a".into(), second: "b".into(), scores: scores(name, score) };
+        let nothing = || Score::Undefined("the two views see nothing in common".into());
+        let method = MethodScores::new(
+            Method::Enhanced,
+            vec![view(Score::of(20.0)), view(Score::of(f64::INFINITY)), view(Score::of(30.0))],
+            vec![pair("w_ssim", Score::of(0.5)), pair("w_ssim", nothing())],
+            vec![pair("path_w_ssim", nothing())],
+        );
+        assert_eq!(method.mean["psnr"], Score::of(25.0));
+        assert_eq!(
+            method.mean["w_ssim"],
+            Score::of(0.5),
+            "a pair that shares nothing does not void the mean"
+        );
+        assert_eq!(method.mean["path_w_ssim"], nothing());
+        let left_out = [("psnr", 1), ("w_ssim", 1), ("path_w_ssim", 1)].map(|(n, c)| (n.to_string(), c));
+        assert_eq!(method.left_out, BTreeMap::from(left_out));
+        assert_eq!((method.counted("psnr"), method.counted("w_ssim")), (2, 1));
+    }
+
+    #[test]
+    fn a_file_of_another_version_is_told_from_a_damaged_one() {
+        let scores = SceneScores {
+            format: FORMAT.into(),
+            version: VERSION,
+            training_views: 7,
+            held_out_views: 1,
+            size: (4, 3),
+            gaussians: 10,
+            warp: Warp::Reference,
+            water: None,
+            methods: vec![],
+        };
+        let text = serde_json::to_string(&scores).unwrap();
+        assert_eq!(SceneScores::parse(text.as_bytes()), Ok(scores));
+        let old = text.replace("\"version\":2", "\"version\":1");
+        assert!(SceneScores::parse(old.as_bytes()).unwrap_err().contains("version 2"));
+        let damaged = text.replace("\"gaussians\":10", "\"gaussians\":null");
+        assert!(SceneScores::parse(damaged.as_bytes()).unwrap_err().contains("null"));
+    }
+}

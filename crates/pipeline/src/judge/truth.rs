@@ -1,0 +1,435 @@
+//! The truth beside a capture, and how far a scene is from it.
+//!
+//! `use3d synth capture` leaves `truth/clean/` (the same views without water), `truth/depth/` (z-depth) and `truth/water.json`
+//! beside the images. Any other capture may bring the same: `truth/clean/` with images of the views' names is enough, depth and water
+//! are measured where they are there too. A `truth/` folder of another form belongs to somebody else: it is left alone, and said.
+//! Truth is for judging only: it is read when a finished scene is scored and never reaches training.
+//!
+//! Everything is measured where the truth shows a surface; open water has no clean colour and no depth.
+//!
+//! * `truth_psnr`, `truth_delta_e`: PSNR and mean CIEDE2000 of `clip(g x)` against the true clean image, `g = Σ x y / Σ x²`: one
+//!   gain for the whole image, since the absolute brightness of a scene without its water is not determined.
+//! * `truth_psnr_raw`, `truth_delta_e_raw`: the same of `clip(x)`, nothing fitted. `…_channel`: after one such gain per channel, as a
+//!   camera that balances its white differently would see it. `…_affine`: after the affine map of colours (3×4) of least squares per
+//!   image: what no adjustment of a whole picture mends is left. Gains and maps are fitted to values in `[0, 1]` before they are clipped.
+//! * `depth_error`: the median of `|z - z*| / z*` of the expected depth, `z*` the true depth times the scale of the recorded frame.
+//! * Water: the mean of a coefficient over all rays of the held-out views, in 1/metre. A length in the normalised frame is
+//!   `scale` times that in COLMAP's, which is `units_per_metre` times metres; a coefficient per length goes the other way.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use use3d_capture::{Image, Map};
+use use3d_import::{ImageSize, ImportError, ImportParams, Imported, SplitParams, import, is_prepared};
+use use3d_metrics::{
+    ExposureFit, Mask, MetricError, affine_fit, exposure_gain, map_colours, mean_ciede2000, psnr,
+    psnr_exposure_fitted,
+};
+use use3d_synth::CaptureTruth;
+
+use crate::judge::scores::{Score, Scores};
+
+/// The true clean images, relative to the capture.
+const CLEAN: &str = "truth/clean";
+/// The true depths.
+const DEPTH: &str = "truth/depth";
+/// The true water.
+const WATER: &str = "truth/water.json";
+
+/// Truth of which a file cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[error("the truth beside the capture: {0}; make that file again, or rename its truth/ folder")]
+pub struct TruthError(#[from] ImportError);
+
+/// How the true images are read: as the capture's images are, lenses, sizes and all.
+fn parameters(capture: &Path, size: Option<ImageSize>) -> ImportParams {
+    ImportParams {
+        image_dir: Some(CLEAN.into()),
+        depth_dir: capture.join(DEPTH).is_dir().then(|| DEPTH.into()),
+        size,
+        split: SplitParams { every: 0, lists: false, ..SplitParams::default() },
+        ..ImportParams::default()
+    }
+}
+
+/// Whether a capture folder has its truth beside it.
+fn is_there(capture: &Path) -> bool {
+    capture.join(CLEAN).is_dir() && !is_prepared(capture)
+}
+
+/// The files of a capture that hold its truth, relative to it: none for a real capture.
+pub fn files(capture: &Path) -> Vec<PathBuf> {
+    if !is_there(capture) {
+        return Vec::new();
+    }
+    let mut files = [CLEAN, DEPTH, WATER].map(PathBuf::from).to_vec();
+    files.extend(import(capture, &parameters(capture, None)).ok().map(|i| PathBuf::from(i.report.model)));
+    files
+}
+
+/// A capture's truth.
+pub struct Truth {
+    imported: Imported,
+    water: Option<CaptureTruth>,
+    /// Whether there are true depths.
+    pub knows_depth: bool,
+}
+
+impl Truth {
+    /// Opens the truth of a capture folder whose views are scored at `size`; `None` where there is none of the form above. `say` hears
+    /// what is there and left alone.
+    pub fn open(
+        capture: &Path,
+        (width, height): (usize, usize),
+        say: &mut dyn FnMut(String),
+    ) -> Option<Self> {
+        const FORM: &str = "expected truth/clean/ with images of the views' names, and where known truth/depth/ and \
+            truth/water.json as `use3d synth capture` writes them (docs/captures.md)";
+        if !is_there(capture) {
+            if capture.join("truth").is_dir() && !is_prepared(capture) {
+                say(format!("the capture's truth/ folder has no clean/ and is left alone; {FORM}"));
+            }
+            return None;
+        }
+        let imported = match import(capture, &parameters(capture, Some(ImageSize { width, height }))) {
+            Ok(imported) => imported,
+            Err(error) => {
+                say(format!("the capture's truth/ folder is left alone: {error}; {FORM}"));
+                return None;
+            }
+        };
+        let water = match read_water(&capture.join(WATER)) {
+            Ok(water) => water,
+            Err(reason) => {
+                say(format!("{WATER} of the capture is left alone: {reason}; {FORM}"));
+                None
+            }
+        };
+        Some(Self { imported, water, knows_depth: capture.join(DEPTH).is_dir() })
+    }
+
+    /// The truth of the view whose name has this stem; `None` where it was not kept.
+    pub fn view(&self, stem: &str) -> Result<Option<TrueView>, TruthError> {
+        let views = &self.imported.capture.views;
+        let Some(index) = views.iter().position(|v| v.stem() == stem) else { return Ok(None) };
+        let prepared = self.imported.view(index)?;
+        // Where the truth has no depths, what was found is the capture's own priors.
+        let depth = prepared.depth_prior.filter(|_| self.knows_depth);
+        Ok(Some(TrueView { clean: prepared.pixels.to_image(), depth }))
+    }
+
+    /// The recovered water beside the true one, where that is known (spectral water has no single true coefficient).
+    /// `attenuation` and `backscatter` are means in 1/normalised unit, `scale` is the recorded frame's.
+    pub fn water(&self, attenuation: [f64; 3], backscatter: [f64; 3], scale: f64) -> Option<WaterScores> {
+        let truth = self.water.as_ref()?;
+        let per_metre = |means: [f64; 3]| means.map(|v| v * scale * truth.units_per_metre);
+        let scores = WaterScores {
+            attenuation: per_metre(attenuation),
+            backscatter: per_metre(backscatter),
+            true_attenuation: truth.attenuation_per_metre?.map(f64::from),
+            true_backscatter: truth.backscatter_per_metre?.map(f64::from),
+        };
+        let all = [scores.attenuation, scores.backscatter, scores.true_attenuation, scores.true_backscatter];
+        all.as_flattened().iter().all(|v| v.is_finite()).then_some(scores)
+    }
+}
+
+/// The description of the water, if the file is there.
+fn read_water(path: &Path) -> Result<Option<CaptureTruth>, String> {
+    let text = match std::fs::read(path) {
+        Ok(text) => text,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        Err(e) => return Err(e.to_string()),
+    };
+    let water: CaptureTruth = serde_json::from_slice(&text).map_err(|e| e.to_string())?;
+    if !(water.units_per_metre.is_finite() && water.units_per_metre > 0.0) {
+        return Err(format!("units_per_metre is {}; expected a positive number", water.units_per_metre));
+    }
+    Ok(Some(water))
+}
+
+/// Recovered and true coefficients of the water, red, green, blue, 1/metre.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct WaterScores {
+    /// Mean `β_attn` over the rays of the held-out views.
+    pub attenuation: [f64; 3],
+    /// Mean `β_bs` over the rays of the held-out views.
+    pub backscatter: [f64; 3],
+    /// `β_attn` as it was.
+    pub true_attenuation: [f64; 3],
+    /// `β_bs` as it was.
+    pub true_backscatter: [f64; 3],
+}
+
+/// What is fitted to the true image before another is compared with it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fit {
+    /// Nothing.
+    Raw,
+    /// Gains.
+    Gain(ExposureFit),
+    /// An affine map of colours.
+    Affine,
+}
+
+/// The ends of the scores' names, and what they are after.
+pub const FITS: [(&str, Fit); 4] = [
+    ("_raw", Fit::Raw),
+    ("", Fit::Gain(ExposureFit::Global)),
+    ("_channel", Fit::Gain(ExposureFit::PerChannel)),
+    ("_affine", Fit::Affine),
+];
+
+impl Fit {
+    /// PSNR and mean CIEDE2000 of `x` against `y`, values in `[0, 1]`.
+    fn compare(self, x: &Image, y: &Image) -> (Score, Score) {
+        let (psnr, fitted) = match self {
+            Self::Raw => (psnr(x, y, None), Ok(x.clone())),
+            Self::Gain(fit) => {
+                let exposed = exposure_gain(x, y, fit).map(|gains| {
+                    let mut exposed = x.clone();
+                    for (c, gain) in gains.into_iter().enumerate() {
+                        exposed.plane_mut(c).iter_mut().for_each(|v| *v = (gain as f32 * *v).clamp(0.0, 1.0));
+                    }
+                    exposed
+                });
+                (psnr_exposure_fitted(x, y, fit).map(|(psnr, _)| psnr), exposed)
+            }
+            Self::Affine => {
+                let mapped = affine_fit(x, y).map(|map| map_colours(x, &map).map(|v| v.clamp(0.0, 1.0)));
+                let against = |x: &Image| psnr(x, y, None);
+                (mapped.as_ref().map_err(MetricError::clone).and_then(against), mapped)
+            }
+        };
+        (Score::measured(psnr), Score::measured(fitted.and_then(|x| mean_ciede2000(&x, y))))
+    }
+}
+
+/// The truth of one view.
+pub struct TrueView {
+    clean: Image,
+    /// z-depth, COLMAP units; 0 is open water.
+    depth: Option<Map>,
+}
+
+impl TrueView {
+    fn shows_surface(&self, pixel: usize) -> bool {
+        self.depth.as_ref().is_none_or(|depth| depth.data().get(pixel).is_some_and(|z| *z > 0.0))
+    }
+
+    /// The pixels of an image that count and where the truth shows a surface, in a row, clamped to the display range.
+    fn surface(&self, image: &Image, mask: Option<&Mask>) -> Image {
+        let counts = |p: &usize| self.shows_surface(*p) && mask.is_none_or(|m| m.data().get(*p) != Some(&0));
+        let shown: Vec<usize> = (0..image.pixels()).filter(counts).collect();
+        let mut row = Image::new(shown.len(), 1);
+        for c in 0..3 {
+            let plane = image.plane(c);
+            for (out, p) in row.plane_mut(c).iter_mut().zip(&shown) {
+                *out = plane[*p].clamp(0.0, 1.0);
+            }
+        }
+        row
+    }
+
+    /// The true clean image.
+    pub fn clean(&self) -> &Image {
+        &self.clean
+    }
+
+    /// `truth_psnr` and `truth_delta_e` of an image after each of the [`FITS`], over the pixels of the mask.
+    pub fn scores(&self, image: &Image, mask: Option<&Mask>) -> Scores {
+        let sizes = [(image.width(), image.height()), (self.clean.width(), self.clean.height())];
+        let surfaces =
+            (sizes[0] == sizes[1]).then(|| (self.surface(image, mask), self.surface(&self.clean, mask)));
+        let mut scores = Scores::new();
+        for (suffix, fit) in FITS {
+            let (psnr, delta_e) = if let Some((x, y)) = &surfaces {
+                fit.compare(x, y)
+            } else {
+                let [(w, h), (tw, th)] = sizes;
+                let reason = Score::NotAvailable(format!("the true image is {tw}x{th}, the view {w}x{h}"));
+                (reason.clone(), reason)
+            };
+            scores.insert(format!("truth_psnr{suffix}"), psnr);
+            scores.insert(format!("truth_delta_e{suffix}"), delta_e);
+        }
+        scores
+    }
+
+    /// `depth_error` of a rendered z-depth in normalised units; `scale` is the recorded frame's.
+    pub fn depth_error(&self, depth: &Map, scale: f64) -> Score {
+        let truth = match &self.depth {
+            Some(truth) if (truth.width(), truth.height()) == (depth.width(), depth.height()) => truth,
+            _ => {
+                return Score::NotAvailable(format!("the capture has no true depth of this view in {DEPTH}"));
+            }
+        };
+        let pairs = depth.data().iter().zip(truth.data());
+        let mut errors: Vec<f64> = pairs
+            .map(|(z, t)| (f64::from(*z), scale * f64::from(*t)))
+            .filter(|(z, t)| *t > 0.0 && *z > 0.0 && z.is_finite())
+            .map(|(z, t)| (z - t).abs() / t)
+            .collect();
+        errors.sort_unstable_by(f64::total_cmp);
+        match errors.get(errors.len() / 2) {
+            Some(median) => Score::of(*median),
+            None => Score::Undefined("no pixel has both a rendered and a true depth".into()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use use3d_synth::{CaptureParams, write_capture};
+
+    fn ramp(gain: f32) -> Image {
+        let mut image = Image::new(8, 4);
+        for y in 0..4 {
+            for x in 0..8 {
+                image.set_pixel(x, y, [0.1, 0.2, 0.05 * (x + y) as f32].map(|v| gain * v));
+            }
+        }
+        image
+    }
+
+    fn close(score: &Score, wanted: f64, tolerance: f64) {
+        let value = score.value().expect("a number");
+        assert!((value - wanted).abs() <= tolerance, "{value} is not {wanted}");
+    }
+
+    #[test]
+    fn exposure_is_forgiven_open_water_ignored_and_depth_scaled() {
+        let mut depth = Map::filled(8, 4, 2.0);
+        depth.set_pixel(0, 0, [0.0]);
+        let truth = TrueView { clean: ramp(1.0), depth: Some(depth) };
+        let mut darker = ramp(0.5);
+        darker.set_pixel(0, 0, [1.0, 0.0, 1.0]); // open water: whatever is there does not count
+        let scores = truth.scores(&darker, None);
+        // Half as bright is equal after the gain.
+        assert!(scores["truth_psnr"].value().is_none_or(|psnr| psnr > 100.0), "{scores:?}");
+        close(&scores["truth_delta_e"], 0.0, 1e-2);
+        // Another hue is not an exposure.
+        let mut tinted = ramp(0.5);
+        tinted.plane_mut(0).fill(0.3);
+        let scores = truth.scores(&tinted, None);
+        assert!(scores["truth_psnr"].value().unwrap() < 25.0);
+        assert!(scores["truth_delta_e"].value().unwrap() > 5.0);
+        // z* = 0.5 · 2 = 1, rendered 1.1.
+        close(&truth.depth_error(&Map::filled(8, 4, 1.1), 0.5), 0.1, 1e-6);
+        assert!(truth.depth_error(&Map::new(8, 4), 0.5).value().is_none());
+        assert!(truth.scores(&Image::filled(3, 3, 0.5), None)["truth_psnr"].value().is_none());
+    }
+
+    #[test]
+    fn each_fit_forgives_what_it_can_and_nothing_else() {
+        let clean = {
+            let mut image = ramp(1.0);
+            // Colours in three dimensions, away from the ends of the range.
+            for (i, v) in image.data_mut().iter_mut().enumerate() {
+                *v = 0.3 + 0.4 * ((7 * i + i * i / 3) % 32) as f32 / 32.0;
+            }
+            image
+        };
+        let truth = TrueView { clean: clean.clone(), depth: None };
+        let equal = |score: &Score| score.value().is_none_or(|psnr| psnr > 90.0);
+        // Each distortion, and the fits that undo it.
+        let channels = |gains: [f32; 3]| {
+            let mut image = clean.clone();
+            for (c, gain) in gains.into_iter().enumerate() {
+                image.plane_mut(c).iter_mut().for_each(|v| *v *= gain);
+            }
+            image
+        };
+        let mixed = map_colours(&clean, &[[0.6, 0.2, 0.0, 0.05], [0.1, 0.7, 0.1, 0.0], [0.0, 0.2, 0.5, 0.1]]);
+        for (image, undone) in [
+            (clean.clone(), ["_raw", "", "_channel", "_affine"].as_slice()),
+            (channels([0.6; 3]), &["", "_channel", "_affine"]),
+            (channels([0.4, 0.8, 0.9]), &["_channel", "_affine"]),
+            (mixed, &["_affine"]),
+        ] {
+            let scores = truth.scores(&image, None);
+            for (suffix, _) in FITS {
+                let (psnr, delta_e) =
+                    (&scores[&format!("truth_psnr{suffix}")], &scores[&format!("truth_delta_e{suffix}")]);
+                let delta_e = delta_e.value().unwrap();
+                assert_eq!(equal(psnr), undone.contains(&suffix), "{suffix}: {scores:?}");
+                assert_eq!(delta_e < 0.02, undone.contains(&suffix), "{suffix}: {scores:?}");
+            }
+        }
+        // Another scene is none of them; what may do more comes closer.
+        let scores = truth.scores(&ramp(1.0), None);
+        let psnr = |suffix: &str| scores[&format!("truth_psnr{suffix}")].value().unwrap();
+        assert!(psnr("_affine") > psnr("_channel") && psnr("_channel") > psnr("") && psnr("") > psnr("_raw"));
+        assert!(psnr("_affine") < 30.0, "{scores:?}");
+    }
+
+    #[test]
+    fn a_synthetic_capture_brings_its_truth_at_any_size_and_others_have_none() {
+        let dir = tempfile::tempdir().unwrap();
+        let capture = dir.path().join("reef");
+        let params =
+            CaptureParams { views: 2, width: 48, height: 32, detail: 0.2, ..CaptureParams::default() };
+        let made = write_capture(&params, &capture, &mut |_, _| {}).unwrap();
+        let listed = files(&capture);
+        assert!(listed.contains(&PathBuf::from("truth/water.json")), "{listed:?}");
+
+        let truth = open(&capture).0.expect("truth");
+        let view = truth.view("frame_0001").unwrap().expect("a view");
+        assert_eq!((view.clean.width(), view.clean.height()), (24, 16));
+        assert_eq!(view.depth.as_ref().map(|d| (d.width(), d.height())), Some((24, 16)));
+        assert!(truth.view("frame_0099").unwrap().is_none());
+        assert!(view.scores(&view.clean, None)["truth_delta_e"].value().unwrap() < 1e-2);
+
+        // A coefficient of 1/m is 1/(scale · units) per normalised unit; going back gives the truth.
+        let scale = 0.37;
+        let per_metre = made.attenuation_per_metre.expect("the method's own water");
+        let normalised = per_metre.map(|k| f64::from(k) / (scale * made.units_per_metre));
+        let water = truth.water(normalised, normalised, scale).expect("water");
+        for (found, wanted) in water.attenuation.iter().zip(water.true_attenuation) {
+            assert!((found - wanted).abs() < 1e-9 * wanted.max(1.0));
+        }
+
+        std::fs::write(capture.join(WATER), "{}").unwrap();
+        let (truth, notices) = open(&capture);
+        assert!(truth.expect("the images").water(normalised, normalised, scale).is_none());
+        assert!(notices[0].contains("water.json"), "{notices:?}");
+        std::fs::remove_dir_all(capture.join("truth")).unwrap();
+        assert!(files(&capture).is_empty());
+        assert!(open(&capture).0.is_none());
+    }
+
+    fn open(capture: &Path) -> (Option<Truth>, Vec<String>) {
+        let mut notices = Vec::new();
+        let truth = Truth::open(capture, (24, 16), &mut |notice| notices.push(notice));
+        (truth, notices)
+    }
+
+    #[test]
+    fn clean_images_are_enough_and_what_belongs_to_others_is_left_alone_and_said() {
+        let dir = tempfile::tempdir().unwrap();
+        let capture = dir.path().join("reef");
+        let params =
+            CaptureParams { views: 2, width: 48, height: 32, detail: 0.2, ..CaptureParams::default() };
+        write_capture(&params, &capture, &mut |_, _| {}).unwrap();
+        std::fs::remove_file(capture.join(WATER)).unwrap();
+        std::fs::remove_dir_all(capture.join(DEPTH)).unwrap();
+        let (truth, notices) = open(&capture);
+        let truth = truth.expect("clean images are enough");
+        assert!(notices.is_empty() && truth.water([0.1; 3], [0.1; 3], 1.0).is_none(), "{notices:?}");
+        let view = truth.view("frame_0001").unwrap().expect("a view");
+        assert!(view.scores(&Image::filled(24, 16, 0.3), None)["truth_delta_e"].value().is_some());
+        assert!(view.depth_error(&Map::filled(24, 16, 1.0), 1.0).value().is_none());
+
+        // Somebody else's folders of the same name: poses, or images of other names.
+        std::fs::rename(capture.join(CLEAN), capture.join("truth/poses")).unwrap();
+        let (truth, notices) = open(&capture);
+        assert!(truth.is_none() && notices[0].contains("truth/"), "{notices:?}");
+        assert!(files(&capture).is_empty());
+        std::fs::create_dir(capture.join(CLEAN)).unwrap();
+        std::fs::write(capture.join(CLEAN).join("notes.txt"), "1 2 3").unwrap();
+        let (truth, notices) = open(&capture);
+        assert!(truth.is_none() && notices[0].contains("left alone"), "{notices:?}");
+        assert!(!files(&capture).is_empty(), "a change there is noticed");
+    }
+}

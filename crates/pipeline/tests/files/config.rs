@@ -1,0 +1,207 @@
+//! Pipeline files: what they mean, and where their mistakes are.
+
+use std::path::Path;
+
+use serde_json::json;
+use use3d_build::Graph;
+use use3d_pipeline::config::{LoadOptions, from_text, schema, schema_text, stage_parameters};
+
+use super::stages::registry;
+
+const FILE: &str = r#"
+name = "two"
+seed = 7
+cache = "results/cache"
+[models]
+dir = "networks"
+[calibrator]
+pairs = { input = "pairs/raw", target = "pairs/reference" }
+proposer = "nu2net"
+[defaults.reconstruct]
+iterations = 20
+medium = "mlp"
+[[scene]]
+name = "IUI3-RedSea"
+capture = "${USE3D_TEST_UNSET_ROOT}/IUI3-RedSea"
+group = "SeaThru-4"
+size = "1400x933"
+[[scene]]
+name = "Curasao"
+capture = "data/Curasao"
+reconstruct = { rate = 0.25 }
+[[variant]]
+name = "full"
+[[variant]]
+name = "none"
+seed = 8
+reconstruct = { medium = "none" }
+"#;
+
+fn load(text: &str, sets: &[&str]) -> Result<use3d_pipeline::config::Pipeline, String> {
+    let options =
+        LoadOptions { sets: sets.iter().map(ToString::to_string).collect(), ..LoadOptions::default() };
+    from_text(&registry(0), text, Path::new("dir/p.toml"), &options).map_err(|e| e.to_string())
+}
+
+fn parameters(text: &str, sets: &[&str], scene: &str, variant: &str, stage: &str) -> serde_json::Value {
+    let pipeline = load(text, sets).expect("a pipeline");
+    let graph = Graph::new(&registry(0), &pipeline.batch).expect("a graph");
+    let node = graph.find(scene, variant, stage).expect("a node");
+    graph.nodes[node].parameters.clone()
+}
+
+#[test]
+fn a_file_means_what_it_says() {
+    let pipeline = load(FILE, &[]).expect("a pipeline");
+    assert_eq!(pipeline.cache, Path::new("dir/results/cache"));
+    let batch = &pipeline.batch;
+    assert_eq!((batch.name.as_str(), batch.seed, batch.scenes.len(), batch.variants.len()), ("two", 7, 2, 2));
+    assert_eq!(batch.externals["pairs.target"], Ok(Path::new("dir/pairs/reference").to_path_buf()));
+    assert_eq!(batch.externals["models"], Ok(Path::new("dir/networks").to_path_buf()));
+    let unset = batch.scenes[0].externals["capture"].clone().expect_err("not set");
+    assert!(unset.contains("USE3D_TEST_UNSET_ROOT is not set"), "{unset}");
+    assert_eq!(batch.scenes[1].externals["capture"], Ok(Path::new("dir/data/Curasao").to_path_buf()));
+    let of = |scene: &str, variant: &str, stage: &str| parameters(FILE, &[], scene, variant, stage);
+    let full =
+        json!({"iterations": 20, "rate": 0.5, "medium": "mlp", "depth_prior": "off", "log_every": 100});
+    assert_eq!(of("IUI3-RedSea", "full", "reconstruct"), full);
+    assert_eq!(
+        of("Curasao", "none", "reconstruct"),
+        json!({"iterations": 20, "rate": 0.25, "medium": "none", "depth_prior": "off", "log_every": 100})
+    );
+    assert_eq!(of("IUI3-RedSea", "full", "import")["size"], "1400x933");
+    assert_eq!(of("Curasao", "full", "import")["size"], json!(null));
+    assert_eq!(of("", "full", "calibrate")["proposer"], "nu2net");
+    assert_eq!(of("Curasao", "none", "targets")["proposer"], "nu2net");
+}
+
+#[test]
+fn settings_of_the_command_line_win() {
+    let of =
+        |sets: &[&str], scene: &str, variant: &str| parameters(FILE, sets, scene, variant, "reconstruct");
+    assert_eq!(of(&["reconstruct.iterations=3000"], "Curasao", "none")["iterations"], 3000);
+    let one = ["scene.curasao.reconstruct.iterations=3000", "reconstruct.iterations=9"];
+    assert_eq!(of(&one, "Curasao", "full")["iterations"], 3000);
+    assert_eq!(of(&one, "IUI3-RedSea", "full")["iterations"], 9);
+    assert_eq!(of(&["reconstruct.medium=rbf"], "Curasao", "none")["medium"], "rbf");
+    assert_eq!(of(&["variant.none.reconstruct.rate=0.75"], "Curasao", "none")["rate"], 0.75);
+    let shorthand = parameters(FILE, &["calibrator.proposer=fusion"], "Curasao", "full", "targets");
+    assert_eq!(shorthand["proposer"], "fusion");
+    assert_eq!(parameters(FILE, &["size=64x48"], "Curasao", "full", "import")["size"], "64x48");
+    // A number to TOML, a text to the stage.
+    for text in ["640", "0x0"] {
+        let set = format!("size={text}");
+        assert_eq!(parameters(FILE, &[set.as_str()], "Curasao", "full", "import")["size"], text);
+    }
+    assert_eq!(load(FILE, &["seed=9"]).expect("loaded").batch.seed, 9);
+    for (set, expected) in [
+        ("reconstruct.iteratons=3", "did you mean `iterations`?"),
+        ("reconstuct.iterations=3", "did you mean `reconstruct`?"),
+        ("reconstruct.iterations=many", "expected a whole number, 0 or more, found \"many\""),
+        ("reconstruct.iterations=-5", "expected a whole number, 0 or more, found -5"),
+        ("scene.Curasao=1", "scene.Curasao.reconstruct.iterations=3000"),
+        ("reconstruct.medium=rbff", "did you mean `rbf`?"),
+        ("reconstruct.rate=-1.0", "a positive number"),
+        ("scene.Curacao.reconstruct.rate=1.0", "did you mean `Curasao`?"),
+        ("scene.Curasao.calibrate.strength=1.0", "made once for all scenes"),
+        ("iterations=3", "a key is STAGE.PARAMETER"),
+        ("seed=x", "whole number"),
+        ("nothing", "KEY=VALUE"),
+    ] {
+        let error =
+            load(FILE, &[set]).and_then(|p| Graph::new(&registry(0), &p.batch).map_err(|e| e.to_string()));
+        let error = error.expect_err(set);
+        assert!(error.contains(expected), "{set}: {error}");
+    }
+    let table = registry(0);
+    let stage = table.stage("reconstruct").expect("there");
+    let alone =
+        stage_parameters(stage, &["iterations=30".to_string(), "reconstruct.medium=none".to_string()]);
+    let alone = alone.expect("parameters");
+    assert_eq!((alone["iterations"].as_u64(), alone["medium"].as_str()), (Some(30), Some("none")));
+    let wrong = stage_parameters(stage, &["mediun=none".to_string()]).expect_err("wrong").to_string();
+    assert!(wrong.contains("did you mean `medium`?"), "{wrong}");
+}
+
+#[test]
+fn mistakes_point_at_line_and_column_with_the_nearest_key() {
+    let head = "name = \"x\"\n";
+    let scene = "[[scene]]\nname = \"a\"\ncapture = \"a\"\n";
+    for (text, place, expected) in [
+        (format!("{head}sed = 3\n{scene}"), "dir/p.toml:2:1", "did you mean `seed`?"),
+        (
+            format!("{head}seed = \"x\"\n{scene}"),
+            "dir/p.toml:2:8",
+            "expected a whole number, 0 or more, found \"x\"",
+        ),
+        (
+            format!("{head}{scene}[defaults.reconstruct]\niteratons = 3\n"),
+            "dir/p.toml:6:1",
+            "did you mean `iterations`?",
+        ),
+        (
+            format!("{head}{scene}[defaults.reconstruct]\nrate = \"fast\"\n"),
+            "dir/p.toml:6:8",
+            "expected a number",
+        ),
+        (
+            format!("{head}{scene}[defaults.reconstruct]\nrate = -1.0\n"),
+            "dir/p.toml:6:8",
+            "a positive number",
+        ),
+        (
+            format!("{head}{scene}[defaults.reconstruct]\nmedium = \"rbff\"\n"),
+            "dir/p.toml:6:10",
+            "did you mean `rbf`?",
+        ),
+        (
+            format!("{head}{scene}[defaults.reconstuct]\nrate = 1.0\n"),
+            "dir/p.toml:5:11",
+            "did you mean `reconstruct`?",
+        ),
+        (format!("{head}{scene}sizee = \"3x2\"\n"), "dir/p.toml:5:1", "did you mean `size`?"),
+        (
+            format!("{head}{scene}iteratons = 3\n"),
+            "dir/p.toml:5:1",
+            "did you mean `reconstruct = { iterations = … }`?",
+        ),
+        (format!("{head}{scene}size = 3\n"), "dir/p.toml:5:8", "expected text, found 3"),
+        (format!("{head}{scene}imprt = {{ every = 2 }}\n"), "dir/p.toml:5:1", "did you mean `import`?"),
+        (format!("{head}{scene}import = {{ evry = 2 }}\n"), "dir/p.toml:5:12", "did you mean `every`?"),
+        (format!("{head}{scene}{scene}"), "dir/p.toml:6:8", "names are unique"),
+        (format!("{head}[[scene]]\nname = \"a\"\n"), "dir/p.toml:2:", "[[scene]] needs `capture`"),
+        (format!("{head}[[scene]]\nname = \"../a\"\ncapture = \"a\"\n"), "dir/p.toml:3:8", "names folders"),
+        (format!("{head}[scene]\nname = \"a\"\n"), "dir/p.toml:2:", "[[scene]]"),
+        (head.to_string(), "dir/p.toml", "has no scene"),
+        (scene.to_string(), "dir/p.toml", "the pipeline needs `name`"),
+        (
+            format!("{head}{scene}[calibrator]\nproposr = \"fusion\"\n"),
+            "dir/p.toml:6:1",
+            "did you mean `proposer`?",
+        ),
+        (format!("{head}{scene}[calibrator]\nproposer = 3\n"), "dir/p.toml:6:12", "expected text, found 3"),
+        (format!("{head}{scene}[models]\ndirs = \"x\"\n"), "dir/p.toml:6:1", "did you mean `dir`?"),
+        (
+            format!("{head}{scene}[[variant]]\nname = \"v\"\nenhance = {{ strenght = 1.0 }}\n"),
+            "dir/p.toml:7:13",
+            "did you mean `strength`?",
+        ),
+        (format!("{head}{scene}[[variant]]\nenhance = 3\n"), "dir/p.toml:6:11", "are a table"),
+        ("name = \"x\n".to_string(), "dir/p.toml:1:", "not TOML"),
+    ] {
+        let error = load(&text, &[]).expect_err(&text);
+        assert!(error.starts_with(place) && error.contains(expected), "{text}\n→ {error}");
+    }
+}
+
+#[test]
+fn the_schema_knows_every_stage() {
+    let schema = schema(&registry(0));
+    assert!(schema["properties"]["defaults"]["properties"]["reconstruct"].is_object());
+    assert!(schema["properties"]["scene"]["items"]["properties"]["size"].is_object());
+    assert!(schema["properties"]["scene"]["items"]["properties"]["calibrate"].is_null());
+    assert!(schema["properties"]["variant"]["items"]["properties"]["calibrate"].is_object());
+    assert!(schema["$defs"]["ReconstructParameters"]["properties"]["rate"].is_object());
+    assert!(schema["$defs"]["Calibrator"]["properties"]["proposer"].is_object());
+    assert_eq!(schema_text(&registry(0)), schema_text(&registry(0)));
+}
