@@ -201,6 +201,9 @@ impl Display for Verification {
         if let Some(recomputed) = self.recomputed {
             write!(f, ", {recomputed} computed again")?;
         }
+        if self.agreed > 0 {
+            write!(f, " ({} in another numeric class: by their figures)", self.agreed)?;
+        }
         let aside =
             if self.repaired > 0 { format!(", {} moved aside", self.repaired) } else { String::new() };
         if self.interrupted {

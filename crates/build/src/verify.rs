@@ -42,6 +42,8 @@ pub struct Verification {
     pub bytes: u64,
     /// Stages that were computed again; none when that was not asked for.
     pub recomputed: Option<usize>,
+    /// Those of them that were made in another class of arithmetic and agree by their figures, not to the byte.
+    pub agreed: usize,
     /// What is wrong.
     pub problems: Vec<Problem>,
     /// Damaged artifacts, and files that did not belong into an artifact, that were moved aside.
@@ -121,6 +123,8 @@ impl Cache {
 /// What came of computing an artifact again.
 enum Again {
     Same,
+    /// In another class of arithmetic: other bytes, figures within their tolerances.
+    Agrees,
     /// In words.
     Wrong(String),
     /// It was asked to stop.
@@ -174,6 +178,7 @@ impl Engine {
             listener.event(&Event::Note { label: &label, text: &text });
             match self.recompute(graph, &made, &outcomes, options, listener)? {
                 Again::Same => {}
+                Again::Agrees => found.agreed += 1,
                 Again::Wrong(what) => found.problems.push(Problem { name: label, what }),
                 // This says nothing about the artifact.
                 Again::Stopped => {
@@ -247,7 +252,7 @@ impl Engine {
                     Some(class) => {
                         let folder = scratch.join("artifact");
                         match agree::disagreement(figures, &made.artifact.path, &folder) {
-                            None => Again::Same,
+                            None => Again::Agrees,
                             Some(what) => Again::Wrong(format!(
                                 "made as {class} and computed again as {}, {what}",
                                 made.class

@@ -21,6 +21,9 @@ use use3d_splat::Gaussians;
 
 use crate::engine::Statistics;
 
+/// What children are drawn for.
+const SPLIT: Purpose = Purpose::new("split Gaussians");
+
 /// What density control knows of every Gaussian: N rows each.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Survey {
@@ -111,7 +114,7 @@ pub struct Draws {
 impl Draws {
     /// Where a child lies in its parent, in standard deviations along the parent's axes.
     pub fn place(&self, parent: usize, child: usize) -> [f64; 3] {
-        let stream = Stream::new(self.seed, Purpose::new("split Gaussians"), self.step);
+        let stream = Stream::new(self.seed, SPLIT, self.step);
         std::array::from_fn(|axis| stream.normal((6 * parent + 3 * child + axis) as u64))
     }
 

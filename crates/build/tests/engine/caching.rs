@@ -476,7 +476,11 @@ fn artifacts_of_another_class_are_compared_as_their_stage_says() {
     driver.store(2, Ordering::Relaxed);
     assert_eq!(tolerant.plan(&graph, None).cached(), 0);
     let near = verify(&tolerant, 9);
-    assert_eq!((near.recomputed, near.problems.len()), (Some(2), 0), "{near}");
+    assert_eq!((near.recomputed, near.agreed, near.problems.len()), (Some(2), 1, 0), "{near}");
+    assert!(
+        near.to_string().contains("2 computed again (1 in another numeric class: by their figures)"),
+        "{near}"
+    );
     let far = verify(&tolerant, 11);
     assert_eq!(far.problems.len(), 1, "{far}");
     let what = &far.problems[0].what;

@@ -63,7 +63,7 @@ pub(crate) fn verify(app: &App, args: &VerifyArgs) -> Done {
         let options = RunOptions { cores: app.threads, stop: app.stop.clone(), ..RunOptions::default() };
         let again = loaded.engine.verify_sample(&loaded.graph, share, &options, &app.listener);
         let again = again.map_err(CliError::failed)?;
-        found.recomputed = again.recomputed;
+        (found.recomputed, found.agreed) = (again.recomputed, again.agreed);
         found.problems.extend(again.problems);
         found.interrupted = again.interrupted;
     }
