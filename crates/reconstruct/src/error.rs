@@ -75,6 +75,11 @@ pub enum ReconstructError {
     /// The run diverged.
     #[error(transparent)]
     NonFinite(#[from] NonFinite),
+    /// The engine has views of another run.
+    #[error(
+        "the engine is in use already, with the views of another run; give every run an engine of its own"
+    )]
+    EngineInUse,
     /// The engine failed.
     #[error(transparent)]
     Engine(#[from] EngineError),

@@ -141,11 +141,8 @@ pub fn reconstruct_in(
     let fingerprint = fingerprint(capture, found, exposes.then_some(&gains), params, &views);
     let names: Vec<String> = views.train.iter().map(|v| v.name.clone()).collect();
     for (index, view) in views.train.into_iter().enumerate() {
-        let taken = engine.upload(view)?;
-        if taken != index {
-            let what =
-                format!("the engine took training view {index} as its view {taken}: it is in use already");
-            return Err(EngineError::State(what).into());
+        if engine.upload(view)? != index {
+            return Err(ReconstructError::EngineInUse);
         }
     }
     engine.load(TrainingState::new(gaussians, water, if exposes { &gains } else { &[] }))?;
