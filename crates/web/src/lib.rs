@@ -8,12 +8,13 @@
 //! alpha blending of the colours `f = c A + c_m (1 − E)` over open water, so a browser draws it with one blend function. What is left of a
 //! difference to the program's own renderer is that of half-float sums and of 8-bit harmonics.
 //!
-//! Reading order: `scene_file` (numbers → bytes) → `water` and `enhancement` (what the page must know of both) → `photographs` → [`page`]. [`foreign`] stands for itself.
+//! Reading order: `scene_file` (numbers → bytes) → `water` and `enhancement` (what the page must know of both) → `photographs` → [`page`]. [`path`] and [`foreign`] stand for themselves.
 
 mod enhancement;
 pub mod foreign;
 mod geometry;
 pub mod page;
+pub mod path;
 mod photographs;
 mod scene_file;
 mod water;

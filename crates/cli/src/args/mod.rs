@@ -119,13 +119,15 @@ pub(crate) enum Verb {
         after_help = "Examples:\n  use3d render scene/ --cameras my-reef/ --out renders/ --modes reconstruction,clear,depth\n  \
         use3d render enhanced-scene/ --cameras my-reef/ --path spiral --frames 120 --modes enhanced-clear --video swim.mp4\n  \
         use3d render enhanced-scene/ --cameras my-reef/ --out half/ --modes enhanced --water 0.5\n  \
+        use3d render enhanced-scene/ --path camera-path.json --size 1280x720 --video swim.mp4\n  \
         use3d render enhanced-scene/ --cameras my-reef/ --fps"
     )]
     Render(RenderArgs),
-    /// Write a scene as a page for a browser, or as a 3D Gaussian splatting PLY for other viewers.
+    /// Write a scene as a page for a browser, or as a PLY, GLB or SPZ for other viewers.
     #[command(
         after_help = "Examples:\n  use3d export enhanced-scene/ --web reef.html --cameras my-reef/\n  \
-        use3d export enhanced-scene/ --ply reef.ply --what enhanced-clear --frame colmap"
+        use3d export enhanced-scene/ --ply reef.ply --what enhanced-clear --frame colmap\n  \
+        use3d export enhanced-scene/ --glb reef.glb --spz reef.spz --what enhanced-clear"
     )]
     Export(ExportArgs),
     /// Make synthetic underwater data with known truth.

@@ -1,6 +1,7 @@
 //! What is made of a finished scene: pictures, films, files for other viewers.
 
 use std::path::PathBuf;
+use std::str::FromStr;
 
 use clap::{Args, ValueEnum};
 
@@ -18,12 +19,27 @@ pub(crate) enum FrameFormat {
     Exr,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum CameraPath {
     /// Swim smoothly through the given cameras.
     Interpolate,
     /// Circle around the mean camera, looking at the scene.
     Spiral,
+    /// Follow a path file, as a scene's page saves it.
+    File(PathBuf),
+}
+
+impl FromStr for CameraPath {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "interpolate" => Ok(Self::Interpolate),
+            "spiral" => Ok(Self::Spiral),
+            file if file.to_lowercase().ends_with(".json") => Ok(Self::File(file.into())),
+            _ => Err("expected `interpolate`, `spiral`, or a path file that ends in .json".into()),
+        }
+    }
 }
 
 #[derive(Debug, Args)]
@@ -32,13 +48,14 @@ pub(crate) struct RenderArgs {
     #[arg(value_name = "SCENE_DIR")]
     pub(crate) scene: PathBuf,
     /// A COLMAP model folder, a capture folder, or a JSON list of cameras.
-    #[arg(long, value_name = "COLMAP_DIR|CAPTURE|FILE.json")]
-    pub(crate) cameras: PathBuf,
+    #[arg(long, value_name = "COLMAP_DIR|CAPTURE|FILE.json", required_unless_present = "path")]
+    pub(crate) cameras: Option<PathBuf>,
     /// The folder for the frames; each mode gets a folder of its own.
     #[arg(long, value_name = "DIR", required_unless_present_any = ["video", "fps"])]
     pub(crate) out: Option<PathBuf>,
     /// What to render: reconstruction, clear, enhanced, enhanced-clear, depth, alpha, object, medium, backscatter, attenuation.
-    #[arg(long, value_delimiter = ',', default_value = "reconstruction", value_name = "MODE,...")]
+    /// Left out, it is reconstruction, or what a path file asks for.
+    #[arg(long, value_delimiter = ',', value_name = "MODE,...")]
     pub(crate) modes: Vec<String>,
     /// How to write the frames.
     #[arg(long, value_enum, default_value_t)]
@@ -49,8 +66,9 @@ pub(crate) struct RenderArgs {
     /// Only the capture's held-out views.
     #[arg(long)]
     pub(crate) held_out: bool,
-    /// Follow a path made from the cameras instead of the cameras themselves.
-    #[arg(long, value_enum)]
+    /// Follow a path instead of the cameras themselves: `interpolate` and `spiral` are made from them; a file saved by a
+    /// scene's page has its own cameras, looks and frames per second.
+    #[arg(long, value_name = "interpolate|spiral|FILE.json")]
     pub(crate) path: Option<CameraPath>,
     /// Frames of the path.
     #[arg(long, default_value_t = 120, value_name = "N", value_parser = count(MAX_FRAMES))]
@@ -107,8 +125,17 @@ pub(crate) struct ExportArgs {
     #[arg(value_name = "SCENE_DIR")]
     pub(crate) scene: PathBuf,
     /// A PLY of 3D Gaussian splatting.
-    #[arg(long, value_name = "FILE", required_unless_present_any = ["web"])]
+    #[arg(long, value_name = "FILE")]
     pub(crate) ply: Option<PathBuf>,
+    /// A glTF file with KHR_gaussian_splatting, for Cesium, Babylon, three and GIS viewers.
+    #[arg(long, value_name = "FILE.glb")]
+    pub(crate) glb: Option<PathBuf>,
+    /// An SPZ file (version 3), a tenth of the size, y up.
+    #[arg(long, value_name = "FILE.spz")]
+    pub(crate) spz: Option<PathBuf>,
+    /// A compressed PLY, for PlayCanvas and SuperSplat.
+    #[arg(long, value_name = "FILE.ply")]
+    pub(crate) compressed_ply: Option<PathBuf>,
     /// A page that shows the scene in a browser, with its water and enhancement: one file up to 32 MB, else with a folder.
     #[arg(long, value_name = "FILE.html")]
     pub(crate) web: Option<PathBuf>,
@@ -118,10 +145,10 @@ pub(crate) struct ExportArgs {
     /// With --web: metres per unit of the COLMAP model, so that the page measures in metres.
     #[arg(long, value_name = "M", requires = "web")]
     pub(crate) metres_per_unit: Option<f64>,
-    /// Which colours a PLY has, in the words of `use3d render --modes`.
+    /// Which colours files other than the page have, in the words of `use3d render --modes`.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) what: ExportWhat,
-    /// In which frame a PLY is.
+    /// In which frame a PLY or compressed PLY is. GLB and SPZ are right side up of themselves.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) frame: ExportFrame,
     #[command(flatten)]

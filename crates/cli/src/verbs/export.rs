@@ -1,6 +1,6 @@
-//! A scene as a page for a browser, and as a PLY that other 3D Gaussian splatting viewers open.
+//! A scene as a page for a browser, and as files that other 3D Gaussian splatting viewers open.
 //!
-//! The colours are asked for by the names of `use3d render`'s modes. A PLY holds Gaussians and no water, so a mode with water is written
+//! The colours of the latter are asked for by the names of `use3d render`'s modes. They hold Gaussians and no water, so a mode with water is written
 //! as the one without, said aloud and in the file's header.
 
 use std::path::Path;
@@ -10,7 +10,8 @@ use glam::{DMat3, DVec3};
 use use3d_build::machine::bytes;
 use use3d_capture::Frame;
 use use3d_scene::{Scene, similarity};
-use use3d_splat::ply;
+use use3d_splat::{Gaussians, ply};
+use use3d_web::foreign::{compressed_ply, glb, spz};
 
 use crate::App;
 use crate::args::{ExportArgs, ExportFrame, ExportWhat};
@@ -19,20 +20,73 @@ use crate::error::{CliError, Done};
 use crate::verbs::web;
 
 pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
-    if let Some(path) = &args.ply {
-        check_file("--ply", path, args.replace.force, &["ply"])?;
+    for (format, path) in files(args) {
+        check_file(format.flag(), path, args.replace.force, &[format.extension()])?;
     }
     if let Some(path) = &args.web {
         web::check(path, args)?;
+    }
+    if args.web.is_none() && files(args).next().is_none() {
+        let what =
+            "say what to write: --web FILE.html, --ply FILE, --compressed-ply FILE, --glb FILE or --spz FILE";
+        return Err(CliError::Input(what.into()));
     }
     let scene = Scene::load(&args.scene).map_err(CliError::input)?;
     if let Some(path) = &args.web {
         web::write(app, args, path, &scene)?;
     }
-    args.ply.as_deref().map_or(Ok(()), |path| write_ply(app, args, path, &scene))
+    if files(args).next().is_none() {
+        return Ok(());
+    }
+    let (what, gaussians) = shown(args, &scene)?;
+    let gaussians = similarity::invert(&gaussians, &scene.frame);
+    for (format, path) in files(args) {
+        write(app, args, (format, path), (&what, &gaussians), &scene)?;
+    }
+    Ok(())
 }
 
-fn write_ply(app: &App, args: &ExportArgs, path: &Path, scene: &Scene) -> Done {
+/// A file for other viewers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Format {
+    Ply,
+    CompressedPly,
+    Glb,
+    Spz,
+}
+
+impl Format {
+    fn flag(self) -> &'static str {
+        match self {
+            Self::Ply => "--ply",
+            Self::CompressedPly => "--compressed-ply",
+            Self::Glb => "--glb",
+            Self::Spz => "--spz",
+        }
+    }
+
+    fn extension(self) -> &'static str {
+        match self {
+            Self::Ply | Self::CompressedPly => "ply",
+            Self::Glb => "glb",
+            Self::Spz => "spz",
+        }
+    }
+}
+
+/// What was asked for besides the page.
+fn files(args: &ExportArgs) -> impl Iterator<Item = (Format, &Path)> {
+    let all = [
+        (Format::Ply, &args.ply),
+        (Format::CompressedPly, &args.compressed_ply),
+        (Format::Glb, &args.glb),
+        (Format::Spz, &args.spz),
+    ];
+    all.into_iter().filter_map(|(format, path)| Some((format, path.as_deref()?)))
+}
+
+/// The Gaussians with the colours that were asked for, and the name of these.
+fn shown(args: &ExportArgs, scene: &Scene) -> Result<(String, Gaussians), CliError> {
     let what = match args.what {
         ExportWhat::Reconstruction | ExportWhat::Clear => ExportWhat::Clear,
         ExportWhat::Enhanced | ExportWhat::EnhancedClear => ExportWhat::EnhancedClear,
@@ -63,22 +117,47 @@ fn write_ply(app: &App, args: &ExportArgs, path: &Path, scene: &Scene) -> Done {
             baked
         }
     };
-    let gaussians = match args.frame {
-        ExportFrame::Colmap => similarity::invert(&gaussians, &scene.frame),
-        ExportFrame::Normalised => gaussians,
+    Ok((name(&what), gaussians))
+}
+
+/// Half a turn about x, xyzw: COLMAP's y points down and its z away from the viewer.
+const HALF_TURN: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
+
+/// Writes one file of Gaussians in COLMAP's frame.
+fn write(
+    app: &App,
+    args: &ExportArgs,
+    (format, path): (Format, &Path),
+    (what, colmap): (&str, &Gaussians),
+    scene: &Scene,
+) -> Done {
+    // glTF has y up by a turn of its node, SPZ by its definition.
+    let frame = match format {
+        Format::Ply | Format::CompressedPly => args.frame,
+        Format::Glb => ExportFrame::Colmap,
+        Format::Spz => ExportFrame::YUp,
+    };
+    let turned = match frame {
+        ExportFrame::Colmap => None,
+        ExportFrame::Normalised => Some(similarity::apply(colmap, &scene.frame)),
         ExportFrame::YUp => {
-            // Half a turn about x: COLMAP's y points down and its z away from the viewer.
-            let turn = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
-            let half_turn = Frame { scale: 1.0, rotation: turn, translation: DVec3::ZERO };
-            similarity::apply(&similarity::invert(&gaussians, &scene.frame), &half_turn)
+            let rotation = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+            Some(similarity::apply(colmap, &Frame { scale: 1.0, rotation, translation: DVec3::ZERO }))
         }
     };
+    let gaussians = turned.as_ref().unwrap_or(colmap);
+    let frame = if format == Format::Glb { ExportFrame::YUp } else { frame };
     let comments = [
         format!("use3d {}", env!("CARGO_PKG_VERSION")),
-        format!("what: {}", name(&what)),
-        format!("frame: {}", name(&args.frame)),
+        format!("what: {what}"),
+        format!("frame: {}", name(&frame)),
     ];
-    write_file("--ply", path, |writer| ply::write_with_comments(&gaussians, &comments, writer))?;
+    write_file(format.flag(), path, |writer| match format {
+        Format::Ply => ply::write_with_comments(gaussians, &comments, writer),
+        Format::CompressedPly => compressed_ply::write(gaussians, &comments, writer),
+        Format::Glb => glb::write(gaussians, &comments.join("; "), HALF_TURN, writer),
+        Format::Spz => spz::write(gaussians, writer),
+    })?;
     if !app.quiet {
         let [_, what, frame] = &comments;
         let size = std::fs::metadata(path).map_or(0, |m| m.len());

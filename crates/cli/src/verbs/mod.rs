@@ -4,6 +4,7 @@ pub(crate) mod bench;
 pub(crate) mod cache;
 pub(crate) mod evaluate;
 pub(crate) mod export;
+pub(crate) mod film_path;
 pub(crate) mod generate;
 pub(crate) mod models;
 pub(crate) mod outcome;

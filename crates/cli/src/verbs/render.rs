@@ -19,7 +19,9 @@ use crate::interrupt;
 use crate::size::parse_size;
 
 pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
-    let modes = modes(&args.modes)?;
+    let names =
+        if args.modes.is_empty() { &[Mode::Reconstruction.name().to_string()][..] } else { &args.modes };
+    let modes = modes(names)?;
     for (flag, value) in [("--strength", args.strength), ("--water", args.water)] {
         if !(0.0..=1.0).contains(&value) {
             return Err(CliError::Input(format!("{flag} {value}: expected 0 to 1")));
@@ -36,6 +38,9 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     if args.water < 1.0 && !args.fps && !modes.iter().any(|mode| mode.shows_water()) {
         let unchanged: Vec<&str> = modes.iter().map(|mode| mode.name()).collect();
         eprintln!("--water {} changes nothing in {}", args.water, unchanged.join(", "));
+    }
+    if let Some(CameraPath::File(path)) = &args.path {
+        return super::film_path::run(app, args, &scene, path);
     }
     if args.fps {
         return super::speed::run(app, args, &scene);
@@ -64,7 +69,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
         }
         if let Some(out) = &args.out {
             for (mode, frame) in modes.iter().zip(&frames) {
-                write(out, *mode, file, frame, args.format)?;
+                write(&out.join(mode.name()), *mode, file, frame, args.format)?;
             }
         }
     }
@@ -73,16 +78,16 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
         film.finish().map_err(|e| not_filmed(path, &e))?;
         if !app.quiet {
             let size = std::fs::metadata(path).map_or(0, |m| m.len());
-            eprintln!("{}: {total} frames of {}, {}", path.display(), args.modes[0], bytes(size));
+            eprintln!("{}: {total} frames of {}, {}", path.display(), names[0], bytes(size));
         }
     }
     if let Some(out) = args.out.as_ref().filter(|_| !app.quiet) {
-        eprintln!("{}: {total} frames, modes {}", out.display(), args.modes.join(", "));
+        eprintln!("{}: {total} frames, modes {}", out.display(), names.join(", "));
     }
     Ok(())
 }
 
-fn modes(names: &[String]) -> Result<Vec<Mode>, CliError> {
+pub(crate) fn modes(names: &[String]) -> Result<Vec<Mode>, CliError> {
     let known = Mode::ALL.map(Mode::name).join(", ");
     let find = |name: &String| {
         let name = name.trim();
@@ -100,12 +105,15 @@ pub(crate) fn renderer<'s>(args: &RenderArgs, scene: &'s Scene) -> Result<SceneR
 
 /// The cameras asked for, in the scene's frame.
 pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName, Camera)>, CliError> {
-    let mut cameras = read_cameras(&args.cameras).map_err(CliError::input)?;
+    let from = args.cameras.as_deref().ok_or_else(|| {
+        CliError::Input("--path interpolate and spiral are made from cameras: give them by --cameras".into())
+    })?;
+    let mut cameras = read_cameras(from).map_err(CliError::input)?;
     for (_, camera) in &mut cameras {
         camera.pose = scene.frame.apply_pose(&camera.pose);
     }
     let origin = Origin::read(&args.scene).map_err(CliError::input)?;
-    if let Some(origin) = origin.as_ref().filter(|_| args.cameras.is_dir()) {
+    if let Some(origin) = origin.as_ref().filter(|_| from.is_dir()) {
         let known = |(name, _): &(FileName, Camera)| {
             let stem = stem(name);
             origin.train.iter().chain(&origin.held_out).any(|s| s == stem)
@@ -113,7 +121,7 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName,
         if !cameras.iter().any(known) {
             eprintln!(
                 "warning: none of the cameras of {} is a view that {} was made from: it may be another capture",
-                args.cameras.display(),
+                from.display(),
                 args.scene.display()
             );
         }
@@ -122,17 +130,14 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName,
         match &origin {
             Some(origin) => cameras.retain(|(name, _)| origin.held_out.iter().any(|s| s == stem(name))),
             None => {
-                let split = use3d_import::import(&args.cameras, &use3d_import::ImportParams::default());
+                let split = use3d_import::import(from, &use3d_import::ImportParams::default());
                 let held_out = split.map_err(CliError::input)?.report.test;
                 cameras.retain(|(name, _)| held_out.iter().any(|held| name == held));
             }
         }
     }
     if cameras.is_empty() {
-        return Err(CliError::Input(format!(
-            "--cameras {}: no cameras to render from",
-            args.cameras.display()
-        )));
+        return Err(CliError::Input(format!("--cameras {}: no cameras to render from", from.display())));
     }
     if let Some(size) = &args.size {
         let (width, height) = parse_size(size)?;
@@ -141,8 +146,8 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName,
         }
     }
     let keys: Vec<Camera> = cameras.iter().map(|(_, camera)| *camera).collect();
-    let film = match args.path {
-        None => return Ok(cameras),
+    let film = match &args.path {
+        None | Some(CameraPath::File(_)) => return Ok(cameras),
         Some(CameraPath::Interpolate) => path::interpolate(&keys, args.frames),
         Some(CameraPath::Spiral) => {
             let focus = keys.first().map_or(1.0, |camera| focus(scene, camera));
@@ -159,13 +164,13 @@ pub(crate) fn held_out(capture: &Path) -> Vec<String> {
 }
 
 /// A film at a path, as `--video` names it.
-fn film(path: &Path, frame_rate: u32) -> Result<(&Path, Film), CliError> {
+pub(crate) fn film(path: &Path, frame_rate: u32) -> Result<(&Path, Film), CliError> {
     let film = Film::create(path, place::sibling(path), frame_rate).map_err(|e| not_filmed(path, &e))?;
     Ok((path, film))
 }
 
 /// Why there is no film.
-fn not_filmed(path: &Path, error: &FilmError) -> CliError {
+pub(crate) fn not_filmed(path: &Path, error: &FilmError) -> CliError {
     let message = format!("--video {}: {error}", path.display());
     if error.is_of_the_request() { CliError::Input(message) } else { CliError::Failed(message) }
 }
@@ -210,9 +215,9 @@ fn check_places(args: &RenderArgs, modes: &[Mode], files: &[FileName]) -> Done {
     Ok(())
 }
 
-/// Writes a frame as OUT/MODE/FILE.
-fn write(out: &Path, mode: Mode, file: &FileName, frame: &Frame, format: FrameFormat) -> Done {
-    let path = file.below(&out.join(mode.name()));
+/// Writes a frame as FOLDER/FILE.
+pub(crate) fn write(folder: &Path, mode: Mode, file: &FileName, frame: &Frame, format: FrameFormat) -> Done {
+    let path = file.below(folder);
     if let Some(parent) = path.parent() {
         std::fs::create_dir_all(parent)
             .map_err(|e| CliError::Input(format!("--out {}: {e}", parent.display())))?;

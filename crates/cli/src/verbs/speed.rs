@@ -35,7 +35,7 @@ const PROTOCOL: &str = "median over all timed views; 2 warm-up passes, then whol
 /// `use3d render --fps`.
 pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene) -> Done {
     let given = cameras(args, scene)?;
-    let held_out = held_out(&args.cameras);
+    let held_out = args.cameras.as_deref().map_or_else(Vec::new, held_out);
     let is_held_out = |name: &FileName| held_out.iter().any(|held| name == held);
     let any = given.iter().any(|(name, _)| is_held_out(name));
     let chosen: Vec<Camera> =

@@ -1,0 +1,118 @@
+//! A camera path file, drawn exactly: every frame with the look that its keys ask for.
+
+use std::path::Path;
+
+use use3d_build::machine::bytes;
+use use3d_build::{Event, place};
+use use3d_capture::FileName;
+use use3d_render::{Mode, SceneRenderer, picture};
+use use3d_scene::Scene;
+use use3d_web::path::CameraPath;
+
+use crate::App;
+use crate::args::{FrameFormat, RenderArgs};
+use crate::destination::{check_file, path_text};
+use crate::error::{CliError, Done};
+use crate::interrupt;
+use crate::size::parse_size;
+use crate::verbs::render::{film, modes, not_filmed, write};
+
+/// The folder of frames whose looks are the path's own.
+const OWN: &str = "path";
+/// The size of pictures where none is given: a path has no pixels.
+const SIZE: (usize, usize) = (1280, 720);
+
+/// `use3d render SCENE --path FILE.json`.
+pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene, file: &Path) -> Done {
+    let wrong = |what: &str| CliError::Input(format!("--path {}: {what}", path_text(file)));
+    let text = std::fs::read_to_string(file).map_err(|e| wrong(&e.to_string()))?;
+    let path = CameraPath::read(&text).map_err(|what| wrong(&what))?;
+    let (width, height) = args.size.as_deref().map(parse_size).transpose()?.unwrap_or(SIZE);
+    let given = modes(&args.modes)?;
+    let frames = path.frames(width, height);
+    // What the keys ask for, or what was asked for instead; known before anything is drawn.
+    let mut looks = Vec::with_capacity(frames.len());
+    for frame in &frames {
+        let own = Mode::from_name(frame.mode).ok_or_else(|| {
+            let known = Mode::ALL.map(Mode::name).join(", ");
+            wrong(&format!("unknown mode `{}`; expected one of {known}", frame.mode))
+        })?;
+        let shown = if given.is_empty() { vec![own] } else { given.clone() };
+        if shown.iter().any(|mode| mode.is_enhanced()) && scene.enhancement.is_none() {
+            return Err(wrong(
+                "it shows the enhancement, and the scene holds none; give --modes, or make one with `use3d enhance`",
+            ));
+        }
+        looks.push(shown);
+    }
+    let extension = match args.format {
+        FrameFormat::Png => "png",
+        FrameFormat::Exr => "exr",
+    };
+    let names: Vec<FileName> = (0..frames.len())
+        .map(|i| FileName::frame(i).with_extension(extension).map_err(CliError::input))
+        .collect::<Result<_, _>>()?;
+    let folder = |mode: Mode| if given.is_empty() { OWN } else { mode.name() };
+    if let Some(out) = &args.out {
+        place::check_writable(out)?;
+        for mode in looks.first().into_iter().flatten() {
+            let below = out.join(folder(*mode));
+            if below.exists() {
+                names
+                    .iter()
+                    .try_for_each(|name| check_file("--out", &name.below(&below), args.replace.force, &[]))?;
+            }
+        }
+    }
+    if let Some(video) = &args.video {
+        check_file("--video", video, args.replace.force, &[])?;
+    }
+    let mut video = args.video.as_deref().map(|path| film(path, args.frame_rate)).transpose()?;
+    let mut renderer: Option<((f32, f32), SceneRenderer<'_>)> = None;
+    for (i, ((frame, looks), name)) in frames.iter().zip(&looks).zip(&names).enumerate() {
+        interrupt::check()?;
+        app.listener.event(&Event::Progress {
+            node: 0,
+            label: "render",
+            done: i as u64,
+            total: frames.len() as u64,
+            unit: "frames",
+            message: name,
+            seconds_left: None,
+        });
+        // A renderer is of one strength and one share of the water: made anew only where they change.
+        let look = (frame.strength, frame.water);
+        let ready = renderer.take().filter(|(made, _)| *made == look);
+        let (_, drawing) = match ready {
+            Some(ready) => renderer.insert(ready),
+            None => {
+                let made = SceneRenderer::new(scene, look.0).and_then(|r| r.with_water(look.1));
+                renderer.insert((look, made.map_err(CliError::input)?))
+            }
+        };
+        let mut camera = frame.camera;
+        camera.pose = scene.frame.apply_pose(&camera.pose);
+        let pictures = drawing.render(&camera, looks).map_err(CliError::failed)?;
+        if let (Some((path, video)), Some(mode), Some(shown)) = (&mut video, looks.first(), pictures.first())
+        {
+            video.push(&picture(*mode, shown).to_8bit()).map_err(|e| not_filmed(path, &e))?;
+        }
+        if let Some(out) = &args.out {
+            for (mode, shown) in looks.iter().zip(&pictures) {
+                write(&out.join(folder(*mode)), *mode, name, shown, args.format)?;
+            }
+        }
+    }
+    app.listener.event(&Event::Done { node: 0, label: "render", cached: true, seconds: 0.0 });
+    if let Some((path, video)) = video {
+        video.finish().map_err(|e| not_filmed(path, &e))?;
+        if !app.quiet {
+            let size = std::fs::metadata(path).map_or(0, |m| m.len());
+            eprintln!("{}: {} frames, {}", path_text(path), frames.len(), bytes(size));
+        }
+    }
+    if let Some(out) = args.out.as_ref().filter(|_| !app.quiet) {
+        eprintln!("{}: {} frames of {width}x{height}", path_text(out), frames.len());
+    }
+    Ok(())
+}

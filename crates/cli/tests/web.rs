@@ -1,0 +1,82 @@
+//! What a scene becomes for browsers and other viewers, and a camera path drawn as the page saved it.
+
+mod tiny;
+
+use std::path::Path;
+use std::process::Output;
+
+use tiny::{Place, command};
+
+fn run(arguments: &[&str]) -> Output {
+    command().args(arguments).output().expect("the command starts")
+}
+
+fn expect(code: i32, arguments: &[&str]) -> String {
+    let output = run(arguments);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
+    said
+}
+
+#[test]
+fn a_scene_goes_to_browsers_and_viewers_and_follows_a_path() {
+    let place = Place::new();
+    let (capture, scene) = (place.at("tiny"), place.at("reef/scene"));
+    expect(0, &["-q", "reconstruct", &capture, "--out", &scene, "--set", "iterations=5"]);
+
+    let page = place.at("reef.html");
+    let said = expect(0, &["export", &scene, "--web", &page, "--cameras", &capture]);
+    assert!(said.contains("9 photographs") && said.contains("open it in a browser"), "{said}");
+    let html = std::fs::read_to_string(&page).unwrap();
+    assert!(html.contains("<title>reef</title>") && html.matches("data:image/jpeg").count() == 9);
+    // Every eighth view is held out, from the first.
+    assert_eq!(html.matches("\"heldOut\":true").count(), 2);
+    assert!(expect(2, &["export", &scene, "--web", &page]).contains("--force"));
+    assert!(expect(2, &["export", &scene, "--web", &place.at("reef.htm")]).contains(".html"));
+    assert!(expect(2, &["export", &scene]).contains("--web"));
+
+    let [glb, spz, compressed] = ["a.glb", "a.spz", "a.ply"].map(|name| place.at(name));
+    expect(0, &["export", &scene, "--glb", &glb, "--spz", &spz, "--compressed-ply", &compressed]);
+    let begins = |path: &str, bytes: &[u8]| std::fs::read(path).unwrap().starts_with(bytes);
+    assert!(begins(&glb, b"glTF") && begins(&spz, &[0x1f, 0x8b]) && begins(&compressed, b"ply\n"));
+
+    let path = place.at("path.json");
+    let key = |time: f64, mode: &str| {
+        format!(
+            r#"{{"time": {time}, "center": [{time}, 0, -1], "rotation": [[1,0,0],[0,1,0],[0,0,1]], "vertical_fov_degrees": 50, "mode": "{mode}"}}"#
+        )
+    };
+    let text = |mode: &str| {
+        format!(
+            r#"{{"format": "3d-use camera path", "version": 1, "frames_per_second": 2, "keys": [{}, {}]}}"#,
+            key(0.0, mode),
+            key(1.0, "clear")
+        )
+    };
+    std::fs::write(&path, text("reconstruction")).unwrap();
+    let (frames, film) = (place.at("frames"), place.at("film.y4m"));
+    let size = ["--size", "48x32"];
+    let render = |extra: &[&str]| {
+        let mut arguments = vec!["render", &scene, "--path", &path];
+        arguments.extend(size);
+        arguments.extend(extra);
+        arguments.into_iter().map(str::to_string).collect::<Vec<_>>()
+    };
+    let go = |code: i32, extra: &[&str]| {
+        let arguments = render(extra);
+        expect(code, &arguments.iter().map(String::as_str).collect::<Vec<_>>())
+    };
+    go(0, &["--out", &frames, "--video", &film]);
+    assert_eq!(std::fs::read_dir(Path::new(&frames).join("path")).unwrap().count(), 3);
+    assert!(std::fs::metadata(&film).unwrap().len() > 3 * 48 * 32);
+    assert!(go(2, &["--out", &frames]).contains("--force"));
+    go(0, &["--out", &frames, "--modes", "depth,clear"]);
+    assert!(Path::new(&frames).join("depth").is_dir() && Path::new(&frames).join("clear").is_dir());
+    std::fs::write(&path, text("enhanced")).unwrap();
+    assert!(go(2, &["--out", &place.at("no")]).contains("use3d enhance"));
+    std::fs::write(&path, text("sunny")).unwrap();
+    assert!(go(2, &["--out", &place.at("no")]).contains("sunny"));
+    assert!(
+        expect(2, &["render", &scene, "--path", "spiral", "--out", &place.at("no")]).contains("--cameras")
+    );
+}
