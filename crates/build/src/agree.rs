@@ -1,7 +1,7 @@
 //! Whether two artifacts of one stage agree that were computed in two classes of arithmetic.
 //!
-//! A long training amplifies last bits: on another device the same inputs lead to another scene that is as good. What must agree then are
-//! figures that the stage names, each within a tolerance of its own.
+//! A long training amplifies last bits: on another device the same inputs lead to another scene that is as
+//! good. What must agree then are figures that the stage names, each within a tolerance of its own.
 
 use std::path::Path;
 
@@ -18,7 +18,8 @@ pub struct Figure {
     pub within: f64,
 }
 
-/// Why the artifacts in these folders do not agree; `None` if they do. A figure that neither has is none to differ in.
+/// Why the artifacts in these folders do not agree; `None` if they do. A figure that neither has is none to
+/// differ in.
 pub(crate) fn disagreement(figures: &[Figure], made: &Path, again: &Path) -> Option<String> {
     let read = |folder: &Path, figure: &Figure| -> Result<Vec<f64>, String> {
         let path = folder.join(figure.file);

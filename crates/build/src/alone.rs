@@ -1,4 +1,5 @@
-//! One stage without the cache: `use3d reconstruct CAPTURE --out SCENE`, same code and defaults as in a pipeline.
+//! One stage without the cache: `use3d reconstruct CAPTURE --out SCENE`, same code and defaults as in a
+//! pipeline.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -85,7 +86,8 @@ impl Stage {
 }
 
 impl Engine {
-    /// Runs a node whose inputs are cached again, into `scratch`, from nothing (no checkpoints); the digests of its files.
+    /// Runs a node whose inputs are cached again, into `scratch`, from nothing (no checkpoints); the digests
+    /// of its files.
     pub(crate) fn run_again(
         &self,
         graph: &Graph,

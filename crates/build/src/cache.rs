@@ -10,9 +10,10 @@
 //! <folder>/v1/tmp/  damaged/                             being made; found damaged
 //! ```
 //!
-//! An artifact is made in `tmp`, its files synced, its manifest written last, and the folder renamed into place, so a
-//! crash at any moment leaves either no artifact or a whole one. Several processes may share a cache: the first to publish a key
-//! wins, and another one's different bytes raise an alarm. There is no lock to remove by hand.
+//! An artifact is made in `tmp`, its files synced, its manifest written last, and the folder renamed into
+//! place, so a crash at any moment leaves either no artifact or a whole one. Several processes may share a
+//! cache: the first to publish a key wins, and another one's different bytes raise an alarm. There is no lock
+//! to remove by hand.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -162,8 +163,8 @@ impl Cache {
         })
     }
 
-    /// Reads every byte of an artifact and compares; the first difference in words. The bytes once per process and key, unless
-    /// `again`; that the files are still there is looked at every time.
+    /// Reads every byte of an artifact and compares; the first difference in words. The bytes once per
+    /// process and key, unless `again`; that the files are still there is looked at every time.
     pub fn verify(&self, artifact: &Artifact, again: bool) -> Result<(), String> {
         let key = artifact.manifest.key;
         if !again && self.verified.lock().unwrap_or_else(PoisonError::into_inner).contains(&key) {
@@ -293,8 +294,8 @@ impl Cache {
         }
     }
 
-    /// Removes what processes that are gone left behind: leases, halves of files, and folders in `tmp`, whose number it
-    /// returns.
+    /// Removes what processes that are gone left behind: leases, halves of files, and folders in `tmp`, whose
+    /// number it returns.
     pub fn sweep(&self) -> usize {
         super::lease::in_use(self);
         for folder in [self.root.clone(), self.root.join("leases")] {

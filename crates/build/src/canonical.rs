@@ -1,8 +1,9 @@
 //! One encoding for equal parameters.
 //!
-//! Parameters arrive as JSON values made from typed structs. Objects are written in key order, integers and floating
-//! point numbers with different tags, floating point numbers by their bits after `-0.0` became `0.0`. So the order in
-//! which a file lists its keys, a locale or a map's iteration order cannot change a key of the cache.
+//! Parameters arrive as JSON values made from typed structs. Objects are written in key order, integers and
+//! floating point numbers with different tags, floating point numbers by their bits after `-0.0` became
+//! `0.0`. So the order in which a file lists its keys, a locale or a map's iteration order cannot change a
+//! key of the cache.
 
 use serde_json::Value;
 

@@ -1,10 +1,10 @@
 //! Content digests of files and folders that are not read twice.
 //!
-//! A file's digest is remembered with its size, modification and change time and inode. While these stay, the content is taken
-//! to be the same, so that an unchanged capture of 10 GB costs one `stat` per file; `rehash` reads everything again. A
-//! file that changed within the last two seconds before it was read is not remembered: a clock tick may hide a second
-//! change. A folder's digest covers the relative paths, sizes and digests of its files, sorted by path; not its own
-//! place, so that moving a capture changes nothing.
+//! A file's digest is remembered with its size, modification and change time and inode. While these stay, the
+//! content is taken to be the same, so that an unchanged capture of 10 GB costs one `stat` per file; `rehash`
+//! reads everything again. A file that changed within the last two seconds before it was read is not
+//! remembered: a clock tick may hide a second change. A folder's digest covers the relative paths, sizes and
+//! digests of its files, sorted by path; not its own place, so that moving a capture changes nothing.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs::Metadata;
@@ -84,8 +84,8 @@ impl Contents {
         Self { files, table_path, rehash, state: Mutex::new(State { table, ..State::default() }) }
     }
 
-    /// The content of a file, or of a folder: of all its files that are not hidden, or of those `select`ed (paths relative to
-    /// it; folders count with everything below; what does not exist is skipped).
+    /// The content of a file, or of a folder: of all its files that are not hidden, or of those `select`ed
+    /// (paths relative to it; folders count with everything below; what does not exist is skipped).
     pub fn of(&self, path: &Path, select: Option<&[PathBuf]>) -> Result<Content, FileError> {
         let path = files::at(path, "find", std::fs::canonicalize(path))?;
         let memory = (path.clone(), select.unwrap_or_default().to_vec());
@@ -107,7 +107,8 @@ impl Contents {
         self.lock().whole.clear();
     }
 
-    /// As [`of`](Self::of), looking again at files that were looked at before: whether an input changed while it was read.
+    /// As [`of`](Self::of), looking again at files that were looked at before: whether an input changed while
+    /// it was read.
     pub(crate) fn of_now(&self, path: &Path, select: Option<&[PathBuf]>) -> Result<Content, FileError> {
         let path = files::at(path, "find", std::fs::canonicalize(path))?;
         self.lock().whole.remove(&(path.clone(), select.unwrap_or_default().to_vec()));
@@ -163,7 +164,8 @@ impl Contents {
         Ok(digest)
     }
 
-    /// The digest of one file, trusted as long as its stat stays the same; for files that this program wrote and closed.
+    /// The digest of one file, trusted as long as its stat stays the same; for files that this program wrote
+    /// and closed.
     pub(crate) fn of_file(&self, path: &Path) -> Result<Content, FileError> {
         let metadata = files::at(path, "read", std::fs::metadata(path))?;
         Ok(Content { digest: self.file(path, &metadata)?, bytes: metadata.len() })
@@ -197,7 +199,8 @@ impl Contents {
         state.fresh.insert(path.to_path_buf());
     }
 
-    /// Writes what was learnt, merged with what other processes have written meanwhile. Losing it costs only time.
+    /// Writes what was learnt, merged with what other processes have written meanwhile. Losing it costs only
+    /// time.
     pub fn save(&self) -> Result<(), FileError> {
         let mut state = self.lock();
         if state.changed.is_empty() {

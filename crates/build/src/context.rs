@@ -1,4 +1,5 @@
-//! What a stage's function is given: inputs by role, a folder to fill, and nothing that its result may not depend on.
+//! What a stage's function is given: inputs by role, a folder to fill, and nothing that its result may not
+//! depend on.
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -48,8 +49,8 @@ pub struct StageContext {
     pub(crate) notes: Option<Mutex<Notes>>,
 }
 
-/// What a stage measured that does not follow from its inputs, such as times: by name, kept in the manifest beside the
-/// duration, and no part of the artifact or its digest.
+/// What a stage measured that does not follow from its inputs, such as times: by name, kept in the manifest
+/// beside the duration, and no part of the artifact or its digest.
 pub type Notes = BTreeMap<String, serde_json::Value>;
 
 impl StageContext {
@@ -66,7 +67,8 @@ impl StageContext {
         self.inputs.iter().find(|i| i.role == role).map(|i| i.path.as_path())
     }
 
-    /// All inputs; in a stage over all scenes, one of each role per scene and variant, in the pipeline's order.
+    /// All inputs; in a stage over all scenes, one of each role per scene and variant, in the pipeline's
+    /// order.
     pub fn inputs(&self) -> &[StageInput] {
         &self.inputs
     }
@@ -76,21 +78,22 @@ impl StageContext {
         &self.missing
     }
 
-    /// The empty folder to fill. Everything in it becomes the artifact; only bytes that follow from the inputs,
-    /// parameters and seed belong there (no times, no host names, no absolute paths).
+    /// The empty folder to fill. Everything in it becomes the artifact; only bytes that follow from the
+    /// inputs, parameters and seed belong there (no times, no host names, no absolute paths).
     pub fn output(&self) -> &Path {
         &self.output
     }
 
-    /// Where a resumable stage keeps its checkpoints. Another run may have left some, possibly beyond the length asked for
-    /// now, and another process may write the same ones at the same time: names should say the step, and files appear by
-    /// renaming.
+    /// Where a resumable stage keeps its checkpoints. Another run may have left some, possibly beyond the
+    /// length asked for now, and another process may write the same ones at the same time: names should
+    /// say the step, and files appear by renaming.
     pub fn checkpoints(&self) -> Option<&Path> {
         self.checkpoints.as_deref()
     }
 
-    /// The seed of every random draw of the stage: the pipeline's, or the variant's where it has its own. All stages take it as it is
-    /// (draws are told apart by their purpose), so one number moves everything. 0 for a stage that did not say it draws random numbers.
+    /// The seed of every random draw of the stage: the pipeline's, or the variant's where it has its own. All
+    /// stages take it as it is (draws are told apart by their purpose), so one number moves everything. 0
+    /// for a stage that did not say it draws random numbers.
     pub fn seed(&self) -> u64 {
         self.seed
     }
@@ -125,7 +128,8 @@ impl StageContext {
         self.progress_left(done, total, unit, message, None);
     }
 
-    /// As [`progress_with`](Self::progress_with), for work of which the stage knows how many seconds are left.
+    /// As [`progress_with`](Self::progress_with), for work of which the stage knows how many seconds are
+    /// left.
     pub fn progress_left(&self, done: u64, total: u64, unit: &str, message: &str, seconds_left: Option<f64>) {
         self.listener.event(&Event::Progress {
             node: self.node,
@@ -138,15 +142,17 @@ impl StageContext {
         });
     }
 
-    /// Says that `done` of `total` steps were found in a checkpoint, so that the time taken is not mistaken for the whole.
+    /// Says that `done` of `total` steps were found in a checkpoint, so that the time taken is not mistaken
+    /// for the whole.
     pub fn resumed(&self, done: u64, total: u64) {
         let share = if total == 0 { 0.0 } else { done as f64 / total as f64 };
         self.resumed.store((share.clamp(0.0, 1.0) * 1e6) as u64, Ordering::Relaxed);
         self.log(format_args!("going on from step {done} of {total}"));
     }
 
-    /// Says before the work what memory it takes: refuses what cannot even begin here, and tells the user when it may end for want of
-    /// memory. `start` and `most` are bytes, at the start and at the most; `lower` says in words what makes it less.
+    /// Says before the work what memory it takes: refuses what cannot even begin here, and tells the user
+    /// when it may end for want of memory. `start` and `most` are bytes, at the start and at the most;
+    /// `lower` says in words what makes it less.
     ///
     /// # Errors
     /// `start` is more than this process may still take.
@@ -175,7 +181,8 @@ impl StageContext {
         self.notes.is_some()
     }
 
-    /// Keeps a measurement beside the artifact, where it changes neither bytes nor keys. Whoever shows results may add it.
+    /// Keeps a measurement beside the artifact, where it changes neither bytes nor keys. Whoever shows
+    /// results may add it.
     pub fn note(&self, name: &str, value: &impl serde::Serialize) {
         if let (Some(notes), Ok(value)) = (&self.notes, serde_json::to_value(value)) {
             notes.lock().unwrap_or_else(PoisonError::into_inner).insert(name.to_string(), value);

@@ -1,8 +1,8 @@
 //! Content digests (BLAKE3, 32 bytes) and the length-prefixed encoding that everything hashed goes through.
 //!
-//! A concatenation of variable-length fields without their lengths has collisions (`"ab" ‖ "c"` = `"a" ‖ "bc"`), so
-//! every field is written as its length (u64, little-endian) and its bytes. Each purpose hashes in its own
-//! `derive_key` context, so that a digest of one kind can never stand for a digest of another.
+//! A concatenation of variable-length fields without their lengths has collisions (`"ab" ‖ "c"` = `"a" ‖
+//! "bc"`), so every field is written as its length (u64, little-endian) and its bytes. Each purpose hashes in
+//! its own `derive_key` context, so that a digest of one kind can never stand for a digest of another.
 
 use std::fmt;
 use std::str::FromStr;

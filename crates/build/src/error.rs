@@ -69,7 +69,8 @@ impl fmt::Display for ParameterError {
 
 impl Error for ParameterError {}
 
-/// What a deserialiser says, in words that are not its own: `invalid type: integer `-5`, expected u64` and the like.
+/// What a deserialiser says, in words that are not its own: `invalid type: integer `-5`, expected u64` and
+/// the like.
 fn plain(message: &str) -> String {
     if let Some(rest) = message.strip_prefix("unknown variant ") {
         return rest.replacen(", expected ", " is not known here; expected ", 1);
@@ -111,7 +112,8 @@ pub fn nearest<'n>(wrong: &str, names: impl IntoIterator<Item = &'n str>) -> Opt
 
 /// Why a stage did not fill its folder.
 ///
-/// Any error converts with `?`. (It is itself not a `std::error::Error`, which is what makes that conversion possible.)
+/// Any error converts with `?`. (It is itself not a `std::error::Error`, which is what makes that conversion
+/// possible.)
 #[derive(Debug)]
 pub enum StageError {
     /// It was asked to stop; its checkpoints are on disk.

@@ -1,8 +1,9 @@
 //! Where a run's jobs are done.
 //!
-//! The run decides what is to be done next and within which cores and memory; an [`Executor`] does it. [`Threads`] does it in this
-//! process. Another executor may hand a [`Task`] to another process or machine that sees the same cache: an artifact is found by its key,
-//! so once it is there [`Task::run`] finds it made and returns at once. What an executor cannot have done elsewhere it simply runs.
+//! The run decides what is to be done next and within which cores and memory; an [`Executor`] does it.
+//! [`Threads`] does it in this process. Another executor may hand a [`Task`] to another process or machine
+//! that sees the same cache: an artifact is found by its key, so once it is there [`Task::run`] finds it made
+//! and returns at once. What an executor cannot have done elsewhere it simply runs.
 
 use std::fmt;
 
@@ -26,7 +27,8 @@ pub struct Task<'t> {
 }
 
 impl Task<'_> {
-    /// Does the work and tells the run how it ended: waits for whoever does it already, takes what is there, or computes.
+    /// Does the work and tells the run how it ended: waits for whoever does it already, takes what is there,
+    /// or computes.
     pub fn run(self) {
         (self.work)();
     }
@@ -41,14 +43,15 @@ impl fmt::Debug for Task<'_> {
 
 /// Takes tasks while a run lasts.
 pub trait Starter<'t> {
-    /// Starts a task. Whatever becomes of it, [`Task::run`] is called once, at any time and on any thread, and an interruption
-    /// reaches the work through it.
+    /// Starts a task. Whatever becomes of it, [`Task::run`] is called once, at any time and on any thread,
+    /// and an interruption reaches the work through it.
     fn start(&self, task: Task<'t>);
 }
 
 /// Does the jobs of runs.
 pub trait Executor: fmt::Debug + Send + Sync {
-    /// Calls `decide` once with what takes its tasks, and returns when `decide` has returned and every task has run.
+    /// Calls `decide` once with what takes its tasks, and returns when `decide` has returned and every task
+    /// has run.
     fn serve<'t>(&self, decide: &mut dyn FnMut(&dyn Starter<'t>));
 }
 

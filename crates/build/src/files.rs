@@ -1,6 +1,8 @@
-//! The few file operations that the cache relies on, behind a trait, so that tests can make each of them fail.
+//! The few file operations that the cache relies on, behind a trait, so that tests can make each of them
+//! fail.
 //!
-//! A published name is complete: bytes are synced before the rename that makes them visible, the folder after it.
+//! A published name is complete: bytes are synced before the rename that makes them visible, the folder after
+//! it.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
@@ -106,7 +108,8 @@ pub(crate) fn write_atomic(files: &dyn Files, path: &Path, bytes: &[u8]) -> Resu
     written
 }
 
-/// A name that no other process, on whatever machine, and no other call uses. It says [whose](ProcessId::owner_is_alive) it is.
+/// A name that no other process, on whatever machine, and no other call uses. It says
+/// [whose](ProcessId::owner_is_alive) it is.
 pub(crate) fn unique() -> String {
     static COUNTER: AtomicU64 = AtomicU64::new(0);
     static OWNER: OnceLock<String> = OnceLock::new();
@@ -114,8 +117,8 @@ pub(crate) fn unique() -> String {
     format!("{owner}-{}", COUNTER.fetch_add(1, Ordering::Relaxed))
 }
 
-/// Every regular file below a folder with its path (`/` between folders) and size, sorted; symbolic links and special
-/// files are errors.
+/// Every regular file below a folder with its path (`/` between folders) and size, sorted; symbolic links and
+/// special files are errors.
 pub(crate) fn list(root: &Path) -> Result<Vec<(String, u64)>, FileError> {
     let mut out = Vec::new();
     for entry in walkdir::WalkDir::new(root).sort_by_file_name() {

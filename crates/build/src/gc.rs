@@ -1,7 +1,8 @@
 //! Cleaning up: what is cheapest to make again goes first, what is in use never.
 //!
-//! In use is what the pipelines to keep would need now, and what running processes compute, read or have decided on: artifacts,
-//! and the checkpoints of trainings that are not finished. Then, until the cache is small enough: leftovers, checkpoints, artifacts that no last record points to, and at last those that are,
+//! In use is what the pipelines to keep would need now, and what running processes compute, read or have
+//! decided on: artifacts, and the checkpoints of trainings that are not finished. Then, until the cache is
+//! small enough: leftovers, checkpoints, artifacts that no last record points to, and at last those that are,
 //! each kind by the seconds it takes to make a byte again.
 
 use std::collections::BTreeSet;
@@ -60,8 +61,8 @@ pub struct Cleaning {
 }
 
 impl Plan {
-    /// What a cleaning that keeps this pipeline leaves: the keys of all artifacts that the plan finds there, and of the
-    /// checkpoints that unfinished stages would go on from.
+    /// What a cleaning that keeps this pipeline leaves: the keys of all artifacts that the plan finds there,
+    /// and of the checkpoints that unfinished stages would go on from.
     pub fn keys(&self) -> impl Iterator<Item = Key> + '_ {
         self.nodes.iter().filter_map(|n| if n.artifact.is_some() { n.key } else { n.checkpoints })
     }

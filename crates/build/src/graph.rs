@@ -1,7 +1,9 @@
-//! The static graph of a batch: every stage of every scene and variant, with its parameters and where its inputs come from.
+//! The static graph of a batch: every stage of every scene and variant, with its parameters and where its
+//! inputs come from.
 //!
-//! Variants that change nothing below a stage share it: such nodes are recognised before anything is known about content,
-//! by an identity made of stage, parameters, seed and the identities of the inputs, and point to the first of their kind.
+//! Variants that change nothing below a stage share it: such nodes are recognised before anything is known
+//! about content, by an identity made of stage, parameters, seed and the identities of the inputs, and point
+//! to the first of their kind.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::PathBuf;
@@ -182,7 +184,8 @@ pub struct Graph {
 }
 
 impl Graph {
-    /// The graph of `batch` over the stages of `registry`. Fails on parameters that a stage refuses and on unknown stages.
+    /// The graph of `batch` over the stages of `registry`. Fails on parameters that a stage refuses and on
+    /// unknown stages.
     pub fn new(registry: &Registry, batch: &Batch) -> Result<Self, EngineError> {
         check_names(registry, batch)?;
         let unnamed = [Variant::default()];
@@ -271,7 +274,8 @@ struct Builder<'a> {
 }
 
 impl Builder<'_> {
-    /// Parameters of every stage for a scene and variant: defaults, scene, variant, command line, later ones winning.
+    /// Parameters of every stage for a scene and variant: defaults, scene, variant, command line, later ones
+    /// winning.
     fn parameters(&self, scene: Option<&Scene>, variant: &Variant) -> Result<AllParameters, EngineError> {
         let mut all = AllParameters::new();
         for stage in self.registry.stages() {
@@ -298,8 +302,8 @@ impl Builder<'_> {
         Ok(all)
     }
 
-    /// What is named outside the pipeline for a scene in a variant; without a scene, what is named for all of them, together or one
-    /// by one.
+    /// What is named outside the pipeline for a scene in a variant; without a scene, what is named for all of
+    /// them, together or one by one.
     fn named(&self, scene: Option<&Scene>, variant: &Variant) -> Named {
         let batch = self.batch.externals.iter();
         let each = match (scene, self.batch.scenes.split_first()) {
@@ -318,7 +322,8 @@ impl Builder<'_> {
         )
     }
 
-    /// The place of a scene's reference variant, where a stage asks for one and a variant fulfils its condition.
+    /// The place of a scene's reference variant, where a stage asks for one and a variant fulfils its
+    /// condition.
     fn reference(&self, scene: &Scene, variants: &[Variant]) -> Result<Option<usize>, EngineError> {
         let Some(fulfils) = self.registry.stages().iter().find_map(|s| s.reference.as_ref()) else {
             return Ok(None);

@@ -1,4 +1,5 @@
-//! What happened to every node last: the memory behind `status`, `why` and the forecasts. Never part of a result.
+//! What happened to every node last: the memory behind `status`, `why` and the forecasts. Never part of a
+//! result.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -111,7 +112,8 @@ impl Cache {
     }
 }
 
-/// A name as a folder name: everything but letters, digits, `-`, `_` and inner dots as `%` and two hexadecimal digits.
+/// A name as a folder name: everything but letters, digits, `-`, `_` and inner dots as `%` and two
+/// hexadecimal digits.
 fn safe(name: &str) -> String {
     if name.is_empty() {
         return "_".to_string();

@@ -1,8 +1,8 @@
 //! The key of an artifact: everything that may change its bytes, and nothing else.
 //!
-//! key = BLAKE3(stage name, artifact schema ‖ code ‖ third-party versions ‖ canonical parameters ‖ seed ‖ numeric class ‖
-//! content digests of the inputs by role). Never paths, times, hosts or thread counts. The ingredients are kept spelled
-//! out beside every artifact, so that two keys can be compared field by field.
+//! key = BLAKE3(stage name, artifact schema ‖ code ‖ third-party versions ‖ canonical parameters ‖ seed ‖
+//! numeric class ‖ content digests of the inputs by role). Never paths, times, hosts or thread counts. The
+//! ingredients are kept spelled out beside every artifact, so that two keys can be compared field by field.
 
 use std::collections::BTreeMap;
 
@@ -61,7 +61,8 @@ pub struct Ingredients {
     pub parameters: Value,
     /// The seed, for a stage that draws random numbers.
     pub seed: Option<u64>,
-    /// The class of arithmetic: the machine's, see [`numeric_class`], and the [device's](DeviceClass) where the stage computes on one.
+    /// The class of arithmetic: the machine's, see [`numeric_class`], and the [device's](DeviceClass) where
+    /// the stage computes on one.
     pub numeric_class: String,
     /// The inputs, sorted.
     pub inputs: Vec<InputDigest>,
@@ -76,7 +77,8 @@ impl Ingredients {
         self.digest(CONTEXT, &self.parameters)
     }
 
-    /// The key of the chain of checkpoints: as [`key`](Self::key), without the parameters that only say how far to go.
+    /// The key of the chain of checkpoints: as [`key`](Self::key), without the parameters that only say how
+    /// far to go.
     pub fn checkpoint_key(&self, length_like: &[&str]) -> Digest {
         let mut parameters = self.parameters.clone();
         length_like.iter().for_each(|path| canonical::remove(&mut parameters, path));
@@ -183,8 +185,9 @@ impl std::fmt::Display for Difference {
 
 /// The class of arithmetic of this machine: within one class a stage's bytes are the same on every machine.
 ///
-/// Fused multiply-add rounds once where its absence rounds twice, so architecture, operating system and FMA make the class; the
-/// number of lanes does not, nor does the C library, which computes nothing (`use3d_numerics::math`).
+/// Fused multiply-add rounds once where its absence rounds twice, so architecture, operating system and FMA
+/// make the class; the number of lanes does not, nor does the C library, which computes nothing
+/// (`use3d_numerics::math`).
 pub fn numeric_class() -> String {
     let arch = std::env::consts::ARCH;
     let os = std::env::consts::OS;
@@ -195,7 +198,8 @@ pub fn numeric_class() -> String {
     format!("{arch}-{os}{}", if fused { "+fma" } else { "" })
 }
 
-/// What a stage computes with besides the processor: a device, and what runs on it. Any of it may change last bits.
+/// What a stage computes with besides the processor: a device, and what runs on it. Any of it may change last
+/// bits.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeviceClass {
     /// The engine's name.

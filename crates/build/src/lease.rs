@@ -1,11 +1,11 @@
-//! Who computes what now: one small file per key, so that two processes rarely do the same work at the same time; and one
-//! per run with everything it has decided on, which cleaning up leaves alone.
+//! Who computes what now: one small file per key, so that two processes rarely do the same work at the same
+//! time; and one per run with everything it has decided on, which cleaning up leaves alone.
 //!
-//! Leases only save time. Results are right without them, because publishing is atomic and the first wins; so a lease
-//! that cannot be written is no error, one whose holder is gone is taken over, and nobody ever has to remove one by hand. A
-//! holder on this machine is asked for by process id and start time. One on another machine renews its lease every few
-//! seconds, and whoever waits for it looks whether the file *changes*, by his own steady clock: what the clocks of two machines
-//! say, or one that was set back, is never compared.
+//! Leases only save time. Results are right without them, because publishing is atomic and the first wins; so
+//! a lease that cannot be written is no error, one whose holder is gone is taken over, and nobody ever has to
+//! remove one by hand. A holder on this machine is asked for by process id and start time. One on another
+//! machine renews its lease every few seconds, and whoever waits for it looks whether the file *changes*, by
+//! his own steady clock: what the clocks of two machines say, or one that was set back, is never compared.
 
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
@@ -24,7 +24,8 @@ use super::machine::{Machine, ProcessId};
 pub(crate) const HEARTBEAT: Duration = Duration::from_secs(10);
 /// How long a lease of another machine may stay as it is before its holder counts as gone.
 const EXPIRY: Duration = Duration::from_secs(90);
-/// The same for a file that does not say whose it is: being written at this moment, or left half-written by a crash.
+/// The same for a file that does not say whose it is: being written at this moment, or left half-written by a
+/// crash.
 const HALF: Duration = Duration::from_secs(2);
 /// Who looks only once cannot see a lease change. So far from the present it is of a holder that is gone.
 const LONG_GONE: Duration = Duration::from_secs(86_400);
@@ -34,7 +35,8 @@ pub(crate) struct Holder {
     process: ProcessId,
     host: String,
     token: String,
-    /// Keys, of artifacts and of checkpoints, that the holder reads or goes on from: cleaning up leaves them.
+    /// Keys, of artifacts and of checkpoints, that the holder reads or goes on from: cleaning up leaves
+    /// them.
     pub(crate) reads: Vec<Key>,
 }
 
@@ -154,8 +156,8 @@ impl Drop for Lease {
     }
 }
 
-/// What a run has decided on, protected until it ends: the artifacts it has found or made and will read, and the checkpoints
-/// it goes on from.
+/// What a run has decided on, protected until it ends: the artifacts it has found or made and will read, and
+/// the checkpoints it goes on from.
 pub(crate) struct RunLease {
     cache: Cache,
     path: PathBuf,
@@ -246,8 +248,8 @@ fn create(files: &dyn Files, path: &Path, bytes: &[u8]) -> Created {
     }
 }
 
-/// Puts our lease in the place of that of a holder who is gone. Of several processes that do so at once one gets it: who first
-/// claims these very bytes.
+/// Puts our lease in the place of that of a holder who is gone. Of several processes that do so at once one
+/// gets it: who first claims these very bytes.
 fn take_over(cache: &Cache, path: &Path, dead: &[u8], bytes: &[u8], now: Instant) -> Asked {
     let another = || Asked::Held("another process on this cache".to_string());
     let files = cache.files();
@@ -288,7 +290,8 @@ fn put(files: &dyn Files, path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     written
 }
 
-/// Everything that running processes compute, read or go on from now; leases of processes that are gone are removed.
+/// Everything that running processes compute, read or go on from now; leases of processes that are gone are
+/// removed.
 pub(crate) fn in_use(cache: &Cache) -> BTreeSet<Key> {
     let mut keys = BTreeSet::new();
     let entries = std::fs::read_dir(folder(cache)).into_iter().flatten().filter_map(Result::ok);

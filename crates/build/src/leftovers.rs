@@ -1,7 +1,9 @@
-//! What a killed process leaves outside the cache: temporary files and folders whose names say whose they are.
+//! What a killed process leaves outside the cache: temporary files and folders whose names say whose they
+//! are.
 //!
-//! Whatever is made under a temporary name carries its [`owner`], this process among all on all machines. The next process
-//! that works in the same folder removes what belongs to those that are known to have ended, and nothing else.
+//! Whatever is made under a temporary name carries its [`owner`], this process among all on all machines. The
+//! next process that works in the same folder removes what belongs to those that are known to have ended, and
+//! nothing else.
 
 use std::path::Path;
 
@@ -15,14 +17,15 @@ pub fn owner() -> String {
 /// What the names of folders for temporary files begin with.
 const SCRATCH: &str = "use3d-";
 
-/// A folder for temporary files that goes away when it is dropped; those of processes that were killed go now.
+/// A folder for temporary files that goes away when it is dropped; those of processes that were killed go
+/// now.
 pub fn scratch() -> std::io::Result<tempfile::TempDir> {
     sweep(&std::env::temp_dir(), SCRATCH, |_| true);
     tempfile::Builder::new().prefix(&format!("{SCRATCH}{}-", owner())).tempdir()
 }
 
-/// Removes files and folders in `folder` whose names are `prefix` and an [`owner`] who is gone; `may_go` is asked before.
-/// What cannot be removed stays: it is in nobody's way.
+/// Removes files and folders in `folder` whose names are `prefix` and an [`owner`] who is gone; `may_go` is
+/// asked before. What cannot be removed stays: it is in nobody's way.
 pub fn sweep(folder: &Path, prefix: &str, may_go: impl Fn(&Path) -> bool) {
     for entry in std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok) {
         let name = entry.file_name();

@@ -1,11 +1,13 @@
-//! A build system for computations that take hours: what a stage is, its key, its artifact; the plan, the run, the cache.
+//! A build system for computations that take hours: what a stage is, its key, its artifact; the plan, the
+//! run, the cache.
 //!
 //! It knows nothing of what is computed.
 //!
-//! A [`Stage`] is data and one pure function. It says what it is called, which crates it is made of, which parameters it
-//! has and which inputs it reads, and its function fills one folder. From that the engine derives a [`key`]: a digest of the
-//! stage's code, parameters and the *content* of its inputs. The folder of a key is computed once and never changes;
-//! a stage whose inputs came out the same as before is not run again, whatever happened upstream.
+//! A [`Stage`] is data and one pure function. It says what it is called, which crates it is made of, which
+//! parameters it has and which inputs it reads, and its function fills one folder. From that the engine
+//! derives a [`key`]: a digest of the stage's code, parameters and the *content* of its inputs. The folder of
+//! a key is computed once and never changes; a stage whose inputs came out the same as before is not run
+//! again, whatever happened upstream.
 //!
 //! ```
 //! use std::sync::Arc;
@@ -53,19 +55,23 @@
 //!
 //! # What a stage must keep to
 //!
-//! * Its files follow from its inputs, parameters and [seed](StageContext::seed) alone, whatever the number of threads: no
-//!   times, host names or paths in them. `use3d verify --sample` recomputes and compares. Where that holds within one class of
-//!   arithmetic only, it says by which [figures](Stage::agrees_across_classes) artifacts of two classes are compared.
+//! * Its files follow from its inputs, parameters and [seed](StageContext::seed) alone, whatever the number
+//!   of threads: no times, host names or paths in them. `use3d verify --sample` recomputes and compares.
+//!   Where that holds within one class of arithmetic only, it says by which
+//!   [figures](Stage::agrees_across_classes) artifacts of two classes are compared.
 //! * It reads nothing but its inputs, and writes nothing but its output folder and its checkpoints.
-//! * Long ones are [resumable](Stage::resumable): the checkpoint folder is keyed without the parameters that only say how far to
-//!   go, so that 20 000 steps after 15 000 cost 5 000, as long as nothing else in the stage depends on the total.
-//! * They look at [`StageContext::cancelled`] often and return [`StageError::Cancelled`] after saving a checkpoint.
+//! * Long ones are [resumable](Stage::resumable): the checkpoint folder is keyed without the parameters that
+//!   only say how far to go, so that 20 000 steps after 15 000 cost 5 000, as long as nothing else in the
+//!   stage depends on the total.
+//! * They look at [`StageContext::cancelled`] often and return [`StageError::Cancelled`] after saving a
+//!   checkpoint.
 //!
 //! # Where things are
 //!
 //! [`cache`]: the folder layout, publishing, verification. [`code`]: token-level code digests. [`content`]: digests of
-//! inputs that are not read twice. [`graph`]: scenes × stages × variants. [`plan`], [`run`]: what would happen, making it
-//! happen. [`executor`]: where its jobs run. [`history`]: what happened, forecasts. [`place`]: results outside the cache, and what of them may be replaced.
+//! inputs that are not read twice. [`graph`]: scenes × stages × variants. [`plan`], [`run`]: what would
+//! happen, making it happen. [`executor`]: where its jobs run. [`history`]: what happened, forecasts.
+//! [`place`]: results outside the cache, and what of them may be replaced.
 
 mod agree;
 mod alone;

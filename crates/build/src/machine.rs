@@ -46,7 +46,8 @@ pub fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// Memory that this process may still take, bytes, limits of its container included; `None` where the system does not say.
+/// Memory that this process may still take, bytes, limits of its container included; `None` where the system
+/// does not say.
 pub fn available_memory() -> Option<u64> {
     memory::available(Path::new("/"))
 }
@@ -79,7 +80,8 @@ impl ProcessId {
         format!("{}-{}-{}", Digest::of(self.place.as_bytes()).short(), self.pid, self.started)
     }
 
-    /// Whether the process that gave a file this name (and anything after a further `-`) runs; `None` when it lives on another machine.
+    /// Whether the process that gave a file this name (and anything after a further `-`) runs; `None` when it
+    /// lives on another machine.
     pub(crate) fn owner_is_alive(name: &str) -> Option<bool> {
         let mut parts = name.split('-');
         let here = place();

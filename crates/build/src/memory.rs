@@ -1,8 +1,9 @@
-//! How much memory this process may still take: for planning, for notices and for refusing work that cannot be done here.
+//! How much memory this process may still take: for planning, for notices and for refusing work that cannot
+//! be done here.
 //!
-//! Never for deciding what a stage computes: an artifact does not depend on the machine that made it. The least of what the system can
-//! give without swapping, what the process's control groups (a container's limit, version 1 or 2) leave it, and what its address-space
-//! limit (`ulimit -v`) leaves it.
+//! Never for deciding what a stage computes: an artifact does not depend on the machine that made it. The
+//! least of what the system can give without swapping, what the process's control groups (a container's
+//! limit, version 1 or 2) leave it, and what its address-space limit (`ulimit -v`) leaves it.
 
 use std::path::{Path, PathBuf};
 
@@ -19,8 +20,8 @@ pub(crate) fn resident() -> Option<u64> {
     kibibytes(Path::new("/proc/self/status"), "VmRSS:")
 }
 
-/// Of work that takes `start` bytes to begin and `most` in the end, where `free` can be had: an error where it cannot begin, a notice
-/// where it may not end. `lower` says in words what makes it less.
+/// Of work that takes `start` bytes to begin and `most` in the end, where `free` can be had: an error where
+/// it cannot begin, a notice where it may not end. `lower` says in words what makes it less.
 pub(crate) fn judge(free: u64, start: u64, most: u64, lower: &str) -> Result<Option<String>, String> {
     let [free_text, start_text, most_text] = [free, start, most].map(bytes);
     if start > free {
@@ -82,7 +83,8 @@ fn control_groups(root: &Path) -> Option<u64> {
 }
 
 impl Version {
-    /// A limit holds for everything below it. In a container the path may be the host's: then only the mount itself is there.
+    /// A limit holds for everything below it. In a container the path may be the host's: then only the mount
+    /// itself is there.
     fn left(&self, root: &Path, path: &str) -> Option<u64> {
         let mount = root.join(self.mount);
         let mut folder: PathBuf = mount.join(path.trim_start_matches('/'));

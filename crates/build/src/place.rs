@@ -1,10 +1,12 @@
-//! Result folders outside the cache: which of them are ours, and how one takes another's place without losing anybody's file.
+//! Result folders outside the cache: which of them are ours, and how one takes another's place without losing
+//! anybody's file.
 //!
-//! A result carries a record, `manifest.json`: an artifact's own, or, where a stage was run by hand, a list of the files with their
-//! digests. A folder is ours if it has a record and every file that the record lists still has the bytes it lists. Only then,
-//! and only the listed files, may go: the new result is complete in a sibling before the old one is moved out of the way, files
-//! that somebody put beside ours move over into the new folder, and nothing is ever removed that the record does not
-//! list. Anything else in the place of a result is somebody's own and is refused.
+//! A result carries a record, `manifest.json`: an artifact's own, or, where a stage was run by hand, a list
+//! of the files with their digests. A folder is ours if it has a record and every file that the record lists
+//! still has the bytes it lists. Only then, and only the listed files, may go: the new result is complete in
+//! a sibling before the old one is moved out of the way, files that somebody put beside ours move over into
+//! the new folder, and nothing is ever removed that the record does not list. Anything else in the place of a
+//! result is somebody's own and is refused.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -195,7 +197,8 @@ fn look_once(folder: &Path, look: Look) -> Result<Standing, PlaceError> {
     Ok(Standing::Ours(Ours { key: record.key, whole, listed, extra }))
 }
 
-/// Whether a file was written before the record. Clocks of file systems tick slowly: at the same tick, it may have been edited.
+/// Whether a file was written before the record. Clocks of file systems tick slowly: at the same tick, it may
+/// have been edited.
 fn is_older(data: &fs::Metadata, than: Option<SystemTime>) -> bool {
     matches!((data.modified().ok(), than), (Some(file), Some(record)) if file < record)
 }
@@ -232,7 +235,8 @@ pub fn record(folder: &Path, key: Option<Digest>) -> Result<(), PlaceError> {
     at(&path, "write", fs::write(&path, bytes))
 }
 
-/// Refuses what must not be replaced, before any work is done: with `replace`, whatever is not ours, without it, anything.
+/// Refuses what must not be replaced, before any work is done: with `replace`, whatever is not ours, without
+/// it, anything.
 pub fn check(folder: &Path, replace: bool) -> Result<(), PlaceError> {
     match look(folder, Look::Quick)? {
         Standing::Free => Ok(()),
@@ -254,7 +258,8 @@ fn not_ours(folder: &Path, why: &str) -> PlaceError {
     occupied(folder, &format!("{why}; it is left as it is: choose another name, or move it away first"))
 }
 
-/// Finds out, before any work is done, whether files can be made in `folder`, or, where it is not there, in the nearest folder above.
+/// Finds out, before any work is done, whether files can be made in `folder`, or, where it is not there, in
+/// the nearest folder above.
 pub fn check_writable(folder: &Path) -> Result<(), PlaceError> {
     let mut there = folder;
     while fs::symlink_metadata(there).is_err() && there != parent(there) {
@@ -273,7 +278,8 @@ const MADE: &str = ".use3d-tmp-";
 /// What begins the name of an old result on its way out. It may hold files of others, so nobody sweeps it.
 const OLD: &str = ".use3d-old-";
 
-/// A place beside `path` for what is being made; not called after it, since a name may be as long as names can be.
+/// A place beside `path` for what is being made; not called after it, since a name may be as long as names
+/// can be.
 pub fn sibling(path: &Path) -> PathBuf {
     beside(path, MADE)
 }
@@ -305,8 +311,8 @@ pub fn copy_folder(from: &Path, to: &Path) -> Result<(), PlaceError> {
     Ok(())
 }
 
-/// Puts the finished folder `made`, a [`sibling`] with its record, in the place of `folder`. What stood there is replaced only
-/// if it is ours (and `replace` allows it); files that were put beside ours stay.
+/// Puts the finished folder `made`, a [`sibling`] with its record, in the place of `folder`. What stood there
+/// is replaced only if it is ours (and `replace` allows it); files that were put beside ours stay.
 pub fn put(made: &Path, folder: &Path, replace: bool) -> Result<(), PlaceError> {
     // Another process may deliver into the same place: then look again.
     for _ in 0..TRIES {
@@ -375,8 +381,8 @@ fn in_the_way(made: &Path, name: &str) -> bool {
     Path::new(name).ancestors().any(|part| taken(part, part == Path::new(name)))
 }
 
-/// Moves what others put beside an old result into the new one, and removes our files. A folder that is not empty then holds
-/// something that has no room there or came since, and stays.
+/// Moves what others put beside an old result into the new one, and removes our files. A folder that is not
+/// empty then holds something that has no room there or came since, and stays.
 fn retire(aside: &Path, ours: &Ours, folder: &Path) -> Result<(), PlaceError> {
     for name in &ours.extra {
         let to = folder.join(name);

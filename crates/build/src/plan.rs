@@ -1,7 +1,7 @@
 //! What would run, what is cached, and why: exact, without computing anything.
 //!
-//! A node below one that has to run has no key yet, since its inputs are not there: it *waits*, and will run unless what
-//! comes out is the same as before (early cut-off).
+//! A node below one that has to run has no key yet, since its inputs are not there: it *waits*, and will run
+//! unless what comes out is the same as before (early cut-off).
 
 use std::path::PathBuf;
 
@@ -55,7 +55,8 @@ pub struct PlannedNode {
     pub changes: Vec<Difference>,
     /// What it will probably cost.
     pub forecast: Option<Forecast>,
-    /// About how much memory it will take, bytes, judging by those of its inputs that are there; `None` where nobody knows.
+    /// About how much memory it will take, bytes, judging by those of its inputs that are there; `None`
+    /// where nobody knows.
     pub memory: Option<u64>,
     /// The node that does the same work for it, in words.
     pub shared_with: Option<String>,
@@ -87,8 +88,8 @@ impl Plan {
         self.own().filter(|n| n.state == State::Cached).count()
     }
 
-    /// How many nodes cannot run because an input that the pipeline names is missing or unreadable, without those that share
-    /// another's work.
+    /// How many nodes cannot run because an input that the pipeline names is missing or unreadable, without
+    /// those that share another's work.
     pub fn unavailable(&self) -> usize {
         self.own().filter(|n| matches!(n.state, State::Unavailable(_))).count()
     }

@@ -13,7 +13,8 @@ pub struct Registry {
     shorthands: Vec<Shorthand>,
 }
 
-/// A key of the pipeline file that stands for a parameter of a stage, e.g. a scene's `size` for `import.size`.
+/// A key of the pipeline file that stands for a parameter of a stage, e.g. a scene's `size` for
+/// `import.size`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shorthand {
     /// Where it stands: `scene`, `calibrator`, `models`, or empty for the top.
@@ -27,8 +28,8 @@ pub struct Shorthand {
 }
 
 impl Registry {
-    /// A table of these stages, made of the code in `table`. A stage's inputs come from stages before it; roles are unique; a shared
-    /// stage reads only shared ones; the code that a stage names exists.
+    /// A table of these stages, made of the code in `table`. A stage's inputs come from stages before it;
+    /// roles are unique; a shared stage reads only shared ones; the code that a stage names exists.
     ///
     /// # Errors
     /// Stages that do not fit together, or that name code that is not there.

@@ -1,9 +1,9 @@
 //! Runs a batch: every node whose inputs are there, within the cores and the memory that there are.
 //!
-//! One thread decides, an [executor](super::executor) works. Nodes are started in the graph's order, so that scenes finish one after another.
-//! A failed node blocks what reads it and nothing else; stages over the whole batch go on with what there is. What the run has
-//! decided on is protected by a lease until it ends, and a scene is told as soon as its last stage is over, so that its results need
-//! not wait for the others.
+//! One thread decides, an [executor](super::executor) works. Nodes are started in the graph's order, so that
+//! scenes finish one after another. A failed node blocks what reads it and nothing else; stages over the
+//! whole batch go on with what there is. What the run has decided on is protected by a lease until it ends,
+//! and a scene is told as soon as its last stage is over, so that its results need not wait for the others.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -327,12 +327,13 @@ impl<'r> Runner<'r> {
         self.start(i, resolved, starter)
     }
 
-    /// Whether some scene that reads a shared node can still be computed: [`Need::Unknown`] until the first of them has been read
-    /// in, which is quick beside a calibrator that nobody would use.
+    /// Whether some scene that reads a shared node can still be computed: [`Need::Unknown`] until the first
+    /// of them has been read in, which is quick beside a calibrator that nobody would use.
     fn need(&self, shared: usize) -> Need {
         let nodes = &self.graph.nodes;
         let scope = |i: usize| self.engine.registry.stages()[nodes[i].stage].scope;
-        // Inputs come before what reads them: one pass finds all that follows from this node, and how the rest stands.
+        // Inputs come before what reads them: one pass finds all that follows from this node, and how the
+        // rest stands.
         let mut follows = vec![false; nodes.len()];
         let mut stands: Vec<Need> = Vec::with_capacity(nodes.len());
         let mut need = Need::Unasked;

@@ -1,4 +1,5 @@
-//! A stage as data: what it is called, what it is made of, what it reads, and the pure function that fills its folder.
+//! A stage as data: what it is called, what it is made of, what it reads, and the pure function that fills
+//! its folder.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -31,14 +32,16 @@ pub enum Scope {
 pub enum Source {
     /// The artifact of a stage.
     Stage(&'static str),
-    /// The artifact of a stage for the same scene in the batch's reference variant: the first one whose parameters fulfil the
-    /// condition given with [`Stage::reference_input`]. What variants are compared by is then the same for all of them.
+    /// The artifact of a stage for the same scene in the batch's reference variant: the first one whose
+    /// parameters fulfil the condition given with [`Stage::reference_input`]. What variants are compared
+    /// by is then the same for all of them.
     Reference(&'static str),
     /// A file or folder named by the pipeline: `capture`, `models`, `pairs.input`, …
     External(&'static str),
 }
 
-/// Chooses the files of an external input that a stage reads, relative to the input's path, from the parameters.
+/// Chooses the files of an external input that a stage reads, relative to the input's path, from the
+/// parameters.
 pub type Select = Arc<dyn Fn(&Value, &Path) -> Result<Vec<PathBuf>, String> + Send + Sync>;
 
 /// Whether an artifact is read, from the parameters of all stages.
@@ -51,8 +54,8 @@ pub struct Input {
     pub role: &'static str,
     /// Where it comes from.
     pub source: Source,
-    /// Whether the stage also runs without it: the pipeline names none, or the stage that makes it is not asked for. One that is
-    /// named and not there is an error, never left out.
+    /// Whether the stage also runs without it: the pipeline names none, or the stage that makes it is not
+    /// asked for. One that is named and not there is an error, never left out.
     pub optional: bool,
     /// Which files count; `None` counts every file that is not hidden.
     pub select: Option<Select>,
@@ -62,7 +65,8 @@ pub struct Input {
     pub needed: Option<Needed>,
 }
 
-/// What the pipeline names outside itself, for [`Stage::when_named`]: for one scene, or, for a stage that is made once, for all of them.
+/// What the pipeline names outside itself, for [`Stage::when_named`]: for one scene, or, for a stage that is
+/// made once, for all of them.
 #[derive(Clone, Debug, Default)]
 pub struct Named {
     places: std::collections::BTreeMap<String, Option<PathBuf>>,
@@ -127,7 +131,8 @@ pub struct Stage {
 impl Stage {
     /// A stage of `scope` with parameters `P`, which fills its folder with `run`.
     ///
-    /// `P`'s default values are the stage's; unknown fields are refused when `P` says `deny_unknown_fields`, as it should.
+    /// `P`'s default values are the stage's; unknown fields are refused when `P` says `deny_unknown_fields`,
+    /// as it should.
     pub fn new<P>(
         name: &'static str,
         scope: Scope,
@@ -211,8 +216,9 @@ impl Stage {
         })
     }
 
-    /// Reads, as `role`, the artifact that `stage` makes for the same scene in the reference variant, where there is one: the first
-    /// variant for whose parameters `is_reference` holds. It is an input like any other, so it is part of the key.
+    /// Reads, as `role`, the artifact that `stage` makes for the same scene in the reference variant, where
+    /// there is one: the first variant for whose parameters `is_reference` holds. It is an input like any
+    /// other, so it is part of the key.
     #[must_use]
     pub fn reference_input(
         mut self,
@@ -264,8 +270,8 @@ impl Stage {
         self
     }
 
-    /// Lets the parameters choose which files of the input added last count (paths relative to it; folders count
-    /// with everything below). A path that does not exist is skipped.
+    /// Lets the parameters choose which files of the input added last count (paths relative to it; folders
+    /// count with everything below). A path that does not exist is skipped.
     #[must_use]
     pub fn select(
         mut self,
@@ -277,8 +283,8 @@ impl Stage {
         self
     }
 
-    /// The input added last, an artifact, is the file or folder `name` instead where the pipeline names that; the stage that makes the
-    /// artifact is then not needed for it.
+    /// The input added last, an artifact, is the file or folder `name` instead where the pipeline names that;
+    /// the stage that makes the artifact is then not needed for it.
     #[must_use]
     pub fn or_external(mut self, name: &'static str) -> Self {
         if let Some(input) = self.inputs.last_mut() {
@@ -287,8 +293,9 @@ impl Stage {
         self
     }
 
-    /// The input added last, an artifact, is read only where this holds for the parameters of all stages. A file that the pipeline names in
-    /// its place is read in any case, so that the stage can say that it has no use for it.
+    /// The input added last, an artifact, is read only where this holds for the parameters of all stages. A
+    /// file that the pipeline names in its place is read in any case, so that the stage can say that it
+    /// has no use for it.
     #[must_use]
     pub fn only_when(mut self, needed: impl Fn(&AllParameters) -> bool + Send + Sync + 'static) -> Self {
         if let Some(input) = self.inputs.last_mut() {
@@ -311,16 +318,16 @@ impl Stage {
         self
     }
 
-    /// The parameters at these dotted paths change how it works but not one byte of what comes out, such as the steps between
-    /// checkpoints or a cache's size: they are no part of its key.
+    /// The parameters at these dotted paths change how it works but not one byte of what comes out, such as
+    /// the steps between checkpoints or a cache's size: they are no part of its key.
     #[must_use]
     pub fn without_effect(mut self, parameters: &'static [&'static str]) -> Self {
         self.without_effect = parameters;
         self
     }
 
-    /// It computes on a device with these parameters, or on the processor alone (`None`): the device is part of its class of arithmetic,
-    /// and so of its key.
+    /// It computes on a device with these parameters, or on the processor alone (`None`): the device is part
+    /// of its class of arithmetic, and so of its key.
     #[must_use]
     pub fn computes_on<P: DeserializeOwned + 'static>(
         mut self,
@@ -330,7 +337,8 @@ impl Stage {
         self
     }
 
-    /// Its bytes are the same within one class of arithmetic, not between two: there, these figures of its artifact agree.
+    /// Its bytes are the same within one class of arithmetic, not between two: there, these figures of its
+    /// artifact agree.
     #[must_use]
     pub fn agrees_across_classes(mut self, figures: &'static [Figure]) -> Self {
         self.figures = figures;
@@ -345,9 +353,10 @@ impl Stage {
         self
     }
 
-    /// About how many bytes of memory it takes on what it reads, from its parameters and from those of its inputs that are there already
-    /// (a plan knows some of them, a run all). Where they do not say (`None`), it is what [`cost`](Self::cost) says. It decides
-    /// what runs side by side, never what comes out.
+    /// About how many bytes of memory it takes on what it reads, from its parameters and from those of its
+    /// inputs that are there already (a plan knows some of them, a run all). Where they do not say
+    /// (`None`), it is what [`cost`](Self::cost) says. It decides what runs side by side, never what
+    /// comes out.
     #[must_use]
     pub fn memory<P: DeserializeOwned + 'static>(
         mut self,
@@ -366,8 +375,9 @@ impl Stage {
         self.when_named(move |all, _| condition(all))
     }
 
-    /// As [`when`](Self::when), from what the pipeline names outside itself, too. What is there decides whether the stage is asked for
-    /// when a pipeline is planned; what a stage computes still follows from its inputs alone.
+    /// As [`when`](Self::when), from what the pipeline names outside itself, too. What is there decides
+    /// whether the stage is asked for when a pipeline is planned; what a stage computes still follows
+    /// from its inputs alone.
     #[must_use]
     pub fn when_named(
         mut self,
@@ -377,7 +387,8 @@ impl Stage {
         self
     }
 
-    /// Refuses parameters that parse but make no sense; the error names the field (dotted path) and says what is expected.
+    /// Refuses parameters that parse but make no sense; the error names the field (dotted path) and says what
+    /// is expected.
     #[must_use]
     pub fn check<P: DeserializeOwned + 'static>(
         mut self,

@@ -1,7 +1,8 @@
 //! Checking the cache: every byte against its digest, and a sample computed again.
 //!
-//! What is computed again in its own class of arithmetic must come out the same to the byte. A cache may also hold what another machine
-//! or another device made; where a stage says that its bytes differ between classes, the figures that it names must agree.
+//! What is computed again in its own class of arithmetic must come out the same to the byte. A cache may also
+//! hold what another machine or another device made; where a stage says that its bytes differ between
+//! classes, the figures that it names must agree.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -53,8 +54,8 @@ pub struct Verification {
 }
 
 impl Cache {
-    /// Reads every artifact and compares it with its manifest; with `repair`, moves damaged ones aside, and files that somebody
-    /// put into a whole one.
+    /// Reads every artifact and compares it with its manifest; with `repair`, moves damaged ones aside, and
+    /// files that somebody put into a whole one.
     pub fn verify_all(&self, repair: bool) -> Verification {
         let mut found = Verification::default();
         for (stage, key, _) in self.artifacts() {
@@ -83,8 +84,8 @@ impl Cache {
         found
     }
 
-    /// Names what lies in an artifact's folder without being in its manifest: whoever reads the folder might take it for a
-    /// part of the result.
+    /// Names what lies in an artifact's folder without being in its manifest: whoever reads the folder might
+    /// take it for a part of the result.
     fn look_for_strangers(&self, artifact: &Artifact, name: &str, repair: bool, found: &mut Verification) {
         let listed: BTreeSet<&str> = artifact.manifest.files.iter().map(|f| f.path.as_str()).collect();
         for entry in
@@ -132,8 +133,9 @@ enum Again {
 }
 
 impl Engine {
-    /// Computes a share of the cached stages of `graph` again, in a scratch folder and from the cached inputs, and compares. The
-    /// choice follows from the keys, so that it is the same everywhere; at least one stage is computed.
+    /// Computes a share of the cached stages of `graph` again, in a scratch folder and from the cached
+    /// inputs, and compares. The choice follows from the keys, so that it is the same everywhere; at
+    /// least one stage is computed.
     pub fn verify_sample(
         &self,
         graph: &Graph,
@@ -193,8 +195,8 @@ impl Engine {
         Ok(found)
     }
 
-    /// What the cache holds of a graph, one of each kind: artifacts of this machine's class, else those of another with the same
-    /// ingredients, which the stages after them then read.
+    /// What the cache holds of a graph, one of each kind: artifacts of this machine's class, else those of
+    /// another with the same ingredients, which the stages after them then read.
     fn cached_in_any_class(&self, graph: &Graph) -> (Vec<Made>, Vec<Outcome>) {
         let mut outcomes = self.outcomes(&self.plan(graph, None));
         let mut cached = Vec::new();

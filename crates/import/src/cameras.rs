@@ -1,7 +1,8 @@
-//! Cameras to render from: a COLMAP model, a capture, or a JSON list. Always in COLMAP's frame, sorted by name (a list keeps its order).
+//! Cameras to render from: a COLMAP model, a capture, or a JSON list. Always in COLMAP's frame, sorted by
+//! name (a list keeps its order).
 //!
-//! The JSON is a list, or an object with a list under `cameras`. Each camera has `width`, `height` (or the object has them for
-//! all), a lens, and a world-to-camera pose, in either of two spellings:
+//! The JSON is a list, or an object with a list under `cameras`. Each camera has `width`, `height` (or the
+//! object has them for all), a lens, and a world-to-camera pose, in either of two spellings:
 //!
 //! ```json
 //! [{"name": "a", "width": 640, "height": 360, "fx": 500, "fy": 500, "cx": 320, "cy": 180,
@@ -10,7 +11,8 @@
 //!   "world_to_camera": [[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]}]
 //! ```
 //!
-//! `rotation` is row-major; `name` may be left out (the index, four digits). Distorting lenses of a model become their pinholes.
+//! `rotation` is row-major; `name` may be left out (the index, four digits). Distorting lenses of a model
+//! become their pinholes.
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -1,4 +1,5 @@
-//! What happens to the pixels of one camera's files: undistortion, then scale and crop; and the lens behind the result.
+//! What happens to the pixels of one camera's files: undistortion, then scale and crop; and the lens behind
+//! the result.
 
 use use3d_capture::{Intrinsics, Map, Pixels};
 use use3d_io_colmap::ModelCamera;

@@ -1,6 +1,8 @@
-//! From a capture folder to a [`Capture`]: model and images found, names resolved, lenses made pinholes, frame and split chosen.
+//! From a capture folder to a [`Capture`]: model and images found, names resolved, lenses made pinholes,
+//! frame and split chosen.
 //!
-//! Headers of the images are read, pixels are not: that is [`crate::prepare`]'s work, and only where they change.
+//! Headers of the images are read, pixels are not: that is [`crate::prepare`]'s work, and only where they
+//! change.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -46,7 +48,8 @@ pub(crate) struct Plan {
 }
 
 impl Imported {
-    /// Whether pixels must be resampled or balanced before the views can be loaded; [`crate::prepare`] does it.
+    /// Whether pixels must be resampled or balanced before the views can be loaded; [`crate::prepare`] does
+    /// it.
     pub fn needs_preparation(&self) -> bool {
         self.white_balance != WhiteBalance::None || self.plans.iter().any(|p| p.geometry.resamples())
     }
@@ -60,7 +63,8 @@ impl Imported {
 /// Imports a capture folder: a COLMAP model and its images, or a folder that [`crate::prepare`] wrote.
 ///
 /// # Errors
-/// Anything that keeps the capture from being used as asked; missing images are not errors, they are skipped and reported.
+/// Anything that keeps the capture from being used as asked; missing images are not errors, they are skipped
+/// and reported.
 pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError> {
     params.validate()?;
     if !dir.is_dir() {
@@ -205,7 +209,8 @@ fn plan(
             Geometry::new(camera, (width, height), &views[members[0]].0.image, params)
         })
         .collect::<Result<_, _>>()?;
-    // A table of positions pays for itself when a camera took several images, and only a few may be held at once.
+    // A table of positions pays for itself when a camera took several images, and only a few may be held at
+    // once.
     let few = built.iter().filter(|g| g.undistortion.is_some()).count() <= 4;
     let mut plans = vec![None; views.len()];
     for ((&(id, width, height), members), mut geometry) in groups.iter().zip(built) {

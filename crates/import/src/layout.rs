@@ -1,4 +1,5 @@
-//! Where things lie in a capture folder, and how names from a model are turned into paths that never leave it.
+//! Where things lie in a capture folder, and how names from a model are turned into paths that never leave
+//! it.
 
 use std::path::{Path, PathBuf};
 
@@ -30,7 +31,8 @@ pub(crate) struct FoundModel {
     pub(crate) images: u64,
 }
 
-/// All models of a capture, the chosen one first: the one that lists most images, the earlier place where they tie.
+/// All models of a capture, the chosen one first: the one that lists most images, the earlier place where
+/// they tie.
 pub(crate) fn find_models(root: &Path, params: &ImportParams) -> Result<Vec<FoundModel>, ImportError> {
     if let Some(dir) = &params.model_dir {
         let path = root.join(dir);
@@ -132,8 +134,8 @@ pub(crate) struct Folder {
     pub(crate) relative: String,
     /// The real path, symbolic links followed.
     real: PathBuf,
-    /// Whether files in it may be links to places outside: in a user's own capture, which is only read, never in a
-    /// folder that says in a manifest which of its files are meant.
+    /// Whether files in it may be links to places outside: in a user's own capture, which is only read,
+    /// never in a folder that says in a manifest which of its files are meant.
     links: bool,
 }
 
@@ -153,7 +155,8 @@ impl Folder {
         &self.real
     }
 
-    /// The file of that name; `None` if it is not there, an error if it is outside the folder and links are not followed.
+    /// The file of that name; `None` if it is not there, an error if it is outside the folder and links are
+    /// not followed.
     pub(crate) fn file(&self, name: &FileName) -> Result<Option<PathBuf>, ImportError> {
         let here = name.below(&self.real);
         let Ok(real) = here.canonicalize() else { return Ok(None) };
@@ -222,7 +225,8 @@ impl Folder {
     }
 }
 
-/// The image folder: the one asked for, or the one that holds most of the model's images. Others are returned too.
+/// The image folder: the one asked for, or the one that holds most of the model's images. Others are returned
+/// too.
 pub(crate) fn find_images(
     root: &Path,
     params: &ImportParams,
@@ -283,7 +287,8 @@ fn unread(dir: &Path) -> Option<String> {
         .map(|extension| extension.to_uppercase())
 }
 
-/// The mask or depth folder: the one asked for (an error if it is not there) or the first default that is there.
+/// The mask or depth folder: the one asked for (an error if it is not there) or the first default that is
+/// there.
 pub(crate) fn find_extra(
     root: &Path,
     asked: Option<&str>,
@@ -302,7 +307,8 @@ pub(crate) fn find_extra(
     }
 }
 
-/// Whether a capture folder has a folder of depth priors: the one that the parameters name, or one of the usual names.
+/// Whether a capture folder has a folder of depth priors: the one that the parameters name, or one of the
+/// usual names.
 pub fn has_depth_folder(capture: &Path, params: &ImportParams) -> bool {
     let asked = params.depth_dir.as_deref().filter(|_| !crate::prepared::is_prepared(capture));
     match find_extra(capture, asked, "depth_dir", &DEPTH_DIRS) {

@@ -8,7 +8,8 @@ use use3d_io_image::{image_info, read, read_map, read_pixels};
 use crate::error::ImportError;
 use crate::resample::Resize;
 
-/// Sides of masks and depth priors may be off the image's shape by this share (they are often rounded to multiples of 14).
+/// Sides of masks and depth priors may be off the image's shape by this share (they are often rounded to
+/// multiples of 14).
 const SHAPE_TOLERANCE: f64 = 0.04;
 
 /// The view's pixels. Their size must be the camera's.

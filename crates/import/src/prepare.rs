@@ -1,7 +1,9 @@
-//! Pixels made ready: undistorted, resized, white-balanced, written beside the manifest; files that need nothing are copied.
+//! Pixels made ready: undistorted, resized, white-balanced, written beside the manifest; files that need
+//! nothing are copied.
 //!
-//! Views stream through a few worker threads, each holding one view; the number of workers is bounded by the threads asked for and
-//! by a memory budget, so that the folder's size does not matter. Outputs do not depend on the number of workers.
+//! Views stream through a few worker threads, each holding one view; the number of workers is bounded by the
+//! threads asked for and by a memory budget, so that the folder's size does not matter. Outputs do not depend
+//! on the number of workers.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -25,7 +27,8 @@ use crate::white_balance;
 
 /// Memory that the views in flight may take together, bytes.
 const BUDGET: usize = 640 << 20;
-/// What a view in flight takes per pixel of its file or its result: decoded, as planes, as floats, and encoded.
+/// What a view in flight takes per pixel of its file or its result: decoded, as planes, as floats, and
+/// encoded.
 const BYTES_PER_PIXEL: usize = 48;
 
 /// Told after each view how many of how many are done; `false` stops.
@@ -33,8 +36,8 @@ pub type Progress<'a> = &'a (dyn Fn(usize, usize) -> bool + Sync);
 
 /// Writes the prepared capture into `out` and returns it as [`crate::load_prepared`] will read it.
 ///
-/// `threads = 0` takes all cores. Files are each there whole or not at all, and the manifest comes last; a folder that was
-/// interrupted has none and can be prepared again.
+/// `threads = 0` takes all cores. Files are each there whole or not at all, and the manifest comes last; a
+/// folder that was interrupted has none and can be prepared again.
 pub fn prepare(
     imported: &Imported,
     out: &Path,
@@ -105,8 +108,8 @@ fn workers(imported: &Imported, threads: usize) -> usize {
     cores.min(BUDGET / (largest * BYTES_PER_PIXEL)).max(1)
 }
 
-/// File names of the results: PNG where pixels change, else the source's extension; made distinct where stems collide,
-/// also once folders are flattened (`left/1.png` and `left_1.png`).
+/// File names of the results: PNG where pixels change, else the source's extension; made distinct where stems
+/// collide, also once folders are flattened (`left/1.png` and `left_1.png`).
 fn output_names(imported: &Imported, balanced: bool) -> Result<Vec<FileName>, ImportError> {
     let mut taken = BTreeSet::new();
     let views = imported.capture.views.iter().zip(&imported.plans);
@@ -202,7 +205,8 @@ fn prepare_view(
     let image = name.below(&out.join("images"));
     let mut result = View { name: name.clone(), image, mask: None, depth_prior: None, ..view.clone() };
     if !changes(plan, gains) {
-        // Decoded all the same: a damaged file is said here, by its own name, not hours later in a stage that reads it.
+        // Decoded all the same: a damaged file is said here, by its own name, not hours later in a stage that
+        // reads it.
         if read_pixels(&view.image)?.size() != plan.geometry.file {
             return Err(changed(view, plan));
         }
@@ -228,7 +232,8 @@ fn prepare_view(
     Ok(result)
 }
 
-/// The model of the prepared images: pinholes, new names, keypoints moved with the pixels; and each view's camera id.
+/// The model of the prepared images: pinholes, new names, keypoints moved with the pixels; and each view's
+/// camera id.
 fn pinhole_model(imported: &Imported, names: &[FileName]) -> (Model, Vec<u32>) {
     let mut model = Model { points: imported.model.points.clone(), ..Model::default() };
     let mut next = imported.model.cameras.iter().map(|c| c.id).max().unwrap_or(0);
@@ -264,7 +269,8 @@ fn pinhole_model(imported: &Imported, names: &[FileName]) -> (Model, Vec<u32>) {
         image.name = names[i].clone();
         image.camera = ids[i];
         for keypoint in &mut image.keypoints {
-            // A keypoint that the lens cannot have seen keeps its place in the list, so that tracks stay right.
+            // A keypoint that the lens cannot have seen keeps its place in the list, so that tracks stay
+            // right.
             let (x, y) =
                 imported.plans[i].geometry.point(keypoint.x, keypoint.y).unwrap_or((f64::NAN, f64::NAN));
             let Keypoint { point, .. } = *keypoint;
@@ -275,8 +281,8 @@ fn pinhole_model(imported: &Imported, names: &[FileName]) -> (Model, Vec<u32>) {
     (model, ids)
 }
 
-/// Runs `work(0..n)` on a few threads, one item each at a time, and returns the results in order. The first failure (by index,
-/// of those that ran) stops the rest.
+/// Runs `work(0..n)` on a few threads, one item each at a time, and returns the results in order. The first
+/// failure (by index, of those that ran) stops the rest.
 pub(crate) fn in_parallel<T: Send>(
     n: usize,
     workers: usize,

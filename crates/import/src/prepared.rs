@@ -1,9 +1,10 @@
-//! A prepared capture on disk: `capture.json`, `images/`, `masks/`, `depth/`, and a pinhole COLMAP model in `sparse/0`.
+//! A prepared capture on disk: `capture.json`, `images/`, `masks/`, `depth/`, and a pinhole COLMAP model in
+//! `sparse/0`.
 //!
-//! The folder is itself a capture that other tools can read. `capture.json` holds the views with their cameras in the normalised
-//! frame, the frame, the split and the import's report; numbers are written so that they read back to the same bits.
-//! Rotations are row-major. The points are those of the model, moved by the frame. `capture.json` is written last: a folder without it
-//! was not finished.
+//! The folder is itself a capture that other tools can read. `capture.json` holds the views with their
+//! cameras in the normalised frame, the frame, the split and the import's report; numbers are written so that
+//! they read back to the same bits. Rotations are row-major. The points are those of the model, moved by the
+//! frame. `capture.json` is written last: a folder without it was not finished.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -33,7 +34,8 @@ pub(crate) const MODEL: &str = "sparse/0";
 struct Manifest {
     format: String,
     version: u32,
-    /// Read from older folders and no longer written: the same capture under another name is the same capture.
+    /// Read from older folders and no longer written: the same capture under another name is the same
+    /// capture.
     #[serde(skip_serializing, default)]
     name: String,
     frame: FrameEntry,
@@ -159,8 +161,8 @@ pub struct Extent {
     pub points: usize,
 }
 
-/// How large a prepared capture is, from its manifest alone: no picture and no model is opened, so that a plan over many scenes stays
-/// quick.
+/// How large a prepared capture is, from its manifest alone: no picture and no model is opened, so that a
+/// plan over many scenes stays quick.
 ///
 /// # Errors
 /// A manifest that is not there, or not one of ours.

@@ -7,8 +7,8 @@ use use3d_capture::shown;
 
 /// The account of an import.
 ///
-/// What is stored follows from the files that are read; what only lies beside them, and the folder's name, is said and not stored, so that
-/// equal captures give equal bytes wherever they are.
+/// What is stored follows from the files that are read; what only lies beside them, and the folder's name, is
+/// said and not stored, so that equal captures give equal bytes wherever they are.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ImportReport {
     /// The capture's name: its folder's, not stored.

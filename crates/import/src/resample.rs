@@ -1,8 +1,9 @@
-//! Resizing with the intrinsics in step: output pixel centre `(x, y)` shows the source at `((x + left) / sx, (y + top) / sy)`.
+//! Resizing with the intrinsics in step: output pixel centre `(x, y)` shows the source at `((x + left) / sx,
+//! (y + top) / sy)`.
 //!
-//! Shrinking averages exactly the source area that an output pixel covers (2 x 2 boxes at one half), enlarging interpolates
-//! linearly; both separably, in f32. Depths are averaged over known (positive) values only when shrunk, and taken from the nearest
-//! pixel when enlarged.
+//! Shrinking averages exactly the source area that an output pixel covers (2 x 2 boxes at one half),
+//! enlarging interpolates linearly; both separably, in f32. Depths are averaged over known (positive) values
+//! only when shrunk, and taken from the nearest pixel when enlarged.
 
 use use3d_capture::{Intrinsics, Map, Pixels, Raster};
 
@@ -142,7 +143,8 @@ impl Resize {
     }
 }
 
-/// For each output position along one axis: the first source index and the weights from there on (they sum to 1).
+/// For each output position along one axis: the first source index and the weights from there on (they sum to
+/// 1).
 struct Taps {
     starts: Vec<usize>,
     ends: Vec<usize>,

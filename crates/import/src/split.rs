@@ -1,4 +1,5 @@
-//! Which views are held out (R8): every `every`-th in file-name order, beginning with the first, unless lists say otherwise.
+//! Which views are held out (R8): every `every`-th in file-name order, beginning with the first, unless lists
+//! say otherwise.
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -9,9 +9,9 @@ use crate::import::Imported;
 impl Imported {
     /// Every sparse point's track, in the order of `capture.points`.
     ///
-    /// Pixels are those of the views' cameras, that is of the images after preparation. A sighting is left out where its image is
-    /// missing, where the lens has no ray for its keypoint, or where the model names a keypoint that its image does not have. Models without
-    /// tracks give empty ones.
+    /// Pixels are those of the views' cameras, that is of the images after preparation. A sighting is left
+    /// out where its image is missing, where the lens has no ray for its keypoint, or where the model
+    /// names a keypoint that its image does not have. Models without tracks give empty ones.
     pub fn tracks(&self) -> Vec<Track> {
         let views: BTreeMap<u32, usize> =
             self.capture.views.iter().enumerate().map(|(i, v)| (v.id, i)).collect();

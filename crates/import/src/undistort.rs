@@ -1,14 +1,16 @@
 //! From a distorting lens to a pinhole.
 //!
-//! **Which pinhole.** It keeps the lens's focal lengths, so that the centre of the picture keeps its resolution, and shows
-//! the largest field whose every pixel the photograph covers: no black borders (as COLMAP's undistorter does with no blank
-//! pixels, and OpenCV with `alpha = 0`). The field is found on the plane `z = 1`: from the ray of the image's centre outwards, in
-//! 720 directions and those of the four corners, up to where the lens leaves the sensor, folds, or exceeds 80°. Between the
-//! innermost points of the left, right, top and bottom borders lies the rectangle; where folds cut into it, it shrinks about
-//! the centre until it is free of them. A side is at most twice as long as the photograph's (very wide fisheyes are cropped).
+//! **Which pinhole.** It keeps the lens's focal lengths, so that the centre of the picture keeps its
+//! resolution, and shows the largest field whose every pixel the photograph covers: no black borders (as
+//! COLMAP's undistorter does with no blank pixels, and OpenCV with `alpha = 0`). The field is found on the
+//! plane `z = 1`: from the ray of the image's centre outwards, in 720 directions and those of the four
+//! corners, up to where the lens leaves the sensor, folds, or exceeds 80°. Between the innermost points of
+//! the left, right, top and bottom borders lies the rectangle; where folds cut into it, it shrinks about
+//! the centre until it is free of them. A side is at most twice as long as the photograph's (very wide
+//! fisheyes are cropped).
 //!
-//! **Resampling.** Each pinhole pixel centre is bent by the lens and the photograph read there: colours and masks bilinearly,
-//! depths at the nearest pixel.
+//! **Resampling.** Each pinhole pixel centre is bent by the lens and the photograph read there: colours and
+//! masks bilinearly, depths at the nearest pixel.
 
 use std::sync::OnceLock;
 
@@ -193,7 +195,8 @@ impl Undistortion {
         }
     }
 
-    /// Bilinear reading; beyond the outermost pixel centres the edge goes on. `source` has the lens's image size.
+    /// Bilinear reading; beyond the outermost pixel centres the edge goes on. `source` has the lens's image
+    /// size.
     pub(crate) fn apply<T: Sample, const C: usize>(&self, source: &Raster<T, C>) -> Raster<f32, C> {
         debug_assert_eq!((source.width(), source.height()), self.source);
         let (w, h) = (source.width(), source.height());
@@ -294,8 +297,8 @@ mod tests {
         assert!(choose_pinhole(&folded, 1000, 700).is_err());
     }
 
-    /// A smooth picture of the directions of rays, photographed analytically through the lens, comes out as the pinhole would
-    /// have photographed it.
+    /// A smooth picture of the directions of rays, photographed analytically through the lens, comes out as
+    /// the pinhole would have photographed it.
     #[test]
     fn a_distorted_picture_comes_out_as_the_pinhole_would_have_taken_it() {
         let picture = |u: f64, v: f64| {

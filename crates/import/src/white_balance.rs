@@ -1,4 +1,5 @@
-//! White balance of a whole set (R27): each channel over its 99.8 % quantile across all images, in display values.
+//! White balance of a whole set (R27): each channel over its 99.8 % quantile across all images, in display
+//! values.
 //!
 //! Histograms of 65 536 bins are counted in integers, so the gains do not depend on the order of the images.
 

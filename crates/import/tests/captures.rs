@@ -1,4 +1,5 @@
-//! Capture folders made here: every place a capture may live in, everything that may be missing, and what preparation does.
+//! Capture folders made here: every place a capture may live in, everything that may be missing, and what
+//! preparation does.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -268,7 +269,8 @@ fn smaller_image_folders_scale_the_intrinsics() {
 fn resizing_moves_pixels_masks_depths_and_keypoints_together() {
     let fixture = Fixture::new(3, pinhole(1));
     let name = &fixture.names[0];
-    // The first has a mask in COLMAP's naming; its right half is ignored. And a depth prior of half size: a ramp with unknown top.
+    // The first has a mask in COLMAP's naming; its right half is ignored. And a depth prior of half size: a
+    // ramp with unknown top.
     let mut mask = Map::new(SIZE.0, SIZE.1);
     let mut depth = Map::new(SIZE.0 / 2, SIZE.1 / 2);
     for y in 0..SIZE.1 {
@@ -319,7 +321,8 @@ fn resizing_moves_pixels_masks_depths_and_keypoints_together() {
 #[test]
 fn tracks_are_pixels_of_the_views_before_and_after_preparation() {
     let fixture = Fixture::new(3, pinhole(1));
-    // A track that names an image and a keypoint that are not there, and an image that is missing on this disk.
+    // A track that names an image and a keypoint that are not there, and an image that is missing on this
+    // disk.
     let mut model = model(pinhole(1), &fixture.names);
     model.points[0].track.extend([(7, 0), (99, 17)]);
     write_model_binary(&fixture.path("sparse/0"), &model).unwrap();

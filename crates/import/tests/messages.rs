@@ -1,4 +1,5 @@
-//! Captures that cannot be read, and what a person is told: which file lacks, what lies there instead, what to do.
+//! Captures that cannot be read, and what a person is told: which file lacks, what lies there instead, what
+//! to do.
 
 use std::path::Path;
 

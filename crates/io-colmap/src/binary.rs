@@ -1,4 +1,5 @@
-//! COLMAP's binary files, little-endian. Every count is checked against the bytes that are left before memory is asked for.
+//! COLMAP's binary files, little-endian. Every count is checked against the bytes that are left before memory
+//! is asked for.
 //!
 //! ```text
 //! cameras.bin   u64 count; each: u32 id, i32 model, u64 width, u64 height, f64 parameters[model]

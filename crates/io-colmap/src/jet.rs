@@ -1,4 +1,5 @@
-//! Numbers that carry their derivatives by two inputs, so that a lens is written once and its Jacobian is exact.
+//! Numbers that carry their derivatives by two inputs, so that a lens is written once and its Jacobian is
+//! exact.
 
 use std::ops::{Add, Div, Mul, Sub};
 

@@ -1,23 +1,28 @@
 //! COLMAP's camera models: where a ray lands on the sensor, and back.
 //!
 //! A ray of the camera frame is written as its point `(u, v) = (x/z, y/z)` on the plane `z = 1`; a pixel is
-//! `(fx u' + cx, fy v' + cy)` with the bent point `(u', v')`. The bend is a *projection* followed by a *distortion*:
+//! `(fx u' + cx, fy v' + cy)` with the bent point `(u', v')`. The bend is a *projection* followed by a
+//! *distortion*:
 //!
-//! * projection: perspective (`u' = u`), equidistant (the point is moved to radius `θ = atan r`), field-of-view
-//!   (`r' = atan(2 r tan(ω/2)) / ω`), division (`r = r' / (1 + k r'²)`, its nearer root), or enhanced unified
-//!   (`u' = u / (α √(β r² + 1) + 1 - α)`, with `α` in `[0, 1]` and `β > 0`);
-//! * distortion: `D(u) = u·radial(|u|²) + tangential(p1, p2) + prism(s1, s2)`, as in OpenCV, with the polynomial or rational
-//!   radial factor of each model. The fisheye models apply their polynomial to the equidistant point. RAD_TAN_THIN_PRISM_FISHEYE
-//!   takes the tangential and prism terms at the point that the radial factor has moved already.
+//! * projection: perspective (`u' = u`), equidistant (the point is moved to radius `θ = atan r`),
+//!   field-of-view (`r' = atan(2 r tan(ω/2)) / ω`), division (`r = r' / (1 + k r'²)`, its nearer root), or
+//!   enhanced unified (`u' = u / (α √(β r² + 1) + 1 - α)`, with `α` in `[0, 1]` and `β > 0`);
+//! * distortion: `D(u) = u·radial(|u|²) + tangential(p1, p2) + prism(s1, s2)`, as in OpenCV, with the
+//!   polynomial or rational radial factor of each model. The fisheye models apply their polynomial to the
+//!   equidistant point. RAD_TAN_THIN_PRISM_FISHEYE takes the tangential and prism terms at the point that the
+//!   radial factor has moved already.
 //!
-//! Ids, names and parameter order are those of COLMAP 4.2 (its `doc/cameras.rst` and camera files). The inverse is Newton's method on
-//! `D` with the exact Jacobian (by [`Jet`]) and step halving, then the closed inverse of the projection. A pixel that no ray in front of
-//! the camera reaches, or that lies beyond the fold of a distortion polynomial, has no inverse; a ray that a division lens with `k > 0`
-//! does not see (`4 k r² > 1`) lands nowhere, on NaN.
+//! Ids, names and parameter order are those of COLMAP 4.2 (its `doc/cameras.rst` and camera files). The
+//! inverse is Newton's method on `D` with the exact Jacobian (by [`Jet`]) and step halving, then the closed
+//! inverse of the projection. A pixel that no ray in front of the camera reaches, or that lies beyond the
+//! fold of a distortion polynomial, has no inverse; a ray that a division lens with `k > 0` does not see (`4
+//! k r² > 1`) lands nowhere, on NaN.
 //!
-//! EQUIRECTANGULAR (id 17) is not among the lenses: a panorama has rays in all directions and no pinhole that shows them.
+//! EQUIRECTANGULAR (id 17) is not among the lenses: a panorama has rays in all directions and no pinhole that
+//! shows them.
 //!
-//! Limit: rays at 90° or more from the axis (`z ≤ 0`) have no point on the plane; no pinhole could show them either.
+//! Limit: rays at 90° or more from the axis (`z ≤ 0`) have no point on the plane; no pinhole could show them
+//! either.
 
 use use3d_capture::Intrinsics;
 use use3d_numerics::math;
@@ -173,8 +178,8 @@ struct Distortion {
     denominator: [f64; 3],
     tangential: [f64; 2],
     prism: [f64; 2],
-    /// Prism terms with `r⁴`, where tangential and prism terms are taken at the point that the radial factor has moved; `None` where they
-    /// are taken at the point itself.
+    /// Prism terms with `r⁴`, where tangential and prism terms are taken at the point that the radial factor
+    /// has moved; `None` where they are taken at the point itself.
     after_radial: Option<[f64; 2]>,
 }
 
@@ -391,7 +396,8 @@ impl Lens {
         (pixel, [a.by.map(|d| d * self.focal[0]), b.by.map(|d| d * self.focal[1])])
     }
 
-    /// The ray's point that lands on a pixel; `None` where no ray in front of the camera does, before the lens folds.
+    /// The ray's point that lands on a pixel; `None` where no ray in front of the camera does, before the
+    /// lens folds.
     pub fn unproject(&self, x: f64, y: f64) -> Option<(f64, f64)> {
         let bent = ((x - self.principal[0]) / self.focal[0], (y - self.principal[1]) / self.focal[1]);
         let (u, v) = self.distortion.invert(bent)?;
@@ -478,7 +484,8 @@ mod tests {
         // SIMPLE_RADIAL at (0.5, 0): r² = 0.25, factor 1 - 0.12·0.25 = 0.97.
         let (x, y) = example(M::SimpleRadial, 1.0).project(0.5, 0.0);
         assert!((x - (800.0 * 0.5 * 0.97 + 503.0)).abs() < 1e-12 && y == 347.0);
-        // OPENCV tangential at (0.2, 0.1) without radial: du = 2 p1 uv + p2 (r² + 2u²), dv = 2 p2 uv + p1 (r² + 2v²).
+        // OPENCV tangential at (0.2, 0.1) without radial: du = 2 p1 uv + p2 (r² + 2u²), dv = 2 p2 uv + p1 (r²
+        // + 2v²).
         let lens = Lens::new(M::OpenCv, &[1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.01, 0.02]).unwrap();
         let (x, y) = lens.project(0.2, 0.1);
         assert!((x - (0.2 + 2.0 * 0.01 * 0.02 + 0.02 * (0.05 + 0.08))).abs() < 1e-15);

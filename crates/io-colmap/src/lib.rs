@@ -1,8 +1,9 @@
 //! COLMAP's files and lenses.
 //!
-//! [`read_model`], [`write_model_binary`] and [`write_model_text`] are COLMAP's models in and out, in both of their forms ([`binary`],
-//! [`text`]); [`Lens`] is where a ray lands on the sensor, and back, for each of COLMAP's camera models. What a capture is made of
-//! beside a model, and what becomes of its pictures, is the import's.
+//! [`read_model`], [`write_model_binary`] and [`write_model_text`] are COLMAP's models in and out, in both of
+//! their forms ([`binary`], [`text`]); [`Lens`] is where a ray lands on the sensor, and back, for each of
+//! COLMAP's camera models. What a capture is made of beside a model, and what becomes of its pictures, is the
+//! import's.
 
 pub mod binary;
 mod error;

@@ -1,8 +1,9 @@
 //! A COLMAP model: cameras, posed images with their keypoints, triangulated points with their tracks.
 //!
-//! Poses are world-to-camera, quaternions `w x y z`; pixel (0, 0) is the image's top-left corner. Records keep the order of
-//! the file, ids need not be contiguous or ordered. A model is a folder with `cameras`, `images` and `points3D`, all `.bin`
-//! (preferred where both are) or all `.txt`. Files of newer versions beside them (`rigs`, `frames`) are not needed.
+//! Poses are world-to-camera, quaternions `w x y z`; pixel (0, 0) is the image's top-left corner. Records
+//! keep the order of the file, ids need not be contiguous or ordered. A model is a folder with `cameras`,
+//! `images` and `points3D`, all `.bin` (preferred where both are) or all `.txt`. Files of newer versions
+//! beside them (`rigs`, `frames`) are not needed.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -245,7 +246,8 @@ pub fn write_model_binary(dir: &Path, model: &Model) -> Result<(), ModelError> {
     write(&points, |w| binary::write_points(w, &model.points))
 }
 
-/// Writes `cameras.txt`, `images.txt`, `points3D.txt`; numbers are written so that they read back to the same bits.
+/// Writes `cameras.txt`, `images.txt`, `points3D.txt`; numbers are written so that they read back to the same
+/// bits.
 pub fn write_model_text(dir: &Path, model: &Model) -> Result<(), ModelError> {
     let [cameras, images, points] = ModelForm::Text.files(dir);
     write(&cameras, |w| text::write_cameras(w, &model.cameras))?;
@@ -264,8 +266,8 @@ fn write(
 /// The largest image a camera may announce: what the image readers take.
 const MAX_PIXELS: u64 = use3d_io_image::MAX_PIXELS;
 
-/// The largest coordinate or lens parameter. Training is done in single precision, where the square of a larger one is
-/// no number any more.
+/// The largest coordinate or lens parameter. Training is done in single precision, where the square of a
+/// larger one is no number any more.
 const LARGEST: f64 = 1e15;
 const RANGE: &str = "expected numbers up to 1e15";
 /// The shortest focal length, pixels: shorter ones vanish in single precision once they are squared.
@@ -282,7 +284,8 @@ impl Model {
         self.cameras.iter().find(|c| c.id == id)
     }
 
-    /// Checks what a reader cannot see in one record: that ids are unique and known, numbers finite, sizes sensible.
+    /// Checks what a reader cannot see in one record: that ids are unique and known, numbers finite, sizes
+    /// sensible.
     pub fn check(&self, path: &Path) -> Result<(), ModelError> {
         let fail = |place: String, reason: String| Err(ModelError::broken(path, place, reason));
         let mut cameras = BTreeMap::new();

@@ -7,8 +7,8 @@
 //! points3D.txt  POINT3D_ID X Y Z R G B ERROR (IMAGE_ID POINT2D_IDX)…
 //! ```
 //!
-//! A name is the rest of its line, so it may contain spaces. Numbers are written in the shortest form that reads back to
-//! the same bits.
+//! A name is the rest of its line, so it may contain spaces. Numbers are written in the shortest form that
+//! reads back to the same bits.
 
 use std::io::{self, Write};
 use std::path::Path;

@@ -6,7 +6,8 @@ use proptest::prelude::*;
 use use3d_capture::FileName;
 use use3d_io_colmap::*;
 
-/// A small model with everything in it: two cameras, ids out of order, an image without keypoints, keypoints and points without tracks.
+/// A small model with everything in it: two cameras, ids out of order, an image without keypoints, keypoints
+/// and points without tracks.
 fn example() -> Model {
     let keypoint = |x: f64, y: f64, point: u64| Keypoint { x, y, point };
     Model {

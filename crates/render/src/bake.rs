@@ -1,9 +1,10 @@
 //! The enhancement written into spherical harmonics, for viewers that know only 3D Gaussian splatting.
 //!
-//! A Gaussian's enhanced radiance is `c⁺(ω) = M c(ω) + m` with one matrix per Gaussian, and `c(ω) = max(SH(ω) + ½, 0)`. Where that
-//! clamp is inactive, `SH⁺ = M SH` in every band, plus `(M ½ + m - ½)/C₀` in band 0, gives the same radiance exactly. Where it is
-//! active the baked colour differs, because a viewer clamps after the matrix instead of before; [`BakeReport`] says by how
-//! much. Water is not part of a baked file: it shows the enhanced object radiance.
+//! A Gaussian's enhanced radiance is `c⁺(ω) = M c(ω) + m` with one matrix per Gaussian, and `c(ω) = max(SH(ω)
+//! + ½, 0)`. Where that clamp is inactive, `SH⁺ = M SH` in every band, plus `(M ½ + m - ½)/C₀` in band 0,
+//! gives the same radiance exactly. Where it is active the baked colour differs, because a viewer clamps
+//! after the matrix instead of before; [`BakeReport`] says by how much. Water is not part of a baked file: it
+//! shows the enhanced object radiance.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -19,11 +20,12 @@ use crate::cpu::grades;
 /// Directions on which the bake is checked, spread evenly over the sphere.
 const DIRECTIONS: usize = 48;
 
-/// How far a baked scene is from the enhanced one. Colours as a viewer shows them, `max(c, 0)`, display range; every Gaussian is
-/// weighted by its opacity.
+/// How far a baked scene is from the enhanced one. Colours as a viewer shows them, `max(c, 0)`, display
+/// range; every Gaussian is weighted by its opacity.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BakeReport {
-    /// Share of (Gaussian, direction, channel) samples where the stage-1 clamp is active, so that the bake may differ.
+    /// Share of (Gaussian, direction, channel) samples where the stage-1 clamp is active, so that the bake
+    /// may differ.
     pub clamped_share: f64,
     /// Mean absolute colour error over all samples.
     pub mean_error: f64,
@@ -35,7 +37,8 @@ pub struct BakeReport {
     pub max_error_unclamped: f64,
 }
 
-/// Gaussians whose plain spherical harmonics are the enhanced object radiance at `strength`, in the scene's frame.
+/// Gaussians whose plain spherical harmonics are the enhanced object radiance at `strength`, in the scene's
+/// frame.
 pub fn bake(scene: &Scene, strength: f32) -> Result<(Gaussians, BakeReport), RenderError> {
     let grades = grades(scene, strength)?;
     let mut baked = scene.gaussians.clone();

@@ -1,4 +1,5 @@
-//! The backend that defines what is right: the compositor on the processor, the same bytes on any number of threads.
+//! The backend that defines what is right: the compositor on the processor, the same bytes on any number of
+//! threads.
 
 use use3d_capture::{Camera, Image, Lattice, MediumMaps};
 use use3d_scene::{Compositor, Scene};
@@ -22,7 +23,8 @@ pub struct Cpu<'s> {
 }
 
 impl<'s> Cpu<'s> {
-    /// For one look. The field is evaluated here, once; a view then costs one affine per Gaussian more than the reconstruction.
+    /// For one look. The field is evaluated here, once; a view then costs one affine per Gaussian more than
+    /// the reconstruction.
     ///
     /// # Errors
     /// A strength outside `[0, 1]`, or a scene that is not enhanced.
@@ -94,8 +96,9 @@ fn thin(maps: &MediumMaps, share: f32, out: &mut MediumMaps) {
     scaled(&maps.attenuation, &mut out.attenuation);
 }
 
-/// Gives open water its factor, in the picture and in its layers: of the water's light `(1 − Σ w) c_m` belongs to rays that no surface
-/// ends, part of it to the intervals before the last Gaussian and part to the far end.
+/// Gives open water its factor, in the picture and in its layers: of the water's light `(1 − Σ w) c_m`
+/// belongs to rays that no surface ends, part of it to the intervals before the last Gaussian and part to the
+/// far end.
 fn dim_open_water(color: &Image, share: f32, out: &mut Rendered) {
     let pixels = out.accumulation.pixels();
     let open = |i: usize| (1.0 - out.accumulation.data()[i % pixels]) * color.data()[i];

@@ -1,5 +1,5 @@
-//! Films: raw Y4M (4:4:4, BT.709, limited range, as players expect), or piped into a system `ffmpeg` for any other
-//! container, which is told the same, so that its file says how the colours are meant.
+//! Films: raw Y4M (4:4:4, BT.709, limited range, as players expect), or piped into a system `ffmpeg` for any
+//! other container, which is told the same, so that its file says how the colours are meant.
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -87,8 +87,8 @@ impl Drop for Part {
 }
 
 impl Film {
-    /// Starts a film at `path`: `.y4m` is written directly, anything else needs `ffmpeg`. Until it is whole it grows in `part`, a place
-    /// in the same folder, with the film's extension put to it.
+    /// Starts a film at `path`: `.y4m` is written directly, anything else needs `ffmpeg`. Until it is whole
+    /// it grows in `part`, a place in the same folder, with the film's extension put to it.
     ///
     /// # Errors
     /// See [`FilmError`]; [`FilmError::is_of_the_request`] is true of all.
@@ -209,7 +209,8 @@ fn ended(child: &mut Child, otherwise: &str) -> FilmError {
     refused(&said, otherwise)
 }
 
-/// Why ffmpeg did not write a film: the last of its words, without the memory addresses that it begins lines with.
+/// Why ffmpeg did not write a film: the last of its words, without the memory addresses that it begins lines
+/// with.
 fn refused(said: &str, otherwise: &str) -> FilmError {
     let line = said.lines().map(str::trim).find(|l| !l.is_empty());
     let why = line.map_or(otherwise, |l| l.rsplit_once("] ").map_or(l, |(_, words)| words));

@@ -4,7 +4,8 @@ use glam::DVec3;
 use use3d_capture::{Camera, Intrinsics};
 use use3d_scene::Scene;
 
-/// A lens whose pictures are scaled to cover `width × height` pixels and cropped centrally: nothing is stretched.
+/// A lens whose pictures are scaled to cover `width × height` pixels and cropped centrally: nothing is
+/// stretched.
 pub fn cover(k: &Intrinsics, width: usize, height: usize) -> Intrinsics {
     let scale = (width as f64 / k.width as f64).max(height as f64 / k.height as f64);
     let (wide, high) = (scale * k.width as f64, scale * k.height as f64);
@@ -12,7 +13,8 @@ pub fn cover(k: &Intrinsics, width: usize, height: usize) -> Intrinsics {
     whole.cropped((wide - width as f64) / 2.0, (high - height as f64) / 2.0, width, height)
 }
 
-/// How far away the scene is from a camera in its frame: the median depth of the Gaussians in front of it, scene units; 1 where none is.
+/// How far away the scene is from a camera in its frame: the median depth of the Gaussians in front of it,
+/// scene units; 1 where none is.
 pub fn focus(scene: &Scene, camera: &Camera) -> f64 {
     let point = |m: &[f32; 3]| DVec3::new(m[0].into(), m[1].into(), m[2].into());
     let mut depths: Vec<f64> =

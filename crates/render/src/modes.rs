@@ -1,8 +1,9 @@
 //! Every picture a scene can give, for one camera at a time.
 //!
-//! `reconstruction` is stage 1 with its water, `clear` its object radiance without water. `enhanced` is stage 2's full composite,
-//! `enhanced-clear` its object radiance without water. No 2D network is involved: the enhancement is in the scene. How much of the
-//! water is left in `reconstruction` and `enhanced` is a matter of the moment ([`SceneRenderer::with_water`]).
+//! `reconstruction` is stage 1 with its water, `clear` its object radiance without water. `enhanced` is stage
+//! 2's full composite, `enhanced-clear` its object radiance without water. No 2D network is involved: the
+//! enhancement is in the scene. How much of the water is left in `reconstruction` and `enhanced` is a matter
+//! of the moment ([`SceneRenderer::with_water`]).
 
 use use3d_capture::{Camera, Image, Lattice, Map, MediumMaps};
 use use3d_scene::Scene;
@@ -105,7 +106,8 @@ pub struct SceneRenderer<'a> {
 }
 
 impl<'a> SceneRenderer<'a> {
-    /// Prepares a scene; `strength` in `[0, 1]` is how much of its enhancement, if it has one, `enhanced` and `enhanced-clear` show.
+    /// Prepares a scene; `strength` in `[0, 1]` is how much of its enhancement, if it has one, `enhanced` and
+    /// `enhanced-clear` show.
     ///
     /// # Errors
     /// A strength outside that range.
@@ -117,13 +119,14 @@ impl<'a> SceneRenderer<'a> {
         Ok(Self { plain: Renderer::new(scene, Look::Reconstruction)?, enhanced, rendered: Rendered::new() })
     }
 
-    /// Of renderers on any backend: one of the reconstruction, and one of the enhancement if the scene has one.
+    /// Of renderers on any backend: one of the reconstruction, and one of the enhancement if the scene has
+    /// one.
     pub fn on(plain: Renderer<'a>, enhanced: Option<Renderer<'a>>) -> Self {
         Self { plain, enhanced, rendered: Rendered::new() }
     }
 
-    /// Leaves only a share of the water, in `[0, 1]`, in `reconstruction`, its parts `object` and `medium`, and `enhanced`: at 0 these are
-    /// `clear` and `enhanced-clear`. Coefficients are shown as they are.
+    /// Leaves only a share of the water, in `[0, 1]`, in `reconstruction`, its parts `object` and `medium`,
+    /// and `enhanced`: at 0 these are `clear` and `enhanced-clear`. Coefficients are shown as they are.
     ///
     /// # Errors
     /// A share outside that range.
@@ -138,8 +141,8 @@ impl<'a> SceneRenderer<'a> {
         self.enhanced.is_some()
     }
 
-    /// Renders `modes` from a camera in the scene's normalised frame, in the order asked for. `Enhanced` and `EnhancedClear` of a scene
-    /// without an enhancement are its reconstruction and its clear rendering.
+    /// Renders `modes` from a camera in the scene's normalised frame, in the order asked for. `Enhanced` and
+    /// `EnhancedClear` of a scene without an enhancement are its reconstruction and its clear rendering.
     ///
     /// # Errors
     /// What the backend's device says.
@@ -169,7 +172,8 @@ impl<'a> SceneRenderer<'a> {
         Ok(frames.map(|(frame, mode)| frame.unwrap_or_else(|| self.frame(*mode))).collect())
     }
 
-    /// Draws `Clear`, `Enhanced`, `EnhancedClear` or, for any other mode, `Reconstruction`, and lends the image: a frame at the least cost.
+    /// Draws `Clear`, `Enhanced`, `EnhancedClear` or, for any other mode, `Reconstruction`, and lends the
+    /// image: a frame at the least cost.
     ///
     /// # Errors
     /// What the backend's device says.

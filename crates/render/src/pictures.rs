@@ -4,7 +4,8 @@ use use3d_capture::{Image, Map};
 
 use crate::modes::{Frame, Mode};
 
-/// A frame as people look at it: colours as they are, coefficients by their hue, depths by a colour map, opacity in grey.
+/// A frame as people look at it: colours as they are, coefficients by their hue, depths by a colour map,
+/// opacity in grey.
 pub fn picture(mode: Mode, frame: &Frame) -> Image {
     match frame {
         Frame::Color(image) if matches!(mode, Mode::Backscatter | Mode::Attenuation) => {
@@ -26,8 +27,8 @@ pub(crate) fn spread(map: &Map) -> Image {
     image
 }
 
-/// A map for people: near is bright, far is deep blue, unknown (0) is black; scaled between the 2 % and 98 % quantiles of its
-/// positive values.
+/// A map for people: near is bright, far is deep blue, unknown (0) is black; scaled between the 2 % and 98 %
+/// quantiles of its positive values.
 pub fn depth_picture(depth: &Map) -> Image {
     let mut known: Vec<f32> = depth.data().iter().copied().filter(|d| d.is_finite() && *d > 0.0).collect();
     let mut image = Image::new(depth.width(), depth.height());
@@ -60,7 +61,8 @@ fn ramp(t: f32) -> [f32; 3] {
     std::array::from_fn(|c| STOPS[i][c] * (1.0 - f) + STOPS[i + 1][c] * f)
 }
 
-/// Coefficients for people: divided by the largest value of the image, so that the hue shows which channel the water takes.
+/// Coefficients for people: divided by the largest value of the image, so that the hue shows which channel
+/// the water takes.
 pub fn coefficient_picture(map: &Image) -> Image {
     let most = map.data().iter().copied().filter(|v| v.is_finite()).fold(1e-6f32, f32::max);
     map.map(|v| v / most)

@@ -1,21 +1,24 @@
-//! Drawing a scene, as it was reconstructed or as it was enhanced, with all of its water, a share of it, or none; without any 2D
-//! network.
+//! Drawing a scene, as it was reconstructed or as it was enhanced, with all of its water, a share of it, or
+//! none; without any 2D network.
 //!
-//! **The amount of water** `a` in `[0, 1]` scales both coefficients, and the open water that is seen where nothing ends the ray:
+//! **The amount of water** `a` in `[0, 1]` scales both coefficients, and the open water that is seen where
+//! nothing ends the ray:
 //!
 //! ```text
 //! rgb(a) = Σ w c e^{−a β_attn s}  +  Σ w c_m (1 − e^{−a β_bs s})  +  a (1 − Σ w) c_m
 //!          surfaces                  the veil before them            open water
 //! ```
 //!
-//! `w`, `s` (scene units), `c_m`, `β` (per scene unit) as in the compositor, whose intervals and far end this is in other order. `a = 1` is
-//! the picture as it was learnt, to the bit; `a = 0` is the radiance of the Gaussians alone, `Σ w c`, black where nothing is: `clear`,
-//! or `enhanced-clear` with the enhanced colours. In between light that comes from surfaces only grows and light that comes from
-//! the water only shrinks as `a` falls.
+//! `w`, `s` (scene units), `c_m`, `β` (per scene unit) as in the compositor, whose intervals and far end this
+//! is in other order. `a = 1` is the picture as it was learnt, to the bit; `a = 0` is the radiance of the
+//! Gaussians alone, `Σ w c`, black where nothing is: `clear`, or `enhanced-clear` with the enhanced colours.
+//! In between light that comes from surfaces only grows and light that comes from the water only shrinks as
+//! `a` falls.
 //!
-//! Open water would not fade by its coefficients: infinitely deep, it has its colour `c_m` however thin it is. Its factor `a` is a choice,
-//! not physics; it makes open water darken steadily and meet the black of `a = 0`. It takes the share of a ray that no surface ends and
-//! not the compositor's far end, which begins at the last Gaussian however faint that is, and so shows the edges of faint Gaussians.
+//! Open water would not fade by its coefficients: infinitely deep, it has its colour `c_m` however thin it
+//! is. Its factor `a` is a choice, not physics; it makes open water darken steadily and meet the black of `a
+//! = 0`. It takes the share of a ray that no surface ends and not the compositor's far end, which begins at
+//! the last Gaussian however faint that is, and so shows the edges of faint Gaussians.
 
 use use3d_capture::{Camera, Lattice, MediumMaps};
 use use3d_scene::Scene;
@@ -30,8 +33,9 @@ use crate::cpu::Cpu;
 pub enum Look {
     /// Stage 1's.
     Reconstruction,
-    /// Stage 2's at a strength in `[0, 1]`: 0 is the reconstruction exactly, 1 the trained enhancement. In between log-gains,
-    /// biases, the scene affine and the transport log-ratios are scaled, so the change is smooth and gains stay positive.
+    /// Stage 2's at a strength in `[0, 1]`: 0 is the reconstruction exactly, 1 the trained enhancement. In
+    /// between log-gains, biases, the scene affine and the transport log-ratios are scaled, so the change
+    /// is smooth and gains stay positive.
     Enhanced {
         /// How much.
         strength: f32,
@@ -70,8 +74,8 @@ impl<'s> Renderer<'s> {
         Ok(Self { water, ..self })
     }
 
-    /// Draws the pixels of `lattice` seen by `camera` (in the scene's frame), with object, medium and clear layers if asked for.
-    /// The layers are those of the picture: `image = object + medium + far`.
+    /// Draws the pixels of `lattice` seen by `camera` (in the scene's frame), with object, medium and clear
+    /// layers if asked for. The layers are those of the picture: `image = object + medium + far`.
     ///
     /// # Errors
     /// What the backend's device says.
@@ -98,8 +102,8 @@ impl<'s> Renderer<'s> {
         self.backend.draw(&Request { camera, lattice, water: None, layers: false }, out)
     }
 
-    /// The water of the last [`Renderer::render`], all of it, however little was left in the picture: c_m, β_bs, β_attn. `None` in a
-    /// scene without water.
+    /// The water of the last [`Renderer::render`], all of it, however little was left in the picture: c_m,
+    /// β_bs, β_attn. `None` in a scene without water.
     pub fn medium(&self) -> Option<&MediumMaps> {
         self.backend.medium()
     }

@@ -1,7 +1,8 @@
 //! How a scene is drawn: the one place where its Gaussians, their colours and its water meet the compositor.
 //!
-//! camera → [`Scene::project`] (projection, tile lists, stage-1 colours) and [`Scene::look_through`] (the water's maps) →
-//! [`Compositor::draw`]. Whoever draws a scene in another look changes colours or maps in between.
+//! camera → [`Scene::project`] (projection, tile lists, stage-1 colours) and [`Scene::look_through`] (the
+//! water's maps) → [`Compositor::draw`]. Whoever draws a scene in another look changes colours or maps in
+//! between.
 
 use use3d_capture::{Camera, Lattice, MediumMaps};
 use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered, view_colors};
@@ -9,8 +10,8 @@ use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered, view_colors};
 use crate::Scene;
 
 impl Scene {
-    /// Projects the Gaussians for the pixels of `lattice` seen by `camera` (in the scene's frame). `colors` becomes their stage-1
-    /// colours in this view, passed through `recolor`.
+    /// Projects the Gaussians for the pixels of `lattice` seen by `camera` (in the scene's frame). `colors`
+    /// becomes their stage-1 colours in this view, passed through `recolor`.
     pub fn project(
         &self,
         camera: &Camera,
@@ -24,8 +25,8 @@ impl Scene {
         prepared.prepare(&self.gaussians, camera, lattice, Colors::Given(colors));
     }
 
-    /// The stage-1 water in front of a camera: `c_m`, `β_bs`, `β_attn` on the lattice. `false`, and `maps` as they were, in a scene
-    /// without water.
+    /// The stage-1 water in front of a camera: `c_m`, `β_bs`, `β_attn` on the lattice. `false`, and `maps` as
+    /// they were, in a scene without water.
     pub fn look_through(&self, camera: &Camera, lattice: &Lattice, maps: &mut MediumMaps) -> bool {
         let water = !self.medium.is_none();
         if water {

@@ -1,11 +1,12 @@
-//! What stage 1 knows of a view beside its picture: clear radiance, accumulation, and how much of a surface's light arrives.
+//! What stage 1 knows of a view beside its picture: clear radiance, accumulation, and how much of a surface's
+//! light arrives.
 //!
 //! ```text
 //! J = Σ wᵢ cᵢ        A = Σ wᵢ        A t = Σ wᵢ e^{−β_attn sᵢ}
 //! ```
 //!
-//! with weights `wᵢ` and ray distances `sᵢ` of the compositor. The last is the picture of a white scene in water without a veil; through the
-//! same kernel, so nothing is approximated. Without water `t = 1`.
+//! with weights `wᵢ` and ray distances `sᵢ` of the compositor. The last is the picture of a white scene in
+//! water without a veil; through the same kernel, so nothing is approximated. Without water `t = 1`.
 
 use use3d_capture::{Camera, Image, Lattice, Map, MediumMaps};
 use use3d_splat::{Options, Rendered};

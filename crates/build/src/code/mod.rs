@@ -1,16 +1,17 @@
 //! What code a stage is made of.
 //!
-//! A stage's artifact is stale when the code that made it changed, and only then. The table built here gives every
-//! crate of the workspace a digest of its *tokens*, and every file of the crate that holds the stages one of its own. A stage names the
-//! file that holds it; everything else follows from the sources: the files of that crate that this one uses, and those use in turn, the
-//! crates that any of them names with everything below those, and the locked third-party crates. So a change in one method's crate
-//! makes stale what uses it and leaves the rest alone, and a comment changes nothing anywhere.
+//! A stage's artifact is stale when the code that made it changed, and only then. The table built here gives
+//! every crate of the workspace a digest of its *tokens*, and every file of the crate that holds the stages
+//! one of its own. A stage names the file that holds it; everything else follows from the sources: the files
+//! of that crate that this one uses, and those use in turn, the crates that any of them names with everything
+//! below those, and the locked third-party crates. So a change in one method's crate makes stale what uses it
+//! and leaves the rest alone, and a comment changes nothing anywhere.
 //!
-//! This crate itself is not followed, nor what [`CodeRules`] leaves out beside it: they choose a stage's inputs and parameters and give it
-//! a folder, and not one byte in the folder is theirs.
+//! This crate itself is not followed, nor what [`CodeRules`] leaves out beside it: they choose a stage's
+//! inputs and parameters and give it a folder, and not one byte in the folder is theirs.
 //!
-//! Known limits: the compiler's version and its flags do not count (numbers are IEEE arithmetic in a fixed order), nor
-//! do features switched on only by other crates of the build.
+//! Known limits: the compiler's version and its flags do not count (numbers are IEEE arithmetic in a fixed
+//! order), nor do features switched on only by other crates of the build.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -32,7 +33,8 @@ const NOT_FOLLOWED: &str = env!("CARGO_PKG_NAME");
 pub struct CodeRules {
     /// The folder below `crates/` of the crate that holds the stages: its files count one by one.
     pub by_file: &'static str,
-    /// Files and folders (`src/config/`) of that crate that write no byte of an artifact: what a stage uses of them is not followed.
+    /// Files and folders (`src/config/`) of that crate that write no byte of an artifact: what a stage uses
+    /// of them is not followed.
     pub not_followed: &'static [&'static str],
     /// Crates that are named under a condition and are not in this build.
     pub absent: &'static [&'static str],
@@ -72,8 +74,8 @@ struct FileCode {
 /// The code one stage is made of, spelled out.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct StageCode {
-    /// Token digest of every crate (`use3d-splat`), of its dependency tables (`use3d-splat/Cargo.toml`) and of single
-    /// files (`src/stages/import.rs`).
+    /// Token digest of every crate (`use3d-splat`), of its dependency tables (`use3d-splat/Cargo.toml`) and
+    /// of single files (`src/stages/import.rs`).
     pub ours: BTreeMap<String, Digest>,
     /// Version and checksum of every third-party crate below.
     pub third_party: BTreeMap<String, String>,
@@ -133,8 +135,9 @@ impl CodeTable {
         self.files.keys().map(String::as_str)
     }
 
-    /// The code of a stage made of `crates` (with everything below them) and of `sources`, files or folders of the crate
-    /// that holds the stages, such as `src/stages/import.rs` or `src/report`, with everything that these use.
+    /// The code of a stage made of `crates` (with everything below them) and of `sources`, files or folders
+    /// of the crate that holds the stages, such as `src/stages/import.rs` or `src/report`, with
+    /// everything that these use.
     ///
     /// # Errors
     /// Code that is not there.

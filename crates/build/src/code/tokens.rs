@@ -1,9 +1,9 @@
 //! The tokens of a source file, without what cannot change what it computes.
 //!
-//! Left out: comments and layout (there are no tokens for them), documentation (`///` is the attribute `doc` to the
-//! compiler), items under `#[cfg(test)]`, and the trailing commas that a formatter adds when it breaks a line. The
-//! spacing between punctuation counts only where it makes a different operator (`&&` is not `& &`, `=-` is `= -`).
-//! When in doubt a token stays: a needless rerun costs minutes, a missed one costs trust.
+//! Left out: comments and layout (there are no tokens for them), documentation (`///` is the attribute `doc`
+//! to the compiler), items under `#[cfg(test)]`, and the trailing commas that a formatter adds when it breaks
+//! a line. The spacing between punctuation counts only where it makes a different operator (`&&` is not `&
+//! &`, `=-` is `= -`). When in doubt a token stays: a needless rerun costs minutes, a missed one costs trust.
 
 use std::path::{Path, PathBuf};
 
@@ -59,7 +59,8 @@ pub(crate) fn is_doc(attribute: &TokenStream) -> bool {
     matches!(attribute.clone().into_iter().next(), Some(TokenTree::Ident(name)) if name == "doc")
 }
 
-/// `a,)` is `a)` in a call, but `(a,)` is not `(a)` alone: only a group that follows a name may drop its last comma.
+/// `a,)` is `a)` in a call, but `(a,)` is not `(a)` alone: only a group that follows a name may drop its last
+/// comma.
 fn write_stream(stream: TokenStream, may_drop_only_comma: bool, out: &mut SourceTokens) {
     let tokens: Vec<TokenTree> = stream.into_iter().collect();
     let commas = tokens.iter().filter(|t| is_punct(t, ',')).count();
@@ -170,7 +171,8 @@ pub(crate) fn attribute(tokens: &[TokenTree], i: usize) -> Option<(usize, &Group
     }
 }
 
-/// The index after the item that starts at `i`; `None` when it is no item (a field, an arm, an expression): it stays.
+/// The index after the item that starts at `i`; `None` when it is no item (a field, an arm, an expression):
+/// it stays.
 pub(crate) fn item_end(tokens: &[TokenTree], mut i: usize, test_modules: &mut Vec<String>) -> Option<usize> {
     while let Some((after, _)) = tokens.get(i).and_then(|_| attribute(tokens, i)) {
         i = after;

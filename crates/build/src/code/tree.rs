@@ -1,12 +1,14 @@
-//! Reads a workspace's sources into a table of code digests. The build script runs this on the tree it is built from;
-//! tests run it on copies of a tree.
+//! Reads a workspace's sources into a table of code digests. The build script runs this on the tree it is
+//! built from; tests run it on copies of a tree.
 //!
-//! Per crate: a digest of its tokens (every `.rs` below `src/` and the build script; other files below `src/` and
-//! `templates/` by their bytes, Markdown excepted), a digest of its dependency tables with the features they ask for,
-//! the crates of the workspace it depends on, and name, version and checksum (from git: commit) of every third-party
-//! crate below it. A dependency by path outside `crates/` would be code that no digest sees, so it is refused.
+//! Per crate: a digest of its tokens (every `.rs` below `src/` and the build script; other files below `src/`
+//! and `templates/` by their bytes, Markdown excepted), a digest of its dependency tables with the features
+//! they ask for, the crates of the workspace it depends on, and name, version and checksum (from git: commit)
+//! of every third-party crate below it. A dependency by path outside `crates/` would be code that no digest
+//! sees, so it is refused.
 //!
-//! Of one crate, whose files are not all of every stage, the same per file, with the files and crates that it uses.
+//! Of one crate, whose files are not all of every stage, the same per file, with the files and crates that it
+//! uses.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -20,8 +22,9 @@ use super::uses::{modules, uses_of};
 const CONTEXT: &str = "use3d 2026 code digest v1";
 const DEPENDENCY_TABLES: [&str; 2] = ["dependencies", "build-dependencies"];
 
-/// The table of the workspace at `root`, as JSON: `crates.<package>.{tokens, manifest, workspace, third_party}` and
-/// `files.<path>.{tokens, uses, workspace, third_party}` of the single files of the crate in folder `crates/<by_file>`.
+/// The table of the workspace at `root`, as JSON: `crates.<package>.{tokens, manifest, workspace,
+/// third_party}` and `files.<path>.{tokens, uses, workspace, third_party}` of the single files of the crate
+/// in folder `crates/<by_file>`.
 pub(crate) fn read(root: &Path, by_file: &str) -> Result<Value, String> {
     let workspace = parse_toml(&root.join("Cargo.toml"))?;
     let inherited = workspace.pointer("/workspace/dependencies").cloned().unwrap_or_default();
@@ -90,7 +93,8 @@ fn file_entry(
         let uses = uses_of(&text).map_err(|e| format!("{}: {e}", file.display()))?;
         used = uses.files(path, &modules(sources.keys()));
         crates = uses.crates(dependencies.keys());
-        // Files that the compiler includes are named by literals: relative to the templates, or to the source.
+        // Files that the compiler includes are named by literals: relative to the templates, or to the
+        // source.
         let beside = path.rsplit_once('/').map_or("", |(parent, _)| parent);
         for literal in &uses.literals {
             let named = [format!("{TEMPLATES}{literal}"), format!("{beside}/{literal}")];
@@ -156,7 +160,8 @@ fn source_digests(folder: &Path) -> Result<BTreeMap<String, blake3::Hash>, Strin
         }
         sources.insert(path.to_path_buf(), hasher.finalize());
     }
-    // `#[cfg(test)] mod tests;` may name `tests.rs` or `tests/mod.rs`, and that one may have files of its own below.
+    // `#[cfg(test)] mod tests;` may name `tests.rs` or `tests/mod.rs`, and that one may have files of its own
+    // below.
     let test_folders: Vec<PathBuf> =
         test_only
             .iter()
@@ -228,7 +233,8 @@ struct Lock {
 struct Package {
     name: String,
     version: String,
-    /// What its contents hang on: the start of the checksum, or the git address with the commit; none for a path.
+    /// What its contents hang on: the start of the checksum, or the git address with the commit; none for a
+    /// path.
     origin: Option<String>,
     dependencies: Vec<String>,
 }
@@ -255,7 +261,8 @@ impl Lock {
         Ok(Self { packages: packages.collect() })
     }
 
-    /// Name → "version origin" of everything reachable from the named packages; several versions are listed all.
+    /// Name → "version origin" of everything reachable from the named packages; several versions are listed
+    /// all.
     fn closure<'a>(&self, names: impl Iterator<Item = &'a str>) -> Result<BTreeMap<String, String>, String> {
         let mut open: Vec<String> = names.map(String::from).collect();
         let mut seen = BTreeSet::new();

@@ -1,8 +1,9 @@
 //! What a source file names of its own crate and of others, read off its tokens.
 //!
-//! Every path counts that begins with `crate`, `self`, `super`, a module below the file or a crate: in `use`, in code, in attributes.
-//! Names are not resolved any further: a path stands for the file of the longest module it begins with, so what a module passes on
-//! with `pub use` counts as the module's own. Code under `#[cfg(test)]` does not count; other conditions are taken to hold.
+//! Every path counts that begins with `crate`, `self`, `super`, a module below the file or a crate: in `use`,
+//! in code, in attributes. Names are not resolved any further: a path stands for the file of the longest
+//! module it begins with, so what a module passes on with `pub use` counts as the module's own. Code under
+//! `#[cfg(test)]` does not count; other conditions are taken to hold.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -154,7 +155,8 @@ fn is_separator(tokens: &[TokenTree], i: usize) -> bool {
     tokens.get(i).is_some_and(joint) && tokens.get(i.wrapping_add(1)).is_some_and(|t| is_punct(t, ':'))
 }
 
-/// The file of the longest module that a path begins with; `None` for a path into another crate or to a local name.
+/// The file of the longest module that a path begins with; `None` for a path into another crate or to a local
+/// name.
 fn resolve<'a>(
     here: &[String],
     around: &[String],

@@ -126,7 +126,8 @@ fn jobs_and_memory_bound_what_runs_at_once() {
     let batch = batch(&dir.path().join("data"), &names);
     let (now, most) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
     let threads = Arc::new(Mutex::new(Vec::new()));
-    // A stage waits until so many run side by side, which a busy machine takes its time for, and then whether more come.
+    // A stage waits until so many run side by side, which a busy machine takes its time for, and then whether
+    // more come.
     let stage = |memory: u64, expected: usize| {
         let (now, most, threads) = (now.clone(), most.clone(), threads.clone());
         Stage::new("busy", Scope::Scene, move |context, _: &Strength| {

@@ -141,7 +141,8 @@ fn another_length_goes_on_from_the_checkpoints() {
         let scene = fs::read(artifact.path.join("scene.bin")).expect("file");
         (STEPS.load(Ordering::Relaxed) - before, scene, artifact.manifest.resumed)
     };
-    // Other tests of this binary count steps too, so the numbers here are unusual ones and compared as bounds.
+    // Other tests of this binary count steps too, so the numbers here are unusual ones and compared as
+    // bounds.
     let (long, from_nothing, _) = steps(4000, 0.125);
     assert!(long >= 4000);
     steps(3000, 0.375);
@@ -177,7 +178,8 @@ fn variants_share_what_they_do_not_change() {
     let engine = engine(&dir.path().join("cache"));
     let graph = Graph::new(&engine.registry, &batch).expect("graph");
     let plan = engine.plan(&graph, None);
-    // full: 6; mlp: reconstruct, targets, enhance, evaluate; weak: enhance, evaluate; seed-7: all but import; report.
+    // full: 6; mlp: reconstruct, targets, enhance, evaluate; weak: enhance, evaluate; seed-7: all but import;
+    // report.
     assert_eq!(plan.to_run(), 6 + 4 + 2 + 5 + 1);
     let (summary, started, _) = run(&engine, &batch);
     assert_eq!(started.len(), 18);
@@ -471,8 +473,8 @@ fn artifacts_of_another_class_are_compared_as_their_stage_says() {
     // In its own class to the byte, however near.
     assert_eq!(verify(&tolerant, 0).problems, []);
     assert!(verify(&tolerant, 1).problems[0].what.contains("determinism alarm"));
-    // Another driver is another class: nothing of it is cached, and what is there is compared by its figures; the stage after it is
-    // computed from what is there, to the byte.
+    // Another driver is another class: nothing of it is cached, and what is there is compared by its figures;
+    // the stage after it is computed from what is there, to the byte.
     driver.store(2, Ordering::Relaxed);
     assert_eq!(tolerant.plan(&graph, None).cached(), 0);
     let near = verify(&tolerant, 9);

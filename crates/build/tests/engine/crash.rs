@@ -70,7 +70,8 @@ fn killed_again_and_again_it_ends_with_the_same_bytes() {
     let (mut kills, mut whole, mut seen) = (0u64, 0, BTreeMap::new());
     let mut random = 0x2545_f491_4f6c_dd1d_u64;
     let start = Instant::now();
-    // A busy machine takes longer to each stage: the later the kill, the longer it waits, until enough stages were hit.
+    // A busy machine takes longer to each stage: the later the kill, the longer it waits, until enough stages
+    // were hit.
     while kills < 55 || (seen.len() < 4 && kills < 400) {
         random ^= random << 13;
         random ^= random >> 7;

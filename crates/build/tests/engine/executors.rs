@@ -1,4 +1,5 @@
-//! Runs whose jobs are not done on threads of their own: on the deciding thread, and by another process on the same cache.
+//! Runs whose jobs are not done on threads of their own: on the deciding thread, and by another process on
+//! the same cache.
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
@@ -28,7 +29,8 @@ impl<'t> Starter<'t> for Here {
     }
 }
 
-/// Has the artifact of every task made by another engine on the same cache, as another machine would, and only then runs the task.
+/// Has the artifact of every task made by another engine on the same cache, as another machine would, and
+/// only then runs the task.
 #[derive(Debug)]
 struct Elsewhere {
     cache: PathBuf,

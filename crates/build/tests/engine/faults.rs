@@ -1,4 +1,5 @@
-//! A full disk, a read-only folder, unreadable sectors, damaged artifacts: a clear error or a recovery, and nothing lost.
+//! A full disk, a read-only folder, unreadable sectors, damaged artifacts: a clear error or a recovery, and
+//! nothing lost.
 
 use std::fs;
 use std::io::{self, Read};
@@ -84,7 +85,8 @@ impl Files for Faulty {
     }
 }
 
-/// Fails at the first, second, third … operation until a run gets through, going on without faults after each.
+/// Fails at the first, second, third … operation until a run gets through, going on without faults after
+/// each.
 fn every_operation_fails_once(kind: io::ErrorKind, stays: bool) {
     let dir = tempfile::tempdir().expect("folder");
     let batch = batch(&dir.path().join("data"), &["reef"]);

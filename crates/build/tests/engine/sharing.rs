@@ -1,4 +1,5 @@
-//! A cache that others use, clean or damage while a run goes on: the run goes on too, and its scenes are told as they finish.
+//! A cache that others use, clean or damage while a run goes on: the run goes on too, and its scenes are told
+//! as they finish.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -83,7 +84,8 @@ fn an_artifact_that_vanishes_during_a_run_is_made_again() {
     let reference = engine(&dir.path().join("reference"));
     let (summary, ..) = run(&reference, &batch);
     let whole = payload(&reference.cache);
-    // Known to be whole and read later; read by the stage that has just looked at it; everything that is there.
+    // Known to be whole and read later; read by the stage that has just looked at it; everything that is
+    // there.
     for (at, stages) in [
         ("targets", &["import"][..]),
         ("targets", &["reconstruct"][..]),

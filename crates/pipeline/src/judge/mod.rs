@@ -1,7 +1,8 @@
 //! What judges results, and lays out what it found. Knows nothing of stages, keys or caches.
 //!
-//! [`scoring`] compares pictures and [`truth`] scenes with what is known of them, [`speed`] times drawing, [`strip`] shows a spot in
-//! neighbouring views; [`scores`] is what is written down of one scene, [`tables`] of many, [`report`] the page.
+//! [`scoring`] compares pictures and [`truth`] scenes with what is known of them, [`speed`] times drawing,
+//! [`strip`] shows a spot in neighbouring views; [`scores`] is what is written down of one scene, [`tables`]
+//! of many, [`report`] the page.
 
 pub mod report;
 pub mod scores;

@@ -1,4 +1,5 @@
-//! What `evaluate` writes and tables are made from: scores per view, per pair of neighbouring views, per scene.
+//! What `evaluate` writes and tables are made from: scores per view, per pair of neighbouring views, per
+//! scene.
 
 use std::collections::BTreeMap;
 
@@ -7,8 +8,8 @@ pub use use3d_metrics::{Finite, Score};
 
 use crate::judge::truth::WaterScores;
 
-/// Scores by metric name (`psnr`, `ssim`, `lpips`, `uciqe`, `uiqm`, `uranker`, `musiq`, `wlpips`, `w_delta_e`, `w_ssim`, `coverage`,
-/// `path_wlpips`, …, `truth_psnr`, `truth_delta_e`, `depth_error`, …).
+/// Scores by metric name (`psnr`, `ssim`, `lpips`, `uciqe`, `uiqm`, `uranker`, `musiq`, `wlpips`,
+/// `w_delta_e`, `w_ssim`, `coverage`, `path_wlpips`, …, `truth_psnr`, `truth_delta_e`, `depth_error`, …).
 pub type Scores = BTreeMap<String, Score>;
 
 /// What is scored.
@@ -19,7 +20,8 @@ pub enum Method {
     Captured,
     /// The 2D enhancer applied to each photograph on its own.
     Proposal,
-    /// The 2D enhancer applied to each rendering of stage 1 on its own: what can be had at any camera without a second stage.
+    /// The 2D enhancer applied to each rendering of stage 1 on its own: what can be had at any camera without
+    /// a second stage.
     ProposalOfRender,
     /// Stage 1 with its water.
     Reconstruction,
@@ -163,7 +165,8 @@ pub enum Warp {
 
 /// What `scores.json` calls itself.
 pub const FORMAT: &str = "3d-use scores";
-/// Version of `scores.json`: 2 has finite scores or reasons, neighbouring captured views and the rendered path.
+/// Version of `scores.json`: 2 has finite scores or reasons, neighbouring captured views and the rendered
+/// path.
 pub const VERSION: u32 = 2;
 
 /// All scores of one scene: the file `scores.json`.
@@ -183,7 +186,8 @@ pub struct SceneScores {
     pub gaussians: usize,
     /// By whose depth and masks neighbouring views are compared.
     pub warp: Warp,
-    /// The recovered water beside the true one; only for synthetic captures with their truth, and scenes with water.
+    /// The recovered water beside the true one; only for synthetic captures with their truth, and scenes
+    /// with water.
     pub water: Option<WaterScores>,
     /// The methods that were scored.
     pub methods: Vec<MethodScores>,
@@ -230,7 +234,8 @@ pub struct ScoredScene {
     pub source: String,
     /// The scores.
     pub scores: SceneScores,
-    /// How fast the scene is drawn on the machine that evaluated it; never part of an artifact, filled in when results are shown.
+    /// How fast the scene is drawn on the machine that evaluated it; never part of an artifact, filled in
+    /// when results are shown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed: Option<SceneSpeed>,
 }

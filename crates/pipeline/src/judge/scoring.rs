@@ -1,8 +1,9 @@
 //! Scores of images: formulas always, networks where their weights are there; what is missing says so.
 //!
-//! With a mask, only pixels that count count ([`use3d_metrics::Mask`]): PSNR and UCIQE are over those pixels, SSIM over the windows that
-//! hold no other. UIQM, URanker and MUSIQ judge whole pictures; they see black where nothing counts, in every method's picture
-//! alike. LPIPS sees the same and is divided by the share of pixels that count, as its mean runs over all of them.
+//! With a mask, only pixels that count count ([`use3d_metrics::Mask`]): PSNR and UCIQE are over those pixels,
+//! SSIM over the windows that hold no other. UIQM, URanker and MUSIQ judge whole pictures; they see black
+//! where nothing counts, in every method's picture alike. LPIPS sees the same and is divided by the share of
+//! pixels that count, as its mean runs over all of them.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -60,9 +61,10 @@ impl Judges {
         Self {}
     }
 
-    /// About how much memory [`alone`](Self::alone), or with `compared` [`against`](Self::against), takes beside the images, bytes per
-    /// pixel; without masks, and for images within display range. Networks that look at a picture scaled down
-    /// to at most 1024 pixels take the same for any size, which is not in it.
+    /// About how much memory [`alone`](Self::alone), or with `compared` [`against`](Self::against), takes
+    /// beside the images, bytes per pixel; without masks, and for images within display range. Networks
+    /// that look at a picture scaled down to at most 1024 pixels take the same for any size, which is not
+    /// in it.
     pub fn bytes_per_pixel(&self, compared: bool) -> u64 {
         /// Eight bits of every channel, and of its CIELAB (UCIQE).
         const COLOURS: u64 = 6;
@@ -72,8 +74,8 @@ impl Judges {
         }
     }
 
-    /// PSNR, SSIM and LPIPS of an image against a reference of the same size, over the pixels of the mask. Both are clamped to the
-    /// display range.
+    /// PSNR, SSIM and LPIPS of an image against a reference of the same size, over the pixels of the mask.
+    /// Both are clamped to the display range.
     pub fn against(&self, image: &Image, reference: &Image, mask: Option<&Mask>) -> Scores {
         let (image, reference) = (clamped(image), clamped(reference));
         let mut scores = Scores::new();
@@ -202,8 +204,8 @@ impl<'a> Seen<'a> {
     }
 }
 
-/// How one view's pixels are found in the next: by depth, and by optical flow of the raw inputs where the network for it is there.
-/// Shared by all methods.
+/// How one view's pixels are found in the next: by depth, and by optical flow of the raw inputs where the
+/// network for it is there. Shared by all methods.
 pub struct Pairing {
     geometry: Correspondence,
     flow: Correspondence,
@@ -223,8 +225,8 @@ impl Pairing {
         Self { geometry: among(geometry), flow: among(judges.flow(first.raw, second.raw)) }
     }
 
-    /// `wlpips`, `w_delta_e` and `w_ssim` of one method's images of the two views, with the shares of pixels they compare:
-    /// `coverage` (by depth) and `flow_coverage`. `prefix` comes before each name.
+    /// `wlpips`, `w_delta_e` and `w_ssim` of one method's images of the two views, with the shares of pixels
+    /// they compare: `coverage` (by depth) and `flow_coverage`. `prefix` comes before each name.
     pub fn scores(&self, judges: &Judges, first: &Image, second: &Image, prefix: &str) -> Scores {
         let (first, second) = (clamped(first), clamped(second));
         let mut scores = Scores::new();

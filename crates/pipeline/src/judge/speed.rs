@@ -1,9 +1,10 @@
 //! How fast a scene is drawn.
 //!
-//! Protocol: all views are drawn at their full size, one at a time, on all threads of the pool. Two passes over the views warm
-//! caches and buffers up and do not count. Then whole passes are timed until there are three and five seconds have gone by. The
-//! figure is the median over all timed views; frames per second are 1000 over its milliseconds. Drawing is everything from the
-//! camera to an image in memory (projection, sorting, water, compositing); loading the scene and writing files are not part of it.
+//! Protocol: all views are drawn at their full size, one at a time, on all threads of the pool. Two passes
+//! over the views warm caches and buffers up and do not count. Then whole passes are timed until there are
+//! three and five seconds have gone by. The figure is the median over all timed views; frames per second are
+//! 1000 over its milliseconds. Drawing is everything from the camera to an image in memory (projection,
+//! sorting, water, compositing); loading the scene and writing files are not part of it.
 //!
 //! Times depend on the machine and the hour, so they never become part of an artifact.
 

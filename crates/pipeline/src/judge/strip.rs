@@ -1,10 +1,13 @@
-//! The same spot of the scene in neighbouring views, cropped and enlarged: does an appearance flicker, or does it stay?
+//! The same spot of the scene in neighbouring views, cropped and enlarged: does an appearance flicker, or
+//! does it stay?
 //!
-//! The spot is chosen by geometry and by the photographs alone, never by an enhancement: among points on a grid over the middle
-//! view, lifted by its rendered depth, those that all views see (inside by half a crop, depths agreeing within 5 %) and
-//! of these the one whose surroundings have the most contrast in the photograph.
+//! The spot is chosen by geometry and by the photographs alone, never by an enhancement: among points on a
+//! grid over the middle view, lifted by its rendered depth, those that all views see (inside by half a crop,
+//! depths agreeing within 5 %) and of these the one whose surroundings have the most contrast in the
+//! photograph.
 //!
-//! How far a spot's mean colour moves from view to view is given as CIEDE2000, the largest over pairs of views.
+//! How far a spot's mean colour moves from view to view is given as CIEDE2000, the largest over pairs of
+//! views.
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Camera, Image, Map};
@@ -140,7 +143,8 @@ fn movement(images: &[&Image], corners: &[(usize, usize)], side: usize) -> f64 {
     pairs.fold(0.0, f64::max)
 }
 
-/// Lays crops out, one row per appearance, one column per view, each enlarged by whole pixels; and says how far colours move.
+/// Lays crops out, one row per appearance, one column per view, each enlarged by whole pixels; and says how
+/// far colours move.
 pub fn sheet(rows: &[Vec<&Image>], corners: &[(usize, usize)], side: usize) -> (Image, Vec<f64>) {
     let pitch = side * ZOOM + GAP;
     let mut out = Image::filled(

@@ -1,20 +1,25 @@
 //! The truth beside a capture, and how far a scene is from it.
 //!
-//! `use3d synth capture` leaves `truth/clean/` (the same views without water), `truth/depth/` (z-depth) and `truth/water.json`
-//! beside the images. Any other capture may bring the same: `truth/clean/` with images of the views' names is enough, depth and water
-//! are measured where they are there too. A `truth/` folder of another form belongs to somebody else: it is left alone, and said.
-//! Truth is for judging only: it is read when a finished scene is scored and never reaches training.
+//! `use3d synth capture` leaves `truth/clean/` (the same views without water), `truth/depth/` (z-depth) and
+//! `truth/water.json` beside the images. Any other capture may bring the same: `truth/clean/` with images of
+//! the views' names is enough, depth and water are measured where they are there too. A `truth/` folder of
+//! another form belongs to somebody else: it is left alone, and said. Truth is for judging only: it is read
+//! when a finished scene is scored and never reaches training.
 //!
 //! Everything is measured where the truth shows a surface; open water has no clean colour and no depth.
 //!
-//! * `truth_psnr`, `truth_delta_e`: PSNR and mean CIEDE2000 of `clip(g x)` against the true clean image, `g = Σ x y / Σ x²`: one
-//!   gain for the whole image, since the absolute brightness of a scene without its water is not determined.
-//! * `truth_psnr_raw`, `truth_delta_e_raw`: the same of `clip(x)`, nothing fitted. `…_channel`: after one such gain per channel, as a
-//!   camera that balances its white differently would see it. `…_affine`: after the affine map of colours (3×4) of least squares per
-//!   image: what no adjustment of a whole picture mends is left. Gains and maps are fitted to values in `[0, 1]` before they are clipped.
-//! * `depth_error`: the median of `|z - z*| / z*` of the expected depth, `z*` the true depth times the scale of the recorded frame.
-//! * Water: the mean of a coefficient over all rays of the held-out views, in 1/metre. A length in the normalised frame is
-//!   `scale` times that in COLMAP's, which is `units_per_metre` times metres; a coefficient per length goes the other way.
+//! * `truth_psnr`, `truth_delta_e`: PSNR and mean CIEDE2000 of `clip(g x)` against the true clean image, `g =
+//!   Σ x y / Σ x²`: one gain for the whole image, since the absolute brightness of a scene without its water
+//!   is not determined.
+//! * `truth_psnr_raw`, `truth_delta_e_raw`: the same of `clip(x)`, nothing fitted. `…_channel`: after one
+//!   such gain per channel, as a camera that balances its white differently would see it. `…_affine`: after
+//!   the affine map of colours (3×4) of least squares per image: what no adjustment of a whole picture mends
+//!   is left. Gains and maps are fitted to values in `[0, 1]` before they are clipped.
+//! * `depth_error`: the median of `|z - z*| / z*` of the expected depth, `z*` the true depth times the scale
+//!   of the recorded frame.
+//! * Water: the mean of a coefficient over all rays of the held-out views, in 1/metre. A length in the
+//!   normalised frame is `scale` times that in COLMAP's, which is `units_per_metre` times metres; a
+//!   coefficient per length goes the other way.
 
 use std::path::{Path, PathBuf};
 
@@ -76,8 +81,8 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// Opens the truth of a capture folder whose views are scored at `size`; `None` where there is none of the form above. `say` hears
-    /// what is there and left alone.
+    /// Opens the truth of a capture folder whose views are scored at `size`; `None` where there is none of
+    /// the form above. `say` hears what is there and left alone.
     pub fn open(
         capture: &Path,
         (width, height): (usize, usize),
@@ -118,8 +123,9 @@ impl Truth {
         Ok(Some(TrueView { clean: prepared.pixels.to_image(), depth }))
     }
 
-    /// The recovered water beside the true one, where that is known (spectral water has no single true coefficient).
-    /// `attenuation` and `backscatter` are means in 1/normalised unit, `scale` is the recorded frame's.
+    /// The recovered water beside the true one, where that is known (spectral water has no single true
+    /// coefficient). `attenuation` and `backscatter` are means in 1/normalised unit, `scale` is the
+    /// recorded frame's.
     pub fn water(&self, attenuation: [f64; 3], backscatter: [f64; 3], scale: f64) -> Option<WaterScores> {
         let truth = self.water.as_ref()?;
         let per_metre = |means: [f64; 3]| means.map(|v| v * scale * truth.units_per_metre);
@@ -217,7 +223,8 @@ impl TrueView {
         self.depth.as_ref().is_none_or(|depth| depth.data().get(pixel).is_some_and(|z| *z > 0.0))
     }
 
-    /// The pixels of an image that count and where the truth shows a surface, in a row, clamped to the display range.
+    /// The pixels of an image that count and where the truth shows a surface, in a row, clamped to the
+    /// display range.
     fn surface(&self, image: &Image, mask: Option<&Mask>) -> Image {
         let counts = |p: &usize| self.shows_surface(*p) && mask.is_none_or(|m| m.data().get(*p) != Some(&0));
         let shown: Vec<usize> = (0..image.pixels()).filter(counts).collect();

@@ -1,8 +1,9 @@
-//! A batch of scored scenes as a table sees it: its groups, its variants, their means, and the rows and columns made of them.
+//! A batch of scored scenes as a table sees it: its groups, its variants, their means, and the rows and
+//! columns made of them.
 //!
-//! A group's number is the unweighted mean over its scenes (scene-macro), as in the paper; with more than one group, that over all scenes
-//! follows. Published rows appear for a scene only when its name, size and split are the paper's, and for a group only when it holds
-//! the paper's scenes and no other.
+//! A group's number is the unweighted mean over its scenes (scene-macro), as in the paper; with more than one
+//! group, that over all scenes follows. Published rows appear for a scene only when its name, size and split
+//! are the paper's, and for a group only when it holds the paper's scenes and no other.
 
 use super::published::{self, Published};
 use super::{Better, Cell, Column, Row, Table};
@@ -80,7 +81,8 @@ impl<'a> Batch<'a> {
         self.groups.iter().filter(|g| *g != ALL).all(|g| of(g) <= variants)
     }
 
-    /// One row per variant and method. What a variant only repeats (photographs are the same in all of them) stands once.
+    /// One row per variant and method. What a variant only repeats (photographs are the same in all of them)
+    /// stands once.
     pub(super) fn rows(&self, methods: &[Method], quantities: &[Quantity]) -> Vec<Row> {
         let mut rows: Vec<(Method, Row)> = Vec::new();
         for variant in &self.variants {
@@ -214,7 +216,8 @@ impl<'a> Batch<'a> {
         Table { name: name.into(), caption: caption.into(), columns: columns.collect(), rows }
     }
 
-    /// One row per variant, averaged over all scenes of the run, of the first of some methods that the variant has.
+    /// One row per variant, averaged over all scenes of the run, of the first of some methods that the
+    /// variant has.
     pub(super) fn ablation(
         &self,
         name: &str,

@@ -53,7 +53,8 @@ impl Table {
         out
     }
 
-    /// Comma-separated values, one head line, numbers as printed elsewhere but without marks; missing numbers are empty.
+    /// Comma-separated values, one head line, numbers as printed elsewhere but without marks; missing numbers
+    /// are empty.
     pub fn csv(&self) -> String {
         let quote = |text: &str| {
             if text.contains([',', '"', '\n']) {

@@ -1,7 +1,8 @@
 //! Tables in the paper's own shape, as Markdown, CSV, LaTeX and JSON.
 //!
-//! A cell is a number with the artifact it came from, or the reason why there is none. Best and second best are marked per
-//! column among all rows that have a number, published ones included (they are labelled as published).
+//! A cell is a number with the artifact it came from, or the reason why there is none. Best and second best
+//! are marked per column among all rows that have a number, published ones included (they are labelled as
+//! published).
 
 mod batch;
 mod format;

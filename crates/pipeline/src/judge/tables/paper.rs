@@ -1,4 +1,5 @@
-//! The paper's tables from a batch's scores: reconstruction, enhancement, scene-wise, consistency, both ablations.
+//! The paper's tables from a batch's scores: reconstruction, enhancement, scene-wise, consistency, both
+//! ablations.
 
 use super::batch::{Batch, Quantity, published_cell};
 use super::published;

@@ -1,7 +1,7 @@
 //! Numbers as the 3D-USE paper prints them, for the rows that stand beside ours on the same scenes.
 //!
-//! Source: *3D-USE: From Image-Level to Scene-Level Underwater Enhancement*, main tables and supplementary. They are the
-//! authors' measurements of all methods; nothing here was measured by this program.
+//! Source: *3D-USE: From Image-Level to Scene-Level Underwater Enhancement*, main tables and supplementary.
+//! They are the authors' measurements of all methods; nothing here was measured by this program.
 
 /// What a row's cells name as their source.
 pub const SOURCE: &str = "published: 3D-USE paper";

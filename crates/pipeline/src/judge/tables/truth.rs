@@ -1,4 +1,5 @@
-//! Tables against the truth, for captures that bring one: appearances against the true clean images, depth and water beside the true ones.
+//! Tables against the truth, for captures that bring one: appearances against the true clean images, depth
+//! and water beside the true ones.
 
 use super::batch::{Batch, Quantity, group_of, macro_mean};
 use super::{Better, Cell, Column, Row, Table};
