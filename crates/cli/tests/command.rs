@@ -173,6 +173,11 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     assert!(!text.contains("fps"), "a time in an artifact");
     let page = std::fs::read_to_string(Path::new(&out).join("report.html")).unwrap();
     assert!(page.contains("path_pairs") && page.contains("FPS") && page.contains("training view"));
+    assert!(page.contains("href=\"tiny/view.html\""), "the report links to the scene's own page");
+    assert!(
+        page.find("data-label=").unwrap() < page.find("id=\"tables\"").unwrap(),
+        "pictures come before tables"
+    );
     let label = |name: &str| page.find(&format!("data-label=\"{name}\"")).unwrap_or_else(|| panic!("{name}"));
     let order =
         ["captured", "2D enhancer", "enhanced", "clear", "enhanced-clear", "reconstruction"].map(label);
@@ -200,6 +205,7 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     for (what, scene, place) in [
         ("report", "", "report.html"),
         ("tables", "", "tables"),
+        ("view", "tiny", "tiny/view.html"),
         ("reconstruct", "tiny", "tiny/scene"),
         ("enhance", "tiny", "tiny/enhanced-scene"),
         ("evaluate", "tiny", "tiny/scores"),

@@ -116,7 +116,7 @@ mod tests {
         let degree = (0..4).rev().find(|d| own(&format!("SH_DEGREE_{d}_COEF_0")).is_some()).unwrap();
         let mut g = Gaussians::empty(degree);
         g.means = rows(floats("POSITION").unwrap());
-        g.log_scales = rows(own("SCALE").unwrap()).iter().map(|s| s.map(|v| math::ln(v))).collect();
+        g.log_scales = rows(own("SCALE").unwrap()).iter().map(|s| s.map(math::ln)).collect();
         g.quaternions = own("ROTATION").unwrap().chunks_exact(4).map(|q| [q[3], q[0], q[1], q[2]]).collect();
         g.opacity_logits = own("OPACITY").unwrap().iter().map(|&o| math::ln(o / (1.0 - o))).collect();
         g.sh = vec![[[0.0; 3]; 16]; g.means.len()];

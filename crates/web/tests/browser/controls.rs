@@ -147,6 +147,12 @@ fn paths_come_back_as_they_were_and_lengths_become_metres() {
     let [center, eye] = ["center", "eye"].map(|name| glam::DVec3::from_slice(&numbers(&read[name])));
     assert!((scene.frame.apply(center) - eye).length() < 1e-9);
 
+    // Played in the page, it becomes a film.
+    let film = browser.evaluate(
+        "use3d.path.keys.forEach((key, i) => { key.time = 0.2 * i; }), use3d.recorder.record().then(film => [film.type, film.size > 500])",
+    );
+    assert_eq!(film, json!(["video/webm", true]));
+
     // Two clicks measure; one true length makes metres of all.
     let text = browser.evaluate(
         "(async () => { await use3d.settled(); use3d.measure.choose('distance'); use3d.measure.take([0, 0, 0]); use3d.measure.take([0, 0.8, 0]);
