@@ -117,9 +117,12 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
         Guidance::Targets(&targets)
     };
     let watch = &mut Watch::new(context);
-    let mut engine = CpuFieldEngine::new(&scene, &views, guidance, &params, watch)?;
-    let outcome = match enhance(&scene, &views, guidance, &params, &mut engine, context.checkpoints(), watch)
-    {
+    let outcome = {
+        // It goes with this block, and the views' constants with it.
+        let engine = &mut CpuFieldEngine::new(&scene, &views, guidance, &params, watch)?;
+        enhance(&scene, &views, guidance, &params, engine, context.checkpoints(), watch)
+    };
+    let outcome = match outcome {
         Err(EnhanceError::Interrupted { .. }) => return Err(StageError::Cancelled),
         other => other?,
     };

@@ -169,8 +169,11 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         (params.medium, params.medium_prior) = (Medium::None, MediumPrior::Off);
     }
     let watch = &mut Watch::new(context);
-    let mut engine = CpuEngine::new();
-    let outcome = reconstruct_in(&capture, &known, &load, &params, &mut engine, context.checkpoints(), watch);
+    let outcome = {
+        // It goes with this block: what is drawn and written below needs no moments, views or buffers beside it.
+        let engine = &mut CpuEngine::new();
+        reconstruct_in(&capture, &known, &load, &params, engine, context.checkpoints(), watch)
+    };
     let outcome = match outcome {
         Ok(outcome) => outcome,
         Err(ReconstructError::Interrupted { .. }) => return Err(StageError::Cancelled),
