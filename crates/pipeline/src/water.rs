@@ -29,7 +29,7 @@ pub fn from_tracks(imported: &Imported, params: &WaterParams) -> Result<Water, T
     let capture = &imported.capture;
     let tracks = imported.tracks();
     let cameras: Vec<_> = capture.views.iter().map(|v| v.camera).collect();
-    let observations = observe::<TracksError>(&cameras, &tracks, |view| {
+    let sights = observe::<TracksError>(&cameras, &tracks, |view| {
         if capture.split.train.binary_search(&view).is_err() {
             return Ok(None);
         }
@@ -37,11 +37,11 @@ pub fn from_tracks(imported: &Imported, params: &WaterParams) -> Result<Water, T
         Ok(Some((load_pixels(view)?.to_image(), load_mask(view)?)))
     })?;
     let positions: Vec<_> = tracks.iter().map(|t| t.position).collect();
-    Ok(estimate(&observations, tracks.len(), &positions, cameras.len(), params))
+    Ok(estimate(&sights, tracks.len(), &positions, cameras.len(), params))
 }
 
-/// An optical depth of the far points below which a loss is small whatever it is.
-const SMALL: f64 = 0.25;
+/// What two standard errors of an attenuation may do to the optical depth of the far points: a third of their radiance.
+const SMALL: f64 = 0.3;
 /// Radiance, display range, that the 95th percentile of points has at most if only water has been taken away: a little above white.
 const BRIGHTEST: f64 = 1.3;
 
@@ -64,14 +64,14 @@ pub fn no_water(water: &Water) -> bool {
     water.channels.iter().all(|c| c.verdict == Verdict::NoWater)
 }
 
-/// What training may start from; `None` where a channel is not known, or where there is no water. A channel on which distance shows no
-/// water loses nothing, if another channel does. Losses that are alike in all channels (lamps, haze, a camera that balances each view) are as
-/// good a start as any: what far points have lost is lost in the photographs. A channel whose loss is small whatever it is counts as known.
-/// Lamps at the camera are no water.
+/// What training may start from; `None` where a channel is not known, or where there is no water. Once one channel is known, the others
+/// need not be told from no water: where the estimate's error does little to what far points show, the estimate is taken. A channel on which
+/// distance shows no water loses nothing else. Losses that are alike in all channels (lamps, haze, a camera that balances each view) are as
+/// good a start as any: what far points have lost is lost in the photographs. Lamps at the camera are no water.
 pub fn found_water(water: &Water) -> Option<FoundWater> {
     let far = water.distances[2];
     let small = |c: &ChannelWater| {
-        c.verdict == Verdict::NotObservable && far * (c.attenuation.value + 2.0 * c.attenuation.error) < SMALL
+        c.verdict != Verdict::TooFewPoints && far * 2.0 * c.attenuation.error < SMALL
     };
     let told = |c: &ChannelWater| c.verdict.usable() || small(c);
     let known = |c: &ChannelWater| told(c) || c.verdict == Verdict::NoWater;
@@ -103,6 +103,8 @@ pub struct WaterReport {
     pub capture: String,
     /// Points seen from distances that differ by a quarter and more.
     pub points: usize,
+    /// Cells of open water that told the veil; 0 where none or too few were seen.
+    pub open_water: usize,
     /// 5th, 50th and 95th percentile of the distances.
     pub distances: [f64; 3],
     /// Whether the channels' attenuations are alike, as lamps, exposure or a haze make them.
@@ -168,6 +170,7 @@ impl WaterReport {
             version: 1,
             capture: capture.name.clone(),
             points: water.points,
+            open_water: water.open,
             distances: water.distances.map(|s| s / frame.scale),
             grey: water.grey,
             channels: (water.channels.iter().zip(names).enumerate())
@@ -217,6 +220,9 @@ impl fmt::Display for WaterReport {
             write!(f, ", {near:.2} to {far:.2} COLMAP units away")?;
         }
         writeln!(f)?;
+        if self.open_water > 0 {
+            writeln!(f, "open water seen in {} places: the veil is read off there", self.open_water)?;
+        }
         writeln!(f, "{:6} {:>20} {:>20} {:>18}", "", "attenuation /unit", "backscatter /unit", "veil")?;
         for c in &self.channels {
             let cells = [c.attenuation, c.backscatter, c.veil].map(|v| v.to_string());
@@ -269,6 +275,7 @@ mod tests {
             gains: vec![[1.0; 3]; 2],
             radiances: vec![None, Some([measured(radiance, 0.01); 3]), Some([measured(0.2, 0.01); 3])],
             points: 200,
+            open: 0,
             distances: [1.0, 2.0, 4.0],
             grey: false,
         }
@@ -287,12 +294,12 @@ mod tests {
         let small = found_water(&water(vague, [0.3, 0.02, 0.02], 0.01, 0.8)).expect("nearly nothing is lost");
         assert_eq!(small.attenuation, [0.3, 0.02, 0.02]);
         assert!(found_water(&water(vague, [0.3, 0.2, 0.2], 0.1, 0.8)).is_none());
-        // A channel without loss beside one with it, and none at all.
+        // Channels that could be without loss beside one with it: what is estimated, unless that is a guess.
         let red = [Verdict::VeilNotSeparable, Verdict::NoWater, Verdict::NoWater];
-        assert_eq!(
-            found_water(&water(red, [0.3, 0.1, 0.1], 0.01, 0.8)).expect("red").attenuation,
-            [0.3, 0.0, 0.0]
-        );
+        for (error, others) in [(0.01, 0.1), (0.05, 0.0)] {
+            let taken = found_water(&water(red, [0.3, 0.1, 0.1], error, 0.8)).expect("red");
+            assert_eq!(taken.attenuation, [0.3, others, others]);
+        }
         let air = water([Verdict::NoWater; 3], [0.01; 3], 0.01, 0.8);
         assert!(no_water(&air) && found_water(&air).is_none() && !lamps(&air));
     }

@@ -8,12 +8,15 @@ use crate::blocks::blocks;
 use crate::covariance::{Covariance, covariance};
 use crate::formation::{ATTENUATION, BACKSCATTER, Channel, GAIN, Shared, VEIL, radiance, terms};
 use crate::noise::{Noise, square};
-use crate::observe::Observation;
+use crate::observe::{Observation, Sights};
+use crate::open::{Open, OpenWater};
 use crate::solve::{CAUCHY, Fit, Prior, fit, loss};
 use crate::verdict::{Verdict, judge};
 
 /// The veil that is assumed beforehand, display range, and the width of its logarithm.
 const VEIL_PRIOR: (f64, f64) = (0.35, 0.6);
+/// The width where open water shows the veil: from black to white.
+const VEIL_SEEN: f64 = 3.0;
 /// Width of each component of the veil's relative slope.
 const SLOPE_PRIOR: f64 = 1.0;
 /// Noise, design effect and gains follow from the residuals this many times.
@@ -35,6 +38,8 @@ pub struct WaterParams {
     pub min_points: usize,
     /// Whether the veil may depend on the direction, to first order.
     pub directional_veil: bool,
+    /// Whether open water says what the veil is.
+    pub open_water: bool,
     /// Whether each view may have a gain of its own.
     pub gains: bool,
     /// Standard deviation of `ln(β_b/β_a)` around 0 that is assumed beforehand. Decides only where the data do not.
@@ -43,7 +48,14 @@ pub struct WaterParams {
 
 impl Default for WaterParams {
     fn default() -> Self {
-        Self { distance_ratio: 1.25, min_points: 150, directional_veil: true, gains: true, ratio_width: 0.5 }
+        Self {
+            distance_ratio: 1.25,
+            min_points: 150,
+            directional_veil: true,
+            open_water: true,
+            gains: true,
+            ratio_width: 0.5,
+        }
     }
 }
 
@@ -98,24 +110,26 @@ pub struct Water {
     pub radiances: Vec<Option<[Measured; 3]>>,
     /// Points whose farthest view is at least `distance_ratio` times as far as the nearest.
     pub points: usize,
+    /// Cells of open water that were looked at; 0 where there are too few to tell the veil.
+    pub open: usize,
     /// 5th, 50th and 95th percentile of the distances.
     pub distances: [f64; 3],
     /// Whether the three attenuations are within a factor of 1.5, as lamps, exposure or a haze make them, and hardly water.
     pub grey: bool,
 }
 
-/// Estimates the water from observations of `points` points by `views` views.
+/// Estimates the water from what `views` views show of `points` points and of open water.
 ///
-/// Never fails: where the capture cannot tell, the verdicts say so and the values are those of no water. Observations that are not finite are
+/// Never fails: where the capture cannot tell, the verdicts say so and the values are those of no water. What is not finite is
 /// left out. The result does not depend on the observations' order.
 pub fn estimate(
-    observations: &[Observation],
+    sights: &Sights,
     points: usize,
     positions: &[DVec3],
     views: usize,
     params: &WaterParams,
 ) -> Water {
-    let data = Data::new(observations, points, positions, views, params);
+    let data = Data::new(sights, points, positions, views, params);
     let fits: Vec<(ChannelWater, Vec<f64>, Solved)> =
         (0..3).into_par_iter().map(|c| data.channel(c, params)).collect();
     let mut gains = vec![[1.0; 3]; views];
@@ -127,13 +141,15 @@ pub fn estimate(
     let radiances = data.radiances(&fits, points);
     let channels: [ChannelWater; 3] = std::array::from_fn(|c| fits[c].0.clone());
     let grey = crate::verdict::grey(&channels);
-    Water { channels, gains, radiances, points: data.telling, distances: data.percentiles, grey }
+    let open = data.open.len();
+    Water { channels, gains, radiances, points: data.telling, open, distances: data.percentiles, grey }
 }
 
 /// What all channels share.
 struct Data {
     /// Sorted so that the caller's order does not matter.
     observations: Vec<Observation>,
+    open: Vec<OpenWater>,
     /// Indices of tracks that tell, by position.
     order: Vec<usize>,
     positions: Vec<DVec3>,
@@ -154,7 +170,7 @@ struct Solved {
 
 impl Data {
     fn new(
-        observations: &[Observation],
+        sights: &Sights,
         points: usize,
         positions: &[DVec3],
         views: usize,
@@ -167,7 +183,7 @@ impl Data {
                 && o.distance > 0.0
                 && o.direction.is_finite()
         };
-        let mut sorted: Vec<Observation> = observations.iter().filter(finite).copied().collect();
+        let mut sorted: Vec<Observation> = sights.points.iter().filter(finite).copied().collect();
         sorted.sort_by_key(|o| (o.point, o.view));
         sorted.dedup_by_key(|o| (o.point, o.view));
         let mut ranges = vec![0..0; points];
@@ -199,8 +215,10 @@ impl Data {
         let percentiles = [at(0.05), at(0.5), at(0.95)];
         let sum: DVec3 = used.iter().map(|o| o.direction).sum();
         let center = sum / (used.len().max(1) as f64);
+        let open = if params.open_water { Open::usable(&sights.open, views) } else { vec![] };
         Self {
             order,
+            open,
             positions: positions.to_vec(),
             ranges,
             unit: percentiles[1],
@@ -252,12 +270,17 @@ impl Data {
             slope: 0.0,
             gain: 0.0,
             trend: Vec::new(),
+            open: Open::default(),
             water: true,
             strength: 1.0,
         };
         let (start, mut noise) = self.start(c, &prior);
         // Then everything that may vary, on all points; noise and the gains' width follow from the residuals.
         prior.slope = if params.directional_veil { SLOPE_PRIOR } else { 0.0 };
+        if !self.open.is_empty() {
+            prior.open = Open::new(&self.open, c, self.center);
+            prior.veil.1 = VEIL_SEEN;
+        }
         let positions: Vec<DVec3> = points.iter().map(|p| self.positions[*p]).collect();
         let (block, count) = blocks(&positions);
         let mut best = fit(&channel, &noise.sigmas(&channel), &prior, &start, &[2.0, 1.0]);
@@ -293,9 +316,7 @@ impl Data {
             self.describe(&channel, points.len(), &best, &errors, [significance, explained], noise);
         water.gains_explain = gains_explain;
         let gains = best.theta[GAIN..].iter().map(|g| math::exp(*g)).collect();
-        let found = matches!(water.verdict, Verdict::Found | Verdict::VeilNotSeparable);
-        let theta = if found { best.theta } else { dry(self.views) };
-        (water, gains, Solved { theta, noise })
+        (water, gains, Solved { theta: best.theta, noise })
     }
 
     /// The same fit with gains, and the share of the loss that they take away.

@@ -10,8 +10,8 @@
 //! directions), and g_v a gain of the view where exposure changes. `β_a`, `β_b`, B and the gains are shared by all points; J has a closed form
 //! and is eliminated. `docs/water.md` tells the whole of it: what is approximated, how good it is, when it cannot work.
 //!
-//! [`observe`] looks tracks up in the images, [`estimate`] turns the observations into a [`Water`] with standard errors and a [`Verdict`] per
-//! channel. Reading order: `patch` (what a view shows of a surface piece), `formation` (the equation, its derivative), `solve` (the robust fit), `noise`
+//! [`observe`] looks tracks up in the images and finds open water, [`estimate`] turns these [`Sights`] into a [`Water`] with standard errors and a [`Verdict`] per
+//! channel. Reading order: `patch` (what a view shows of a surface piece), `open` (where it shows no surface), `formation` (the equation, its derivative), `solve` (the robust fit), `noise`
 //! (expected errors), `covariance` (errors of the result), `estimate` (all together), `verdict`.
 //!
 //! Everything is f64 and summed in a fixed order: the same observations give the same bits on any number of threads, in any order.
@@ -23,10 +23,12 @@ mod estimate;
 mod formation;
 mod noise;
 mod observe;
+mod open;
 mod patch;
 mod solve;
 mod verdict;
 
 pub use estimate::{ChannelWater, Measured, Water, WaterParams, estimate};
-pub use observe::{Observation, ObserveError, observe};
+pub use observe::{Observation, ObserveError, Sights, observe};
+pub use open::OpenWater;
 pub use verdict::Verdict;

@@ -1,9 +1,10 @@
-//! From tracks and images to observations: what each view shows of each point, from how far, in which direction.
+//! From tracks and images to observations: what each view shows of each point, from how far, in which direction, and of open water.
 
 use glam::DVec3;
 use rayon::prelude::*;
 use use3d_capture::{Camera, Image, Map, Track};
 
+use crate::open::{OpenWater, Seen, open_water};
 use crate::patch::{NARROWEST, Patch, WIDEST, patch};
 
 /// One view's sight of one point.
@@ -21,6 +22,15 @@ pub struct Observation {
     pub value: [f64; 3],
     /// How uneven the surface piece is in this view: standard deviation per channel, display range.
     pub spread: [f64; 3],
+}
+
+/// What a capture's views show of its water.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Sights {
+    /// Points, ordered by point, then view.
+    pub points: Vec<Observation>,
+    /// Cells in which nothing but water is seen, ordered by view.
+    pub open: Vec<OpenWater>,
 }
 
 /// What is wrong with tracks and cameras.
@@ -63,8 +73,7 @@ struct Wanted {
 /// Looks every track up in the views. `load` gives a view's image and mask (1 counts), or `None` to leave the view out; it is called
 /// once per view, in order, so that one image is in memory at a time.
 ///
-/// Points seen by fewer than two views, sightings behind a camera and second sightings by one view are left out. Observations are ordered by
-/// point, then view.
+/// Points seen by fewer than two views, sightings behind a camera and second sightings by one view are left out.
 ///
 /// # Errors
 /// Those of `load`, and [`ObserveError`] where tracks, cameras and images do not belong together.
@@ -72,12 +81,13 @@ pub fn observe<E: From<ObserveError>>(
     cameras: &[Camera],
     tracks: &[Track],
     mut load: impl FnMut(usize) -> Result<Option<(Image, Option<Map>)>, E>,
-) -> Result<Vec<Observation>, E> {
+) -> Result<Sights, E> {
     let mut wanted: Vec<Vec<Wanted>> = cameras.iter().map(|_| Vec::new()).collect();
     for (point, track) in tracks.iter().enumerate() {
         plan(cameras, point, track, &mut wanted)?;
     }
-    let mut found = Vec::new();
+    let (seen, middle) = sightings(cameras, tracks);
+    let (mut found, mut open) = (Vec::new(), Vec::new());
     for (view, list) in wanted.iter().enumerate() {
         let Some((image, mask)) = load(view)? else { continue };
         let k = &cameras[view].intrinsics;
@@ -95,9 +105,29 @@ pub fn observe<E: From<ObserveError>>(
             })
             .collect();
         found.extend(looked.into_iter().flatten());
+        open.extend(open_water(view, &cameras[view], &image, mask, &seen[view], middle));
     }
     found.sort_by_key(|o| (o.point, o.view));
-    Ok(found)
+    Ok(Sights { points: found, open })
+}
+
+/// Where every view saw points, and the median distance of all sightings.
+fn sightings(cameras: &[Camera], tracks: &[Track]) -> (Vec<Vec<Seen>>, f64) {
+    let mut seen: Vec<Vec<Seen>> = cameras.iter().map(|_| Vec::new()).collect();
+    let mut distances = Vec::new();
+    for track in tracks {
+        for s in &track.sightings {
+            let Some(camera) = cameras.get(s.view) else { continue };
+            let distance = (track.position - camera.pose.center()).length();
+            if distance.is_finite() && s.x.is_finite() && s.y.is_finite() {
+                seen[s.view].push(Seen { x: s.x, y: s.y, distance });
+                distances.push(distance);
+            }
+        }
+    }
+    distances.sort_unstable_by(f64::total_cmp);
+    let middle = distances.get(distances.len() / 2).copied().unwrap_or(f64::INFINITY);
+    (seen, middle)
 }
 
 /// Lists a track's sightings with the windows that cover one piece of surface.

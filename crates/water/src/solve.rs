@@ -9,6 +9,7 @@ use use3d_numerics::math;
 use crate::dense::Factor;
 use crate::formation::{ATTENUATION, BACKSCATTER, Channel, GAIN, VEIL, normal, residuals};
 use crate::noise::square;
+use crate::open::Open;
 
 /// Cauchy's constant: 95 % efficiency on normal errors.
 pub(crate) const CAUCHY: f64 = 2.385;
@@ -38,6 +39,8 @@ pub(crate) struct Prior {
     pub(crate) gain: f64,
     /// Coefficients over the views of the slope of γ over a view's mean distance, which is 0 but for [`TREND`]; empty: not assumed.
     pub(crate) trend: Vec<f64>,
+    /// Open water: `g_v B(d)` where it was seen.
+    pub(crate) open: Open,
     /// Without water only gains are fitted.
     pub(crate) water: bool,
     /// How many times fewer independent observations there are than observations: what is assumed about the water weighs as much more.
@@ -61,7 +64,7 @@ impl Prior {
         sum
     }
 
-    /// Calls `term` with (coefficients over parameters, deviation, width).
+    /// Calls `term` with (derivatives of the deviation by parameters, deviation, width).
     fn terms(&self, theta: &[f64], mut term: impl FnMut(&[(usize, f64)], f64, f64)) {
         if self.water {
             let narrowed = self.strength.max(1.0).sqrt().recip();
@@ -74,6 +77,20 @@ impl Prior {
                 if self.slope > 0.0 {
                     term(&[(k, 1.0)], theta[k], self.slope);
                 }
+            }
+            let constant = math::exp(theta[VEIL]);
+            for (view, d, value, weight) in &self.open.cells {
+                let gain = math::exp(theta[GAIN + view]);
+                let slope: f64 = (0..3).map(|k| theta[VEIL + 1 + k] * d[k]).sum();
+                let (level, seen) = (gain * constant, gain * constant * (1.0 + slope));
+                let width = Open::WIDTH / weight.sqrt();
+                let mut coefficients = [(VEIL, seen); 5];
+                for k in 0..3 {
+                    coefficients[1 + k] = (VEIL + 1 + k, level * d[k]);
+                }
+                coefficients[4] = (GAIN + view, seen);
+                let last = if self.gain > 0.0 { 5 } else { 4 };
+                term(&coefficients[..last], seen - value, width);
             }
         }
         if self.gain > 0.0 {
@@ -210,4 +227,48 @@ fn step(
         next[k] = next[k].clamp(BETA_BOUNDS[0], BETA_BOUNDS[1]);
     }
     Some(next)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::open::OpenWater;
+
+    /// Every term's derivative, with open water and gains, against differences of its value.
+    #[test]
+    fn the_penalty_changes_as_its_gradient_says() {
+        let cell = |i: usize| OpenWater {
+            view: i % 3,
+            direction: glam::DVec3::new(0.1 * (i % 7) as f64, 1.0, 0.05 * i as f64).normalize(),
+            value: [0.3 + 0.02 * (i % 5) as f64; 3],
+        };
+        let cells: Vec<OpenWater> = (0..30).map(cell).collect();
+        let prior = Prior {
+            attenuation: (-0.7, 2.0),
+            ratio: (0.0, 0.5),
+            veil: (-1.0, 3.0),
+            slope: 1.0,
+            gain: 0.1,
+            trend: vec![0.5, 0.1, -0.6],
+            open: Open::new(&cells, 0, glam::DVec3::new(0.1, 0.8, 0.2)),
+            water: true,
+            strength: 7.0,
+        };
+        let theta = [-0.5, -0.9, -1.3, 0.3, -0.2, 0.4, 0.05, -0.1, 0.02];
+        let (mut gradient, mut matrix) = (vec![0.0; 9], vec![0.0; 81]);
+        prior.add(&theta, &mut gradient, &mut matrix);
+        for k in 0..9 {
+            let at = |step: f64| {
+                let mut moved = theta;
+                moved[k] += step;
+                prior.value(&moved)
+            };
+            let difference = (at(1e-5) - at(-1e-5)) / 2e-5;
+            let scale = gradient.iter().fold(1.0f64, |m, g| m.max(g.abs()));
+            assert!((difference - gradient[k]).abs() < 1e-6 * scale, "{k}: {difference}, {}", gradient[k]);
+            for j in 0..9 {
+                assert!((matrix[9 * k + j] - matrix[9 * j + k]).abs() < 1e-9 * matrix[9 * k + k].max(1.0));
+            }
+        }
+    }
 }

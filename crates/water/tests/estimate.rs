@@ -3,7 +3,7 @@
 use glam::DVec3;
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
-use use3d_water::{Observation, Verdict, Water, WaterParams, estimate};
+use use3d_water::{Observation, OpenWater, Sights, Verdict, Water, WaterParams, estimate};
 
 /// Water and photographers of a test.
 #[derive(Clone, Copy)]
@@ -82,7 +82,8 @@ fn make(truth: &Truth) -> Made {
 }
 
 fn solve(made: &Made, params: &WaterParams) -> Water {
-    estimate(&made.observations, made.positions.len(), &made.positions, VIEWS, params)
+    let sights = Sights { points: made.observations.clone(), open: vec![] };
+    estimate(&sights, made.positions.len(), &made.positions, VIEWS, params)
 }
 
 fn near(found: f64, truth: f64, relative: f64, what: &str) {
@@ -176,6 +177,44 @@ fn gains_of_the_views_are_found_where_they_are_and_not_where_they_are_not() {
     let none = solve(&make(&Truth { noise: 0.01, ..SEA }), &WaterParams::default());
     assert!(none.gains.iter().flatten().all(|g| *g == 1.0));
     assert!(none.channels.iter().all(|w| w.gains_explain < 0.1), "{:?}", none.channels[0].gains_explain);
+}
+
+/// Cells along the horizon, as seen by every view.
+fn open_water(truth: &Truth) -> Vec<OpenWater> {
+    (0..VIEWS * 20)
+        .map(|i| {
+            let angle = 0.05 * (i / VIEWS) as f64 - 0.5;
+            let direction = DVec3::new(math::sin(angle), 1.0, 0.1).normalize();
+            let veil = |c: usize| truth.veil[c] * (1.0 + truth.slope.dot(direction));
+            OpenWater { view: i % VIEWS, direction, value: std::array::from_fn(veil) }
+        })
+        .collect()
+}
+
+#[test]
+fn open_water_tells_the_veil_where_the_tracks_cannot() {
+    // Clear water: over these distances the veil is a straight line, of which tracks see the slope alone.
+    let clear = Truth { attenuation: [0.09, 0.03, 0.025], backscatter: [0.03, 0.025, 0.02], noise: 0.004, ..SEA };
+    let made = make(&clear);
+    let with = |open: Vec<OpenWater>| {
+        let sights = Sights { points: made.observations.clone(), open };
+        estimate(&sights, made.positions.len(), &made.positions, VIEWS, &WaterParams::default())
+    };
+    let (without, told) = (with(vec![]), with(open_water(&clear)));
+    assert_eq!((without.open, told.open), (0, VIEWS * 20));
+    for c in 0..3 {
+        let (alone, w) = (&without.channels[c], &told.channels[c]);
+        assert!(w.veil.error < 0.5 * alone.veil.error, "{w:?}, tracks alone {alone:?}");
+        near(w.veil_constant, clear.veil[c], 0.03, "veil");
+        near(w.backscatter.value, clear.backscatter[c], 0.2, "backscatter");
+        assert!(w.backscatter.error < alone.backscatter.error, "{w:?}, alone {alone:?}");
+    }
+    // A sky is even, far, and no water.
+    let air = Truth { attenuation: [0.0; 3], backscatter: [0.0; 3], noise: 0.01, ..SEA };
+    let made = make(&air);
+    let sights = Sights { points: made.observations.clone(), open: open_water(&SEA) };
+    let water = estimate(&sights, made.positions.len(), &made.positions, VIEWS, &WaterParams::default());
+    assert!(water.channels.iter().all(|w| w.verdict == Verdict::NoWater), "{:?}", water.channels);
 }
 
 #[test]

@@ -38,7 +38,7 @@ fn disc(view: usize) -> Image {
 }
 
 fn look(tracks: &[Track]) -> Vec<Observation> {
-    observe::<ObserveError>(&cameras(), tracks, |view| Ok(Some((disc(view), None)))).unwrap()
+    observe::<ObserveError>(&cameras(), tracks, |view| Ok(Some((disc(view), None)))).unwrap().points
 }
 
 #[test]
@@ -63,11 +63,11 @@ fn views_may_be_left_out_and_lonely_or_impossible_sightings_are() {
     let some = observe::<ObserveError>(&cameras(), &[track(vec![sighting(0), sighting(1)])], |view| {
         Ok((view == 1).then(|| (disc(view), None)))
     });
-    assert_eq!(some.unwrap().iter().map(|o| o.view).collect::<Vec<_>>(), [1]);
+    assert_eq!(some.unwrap().points.iter().map(|o| o.view).collect::<Vec<_>>(), [1]);
     let masked = observe::<ObserveError>(&cameras(), &[track(vec![sighting(0), sighting(1)])], |view| {
         Ok(Some((disc(view), Some(Map::filled(80, 60, view as f32)))))
     });
-    assert_eq!(masked.unwrap().iter().map(|o| o.view).collect::<Vec<_>>(), [1]);
+    assert_eq!(masked.unwrap().points.iter().map(|o| o.view).collect::<Vec<_>>(), [1]);
 }
 
 #[test]
