@@ -1,6 +1,8 @@
 //! How well calibration works on real pairs: `calibration_report DIR [CALIBRATOR]`, where `DIR` holds `uieb_t90`, `lsui_t400` and `euvp`, each with
 //! `input/` and `reference/` (equal file names). Prints Markdown: held-out errors per set, and trained-on × tested-on.
 //! With a second argument, writes a calibrator fitted to all three sets there.
+//!
+//! `calibration_report DIR --from PAIRS` fits to the pairs of another folder alone (synthetic ones, say) and tests on the three sets.
 
 use std::path::Path;
 use std::time::Instant;
@@ -37,27 +39,42 @@ fn row(errors: &TransitionErrors) -> String {
         .join(" | ")
 }
 
+fn dataset(dir: &Path, params: &CalibratorParams) -> Result<Dataset, Anyhow> {
+    let started = Instant::now();
+    let images = pairs(dir)?.into_iter().map(|file| PairImages {
+        images: read(&dir.join("input").join(&file))
+            .and_then(|a| Ok((a, read(&dir.join("reference").join(&file))?))),
+        name: file,
+    });
+    let dataset = Dataset::build(images, &Fusion, &params.extractor, &mut unwatched)?;
+    eprintln!(
+        "{}: {} pairs, {} cells, {} left out, {:.1} s",
+        dir.display(),
+        dataset.examples.len(),
+        dataset.cell_count(),
+        dataset.skipped.len(),
+        started.elapsed().as_secs_f64()
+    );
+    Ok(dataset)
+}
+
+const BETWEEN: &str = "\n| trained on | tested on | global | local | local, centred |\n|---|---|---|---|---|";
+
 fn main() -> Result<(), Anyhow> {
-    let root = std::env::args().nth(1).ok_or("usage: calibration_report DIR")?;
+    let root = std::env::args().nth(1).ok_or("usage: calibration_report DIR [CALIBRATOR | --from PAIRS]")?;
     let params = CalibratorParams::default();
     let mut sets: Vec<(String, Dataset)> = Vec::new();
     for name in ["uieb_t90", "lsui_t400", "euvp"] {
-        let dir = Path::new(&root).join(name);
-        let started = Instant::now();
-        let images = pairs(&dir)?.into_iter().map(|file| PairImages {
-            images: read(&dir.join("input").join(&file))
-                .and_then(|a| Ok((a, read(&dir.join("reference").join(&file))?))),
-            name: file,
-        });
-        let dataset = Dataset::build(images, &Fusion, &params.extractor, &mut unwatched)?;
-        eprintln!(
-            "{name}: {} pairs, {} cells, {} left out, {:.1} s",
-            dataset.examples.len(),
-            dataset.cell_count(),
-            dataset.skipped.len(),
-            started.elapsed().as_secs_f64()
-        );
-        sets.push((name.to_string(), dataset));
+        sets.push((name.to_string(), dataset(&Path::new(&root).join(name), &params)?));
+    }
+    if std::env::args().nth(2).as_deref() == Some("--from") {
+        let from = std::env::args().nth(3).ok_or("--from: expected a folder of pairs")?;
+        let calibrator = train(&dataset(Path::new(&from), &params)?, &params, &from, &mut unwatched)?;
+        println!("{BETWEEN}");
+        for (tested, other) in &sets {
+            println!("| {from} | {tested} | {} |", row(&evaluate(&calibrator, &other.examples)));
+        }
+        return Ok(());
     }
 
     println!("| pairs | fitted / tested | global | local | local, centred |\n|---|---|---|---|---|");
@@ -100,7 +117,7 @@ fn main() -> Result<(), Anyhow> {
         std::fs::write(path, calibrator.to_bytes()?)?;
     }
 
-    println!("\n| trained on | tested on | global | local | local, centred |\n|---|---|---|---|---|");
+    println!("{BETWEEN}");
     for (trained, dataset) in &sets[..3] {
         let calibrator = train(dataset, &params, trained, &mut unwatched)?;
         for (tested, other) in sets[..3].iter().filter(|(tested, _)| tested != trained) {

@@ -27,9 +27,9 @@ use use3d_numerics::random::{Purpose, Stream};
 use crate::error::{Answer, SynthError, whole_folder};
 use crate::geometry::noise::Noise;
 use crate::physics::spectral::{Lamps, Spectral};
-use crate::physics::{Physics, camera, passers};
+use crate::physics::{Physics, camera, passers, sideways};
 use crate::render::{Condition, Look, Shot, add_noise, expose, render};
-use crate::scene::{Caustics, Draws, Layout, Scene};
+use crate::scene::{Caustics, Draws, Layout, Place, Scene};
 use crate::sparse::{self, Corner};
 use crate::swim;
 use crate::water::{Water, WaterType};
@@ -62,6 +62,9 @@ pub struct CaptureParams {
     pub depth_priors: bool,
     /// Triangle density of the scene, 0.1 to 1: less is built faster.
     pub detail: f32,
+    /// Where the photographs are taken.
+    #[serde(skip_serializing_if = "is_default")]
+    pub place: Place,
     /// The image formation.
     #[serde(skip_serializing_if = "is_default")]
     pub physics: Physics,
@@ -103,6 +106,7 @@ impl Default for CaptureParams {
             points: 8000,
             depth_priors: true,
             detail: 1.0,
+            place: Place::Reef,
             physics: Physics::Display,
             air: false,
             lamps: 0.0,
@@ -225,14 +229,15 @@ struct Studio {
     frame: Frame,
 }
 
-/// The picture's x axis in the scene's frame.
-fn sideways(camera: &Camera) -> Vec3 {
-    camera.pose.rotation.transpose().x_axis.as_vec3()
-}
-
 impl Studio {
     fn new(params: &CaptureParams) -> Self {
-        let layout = Layout { seed: params.seed, detail: params.detail, density: 1.0, wreck: true };
+        let layout = Layout {
+            place: params.place,
+            seed: params.seed,
+            detail: params.detail,
+            density: 1.0,
+            wreck: true,
+        };
         let scene = Scene::new(&layout);
         let lens = swim::lens(params.width, params.height, &mut Draws::new(params.seed, "lens", 0));
         let cameras = swim::path(&scene.terrain, params.seed, params.views, &lens);

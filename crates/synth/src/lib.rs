@@ -2,7 +2,7 @@
 //!
 //! A procedural reef (terrain, boulders, corals, sponges, a wreck, a rope, a colour chart) as triangles with procedural textures,
 //! seen by casting rays, under soft daylight and through one of Jerlov's waters. None of it is made of Gaussians, so that a
-//! reconstruction from these pictures is no inverse crime. [`write_capture`] makes a COLMAP project with everything that is to be
+//! reconstruction from these pictures is no inverse crime. [`Place::Pool`] is a tiled pool instead, even surfaces of nearly one colour. [`write_capture`] makes a COLMAP project with everything that is to be
 //! found out beside it; [`write_pairs`] makes pairs for training a calibrator without any download.
 //!
 //! By default the pictures follow the method's image formation exactly, `I = J e^{-β_attn s} + c_m(d) (1 - e^{-β_bs s})` per
@@ -27,4 +27,5 @@ pub use capture::{CaptureParams, CaptureTruth, ViewGains, write_capture};
 pub use error::{Answer, SynthError};
 pub use pairs::{PairsParams, write_pairs};
 pub use physics::Physics;
+pub use scene::Place;
 pub use water::{UnknownWaterType, Water, WaterType};

@@ -2,7 +2,8 @@
 //!
 //! `input/pair_0001.png` is taken through one of Jerlov's waters at some depth; `reference/pair_0001.png` is the same view in
 //! neutral daylight through very clear water, well exposed, with a little more contrast and colour: it defines what "enhanced" means
-//! to a calibrator that is trained on these pairs. Pairs cycle through the water types; each dozen shares a scene.
+//! to a calibrator that is trained on these pairs. With [`Physics::Spectral`] inputs follow [`crate::physics`] instead, and a camera sets
+//! itself for each of them. Pairs cycle through the water types; each dozen shares a scene.
 
 use std::path::Path;
 
@@ -13,8 +14,11 @@ use use3d_capture::Image;
 use use3d_io_image::write_png;
 
 use crate::error::{Answer, SynthError, whole_folder};
-use crate::render::{Condition, Look, add_noise, expose, render};
-use crate::scene::{Caustics, Draws, Layout, Scene};
+use crate::physics::camera::{self as develop, Automatic};
+use crate::physics::spectral::Spectral;
+use crate::physics::{Physics, sideways};
+use crate::render::{Condition, add_noise, expose, render};
+use crate::scene::{Caustics, Draws, Layout, Place, Scene};
 use crate::swim;
 use crate::water::{Water, WaterType};
 
@@ -35,11 +39,19 @@ pub struct PairsParams {
     pub noise: f32,
     /// Triangle density of the scenes, 0.1 to 1.
     pub detail: f32,
+    /// The image formation of the inputs; `spectral` has a camera that exposes and balances every picture on its own.
+    #[serde(skip_serializing_if = "is_display")]
+    pub physics: Physics,
+}
+
+/// Whether nothing else was asked for: such fields are left out, so that recipes keep their bytes when a field is added.
+fn is_display(physics: &Physics) -> bool {
+    *physics == Physics::Display
 }
 
 impl Default for PairsParams {
     fn default() -> Self {
-        Self { seed: 42, pairs: 96, width: 320, height: 240, noise: 0.008, detail: 0.55 }
+        Self { seed: 42, pairs: 96, width: 320, height: 240, noise: 0.008, detail: 0.55, physics: Physics::Display }
     }
 }
 
@@ -100,6 +112,7 @@ pub fn write_pairs<A: Answer>(
         for number in 0..params.pairs.div_ceil(PER_SCENE) {
             let mut draws = Draws::new(params.seed, "pair scene", number as u64);
             let layout = Layout {
+                place: Place::Reef,
                 seed: u64::from(draws.bits()),
                 detail: params.detail,
                 density: draws.range(0.5, 1.1),
@@ -126,16 +139,30 @@ fn write_pair(params: &PairsParams, scene: &Scene, pair: usize, dir: &Path) -> R
     let nearness = (2.0 * water.backscatter[1]).min(1.0);
     let lens = swim::lens(params.width, params.height, &mut draws);
     let camera = swim::snapshot(&scene.terrain, &mut draws, &lens, nearness);
-    let tint = Vec3::from_array(Water::daylight_tint(kind, depth, white_balance));
     let lit = |tint: Vec3, water: Water, luminance: f32| {
         let unexposed = Condition { light: tint, water: Some(water) };
         Condition { light: expose(scene, &[camera], &unexposed, luminance) * tint, ..unexposed }
     };
-    let conditions =
-        [lit(tint, water, draws.range(0.28, 0.44)), lit(Vec3::ONE, clear_water(scene.sun()), 0.45)];
-    let looks = conditions.each_ref().map(|condition| condition as &dyn Look);
-    let mut shot = render(scene, &camera, &looks, Caustics { strength: 0.0, time: 0.0 });
-    add_noise(&mut shot.images[0], params.noise, params.seed, pair as u64);
+    let wished = lit(Vec3::ONE, clear_water(scene.sun()), 0.45);
+    let still = Caustics { strength: 0.0, time: 0.0 };
+    let mut shot = match params.physics {
+        Physics::Display => {
+            let tint = Vec3::from_array(Water::daylight_tint(kind, depth, white_balance));
+            let seen = lit(tint, water, draws.range(0.28, 0.44));
+            let mut shot = render(scene, &camera, &[&seen, &wished], still);
+            add_noise(&mut shot.images[0], params.noise, params.seed, pair as u64);
+            shot
+        }
+        Physics::Spectral => {
+            let water = Spectral::new(kind, depth, scene.sun(), None).seen_from(sideways(&camera));
+            let automatic = Automatic { white_balance, per_view: 1.0, seed: params.seed ^ pair as u64 };
+            let gains = develop::gains(scene, &[camera], &|_| Box::new(water), automatic);
+            let mut shot = render(scene, &camera, &[&water, &wished], still);
+            let (middle, image) = (develop::middle_gain(&gains), &mut shot.images[0]);
+            develop::develop(image, gains[0], middle, params.noise, params.seed, pair as u64);
+            shot
+        }
+    };
     grade(&mut shot.images[1]);
     let name = format!("pair_{:04}.png", pair + 1);
     write_png(&dir.join("input").join(&name), &shot.images[0])?;
@@ -160,6 +187,20 @@ mod tests {
         });
         assert!(matches!(result, Err(SynthError::Interrupted)) && told == 1, "{result:?} after {told}");
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn pairs_of_the_other_physics_are_other_pairs_of_the_same_views() {
+        let small = PairsParams { pairs: 2, width: 48, height: 36, detail: 0.12, ..PairsParams::default() };
+        let dir = tempfile::tempdir().unwrap();
+        let mut made = Vec::new();
+        for physics in Physics::ALL {
+            let out = dir.path().join(physics.name());
+            write_pairs(&PairsParams { physics, ..small.clone() }, &out, &mut |_, _| ()).unwrap();
+            made.push(["input", "reference"].map(|f| std::fs::read(out.join(f).join("pair_0002.png")).unwrap()));
+        }
+        assert_ne!(made[0][0], made[1][0]);
+        assert_eq!(made[0][1], made[1][1], "what is wished for is the same");
     }
 
     #[test]

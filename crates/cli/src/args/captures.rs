@@ -16,7 +16,7 @@ pub(crate) enum Synth {
     Capture(SynthCaptureArgs),
     /// Clean and underwater images of the same places, to train a calibrator on.
     #[command(after_help = "Example:\n  use3d synth pairs --out pairs/ --views 96")]
-    Pairs(SynthArgs),
+    Pairs(SynthPairsArgs),
 }
 
 #[derive(Debug, Args)]
@@ -36,12 +36,24 @@ pub(crate) struct SynthArgs {
 }
 
 #[derive(Debug, Args)]
+pub(crate) struct SynthPairsArgs {
+    #[command(flatten)]
+    pub(crate) common: SynthArgs,
+    /// Image formation of the underwater images: `display`, or `spectral` with a camera that sets itself for every picture.
+    #[arg(long, value_name = "NAME", default_value = "display")]
+    pub(crate) physics: String,
+}
+
+#[derive(Debug, Args)]
 pub(crate) struct SynthCaptureArgs {
     #[command(flatten)]
     pub(crate) common: SynthArgs,
     /// Water type (Jerlov): I, IA, IB, II, III, 1C, 3C, 5C, 7C, 9C; with --physics spectral also `air`.
     #[arg(long, value_name = "TYPE")]
     pub(crate) water: Option<String>,
+    /// Where it is taken: `reef`, or `pool`, a tiled basin of even surfaces.
+    #[arg(long, value_name = "NAME", default_value = "reef")]
+    pub(crate) place: String,
     /// Image formation: `display` is the method's own, on display values; `spectral` is not: wavelengths in linear light, a
     /// camera that sets itself for every view.
     #[arg(long, value_name = "NAME", default_value = "display")]

@@ -11,7 +11,7 @@ mod upkeep;
 use clap::{Parser, Subcommand};
 
 pub(crate) use bench::{Baselines, Bench, BenchTruthArgs};
-pub(crate) use captures::{Synth, SynthArgs, SynthCaptureArgs, WaterArgs};
+pub(crate) use captures::{Synth, SynthCaptureArgs, SynthPairsArgs, WaterArgs};
 pub(crate) use pictures::{CameraPath, ExportArgs, ExportFrame, ExportWhat, FrameFormat, RenderArgs};
 pub(crate) use pipelines::{DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, RunArgs, WhyArgs};
 pub(crate) use shared::{CacheArgs, CalibrationArgs, Settings};

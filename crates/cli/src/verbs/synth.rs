@@ -7,10 +7,12 @@ use serde::de::DeserializeOwned;
 use use3d_build::place::{self, Look, Standing};
 use use3d_build::{Digest, Event};
 use use3d_pipeline::code::built_in;
-use use3d_synth::{CaptureParams, PairsParams, Physics, SynthError, WaterType, write_capture, write_pairs};
+use use3d_synth::{
+    CaptureParams, PairsParams, Physics, Place, SynthError, WaterType, write_capture, write_pairs,
+};
 
 use crate::App;
-use crate::args::{SynthArgs, SynthCaptureArgs};
+use crate::args::{SynthCaptureArgs, SynthPairsArgs};
 use crate::error::{CliError, Done};
 use crate::interrupt;
 use crate::size::parse_size;
@@ -57,7 +59,8 @@ fn named<T: DeserializeOwned>(flag: &str, text: &str, known: &[&str]) -> Result<
 fn capture_params(args: &SynthCaptureArgs) -> Result<CaptureParams, CliError> {
     let common = &args.common;
     let physics = named("--physics", &args.physics, &Physics::ALL.map(Physics::name))?;
-    let mut params = CaptureParams { seed: common.seed, physics, ..CaptureParams::default() };
+    let place = named("--place", &args.place, &Place::ALL.map(Place::name))?;
+    let mut params = CaptureParams { seed: common.seed, place, physics, ..CaptureParams::default() };
     if physics == Physics::Spectral {
         // What cameras do under water unless somebody tells them otherwise.
         (params.auto_exposure, params.white_balance) = (1.0, 0.5);
@@ -119,8 +122,10 @@ pub(crate) fn capture(app: &App, args: &SynthCaptureArgs) -> Done {
     Ok(())
 }
 
-pub(crate) fn pairs(app: &App, args: &SynthArgs) -> Done {
-    let mut params = PairsParams { seed: args.seed, ..PairsParams::default() };
+pub(crate) fn pairs(app: &App, args: &SynthPairsArgs) -> Done {
+    let physics = named("--physics", &args.physics, &Physics::ALL.map(Physics::name))?;
+    let args = &args.common;
+    let mut params = PairsParams { seed: args.seed, physics, ..PairsParams::default() };
     if let Some(pairs) = args.views {
         params.pairs = pairs;
     }

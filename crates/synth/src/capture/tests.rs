@@ -74,6 +74,32 @@ fn a_capture_is_the_same_for_any_number_of_threads_and_agrees_with_its_truth() {
     priors_follow_disparity(&a, &depths);
 }
 
+#[test]
+fn a_pool_is_even_and_has_points_where_its_joints_are() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("pool");
+    let params = CaptureParams {
+        place: Place::Pool,
+        views: 6,
+        width: 160,
+        height: 90,
+        points: 600,
+        depth_priors: false,
+        ..CaptureParams::default()
+    };
+    write_capture(&params, &out, &mut |_, _| ()).unwrap();
+    let model = use3d_io_colmap::read_model(&out.join("sparse/0")).unwrap();
+    assert!(model.points.len() > 100, "{}", model.points.len());
+    let clean = read_image(&out.join("truth/clean/frame_0003.png")).unwrap();
+    let depth = read_map(&out.join("truth/depth/frame_0003.exr")).unwrap();
+    assert!(depth.data().iter().filter(|z| **z > 0.0).count() > 160 * 80, "floor and walls all around");
+    // Neighbouring pixels of the floor hardly differ: more than half of all.
+    let even = |x: usize, y: usize| (clean.pixel(x, y)[1] - clean.pixel(x + 1, y)[1]).abs() < 0.02;
+    let pixels = (0..90).flat_map(|y| (0..159).map(move |x| (x, y)));
+    let share = pixels.filter(|(x, y)| even(*x, *y)).count() as f64 / (90.0 * 159.0);
+    assert!(share > 0.5, "{share}");
+}
+
 /// I = J e^{-β_attn s} + c_m (1 - e^{-β_bs s}) from the written files alone, away from edges, within noise and quantisation.
 fn the_formation_equation_holds(
     dir: &Path,

@@ -176,6 +176,36 @@ impl Mesh {
         }
     }
 
+    /// A flat rectangle from `origin` over `across` and `up`, with vertices at most `spacing` apart; its normal is `across × up`. Texture
+    /// parameters are metres along both sides, counted from `start`.
+    pub(crate) fn panel(
+        &mut self,
+        origin: Vec3,
+        across: Vec3,
+        up: Vec3,
+        spacing: f32,
+        start: Vec2,
+        surface: u16,
+    ) {
+        let normal = across.cross(up).normalize_or(Vec3::Z);
+        let cells = |side: Vec3| (side.length() / spacing).ceil().max(1.0) as usize;
+        let (columns, rows) = (cells(across), cells(up));
+        let first = self.positions.len() as u32;
+        for j in 0..=rows {
+            for i in 0..=columns {
+                let (u, v) = (i as f32 / columns as f32, j as f32 / rows as f32);
+                let parameter = start + Vec2::new(u * across.length(), v * up.length());
+                self.vertex(origin + u * across + v * up, normal, parameter);
+            }
+        }
+        let index = |i: usize, j: usize| first + (j * (columns + 1) + i) as u32;
+        for j in 0..rows {
+            for i in 0..columns {
+                self.quad(index(i, j), index(i + 1, j), index(i + 1, j + 1), index(i, j + 1), surface);
+            }
+        }
+    }
+
     /// A height field over the product of two ascending coordinate lists; `shape` gives height and texture parameters, `smooth`
     /// the height whose slope the normals show (the surface adds the rest as bumps).
     pub(crate) fn height_field(

@@ -10,8 +10,10 @@ pub(crate) mod camera;
 pub(crate) mod passers;
 pub(crate) mod spectral;
 
+use glam::Vec3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use use3d_capture::Camera;
 
 /// Which image formation a synthetic capture follows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -22,6 +24,11 @@ pub enum Physics {
     Display,
     /// Spectral transport in linear light, with a camera of its own mind.
     Spectral,
+}
+
+/// The picture's x axis in the scene's frame.
+pub(crate) fn sideways(camera: &Camera) -> Vec3 {
+    camera.pose.rotation.transpose().x_axis.as_vec3()
 }
 
 impl Physics {

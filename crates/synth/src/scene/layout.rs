@@ -1,6 +1,8 @@
 //! Where things stand: the reef is planted, the sand is littered, and a corridor stays free for the swimmer.
 
 use glam::{Vec2, Vec3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use use3d_numerics::math;
 
 use super::artefacts;
@@ -11,9 +13,35 @@ use super::terrain::Terrain;
 use crate::geometry::mesh::Mesh;
 use crate::geometry::noise::Noise;
 
+/// Where photographs are taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Place {
+    /// A coral reef with a wreck.
+    #[default]
+    Reef,
+    /// A tiled pool: flat, even surfaces of nearly one colour.
+    Pool,
+}
+
+impl Place {
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::Reef, Self::Pool];
+
+    /// As in parameter files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Reef => "reef",
+            Self::Pool => "pool",
+        }
+    }
+}
+
 /// What to build.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Layout {
+    /// Which scene it is.
+    pub(crate) place: Place,
     /// Where and how things stand.
     pub(crate) seed: u64,
     /// Triangle density, in (0, 1]; a coarse scene is also less crowded.
@@ -51,7 +79,7 @@ const STARS: [[u8; 3]; 3] = [[232, 104, 40], [196, 52, 56], [72, 96, 190]];
 
 /// Builds the mesh and its surfaces.
 pub(crate) fn build(layout: &Layout) -> (Mesh, Palette, Terrain) {
-    let Layout { seed, detail, density, wreck } = *layout;
+    let Layout { seed, detail, density, wreck, .. } = *layout;
     let terrain = Terrain::new(seed);
     let (mut mesh, mut palette) = (Mesh::default(), Palette::default());
     let mut draws = Draws::new(seed, "layout", 0);

@@ -1,4 +1,4 @@
-//! The scene: a reef and what lies on it, as triangles with procedural textures under soft daylight.
+//! The scene: a reef or a tiled pool and what lies on it, as triangles with procedural textures under soft daylight.
 //!
 //! Nothing here is a Gaussian: the scene is opaque geometry, seen by casting rays. Coordinates are metres, x to the right
 //! of the swim, y ahead, z up.
@@ -8,6 +8,7 @@ mod draws;
 mod layout;
 mod light;
 mod organisms;
+mod pool;
 mod surface;
 mod terrain;
 
@@ -16,6 +17,7 @@ use use3d_numerics::math;
 
 pub(crate) use draws::Draws;
 pub(crate) use layout::Layout;
+pub use layout::Place;
 use surface::Surface;
 pub(crate) use surface::display;
 pub(crate) use terrain::Terrain;
@@ -62,7 +64,10 @@ const FAR: f32 = 70.0;
 impl Scene {
     /// Builds the scene and computes its light.
     pub(crate) fn new(layout: &Layout) -> Self {
-        let (mesh, palette, terrain) = layout::build(layout);
+        let (mesh, palette, terrain) = match layout.place {
+            Place::Reef => layout::build(layout),
+            Place::Pool => pool::build(layout.seed),
+        };
         let bvh = Bvh::build(&mesh.positions, &mesh.triangles);
         let mut draws = Draws::new(layout.seed, "daylight", 0);
         let azimuth = draws.range(0.0, std::f32::consts::TAU);

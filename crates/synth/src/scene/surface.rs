@@ -32,6 +32,9 @@ pub(crate) enum Surface {
     Sponge { outside: Vec3 },
     /// Starfish; first parameter 0 in the middle, 1 at the arms' ends.
     Starfish { color: Vec3 },
+    /// Glazed square tiles of `side` metres with light joints; parameters are metres along the wall. A dark line of half the width `line` runs
+    /// where the first one is 0.
+    Tiles { color: Vec3, side: f32, line: f32 },
 }
 
 /// Linear light from an sRGB byte triple.
@@ -195,6 +198,20 @@ impl Surface {
                 let (dots, slope) = noise.octaves(p, 70.0, 2, footprint);
                 let tone = 1.0 + 0.3 * dots - 0.25 * parameter.x;
                 (*color * tone.max(0.2), 0.003 * slope)
+            }
+            Self::Tiles { color, side, line } => {
+                let at = parameter / *side;
+                let tile = at.floor();
+                // Half a joint's width, as a share of a tile; what cannot be resolved has its mean colour.
+                let (joint, keep) = (0.012, resolvable(1.0 / side, footprint));
+                let off = (at - tile - Vec2::splat(0.5)).abs().max_element();
+                let edge = (footprint / side).max(0.002);
+                let share = smooth_step(0.5 - joint - edge, 0.5 - joint + edge, off);
+                let share = keep * share + (1.0 - keep) * 4.0 * joint;
+                let tone = 1.0 + 0.05 * keep * noise.value(7.3 * tile.extend(*side) + Vec3::splat(5.1));
+                let dark = *line > 0.0 && parameter.x.abs() < *line;
+                let glaze = if dark { linear([44, 62, 110]) } else { *color };
+                ((glaze * tone).lerp(linear([206, 212, 208]), share), Vec3::ZERO)
             }
         }
     }

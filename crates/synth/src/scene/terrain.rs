@@ -18,6 +18,8 @@ pub(crate) struct Terrain {
     /// Height of the reef above the sand.
     reef: f32,
     ripples: Ripples,
+    /// Whether the floor is that of a pool, at height 0 everywhere.
+    flat: bool,
 }
 
 /// Sand ripples: sharp crests, wide troughs, wandering phase, fading in patches.
@@ -60,7 +62,13 @@ impl Terrain {
             meander: [draws.range(0.3, 0.7), draws.range(0.0, std::f32::consts::TAU)],
             reef: draws.range(0.75, 1.15),
             ripples: Ripples { noise, height: draws.range(0.012, 0.018), wave },
+            flat: false,
         }
+    }
+
+    /// A flat floor whose channel runs straight ahead.
+    pub(crate) fn flat(seed: u64) -> Self {
+        Self { meander: [0.0; 2], flat: true, ..Self::new(seed) }
     }
 
     /// Where the middle of the sand channel lies at `y`.
@@ -93,6 +101,9 @@ impl Terrain {
 
     /// Height of the floor, and 0 on sand to 1 on reef.
     pub(crate) fn at(&self, x: f32, y: f32) -> (f32, f32) {
+        if self.flat {
+            return (0.0, 0.0);
+        }
         let (height, reef) = self.smooth(x, y);
         (height + (1.0 - reef) * self.ripples.at(Vec3::new(x, y, 0.0)).0, reef)
     }
