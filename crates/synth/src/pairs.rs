@@ -51,7 +51,15 @@ fn is_display(physics: &Physics) -> bool {
 
 impl Default for PairsParams {
     fn default() -> Self {
-        Self { seed: 42, pairs: 96, width: 320, height: 240, noise: 0.008, detail: 0.55, physics: Physics::Display }
+        Self {
+            seed: 42,
+            pairs: 96,
+            width: 320,
+            height: 240,
+            noise: 0.008,
+            detail: 0.55,
+            physics: Physics::Display,
+        }
     }
 }
 
@@ -197,7 +205,9 @@ mod tests {
         for physics in Physics::ALL {
             let out = dir.path().join(physics.name());
             write_pairs(&PairsParams { physics, ..small.clone() }, &out, &mut |_, _| ()).unwrap();
-            made.push(["input", "reference"].map(|f| std::fs::read(out.join(f).join("pair_0002.png")).unwrap()));
+            made.push(
+                ["input", "reference"].map(|f| std::fs::read(out.join(f).join("pair_0002.png")).unwrap()),
+            );
         }
         assert_ne!(made[0][0], made[1][0]);
         assert_eq!(made[0][1], made[1][1], "what is wished for is the same");

@@ -169,13 +169,7 @@ struct Solved {
 }
 
 impl Data {
-    fn new(
-        sights: &Sights,
-        points: usize,
-        positions: &[DVec3],
-        views: usize,
-        params: &WaterParams,
-    ) -> Self {
+    fn new(sights: &Sights, points: usize, positions: &[DVec3], views: usize, params: &WaterParams) -> Self {
         let finite = |o: &&Observation| {
             o.point < points.min(positions.len())
                 && o.view < views

@@ -165,7 +165,10 @@ impl Open {
         cells.sort_by(|a, b| {
             let directions = order(a).into_iter().zip(order(b));
             a.view.cmp(&b.view).then_with(|| {
-                directions.map(|(a, b)| a.total_cmp(&b)).find(|o| o.is_ne()).unwrap_or(std::cmp::Ordering::Equal)
+                directions
+                    .map(|(a, b)| a.total_cmp(&b))
+                    .find(|o| o.is_ne())
+                    .unwrap_or(std::cmp::Ordering::Equal)
             })
         });
         let mut seen: Vec<usize> = cells.iter().map(|o| o.view).collect();
@@ -260,7 +263,10 @@ mod tests {
         assert_eq!(found.len(), 40 * 9, "every cell of the upper half but those beside points");
         for o in &found {
             assert!(o.direction.z > 0.0 && (o.direction.length() - 1.0).abs() < 1e-12, "{o:?}");
-            assert!(o.value[0] == 0.0 && (o.value[2] - 0.6).abs() < 1e-6, "a black channel tells, too: {o:?}");
+            assert!(
+                o.value[0] == 0.0 && (o.value[2] - 0.6).abs() < 1e-6,
+                "a black channel tells, too: {o:?}"
+            );
             assert_eq!(o.view, 3);
         }
         let right = found.iter().filter(|o| o.direction.x > 0.5).count();
@@ -279,7 +285,11 @@ mod tests {
         let direction = |i: usize| DVec3::new(0.02 * (i % 20) as f64, 1.0, 0.1 + 0.01 * (i / 20) as f64);
         let value = |d: DVec3| [0.01, 0.4 + 0.3 * d.x, 0.6];
         (0..n)
-            .map(|i| OpenWater { view: i % 4, direction: direction(i).normalize(), value: value(direction(i)) })
+            .map(|i| OpenWater {
+                view: i % 4,
+                direction: direction(i).normalize(),
+                value: value(direction(i)),
+            })
             .collect()
     }
 

@@ -194,7 +194,8 @@ fn open_water(truth: &Truth) -> Vec<OpenWater> {
 #[test]
 fn open_water_tells_the_veil_where_the_tracks_cannot() {
     // Clear water: over these distances the veil is a straight line, of which tracks see the slope alone.
-    let clear = Truth { attenuation: [0.09, 0.03, 0.025], backscatter: [0.03, 0.025, 0.02], noise: 0.004, ..SEA };
+    let clear =
+        Truth { attenuation: [0.09, 0.03, 0.025], backscatter: [0.03, 0.025, 0.02], noise: 0.004, ..SEA };
     let made = make(&clear);
     let with = |open: Vec<OpenWater>| {
         let sights = Sights { points: made.observations.clone(), open };

@@ -1,10 +1,10 @@
 //! The captures with truth, by name.
 //!
-//! Five follow the method's own formation in waters from clear ocean to turbid coast; three follow physics that is not the method's
+//! Five follow the method's own formation in waters from clear ocean to turbid coast, a sixth in a tiled pool; three follow physics that is not the method's
 //! (wavelengths in linear light, a camera that exposes and balances every view on its own): daylight, lamps, air. None
 //! has depth priors, since those of synthetic captures are made from the true depth.
 
-use use3d_synth::{CaptureParams, Physics, WaterType};
+use use3d_synth::{CaptureParams, Physics, Place, WaterType};
 
 /// A capture that is made, not taken.
 #[derive(Clone, Copy, Debug)]
@@ -16,25 +16,30 @@ pub struct Capture {
     /// Water; air where there is none.
     water: Option<WaterType>,
     physics: Physics,
+    place: Place,
     /// Light of the lamps, see [`CaptureParams::lamps`].
     lamps: f32,
 }
 
 const fn display(name: &'static str, about: &'static str, water: WaterType) -> Capture {
-    Capture { name, about, water: Some(water), physics: Physics::Display, lamps: 0.0 }
+    Capture { name, about, water: Some(water), physics: Physics::Display, place: Place::Reef, lamps: 0.0 }
 }
 
 const fn spectral(name: &'static str, about: &'static str, water: Option<WaterType>, lamps: f32) -> Capture {
-    Capture { name, about, water, physics: Physics::Spectral, lamps }
+    Capture { name, about, water, physics: Physics::Spectral, place: Place::Reef, lamps }
 }
 
 /// All of them.
-pub const CAPTURES: [Capture; 8] = [
+pub const CAPTURES: [Capture; 9] = [
     display("display-I", "The method's own formation, clear ocean (Jerlov I)", WaterType::I),
     display("display-II", "The method's own formation, ocean (Jerlov II)", WaterType::Ii),
     display("display-III", "The method's own formation, dull ocean (Jerlov III)", WaterType::Iii),
     display("display-1C", "The method's own formation, clear coast (Jerlov 1C)", WaterType::Coastal1),
     display("display-5C", "The method's own formation, turbid coast (Jerlov 5C)", WaterType::Coastal5),
+    Capture {
+        place: Place::Pool,
+        ..display("pool", "The method's own formation, a tiled pool (Jerlov IB)", WaterType::Ib)
+    },
     spectral(
         "spectral",
         "Ten wavelengths in linear light, ocean (Jerlov II), every view exposed and balanced on its own",
@@ -67,6 +72,7 @@ impl Capture {
             width,
             height,
             depth_priors: false,
+            place: self.place,
             physics: self.physics,
             air: self.water.is_none(),
             lamps: self.lamps,

@@ -64,7 +64,7 @@ pub struct RowFigures {
     pub figures: Figures,
 }
 
-/// A stage 1 of a capture: `held_out_psnr` (dB), `held_out_ssim`, `depth_error`, `gaussians`, and where the truth is one of
+/// A stage 1 of a capture: `held_out_psnr` (dB), `held_out_ssim`, `depth_error`, `holes`, `gaussians`, and where the truth is one of
 /// coefficients `attenuation_error_{red,green,blue,median,worst}`, `backscatter_error_…`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SceneFigures {
@@ -182,9 +182,11 @@ fn scene(scores: &SceneScores) -> BTreeMap<String, Score> {
     };
     take("held_out_psnr", Method::Reconstruction, "psnr");
     take("held_out_ssim", Method::Reconstruction, "ssim");
-    // Of a scene that was learnt from proposals the depth alone is comparable.
-    take("depth_error", Method::EnhanceThenReconstruct, "depth_error");
-    take("depth_error", Method::Reconstruction, "depth_error");
+    // Of a scene that was learnt from proposals the geometry alone is comparable.
+    for geometry in ["depth_error", "holes"] {
+        take(geometry, Method::EnhanceThenReconstruct, geometry);
+        take(geometry, Method::Reconstruction, geometry);
+    }
     if let Some(WaterScores { attenuation, backscatter, true_attenuation, true_backscatter }) = scores.water {
         out.extend(coefficient("attenuation", attenuation, true_attenuation));
         out.extend(coefficient("backscatter", backscatter, true_backscatter));

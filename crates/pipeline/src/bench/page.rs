@@ -60,9 +60,10 @@ const SUMMARIES: [(&str, [Column; 2]); 3] = [
 ];
 
 /// The table of stage 1.
-const SCENES: [Column; 7] = [
+const SCENES: [Column; 8] = [
     column("held_out_psnr", "held-out PSNR", 2, Better::Higher),
     percent("depth_error", "depth, %"),
+    percent("holes", "holes, %"),
     percent("attenuation_error_median", "β_attn, median, %"),
     percent("attenuation_error_worst", "β_attn, worst, %"),
     percent("backscatter_error_median", "β_bs, median, %"),

@@ -17,6 +17,8 @@
 //!   is left. Gains and maps are fitted to values in `[0, 1]` before they are clipped.
 //! * `depth_error`: the median of `|z - z*| / z*` of the expected depth, `z*` the true depth times the scale
 //!   of the recorded frame.
+//! * `holes`: the share of surface where the accumulation is below one half: what is seen there is mostly
+//!   water.
 //! * Water: the mean of a coefficient over all rays of the held-out views, in 1/metre. A length in the
 //!   normalised frame is `scale` times that in COLMAP's, which is `units_per_metre` times metres; a
 //!   coefficient per length goes the other way.
@@ -40,6 +42,9 @@ const CLEAN: &str = "truth/clean";
 const DEPTH: &str = "truth/depth";
 /// The true water.
 const WATER: &str = "truth/water.json";
+
+/// Accumulation from which on a surface is seen rather than the water before it.
+const SEEN: f32 = 0.5;
 
 /// Truth of which a file cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -263,13 +268,37 @@ impl TrueView {
         scores
     }
 
+    /// The true depth, where it is known and as large as `map`.
+    fn depth_as(&self, map: &Map) -> Result<&Map, Score> {
+        match &self.depth {
+            Some(truth) if (truth.width(), truth.height()) == (map.width(), map.height()) => Ok(truth),
+            _ => Err(Score::NotAvailable(format!("the capture has no true depth of this view in {DEPTH}"))),
+        }
+    }
+
+    /// `holes` of a rendered accumulation.
+    pub fn holes(&self, accumulation: &Map) -> Score {
+        let truth = match self.depth_as(accumulation) {
+            Ok(truth) => truth,
+            Err(score) => return score,
+        };
+        let (mut surface, mut holes) = (0.0, 0.0);
+        for (a, _) in accumulation.data().iter().zip(truth.data()).filter(|(_, z)| **z > 0.0) {
+            surface += 1.0;
+            holes += if *a < SEEN { 1.0 } else { 0.0 };
+        }
+        if surface > 0.0 {
+            Score::of(holes / surface)
+        } else {
+            Score::Undefined("the view shows no surface".into())
+        }
+    }
+
     /// `depth_error` of a rendered z-depth in normalised units; `scale` is the recorded frame's.
     pub fn depth_error(&self, depth: &Map, scale: f64) -> Score {
-        let truth = match &self.depth {
-            Some(truth) if (truth.width(), truth.height()) == (depth.width(), depth.height()) => truth,
-            _ => {
-                return Score::NotAvailable(format!("the capture has no true depth of this view in {DEPTH}"));
-            }
+        let truth = match self.depth_as(depth) {
+            Ok(truth) => truth,
+            Err(score) => return score,
         };
         let pairs = depth.data().iter().zip(truth.data());
         let mut errors: Vec<f64> = pairs
@@ -298,6 +327,21 @@ mod tests {
             }
         }
         image
+    }
+
+    #[test]
+    fn holes_are_counted_where_there_is_a_surface() {
+        let mut depth = Map::filled(8, 4, 2.0);
+        (0..8).for_each(|x| depth.set_pixel(x, 0, [0.0]));
+        let view = TrueView { clean: ramp(1.0), depth: Some(depth) };
+        let mut accumulation = Map::filled(8, 4, 0.9);
+        (0..8).for_each(|x| accumulation.set_pixel(x, 0, [0.1]));
+        assert_eq!(view.holes(&accumulation).value(), Some(0.0), "open water is no hole");
+        (0..6).for_each(|x| accumulation.set_pixel(x, 1, [0.4]));
+        close(&view.holes(&accumulation), 6.0 / 24.0, 1e-9);
+        assert!(view.holes(&Map::new(4, 4)).value().is_none(), "another size");
+        let open = TrueView { clean: ramp(1.0), depth: Some(Map::new(8, 4)) };
+        assert!(open.holes(&accumulation).value().is_none(), "no surface at all");
     }
 
     fn close(score: &Score, wanted: f64, tolerance: f64) {

@@ -97,6 +97,7 @@ pub(super) fn stage() -> Stage {
 struct Appearances {
     images: Vec<(Method, Image)>,
     depth: Map,
+    accumulation: Map,
     /// Attenuation and backscatter of every ray, where the scene has water.
     water: Option<[Image; 2]>,
 }
@@ -123,7 +124,8 @@ struct Looker<'a> {
 impl Looker<'_> {
     /// All appearances at a camera; those made of a photograph where there is one.
     fn look(&mut self, camera: &Camera, photograph: Option<Image>) -> Result<Appearances, StageError> {
-        let mut modes = vec![Mode::Reconstruction, Mode::Depth, Mode::Attenuation, Mode::Backscatter];
+        let mut modes =
+            vec![Mode::Reconstruction, Mode::Depth, Mode::Alpha, Mode::Attenuation, Mode::Backscatter];
         if self.learnt == Method::Reconstruction {
             modes.push(Mode::Clear);
         }
@@ -135,7 +137,7 @@ impl Looker<'_> {
             let proposal = self.proposer.enhance(&captured)?;
             images.extend([(Method::Captured, captured), (Method::Proposal, proposal)]);
         }
-        let mut depth = Map::new(0, 0);
+        let (mut depth, mut accumulation) = (Map::new(0, 0), Map::new(0, 0));
         let mut water = Vec::new();
         for (mode, frame) in modes.iter().zip(self.renderer.render(camera, &modes)?) {
             match (mode, frame) {
@@ -150,11 +152,12 @@ impl Looker<'_> {
                 (Mode::Enhanced, Frame::Color(image)) => images.push((Method::Enhanced, image)),
                 (Mode::EnhancedClear, Frame::Color(image)) => images.push((Method::EnhancedClear, image)),
                 (Mode::Depth, Frame::Scalar(map)) => depth = map,
+                (Mode::Alpha, Frame::Scalar(map)) => accumulation = map,
                 (Mode::Attenuation | Mode::Backscatter, Frame::Color(image)) => water.push(image),
                 _ => {}
             }
         }
-        Ok(Appearances { images, depth, water: water.try_into().ok() })
+        Ok(Appearances { images, depth, accumulation, water: water.try_into().ok() })
     }
 
     fn view(&mut self, view: &View) -> Result<Appearances, StageError> {
@@ -366,6 +369,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
             if let Some(truth) = &true_view {
                 if *method == learnt && knows_depth {
                     scores.insert("depth_error".into(), truth.depth_error(&now.depth, scale));
+                    scores.insert("holes".into(), truth.holes(&now.accumulation));
                 }
                 // The water is still in stage 1's images.
                 if *method != Method::Reconstruction {

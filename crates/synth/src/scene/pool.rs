@@ -35,7 +35,8 @@ pub(crate) fn build(seed: u64) -> (Mesh, Palette, Terrain) {
     mesh.panel(Vec3::new(HALF, ENDS[1], 0.0), -far * Vec3::Y, up, SPACING, Vec2::ZERO, walls);
     mesh.panel(Vec3::new(-HALF, ENDS[1], 0.0), 2.0 * HALF * Vec3::X, up, SPACING, Vec2::ZERO, walls);
     let mut draws = Draws::new(seed, "pool", 0);
-    let about = |x: f32, y: f32, draws: &mut Draws| Vec3::new(x + draws.about(0.2), y + draws.about(0.3), 0.0);
+    let about =
+        |x: f32, y: f32, draws: &mut Draws| Vec3::new(x + draws.about(0.2), y + draws.about(0.3), 0.0);
     let chart = about(-0.5, 2.5, &mut draws);
     artefacts::chart(&mut mesh, &mut palette, chart, draws.about(0.25), 0.46);
     let drum = about(1.2, 5.0, &mut draws);
