@@ -70,9 +70,8 @@ pub fn no_water(water: &Water) -> bool {
 /// good a start as any: what far points have lost is lost in the photographs. Lamps at the camera are no water.
 pub fn found_water(water: &Water) -> Option<FoundWater> {
     let far = water.distances[2];
-    let small = |c: &ChannelWater| {
-        c.verdict != Verdict::TooFewPoints && far * 2.0 * c.attenuation.error < SMALL
-    };
+    let small =
+        |c: &ChannelWater| c.verdict != Verdict::TooFewPoints && far * 2.0 * c.attenuation.error < SMALL;
     let told = |c: &ChannelWater| c.verdict.usable() || small(c);
     let known = |c: &ChannelWater| told(c) || c.verdict == Verdict::NoWater;
     let any = water.channels.iter().any(|c| c.verdict.usable());

@@ -124,7 +124,7 @@ fn parse(
     let (defaults, scenes, variants) = (take("defaults"), take("scene"), take("variant"));
     batch.defaults = reader.stages("defaults", reader.table("defaults", defaults)?)?;
     if let Some(calibrator) = top.get_mut("calibrator") {
-        reader.finished(calibrator)?;
+        reader.finished(calibrator, &batch.defaults)?;
         reader.shorthands("calibrator", "calibrator", calibrator, &mut batch.defaults)?;
     }
     if let Some(models) = top.get_mut("models") {
@@ -345,11 +345,20 @@ impl Reader<'_> {
     }
 
     /// Refuses words about how a calibrator is learnt beside a finished one: they would do nothing.
-    fn finished(&self, calibrator: &Value) -> Result<(), ConfigError> {
+    fn finished(&self, calibrator: &Value, defaults: &Overrides) -> Result<(), ConfigError> {
+        if calibrator.get("file").is_none() {
+            return Ok(());
+        }
+        if let Some(stage) = LEARNING.iter().find(|stage| defaults.contains_key(**stage)) {
+            let message = format!(
+                "`[calibrator] file` is a finished calibrator: nothing is learnt, so [defaults.{stage}] has no effect; leave one of them out"
+            );
+            return Err(self.document.key_error(&format!("defaults.{stage}"), message));
+        }
         let short = || self.registry.shorthands().iter().filter(|s| s.place == "calibrator");
         let elsewhere = |key: &str| short().any(|s| s.key == key && !LEARNING.contains(&s.stage));
         let useless = short().map(|s| s.key).find(|key| calibrator.get(key).is_some() && !elsewhere(key));
-        match useless.filter(|_| calibrator.get("file").is_some()) {
+        match useless {
             None => Ok(()),
             Some(key) => Err(self.document.key_error(
                 &format!("calibrator.{key}"),

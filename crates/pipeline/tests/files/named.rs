@@ -151,6 +151,9 @@ fn words_about_learning_beside_a_finished_calibrator_are_refused() {
     assert!(error.contains("--set calibrate.strength: `calibrator.file` in p.toml names"), "{error}");
     let error = load(pairs, &["calibrate.strength=3"], Some("d")).expect_err("no effect");
     assert!(error.contains("--calibrator names"), "{error}");
+    let error = load("file = \"c\"\n[defaults.calibrate]\nstrength = 3", &[], None).expect_err("no effect");
+    assert!(error.contains("[defaults.calibrate] has no effect"), "{error}");
+    assert_eq!(load(&format!("{pairs}\n[defaults.calibrate]\nstrength = 3"), &[], None), Ok(()));
     // What is said of the file's own pairs stands there for other runs; a proposer is asked for in any case.
     assert_eq!(load(&format!("{pairs}\nstrength = 3"), &[], Some("d")), Ok(()));
     assert_eq!(load(&format!("{pairs}\nstrength = 3"), &["calibrator.strength=4"], None), Ok(()));
