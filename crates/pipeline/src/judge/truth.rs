@@ -6,7 +6,8 @@
 //! another form belongs to somebody else: it is left alone, and said. Truth is for judging only: it is read
 //! when a finished scene is scored and never reaches training.
 //!
-//! Everything is measured where the truth shows a surface; open water has no clean colour and no depth.
+//! Everything is measured where the truth shows a surface; open water has no clean colour and no depth. Where
+//! no depth is known, open water is what the clean image leaves black.
 //!
 //! * `truth_psnr`, `truth_delta_e`: PSNR and mean CIEDE2000 of `clip(g x)` against the true clean image, `g =
 //!   Σ x y / Σ x²`: one gain for the whole image, since the absolute brightness of a scene without its water
@@ -45,6 +46,9 @@ const WATER: &str = "truth/water.json";
 
 /// Accumulation from which on a surface is seen rather than the water before it.
 const SEEN: f32 = 0.5;
+
+/// What a clean image leaves black, display range: two steps of eight bits, which lossy files are off by.
+const BLACK: f32 = 2.5 / 255.0;
 
 /// Truth of which a file cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -225,7 +229,10 @@ pub struct TrueView {
 
 impl TrueView {
     fn shows_surface(&self, pixel: usize) -> bool {
-        self.depth.as_ref().is_none_or(|depth| depth.data().get(pixel).is_some_and(|z| *z > 0.0))
+        match &self.depth {
+            Some(depth) => depth.data().get(pixel).is_some_and(|z| *z > 0.0),
+            None => self.clean.planes().iter().any(|plane| plane.get(pixel).is_some_and(|v| *v > BLACK)),
+        }
     }
 
     /// The pixels of an image that count and where the truth shows a surface, in a row, clamped to the
@@ -327,6 +334,16 @@ mod tests {
             }
         }
         image
+    }
+
+    #[test]
+    fn what_a_clean_image_without_depth_leaves_black_is_no_surface() {
+        let mut clean = ramp(1.0);
+        (0..8).for_each(|x| clean.set_pixel(x, 0, [0.005; 3]));
+        let view = TrueView { clean, depth: None };
+        let mut image = ramp(1.01);
+        (0..8).for_each(|x| image.set_pixel(x, 0, [0.9; 3]));
+        assert!(view.scores(&image, None)["truth_psnr_raw"].value().is_some_and(|v| v > 40.0));
     }
 
     #[test]
