@@ -269,7 +269,7 @@ mod tests {
         assert!(page.contains("| `clear` | **22.00 ± 1.41** | – | – | 9.00 ± 0.00 |"), "{page}");
         assert!(page.contains("| photographs | 12.0 ± 1.4 / **5.0 ± 0.0** |"), "{page}");
         assert!(
-            page.contains("| air: stage 1 | 30.00 ± 0.00 | 12.3 ± 0.0 | – | – | – | – | 10 ± 0 |"),
+            page.contains("| air: stage 1 | 30.00 ± 0.00 | 12.3 ± 0.0 | – | – | – | – | – | 10 ± 0 |"),
             "{page}"
         );
         assert!(page.contains("over 2 seeds (1, 3)") && page.contains("pictures/air.png"), "{page}");
