@@ -185,7 +185,7 @@ impl<'a> SceneRenderer<'a> {
         let lattice = Lattice::full(&camera.intrinsics);
         match mode {
             Mode::Clear | Mode::EnhancedClear => {
-                renderer.render_clear(camera, &lattice, &mut self.rendered)?
+                renderer.render_clear(camera, &lattice, &mut self.rendered)?;
             }
             _ => renderer.render(camera, &lattice, false, &mut self.rendered)?,
         }

@@ -13,7 +13,10 @@ function makeRecorder(viewer, path) {
     media.start(250);
     button.classList.add('on');
     button.textContent = 'Recording…';
-    path.play(() => setTimeout(() => media.stop(), 120));
+    // A busy machine encodes late: a film is over when something of it has been encoded.
+    const latest = 10000;
+    const finish = waited => (chunks.length || waited > latest ? setTimeout(() => media.stop(), 120) : setTimeout(finish, 100, waited + 100));
+    path.play(() => finish(0));
   });
   button.onclick = async () => {
     if (path.playing) { path.stop(); return; }
