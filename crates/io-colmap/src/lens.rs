@@ -465,6 +465,9 @@ mod lenses;
 mod tests {
     use super::lenses::example;
     use super::*;
+
+    /// A lens, its parameters, and where it images two directions.
+    type Bent = (LensModel, &'static [f64], [(f64, f64); 2]);
     use proptest::prelude::*;
 
     #[test]
@@ -517,7 +520,7 @@ mod tests {
     #[test]
     fn bends_are_colmaps() {
         let rays = [(0.5, -0.3), (-0.2, 0.45)];
-        let cases: [(LensModel, &[f64], [(f64, f64); 2]); 6] = [
+        let cases: [Bent; 6] = [
             (
                 M::RadTanThinPrismFisheye,
                 &[
