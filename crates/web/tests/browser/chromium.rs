@@ -93,7 +93,8 @@ impl Chromium {
     pub(crate) fn ask(&mut self, method: &str, parameters: Value) -> Value {
         self.next += 1;
         let id = self.next;
-        let mut message = json!({ "id": id, "method": method, "params": parameters });
+        let mut message = json!({ "id": id, "method": method });
+        message["params"] = parameters;
         if !self.session.is_empty() {
             message["sessionId"] = self.session.as_str().into();
         }
@@ -118,7 +119,7 @@ impl Chromium {
         let parameters = &event["params"];
         match event["method"].as_str() {
             Some("Runtime.exceptionThrown") => {
-                self.complaints.push(parameters["exceptionDetails"].to_string())
+                self.complaints.push(parameters["exceptionDetails"].to_string());
             }
             Some("Runtime.consoleAPICalled")
                 if parameters["type"] == "error" || parameters["type"] == "warning" =>
