@@ -70,20 +70,25 @@ fn killed_again_and_again_it_ends_with_the_same_bytes() {
     let (mut kills, mut whole, mut seen) = (0u64, 0, BTreeMap::new());
     let mut random = 0x2545_f491_4f6c_dd1d_u64;
     let start = Instant::now();
-    // A busy machine takes longer to each stage: the later the kill, the longer it waits, until enough stages
-    // were hit.
+    // A busy machine takes longer to each stage: where kills keep hitting the same few, later ones wait longer.
+    let (mut reach, mut stalled) = (56, 0);
     while kills < 55 || (seen.len() < 4 && kills < 400) {
         random ^= random << 13;
         random ^= random >> 7;
         random ^= random << 17;
         let mut process = spawn(dir.path());
-        std::thread::sleep(Duration::from_millis(4 + random % (56 + 2 * kills)));
+        std::thread::sleep(Duration::from_millis(4 + random % reach));
         if process.try_wait().expect("a state").is_none() {
             process.kill().expect("killed");
             kills += 1;
         }
         let output = process.wait_with_output().expect("waited");
+        let before = seen.len();
         interrupted(&open(), &stages, &mut seen);
+        stalled = if seen.len() > before { 0 } else { stalled + 1 };
+        if seen.len() < 4 && stalled >= 20 {
+            (reach, stalled) = ((2 * reach).min(8000), 0);
+        }
         if output.status.success() {
             assert_eq!(payload(&open()), expected);
             whole += 1;
