@@ -12,12 +12,9 @@ pub enum LogEntry {
         step: u64,
         /// The whole loss.
         loss: f64,
-        /// Reg-L1.
-        reg_l1: f64,
-        /// Reg-MS-SSIM.
-        reg_ms_ssim: f64,
-        /// The depth term, over the views that have a prior.
-        depth_loss: Option<f64>,
+        /// Values of the [terms](crate::losses::TERMS) before their weights, by name, each over the views that it says something of;
+        /// `None` where there was none.
+        terms: Vec<(String, Option<f64>)>,
         /// PSNR of the training views over the pixels that count, dB; null where no step had a finite one.
         psnr: Option<f64>,
         /// Gaussians.
@@ -73,7 +70,15 @@ impl LogEntry {
         let mut line = serde_json::Map::new();
         line.insert("event".into(), event.to_lowercase().into());
         if let serde_json::Value::Object(fields) = fields {
-            line.extend(fields);
+            for (name, value) in fields {
+                // A field of its own for each term.
+                match (self, name.as_str()) {
+                    (LogEntry::Steps { terms, .. }, "terms") => {
+                        line.extend(terms.iter().map(|(name, value)| (name.clone(), (*value).into())));
+                    }
+                    _ => line.extend([(name, value)]),
+                }
+            }
         }
         serde_json::Value::Object(line).to_string()
     }
@@ -212,9 +217,7 @@ mod tests {
         let steps = |step, loss| LogEntry::Steps {
             step,
             loss,
-            reg_l1: 0.1,
-            reg_ms_ssim: 0.2,
-            depth_loss: None,
+            terms: vec![("reg_l1".into(), Some(0.1)), ("depth_loss".into(), None)],
             psnr: Some(20.0),
             gaussians: 10,
             divisor: 4,
@@ -227,6 +230,8 @@ mod tests {
         ];
         let line: serde_json::Value = serde_json::from_str(&entries[0].to_json()).unwrap();
         assert_eq!((line["event"].as_str(), line["step"].as_u64()), (Some("steps"), Some(100)));
+        assert_eq!((line["reg_l1"].as_f64(), line["depth_loss"].is_null()), (Some(0.1), true));
+        assert!(line.get("terms").is_none(), "{line}");
         let svg = plot(&entries);
         assert!(svg.starts_with("<svg") && svg.ends_with("</svg>\n") && !svg.contains("NaN"));
         assert_eq!(svg.matches("<circle").count(), 1);

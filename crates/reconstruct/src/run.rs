@@ -26,8 +26,8 @@ use crate::report::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
 use crate::views::{TrainingView, ViewLoader};
 use crate::window::Window;
 use crate::{
-    DepthPrior, Exposure, ExposureStep, FoundWater, Known, Medium, ReconstructError, ReconstructParams,
-    initialise,
+    Exposure, ExposureStep, FoundWater, Known, Medium, ReconstructError, ReconstructParams, initialise,
+    losses,
 };
 
 /// What the names of this loop's checkpoints begin with.
@@ -368,8 +368,7 @@ impl Run<'_> {
                 medium_directional: water(r.medium_directional),
                 medium_network: water(r.medium_network),
             },
-            structure_weight: params.structure_weight,
-            depth_weight: if params.depth_prior == DepthPrior::Off { 0.0 } else { params.depth_weight },
+            weights: losses::weights(params, step),
             depth_gradient: params.depth_gradient,
             exposure: (params.exposure == Exposure::PerView).then(|| ExposureStep {
                 rate: compressed * rate(r.exposure),

@@ -57,7 +57,7 @@ pub struct Target {
     pub alpha: Option<Map>,
     /// What counts.
     pub mask: Option<Map>,
-    /// The depth prior, 0 where unknown.
+    /// The depth prior, 0 where it is unknown or the pixel does not count.
     pub prior: Option<Map>,
 }
 
@@ -223,6 +223,13 @@ impl TrainingView {
                 known_means(raster, divisor, w, h, out.prior.get_or_insert_with(|| Map::new(0, 0)));
             }
             None => out.prior = None,
+        }
+        if let (Some(prior), Some(mask)) = (&mut out.prior, &out.mask) {
+            for (prior, counts) in prior.data_mut().iter_mut().zip(mask.data()) {
+                if *counts < 0.5 {
+                    *prior = 0.0;
+                }
+            }
         }
         camera
     }

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::engine::StepReport;
+use crate::losses;
 use crate::report::LogEntry;
 
 /// Sums since the last log line, and the smoothed numbers that a person sees.
@@ -10,9 +11,8 @@ use crate::report::LogEntry;
 pub(crate) struct Window {
     pub(crate) steps: u64,
     loss: f64,
-    reg_l1: f64,
-    reg_ms_ssim: f64,
-    depth: (f64, u64),
+    /// Sum and number of each of the loss's values.
+    terms: Vec<(f64, u64)>,
     psnr: (f64, u64),
     pub(crate) smooth_loss: Option<f64>,
     pub(crate) smooth_psnr: Option<f64>,
@@ -22,13 +22,14 @@ impl Window {
     pub(crate) fn add(&mut self, report: &StepReport) {
         self.steps += 1;
         self.loss += report.loss;
-        self.reg_l1 += report.reg_l1;
-        self.reg_ms_ssim += report.reg_ms_ssim;
+        self.terms.resize(self.terms.len().max(report.values.len()), (0.0, 0));
+        for (sum, value) in self.terms.iter_mut().zip(&report.values) {
+            if let Some(value) = value {
+                *sum = (sum.0 + value, sum.1 + 1);
+            }
+        }
         if let Some(psnr) = report.psnr {
             self.psnr = (self.psnr.0 + psnr, self.psnr.1 + 1);
-        }
-        if let Some(depth) = report.depth_loss {
-            self.depth = (self.depth.0 + depth, self.depth.1 + 1);
         }
         let smooth = |old: Option<f64>, new: f64| Some(old.map_or(new, |old| 0.97 * old + 0.03 * new));
         self.smooth_loss = smooth(self.smooth_loss, report.loss);
@@ -38,13 +39,13 @@ impl Window {
     /// The log line of the window, which starts anew.
     pub(crate) fn flush(&mut self, step: u64, gaussians: usize, divisor: usize, degree: usize) -> LogEntry {
         let n = self.steps.max(1) as f64;
+        let mean = |sum: &(f64, u64)| (sum.1 > 0).then(|| sum.0 / sum.1 as f64);
+        let terms = losses::names().enumerate();
         let entry = LogEntry::Steps {
             step,
             loss: self.loss / n,
-            reg_l1: self.reg_l1 / n,
-            reg_ms_ssim: self.reg_ms_ssim / n,
-            depth_loss: (self.depth.1 > 0).then(|| self.depth.0 / self.depth.1 as f64),
-            psnr: (self.psnr.1 > 0).then(|| self.psnr.0 / self.psnr.1 as f64),
+            terms: terms.map(|(i, name)| (name.into(), self.terms.get(i).and_then(mean))).collect(),
+            psnr: mean(&self.psnr),
             gaussians,
             divisor,
             degree,

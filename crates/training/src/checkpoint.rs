@@ -16,7 +16,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 /// The version rises whenever a loop's state changes its form: an older file is then refused by name.
-const MAGIC: &[u8; 16] = b"3d-use state v02";
+const MAGIC: &[u8; 16] = b"3d-use state v03";
 const DIGEST: usize = blake3::OUT_LEN;
 /// Bytes that are digested, written or read at a time.
 const BLOCK: usize = 1 << 20;

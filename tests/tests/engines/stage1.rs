@@ -79,7 +79,7 @@ impl Engine for Late {
     }
 
     fn step(&mut self, view: usize, plan: &StepPlan) -> Result<(), EngineError> {
-        self.asked.push_back((view, *plan));
+        self.asked.push_back((view, plan.clone()));
         self.most = self.most.max(self.asked.len());
         self.work(UNDER_WAY)
     }

@@ -14,7 +14,7 @@ use super::state::zeros;
 use super::{Degrees, Diagnostics, Engine, Statistics, StepPlan, StepReport, TrainingState};
 use crate::density::{self, Draws, Origin, Survey};
 use crate::exposure::{expose, expose_backward};
-use crate::losses::{DepthPriorLoss, PhotometricLoss, PhotometricValue};
+use crate::losses::{Loss, LossTerm, Losses, Observation, TERMS, ViewGradients};
 use crate::profile::StepPart;
 use crate::views::{Target, TrainingView};
 
@@ -38,12 +38,10 @@ struct Buffers {
     prepared: Prepared,
     rasterizer: Rasterizer,
     rendered: Rendered,
-    photometric: PhotometricLoss,
+    losses: Losses,
     /// The rendered image with the view's gain.
     exposed: Image,
-    image_gradient: Image,
     exposure_gradient: [f64; 3],
-    depth_gradient: Map,
     gradients: GaussianGradients,
     map_gradients: MediumMaps,
     medium_gradient: MediumModel,
@@ -58,6 +56,11 @@ impl Default for CpuEngine {
 impl CpuEngine {
     /// An engine without views and with an empty scene.
     pub fn new() -> Self {
+        Self::with_terms(TERMS)
+    }
+
+    /// One that minimises other terms: plans have one weight for each of their values, in this order.
+    pub fn with_terms(terms: &[LossTerm]) -> Self {
         Self {
             state: TrainingState::new(Gaussians::empty(0), MediumModel::None, &[]),
             views: Vec::new(),
@@ -68,11 +71,9 @@ impl CpuEngine {
                 prepared: Prepared::new(),
                 rasterizer: Rasterizer::new(),
                 rendered: Rendered::new(),
-                photometric: PhotometricLoss::new(0.0),
+                losses: Losses::new(terms),
                 exposed: Image::new(0, 0),
-                image_gradient: Image::new(0, 0),
                 exposure_gradient: [0.0; 3],
-                depth_gradient: Map::new(0, 0),
                 gradients: GaussianGradients::new(0),
                 map_gradients: MediumMaps::zeros(0, 0),
                 medium_gradient: MediumModel::None,
@@ -89,13 +90,14 @@ impl CpuEngine {
         })
     }
 
-    /// Loss and all gradients of one view, left in the buffers; the value and the depth term.
-    pub(crate) fn differentiate(
-        &mut self,
-        view: usize,
-        plan: &StepPlan,
-    ) -> Result<(PhotometricValue, Option<f64>), EngineError> {
+    /// The loss of one view; all gradients are left in the buffers.
+    pub(crate) fn differentiate(&mut self, view: usize, plan: &StepPlan) -> Result<Loss, EngineError> {
         self.view(view)?;
+        let (given, needed) = (plan.weights.len(), self.buffers.losses.values());
+        if given != needed {
+            let what = format!("the plan has {given} weights of the loss, expected {needed}");
+            return Err(EngineError::Request { engine: NAME, what });
+        }
         let (b, state) = (&mut self.buffers, &self.state);
         let profile = &mut self.profile;
         profile.start();
@@ -117,7 +119,6 @@ impl CpuEngine {
         let options = Options { depth_gradient: plan.depth_gradient, layers: false };
         b.rasterizer.forward(&b.prepared, maps, &options, &mut b.rendered);
         profile.lap(StepPart::Compose);
-        let mask = b.target.mask.as_ref();
         let shown = match gain {
             Some(gain) => {
                 expose(&b.rendered.image, gain, &mut b.exposed);
@@ -125,32 +126,26 @@ impl CpuEngine {
             }
             None => &b.rendered.image,
         };
-        b.photometric.set_structure_weight(plan.structure_weight);
-        let value = b.photometric.evaluate(shown, &b.target.image, mask, &mut b.image_gradient);
+        let loss = b.losses.evaluate(
+            &Observation {
+                step: plan.step,
+                camera: &camera,
+                image: shown,
+                depth: &b.rendered.depth,
+                accumulation: &b.rendered.accumulation,
+                water: maps,
+                target: &b.target,
+            },
+            &plan.weights,
+        );
+        let ViewGradients { image, depth, accumulation, .. } = &mut b.losses.gradients;
+        let image = image.or_zeros(shown.width(), shown.height());
         if let Some(gain) = gain {
-            b.exposure_gradient = expose_backward(&b.exposed, gain, &mut b.image_gradient);
+            b.exposure_gradient = expose_backward(&b.exposed, gain, image);
         }
-        let depth_loss = match &mut b.target.prior {
-            Some(prior) if plan.depth_weight > 0.0 => {
-                if let Some(mask) = mask {
-                    for (p, m) in prior.data_mut().iter_mut().zip(mask.data()) {
-                        if *m < 0.5 {
-                            *p = 0.0;
-                        }
-                    }
-                }
-                let depth = &b.rendered.depth;
-                Some(DepthPriorLoss.evaluate(depth, prior, plan.depth_weight, &mut b.depth_gradient))
-            }
-            _ => None,
-        };
         profile.lap(StepPart::Loss);
-        let cotangents = Cotangents {
-            image: &b.image_gradient,
-            depth: depth_loss.map(|_| &b.depth_gradient),
-            accumulation: None,
-            clear: None,
-        };
+        let cotangents =
+            Cotangents { image, depth: depth.get(), accumulation: accumulation.get(), clear: None };
         b.rasterizer.backward(
             &b.prepared,
             &state.gaussians,
@@ -163,6 +158,7 @@ impl CpuEngine {
         );
         profile.lap(StepPart::ComposeBackward);
         if water {
+            b.losses.gradients.add_water(&mut b.map_gradients);
             b.medium_gradient.clear();
             state.medium.backward(
                 &camera,
@@ -174,7 +170,7 @@ impl CpuEngine {
             );
         }
         profile.lap(StepPart::WaterBackward);
-        Ok((value, depth_loss))
+        Ok(loss)
     }
 
     /// The gradients that [`CpuEngine::differentiate`] left.
@@ -273,17 +269,15 @@ impl Engine for CpuEngine {
     }
 
     fn step(&mut self, view: usize, plan: &StepPlan) -> Result<(), EngineError> {
-        let (value, depth_loss) = self.differentiate(view, plan)?;
-        let loss = value.total + plan.depth_weight * depth_loss.unwrap_or(0.0);
-        let non_finite = if loss.is_finite() { self.update(view, plan) } else { Some(("the loss", None)) };
+        let loss = self.differentiate(view, plan)?;
+        let non_finite =
+            if loss.total.is_finite() { self.update(view, plan) } else { Some(("the loss", None)) };
         self.reports.push(StepReport {
             step: plan.step,
             view,
-            loss,
-            reg_l1: value.reg_l1,
-            reg_ms_ssim: value.reg_ms_ssim,
-            depth_loss,
-            psnr: use3d_metrics::decibels(value.squared_error).ok(),
+            loss: loss.total,
+            values: loss.values,
+            psnr: loss.squared_error.and_then(|error| use3d_metrics::decibels(error).ok()),
             non_finite,
         });
         Ok(())

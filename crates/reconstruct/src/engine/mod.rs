@@ -70,7 +70,7 @@ pub struct Degrees {
 }
 
 /// What one step does. The same plan on the same state is the same step, so steps can be asked for again.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct StepPlan {
     /// The step, from 0.
     pub step: u64,
@@ -80,10 +80,8 @@ pub struct StepPlan {
     pub degrees: Degrees,
     /// Learning rates.
     pub rates: StepRates,
-    /// Weight λ of the structure term beside the L1 term.
-    pub structure_weight: f64,
-    /// Weight of the depth term; 0 leaves it out.
-    pub depth_weight: f64,
+    /// Weights of the loss's values, in the order of [the table of terms](crate::losses::TERMS); 0 leaves one out.
+    pub weights: Vec<f64>,
     /// Whether gradients flow through ray distances (R2).
     pub depth_gradient: bool,
     /// How the view's gain is learnt; `None`: every gain is one.
@@ -101,12 +99,8 @@ pub struct StepReport {
     pub view: usize,
     /// The whole loss.
     pub loss: f64,
-    /// Reg-L1.
-    pub reg_l1: f64,
-    /// Reg-MS-SSIM.
-    pub reg_ms_ssim: f64,
-    /// The depth term, where the view has a prior.
-    pub depth_loss: Option<f64>,
+    /// The loss's values before their weights, in the plan's order; `None` where a term has nothing to say of the view.
+    pub values: Vec<Option<f64>>,
     /// PSNR of the rendered view over the pixels that count, dB; `None` where it has no finite one.
     pub psnr: Option<f64>,
     /// What was not finite, and its first bad element. The state is then of no use, and steps asked for later may be left out.

@@ -11,6 +11,17 @@
 use rayon::prelude::*;
 use use3d_capture::Map;
 
+use super::{LossTerm, LossValue, Observation, Term, ViewGradients};
+use crate::{DepthPrior, ReconstructParams};
+
+/// The row of the depth term.
+pub(super) const TERM: LossTerm =
+    LossTerm { values: &[LossValue { name: "depth_loss", weight }], term: || Box::new(DepthPriorLoss) };
+
+fn weight(params: &ReconstructParams, _step: u64) -> f64 {
+    if params.depth_prior == DepthPrior::Off { 0.0 } else { params.depth_weight }
+}
+
 /// The factor in `1 / (10 D + 1)`.
 pub const DEPTH_SCALE: f32 = 10.0;
 /// Fewer pixels than this give no loss.
@@ -59,6 +70,21 @@ impl DepthPriorLoss {
             .zip(depth.par_chunks(BLOCK).zip(prior.par_chunks(BLOCK)))
             .for_each(|(g, (d, p))| pull(g, d, p, constants));
         1.0 - correlation
+    }
+}
+
+impl Term for DepthPriorLoss {
+    fn evaluate(
+        &mut self,
+        seen: &Observation<'_>,
+        weights: &[f64],
+        values: &mut [Option<f64>],
+        gradients: &mut ViewGradients,
+    ) {
+        let Some(prior) = &seen.target.prior else { return };
+        let value =
+            gradients.depth.add(|g| DepthPriorLoss::evaluate(*self, seen.depth, prior, weights[0], g));
+        values[0] = Some(value);
     }
 }
 

@@ -21,6 +21,17 @@ use rayon::prelude::*;
 use use3d_capture::{Image, Map};
 use use3d_metrics::ms_ssim::{MsSsim, RECONSTRUCTION_WEIGHTS};
 
+use super::{LossTerm, LossValue, Observation, Term, ViewGradients};
+
+/// The row of both photometric values.
+pub(super) const TERM: LossTerm = LossTerm {
+    values: &[
+        LossValue { name: "reg_l1", weight: |params, _| 1.0 - params.structure_weight },
+        LossValue { name: "reg_ms_ssim", weight: |params, _| params.structure_weight },
+    ],
+    term: || Box::new(PhotometricLoss::new(0.0)),
+};
+
 /// `ε` of the weight.
 const EPSILON: f32 = 1e-3;
 const LANES: usize = 16;
@@ -43,12 +54,15 @@ pub struct PhotometricValue {
 /// The loss with its scratch images.
 #[derive(Clone, Debug)]
 pub struct PhotometricLoss {
-    lambda: f64,
+    /// Of Reg-L1 and of Reg-MS-SSIM.
+    shares: [f64; 2],
+    /// Of the structure measure's levels.
     weights: Vec<f64>,
     measure: MsSsim,
     /// `W Î − 1` and `W I − 1`.
     prediction: Image,
     target: Image,
+    squared_error: f64,
 }
 
 impl PhotometricLoss {
@@ -60,17 +74,13 @@ impl PhotometricLoss {
     /// With other level weights.
     pub fn with_levels(lambda: f64, weights: &[f64]) -> Self {
         Self {
-            lambda,
+            shares: [1.0 - lambda, lambda],
             weights: weights.to_vec(),
             measure: MsSsim::new(),
             prediction: Image::new(0, 0),
             target: Image::new(0, 0),
+            squared_error: 0.0,
         }
-    }
-
-    /// Takes another structure weight.
-    pub fn set_structure_weight(&mut self, lambda: f64) {
-        self.lambda = lambda;
     }
 
     /// Value, and the gradient with respect to `prediction`. The images (and the mask, weights in `[0, 1]`) have one size.
@@ -120,8 +130,9 @@ impl PhotometricLoss {
             self.measure.value_and_gradient(&self.prediction, &self.target, 1.0, &self.weights, gradient);
         let reg_ms_ssim = 1.0 - similarity;
 
-        let absolute = ((1.0 - self.lambda) / count) as f32;
-        let structure = -self.lambda as f32;
+        let [by_difference, by_structure] = self.shares;
+        let absolute = (by_difference / count) as f32;
+        let structure = -by_structure as f32;
         gradient
             .data_mut()
             .par_chunks_mut(n.max(1))
@@ -135,8 +146,28 @@ impl PhotometricLoss {
                         dispatch!(level, simd => pull(simd, x, y, mask, absolute, structure, g));
                     });
             });
-        let total = (1.0 - self.lambda) * reg_l1 + self.lambda * reg_ms_ssim;
+        let total = by_difference * reg_l1 + by_structure * reg_ms_ssim;
+        self.squared_error = squared_error;
         PhotometricValue { total, reg_l1, reg_ms_ssim, squared_error }
+    }
+}
+
+impl Term for PhotometricLoss {
+    fn evaluate(
+        &mut self,
+        seen: &Observation<'_>,
+        weights: &[f64],
+        values: &mut [Option<f64>],
+        gradients: &mut ViewGradients,
+    ) {
+        self.shares = [weights[0], weights[1]];
+        let (target, mask) = (&seen.target.image, seen.target.mask.as_ref());
+        let value = gradients.image.add(|g| PhotometricLoss::evaluate(self, seen.image, target, mask, g));
+        values.copy_from_slice(&[Some(value.reg_l1), Some(value.reg_ms_ssim)]);
+    }
+
+    fn squared_error(&self) -> Option<f64> {
+        Some(self.squared_error)
     }
 }
 

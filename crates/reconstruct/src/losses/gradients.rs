@@ -1,0 +1,94 @@
+//! Derivatives of a view's loss with respect to what was rendered of it, summed over the terms.
+
+use use3d_capture::{MediumMaps, Raster};
+
+/// The derivative with respect to one raster; absent until a term gives one.
+#[derive(Clone, Debug)]
+pub struct Slot<const C: usize> {
+    sum: Raster<f32, C>,
+    /// What a later term writes before it is added.
+    own: Raster<f32, C>,
+    given: bool,
+}
+
+impl<const C: usize> Default for Slot<C> {
+    fn default() -> Self {
+        Self { sum: Raster::new(0, 0), own: Raster::new(0, 0), given: false }
+    }
+}
+
+impl<const C: usize> Slot<C> {
+    /// Adds a term's derivative. `write` is given a raster of any size and contents, and makes it the derivative, per pixel.
+    pub fn add<R>(&mut self, write: impl FnOnce(&mut Raster<f32, C>) -> R) -> R {
+        if !self.given {
+            self.given = true;
+            return write(&mut self.sum);
+        }
+        let told = write(&mut self.own);
+        add(&mut self.sum, &self.own);
+        told
+    }
+
+    /// The sum of what the terms gave; `None` if none gave any.
+    pub fn get(&self) -> Option<&Raster<f32, C>> {
+        self.given.then_some(&self.sum)
+    }
+
+    /// The same, zeros of this size if none gave any.
+    pub(crate) fn or_zeros(&mut self, width: usize, height: usize) -> &mut Raster<f32, C> {
+        if !self.given {
+            self.given = true;
+            self.sum.resize(width, height);
+            self.sum.data_mut().fill(0.0);
+        }
+        &mut self.sum
+    }
+}
+
+/// Derivatives of the loss with respect to the rasters that a term may read.
+#[derive(Clone, Debug, Default)]
+pub struct ViewGradients {
+    /// With respect to the image as it is [shown](super::Observation::image).
+    pub image: Slot<3>,
+    /// With respect to expected depth.
+    pub depth: Slot<1>,
+    /// With respect to accumulation.
+    pub accumulation: Slot<1>,
+    /// With respect to the colour of infinitely deep water.
+    pub water_color: Slot<3>,
+    /// With respect to the backscatter coefficient.
+    pub backscatter: Slot<3>,
+    /// With respect to the attenuation coefficient.
+    pub attenuation: Slot<3>,
+}
+
+impl ViewGradients {
+    pub(crate) fn forget(&mut self) {
+        for slot in [&mut self.image, &mut self.water_color, &mut self.backscatter, &mut self.attenuation] {
+            slot.given = false;
+        }
+        for slot in [&mut self.depth, &mut self.accumulation] {
+            slot.given = false;
+        }
+    }
+
+    /// Adds what the terms themselves asked of the water.
+    pub(crate) fn add_water(&self, maps: &mut MediumMaps) {
+        for (slot, sum) in [
+            (&self.water_color, &mut maps.color),
+            (&self.backscatter, &mut maps.backscatter),
+            (&self.attenuation, &mut maps.attenuation),
+        ] {
+            if let Some(own) = slot.get() {
+                add(sum, own);
+            }
+        }
+    }
+}
+
+fn add<const C: usize>(sum: &mut Raster<f32, C>, own: &Raster<f32, C>) {
+    assert_eq!((sum.width(), sum.height()), (own.width(), own.height()), "derivatives have the view's size");
+    for (sum, own) in sum.data_mut().iter_mut().zip(own.data()) {
+        *sum += own;
+    }
+}

@@ -1,0 +1,61 @@
+//! Joints at which methods are extended, held to what they promise: how many files of the sources one more entry touches is counted on
+//! an entry that is there.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// Every source of a crate without its tests: path below the workspace, text.
+fn sources() -> Vec<(String, String)> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the workspace");
+    let mut open: Vec<PathBuf> = vec![root.join("crates")];
+    let mut found = Vec::new();
+    while let Some(path) = open.pop() {
+        let name = path.file_name().and_then(|n| n.to_str()).unwrap_or_default();
+        if path.is_dir() && !["tests", "benches", "examples"].contains(&name) {
+            open.extend(std::fs::read_dir(&path).expect("a folder").map(|e| e.expect("an entry").path()));
+        } else if name.ends_with(".rs") && name != "tests.rs" && name != "golden.rs" {
+            let text = std::fs::read_to_string(&path).expect("a source");
+            let text = text.split("#[cfg(test)]\nmod ").next().unwrap_or_default();
+            let code: Vec<&str> = text.lines().filter(|line| !line.trim_start().starts_with("//")).collect();
+            let below = path.strip_prefix(root).expect("below the workspace").to_string_lossy();
+            found.push((below.replace('\\', "/"), code.join("\n")));
+        }
+    }
+    found
+}
+
+/// Files in whose code any of these words stands as a whole word.
+fn files_with(sources: &[(String, String)], words: &[&str]) -> BTreeSet<String> {
+    let part = |c: char| c.is_alphanumeric() || c == '_';
+    let has = |text: &str, word: &str| {
+        text.match_indices(word)
+            .any(|(at, _)| !text[..at].ends_with(part) && !text[at + word.len()..].starts_with(part))
+    };
+    let files = sources.iter().filter(|(_, text)| words.iter().any(|word| has(text, word)));
+    files.map(|(path, _)| path.clone()).collect()
+}
+
+fn set(files: &[&str]) -> BTreeSet<String> {
+    files.iter().map(|f| (*f).to_string()).collect()
+}
+
+#[test]
+fn a_term_of_stage_ones_loss_is_one_file_one_row_and_the_parameter_of_its_weight() {
+    let sources = sources();
+    // What the log calls a value is said by its term alone.
+    for name in use3d_reconstruct::losses::names() {
+        let files = files_with(&sources, &[name]);
+        assert_eq!(files.len(), 1, "`{name}` is named in {files:?}");
+        assert!(files.iter().all(|f| f.starts_with("crates/reconstruct/src/losses/")), "{files:?}");
+    }
+    // The depth term, by all of its words. Whoever loads priors says when they are missing or their weight makes them vain.
+    let files = files_with(&sources, &["DepthPriorLoss", "depth_loss", "depth_weight", "depth::TERM"]);
+    let expected = set(&[
+        "crates/reconstruct/src/losses/depth.rs",
+        "crates/reconstruct/src/losses/mod.rs",
+        "crates/reconstruct/src/params.rs",
+        "crates/reconstruct/src/load.rs",
+        "crates/pipeline/src/stages/reconstruct.rs",
+    ]);
+    assert_eq!(files, expected);
+}
