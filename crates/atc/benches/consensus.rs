@@ -1,4 +1,5 @@
-//! A scene's targets at full size: 40 views of 1400 × 933 and 500,000 Gaussians, the classical proposer included. One run, in seconds.
+//! A scene's targets at full size: 40 views of 1400 × 933 and 500,000 Gaussians, the classical proposer
+//! included. One run, in seconds.
 
 use std::time::Instant;
 

@@ -1,8 +1,10 @@
-//! How well calibration works on real pairs: `calibration_report DIR [CALIBRATOR]`, where `DIR` holds `uieb_t90`, `lsui_t400` and `euvp`, each with
-//! `input/` and `reference/` (equal file names). Prints Markdown: held-out errors per set, and trained-on × tested-on.
-//! With a second argument, writes a calibrator fitted to all three sets there.
+//! How well calibration works on real pairs: `calibration_report DIR [CALIBRATOR]`, where `DIR` holds
+//! `uieb_t90`, `lsui_t400` and `euvp`, each with `input/` and `reference/` (equal file names). Prints
+//! Markdown: held-out errors per set, and trained-on × tested-on. With a second argument, writes a calibrator
+//! fitted to all three sets there.
 //!
-//! `calibration_report DIR --from PAIRS` fits to the pairs of another folder alone (synthetic ones, say) and tests on the three sets.
+//! `calibration_report DIR --from PAIRS` fits to the pairs of another folder alone (synthetic ones, say) and
+//! tests on the three sets.
 
 use std::path::Path;
 use std::time::Instant;

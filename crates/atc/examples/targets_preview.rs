@@ -1,6 +1,7 @@
 //! Targets of a capture without a reconstruction: Gaussians are made of its sparse points.
-//! `targets_preview CAPTURE_DIR CALIBRATOR OUT_DIR [GAUSSIANS]` writes side-by-side pictures (captured, proposal, calibrated view by
-//! view, consensus) and support maps of a few views, and prints dispersion, order effects and times.
+//! `targets_preview CAPTURE_DIR CALIBRATOR OUT_DIR [GAUSSIANS]` writes side-by-side pictures (captured,
+//! proposal, calibrated view by view, consensus) and support maps of a few views, and prints dispersion,
+//! order effects and times.
 
 use std::cell::Cell;
 use std::path::Path;
@@ -20,7 +21,8 @@ use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Gaussians, Rasterizer};
 
-/// Isotropic Gaussians of the size of the gaps between the points; more than there are points by jittered copies.
+/// Isotropic Gaussians of the size of the gaps between the points; more than there are points by jittered
+/// copies.
 fn gaussians(points: &[SparsePoint], count: usize) -> Gaussians {
     let stream = Stream::new(1, Purpose::new("jittered points"), 0);
     let copies = count.div_ceil(points.len().max(1)).max(1);

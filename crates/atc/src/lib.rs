@@ -1,5 +1,5 @@
-//! Appearance Transition Consensus (ATC): what the enhancement of a scene should be, learned from 2D pairs and agreed by
-//! all views, as fixed targets for stage 2.
+//! Appearance Transition Consensus (ATC): what the enhancement of a scene should be, learned from 2D pairs
+//! and agreed by all views, as fixed targets for stage 2.
 //!
 //! ```text
 //! pairs ─▶ [proposer] ─▶ [extractor] ─▶ dataset ─▶ [calibrator]
@@ -7,7 +7,8 @@
 //! captured views ─▶ [proposer] ─▶ [extractor] ──────────┴─▶ one candidate per view ─▶ [consensus] ─▶ Targets
 //! ```
 //!
-//! * [`extractor`]: `E(source, target)`, the transition between two images: one global affine and a grid of gains and biases.
+//! * [`extractor`]: `E(source, target)`, the transition between two images: one global affine and a grid of
+//!   gains and biases.
 //! * [`proposers`]: 2D enhancers behind one trait, among them [`proposers::Fusion`], which needs no weights.
 //! * [`calibrator`]: from proposed transitions to those of paired data.
 //! * [`consensus`]: one scene operator, and one local target per Gaussian.

@@ -1,4 +1,5 @@
-//! The safetensors files of this crate: named tensors, and one JSON document in the header under the key `3d-use`.
+//! The safetensors files of this crate: named tensors, and one JSON document in the header under the key
+//! `3d-use`.
 //!
 //! Bytes are deterministic: one metadata key, tensors in the format's own order (type, then name).
 
@@ -92,7 +93,8 @@ impl<'a> Reader<'a> {
         Ok(Self { what, tensors: SafeTensors::deserialize(bytes).map_err(broken)?, header })
     }
 
-    /// Whether a safetensors file has a document of this tool in its header. A damaged file that begins as one of ours counts.
+    /// Whether a safetensors file has a document of this tool in its header. A damaged file that begins as
+    /// one of ours counts.
     pub(crate) fn has_header(bytes: &[u8]) -> bool {
         match SafeTensors::read_metadata(bytes) {
             Ok((_, metadata)) => metadata.metadata().as_ref().is_some_and(|m| m.contains_key(KEY)),

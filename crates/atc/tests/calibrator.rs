@@ -191,7 +191,8 @@ fn early_stopping_does_less_harm_where_there_is_nothing_to_learn() {
     assert_eq!(report.kept, [1.0; 2]);
 }
 
-/// Pairs made up for want of real ones bear out their own lesson; it is not applied to photographs unless someone asks.
+/// Pairs made up for want of real ones bear out their own lesson; it is not applied to photographs unless
+/// someone asks.
 #[test]
 fn stand_ins_leave_the_proposal_as_it_is() {
     let mut dataset =

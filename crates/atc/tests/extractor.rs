@@ -154,7 +154,8 @@ fn gradients_agree_with_finite_differences() {
             };
             let step = 1.0 / 512.0;
             let numeric = (value(step) - value(-step)) / (2.0 * f64::from(step));
-            // The pixels are f32, so the difference quotient itself is good to about 1e-4 of the largest term.
+            // The pixels are f32, so the difference quotient itself is good to about 1e-4 of the largest
+            // term.
             let scale = numeric.abs().max(analytic.abs()).max(1.0);
             assert!(
                 (numeric - analytic).abs() < 2e-3 * scale,
@@ -260,7 +261,8 @@ fn bad_images_are_errors() {
     assert!(source.backward(&[0.0; 12], &[[0.0; 6]; 3], &mut workspace, &mut gradient).is_err());
 }
 
-/// A sampled view has the same grid, reads pixels of the whole one, and says nearly the same of a smooth pair.
+/// A sampled view has the same grid, reads pixels of the whole one, and says nearly the same of a smooth
+/// pair.
 #[test]
 fn a_sampled_view_has_nearly_the_same_transition() {
     let settings = ExtractorSettings::default();

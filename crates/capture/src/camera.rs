@@ -63,7 +63,8 @@ impl Intrinsics {
         Ok(())
     }
 
-    /// The same lens with the image scaled by `sx`, `sy` to a new size (the pixel grid's corner stays at (0, 0)).
+    /// The same lens with the image scaled by `sx`, `sy` to a new size (the pixel grid's corner stays at (0,
+    /// 0)).
     pub fn scaled(&self, sx: f64, sy: f64, width: usize, height: usize) -> Self {
         Self { width, height, fx: self.fx * sx, fy: self.fy * sy, cx: self.cx * sx, cy: self.cy * sy }
     }
@@ -103,7 +104,8 @@ impl Pose {
         Self { rotation, translation: -(rotation * center) }
     }
 
-    /// A camera at `eye` looking at `target`, with `up` towards the top of the image. The three must not be collinear.
+    /// A camera at `eye` looking at `target`, with `up` towards the top of the image. The three must not be
+    /// collinear.
     pub fn look_at(eye: DVec3, target: DVec3, up: DVec3) -> Self {
         let forward = (target - eye).normalize();
         let right = forward.cross(up).normalize();
@@ -144,14 +146,16 @@ impl Camera {
         self.pose.validate()
     }
 
-    /// The pixel's ray in the camera frame, not normalised: `d(p) = ((u-cx)/fx, (v-cy)/fy, 1)`; `u`, `v` are pixel coordinates (centres at +0.5).
+    /// The pixel's ray in the camera frame, not normalised: `d(p) = ((u-cx)/fx, (v-cy)/fy, 1)`; `u`, `v` are
+    /// pixel coordinates (centres at +0.5).
     #[inline]
     pub fn ray(&self, u: f64, v: f64) -> DVec3 {
         let k = &self.intrinsics;
         DVec3::new((u - k.cx) / k.fx, (v - k.cy) / k.fy, 1.0)
     }
 
-    /// Projects a world point: pixel coordinates and depth along the optical axis. `None` at or behind the camera.
+    /// Projects a world point: pixel coordinates and depth along the optical axis. `None` at or behind the
+    /// camera.
     pub fn project(&self, point: DVec3) -> Option<(DVec2, f64)> {
         let x = self.pose.rotation * point + self.pose.translation;
         let k = &self.intrinsics;
@@ -164,7 +168,8 @@ impl Camera {
     }
 }
 
-/// The similarity from COLMAP's world to the scene's normalised frame (R7): `x_normalised = scale (rotation x_colmap) + translation`.
+/// The similarity from COLMAP's world to the scene's normalised frame (R7): `x_normalised = scale (rotation
+/// x_colmap) + translation`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Frame {
     /// Uniform scale.

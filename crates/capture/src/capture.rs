@@ -6,7 +6,8 @@ use glam::DVec3;
 
 use crate::{Camera, FileName, Frame, Raster};
 
-/// One photograph: where it is on disk and where its camera was. Pixels are loaded when needed, never all at once.
+/// One photograph: where it is on disk and where its camera was. Pixels are loaded when needed, never all at
+/// once.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
     /// The image's name relative to the capture's image folder.
@@ -58,7 +59,8 @@ pub struct Split {
 }
 
 impl Split {
-    /// Every `every`-th of `count` views, starting with the first, is a test view (R8); `every = 0` holds out none.
+    /// Every `every`-th of `count` views, starting with the first, is a test view (R8); `every = 0` holds out
+    /// none.
     pub fn every(count: usize, every: usize) -> Self {
         let is_test = |i: &usize| every != 0 && i.is_multiple_of(every);
         Self {
@@ -122,7 +124,8 @@ impl Capture {
     }
 }
 
-/// A view's pixels as a training loop keeps them: 8-bit where the file is 8-bit, so that hundreds of views fit in memory.
+/// A view's pixels as a training loop keeps them: 8-bit where the file is 8-bit, so that hundreds of views
+/// fit in memory.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Pixels {
     /// From an 8-bit file.

@@ -4,8 +4,9 @@ use crate::{Camera, Image, Intrinsics};
 
 /// A tensor-product subset of a camera's pixel centres: every combination of some columns and some rows.
 ///
-/// A whole image is `columns = 0.5, 1.5, …`, `rows = 0.5, 1.5, …`. Stage 2 looks only at the columns and rows that the
-/// extractor's resize reads, which is a lattice too, so one renderer serves both. Coordinates ascend strictly.
+/// A whole image is `columns = 0.5, 1.5, …`, `rows = 0.5, 1.5, …`. Stage 2 looks only at the columns and rows
+/// that the extractor's resize reads, which is a lattice too, so one renderer serves both. Coordinates ascend
+/// strictly.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lattice {
     columns: Vec<f32>,
@@ -24,7 +25,8 @@ impl Lattice {
         Self { columns: centres(width), rows: centres(height) }
     }
 
-    /// The pixels at some columns and rows (indices, strictly ascending); `None` if they do not ascend or a list is empty.
+    /// The pixels at some columns and rows (indices, strictly ascending); `None` if they do not ascend or a
+    /// list is empty.
     pub fn subset(columns: &[usize], rows: &[usize]) -> Option<Self> {
         let centres = |indices: &[usize]| {
             (!indices.is_empty() && indices.windows(2).all(|w| w[0] < w[1]))

@@ -1,7 +1,7 @@
 //! What was photographed: images, cameras, views, sparse points, and the capture that holds them.
 //!
-//! Ground of the workspace: this crate depends on nothing of ours. It touches no file, but owns what a file may be called
-//! ([`FileName`]).
+//! Ground of the workspace: this crate depends on nothing of ours. It touches no file, but owns what a file
+//! may be called ([`FileName`]).
 //!
 //! Conventions (the whole workspace keeps to them):
 //!

@@ -1,9 +1,9 @@
 //! Names from outside that become paths, and text from outside that is shown to people.
 //!
-//! A model, a manifest or a list of cameras may come from anyone. Whatever it calls its images, no file may be read or written
-//! outside the folder that a person named: a [`FileName`] can only be made by checking, so that a function that takes one
-//! needs no check of its own. What is printed goes through [`shown`], so that a name cannot move the cursor, change colours or
-//! forge a line of its own.
+//! A model, a manifest or a list of cameras may come from anyone. Whatever it calls its images, no file may
+//! be read or written outside the folder that a person named: a [`FileName`] can only be made by checking, so
+//! that a function that takes one needs no check of its own. What is printed goes through [`shown`], so that
+//! a name cannot move the cursor, change colours or forge a line of its own.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -12,15 +12,17 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-/// Bytes of a folder's or file's name at most. File systems take 255, and a result may get a longer extension.
+/// Bytes of a folder's or file's name at most. File systems take 255, and a result may get a longer
+/// extension.
 const MOST_BYTES: usize = 250;
 /// Bytes of a name at most, folders and all; systems take 4096 for a path and more than this one's folder.
 const MOST_BYTES_IN_ALL: usize = 1000;
 
-/// A file's name relative to some folder, `/` between folders: never absolute, never leading out of that folder.
+/// A file's name relative to some folder, `/` between folders: never absolute, never leading out of that
+/// folder.
 ///
-/// One to 250 bytes in each component, 1000 in all; no empty component, no `..`, no drive letter, and nothing that [`shown`]
-/// would have to escape: it may be printed as it is.
+/// One to 250 bytes in each component, 1000 in all; no empty component, no `..`, no drive letter, and nothing
+/// that [`shown`] would have to escape: it may be printed as it is.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct FileName(String);
@@ -102,8 +104,8 @@ impl FileName {
         flat_stem(&self.0)
     }
 
-    /// The name as that of an image: results are called after [`flat_stem`](Self::flat_stem) too, which must be no longer than a
-    /// file's name may be.
+    /// The name as that of an image: results are called after [`flat_stem`](Self::flat_stem) too, which must
+    /// be no longer than a file's name may be.
     ///
     /// # Errors
     /// Folders and name that are together too long.
@@ -194,14 +196,14 @@ pub fn stem(name: &str) -> &str {
     }
 }
 
-/// The stem as one file name, for results that lie in one folder: `left/a.b.png` is `left_a.b`. A prepared capture has no two
-/// views with the same one.
+/// The stem as one file name, for results that lie in one folder: `left/a.b.png` is `left_a.b`. A prepared
+/// capture has no two views with the same one.
 pub fn flat_stem(name: &str) -> String {
     stem(name).replace('/', "_")
 }
 
-/// Text from outside as it may be printed within a line: characters that command a terminal or reorder text appear as
-/// escapes (`\u{1b}`), everything else as it is.
+/// Text from outside as it may be printed within a line: characters that command a terminal or reorder text
+/// appear as escapes (`\u{1b}`), everything else as it is.
 pub fn shown(text: &str) -> Cow<'_, str> {
     escaped(text, commands)
 }
@@ -222,7 +224,8 @@ fn escaped(text: &str, bad: impl Fn(char) -> bool) -> Cow<'_, str> {
     Cow::Owned(out)
 }
 
-/// Control characters, line and paragraph separators, and what overrides the direction of the text that follows.
+/// Control characters, line and paragraph separators, and what overrides the direction of the text that
+/// follows.
 fn commands(c: char) -> bool {
     c.is_control() || matches!(c, '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }

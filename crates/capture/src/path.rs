@@ -7,9 +7,9 @@ use crate::{Camera, Pose};
 
 /// `frames` cameras along a smooth curve through `keys` in their order.
 ///
-/// Centres follow a centripetal Catmull–Rom spline (it passes through every key and does not overshoot where keys bunch up),
-/// orientations a spherical interpolation, and the frames are spaced evenly in arc length. The lens is the first key's.
-/// Fewer than two keys give copies of the only one, none at all an empty path.
+/// Centres follow a centripetal Catmull–Rom spline (it passes through every key and does not overshoot where
+/// keys bunch up), orientations a spherical interpolation, and the frames are spaced evenly in arc length.
+/// The lens is the first key's. Fewer than two keys give copies of the only one, none at all an empty path.
 pub fn interpolate(keys: &[Camera], frames: usize) -> Vec<Camera> {
     let Some(first) = keys.first() else { return Vec::new() };
     if keys.len() == 1 || frames == 0 {
@@ -18,7 +18,8 @@ pub fn interpolate(keys: &[Camera], frames: usize) -> Vec<Camera> {
     let centers: Vec<DVec3> = keys.iter().map(|k| k.pose.center()).collect();
     let rotations: Vec<DQuat> = keys.iter().map(|k| DQuat::from_mat3(&k.pose.rotation)).collect();
 
-    // Arc length of the curve, sampled finely, so that the film neither rushes nor stalls between uneven keys.
+    // Arc length of the curve, sampled finely, so that the film neither rushes nor stalls between uneven
+    // keys.
     const SAMPLES: usize = 32;
     let segments = keys.len() - 1;
     let mut lengths = vec![0.0];
@@ -68,10 +69,11 @@ fn spline(points: &[DVec3], t: f64) -> DVec3 {
     lerp(lerp(a1, a2, t0, t2), lerp(a2, a3, t1, t3), t1, t2)
 }
 
-/// `frames` cameras that circle once around the mean camera, looking at the scene in front of it at distance `focus`.
+/// `frames` cameras that circle once around the mean camera, looking at the scene in front of it at distance
+/// `focus`.
 ///
-/// The circle lies in the mean camera's image plane with `radius` (scene units) and is half as high as wide, with a gentle dolly
-/// along the axis. The lens is the first key's. No keys give an empty path.
+/// The circle lies in the mean camera's image plane with `radius` (scene units) and is half as high as wide,
+/// with a gentle dolly along the axis. The lens is the first key's. No keys give an empty path.
 pub fn spiral(keys: &[Camera], frames: usize, radius: f64, focus: f64) -> Vec<Camera> {
     let Some(first) = keys.first() else { return Vec::new() };
     let n = keys.len() as f64;

@@ -35,7 +35,8 @@ impl<T: Copy + Default, const C: usize> Raster<T, C> {
         self.data.resize(C * width * height, T::default());
     }
 
-    /// Converts interleaved pixels (`[H, W, C]`, row-major) to planes; `None` if the length is not `width * height * C`.
+    /// Converts interleaved pixels (`[H, W, C]`, row-major) to planes; `None` if the length is not `width *
+    /// height * C`.
     pub fn from_interleaved(width: usize, height: usize, pixels: &[T]) -> Option<Self> {
         if pixels.len() != C * width * height {
             return None;

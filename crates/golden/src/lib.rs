@@ -1,12 +1,14 @@
-//! Test support: golden cases by an independent float64 oracle, compared at the tolerances stated beside them.
+//! Test support: golden cases by an independent float64 oracle, compared at the tolerances stated beside
+//! them.
 //!
 //! A part is `math/<part>.safetensors` with `math/<part>.json`. Tensors are named `<case>/in.<name>`,
-//! `<case>/out.<name>`, `<case>/cot.<out>` and `<case>/grad.<pull>.<input>`; a *pull* is a set of outputs whose
-//! gradient is that of the sum of `<cotangent, output>` over the set. The JSON holds each case's configuration and each
-//! tensor's absolute tolerance. Tests must loop over [`Part::cases`], so that other cases of the same form can be dropped in.
+//! `<case>/out.<name>`, `<case>/cot.<out>` and `<case>/grad.<pull>.<input>`; a *pull* is a set of outputs
+//! whose gradient is that of the sum of `<cotangent, output>` over the set. The JSON holds each case's
+//! configuration and each tensor's absolute tolerance. Tests must loop over [`Part::cases`], so that other
+//! cases of the same form can be dropped in.
 //!
-//! The root is the folder that `USE3D_GOLDEN` names, else the copy in the project. Everything here panics with a
-//! message on a missing file or tensor: golden tests never skip.
+//! The root is the folder that `USE3D_GOLDEN` names, else the copy in the project. Everything here panics
+//! with a message on a missing file or tensor: golden tests never skip.
 
 pub mod torch;
 

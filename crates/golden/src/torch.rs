@@ -1,4 +1,5 @@
-//! Writers of the checkpoint containers: PyTorch's zip archive and its older pickle stream, just enough of both, and safetensors.
+//! Writers of the checkpoint containers: PyTorch's zip archive and its older pickle stream, just enough of
+//! both, and safetensors.
 
 use std::collections::BTreeMap;
 
@@ -199,7 +200,8 @@ pub fn safetensors_file(tensors: &Tensors) -> Vec<u8> {
     safetensors::serialize(views, None).expect("serialised")
 }
 
-/// A calibrator in the layout of the paper's authors (`transition_calibrator.pth`): an archive with a schema beside the state dict.
+/// A calibrator in the layout of the paper's authors (`transition_calibrator.pth`): an archive with a schema
+/// beside the state dict.
 pub fn released_calibrator(schema_version: usize, tensors: &Tensors) -> Vec<u8> {
     let mut p = Pickle::start();
     p.op(b'}').op(b'(').text("schema").text("3duse_transition_calibrator");
@@ -218,7 +220,8 @@ pub fn released_calibrator(schema_version: usize, tensors: &Tensors) -> Vec<u8> 
     zip_with_pickle(&p.0, tensors)
 }
 
-/// The tensors of such a calibrator: both heads with small reproducible weights (of these hidden widths), medians 0 and ranges 1.
+/// The tensors of such a calibrator: both heads with small reproducible weights (of these hidden widths),
+/// medians 0 and ranges 1.
 pub fn released_calibrator_tensors(hidden: [usize; 2]) -> Tensors {
     let mut out = Tensors::new();
     let mut add = |name: String, shape: Vec<usize>, value: &dyn Fn(usize) -> f32| {

@@ -1,4 +1,5 @@
-//! Files that are there whole or not at all: written beside their place under a temporary name, then renamed into it.
+//! Files that are there whole or not at all: written beside their place under a temporary name, then renamed
+//! into it.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -7,10 +8,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 static SERIAL: AtomicU64 = AtomicU64::new(0);
 
-/// Creates or replaces `path` with what `fill` writes. On an error the temporary file is removed and `path` is untouched.
+/// Creates or replaces `path` with what `fill` writes. On an error the temporary file is removed and `path`
+/// is untouched.
 ///
-/// Parent folders are created. The data is not forced to the medium (`fsync`): callers that publish a whole folder do
-/// that once, for the folder.
+/// Parent folders are created. The data is not forced to the medium (`fsync`): callers that publish a whole
+/// folder do that once, for the folder.
 pub fn write_atomically<T>(
     path: &Path,
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<T>,

@@ -1,4 +1,5 @@
-//! What a decoder hands over: interleaved samples as the file stores them, and the views of them that callers ask for.
+//! What a decoder hands over: interleaved samples as the file stores them, and the views of them that callers
+//! ask for.
 
 use use3d_capture::{Image, Map, Pixels, Raster};
 
@@ -53,7 +54,8 @@ impl Decoded {
         matches!(self.channels, 2 | 4)
     }
 
-    /// The colours as they are kept in memory: 8-bit files stay 8-bit, all others become 16-bit (clamped to `[0, 1]`).
+    /// The colours as they are kept in memory: 8-bit files stay 8-bit, all others become 16-bit (clamped to
+    /// `[0, 1]`).
     pub fn to_pixels(&self) -> Pixels {
         match &self.samples {
             Samples::Eight(s) => Pixels::Eight(colors(self, s, |v| v)),
@@ -93,8 +95,8 @@ impl Decoded {
         out
     }
 
-    /// One channel: the grey value, or the mean of the three colours; alpha is left out. Integer files over their full
-    /// scale, float files as stored.
+    /// One channel: the grey value, or the mean of the three colours; alpha is left out. Integer files over
+    /// their full scale, float files as stored.
     pub fn to_map(&self) -> Map {
         if self.channels >= 3 { self.channel_map(0, 3) } else { self.channel_map(0, 1) }
     }

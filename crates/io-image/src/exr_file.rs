@@ -1,4 +1,5 @@
-//! OpenEXR in and out: 32-bit float, unclamped, ZIP-compressed scan lines in increasing order (the same bytes every time).
+//! OpenEXR in and out: 32-bit float, unclamped, ZIP-compressed scan lines in increasing order (the same bytes
+//! every time).
 
 use std::io::{Cursor, Seek, Write};
 use std::path::Path;

@@ -1,6 +1,8 @@
-//! The two things about a JPEG that the decoder does not tell: its size without reading all of it, and whether it is whole.
+//! The two things about a JPEG that the decoder does not tell: its size without reading all of it, and
+//! whether it is whole.
 //!
-//! The decoder fills what is missing of a truncated file with grey and reports success, which would train a scene on grey.
+//! The decoder fills what is missing of a truncated file with grey and reports success, which would train a
+//! scene on grey.
 
 use std::io::BufRead;
 

@@ -10,7 +10,8 @@ pub const MAX_PIXELS: u64 = 1 << 27;
 /// Up to this many decoded bytes a header is believed whatever the file's length.
 const SMALL: u64 = 64 << 20;
 
-/// No coder in use here packs more than about 2600 bytes into one (LZW in TIFF; DEFLATE and JPEG reach about 1030).
+/// No coder in use here packs more than about 2600 bytes into one (LZW in TIFF; DEFLATE and JPEG reach about
+/// 1030).
 const MAX_COMPRESSION: u64 = 4096;
 
 /// Checks an announced size against the limits and against the length of the file that announces it.

@@ -1,4 +1,5 @@
-//! One NumPy array as an image: `[H, W]`, `[1, H, W]`, or `[H, W, C]` with 1 to 4 channels, of any real type, either byte order.
+//! One NumPy array as an image: `[H, W]`, `[1, H, W]`, or `[H, W, C]` with 1 to 4 channels, of any real type,
+//! either byte order.
 
 use std::io::Read;
 use std::path::Path;
@@ -10,8 +11,8 @@ use crate::error::{Format, ImageError};
 use crate::limits::check_size;
 
 const MAGIC: &[u8] = b"\x93NUMPY";
-/// A header of one plain array is far shorter than this and has at most four brackets, of which the parser would
-/// otherwise recurse once each.
+/// A header of one plain array is far shorter than this and has at most four brackets, of which the parser
+/// would otherwise recurse once each.
 const MAX_HEADER: usize = 4096;
 const MAX_BRACKETS: usize = 16;
 

@@ -1,8 +1,9 @@
-//! The two things about a PNG that its decoder must not be asked for: its header without unpacking metadata, and its
-//! pixels without it.
+//! The two things about a PNG that its decoder must not be asked for: its header without unpacking metadata,
+//! and its pixels without it.
 //!
-//! A colour profile or a text may unpack to a thousand times its length, and the decoder unpacks it before it tells the
-//! size. Neither is used here, so neither is handed over. A chunk is `u32 length, 4 letters, length bytes, u32 checksum`.
+//! A colour profile or a text may unpack to a thousand times its length, and the decoder unpacks it before it
+//! tells the size. Neither is used here, so neither is handed over. A chunk is `u32 length, 4 letters, length
+//! bytes, u32 checksum`.
 
 use std::borrow::Cow;
 use std::io::{BufRead, Seek, SeekFrom};
@@ -60,7 +61,8 @@ pub(crate) fn header(reader: &mut (impl BufRead + Seek)) -> Result<Header, Strin
     Ok(Header { width: side(0), height: side(4), bytes_per_pixel, alpha })
 }
 
-/// The file without the chunks that only describe the picture; a damaged one comes back as it is, for the decoder to say.
+/// The file without the chunks that only describe the picture; a damaged one comes back as it is, for the
+/// decoder to say.
 pub(crate) fn without_metadata(bytes: &[u8]) -> Cow<'_, [u8]> {
     let mut kept = bytes.get(..SIGNATURE).unwrap_or(bytes).to_vec();
     let mut rest = &bytes[kept.len()..];

@@ -1,6 +1,7 @@
 //! Reading: format from the first bytes, size from the header, then all samples.
 //!
-//! EXIF orientation is not applied: COLMAP works on the pixels as stored, and so must everything that uses its poses.
+//! EXIF orientation is not applied: COLMAP works on the pixels as stored, and so must everything that uses
+//! its poses.
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -96,8 +97,8 @@ fn info(mut reader: impl BufRead + Seek, length: u64, path: &Path) -> Result<Ima
 /// What a header alone may take, bytes: tables of strips, not metadata.
 const HEADER_ALLOWANCE: u64 = 64 << 20;
 
-/// Limits for the decoders that keep them, for an image of so many pixels (0: for its header only); our own limits are
-/// checked before.
+/// Limits for the decoders that keep them, for an image of so many pixels (0: for its header only); our own
+/// limits are checked before.
 fn decoder_limits(pixels: u64) -> image::Limits {
     let mut limits = image::Limits::no_limits();
     limits.max_image_width = Some(1 << 24);
@@ -130,8 +131,8 @@ fn tiff_header(mut reader: impl BufRead + Seek, path: &Path) -> Result<(u64, u64
     Ok((u64::from(width), u64::from(height), u64::from(color.bytes_per_pixel()), color.has_alpha()))
 }
 
-/// The size of a one-channel TIFF of floats or wide integers, which `image` does not decode; `None` for other TIFFs.
-/// The reader is rewound.
+/// The size of a one-channel TIFF of floats or wide integers, which `image` does not decode; `None` for other
+/// TIFFs. The reader is rewound.
 fn float_tiff_size(
     reader: &mut (impl BufRead + Seek),
     path: &Path,
@@ -222,7 +223,8 @@ pub fn read(path: &Path) -> Result<Decoded, ImageError> {
     decode(&bytes, path)
 }
 
-/// The picture in display range `[0, 1]` (float files keep their values); grey becomes RGB, alpha is left out.
+/// The picture in display range `[0, 1]` (float files keep their values); grey becomes RGB, alpha is left
+/// out.
 pub fn read_image(path: &Path) -> Result<Image, ImageError> {
     read(path).map(|d| d.to_image())
 }
@@ -237,8 +239,9 @@ pub fn read_pixels_with_alpha(path: &Path) -> Result<(Pixels, Option<Map>), Imag
     read(path).map(|d| (d.to_pixels(), d.alpha()))
 }
 
-/// One channel: a mask, a depth, a weight. Grey, or the mean of RGB; 8- and 16-bit values over their full scale, floats
-/// as stored. Values that are not finite become 0, which every map of ours reads as "nothing known here".
+/// One channel: a mask, a depth, a weight. Grey, or the mean of RGB; 8- and 16-bit values over their full
+/// scale, floats as stored. Values that are not finite become 0, which every map of ours reads as "nothing
+/// known here".
 pub fn read_map(path: &Path) -> Result<Map, ImageError> {
     let mut map = read(path)?.to_map();
     map.data_mut().iter_mut().filter(|v| !v.is_finite()).for_each(|v| *v = 0.0);

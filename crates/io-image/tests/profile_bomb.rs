@@ -1,5 +1,5 @@
-//! A PNG of a few thousand pixels with a colour profile that unpacks to 400 MB. Alone in its process, because it asks how
-//! much memory the process ever held.
+//! A PNG of a few thousand pixels with a colour profile that unpacks to 400 MB. Alone in its process, because
+//! it asks how much memory the process ever held.
 
 use std::path::Path;
 

@@ -1,18 +1,20 @@
 //! The affine map of colours that brings one image closest to another.
 //!
-//! `Σ |A x + b - y|²` over all pixels is least for `A = C_yx C_xx⁻¹` and `b = ȳ - A x̄`, with the means `x̄`, `ȳ` and the centred second
-//! moments `C` of the two images' colours. It is what twelve numbers per image can do about exposure, white balance, contrast and a cast:
-//! what is left after it is a difference of structure. Values are taken as they are, clipping is the caller's.
+//! `Σ |A x + b - y|²` over all pixels is least for `A = C_yx C_xx⁻¹` and `b = ȳ - A x̄`, with the means `x̄`,
+//! `ȳ` and the centred second moments `C` of the two images' colours. It is what twelve numbers per image can
+//! do about exposure, white balance, contrast and a cast: what is left after it is a difference of structure.
+//! Values are taken as they are, clipping is the caller's.
 //!
-//! Along a direction in which the colours of `x` do not vary (a grey image has two) the map is not determined; it leaves that direction
-//! out, and the sum is least all the same.
+//! Along a direction in which the colours of `x` do not vary (a grey image has two) the map is not
+//! determined; it leaves that direction out, and the sum is least all the same.
 
 use use3d_capture::Image;
 use use3d_numerics::sums;
 
 use crate::error::{MetricError, finite, large_enough, same_size};
 
-/// Directions whose variance is below this share of the largest channel's do not vary: f32 values carry 24 bits.
+/// Directions whose variance is below this share of the largest channel's do not vary: f32 values carry 24
+/// bits.
 const FLAT: f64 = 1e-12;
 
 /// Rows `(A | b)`: red, green and blue of the image as functions of the colours of another.
@@ -53,8 +55,8 @@ pub fn affine_fit(x: &Image, y: &Image) -> Result<ColourMap, MetricError> {
     }))
 }
 
-/// Gauss and Jordan's elimination of a symmetric, non-negative system with the largest diagonal entry as pivot; says which unknowns were
-/// solved for. The others are free, and zero.
+/// Gauss and Jordan's elimination of a symmetric, non-negative system with the largest diagonal entry as
+/// pivot; says which unknowns were solved for. The others are free, and zero.
 fn eliminate(rows: &mut [[f64; 6]; 3]) -> [bool; 3] {
     let most = (0..3).map(|i| rows[i][i]).fold(0.0, f64::max);
     let mut solved = [false; 3];

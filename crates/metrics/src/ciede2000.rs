@@ -1,7 +1,8 @@
-//! CIEDE2000 colour difference (CIE 142-2001; Sharma, Wu & Dalal, *Color Research and Application* 2005), k_L = k_C = k_H = 1.
+//! CIEDE2000 colour difference (CIE 142-2001; Sharma, Wu & Dalal, *Color Research and Application* 2005), k_L
+//! = k_C = k_H = 1.
 //!
-//! With `C̄` the mean chroma, `G = (1 - √(C̄⁷/(C̄⁷ + 25⁷)))/2`, `a' = (1 + G) a`, chroma and hue of (a', b), their differences and
-//! means:
+//! With `C̄` the mean chroma, `G = (1 - √(C̄⁷/(C̄⁷ + 25⁷)))/2`, `a' = (1 + G) a`, chroma and hue of (a', b),
+//! their differences and means:
 //!
 //! ```text
 //! ΔE₀₀² = (ΔL'/S_L)² + (ΔC'/S_C)² + (ΔH'/S_H)² + R_T (ΔC'/S_C)(ΔH'/S_H)

@@ -1,13 +1,15 @@
 //! Do two views of a rendered scene agree where they see the same thing?
 //!
-//! **Along optical flow**, with any distance: view 2 is warped into view 1, both are multiplied by the mask, and the distance of the
-//! two masked images is taken, one direction, no division by the mask's area. With LPIPS this is wLPIPS, whose flows and masks come
-//! from the *captured* images and are shared by all methods. Absolute values depend on how much is masked.
+//! **Along optical flow**, with any distance: view 2 is warped into view 1, both are multiplied by the mask,
+//! and the distance of the two masked images is taken, one direction, no division by the mask's area. With
+//! LPIPS this is wLPIPS, whose flows and masks come from the *captured* images and are shared by all methods.
+//! Absolute values depend on how much is masked.
 //!
 //! **Along geometry**, without any network: every pixel of view 1 with a known depth z is carried to view 2,
-//! `X = o + z Rᵀ d(p)`, `p₂ = π₂(X)`, and is visible there if view 2's depth at p₂ agrees with X's within a relative tolerance.
-//! `w∆E` is the mean CIEDE2000 over visible pixels, `wSSIM` the mean SSIM over windows that are visible throughout. These have
-//! their own masks, and their numbers are not comparable with flow-based ones.
+//! `X = o + z Rᵀ d(p)`, `p₂ = π₂(X)`, and is visible there if view 2's depth at p₂ agrees with X's within a
+//! relative tolerance. `w∆E` is the mean CIEDE2000 over visible pixels, `wSSIM` the mean SSIM over windows
+//! that are visible throughout. These have their own masks, and their numbers are not comparable with
+//! flow-based ones.
 
 use rayon::prelude::*;
 use use3d_capture::{Camera, Image, Map};
@@ -23,7 +25,8 @@ use crate::warp::{Flow, Mask, Warped, backward_warp};
 /// A distance between masked, aligned images. The caller's error type passes through.
 ///
 /// # Errors
-/// Rasters of different sizes, [`MetricError::NothingInCommon`] for an empty mask (as `E`), or whatever `distance` returns.
+/// Rasters of different sizes, [`MetricError::NothingInCommon`] for an empty mask (as `E`), or whatever
+/// `distance` returns.
 pub fn warped_distance<E: From<MetricError>>(
     first: &Image,
     second: &Image,
@@ -50,8 +53,8 @@ pub struct GeometricView<'a> {
 
 /// Where the pixels of one view lie in another, and whether they are visible there.
 ///
-/// `tolerance` is the largest relative difference of depths that counts as the same surface; 0.02 is a good value for rendered
-/// depth.
+/// `tolerance` is the largest relative difference of depths that counts as the same surface; 0.02 is a good
+/// value for rendered depth.
 ///
 /// # Errors
 /// A depth map that has not its camera's size, or has values that are not finite.
@@ -82,7 +85,8 @@ pub fn geometric_warp(
         if !(i >= 0.0 && j >= 0.0 && i <= last_x && j <= last_y) {
             return None;
         }
-        // Every sample that the colour is interpolated from must show the same surface: no mixing across edges.
+        // Every sample that the colour is interpolated from must show the same surface: no mixing across
+        // edges.
         let same = |column: usize, row: usize| {
             let seen = f64::from(second.depth.pixel(column, row)[0]);
             seen > 0.0 && (seen - depth).abs() <= tolerance * depth
@@ -134,7 +138,8 @@ pub(crate) fn mean_where(map: &Map, counts: impl Fn(usize) -> bool + Sync) -> Co
     Consistency { value: (count > 0.0).then(|| sum / count), coverage: count / n as f64 }
 }
 
-/// `w∆E`: mean CIEDE2000 between view 1 and view 2 carried into it, over visible pixels (see [`geometric_warp`]).
+/// `w∆E`: mean CIEDE2000 between view 1 and view 2 carried into it, over visible pixels (see
+/// [`geometric_warp`]).
 ///
 /// # Errors
 /// Rasters of different sizes, or values that are not finite.

@@ -1,7 +1,9 @@
-//! Gains of an image that were fitted on the other half of it: exposure is forgiven, and nothing is scored on the pixels it was fitted to.
+//! Gains of an image that were fitted on the other half of it: exposure is forgiven, and nothing is scored on
+//! the pixels it was fitted to.
 //!
-//! A camera that exposes and balances every view on its own gives a held-out view a gain that no other view tells. The gain per channel
-//! that fits the left half best (`g = Σ x y / Σ x²`) is applied to the right half, and the other way round; both halves are scored as one image.
+//! A camera that exposes and balances every view on its own gives a held-out view a gain that no other view
+//! tells. The gain per channel that fits the left half best (`g = Σ x y / Σ x²`) is applied to the right
+//! half, and the other way round; both halves are scored as one image.
 
 use use3d_capture::Image;
 use use3d_numerics::sums;
@@ -9,11 +11,12 @@ use use3d_numerics::sums;
 use crate::error::{MetricError, finite, large_enough, same_size};
 use crate::warp::Mask;
 
-/// `x` with the gains per channel that take each half to `y` as fitted on the other half's pixels that count; a half that is black, or of which
-/// nothing counts, tells a gain of 1.
+/// `x` with the gains per channel that take each half to `y` as fitted on the other half's pixels that count;
+/// a half that is black, or of which nothing counts, tells a gain of 1.
 ///
 /// # Errors
-/// Images of different sizes, narrower than two pixels, with values that are not finite, or a mask of another size.
+/// Images of different sizes, narrower than two pixels, with values that are not finite, or a mask of another
+/// size.
 pub fn fitted_on_other_half(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<Image, MetricError> {
     same_size("the second image", x, y)?;
     large_enough("a gain per half", x, 2)?;

@@ -1,8 +1,8 @@
 //! sRGB to CIELAB under D65.
 //!
-//! `Y = M g⁻¹(rgb)`, `f(t) = t^{1/3}` above `(6/29)³` and `t/(3 (6/29)²) + 4/29` below, `L = 116 f(Y/Y_n) - 16`,
-//! `a = 500 (f(X/X_n) - f(Y/Y_n))`, `b = 200 (f(Y/Y_n) - f(Z/Z_n))`; g is sRGB's transfer function (IEC 61966-2-1).
-//! The white point is the matrix's own image of white, so that greys have exactly no chroma.
+//! `Y = M g⁻¹(rgb)`, `f(t) = t^{1/3}` above `(6/29)³` and `t/(3 (6/29)²) + 4/29` below, `L = 116 f(Y/Y_n) -
+//! 16`, `a = 500 (f(X/X_n) - f(Y/Y_n))`, `b = 200 (f(Y/Y_n) - f(Z/Z_n))`; g is sRGB's transfer function (IEC
+//! 61966-2-1). The white point is the matrix's own image of white, so that greys have exactly no chroma.
 
 use use3d_capture::Image8;
 use use3d_numerics::math;
@@ -52,7 +52,8 @@ impl LabTable {
         }
     }
 
-    /// One step of Halley's iteration from the table: above the knee the start is off by at most 0.12 %, the result by 2e-9.
+    /// One step of Halley's iteration from the table: above the knee the start is off by at most 0.12 %, the
+    /// result by 2e-9.
     #[inline]
     fn cube_root(&self, t: f64) -> f64 {
         let index = ((t * Self::INTERVALS as f64) as usize).min(Self::INTERVALS);
@@ -67,7 +68,8 @@ impl LabTable {
     }
 }
 
-/// 8-bit CIELAB as image libraries store it: `L 255/100`, `a + 128`, `b + 128`, rounded (to even) and clamped.
+/// 8-bit CIELAB as image libraries store it: `L 255/100`, `a + 128`, `b + 128`, rounded (to even) and
+/// clamped.
 #[inline]
 pub(crate) fn quantise(lab: [f64; 3]) -> [u8; 3] {
     [lab[0] * 2.55, lab[1] + 128.0, lab[2] + 128.0].map(|v| v.round_ties_even().clamp(0.0, 255.0) as u8)

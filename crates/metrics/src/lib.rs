@@ -7,8 +7,8 @@
 //! | --- | --- | --- |
 //! | [`psnr`], [`psnr_exposure_fitted`], [`affine_fit`], [`fitted_on_other_half`], [`ssim`], [`ms_ssim`], [`ciede2000`] | [`uciqe`], [`uiqm`] | [`warped_distance`] (flow), [`warped_delta_e`], [`warped_ssim`] (depth) |
 //!
-//! Every measure of a photograph heeds a [`Mask`] of the pixels that count; every result becomes a [`Score`], which is finite or says
-//! why it is not there.
+//! Every measure of a photograph heeds a [`Mask`] of the pixels that count; every result becomes a [`Score`],
+//! which is finite or says why it is not there.
 //!
 //! Deterministic: long sums are f64 in a fixed order, the same bits for any number of threads.
 

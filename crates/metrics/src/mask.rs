@@ -1,11 +1,12 @@
 //! Which pixels count.
 //!
-//! One rule for the whole workspace: a pixel counts where its weight (a mask file times an alpha channel) is at least one half. What
-//! does not count enters no score:
+//! One rule for the whole workspace: a pixel counts where its weight (a mask file times an alpha channel) is
+//! at least one half. What does not count enters no score:
 //!
 //! * measures of single pixels (PSNR, UCIQE, CIEDE2000) see the others only: [`only_counted`];
 //! * measures of windows (SSIM) see the windows all of whose pixels count;
-//! * measures of whole pictures (LPIPS and the quality networks) see black there, in every picture alike: [`blacked_out`].
+//! * measures of whole pictures (LPIPS and the quality networks) see black there, in every picture alike:
+//!   [`blacked_out`].
 
 use use3d_capture::{Image, Map};
 

@@ -1,23 +1,27 @@
 //! Multi-scale structural similarity (Wang, Simoncelli & Bovik, 2003) with its exact gradient.
 //!
-//! Windows are 11-tap Gaussians of σ = 1.5, separable, over the *valid* region. Per level and channel the spatial mean of
+//! Windows are 11-tap Gaussians of σ = 1.5, separable, over the *valid* region. Per level and channel the
+//! spatial mean of
 //!
 //! ```text
 //! cs = (2 σ_xy + C₂) / (σ_x² + σ_y² + C₂)        at the last level  ssim = cs (2 μ_x μ_y + C₁) / (μ_x² + μ_y² + C₁)
 //! ```
 //!
-//! with population moments, `C₁ = 0.01²`, `C₂ = 0.03²`. Each mean passes through max(·, 0), is raised to the level's weight, and the
-//! levels are multiplied; the value is the mean over channels. Between levels 2 × 2 means; an odd side is padded with one zero
-//! at both ends and the divisor stays 4. A level whose smaller side is below 11 is dropped with all that follow, and the weights
-//! that remain are scaled to sum 1; an image with no level left has value 1 and no gradient.
+//! with population moments, `C₁ = 0.01²`, `C₂ = 0.03²`. Each mean passes through max(·, 0), is raised to the
+//! level's weight, and the levels are multiplied; the value is the mean over channels. Between levels 2 × 2
+//! means; an odd side is padded with one zero at both ends and the divisor stays 4. A level whose smaller
+//! side is below 11 is dropped with all that follow, and the weights that remain are scaled to sum 1; an
+//! image with no level left has value 1 and no gradient.
 //!
-//! Variances of values far from zero cancel in f32, so images may be given less an offset (`x - offset`): second moments do not
-//! change, and means get the offset back. What is left of the cancellation is bounded by `|σ_xy| ≤ (σ_x² + σ_y²) / 2`.
+//! Variances of values far from zero cancel in f32, so images may be given less an offset (`x - offset`):
+//! second moments do not change, and means get the offset back. What is left of the cancellation is bounded
+//! by `|σ_xy| ≤ (σ_x² + σ_y²) / 2`.
 //!
-//! One pass does everything: a task owns one channel of a strip of rows, blurs rows into a ring of eleven, forms the means and their
-//! derivatives where eleven rows are there, and blurs those back, all within the second-level cache. A level's share of the
-//! gradient needs only one factor per channel that is known when all levels are done. Tasks are cut by rows, never by threads, and
-//! their sums are added in order, so the bits do not depend on the number of threads.
+//! One pass does everything: a task owns one channel of a strip of rows, blurs rows into a ring of eleven,
+//! forms the means and their derivatives where eleven rows are there, and blurs those back, all within the
+//! second-level cache. A level's share of the gradient needs only one factor per channel that is known when
+//! all levels are done. Tasks are cut by rows, never by threads, and their sums are added in order, so the
+//! bits do not depend on the number of threads.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd, dispatch, f32x16};
@@ -47,8 +51,8 @@ pub fn window() -> [f32; WINDOW] {
     raw.map(|v| (v / total) as f32)
 }
 
-/// The weights of the levels that an image of this size has: as given if it has them all, else those that remain, scaled to sum
-/// 1; empty where its smaller side is below 11.
+/// The weights of the levels that an image of this size has: as given if it has them all, else those that
+/// remain, scaled to sum 1; empty where its smaller side is below 11.
 pub fn level_weights(weights: &[f64], width: usize, height: usize) -> Vec<f64> {
     let mut side = width.min(height);
     let mut kept = Vec::new();
@@ -69,7 +73,8 @@ pub fn level_weights(weights: &[f64], width: usize, height: usize) -> Vec<f64> {
 /// The measure with its scratch images: reuse it for images of one size and none is allocated again.
 #[derive(Clone, Debug, Default)]
 pub struct MsSsim {
-    /// Levels 1 and on of both images, and every level's gradient before scaling (level 0 lies in the caller's image).
+    /// Levels 1 and on of both images, and every level's gradient before scaling (level 0 lies in the
+    /// caller's image).
     x: Vec<Image>,
     y: Vec<Image>,
     gradients: Vec<Image>,
@@ -88,8 +93,8 @@ impl MsSsim {
         self.evaluate(&centred(x), &centred(y), 0.5, weights, None)
     }
 
-    /// MS-SSIM and its gradient with respect to `x`. Both images are given less `offset`: the measure is that of `x + offset` and
-    /// `y + offset`. `gradient` is resized and overwritten.
+    /// MS-SSIM and its gradient with respect to `x`. Both images are given less `offset`: the measure is that
+    /// of `x + offset` and `y + offset`. `gradient` is resized and overwritten.
     pub fn value_and_gradient(
         &mut self,
         x: &Image,

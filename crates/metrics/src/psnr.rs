@@ -1,11 +1,12 @@
 //! Peak signal-to-noise ratio, plain and after fitting the exposure.
 //!
-//! `PSNR = -10 log₁₀ mean (x - y)²` over the pixels that count and all channels, values clipped to `[0, 1]`, range 1. Equal images have no
-//! finite PSNR: that is an error ([`MetricError::Equal`]), never a large number. [`decibels`] is the only place where an error
-//! becomes a PSNR, in training too.
+//! `PSNR = -10 log₁₀ mean (x - y)²` over the pixels that count and all channels, values clipped to `[0, 1]`,
+//! range 1. Equal images have no finite PSNR: that is an error ([`MetricError::Equal`]), never a large
+//! number. [`decibels`] is the only place where an error becomes a PSNR, in training too.
 //!
-//! Scenes whose absolute brightness is not determined (a clear image seen through unknown water) are compared after the gain
-//! that fits best in the least-squares sense: `g = Σ x y / Σ x²`, one for all channels or one per channel.
+//! Scenes whose absolute brightness is not determined (a clear image seen through unknown water) are compared
+//! after the gain that fits best in the least-squares sense: `g = Σ x y / Σ x²`, one for all channels or one
+//! per channel.
 
 use use3d_capture::Image;
 use use3d_numerics::math;
@@ -34,7 +35,8 @@ fn check(x: &Image, y: &Image) -> Result<(), MetricError> {
 /// Mean square error of values clipped to `[0, 1]`, over the pixels of the mask (all without one).
 ///
 /// # Errors
-/// Images of different sizes, without pixels, with values that are not finite, or a mask of another size or without a pixel.
+/// Images of different sizes, without pixels, with values that are not finite, or a mask of another size or
+/// without a pixel.
 pub fn mean_square_error(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<f64, MetricError> {
     check(x, y)?;
     let count = match mask {

@@ -1,7 +1,7 @@
 //! A score: a finite number, or the reason why there is none.
 //!
-//! No score can be built that is infinite or not a number: [`Finite`] has no other way in, not from a file either. So nothing that is
-//! written as JSON comes out as `null`, and no mean is poisoned by one image.
+//! No score can be built that is infinite or not a number: [`Finite`] has no other way in, not from a file
+//! either. So nothing that is written as JSON comes out as `null`, and no mean is poisoned by one image.
 
 use serde::{Deserialize, Serialize};
 
@@ -44,11 +44,11 @@ impl TryFrom<f64> for Finite {
 pub enum Score {
     /// Measured.
     Value(Finite),
-    /// It could be measured, but not here; what to do to get it, e.g. `put lpips_alex.pth into models/`. A mean over such a score is
-    /// not available either.
+    /// It could be measured, but not here; what to do to get it, e.g. `put lpips_alex.pth into models/`. A
+    /// mean over such a score is not available either.
     NotAvailable(String),
-    /// There is no such number of this image or pair (equal images have no finite PSNR, two views may see nothing in common), and
-    /// why. A mean leaves it out and counts it.
+    /// There is no such number of this image or pair (equal images have no finite PSNR, two views may see
+    /// nothing in common), and why. A mean leaves it out and counts it.
     Undefined(String),
 }
 
@@ -101,7 +101,8 @@ impl Score {
         }
     }
 
-    /// The mean of scores, without those that are undefined: the first reason where one is not available, or where none is left.
+    /// The mean of scores, without those that are undefined: the first reason where one is not available, or
+    /// where none is left.
     pub fn mean<'a>(scores: impl IntoIterator<Item = &'a Score>) -> Self {
         let (mut sum, mut count) = (0.0, 0usize);
         let mut undefined = None;

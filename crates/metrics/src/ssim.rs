@@ -4,14 +4,16 @@
 //! SSIM = (2 μ_x μ_y + C₁)(2 σ_xy + C₂) / ((μ_x² + μ_y² + C₁)(σ_x² + σ_y² + C₂))
 //! ```
 //!
-//! per pixel and channel, moments under a Gaussian window of 11 taps, σ 1.5, population variances, *valid* windows only (the map is
-//! smaller than the image by 10 per side pair), `C₁ = 0.01²`, `C₂ = 0.03²`; the measure is the mean over map and channels.
+//! per pixel and channel, moments under a Gaussian window of 11 taps, σ 1.5, population variances, *valid*
+//! windows only (the map is smaller than the image by 10 per side pair), `C₁ = 0.01²`, `C₂ = 0.03²`; the
+//! measure is the mean over map and channels.
 //!
-//! Both factors are computed as one less what is missing, `1 - (μ_x - μ_y)²/…` and `1 - (σ_x² + σ_y² - 2 σ_xy)/…`, so that no rounding takes
-//! a value above 1.
+//! Both factors are computed as one less what is missing, `1 - (μ_x - μ_y)²/…` and `1 - (σ_x² + σ_y² - 2
+//! σ_xy)/…`, so that no rounding takes a value above 1.
 //!
-//! The window is separable: four products (x, y, x² + y², x y) are blurred along rows into a ring of eleven rows and then down
-//! columns. Values are centred on zero first, which leaves second moments and removes most of their cancellation in f32.
+//! The window is separable: four products (x, y, x² + y², x y) are blurred along rows into a ring of eleven
+//! rows and then down columns. Values are centred on zero first, which leaves second moments and removes most
+//! of their cancellation in f32.
 
 use rayon::prelude::*;
 use use3d_capture::{Image, Map};
@@ -32,8 +34,8 @@ const STRIP: usize = 64;
 /// SSIM in `[-1, 1]`, over the windows all of whose pixels are in the mask (over all windows without one).
 ///
 /// # Errors
-/// Images of different sizes, with a side below 11 pixels, with values that are not finite, or a mask of another size or without a
-/// whole window.
+/// Images of different sizes, with a side below 11 pixels, with values that are not finite, or a mask of
+/// another size or without a whole window.
 pub fn ssim(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<f64, MetricError> {
     check(x, y)?;
     if let Some(mask) = mask {
@@ -61,7 +63,8 @@ pub fn ssim(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<f64, MetricErro
     Ok((sums.iter().sum::<f64>() / (3 * columns * rows) as f64).clamp(-1.0, 1.0))
 }
 
-/// SSIM per window, averaged over channels: element (x, y) belongs to the window centred at image pixel (x + 5, y + 5).
+/// SSIM per window, averaged over channels: element (x, y) belongs to the window centred at image pixel (x +
+/// 5, y + 5).
 ///
 /// # Errors
 /// As [`ssim`].

@@ -1,7 +1,9 @@
-//! UCIQE, underwater colour image quality (Yang & Sowmya, IEEE TIP 2015), in the variants that are in public use.
+//! UCIQE, underwater colour image quality (Yang & Sowmya, IEEE TIP 2015), in the variants that are in public
+//! use.
 //!
-//! `UCIQE = 0.4680 σ_c + 0.2745 con_l + 0.2576 μ_s`: spread of chroma, contrast of lightness, mean saturation. The article leaves
-//! the scales open and implementations differ by two orders of magnitude, so a value means nothing without its variant's name:
+//! `UCIQE = 0.4680 σ_c + 0.2745 con_l + 0.2576 μ_s`: spread of chroma, contrast of lightness, mean
+//! saturation. The article leaves the scales open and implementations differ by two orders of magnitude, so a
+//! value means nothing without its variant's name:
 //!
 //! | variant | CIELAB | σ_c | con_l | μ_s |
 //! | --- | --- | --- | --- | --- |
@@ -13,8 +15,9 @@
 //! | `cielab_255` | / 255 | standard deviation | percentiles | C/L |
 //! | `cielab_raw` | as is | standard deviation | percentiles | C/L |
 //!
-//! "8 bit" stores `L 255/100`, `a + 128`, `b + 128`; the offset of 128 stays in C = √(a² + b²), as in the first author's public code,
-//! which the default follows. "Relative" is `√ mean |1 - (mean C / C)²|`. Images are quantised to 8 bits first.
+//! "8 bit" stores `L 255/100`, `a + 128`, `b + 128`; the offset of 128 stays in C = √(a² + b²), as in the
+//! first author's public code, which the default follows. "Relative" is `√ mean |1 - (mean C / C)²|`. Images
+//! are quantised to 8 bits first.
 
 use std::str::FromStr;
 
@@ -191,8 +194,8 @@ fn extremes(values: impl Iterator<Item = f64>) -> (f64, f64) {
     values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
 }
 
-/// The distance between the 1 % and 99 % levels of a histogram of 65536 bins over `[low, high]`, as a share of that range; 1
-/// where the levels coincide.
+/// The distance between the 1 % and 99 % levels of a histogram of 65536 bins over `[low, high]`, as a share
+/// of that range; 1 where the levels coincide.
 fn histogram_contrast(values: impl Iterator<Item = f64>, low: f64, high: f64) -> f64 {
     const TOP: usize = 65535;
     if high <= low {

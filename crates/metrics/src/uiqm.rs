@@ -1,14 +1,16 @@
-//! UIQM, underwater image quality without a reference (Panetta, Gao & Agaian, IEEE JOE 2016), as its widely copied Python port
-//! computes it.
+//! UIQM, underwater image quality without a reference (Panetta, Gao & Agaian, IEEE JOE 2016), as its widely
+//! copied Python port computes it.
 //!
-//! `UIQM = 0.0282 UICM + 0.2953 UISM + 3.5753 UIConM`: colourfulness, sharpness, contrast. On values 0 to 255. Published tables use
-//! the port, so its quirks are kept, on purpose:
+//! `UIQM = 0.0282 UICM + 0.2953 UISM + 3.5753 UIConM`: colourfulness, sharpness, contrast. On values 0 to
+//! 255. Published tables use the port, so its quirks are kept, on purpose:
 //!
-//! * UICM: the trimmed means of R-G and (R+G)/2-B leave out `⌈0.1 n⌉ + 1` smallest and `⌊0.1 n⌋` largest values but divide by
-//!   `n - ⌈0.1 n⌉ - ⌊0.1 n⌋`; the variances are about these means over *all* values;
-//! * UISM: per channel, Sobel magnitude rescaled to a maximum of 255, times the channel; EME of its 10 × 10 blocks (blocks whose
-//!   minimum or maximum is 0 count 0), weights .299, .587, .144 (the last a misprint of .114);
-//! * UIConM: `-mean r ln r` over 10 × 10 blocks, r = (max - min)/(max + min) over all channels, 0 where r is 0 or undefined.
+//! * UICM: the trimmed means of R-G and (R+G)/2-B leave out `⌈0.1 n⌉ + 1` smallest and `⌊0.1 n⌋` largest
+//!   values but divide by `n - ⌈0.1 n⌉ - ⌊0.1 n⌋`; the variances are about these means over *all* values;
+//! * UISM: per channel, Sobel magnitude rescaled to a maximum of 255, times the channel; EME of its 10 × 10
+//!   blocks (blocks whose minimum or maximum is 0 count 0), weights .299, .587, .144 (the last a misprint of
+//!   .114);
+//! * UIConM: `-mean r ln r` over 10 × 10 blocks, r = (max - min)/(max + min) over all channels, 0 where r is
+//!   0 or undefined.
 
 use rayon::prelude::*;
 use use3d_capture::{Image, Image8};
@@ -83,7 +85,8 @@ fn colorfulness(image: &Image8) -> f64 {
     -0.0268 * math::hypot(mean_rg, mean_yb) + 0.1586 * (var_rg + var_yb).sqrt()
 }
 
-/// Squared Sobel magnitude of some rows of a plane, half-sample symmetric at the plane's borders. Whole numbers, at most 2 · 1020².
+/// Squared Sobel magnitude of some rows of a plane, half-sample symmetric at the plane's borders. Whole
+/// numbers, at most 2 · 1020².
 fn sobel_squared(plane: &[u8], width: usize, height: usize, rows: std::ops::Range<usize>) -> Vec<i32> {
     let mut out = vec![0i32; rows.len() * width];
     for (line, y) in out.chunks_mut(width).zip(rows) {
@@ -106,7 +109,8 @@ fn sobel_squared(plane: &[u8], width: usize, height: usize, rows: std::ops::Rang
     out
 }
 
-/// The mean over whole blocks of `f(what its row of blocks shares, block's columns, block's rows)`, in a fixed order.
+/// The mean over whole blocks of `f(what its row of blocks shares, block's columns, block's rows)`, in a
+/// fixed order.
 fn mean_over_blocks<R>(
     width: usize,
     height: usize,
@@ -131,7 +135,8 @@ fn sharpness(image: &Image8) -> f64 {
         let plane = image.plane(c);
         // Edges are kept for one row of blocks: a whole plane of them would be four times the picture's own.
         let edges = |ys| sobel_squared(plane, width, height, ys);
-        // (max/min) of 255 √e/√e_max · v needs neither the common factor nor the roots: compare e v², halve the logarithm.
+        // (max/min) of 255 √e/√e_max · v needs neither the common factor nor the roots: compare e v², halve
+        // the logarithm.
         2.0 * mean_over_blocks(width, height, edges, |edges, xs, ys| {
             let (mut low, mut high) = (u64::MAX, 0u64);
             for (line, y) in ys.enumerate() {

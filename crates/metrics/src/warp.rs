@@ -1,10 +1,11 @@
 //! Backward warping along a flow, and where a flow can be trusted.
 //!
-//! A flow f12 says for every pixel p of view 1 where it lies in view 2: at `p + f12(p)`, in pixel *indices* (the centre of the
-//! first pixel is (0, 0)). Backward warping samples view 2 there, bilinearly; it is valid where the target lies in
-//! `[0, W-1] × [0, H-1]`, and 0 elsewhere.
+//! A flow f12 says for every pixel p of view 1 where it lies in view 2: at `p + f12(p)`, in pixel *indices*
+//! (the centre of the first pixel is (0, 0)). Backward warping samples view 2 there, bilinearly; it is valid
+//! where the target lies in `[0, W-1] × [0, H-1]`, and 0 elsewhere.
 //!
-//! Occlusions are found by going forward and back: `e = f12(p) + f21(p + f12(p))` should vanish. Two thresholds are in public use:
+//! Occlusions are found by going forward and back: `e = f12(p) + f21(p + f12(p))` should vanish. Two
+//! thresholds are in public use:
 //!
 //! * Sundaram, Brox & Keutzer (ECCV 2010): `|e|² ≤ 0.01 (|f12|² + |f21(p + f12)|²) + 0.5`, the default;
 //! * one pixel: `|e| ≤ 1`.
@@ -29,7 +30,8 @@ pub struct Warped {
     pub inside: Mask,
 }
 
-/// Where a pixel's target lies between four samples: the upper left one, and the shares of the right and lower ones.
+/// Where a pixel's target lies between four samples: the upper left one, and the shares of the right and
+/// lower ones.
 struct Target {
     index: usize,
     right: usize,

@@ -1,7 +1,8 @@
-//! Seconds, processor seconds and peak memory of every network on one picture size, with stand-in weights (same shapes, same work).
+//! Seconds, processor seconds and peak memory of every network on one picture size, with stand-in weights
+//! (same shapes, same work).
 //!
-//! `cargo run --release -p use3d-nets --example timing [-- WIDTHxHEIGHT [NETWORK]]`; without a network each runs in a process of its own, so that
-//! the peaks do not mix.
+//! `cargo run --release -p use3d-nets --example timing [-- WIDTHxHEIGHT [NETWORK]]`; without a network each
+//! runs in a process of its own, so that the peaks do not mix.
 
 use std::time::Instant;
 

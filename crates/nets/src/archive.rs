@@ -1,4 +1,5 @@
-//! A checkpoint that is no network of this crate: all its tensors by name, and the words and whole numbers beside them.
+//! A checkpoint that is no network of this crate: all its tensors by name, and the words and whole numbers
+//! beside them.
 //!
 //! The calibrator that the paper's authors released is such a file. What its tensors mean is told elsewhere.
 
@@ -19,8 +20,9 @@ pub struct Archive {
 }
 
 impl Archive {
-    /// Reads the tensors that lie beside `marker`, wherever the state dict is nested; those that are `unneeded` and what lies
-    /// elsewhere are left alone. A file with more than `most` values is refused before they are read.
+    /// Reads the tensors that lie beside `marker`, wherever the state dict is nested; those that are
+    /// `unneeded` and what lies elsewhere are left alone. A file with more than `most` values is refused
+    /// before they are read.
     pub fn read(
         path: &Path,
         marker: &str,

@@ -1,10 +1,11 @@
 //! Checkpoint files: PyTorch's `.pth` (zip archives and the older pickle streams) and `.safetensors`.
 //!
-//! Nothing in a file is executed: `pytorch-reader` interprets the pickle's opcodes as data. Opening reads names and shapes only; a tensor's values are
-//! read when a network asks for it, after its shape was found to be the expected one, so a file cannot make us allocate more
-//! than the network it claims to be. A state dict may lie at the root or under `net`, `state_dict`, `model`, `params` or
-//! `model_state_dict`; anything beside it (optimiser state) is left alone. `module.` in front of all names, as data-parallel
-//! training leaves it, is dropped.
+//! Nothing in a file is executed: `pytorch-reader` interprets the pickle's opcodes as data. Opening reads
+//! names and shapes only; a tensor's values are read when a network asks for it, after its shape was found to
+//! be the expected one, so a file cannot make us allocate more than the network it claims to be. A state dict
+//! may lie at the root or under `net`, `state_dict`, `model`, `params` or `model_state_dict`; anything beside
+//! it (optimiser state) is left alone. `module.` in front of all names, as data-parallel training leaves it,
+//! is dropped.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -117,7 +118,8 @@ impl Checkpoint {
         &self.path
     }
 
-    /// Texts and whole numbers at the top of the archive, as text; of a safetensors file, what its header says beside the tensors.
+    /// Texts and whole numbers at the top of the archive, as text; of a safetensors file, what its header
+    /// says beside the tensors.
     pub(crate) fn labels(&self) -> Result<BTreeMap<String, String>, NetError> {
         let damaged = |message: String| NetError::Damaged { path: self.path.clone(), message };
         if !self.bytes.is_empty() {

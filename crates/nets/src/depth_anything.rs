@@ -1,10 +1,11 @@
 //! Depth Anything V2: disparity from one picture, a DINOv2 vision transformer with the DPT head.
 //!
-//! The picture is brought to at least 518 pixels a side in multiples of 14 (cubic, without antialiasing), cut into patches of 14 × 14,
-//! and every patch becomes a token. A class token is put in front and a learned position added, resized bicubically from its 37 × 37
-//! grid. Each block is `x += s₁·attention(LN(x)); x += s₂·MLP(LN(x))` (LN ε 1e-6, erf GELU). Four blocks' tokens, each through the final norm,
-//! feed the head. The result is disparity-like: larger is nearer, never negative, known up to a scale and a shift.
-//! Yang et al., "Depth Anything V2", NeurIPS 2024; files `depth_anything_v2_vit{s,b,l}.pth`.
+//! The picture is brought to at least 518 pixels a side in multiples of 14 (cubic, without antialiasing), cut
+//! into patches of 14 × 14, and every patch becomes a token. A class token is put in front and a learned
+//! position added, resized bicubically from its 37 × 37 grid. Each block is `x += s₁·attention(LN(x)); x +=
+//! s₂·MLP(LN(x))` (LN ε 1e-6, erf GELU). Four blocks' tokens, each through the final norm, feed the head. The
+//! result is disparity-like: larger is nearer, never negative, known up to a scale and a shift. Yang et al.,
+//! "Depth Anything V2", NeurIPS 2024; files `depth_anything_v2_vit{s,b,l}.pth`.
 
 use use3d_capture::{Image, Map};
 
@@ -175,8 +176,8 @@ impl DepthAnythingV2 {
         self.head.forward(taken, (PATCH * rows, PATCH * columns), probe)
     }
 
-    /// The learned positions for another grid. The step between source coordinates is 37/(n + 0.1): the original passes a scale factor with
-    /// that offset to its resampler, which uses it as given.
+    /// The learned positions for another grid. The step between source coordinates is 37/(n + 0.1): the
+    /// original passes a scale factor with that offset to its resampler, which uses it as given.
     fn positions_for(&self, rows: usize, columns: usize) -> Planes {
         if (rows, columns) == (GRID, GRID) {
             return self.positions.clone();
@@ -230,7 +231,8 @@ fn without_class(tokens: &Planes, rows: usize, columns: usize) -> Planes {
     out
 }
 
-/// The size fed to the network: the scale that brings both sides to `input_size` at least, sides to multiples of 14.
+/// The size fed to the network: the scale that brings both sides to `input_size` at least, sides to multiples
+/// of 14.
 fn fed_size(height: usize, width: usize, input_size: usize) -> (usize, usize) {
     let bound = input_size as f64;
     let scale = (bound / height as f64).max(bound / width as f64);

@@ -1,8 +1,9 @@
 //! The DPT head of Depth Anything V2: four levels of tokens become one map.
 //!
-//! Each level is projected and brought to 4, 2, 1 and ½ times the token grid, then to the same number of features. From coarse to
-//! fine: `x ← out_conv(resize(RCU₂(x + RCU₁(level))))`, with RCU(x) = conv(ReLU(conv(ReLU(x)))) + x; every resize is bilinear with
-//! the corners aligned. Ranftl, Bochkovskiy, Koltun, "Vision transformers for dense prediction", ICCV 2021.
+//! Each level is projected and brought to 4, 2, 1 and ½ times the token grid, then to the same number of
+//! features. From coarse to fine: `x ← out_conv(resize(RCU₂(x + RCU₁(level))))`, with RCU(x) =
+//! conv(ReLU(conv(ReLU(x)))) + x; every resize is bilinear with the corners aligned. Ranftl, Bochkovskiy,
+//! Koltun, "Vision transformers for dense prediction", ICCV 2021.
 
 use crate::engine::convolution::{BlockUpsampling, Convolution, Padding};
 use crate::engine::lanes::{self, Activation};

@@ -6,8 +6,8 @@ use crate::engine::planes::Planes;
 use crate::engine::resample::{Rule, resize};
 use crate::error::NetError;
 
-/// A picture whose long side is at most `side` pixels: larger ones are shrunk with an antialiasing bilinear filter, both sides
-/// rounded down. Scores without reference are usually taken at 1024.
+/// A picture whose long side is at most `side` pixels: larger ones are shrunk with an antialiasing bilinear
+/// filter, both sides rounded down. Scores without reference are usually taken at 1024.
 pub fn limit_long_side(image: &Image, side: usize) -> Image {
     let (width, height) = (image.width(), image.height());
     let long = width.max(height);

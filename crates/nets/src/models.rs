@@ -1,6 +1,8 @@
-//! The models folder: which files the networks need, whether they are there and whether they are the official ones.
+//! The models folder: which files the networks need, whether they are there and whether they are the official
+//! ones.
 //!
-//! Nothing is ever downloaded; a missing file is a [`NetError::NotAvailable`] that names the file and where it is published.
+//! Nothing is ever downloaded; a missing file is a [`NetError::NotAvailable`] that names the file and where
+//! it is published.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -207,7 +209,8 @@ const LPIPS_HEADS_SHA256: &str = "df73285e35b22355a2df87cdb6b70b343713b667eddbda
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case", tag = "verdict")]
 pub enum Verdict {
-    /// The digest is the official one, as far as it is published (whole, or its first digits in the file's name).
+    /// The digest is the official one, as far as it is published (whole, or its first digits in the file's
+    /// name).
     Official,
     /// No digest of this file is known.
     Unknown,
@@ -388,7 +391,8 @@ impl Models {
     }
 }
 
-/// The published digest of a file, or as much of it as is published: names like `…-7be5be79.pth` end in its first eight digits.
+/// The published digest of a file, or as much of it as is published: names like `…-7be5be79.pth` end in its
+/// first eight digits.
 fn expected_digest(known: &Known, path: &Path) -> Option<String> {
     let name = path.file_name()?.to_str()?;
     if let Some((_, digest)) =
@@ -431,7 +435,8 @@ fn inspect(known: &Known, path: PathBuf, go_on: &dyn Fn() -> bool) -> Result<Opt
     Ok(Some(Found { path, bytes, sha256, verdict }))
 }
 
-/// Princeton's name of a RAFT tensor to torchvision's; `None` for aliases of tensors that exist under another name.
+/// Princeton's name of a RAFT tensor to torchvision's; `None` for aliases of tensors that exist under another
+/// name.
 fn torchvision_name(name: &str) -> Option<String> {
     let parts: Vec<&str> = name.split('.').collect();
     let renamed = match parts[..] {

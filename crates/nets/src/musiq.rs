@@ -1,9 +1,10 @@
 //! MUSIQ: image quality without reference, a transformer on patches of several sizes of the picture.
 //!
-//! Tokens are the 32 × 32 patches of the picture scaled to long sides of 224 and 384 (bicubic, both ways) and as it is, with an embedding for the
-//! place on a 10 × 10 grid and one for the scale. A small residual network turns each patch into 384 numbers; 14 blocks of a
-//! transformer follow; the score is a linear map of the class token, about 0 to 100 for the KonIQ weights. Ke et al., "MUSIQ: multi-scale
-//! image quality transformer", ICCV 2021, in the form of the torch port of pyiqa: file `musiq_koniq_ckpt-e95806b9.pth`.
+//! Tokens are the 32 × 32 patches of the picture scaled to long sides of 224 and 384 (bicubic, both ways) and
+//! as it is, with an embedding for the place on a 10 × 10 grid and one for the scale. A small residual
+//! network turns each patch into 384 numbers; 14 blocks of a transformer follow; the score is a linear map of
+//! the class token, about 0 to 100 for the KonIQ weights. Ke et al., "MUSIQ: multi-scale image quality
+//! transformer", ICCV 2021, in the form of the torch port of pyiqa: file `musiq_koniq_ckpt-e95806b9.pth`.
 //!
 //! The two scaled pictures always give 49 and 144 tokens, filled up with masked ones.
 

@@ -1,4 +1,5 @@
-//! Where a network gets its tensors from: a checkpoint file, or the reproducible stand-in rule that tests and timings use.
+//! Where a network gets its tensors from: a checkpoint file, or the reproducible stand-in rule that tests and
+//! timings use.
 //!
 //! A network asks for every tensor by the name it has in the official checkpoint, with the exact shape.
 
@@ -72,9 +73,9 @@ impl<W: Weights + ?Sized> Layers for W {}
 
 /// Reproducible stand-in weights: a function of the tensor's name and shape only.
 ///
-/// Uniform numbers in `[−1, 1)` from FNV-1a of the name and SplitMix64's finaliser, scaled so that activations stay of
-/// order one. The golden cases of the networks are made with the same rule. The results mean nothing; time and memory are those of
-/// the real weights.
+/// Uniform numbers in `[−1, 1)` from FNV-1a of the name and SplitMix64's finaliser, scaled so that
+/// activations stay of order one. The golden cases of the networks are made with the same rule. The results
+/// mean nothing; time and memory are those of the real weights.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StandIn;
 

@@ -1,4 +1,5 @@
-//! Checkpoint files: every container of every network gives the same tensors; wrong ones end in an error that names the tensor.
+//! Checkpoint files: every container of every network gives the same tensors; wrong ones end in an error that
+//! names the tensor.
 
 use use3d_nets::models::Verdict;
 use use3d_nets::weights::{StandIn, Weights};
@@ -39,7 +40,8 @@ fn every_container_of_nu2net_raft_and_lpips_gives_the_same_tensors() {
 
 #[test]
 fn every_container_of_the_larger_networks_gives_the_same_tensors() {
-    // `norm1` of URanker exists in the file and is not used; neither are DA2's mask token and the first residual unit of the coarsest level.
+    // `norm1` of URanker exists in the file and is not used; neither are DA2's mask token and the first
+    // residual unit of the coarsest level.
     check_containers(&recorded(|r| URanker::from_weights(r).map(drop)), 21_588_823 - 2 * 152);
     check_containers(&recorded(|r| Musiq::from_weights(r).map(drop)), 27_125_825);
     let small = recorded(|r| DepthAnythingV2::from_weights(DepthAnythingSize::Small, r).map(drop));

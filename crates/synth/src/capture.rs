@@ -87,7 +87,7 @@ pub struct CaptureParams {
 }
 
 /// Whether a value is its type's default: such fields are left out, so that files keep their bytes when a field is added.
-fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+pub(crate) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }
 

@@ -77,8 +77,8 @@ impl Answer for ControlFlow<()> {
     }
 }
 
-/// Locks a folder for as long as the answer lives: whoever finds it unlocked knows that its writer is gone. None where folders
-/// cannot be locked.
+/// Locks a folder for as long as the answer lives: whoever finds it unlocked knows that its writer is gone.
+/// None where folders cannot be locked.
 fn hold(folder: &Path) -> Option<std::fs::File> {
     let handle = std::fs::File::open(folder).ok()?;
     handle.try_lock().is_ok().then_some(handle)
@@ -96,8 +96,8 @@ fn sweep_partials(out: &Path) {
     }
 }
 
-/// Runs `fill` on a new folder beside `out` and renames it to `out` when it is complete: the output is there whole or not at
-/// all. An existing empty folder is replaced; anything else in the way is an error.
+/// Runs `fill` on a new folder beside `out` and renames it to `out` when it is complete: the output is there
+/// whole or not at all. An existing empty folder is replaced; anything else in the way is an error.
 pub(crate) fn whole_folder<T>(
     out: &Path,
     fill: impl FnOnce(&Path) -> Result<T, SynthError>,

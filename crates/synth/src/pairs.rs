@@ -40,13 +40,8 @@ pub struct PairsParams {
     /// Triangle density of the scenes, 0.1 to 1.
     pub detail: f32,
     /// The image formation of the inputs; `spectral` has a camera that exposes and balances every picture on its own.
-    #[serde(skip_serializing_if = "is_display")]
+    #[serde(skip_serializing_if = "crate::capture::is_default")]
     pub physics: Physics,
-}
-
-/// Whether nothing else was asked for: such fields are left out, so that recipes keep their bytes when a field is added.
-fn is_display(physics: &Physics) -> bool {
-    *physics == Physics::Display
 }
 
 impl Default for PairsParams {

@@ -1,8 +1,9 @@
 //! Renders a camera's view: anti-aliased colours under several conditions at once, and depth.
 //!
-//! One ray through every pixel's centre; pixels at the edge of a surface (a neighbour shows another one, or another depth) get
-//! further rays spread over their area, and the colours are averaged; textures are limited to what a pixel resolves
-//! and need no more. The lens then blurs by about a pixel. Depth is that of the centre ray, never an average.
+//! One ray through every pixel's centre; pixels at the edge of a surface (a neighbour shows another one, or
+//! another depth) get further rays spread over their area, and the colours are averaged; textures are limited
+//! to what a pixel resolves and need no more. The lens then blurs by about a pixel. Depth is that of the
+//! centre ray, never an average.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -24,7 +25,8 @@ pub(crate) struct Condition {
 
 /// What a ray's end looks like in a picture.
 pub(crate) trait Look: Sync {
-    /// The colour of what `ray` sees (`None` is open water), in display values or linear light as the implementer says.
+    /// The colour of what `ray` sees (`None` is open water), in display values or linear light as the
+    /// implementer says.
     fn color(&self, seen: Option<Seen>, ray: &Ray) -> Vec3;
 }
 
@@ -165,7 +167,8 @@ pub(crate) fn render(scene: &Scene, camera: &Camera, conditions: &[&dyn Look], c
     Shot { images, depth }
 }
 
-/// The lens: it spreads every point over its neighbours, 1:2:1 along both axes, as real ones do to what is finer than a pixel.
+/// The lens: it spreads every point over its neighbours, 1:2:1 along both axes, as real ones do to what is
+/// finer than a pixel.
 fn blur(image: &mut Image) {
     let (width, height) = (image.width(), image.height());
     for channel in 0..3 {
@@ -192,7 +195,8 @@ pub(crate) fn coarse_rays(camera: &Camera) -> Vec<Ray> {
         .collect()
 }
 
-/// The exposure at which the cameras' views have this mean luminance on display (bisection on a coarse grid of rays).
+/// The exposure at which the cameras' views have this mean luminance on display (bisection on a coarse grid
+/// of rays).
 pub(crate) fn expose(scene: &Scene, cameras: &[Camera], condition: &Condition, luminance: f32) -> f32 {
     let samples: Vec<(Option<Seen>, f32, Vec3)> = cameras
         .iter()
@@ -221,8 +225,8 @@ pub(crate) fn expose(scene: &Scene, cameras: &[Camera], condition: &Condition, l
     0.5 * (low + high)
 }
 
-/// Adds sensor noise to an image in place: standard deviation `sigma sqrt(0.25 + 1.5 I)` of display range, so `sigma` is that of a
-/// middle tone. Keyed by (seed, view, pixel).
+/// Adds sensor noise to an image in place: standard deviation `sigma sqrt(0.25 + 1.5 I)` of display range, so
+/// `sigma` is that of a middle tone. Keyed by (seed, view, pixel).
 pub(crate) fn add_noise(image: &mut Image, sigma: f32, seed: u64, view: u64) {
     if sigma <= 0.0 {
         return;
@@ -237,7 +241,8 @@ pub(crate) fn add_noise(image: &mut Image, sigma: f32, seed: u64, view: u64) {
     });
 }
 
-/// The distance to the nearest surface along the ray through pixel coordinates `(u, v)`, as z-depth in metres.
+/// The distance to the nearest surface along the ray through pixel coordinates `(u, v)`, as z-depth in
+/// metres.
 pub(crate) fn depth_at(scene: &Scene, camera: &Camera, u: f64, v: f64) -> Option<f32> {
     scene.distance(&Rays::new(camera).through(u as f32, v as f32))
 }

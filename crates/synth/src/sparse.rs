@@ -1,9 +1,11 @@
-//! Sparse points as structure from motion would find them: corners seen in several views, with noise, tracks and outliers.
+//! Sparse points as structure from motion would find them: corners seen in several views, with noise, tracks
+//! and outliers.
 //!
-//! Candidates are pixels of strong local contrast. Each is followed through the other views: it is detected where it lies
-//! inside the picture, is not hidden, is near enough to stand out from the water, and a draw says so; a detection is off by
-//! a fraction of a pixel. The triangulated position is off along the ray by about `σ_px z² / (f b)`, b the baseline of the track,
-//! and sideways by `σ_px z / f`. A small share of points are mismatches: two detections that agree on a wrong place.
+//! Candidates are pixels of strong local contrast. Each is followed through the other views: it is detected
+//! where it lies inside the picture, is not hidden, is near enough to stand out from the water, and a draw
+//! says so; a detection is off by a fraction of a pixel. The triangulated position is off along the ray by
+//! about `σ_px z² / (f b)`, b the baseline of the track, and sideways by `σ_px z / f`. A small share of
+//! points are mismatches: two detections that agree on a wrong place.
 
 use glam::DVec3;
 use use3d_capture::{Camera, FileName, Frame, Image8, Map};
@@ -66,7 +68,8 @@ pub(crate) fn corners(image: &Image8, depth: &Map, seed: u64, view: usize, wante
     found
 }
 
-/// The COLMAP model of the capture. `cameras` are in metres; `frame` brings them and the points into COLMAP's frame.
+/// The COLMAP model of the capture. `cameras` are in metres; `frame` brings them and the points into COLMAP's
+/// frame.
 pub(crate) fn model(
     scene: &Scene,
     cameras: &[Camera],

@@ -38,8 +38,9 @@ const LONGEST: f32 = 6.0;
 /// How much higher the way back is, metres.
 const RISE: f32 = 1.2;
 
-/// `views` cameras along the swim, in metres: out along the channel, then back again higher up, still looking ahead, so that the
-/// reef is seen through different amounts of water. As far as the stride allows, at most six metres.
+/// `views` cameras along the swim, in metres: out along the channel, then back again higher up, still looking
+/// ahead, so that the reef is seen through different amounts of water. As far as the stride allows, at most
+/// six metres.
 pub(crate) fn path(terrain: &Terrain, seed: u64, views: usize, intrinsics: &Intrinsics) -> Vec<Camera> {
     let mut draws = Draws::new(seed, "swim", 0);
     let tau = std::f32::consts::TAU;

@@ -1,17 +1,19 @@
 //! Water: measured attenuation by Jerlov's types, veiling light, and what both do to an image.
 //!
-//! `I = J e^{-β_attn s} + c_m(d) (1 - e^{-β_bs s})` per channel, with s the distance along the pixel's ray in metres, d its
-//! direction, J the image without water in display range. The equation acts on display values, as the method does.
+//! `I = J e^{-β_attn s} + c_m(d) (1 - e^{-β_bs s})` per channel, with s the distance along the pixel's ray in
+//! metres, d its direction, J the image without water in display range. The equation acts on display values,
+//! as the method does.
 //!
-//! Coefficients. Jerlov's diffuse attenuation of daylight, K_d (1/m), for five oceanic and five coastal types (N. G. Jerlov,
-//! *Marine Optics*, 2nd edition, 1976, table XXVII), averaged over 600-625 nm (red), 525-550 nm (green), 450-475 nm (blue).
-//! A beam is attenuated two to three times faster than daylight, and in display values (a power of about 1/2.2 of light) an
-//! exponential is slower by the same factor, so `β_attn = K_d`. Scattering by particles hardly depends on the wavelength, so
-//! the backscatter coefficient is drawn towards the mean of green and blue: `β_bs = 0.55 K_d + 0.35 mean + 0.015`.
+//! Coefficients. Jerlov's diffuse attenuation of daylight, K_d (1/m), for five oceanic and five coastal types
+//! (N. G. Jerlov, *Marine Optics*, 2nd edition, 1976, table XXVII), averaged over 600-625 nm (red), 525-550
+//! nm (green), 450-475 nm (blue). A beam is attenuated two to three times faster than daylight, and in
+//! display values (a power of about 1/2.2 of light) an exponential is slower by the same factor, so `β_attn =
+//! K_d`. Scattering by particles hardly depends on the wavelength, so the backscatter coefficient is drawn
+//! towards the mean of green and blue: `β_bs = 0.55 K_d + 0.35 mean + 0.015`.
 //!
 //! The veiling light is daylight that reached the depth, was scattered once and absorbed on its way:
-//! `c_m ∝ b e^{-K_d (z (1-w) + 3)} / (K_d + 0.06)`, z the depth, w the share of the colour cast that the camera's white balance
-//! removed, b inversely proportional to the wavelength.
+//! `c_m ∝ b e^{-K_d (z (1-w) + 3)} / (K_d + 0.06)`, z the depth, w the share of the colour cast that the
+//! camera's white balance removed, b inversely proportional to the wavelength.
 //! It grows brighter upwards and towards the sun (a linear function of the ray's direction).
 
 use glam::Vec3;
@@ -19,7 +21,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_numerics::math;
 
-/// Jerlov's optical water types: I to III oceanic, clear to dull; 1C to 9C coastal, increasingly turbid and green.
+/// Jerlov's optical water types: I to III oceanic, clear to dull; 1C to 9C coastal, increasingly turbid and
+/// green.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[allow(missing_docs, reason = "the variants are Jerlov's names")]
 pub enum WaterType {
@@ -121,8 +124,8 @@ pub struct Water {
 }
 
 impl Water {
-    /// Water of a type at a depth (metres), in a frame where `up` points to the surface and `sun` to the sun. `white_balance` is
-    /// the share of the colour cast removed by the camera, 0 to 1.
+    /// Water of a type at a depth (metres), in a frame where `up` points to the surface and `sun` to the sun.
+    /// `white_balance` is the share of the colour cast removed by the camera, 0 to 1.
     pub fn of_type(kind: WaterType, depth: f32, white_balance: f32, up: Vec3, sun: Vec3) -> Self {
         let k = kind.diffuse_attenuation().map(|[a, b]| 0.5 * (a + b));
         let mean = 0.5 * (k[1] + k[2]);
@@ -140,7 +143,8 @@ impl Water {
         }
     }
 
-    /// The colour of daylight at a depth (linear, brightest channel 1), as the camera's white balance leaves it.
+    /// The colour of daylight at a depth (linear, brightest channel 1), as the camera's white balance leaves
+    /// it.
     pub fn daylight_tint(kind: WaterType, depth: f32, white_balance: f32) -> [f32; 3] {
         let k = kind.diffuse_attenuation().map(|[a, b]| 0.5 * (a + b));
         let tint = k.map(|k| math::exp(-k * depth * (1.0 - white_balance)));

@@ -1,16 +1,17 @@
 //! The checkpoints of a run in a folder that it shares with others.
 //!
-//! Runs that differ only in how far they go share a folder, since the longer can go on from the shorter; other runs may
-//! lie there too. None may take away what another one would go on from. So a file's name says which run it belongs to,
-//! how far that run is to go, and how far it is:
+//! Runs that differ only in how far they go share a folder, since the longer can go on from the shorter;
+//! other runs may lie there too. None may take away what another one would go on from. So a file's name says
+//! which run it belongs to, how far that run is to go, and how far it is:
 //!
 //! ```text
 //! reconstruct-<fingerprint>-<length>-<step>.checkpoint
 //! ```
 //!
-//! A run writes and removes files of its own fingerprint and length only, and the last of them stays until a later one is in
-//! place. It goes on from the furthest whole file of its fingerprint that is not beyond its length, whoever wrote
-//! it. Two processes may do the same work at once: a step has one state, so it does not matter whose file stays.
+//! A run writes and removes files of its own fingerprint and length only, and the last of them stays until a
+//! later one is in place. It goes on from the furthest whole file of its fingerprint that is not beyond its
+//! length, whoever wrote it. Two processes may do the same work at once: a step has one state, so it does not
+//! matter whose file stays.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -72,8 +73,8 @@ enum Look<T> {
 }
 
 impl Checkpoints {
-    /// Those of a run of the loop `name` (a word) in `dir`, which is made when the first is written: the digest of everything
-    /// that shapes the run, and the steps it is to take.
+    /// Those of a run of the loop `name` (a word) in `dir`, which is made when the first is written: the
+    /// digest of everything that shapes the run, and the steps it is to take.
     pub fn new(dir: &Path, name: &str, fingerprint: &[u8; 32], length: u64) -> Self {
         Self { dir: dir.to_path_buf(), name: name.to_string(), fingerprint: *fingerprint, length }
     }
@@ -175,24 +176,8 @@ impl Checkpoints {
 
 #[cfg(test)]
 mod tests {
-    use serde::Deserialize;
-
     use super::*;
-
-    #[derive(Debug, PartialEq, Serialize, Deserialize)]
-    struct State {
-        fingerprint: [u8; 32],
-        step: u64,
-    }
-
-    impl Resumable for State {
-        fn fingerprint(&self) -> &[u8; 32] {
-            &self.fingerprint
-        }
-        fn step(&self) -> u64 {
-            self.step
-        }
-    }
+    use crate::testing::State;
 
     struct Run(Checkpoints);
 
@@ -267,8 +252,9 @@ mod tests {
                     let run = Run::new(folder, 1, length);
                     for step in 1..=60 {
                         run.save(step);
-                        // At every moment something whole is there, at least as far as this run. (A listing made while
-                        // others rename may lack what was there before and after.)
+                        // At every moment something whole is there, at least as far as this run. (A listing
+                        // made while others rename may lack what was there before and
+                        // after.)
                         let far = |_| run.load().0.is_some_and(|found| found >= step);
                         assert!((0..5).any(far), "{step}");
                     }

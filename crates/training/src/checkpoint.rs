@@ -1,10 +1,12 @@
 //! Checkpoints of a training loop: one file, whole or absent.
 //!
-//! Layout: 16 bytes of magic and format version, the 32-byte BLAKE3 digest of everything after it, then the state in bincode's
-//! standard configuration. State goes to the file and comes back through a small buffer: a checkpoint needs no memory of its own
-//! size. A new one is written to a sibling of its own, synced and renamed over the old one, so that the machine may die at any moment,
-//! and several processes may write the same one at once, and a good file remains. A file that is cut short, altered, or of another version is
-//! an error that says so; the loop then starts anew (and the caller says so aloud), never from half a state. Internal state only: exchange formats are open ones.
+//! Layout: 16 bytes of magic and format version, the 32-byte BLAKE3 digest of everything after it, then the
+//! state in bincode's standard configuration. State goes to the file and comes back through a small buffer: a
+//! checkpoint needs no memory of its own size. A new one is written to a sibling of its own, synced and
+//! renamed over the old one, so that the machine may die at any moment, and several processes may write the
+//! same one at once, and a good file remains. A file that is cut short, altered, or of another version is
+//! an error that says so; the loop then starts anew (and the caller says so aloud), never from half a state.
+//! Internal state only: exchange formats are open ones.
 
 use std::fs::{self, File, TryLockError};
 use std::io::{BufRead, BufReader, BufWriter, ErrorKind, Read, Seek, SeekFrom, Write};
@@ -76,8 +78,8 @@ impl Write for Digesting {
 /// What a sibling's name has between the file's own and a number.
 const PART: &str = ".part-";
 
-/// Creates a sibling of `path` that no other process and no other thread writes, and locks it: whoever finds it unlocked
-/// knows that its writer is gone.
+/// Creates a sibling of `path` that no other process and no other thread writes, and locks it: whoever finds
+/// it unlocked knows that its writer is gone.
 fn create_sibling(path: &Path) -> std::io::Result<(PathBuf, File)> {
     static COUNTER: AtomicU64 = AtomicU64::new(0);
     loop {
@@ -112,7 +114,8 @@ pub(crate) fn sweep(dir: &Path) {
     }
 }
 
-/// Writes and syncs a whole file. The digest is known last and put in its place then; until then the file has none that fits.
+/// Writes and syncs a whole file. The digest is known last and put in its place then; until then the file has
+/// none that fits.
 fn write(mut file: File, state: &impl Serialize) -> Result<(), EncodeError> {
     let io = |inner| EncodeError::Io { inner, index: 0 };
     file.write_all(MAGIC).and_then(|()| file.write_all(&[0; DIGEST])).map_err(io)?;
@@ -148,8 +151,8 @@ impl CheckpointFile {
 
     /// Writes the state in place of the last one.
     ///
-    /// Where the folder is removed meanwhile, it is made again. A folder that is removed again and again leaves no checkpoint,
-    /// and a warning: the work that a checkpoint only secures goes on.
+    /// Where the folder is removed meanwhile, it is made again. A folder that is removed again and again
+    /// leaves no checkpoint, and a warning: the work that a checkpoint only secures goes on.
     pub fn save<T: Serialize>(&self, state: &T) -> Result<(), CheckpointError> {
         for _ in 0..3 {
             match self.save_once(state) {
@@ -179,7 +182,8 @@ impl CheckpointFile {
             let _ = fs::remove_file(&part);
             return written;
         }
-        // The rename itself must survive a power cut; some file systems cannot sync a folder, which is no reason to fail.
+        // The rename itself must survive a power cut; some file systems cannot sync a folder, which is no
+        // reason to fail.
         if let Ok(folder) = File::open(dir) {
             let _ = folder.sync_all();
         }
@@ -212,8 +216,8 @@ impl CheckpointFile {
         }
         file.seek(SeekFrom::Start(head.len() as u64)).map_err(io)?;
         let mut body = BufReader::with_capacity(BLOCK, file);
-        // The digest vouches for the contents; a state of another shape still cannot ask for absurd lengths, since arrays grow as they are
-        // read.
+        // The digest vouches for the contents; a state of another shape still cannot ask for absurd lengths,
+        // since arrays grow as they are read.
         match bincode::serde::decode_from_std_read::<T, _, _>(&mut body, bincode::config::standard()) {
             Ok(state) if body.fill_buf().map_err(io)?.is_empty() => Ok(Some(state)),
             Ok(_) => Err(damaged("it holds more than this version's state")),

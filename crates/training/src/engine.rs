@@ -1,8 +1,9 @@
 //! What may go wrong in an engine, wherever it computes.
 //!
-//! A training loop decides *what* happens; an engine holds parameters, moments and buffers and does it, on the processor or on another
-//! device. The seams are traits of `reconstruct` and `enhance`; both fail in the same ways, and a loop treats them alike: the run ends
-//! with the error, and the checkpoints that were written before stay, so that any engine can go on from there.
+//! A training loop decides *what* happens; an engine holds parameters, moments and buffers and does it, on
+//! the processor or on another device. The seams are traits of `reconstruct` and `enhance`; both fail in the
+//! same ways, and a loop treats them alike: the run ends with the error, and the checkpoints that were
+//! written before stay, so that any engine can go on from there.
 
 use std::error::Error;
 

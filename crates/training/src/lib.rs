@@ -1,9 +1,11 @@
-//! What both training loops share: their skeleton, observers, checkpoints, view order, the guard against non-finite numbers, profiles.
+//! What both training loops share: their skeleton, observers, checkpoints, view order, the guard against
+//! non-finite numbers, profiles.
 //!
-//! What the loops do lives in `reconstruct` and `enhance`; a [`Session`] runs it. They tell an [`Observer`] what happens and ask it whether
-//! to stop, keep their state in [`Checkpoints`] that are whole or absent and their own, draw views through a [`ViewOrder`] that is a
-//! function of (seed, step), tell their [`Pace`], and hand numbers to the [`guard`] so that a run that has diverged says where. The work
-//! of a step is an engine's, which fails with an [`EngineError`].
+//! What the loops do lives in `reconstruct` and `enhance`; a [`Session`] runs it. They tell an [`Observer`]
+//! what happens and ask it whether to stop, keep their state in [`Checkpoints`] that are whole or absent and
+//! their own, draw views through a [`ViewOrder`] that is a function of (seed, step), tell their [`Pace`], and
+//! hand numbers to the [`guard`] so that a run that has diverged says where. The work of a step is an
+//! engine's, which fails with an [`EngineError`].
 
 mod chain;
 pub mod checkpoint;
@@ -14,6 +16,8 @@ mod order;
 mod pace;
 mod profile;
 mod session;
+#[cfg(test)]
+mod testing;
 
 pub use chain::{Checkpoints, Found, Resumable};
 pub use checkpoint::{CheckpointError, CheckpointFile};

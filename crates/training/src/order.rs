@@ -2,8 +2,8 @@
 
 use use3d_numerics::random::{Purpose, Stream};
 
-/// A new permutation of the views for every epoch, as a function of (seed, purpose, epoch): the view of a step does not depend on
-/// how the loop got there, so a resumed run sees the views it would have seen.
+/// A new permutation of the views for every epoch, as a function of (seed, purpose, epoch): the view of a
+/// step does not depend on how the loop got there, so a resumed run sees the views it would have seen.
 #[derive(Clone, Debug)]
 pub struct ViewOrder {
     seed: u64,

@@ -1,8 +1,9 @@
 //! How fast a loop goes now, and how long the rest will take.
 //!
-//! Steps are not alike: those on smaller images take less time. A loop therefore gives each step a weight, its *work*, in any unit that
-//! stays the same over the run, and says how much work is left. The pace is that of the last seconds, so that it follows growing scenes and
-//! a machine that slows down, and a run gone on from a checkpoint does not count the steps it did not do.
+//! Steps are not alike: those on smaller images take less time. A loop therefore gives each step a weight,
+//! its *work*, in any unit that stays the same over the run, and says how much work is left. The pace is that
+//! of the last seconds, so that it follows growing scenes and a machine that slows down, and a run gone on
+//! from a checkpoint does not count the steps it did not do.
 //!
 //! For a person's eyes alone: nothing here may enter a result.
 

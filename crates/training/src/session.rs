@@ -1,4 +1,5 @@
-//! The skeleton of a training loop: go on from a checkpoint, step, say how fast, write what is due, stop when asked.
+//! The skeleton of a training loop: go on from a checkpoint, step, say how fast, write what is due, stop when
+//! asked.
 //!
 //! ```text
 //! resume ─▶ step ─▶ tell progress ─▶ due, asked to stop, or last? save ─▶ asked to stop? leave
@@ -6,8 +7,9 @@
 //!             └──────────────────────────────────────────────────────────────┘
 //! ```
 //!
-//! Checkpoints and progress change nothing about a result, so both loops follow the same rules: a checkpoint is written after so many
-//! steps or minutes, when the observer asks to stop, and at the end. The last one stays where it is.
+//! Checkpoints and progress change nothing about a result, so both loops follow the same rules: a checkpoint
+//! is written after so many steps or minutes, when the observer asks to stop, and at the end. The last one
+//! stays where it is.
 
 use std::ops::Range;
 use std::time::Instant;
@@ -33,7 +35,8 @@ pub trait Steps {
         steps.end.saturating_sub(steps.start) as f64
     }
 
-    /// What a person sees after a step: smoothed loss and PSNR, and the number of Gaussians. The skeleton fills in the rest.
+    /// What a person sees after a step: smoothed loss and PSNR, and the number of Gaussians. The skeleton
+    /// fills in the rest.
     fn shown(&self) -> Progress;
 }
 
@@ -65,8 +68,8 @@ pub struct Session {
 }
 
 impl Session {
-    /// The furthest state that can be gone on from. What a person should know is told to the observer: files that cannot be read, are
-    /// damaged, or belong to other runs; the run then starts anew.
+    /// The furthest state that can be gone on from. What a person should know is told to the observer: files
+    /// that cannot be read, are damaged, or belong to other runs; the run then starts anew.
     pub fn furthest<T: Resumable>(&self, observer: &mut dyn Observer) -> Option<T> {
         match self.checkpoints.as_ref()?.load::<T>() {
             Ok(found) => {
@@ -128,24 +131,8 @@ impl Session {
 
 #[cfg(test)]
 mod tests {
-    use serde::{Deserialize, Serialize};
-
     use super::*;
-
-    #[derive(Serialize, Deserialize)]
-    struct State {
-        fingerprint: [u8; 32],
-        step: u64,
-    }
-
-    impl Resumable for State {
-        fn fingerprint(&self) -> &[u8; 32] {
-            &self.fingerprint
-        }
-        fn step(&self) -> u64 {
-            self.step
-        }
-    }
+    use crate::testing::State;
 
     /// Counts, and writes down after which steps it was saved.
     #[derive(Default)]

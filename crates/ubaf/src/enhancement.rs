@@ -1,14 +1,16 @@
 //! The trained field as a scene carries it: constants only, independent of which Gaussians are looked at.
 //!
-//! When training ends, the mean that [`crate::objects`] removes is stored as `centre` (R22). From then on a Gaussian's grade
-//! depends on its own position and colour alone, so that a crop, a merged scene or a single Gaussian keeps its colours.
+//! When training ends, the mean that [`crate::objects`] removes is stored as `centre` (R22). From then on a
+//! Gaussian's grade depends on its own position and colour alone, so that a crop, a merged scene or a single
+//! Gaussian keeps its colours.
 //!
-//! **Strength** `s` in `[0, 1]` scales every departure from the identity in its own space: log-gain, bias, affine minus identity
-//! and transport log-ratio. `s = 0` is the reconstruction exactly, `s = 1` the enhanced scene exactly, and the path between
-//! is smooth and keeps gains positive; it is not a blend of the two images.
+//! **Strength** `s` in `[0, 1]` scales every departure from the identity in its own space: log-gain, bias,
+//! affine minus identity and transport log-ratio. `s = 0` is the reconstruction exactly, `s = 1` the enhanced
+//! scene exactly, and the path between is smooth and keeps gains positive; it is not a blend of the two
+//! images.
 //!
-//! **Appearance.** A field that was learnt in clear radiance says what the objects' own colours become; it knows nothing of the water, which
-//! then stays as stage 1 found it.
+//! **Appearance.** A field that was learnt in clear radiance says what the objects' own colours become; it
+//! knows nothing of the water, which then stays as stage 1 found it.
 
 use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
@@ -28,10 +30,11 @@ const CHUNK: usize = 4096;
 pub struct Enhancement {
     /// Parameters and box.
     pub field: Field,
-    /// The constant mode of the field's raw outputs: their mean over the scene's Gaussians when training ended.
+    /// The constant mode of the field's raw outputs: their mean over the scene's Gaussians when training
+    /// ended.
     pub centre: [f32; OUTPUTS],
-    /// What it was learnt in, and so what it changes: objects and water, or objects alone. Its tensors do not hold this; the scene's
-    /// description does.
+    /// What it was learnt in, and so what it changes: objects and water, or objects alone. Its tensors do
+    /// not hold this; the scene's description does.
     pub appearance: Appearance,
 }
 
@@ -63,8 +66,8 @@ impl Enhancement {
         ObjectGrades { affine: self.field.affine().map(|row| row.map(|v| strength * v)), grades }
     }
 
-    /// The enhanced water of a view: `maps` are the frozen medium's, `camera` the camera centre in the scene's frame. What was learnt in clear
-    /// radiance leaves the water as it is.
+    /// The enhanced water of a view: `maps` are the frozen medium's, `camera` the camera centre in the
+    /// scene's frame. What was learnt in clear radiance leaves the water as it is.
     pub fn water(&self, camera: [f32; 3], maps: MediumMaps, strength: f32) -> MediumMaps {
         if self.appearance == Appearance::Clear {
             return maps;
@@ -96,7 +99,8 @@ impl ObjectGrades {
         });
     }
 
-    /// Gaussian `i`'s map as rows `(M | m)`: `c⁺ = M c + m`. This is what baking into spherical harmonics needs.
+    /// Gaussian `i`'s map as rows `(M | m)`: `c⁺ = M c + m`. This is what baking into spherical harmonics
+    /// needs.
     pub fn matrix(&self, i: usize) -> [[f32; 4]; 3] {
         let grade = self.grades[i];
         std::array::from_fn(|o| {

@@ -1,4 +1,5 @@
-//! The trainable parameters of U-BAF in one flat vector, so that one optimiser and one checkpoint line serve them all.
+//! The trainable parameters of U-BAF in one flat vector, so that one optimiser and one checkpoint line serve
+//! them all.
 //!
 //! | group | shape | meaning | start |
 //! |---|---|---|---|
@@ -11,8 +12,9 @@
 //!
 //! With a zero second layer, affine and transport the enhanced scene is the reconstruction, exactly.
 //!
-//! The `output_bias` has no effect once the constant mode is removed; its gradient is zero by construction and is written
-//! as zero (summing it would give rounding noise, which Adam's normalisation turns into a random walk).
+//! The `output_bias` has no effect once the constant mode is removed; its gradient is zero by construction
+//! and is written as zero (summing it would give rounding noise, which Adam's normalisation turns into a
+//! random walk).
 
 use std::ops::Range;
 
@@ -252,7 +254,8 @@ impl Gradient {
     }
 }
 
-/// `(I + δA) c + b_g` by rows, as `c + (δA c + b_g)` so that zero parameters change no bit of a non-negative colour.
+/// `(I + δA) c + b_g` by rows, as `c + (δA c + b_g)` so that zero parameters change no bit of a non-negative
+/// colour.
 #[inline(always)]
 pub(crate) fn apply_affine(affine: &[[f32; 4]; 3], c: [f32; 3]) -> [f32; 3] {
     std::array::from_fn(|r| {

@@ -1,7 +1,9 @@
-//! The box in which the field is resolved (R23): where the scene is, without the few Gaussians that fly far away.
+//! The box in which the field is resolved (R23): where the scene is, without the few Gaussians that fly far
+//! away.
 //!
-//! Per axis the 1 % and 99 % quantiles of the Gaussian means and the medium's anchor centres together, widened by 2 % of the
-//! range on each side. A position outside is looked up on the box's face. `u = clamp(2 (x - lo)/(hi - lo) - 1, -1, 1)`.
+//! Per axis the 1 % and 99 % quantiles of the Gaussian means and the medium's anchor centres together,
+//! widened by 2 % of the range on each side. A position outside is looked up on the box's face. `u = clamp(2
+//! (x - lo)/(hi - lo) - 1, -1, 1)`.
 
 /// Lower and upper corner, scene units.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -12,15 +14,16 @@ pub struct FieldBox {
     pub high: [f32; 3],
 }
 
-/// A side that is never shorter than this share of the coordinate's size, so that a flat scene still has a box.
+/// A side that is never shorter than this share of the coordinate's size, so that a flat scene still has a
+/// box.
 const THINNEST: f64 = 1e-4;
 
 impl FieldBox {
     /// `[-1, 1]³`: coordinates equal positions.
     pub const UNIT: Self = Self { low: [-1.0; 3], high: [1.0; 3] };
 
-    /// The box of a scene: `means` are the Gaussian centres, `anchors` the medium's. Points with a non-finite coordinate are
-    /// not counted; without any point the box is [`FieldBox::UNIT`].
+    /// The box of a scene: `means` are the Gaussian centres, `anchors` the medium's. Points with a non-finite
+    /// coordinate are not counted; without any point the box is [`FieldBox::UNIT`].
     pub fn of_scene(means: &[[f32; 3]], anchors: &[[f32; 3]]) -> Self {
         let mut out = Self::UNIT;
         let mut values = Vec::with_capacity(means.len() + anchors.len());

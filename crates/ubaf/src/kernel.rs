@@ -1,9 +1,12 @@
-//! Code and decoder over tiles of Gaussians, sixteen lanes at a time: `raw = W₂ silu(W₁ z + b₁) + b₂`, `z = f_x ⊙ f_y ⊙ f_z ⊙ f_γ`.
+//! Code and decoder over tiles of Gaussians, sixteen lanes at a time: `raw = W₂ silu(W₁ z + b₁) + b₂`, `z =
+//! f_x ⊙ f_y ⊙ f_z ⊙ f_γ`.
 //!
-//! A tile is 256 Gaussians. Its codes are gathered one Gaussian at a time (the rank is the vector) and transposed. Forward, all
-//! hidden units pass over sixteen Gaussians whose codes and outputs stay in registers; backward, each hidden unit passes over the
-//! whole tile with its weight gradients in registers. The logistic values of the hidden units, a third of the work, may be kept
-//! from the forward to the backward pass; without them the backward pass computes them again, to the same bits. Lane sums are f32 over a block of 2048 Gaussians, then f64.
+//! A tile is 256 Gaussians. Its codes are gathered one Gaussian at a time (the rank is the vector) and
+//! transposed. Forward, all hidden units pass over sixteen Gaussians whose codes and outputs stay in
+//! registers; backward, each hidden unit passes over the whole tile with its weight gradients in registers.
+//! The logistic values of the hidden units, a third of the work, may be kept from the forward to the backward
+//! pass; without them the backward pass computes them again, to the same bits. Lane sums are f32 over a block
+//! of 2048 Gaussians, then f64.
 //!
 //! Ranks are padded with zero factors to 8 or 16; a zero code entry adds nothing anywhere.
 
@@ -79,7 +82,8 @@ impl Packed {
         self.shape.width
     }
 
-    /// The decoder's raw outputs for one tile of lookups. `kept` takes the logistic values, [`Packed::width`] per lookup, or is empty.
+    /// The decoder's raw outputs for one tile of lookups. `kept` takes the logistic values, [`Packed::width`]
+    /// per lookup, or is empty.
     pub(crate) fn forward(
         &self,
         level: Level,
@@ -93,8 +97,8 @@ impl Packed {
         }
     }
 
-    /// Adds the tile's parameter derivatives to `sums` and writes `∂L/∂γ`, given `∂L/∂raw` (zero in padding lanes) and what
-    /// [`Packed::forward`] kept, or nothing.
+    /// Adds the tile's parameter derivatives to `sums` and writes `∂L/∂γ`, given `∂L/∂raw` (zero in padding
+    /// lanes) and what [`Packed::forward`] kept, or nothing.
     pub(crate) fn backward(
         &self,
         level: Level,
@@ -124,7 +128,8 @@ impl Accumulator {
         self.units.resize(packed.units.len() * LANES, 0.0);
     }
 
-    /// Adds the sums to a flat gradient. The output bias gets nothing: its gradient is exactly zero (see `field`).
+    /// Adds the sums to a flat gradient. The output bias gets nothing: its gradient is exactly zero (see
+    /// `field`).
     pub(crate) fn add_to(&self, packed: &Packed, gradient: &mut [f64]) {
         let (shape, rank) = (packed.shape, packed.rank);
         for (g, s) in
@@ -289,8 +294,8 @@ struct Pass<'a, const P: usize> {
     count: usize,
 }
 
-/// `U` hidden units, the first being `first`, over the whole tile: three products with few operands each, so that a register file of
-/// sixteen does not spill.
+/// `U` hidden units, the first being `first`, over the whole tile: three products with few operands each, so
+/// that a register file of sixteen does not spill.
 #[inline(always)]
 fn units_backward<S: Simd, const P: usize, const U: usize>(
     simd: S,
@@ -345,7 +350,8 @@ fn units_backward<S: Simd, const P: usize, const U: usize>(
             d_code.store_slice(&mut d_z[r][at..at + LANES]);
         }
     }
-    // Weight gradients: products of two planes, summed lane by lane, a pair of units by a pair of planes at a time.
+    // Weight gradients: products of two planes, summed lane by lane, a pair of units by a pair of planes at a
+    // time.
     for (u, sums) in sums.chunks_mut(2 * record * LANES).enumerate() {
         let (d_pre, hidden) = (&d_pre[2 * u..U.min(2 * u + 2)], &hidden[2 * u..U.min(2 * u + 2)]);
         for r in (0..P).step_by(2) {
@@ -365,7 +371,8 @@ fn units_backward<S: Simd, const P: usize, const U: usize>(
     }
 }
 
-/// Adds `Σ_lookups row ⊙ column`, lane by lane, for one or two rows and two columns to the records at `place` and after it.
+/// Adds `Σ_lookups row ⊙ column`, lane by lane, for one or two rows and two columns to the records at `place`
+/// and after it.
 #[inline(always)]
 fn products<S: Simd>(
     simd: S,

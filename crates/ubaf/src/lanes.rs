@@ -1,4 +1,5 @@
-//! Logistic function and tanh on sixteen lanes, each beside its scalar twin; equal bits where multiply and add fuse.
+//! Logistic function and tanh on sixteen lanes, each beside its scalar twin; equal bits where multiply and
+//! add fuse.
 
 use fearless_simd::{Simd, f32x16, prelude::*};
 

@@ -1,15 +1,16 @@
 //! The field at the Gaussians: constant-mode removal and enhanced radiance.
 //!
-//! `local_i = raw_i - (1/N) Σ_j raw_j` over the N Gaussians that define the mean (R22), so that the global grade belongs to the affine
-//! alone, and `c_i⁺ = exp(a_i) ⊙ (c_i + δA c_i + b_g) + b_i` with `(a_i, b_i) = local_i`; `c_i` is the clamped view-dependent
-//! Stage-1 colour, `c_i⁺` is not clamped. Gradients flow through the mean: with `g_i = ∂L/∂local_i`,
-//! `∂L/∂raw_i = g_i - (1/N) Σ_j g_j` for these N, so they matter in every step, seen or not; `g_i` alone for the others.
+//! `local_i = raw_i - (1/N) Σ_j raw_j` over the N Gaussians that define the mean (R22), so that the global
+//! grade belongs to the affine alone, and `c_i⁺ = exp(a_i) ⊙ (c_i + δA c_i + b_g) + b_i` with `(a_i, b_i) =
+//! local_i`; `c_i` is the clamped view-dependent Stage-1 colour, `c_i⁺` is not clamped. Gradients flow
+//! through the mean: with `g_i = ∂L/∂local_i`, `∂L/∂raw_i = g_i - (1/N) Σ_j g_j` for these N, so they matter
+//! in every step, seen or not; `g_i` alone for the others.
 //!
-//! Training takes the mean over some Gaussians, evenly chosen, and looks the others up only where a view sees them
-//! ([`ObjectPass::move_to`]); whoever draws the scene is given that mean.
+//! Training takes the mean over some Gaussians, evenly chosen, and looks the others up only where a view sees
+//! them ([`ObjectPass::move_to`]); whoever draws the scene is given that mean.
 //!
-//! Work is cut into blocks of 2048 Gaussians; their sums are added in block order, so the bits do not depend on the number of
-//! threads. Nothing is allocated once the largest list of Gaussians was seen.
+//! Work is cut into blocks of 2048 Gaussians; their sums are added in block order, so the bits do not depend
+//! on the number of threads. Nothing is allocated once the largest list of Gaussians was seen.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -67,7 +68,8 @@ impl Default for Scratch {
 }
 
 impl ObjectPass {
-    /// For Gaussians at `means` with guide colours from their SH band 0 (`sh_dc`, equal length), on the best instruction set.
+    /// For Gaussians at `means` with guide colours from their SH band 0 (`sh_dc`, equal length), on the best
+    /// instruction set.
     pub fn new(field: &Field, means: &[[f32; 3]], sh_dc: impl ExactSizeIterator<Item = [f32; 3]>) -> Self {
         Self::with_level(Level::new(), field, means, sh_dc)
     }
@@ -143,7 +145,8 @@ impl ObjectPass {
         if kept * size_of::<f32>() > KEPT {
             self.kept.clear();
         } else if self.kept.len() < kept {
-            // Never shrunk: lists differ from view to view, and growing again would write zeros over megabytes.
+            // Never shrunk: lists differ from view to view, and growing again would write zeros over
+            // megabytes.
             self.kept.resize(kept, 0.0);
         }
         // Without a place to keep them every block gets the empty slice.
@@ -178,7 +181,8 @@ impl ObjectPass {
         self.mean
     }
 
-    /// `raw - centre` per Gaussian: log-gain RGB, bias RGB. With `centre = self.mean()` this is the field's local part.
+    /// `raw - centre` per Gaussian: log-gain RGB, bias RGB. With `centre = self.mean()` this is the field's
+    /// local part.
     pub fn locals(&self, centre: [f32; OUTPUTS]) -> Vec<[f32; OUTPUTS]> {
         (0..self.len())
             .map(|i| {
@@ -201,7 +205,8 @@ impl ObjectPass {
             });
     }
 
-    /// Adds the gradient of everything that `c⁺` depends on, given `∂L/∂c⁺`. Needs the last [`ObjectPass::forward`] of this field.
+    /// Adds the gradient of everything that `c⁺` depends on, given `∂L/∂c⁺`. Needs the last
+    /// [`ObjectPass::forward`] of this field.
     pub fn backward(
         &mut self,
         field: &Field,
@@ -242,7 +247,8 @@ impl ObjectPass {
         self.backward_raw(field, gradient);
     }
 
-    /// From `∂L/∂local` in `d_raw` and its sums to the parameters: through the mean, the decoder, the factors and the guide.
+    /// From `∂L/∂local` in `d_raw` and its sums to the parameters: through the mean, the decoder, the factors
+    /// and the guide.
     fn backward_raw(&mut self, field: &Field, gradient: &mut Gradient) {
         let shape = field.shape();
         let parameters = shape.parameters();

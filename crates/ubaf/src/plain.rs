@@ -1,7 +1,8 @@
-//! The field as the formulas say it, one Gaussian and one pixel at a time: the twin that the kernels are tested against.
+//! The field as the formulas say it, one Gaussian and one pixel at a time: the twin that the kernels are
+//! tested against.
 //!
-//! [`raw`] repeats the kernel's operations in its order (equal bits where multiply and add fuse); [`Exact`] is everything in f64,
-//! accurate enough to be differenced.
+//! [`raw`] repeats the kernel's operations in its order (equal bits where multiply and add fuse); [`Exact`]
+//! is everything in f64, accurate enough to be differenced.
 
 use use3d_numerics::math;
 use use3d_numerics::spherical_harmonics::C0;

@@ -1,6 +1,7 @@
 //! The colour map of a block of Gaussians, `c⁺ = exp(a) ⊙ (c + δA c + b_g) + b`, and its derivative.
 //!
-//! Called inside a dispatched instruction-set level, so that everything here compiles to fused vector or scalar code.
+//! Called inside a dispatched instruction-set level, so that everything here compiles to fused vector or
+//! scalar code.
 
 use fearless_simd::{Simd, f32x16, prelude::*};
 

@@ -1,10 +1,12 @@
 //! Where each Gaussian looks the field up: everything about it that is constant in Stage 2.
 //!
-//! Positions do not move, so the nodes and fractions on the x, y and z grids are found once; the guide coordinate depends on
-//! the learned `w, b`, so only the signed logs `h(c̄)` of the colour are stored. 27 bytes per Gaussian.
+//! Positions do not move, so the nodes and fractions on the x, y and z grids are found once; the guide
+//! coordinate depends on the learned `w, b`, so only the signed logs `h(c̄)` of the colour are stored. 27
+//! bytes per Gaussian.
 //!
-//! The first [`Sites::centred`] of them define the constant mode that is removed. All of a scene's Gaussians do unless some are chosen
-//! ([`Sites::select`]): a training step needs those that its view sees and those that define the mean, and no others.
+//! The first [`Sites::centred`] of them define the constant mode that is removed. All of a scene's Gaussians
+//! do unless some are chosen ([`Sites::select`]): a training step needs those that its view sees and those
+//! that define the mean, and no others.
 
 use use3d_numerics::spherical_harmonics::C0;
 

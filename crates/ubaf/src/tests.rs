@@ -1,4 +1,5 @@
-//! Kernels against their twins, gradients against differences of the f64 twin, bits against threads and instruction sets.
+//! Kernels against their twins, gradients against differences of the f64 twin, bits against threads and
+//! instruction sets.
 
 use fearless_simd::Level;
 use proptest::prelude::*;
@@ -206,7 +207,8 @@ proptest! {
     }
 }
 
-/// `∂L/∂raw` sums to zero over all Gaussians either way, so a pass over all of them that is given it finds the same gradient.
+/// `∂L/∂raw` sums to zero over all Gaussians either way, so a pass over all of them that is given it finds
+/// the same gradient.
 #[test]
 fn chosen_sites_do_what_all_do() {
     let e = Example::new(12, Shape::default(), 3000, (1, 1));

@@ -1,4 +1,5 @@
-//! Total variation of the factors: `L_TV = mean |f[j+1] - f[j]|` over all neighbours, ranks and the four grids.
+//! Total variation of the factors: `L_TV = mean |f[j+1] - f[j]|` over all neighbours, ranks and the four
+//! grids.
 
 use crate::field::{Field, Gradient};
 

@@ -1,12 +1,15 @@
-//! The field at the water: the medium's colour graded by the same field, queried at the camera, and bounded transport ratios.
+//! The field at the water: the medium's colour graded by the same field, queried at the camera, and bounded
+//! transport ratios.
 //!
-//! * Guide table: the decoder at the camera centre for 16 guide values uniform in `[-1, 1]`, minus its own mean over the 16 rows
-//!   (R22); a row is `(exp(log-gain), bias)`.
-//! * Per pixel: `γ(c_m)` interpolates the table linearly, and `c_m⁺ = gain ⊙ (c_m + δA c_m + b_g) + bias`, not clamped.
-//! * `β⁺ = β exp(ln 4 · tanh u)`, one `u` for backscatter and one for attenuation (R24), so ratios stay in (¼, 4).
+//! * Guide table: the decoder at the camera centre for 16 guide values uniform in `[-1, 1]`, minus its own
+//!   mean over the 16 rows (R22); a row is `(exp(log-gain), bias)`.
+//! * Per pixel: `γ(c_m)` interpolates the table linearly, and `c_m⁺ = gain ⊙ (c_m + δA c_m + b_g) + bias`,
+//!   not clamped.
+//! * `β⁺ = β exp(ln 4 · tanh u)`, one `u` for backscatter and one for attenuation (R24), so ratios stay in
+//!   (¼, 4).
 //!
-//! Approximation: the table is linear between its 16 rows, as the field itself is linear between its guide nodes. Limit: a
-//! camera outside the field's box sees the water of the box's face.
+//! Approximation: the table is linear between its 16 rows, as the field itself is linear between its guide
+//! nodes. Limit: a camera outside the field's box sees the water of the box's face.
 
 use std::ops::Range;
 
@@ -129,8 +132,8 @@ impl WaterPass {
         self.table
     }
 
-    /// The enhanced maps of a view at `strength` in `[0, 1]`: log-gain, bias, affine and log-ratios are scaled by it, so 0 gives
-    /// the frozen maps exactly and 1 the trained ones.
+    /// The enhanced maps of a view at `strength` in `[0, 1]`: log-gain, bias, affine and log-ratios are
+    /// scaled by it, so 0 gives the frozen maps exactly and 1 the trained ones.
     pub fn forward(
         &mut self,
         field: &Field,

@@ -1,6 +1,6 @@
-//! Points in blocks of neighbours. What the model gets wrong (shading, shadows, the veil's shape) it gets wrong alike for neighbouring
-//! points, so that errors are counted per block and not per point: the block is what the sandwich covariance and the test against no
-//! water take for independent.
+//! Points in blocks of neighbours. What the model gets wrong (shading, shadows, the veil's shape) it gets
+//! wrong alike for neighbouring points, so that errors are counted per block and not per point: the block is
+//! what the sandwich covariance and the test against no water take for independent.
 
 use glam::DVec3;
 

@@ -1,7 +1,8 @@
-//! Errors of the shared parameters: the sandwich `H⁻¹ M H⁻¹`, with H the curvature of loss and penalty and M the scatter of the blocks' gradients.
+//! Errors of the shared parameters: the sandwich `H⁻¹ M H⁻¹`, with H the curvature of loss and penalty and M
+//! the scatter of the blocks' gradients.
 //!
-//! It holds where the errors are not those that the loss assumes, and where neighbouring points err together. The gains take part, so that
-//! what is uncertain because of them is counted.
+//! It holds where the errors are not those that the loss assumes, and where neighbouring points err together.
+//! The gains take part, so that what is uncertain because of them is counted.
 
 use crate::dense::Factor;
 use crate::formation::{BACKSCATTER, Channel, GAIN, VEIL, normal};
@@ -17,7 +18,8 @@ pub(crate) struct Covariance {
     pub(crate) backscatter_veil: f64,
     /// Standard error of `ln β_b` if nothing were assumed about `β_b/β_a`.
     pub(crate) backscatter_alone: f64,
-    /// Observations per independent one: the blocks' scatter over what independent observations would show, the median of the parameters'.
+    /// Observations per independent one: the blocks' scatter over what independent observations would show,
+    /// the median of the parameters'.
     pub(crate) design_effect: f64,
 }
 
@@ -69,7 +71,8 @@ pub(crate) fn covariance(
     }
 }
 
-/// The shared parameters' part of the sandwich, row-major, and the design effect; `None` where the curvature is singular.
+/// The shared parameters' part of the sandwich, row-major, and the design effect; `None` where the curvature
+/// is singular.
 fn sandwich(
     matrix: &[f64],
     curvature: f64,

@@ -21,8 +21,8 @@ const VEIL_SEEN: f64 = 3.0;
 const SLOPE_PRIOR: f64 = 1.0;
 /// Noise, design effect and gains follow from the residuals this many times.
 const ROUNDS: usize = 3;
-/// A gain per view is kept where it takes away at least this share of the loss: exposure that changes does far more than this, and gains that
-/// are not there would take over part of what distance does.
+/// A gain per view is kept where it takes away at least this share of the loss: exposure that changes does
+/// far more than this, and gains that are not there would take over part of what distance does.
 const GAINS_EXPLAIN: f64 = 0.35;
 /// Starts are compared on about so many points.
 const START_POINTS: usize = 1200;
@@ -42,7 +42,8 @@ pub struct WaterParams {
     pub open_water: bool,
     /// Whether each view may have a gain of its own.
     pub gains: bool,
-    /// Standard deviation of `ln(β_b/β_a)` around 0 that is assumed beforehand. Decides only where the data do not.
+    /// Standard deviation of `ln(β_b/β_a)` around 0 that is assumed beforehand. Decides only where the data
+    /// do not.
     pub ratio_width: f64,
 }
 
@@ -89,7 +90,8 @@ pub struct ChannelWater {
     pub significance: f64,
     /// Share of the loss without water that water explains, 0 to 1.
     pub explained: f64,
-    /// Share of the remaining loss that a gain per view takes away, 0 to 1; gains are kept where it is large.
+    /// Share of the remaining loss that a gain per view takes away, 0 to 1; gains are kept where it is
+    /// large.
     pub gains_explain: f64,
     /// Error of an observation of an even surface, and what an uneven one adds as a share of its unevenness.
     pub noise: [f64; 2],
@@ -106,7 +108,8 @@ pub struct Water {
     pub channels: [ChannelWater; 3],
     /// Gain of every view and channel, geometric mean 1; 1 for views without observations.
     pub gains: Vec<[f64; 3]>,
-    /// Radiance without water of every point that was asked for and seen, and its standard error from the scatter of its views; `None` elsewhere.
+    /// Radiance without water of every point that was asked for and seen, and its standard error from the
+    /// scatter of its views; `None` elsewhere.
     pub radiances: Vec<Option<[Measured; 3]>>,
     /// Points whose farthest view is at least `distance_ratio` times as far as the nearest.
     pub points: usize,
@@ -114,14 +117,15 @@ pub struct Water {
     pub open: usize,
     /// 5th, 50th and 95th percentile of the distances.
     pub distances: [f64; 3],
-    /// Whether the three attenuations are within a factor of 1.5, as lamps, exposure or a haze make them, and hardly water.
+    /// Whether the three attenuations are within a factor of 1.5, as lamps, exposure or a haze make them,
+    /// and hardly water.
     pub grey: bool,
 }
 
 /// Estimates the water from what `views` views show of `points` points and of open water.
 ///
-/// Never fails: where the capture cannot tell, the verdicts say so and the values are those of no water. What is not finite is
-/// left out. The result does not depend on the observations' order.
+/// Never fails: where the capture cannot tell, the verdicts say so and the values are those of no water. What
+/// is not finite is left out. The result does not depend on the observations' order.
 pub fn estimate(
     sights: &Sights,
     points: usize,
@@ -406,7 +410,8 @@ impl Data {
             .collect()
     }
 
-    /// One channel's radiance of one point: Cauchy-weighted over its views, from the median of what each view says alone.
+    /// One channel's radiance of one point: Cauchy-weighted over its views, from the median of what each view
+    /// says alone.
     fn radiance(&self, seen: &[Observation], c: usize, solved: &Solved) -> Option<Measured> {
         let usable: Vec<&Observation> = seen.iter().filter(|o| o.value[c].is_finite()).collect();
         let mut channel = Channel { views: self.views, ..Channel::default() };
@@ -442,7 +447,8 @@ fn dry(views: usize) -> Vec<f64> {
     theta
 }
 
-/// Coefficients over the views of the least-squares slope over the views' mean distances; empty where all are as far.
+/// Coefficients over the views of the least-squares slope over the views' mean distances; empty where all are
+/// as far.
 fn trend(channel: &Channel) -> Vec<f64> {
     let mut sums = vec![(0.0, 0.0); channel.views];
     for (view, distance) in channel.view.iter().zip(&channel.distance) {

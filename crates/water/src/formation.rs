@@ -6,17 +6,19 @@
 //! m_i = a_i J + b_i,   a_i = e^{γ_v} e^{−β_a s_i},   b_i = e^{γ_v} B(d_i) (1 − e^{−β_b s_i}),   B(d) = B_0 (1 + g·(d − d̄))
 //! ```
 //!
-//! J is the point's radiance without water. For given parameters and weights it has a closed form, `J = Σ w a (I − b) / Σ w a²`
-//! (0 where that is negative: no surface radiates less than nothing), so that only the shared parameters are left: variable projection
-//! (Golub and Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares problems whose variables separate", SIAM J. Numer.
-//! Anal. 10, 1973). With `r = I − b − a J` and `x_i = ∂m_i/∂θ` at fixed J, the projected residual's exact derivative is
+//! J is the point's radiance without water. For given parameters and weights it has a closed form, `J = Σ w a
+//! (I − b) / Σ w a²` (0 where that is negative: no surface radiates less than nothing), so that only the
+//! shared parameters are left: variable projection (Golub and Pereyra, "The differentiation of
+//! pseudo-inverses and nonlinear least squares problems whose variables separate", SIAM J. Numer.
+//! Anal. 10, 1973). With `r = I − b − a J` and `x_i = ∂m_i/∂θ` at fixed J, the projected residual's exact
+//! derivative is
 //!
 //! ```text
 //! dr_i = −x_i + a_i (u − v)/S,   S = Σ w a²,   u = Σ w a x,   v = Σ w r ∂a/∂θ
 //! ```
 //!
-//! so that gradient and Gauss-Newton matrix of `½ Σ w r²` are `−Σ w r x` and `Σ w x xᵀ − u uᵀ/S + v vᵀ/S`. A point touches the shared parameters and
-//! the gains of the views that saw it, nothing else.
+//! so that gradient and Gauss-Newton matrix of `½ Σ w r²` are `−Σ w r x` and `Σ w x xᵀ − u uᵀ/S + v vᵀ/S`. A
+//! point touches the shared parameters and the gains of the views that saw it, nothing else.
 //!
 //! Distances are in units of the capture's median distance.
 
@@ -145,7 +147,8 @@ pub(crate) fn radiance(observations: impl Iterator<Item = (f64, f64, f64)>) -> (
     (if below > 0.0 { (above / below).max(0.0) } else { 0.0 }, below)
 }
 
-/// A point's radiance and `Σ w a²` at these parameters and weights; the terms of its observations are left in `seen`.
+/// A point's radiance and `Σ w a²` at these parameters and weights; the terms of its observations are left in
+/// `seen`.
 fn point(channel: &Channel, shared: &Shared, weights: &[f64], p: usize, seen: &mut Vec<Terms>) -> (f64, f64) {
     let range = channel.of_point(p);
     seen.clear();
@@ -177,8 +180,8 @@ pub(crate) struct Normal {
     pub(crate) matrix: Vec<f64>,
 }
 
-/// Sums the normal equations; `each` is given every point's index and its part of the gradient, as parameters and values. Without `gains` theirs
-/// stay 0, which saves most of the work.
+/// Sums the normal equations; `each` is given every point's index and its part of the gradient, as parameters
+/// and values. Without `gains` theirs stay 0, which saves most of the work.
 pub(crate) fn normal(
     channel: &Channel,
     theta: &[f64],
@@ -194,7 +197,8 @@ pub(crate) fn normal(
     for p in 0..channel.points() {
         let range = channel.of_point(p);
         let (j, below) = point(channel, &shared, weights, p, &mut seen);
-        // The point's own parameters: the shared ones, then one gain per observation (a view sees a point once).
+        // The point's own parameters: the shared ones, then one gain per observation (a view sees a point
+        // once).
         index.clear();
         index.extend(0..GAIN);
         if gains {

@@ -1,12 +1,15 @@
-//! How far an observation is expected to be off: `σ² = σ_0² + κ² t²`, t the unevenness of the surface piece in that view.
+//! How far an observation is expected to be off: `σ² = σ_0² + κ² t²`, t the unevenness of the surface piece
+//! in that view.
 //!
-//! The model is a regression with errors on both sides: near and far views of a point are both uncertain. It is unbiased only if their
-//! errors have the right *ratio*. Where a keypoint is off by a fraction of a pixel, or a surface is seen at a slant, the mean of a textured
-//! piece changes by a share of its unevenness, and that share looks smaller through more water. Taking all errors for equal would read
-//! the near views' larger errors as signal, and attenuation would come out too strong.
+//! The model is a regression with errors on both sides: near and far views of a point are both uncertain. It
+//! is unbiased only if their errors have the right *ratio*. Where a keypoint is off by a fraction of a pixel,
+//! or a surface is seen at a slant, the mean of a textured piece changes by a share of its unevenness, and
+//! that share looks smaller through more water. Taking all errors for equal would read the near views' larger
+//! errors as signal, and attenuation would come out too strong.
 //!
-//! Both numbers come from the residuals themselves: medians of absolute residuals (over `√(1 − leverage)`, since each point's radiance was fitted to
-//! few observations) in classes of equal counts of t, then a line through their squares.
+//! Both numbers come from the residuals themselves: medians of absolute residuals (over `√(1 − leverage)`,
+//! since each point's radiance was fitted to few observations) in classes of equal counts of t, then a line
+//! through their squares.
 
 use crate::formation::{Channel, Shared, terms};
 

@@ -1,4 +1,5 @@
-//! From tracks and images to observations: what each view shows of each point, from how far, in which direction, and of open water.
+//! From tracks and images to observations: what each view shows of each point, from how far, in which
+//! direction, and of open water.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -18,7 +19,8 @@ pub struct Observation {
     pub distance: f64,
     /// Unit direction from the camera centre to the point, world frame.
     pub direction: DVec3,
-    /// Mean of the surface piece around the point, R, G, B, display range; NaN where the camera clipped the channel.
+    /// Mean of the surface piece around the point, R, G, B, display range; NaN where the camera clipped the
+    /// channel.
     pub value: [f64; 3],
     /// How uneven the surface piece is in this view: standard deviation per channel, display range.
     pub spread: [f64; 3],
@@ -70,10 +72,11 @@ struct Wanted {
     direction: DVec3,
 }
 
-/// Looks every track up in the views. `load` gives a view's image and mask (1 counts), or `None` to leave the view out; it is called
-/// once per view, in order, so that one image is in memory at a time.
+/// Looks every track up in the views. `load` gives a view's image and mask (1 counts), or `None` to leave the
+/// view out; it is called once per view, in order, so that one image is in memory at a time.
 ///
-/// Points seen by fewer than two views, sightings behind a camera and second sightings by one view are left out.
+/// Points seen by fewer than two views, sightings behind a camera and second sightings by one view are left
+/// out.
 ///
 /// # Errors
 /// Those of `load`, and [`ObserveError`] where tracks, cameras and images do not belong together.

@@ -1,16 +1,19 @@
-//! Open water: parts of a view in which no surface is seen, so that what is seen *is* the veil, `I = g_v B(d)`.
+//! Open water: parts of a view in which no surface is seen, so that what is seen *is* the veil, `I = g_v
+//! B(d)`.
 //!
-//! Tracks tell the veil only by how it fills in with distance, and often only `B β_b`, the beginning of that curve. Where a view shows
-//! water behind the last surface, the veil can be read off. A cell of a grid over the view counts as open water if
+//! Tracks tell the veil only by how it fills in with distance, and often only `B β_b`, the beginning of that
+//! curve. Where a view shows water behind the last surface, the veil can be read off. A cell of a grid over
+//! the view counts as open water if
 //!
 //! * nothing was triangulated in it or beside it;
-//! * the nearest points that were are far: the middle one of five at least as far as the capture's middle distance. (A flat floor or wall
-//!   has no points either, but near ones around it);
-//! * it is even: means of its 4×4 parts are off a plane by less than [`EVEN`], which no surface with texture is;
+//! * the nearest points that were are far: the middle one of five at least as far as the capture's middle
+//!   distance. (A flat floor or wall has no points either, but near ones around it);
+//! * it is even: means of its 4×4 parts are off a plane by less than [`EVEN`], which no surface with texture
+//!   is;
 //! * the camera did not clip its bright end, and the mask leaves it whole.
 //!
-//! What is left of surfaces that look like open water is far away in haze, where the veil is nearly all there is to see; single cells that
-//! do not fit the others of their direction lose their weight ([`Open::new`]).
+//! What is left of surfaces that look like open water is far away in haze, where the veil is nearly all there
+//! is to see; single cells that do not fit the others of their direction lose their weight ([`Open::new`]).
 
 use glam::DVec3;
 use use3d_capture::{Camera, Image, Map};
@@ -39,7 +42,8 @@ const FEWEST_VIEWS: usize = 3;
 const MOST: usize = 2000;
 /// What the veil, linear in the direction, is expected to be off by, display range.
 const WIDTH: f64 = 0.03;
-/// Cells that count as independent, at most: a veil that is not linear in the direction, or far walls among the cells, put many off alike.
+/// Cells that count as independent, at most: a veil that is not linear in the direction, or far walls among
+/// the cells, put many off alike.
 const INDEPENDENT: f64 = 4.0;
 
 /// A cell of a view in which only water is seen.
@@ -180,8 +184,9 @@ impl Open {
         cells.into_iter().step_by(step).collect()
     }
 
-    /// Cells of channel `c`, directions counted from `center`. Cells off a plane through the others, by Cauchy's loss at the scale of
-    /// their own scatter, lose their weight; together the cells weigh as much as `INDEPENDENT` observations at most.
+    /// Cells of channel `c`, directions counted from `center`. Cells off a plane through the others, by
+    /// Cauchy's loss at the scale of their own scatter, lose their weight; together the cells weigh as
+    /// much as `INDEPENDENT` observations at most.
     pub(crate) fn new(cells: &[OpenWater], c: usize, center: DVec3) -> Self {
         let mut cells: Vec<(usize, [f64; 3], f64, f64)> =
             cells.iter().map(|o| (o.view, (o.direction - center).to_array(), o.value[c], 1.0)).collect();

@@ -1,19 +1,22 @@
 //! What a view shows around a pixel: a mean under a Gaussian window, and how uneven the picture is there.
 //!
-//! Two views of one point can be compared only if both average the same piece of surface. A surface piece of radius ρ covers
-//! `f ρ / z` pixels at depth z, so the window's standard deviation is `σ = f ρ / z` in every view, with ρ per point such that the
-//! farthest view's is [`NARROWEST`]. The lens and the pixel have averaged already, by about [`LENS`]; the window only adds
-//! what is missing: `√(σ² − LENS)`. Without this, far views average more of a surface than near ones, contrast falls with
-//! distance for a reason that is not water, and attenuation comes out too strong.
+//! Two views of one point can be compared only if both average the same piece of surface. A surface piece of
+//! radius ρ covers `f ρ / z` pixels at depth z, so the window's standard deviation is `σ = f ρ / z` in every
+//! view, with ρ per point such that the farthest view's is [`NARROWEST`]. The lens and the pixel have
+//! averaged already, by about [`LENS`]; the window only adds what is missing: `√(σ² − LENS)`. Without this,
+//! far views average more of a surface than near ones, contrast falls with distance for a reason that is not
+//! water, and attenuation comes out too strong.
 
 use use3d_capture::{Image, Map};
 use use3d_numerics::math;
 
 /// Standard deviation of the window of a point's farthest view, lens included, pixels.
 pub(crate) const NARROWEST: f64 = 1.6;
-/// Standard deviation beyond which a near view is left out: its window would reach over half the picture, pixels.
+/// Standard deviation beyond which a near view is left out: its window would reach over half the picture,
+/// pixels.
 pub(crate) const WIDEST: f64 = 12.0;
-/// Variance of what lens and pixel average along an axis: a blur of 1:2:1 pixels and the pixel's own box, px².
+/// Variance of what lens and pixel average along an axis: a blur of 1:2:1 pixels and the pixel's own box,
+/// px².
 const LENS: f64 = 0.5 + 1.0 / 12.0;
 /// The window ends here, in standard deviations.
 const REACH: f64 = 2.5;
@@ -31,7 +34,8 @@ pub(crate) struct Patch {
     pub(crate) spread: [f64; 3],
 }
 
-/// The window around `(x, y)` with a standard deviation of `sigma` pixels, lens included; `None` where it leaves the image or the mask.
+/// The window around `(x, y)` with a standard deviation of `sigma` pixels, lens included; `None` where it
+/// leaves the image or the mask.
 pub(crate) fn patch(image: &Image, mask: Option<&Map>, x: f64, y: f64, sigma: f64) -> Option<Patch> {
     let sigma = (sigma * sigma - LENS).max(0.25).sqrt();
     let radius = REACH * sigma;

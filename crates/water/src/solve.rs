@@ -1,8 +1,9 @@
-//! The robust fit of one channel: Cauchy's loss by reweighting, Levenberg-Marquardt steps over the shared parameters.
+//! The robust fit of one channel: Cauchy's loss by reweighting, Levenberg-Marquardt steps over the shared
+//! parameters.
 //!
-//! Minimised is `Σ (c²/2) ln(1 + (r/σ_i)²/c²) + ½ Σ (θ − prior)²/width²`. With the weights `w_i = 1/(σ_i² + r_i²/c²)` held, `½ Σ w r²` touches the
-//! loss from above, so every step that lowers it lowers the loss. The loss's width c is narrowed in three rounds, so that
-//! outliers of the start do not decide.
+//! Minimised is `Σ (c²/2) ln(1 + (r/σ_i)²/c²) + ½ Σ (θ − prior)²/width²`. With the weights `w_i = 1/(σ_i² +
+//! r_i²/c²)` held, `½ Σ w r²` touches the loss from above, so every step that lowers it lowers the loss. The
+//! loss's width c is narrowed in three rounds, so that outliers of the start do not decide.
 
 use use3d_numerics::math;
 
@@ -20,8 +21,8 @@ const STEPS: usize = 40;
 /// A step that lowers the cost by a smaller share than this is the last.
 const SETTLED: f64 = 1e-7;
 
-/// Width of the slope of log-gains over the views' mean distances, per median distance. Gains that fall with distance and water that is
-/// stronger by as much look alike; a camera has little reason to do that.
+/// Width of the slope of log-gains over the views' mean distances, per median distance. Gains that fall with
+/// distance and water that is stronger by as much look alike; a camera has little reason to do that.
 const TREND: f64 = 0.03;
 
 /// What is known beforehand, as normal distributions (mean, width), and which parameters are free at all.
@@ -37,13 +38,15 @@ pub(crate) struct Prior {
     pub(crate) slope: f64,
     /// `γ`; a width of 0 holds them at 0.
     pub(crate) gain: f64,
-    /// Coefficients over the views of the slope of γ over a view's mean distance, which is 0 but for [`TREND`]; empty: not assumed.
+    /// Coefficients over the views of the slope of γ over a view's mean distance, which is 0 but for
+    /// [`TREND`]; empty: not assumed.
     pub(crate) trend: Vec<f64>,
     /// Open water: `g_v B(d)` where it was seen.
     pub(crate) open: Open,
     /// Without water only gains are fitted.
     pub(crate) water: bool,
-    /// How many times fewer independent observations there are than observations: what is assumed about the water weighs as much more.
+    /// How many times fewer independent observations there are than observations: what is assumed about the
+    /// water weighs as much more.
     pub(crate) strength: f64,
 }
 
@@ -144,7 +147,8 @@ fn weights(residuals: &[f64], sigmas: &[f64], c: f64) -> Vec<f64> {
     residuals.iter().zip(sigmas).map(|(r, s)| 1.0 / (s * s + square(r / c))).collect()
 }
 
-/// Fits from `theta`. `sigmas` are the expected errors of the observations, `rounds` the loss's widths over [`CAUCHY`], widest first.
+/// Fits from `theta`. `sigmas` are the expected errors of the observations, `rounds` the loss's widths over
+/// [`CAUCHY`], widest first.
 pub(crate) fn fit(channel: &Channel, sigmas: &[f64], prior: &Prior, theta: &[f64], rounds: &[f64]) -> Fit {
     let n = channel.parameters();
     let mut theta = theta.to_vec();

@@ -13,8 +13,8 @@ use crate::formation::ATTENUATION;
 pub enum Verdict {
     /// Attenuation, backscatter and veil are all known.
     Found,
-    /// Attenuation is known. Backscatter and veil are known only together (a weak veil far off looks like a strong one near by): `β_b` leans on
-    /// the assumption that it is of the size of `β_a`.
+    /// Attenuation is known. Backscatter and veil are known only together (a weak veil far off looks like a
+    /// strong one near by): `β_b` leans on the assumption that it is of the size of `β_a`.
     VeilNotSeparable,
     /// Distance changes nothing that water would explain.
     NoWater,
@@ -60,12 +60,15 @@ const SIGNIFICANT: f64 = 3.0;
 const EXPLAINED: f64 = 0.03;
 /// Largest relative error of an attenuation that counts as known.
 const KNOWN: f64 = 0.35;
-/// Largest relative error of `β_b`, nothing assumed about its size, with which it counts as told apart from the veil.
+/// Largest relative error of `β_b`, nothing assumed about its size, with which it counts as told apart from
+/// the veil.
 const APART: f64 = 0.2;
-/// An optical depth (`β_a` times the distance of the far points) below this is what differences in sharpness alone can show.
+/// An optical depth (`β_a` times the distance of the far points) below this is what differences in sharpness
+/// alone can show.
 const THINNEST: f64 = 0.06;
 
-/// An optical depth of the median distance beyond this leaves less than a hundredth of a point's light: what was fitted is not what is seen.
+/// An optical depth of the median distance beyond this leaves less than a hundredth of a point's light: what
+/// was fitted is not what is seen.
 const THICKEST: f64 = 5.0;
 
 pub(crate) fn judge(
@@ -87,7 +90,8 @@ pub(crate) fn judge(
     }
 }
 
-/// Largest over smallest attenuation of a grey loss. In none of Jerlov's ten types of water are red, green and blue within 1.6.
+/// Largest over smallest attenuation of a grey loss. In none of Jerlov's ten types of water are red, green
+/// and blue within 1.6.
 const GREY: f64 = 1.5;
 
 /// Whether the attenuations are alike.

@@ -1,4 +1,5 @@
-//! The estimate on observations that were made with known water: what must be exact, what must not matter, what must be refused.
+//! The estimate on observations that were made with known water: what must be exact, what must not matter,
+//! what must be refused.
 
 use glam::DVec3;
 use use3d_numerics::math;

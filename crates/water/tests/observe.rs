@@ -23,7 +23,8 @@ fn track(sightings: Vec<Sighting>) -> Track {
     Track { position: DVec3::ZERO, sightings }
 }
 
-/// A disc around the centre that fills the same piece of surface from both cameras: half as wide from twice as far.
+/// A disc around the centre that fills the same piece of surface from both cameras: half as wide from twice
+/// as far.
 fn disc(view: usize) -> Image {
     let mut image = Image::new(80, 60);
     let radius = [6.0, 3.0][view];

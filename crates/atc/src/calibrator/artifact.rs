@@ -1,8 +1,8 @@
 //! The calibrator on disk: one safetensors file.
 //!
 //! Tensors `<head>.<layer>.weight`, `<head>.<layer>.bias` (layers 0 to 2, weights `[outputs, inputs]`) and
-//! `<head>.{condition,residual}.{median,range}` for the heads `global` and `local`, all f32. The header records the
-//! extractor's settings, the proposer, and where the calibrator comes from.
+//! `<head>.{condition,residual}.{median,range}` for the heads `global` and `local`, all f32. The header
+//! records the extractor's settings, the proposer, and where the calibrator comes from.
 
 use serde::{Deserialize, Serialize};
 
@@ -51,7 +51,8 @@ impl Calibrator {
         writer.finish(WHAT, &header)
     }
 
-    /// Whether these are the bytes of a file that this program wrote, whole or not; a calibrator of the authors' is not.
+    /// Whether these are the bytes of a file that this program wrote, whole or not; a calibrator of the
+    /// authors' is not.
     pub fn is_own_file(bytes: &[u8]) -> bool {
         Reader::has_header(bytes)
     }

@@ -1,7 +1,8 @@
 //! The data set of the calibrator: what the extractor says about each pair of photographs.
 //!
-//! One pair of images is in memory at a time. A pair that cannot be read or whose halves do not fit together is listed and
-//! left out, never fatal. An example is a few tens of kilobytes and serialises, so that a caller can keep it per pair.
+//! One pair of images is in memory at a time. A pair that cannot be read or whose halves do not fit together
+//! is listed and left out, never fatal. An example is a few tens of kilobytes and serialises, so that a
+//! caller can keep it per pair.
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::Image;
@@ -116,7 +117,8 @@ impl Dataset {
         Self { extractor, proposer, examples: Vec::new(), skipped: Vec::new(), stand_in: false }
     }
 
-    /// Runs proposer and extractor over `pairs`, one at a time. Fails only if the settings are bad or `watch` asks to stop.
+    /// Runs proposer and extractor over `pairs`, one at a time. Fails only if the settings are bad or `watch`
+    /// asks to stop.
     pub fn build(
         pairs: impl IntoIterator<Item = PairImages>,
         proposer: &dyn Proposer,

@@ -1,8 +1,8 @@
 //! Does calibration bring transitions nearer to the paired targets, on pairs that it was not fitted to?
 //!
-//! The *normalised transition error* is the mean over the operator's numbers of `|error| / s`, with `s` the calibrator's
-//! interquartile ranges; global operators count equally, local ones by the confidence of their cell. *Before* is the
-//! proposal's own error, *after* that of the calibrated proposal.
+//! The *normalised transition error* is the mean over the operator's numbers of `|error| / s`, with `s` the
+//! calibrator's interquartile ranges; global operators count equally, local ones by the confidence of their
+//! cell. *Before* is the proposal's own error, *after* that of the calibrated proposal.
 
 use serde::{Deserialize, Serialize};
 use use3d_numerics::random::{Purpose, Stream};
@@ -46,18 +46,20 @@ pub struct HeldOutReport {
     pub fitted: usize,
     /// Names of the pairs tested on.
     pub tested: Vec<String>,
-    /// Errors on them, each head at the step at which it stopped and with the share of its correction that was kept. Both were
-    /// chosen on these pairs, so with few of them the figure flatters a little.
+    /// Errors on them, each head at the step at which it stopped and with the share of its correction that
+    /// was kept. Both were chosen on these pairs, so with few of them the figure flatters a little.
     pub errors: TransitionErrors,
     /// Errors on them after all steps of the recipe.
     pub all_steps: TransitionErrors,
     /// The last steps of the global and of the local head.
     pub stopped: [u64; 2],
-    /// The shares of their corrections that the global and the local head keep, 0 to 1; 0 trusts the proposal.
+    /// The shares of their corrections that the global and the local head keep, 0 to 1; 0 trusts the
+    /// proposal.
     pub kept: [f64; 2],
 }
 
-/// Indices of the pairs to fit to and to test on, or `None` if nothing is to be held out or there are too few pairs.
+/// Indices of the pairs to fit to and to test on, or `None` if nothing is to be held out or there are too few
+/// pairs.
 pub fn held_out(dataset: &Dataset, params: &CalibratorParams) -> Option<(Vec<usize>, Vec<usize>)> {
     let count = dataset.examples.len();
     let tested = (count as f64 * params.held_out).round() as usize;

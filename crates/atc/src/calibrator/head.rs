@@ -1,14 +1,15 @@
 //! A head of the calibrator in residual form, and its loss.
 //!
-//! With condition `c`, proposal `p`, medians `m` and interquartile ranges `s` of conditions (`c`) and residuals (`r`),
+//! With condition `c`, proposal `p`, medians `m` and interquartile ranges `s` of conditions (`c`) and
+//! residuals (`r`),
 //!
 //! ```text
 //! prediction = p + ( MLP( (c − m_c) / max(s_c, 10⁻⁵) ) ⊙ s_r + m_r )
 //! loss       = Σ_rows w mean_k SmoothL1_{β=½}( (prediction − target)_k / max(s_r, 10⁻⁵)_k ) / max(Σ w, 10⁻⁶)
 //! ```
 //!
-//! Nothing bounds the output. The statistics are those of the residual `target − proposal`, so a head of zeros with a zero
-//! median returns the proposal.
+//! Nothing bounds the output. The statistics are those of the residual `target − proposal`, so a head of
+//! zeros with a zero median returns the proposal.
 
 use super::mlp::{Mlp, Trace};
 use super::statistics::{CONDITION_FLOOR, Statistics};
@@ -23,7 +24,8 @@ pub struct Head {
     pub mlp: Mlp,
     /// Statistics of the conditions.
     pub condition: Statistics,
-    /// Statistics of the residual `target − proposal`. Its ranges are the scales `s_g` or `s_ℓ` of stage 2 (R19).
+    /// Statistics of the residual `target − proposal`. Its ranges are the scales `s_g` or `s_ℓ` of stage 2
+    /// (R19).
     pub residual: Statistics,
 }
 
@@ -49,7 +51,8 @@ impl Head {
         }
     }
 
-    /// The same head with only a share of its correction: 0 returns the proposal. The ranges, which stage 2 scales by, stay.
+    /// The same head with only a share of its correction: 0 returns the proposal. The ranges, which stage 2
+    /// scales by, stay.
     pub(super) fn damped(&self, share: f32) -> Self {
         let mut head = self.clone();
         let [.., last] = &mut head.mlp.layers;
@@ -70,7 +73,8 @@ impl Head {
         f64::from(value) * f64::from(self.residual.range[k]) + f64::from(self.residual.median[k])
     }
 
-    /// Residuals for rows of raw conditions (which are normalised in place), into `trace.output` as the network's outputs.
+    /// Residuals for rows of raw conditions (which are normalised in place), into `trace.output` as the
+    /// network's outputs.
     pub(super) fn run(&self, conditions: &mut [f32], trace: &mut Trace) {
         self.condition.normalise(conditions);
         self.mlp.forward(conditions, trace);

@@ -1,7 +1,8 @@
 //! The multilayer perceptron of a head: three linear layers with SiLU between, forward and backward by hand.
 //!
 //! `h₁ = silu(W₁ x + b₁)`, `h₂ = silu(W₂ h₁ + b₂)`, `y = W₃ h₂ + b₃` with `silu(z) = z σ(z)` and
-//! `silu'(z) = σ(z) (1 + z (1 − σ(z)))`. Rows of a batch are independent; weight gradients sum over the batch in row order.
+//! `silu'(z) = σ(z) (1 + z (1 − σ(z)))`. Rows of a batch are independent; weight gradients sum over the batch
+//! in row order.
 
 use rayon::prelude::*;
 use use3d_numerics::random::{Purpose, Stream};
@@ -141,7 +142,8 @@ impl Mlp {
         self.layers[2].forward(second, output, packed);
     }
 
-    /// Adds to `gradients` those of a batch whose forward pass left `trace`, given the cotangents of its outputs.
+    /// Adds to `gradients` those of a batch whose forward pass left `trace`, given the cotangents of its
+    /// outputs.
     pub(super) fn backward(&self, x: &[f32], output_bar: &[f32], trace: &mut Trace, gradients: &mut Mlp) {
         let Trace { hidden, slope, bar, packed, .. } = trace;
         let [one, two] = bar;
@@ -182,8 +184,8 @@ fn multiply(values: &mut [f32], by: &[f32]) {
     });
 }
 
-/// `1 / (1 + e^−z)` to about 2 units in the last place, without a branch or a library call so that it vectorises and has the
-/// same bits everywhere.
+/// `1 / (1 + e^−z)` to about 2 units in the last place, without a branch or a library call so that it
+/// vectorises and has the same bits everywhere.
 #[inline(always)]
 fn logistic(z: f32) -> f32 {
     const SHIFT: f32 = 12_582_912.0; // 1.5 · 2²³: adding it rounds to an integer

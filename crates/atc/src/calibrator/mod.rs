@@ -1,14 +1,16 @@
 //! The calibrator: from what a 2D enhancer proposes to what paired data say.
 //!
-//! Two small networks in residual form ([`Head`]). The *global head* maps 18 source descriptors and the proposal's global
-//! operator (12) to a calibrated global operator. The *local head* works cell by cell, without neighbours: 6 cell
-//! descriptors, the 18 source descriptors, the proposal's global (12) and local operator (6), and one more global
-//! operator (12), the global head's own prediction in training and the scene consensus in use, to a calibrated
-//! local operator. Trained on paired images in operator space ([`train`]); frozen afterwards.
+//! Two small networks in residual form ([`Head`]). The *global head* maps 18 source descriptors and the
+//! proposal's global operator (12) to a calibrated global operator. The *local head* works cell by cell,
+//! without neighbours: 6 cell descriptors, the 18 source descriptors, the proposal's global (12) and local
+//! operator (6), and one more global operator (12), the global head's own prediction in training and the
+//! scene consensus in use, to a calibrated local operator. Trained on paired images in operator space
+//! ([`train`]); frozen afterwards.
 //!
-//! The recipe is R18: Smooth-L1 with corner ½ on errors in interquartile units, AdamW at 2·10⁻⁴ with a cosine decay to 5 %, joint
-//! gradient norm at most 10, 750 steps of 128 pairs and 4096 cells, fewer where held-out pairs say so. Known limit: the paired "ground truth" of underwater
-//! enhancement is chosen by people among results of older methods; the calibrator learns their taste.
+//! The recipe is R18: Smooth-L1 with corner ½ on errors in interquartile units, AdamW at 2·10⁻⁴ with a cosine
+//! decay to 5 %, joint gradient norm at most 10, 750 steps of 128 pairs and 4096 cells, fewer where held-out
+//! pairs say so. Known limit: the paired "ground truth" of underwater enhancement is chosen by people among
+//! results of older methods; the calibrator learns their taste.
 
 mod artifact;
 mod dataset;
@@ -47,8 +49,8 @@ pub const GLOBAL_CONDITION: usize = GLOBAL_DESCRIPTOR + 12;
 /// Conditions of the local head: cell 6, descriptor 18, proposal global 12, proposal local 6, global 12.
 pub const LOCAL_CONDITION: usize = LOCAL_DESCRIPTOR + GLOBAL_DESCRIPTOR + 12 + 6 + 12;
 
-/// Usual scales of a global operator's row: half the interquartile ranges of residuals of synthetic pairs, as proposals that know the
-/// scene are off by less.
+/// Usual scales of a global operator's row: half the interquartile ranges of residuals of synthetic pairs, as
+/// proposals that know the scene are off by less.
 const USUAL_GLOBAL: [f32; 4] = [0.3, 0.3, 0.3, 0.15];
 /// Usual scales of a local operator, likewise.
 const USUAL_LOCAL: [f32; 6] = [0.08, 0.08, 0.08, 0.03, 0.03, 0.03];
@@ -102,8 +104,8 @@ impl Calibrator {
         }
     }
 
-    /// The same for proposals of which there are no pairs: it returns them unchanged, with scales that are usual for transitions of
-    /// underwater images, as nothing says what they are for these.
+    /// The same for proposals of which there are no pairs: it returns them unchanged, with scales that are
+    /// usual for transitions of underwater images, as nothing says what they are for these.
     pub fn uncalibrated(extractor: ExtractorSettings, proposer: ProposerId) -> Self {
         let mut calibrator = Self::identity(extractor, proposer);
         calibrator.global.residual.range = USUAL_GLOBAL.repeat(3);
@@ -111,7 +113,8 @@ impl Calibrator {
         calibrator
     }
 
-    /// Whether the global and the local head correct anything. A head that keeps no share of its correction returns the proposal.
+    /// Whether the global and the local head correct anything. A head that keeps no share of its correction
+    /// returns the proposal.
     pub fn corrects(&self) -> [bool; 2] {
         [&self.global, &self.local].map(Head::corrects)
     }
@@ -134,8 +137,8 @@ impl Calibrator {
         std::array::from_fn(|k| proposal[k] + self.global.residual_of(k, trace.output[k]))
     }
 
-    /// The calibrated local operators of one image under the global operator `scene`. `descriptors` and `proposal` must be
-    /// over the same grid.
+    /// The calibrated local operators of one image under the global operator `scene`. `descriptors` and
+    /// `proposal` must be over the same grid.
     pub fn calibrate_local(
         &self,
         descriptors: &Descriptors,

@@ -1,8 +1,9 @@
 //! Small dense matrix products for the two heads.
 //!
-//! `C += A B` with `C` row-major and `A`, `B` read through strides, so that transposes cost nothing. `B` is packed in tiles of
-//! 16 columns and `A` in tiles of 6 rows; each element of `C` is one chain of fused multiply-adds over the inner index in
-//! ascending order, whatever the tiling, the instruction set or the number of threads.
+//! `C += A B` with `C` row-major and `A`, `B` read through strides, so that transposes cost nothing. `B` is
+//! packed in tiles of 16 columns and `A` in tiles of 6 rows; each element of `C` is one chain of fused
+//! multiply-adds over the inner index in ascending order, whatever the tiling, the instruction set or the
+//! number of threads.
 
 use rayon::prelude::*;
 

@@ -1,9 +1,10 @@
 //! The calibrator that the paper's authors released, `transition_calibrator.pth`.
 //!
-//! Its archive holds a schema name and version (5) beside a state dictionary: two heads (`global_head`, `local_head`) with linear
-//! layers at positions 0, 2 and 4, and medians and scales of operators and conditions. Reading the archive is not done
-//! here; this module takes the named tensors. That calibrator is in `linear` form (R16): the first three local numbers
-//! are gains minus one, and everything downstream follows.
+//! Its archive holds a schema name and version (5) beside a state dictionary: two heads (`global_head`,
+//! `local_head`) with linear layers at positions 0, 2 and 4, and medians and scales of operators and
+//! conditions. Reading the archive is not done here; this module takes the named tensors. That calibrator is
+//! in `linear` form (R16): the first three local numbers are gains minus one, and everything downstream
+//! follows.
 
 use std::collections::BTreeMap;
 
@@ -45,8 +46,8 @@ impl Default for ReleasedConfig {
 type Tensors = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
 
 impl Calibrator {
-    /// From the tensors of the released state dictionary. Names that contain `support_` are ignored; anything else that is
-    /// missing, extra, of a wrong shape or not finite is an error.
+    /// From the tensors of the released state dictionary. Names that contain `support_` are ignored; anything
+    /// else that is missing, extra, of a wrong shape or not finite is an error.
     pub fn from_named_tensors(mut tensors: Tensors, config: &ReleasedConfig) -> Result<Self, AtcError> {
         if !config.schema.is_empty() && config.schema != SCHEMA {
             return Err(AtcError::artifact(

@@ -1,7 +1,8 @@
 //! Robust location and scale of every column of a sample: median and interquartile range (R18, R19).
 //!
-//! The median is the lower one where the count is even; the quartiles are interpolated linearly between order statistics. The
-//! range has a floor of 10⁻³, so that a constant column does not blow up what is divided by it.
+//! The median is the lower one where the count is even; the quartiles are interpolated linearly between order
+//! statistics. The range has a floor of 10⁻³, so that a constant column does not blow up what is divided by
+//! it.
 
 /// Smallest interquartile range that is stored.
 pub const RANGE_FLOOR: f64 = 1e-3;

@@ -1,17 +1,20 @@
 //! When to stop, and how far to trust the result: the held-out pairs decide.
 //!
-//! The recipe's 750 steps suit the 800 pairs that it was made for. A few dozen pairs are learned by heart long before, and a
-//! calibrator that knows its pairs by heart makes every other transition worse than the proposal was. So the fit to a part of
-//! the pairs is watched on the others, and each head of the final fit, which uses all pairs, stops at the step at which
-//! it was best there: the global head by its own error, the local head by that of the centred operators, which are what the
-//! consensus uses. The heads share no gradient, so they may stop apart. With many pairs the best step is the last one.
+//! The recipe's 750 steps suit the 800 pairs that it was made for. A few dozen pairs are learned by heart
+//! long before, and a calibrator that knows its pairs by heart makes every other transition worse than the
+//! proposal was. So the fit to a part of the pairs is watched on the others, and each head of the final fit,
+//! which uses all pairs, stops at the step at which it was best there: the global head by its own error, the
+//! local head by that of the centred operators, which are what the consensus uses. The heads share no
+//! gradient, so they may stop apart. With many pairs the best step is the last one.
 //!
-//! Even the best step may do harm where the pairs have little in common. So each head keeps only the share of its correction,
-//! of [`SHARES`], that served the held-out pairs best: `proposal + share · correction`. A share of 0 falls back to the proposal.
+//! Even the best step may do harm where the pairs have little in common. So each head keeps only the share of
+//! its correction, of [`SHARES`], that served the held-out pairs best: `proposal + share · correction`. A
+//! share of 0 falls back to the proposal.
 //!
-//! Pairs kept aside speak for pairs of their kind alone. Synthetic pairs that stand in for real ones bear out nearly all of a
-//! correction that turns a real reef cyan; so [`CalibratorParams::trust`] limits the share, to 0 for stand-ins if nobody says otherwise.
-//! With 0 nothing is fitted at all: only the scales are taken from the pairs.
+//! Pairs kept aside speak for pairs of their kind alone. Synthetic pairs that stand in for real ones bear out
+//! nearly all of a correction that turns a real reef cyan; so [`CalibratorParams::trust`] limits the share,
+//! to 0 for stand-ins if nobody says otherwise. With 0 nothing is fitted at all: only the scales are taken
+//! from the pairs.
 
 use super::evaluate::held_out;
 use super::training::{fit_until, scales_only};
@@ -60,8 +63,9 @@ impl Best {
     }
 }
 
-/// Fits a calibrator to all pairs of a data set, with a held-out report from a fit to a part of them; stops where that fit was
-/// best and keeps the share of it that was best, if the parameters say so. `data` says where the pairs come from.
+/// Fits a calibrator to all pairs of a data set, with a held-out report from a fit to a part of them; stops
+/// where that fit was best and keeps the share of it that was best, if the parameters say so. `data` says
+/// where the pairs come from.
 pub fn train(
     dataset: &Dataset,
     params: &CalibratorParams,

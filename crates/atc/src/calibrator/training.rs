@@ -1,7 +1,7 @@
 //! Fitting the two heads to a data set of pairs (R18).
 //!
-//! Deterministic: initialisation and every sampled row are functions of (seed, purpose, step, index), and all sums have a fixed
-//! order, so the same data and parameters give the same bits on any number of threads.
+//! Deterministic: initialisation and every sampled row are functions of (seed, purpose, step, index), and all
+//! sums have a fixed order, so the same data and parameters give the same bits on any number of threads.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -48,13 +48,16 @@ pub struct CalibratorParams {
     pub global_hidden: usize,
     /// Width of the local head's hidden layers.
     pub local_hidden: usize,
-    /// Share of the pairs held out for the report (0: no report, and no early stopping). The final fit uses all pairs.
+    /// Share of the pairs held out for the report (0: no report, and no early stopping). The final fit uses
+    /// all pairs.
     pub held_out: f64,
-    /// Stop each head of the final fit at the step at which the fit without the held-out pairs was best on them. A few
-    /// dozen pairs are learned by heart long before the last step; with many the last step is the best.
+    /// Stop each head of the final fit at the step at which the fit without the held-out pairs was best on
+    /// them. A few dozen pairs are learned by heart long before the last step; with many the last step
+    /// is the best.
     pub stop_early: bool,
-    /// Largest share of its correction that a head may keep, 0 (the proposal as it is) to 1. Unset: 1, but 0 for pairs that stand
-    /// in for real ones, whose water and whose hand are not those of the photographs to come.
+    /// Largest share of its correction that a head may keep, 0 (the proposal as it is) to 1. Unset: 1, but 0
+    /// for pairs that stand in for real ones, whose water and whose hand are not those of the
+    /// photographs to come.
     pub trust: Option<f64>,
     /// Seed. Not read from settings: the caller sets it.
     #[serde(skip)]
@@ -122,7 +125,8 @@ impl CalibratorParams {
         Ok(())
     }
 
-    /// Whether a data set is small beside the pairs that the recipe was made for ([`METHOD_PAIRS`]), less than half of them.
+    /// Whether a data set is small beside the pairs that the recipe was made for ([`METHOD_PAIRS`]), less
+    /// than half of them.
     pub fn few(pairs: usize) -> bool {
         2 * pairs < METHOD_PAIRS
     }
@@ -284,8 +288,8 @@ fn initial_heads(rows: &Rows, params: &CalibratorParams) -> (Head, Head) {
         condition: Statistics::of(&conditions, LOCAL_CONDITION),
         residual: Statistics::of(&residuals, 6),
     };
-    // Both begin as the best constant, the median residual: with a few dozen pairs, what a random last layer says of pairs that it was
-    // not fitted to is noise from which the fit may never recover.
+    // Both begin as the best constant, the median residual: with a few dozen pairs, what a random last layer
+    // says of pairs that it was not fitted to is noise from which the fit may never recover.
     for head in [&mut global, &mut local] {
         let last = &mut head.mlp.layers[2];
         last.weight.fill(0.0);
@@ -309,8 +313,8 @@ fn usable_rows(dataset: &Dataset) -> Result<Rows, AtcError> {
     Ok(rows)
 }
 
-/// The calibrator that leaves every proposal as it is, with the scales that a fit to this data set would have. They come from the
-/// statistics of the pairs alone, so no step is taken.
+/// The calibrator that leaves every proposal as it is, with the scales that a fit to this data set would
+/// have. They come from the statistics of the pairs alone, so no step is taken.
 pub(super) fn scales_only(dataset: &Dataset, params: &CalibratorParams) -> Result<Calibrator, AtcError> {
     let rows = usable_rows(dataset)?;
     let (global, local) = initial_heads(&rows, params);

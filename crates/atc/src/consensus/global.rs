@@ -1,10 +1,11 @@
 //! One global operator for the scene out of one candidate per view.
 //!
-//! Candidates are compared by what they do, not by their coefficients: each is applied to ten fixed colours (black, three greys,
-//! the primaries, their complements), and the 30 response numbers of the views have a geometric median
-//! `Y_sc = argmin_Y Σ_v ‖Y − Y_v‖`, found by Weiszfeld's iteration from the component-wise lower median (R20). A least-squares
-//! affine through probes and median response is the scene operator. Every response is affine in the probes and each iterate
-//! a weighted mean of responses, so that fit is exact: a change of coordinates.
+//! Candidates are compared by what they do, not by their coefficients: each is applied to ten fixed colours
+//! (black, three greys, the primaries, their complements), and the 30 response numbers of the views have a
+//! geometric median `Y_sc = argmin_Y Σ_v ‖Y − Y_v‖`, found by Weiszfeld's iteration from the component-wise
+//! lower median (R20). A least-squares affine through probes and median response is the scene operator. Every
+//! response is affine in the probes and each iterate a weighted mean of responses, so that fit is exact: a
+//! change of coordinates.
 //!
 //! A geometric median breaks down only when half of the views do. All in f64.
 

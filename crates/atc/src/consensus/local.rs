@@ -1,15 +1,17 @@
 //! One local target per Gaussian out of one map of local operators per view.
 //!
-//! The centred map of a view is brought to the size of its camera and lifted to the Gaussians by the exact adjoint of the
-//! splat, `v_i = [S_vᵀ Δ]_i / max(ω_i, 10⁻⁸)` with `ω_i = [S_vᵀ 1]_i` in pixels: object weights only, no water (R21). Views are
-//! fused online in a fixed order. A Gaussian with state `(μ, W, k)`, all zero at first, takes an observation with `ω > 10⁻⁸` as
+//! The centred map of a view is brought to the size of its camera and lifted to the Gaussians by the exact
+//! adjoint of the splat, `v_i = [S_vᵀ Δ]_i / max(ω_i, 10⁻⁸)` with `ω_i = [S_vᵀ 1]_i` in pixels: object
+//! weights only, no water (R21). Views are fused online in a fixed order. A Gaussian with state `(μ, W, k)`,
+//! all zero at first, takes an observation with `ω > 10⁻⁸` as
 //!
 //! ```text
 //! q = 1 for k < 2,  else 1 / (1 + mean_j ((v − μ)_j / s_j)²)          (a Cauchy factor, in units of the paired data)
 //! W ← W + ω q,   μ ← μ + (ω q / max(W, 10⁻⁸)) (v − μ),   k ← k + 1
 //! ```
 //!
-//! It is supported once `k ≥ 2`. The result depends on the order of the views; [`super::order_effect`] says by how much.
+//! It is supported once `k ≥ 2`. The result depends on the order of the views; [`super::order_effect`] says
+//! by how much.
 
 use rayon::prelude::*;
 use use3d_capture::{Camera, Lattice};

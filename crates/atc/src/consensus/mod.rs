@@ -1,10 +1,10 @@
 //! The consensus: from one proposal per view to fixed targets for the scene.
 //!
-//! Every captured view is proposed, extracted and calibrated by itself ([`Recorder`]). The views' global operators become one
-//! scene operator ([`global_consensus`]); under that, each view's local operators are calibrated, centred, lifted to the
-//! Gaussians and fused ([`Lift`], [`LocalConsensus`]). The outcome, [`Targets`], is all that stage 2 learns from: one global
-//! operator, one local operator per Gaussian, and the scales that errors are measured in. Pixels are needed once and for one
-//! view at a time.
+//! Every captured view is proposed, extracted and calibrated by itself ([`Recorder`]). The views' global
+//! operators become one scene operator ([`global_consensus`]); under that, each view's local operators are
+//! calibrated, centred, lifted to the Gaussians and fused ([`Lift`], [`LocalConsensus`]). The outcome,
+//! [`Targets`], is all that stage 2 learns from: one global operator, one local operator per Gaussian, and
+//! the scales that errors are measured in. Pixels are needed once and for one view at a time.
 
 mod global;
 mod local;
@@ -39,8 +39,8 @@ use crate::proposers::ProposerId;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct TargetsParams {
-    /// Fuse the views a second time in a shuffled order and report how much the targets depend on it. Costs as much again as
-    /// the lifting.
+    /// Fuse the views a second time in a shuffled order and report how much the targets depend on it. Costs
+    /// as much again as the lifting.
     pub measure_order: bool,
     /// Seed of that shuffle. Not read from settings: the caller sets it.
     #[serde(skip)]
@@ -90,7 +90,8 @@ pub struct TargetsReport {
     pub calibrated: bool,
 }
 
-/// Builds the targets of a scene from photographs. `views` are the training views in capture order; each is dropped before the next is taken.
+/// Builds the targets of a scene from photographs. `views` are the training views in capture order; each is
+/// dropped before the next is taken.
 pub fn build_targets(
     gaussians: &Gaussians,
     views: impl IntoIterator<Item = Result<ViewInput, AtcError>>,

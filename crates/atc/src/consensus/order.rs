@@ -1,8 +1,8 @@
 //! How much the fused targets depend on the order of the views.
 //!
-//! Online fusion is not commutative: the first two views of a Gaussian enter without a Cauchy factor, and every factor is
-//! taken against the mean so far. The effect is measured on Gaussians that both orders support, as the largest
-//! `|Δμ_j| / s_j` over the six channels: interquartile units of the paired data.
+//! Online fusion is not commutative: the first two views of a Gaussian enter without a Cauchy factor, and
+//! every factor is taken against the mean so far. The effect is measured on Gaussians that both orders
+//! support, as the largest `|Δμ_j| / s_j` over the six channels: interquartile units of the paired data.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,7 +1,8 @@
-//! Pictures that show why consensus matters: a captured view, its proposal, its own calibrated transition, and the scene's.
+//! Pictures that show why consensus matters: a captured view, its proposal, its own calibrated transition,
+//! and the scene's.
 //!
-//! These are 2D previews, a transition applied to pixels. The method itself never does that: stage 2 makes the
-//! scene's appearance realise the transition in 3D.
+//! These are 2D previews, a transition applied to pixels. The method itself never does that: stage 2 makes
+//! the scene's appearance realise the transition in 3D.
 
 use rayon::prelude::*;
 use use3d_capture::{Image, Map};
@@ -70,8 +71,8 @@ impl Preview {
     }
 }
 
-/// Applies a transition to an image: the global operator per pixel, then the local operators of a grid (columns, rows), bilinearly
-/// interpolated. An empty `local` applies the global operator alone.
+/// Applies a transition to an image: the global operator per pixel, then the local operators of a grid
+/// (columns, rows), bilinearly interpolated. An empty `local` applies the global operator alone.
 pub fn apply_transition(
     image: &Image,
     global: &Affine,

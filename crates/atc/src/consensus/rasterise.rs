@@ -1,9 +1,9 @@
 //! The Gaussian-local targets as a view sees them: what stage 2 compares its local operators with.
 //!
-//! `S = S_v(support)` clamped to `[0, 1]` and `target = S_v(μ · support) / max(S, 10⁻⁸)` at the camera's size, both then resized
-//! bilinearly (no antialias) to the operator grid, `S` clamped once more. The resize reads at most two columns and rows per
-//! cell, so only those pixels are splatted: the same numbers for a few hundred pixels in place of a million. Not centred
-//! again.
+//! `S = S_v(support)` clamped to `[0, 1]` and `target = S_v(μ · support) / max(S, 10⁻⁸)` at the camera's
+//! size, both then resized bilinearly (no antialias) to the operator grid, `S` clamped once more. The resize
+//! reads at most two columns and rows per cell, so only those pixels are splatted: the same numbers for a few
+//! hundred pixels in place of a million. Not centred again.
 
 use use3d_capture::{Camera, Lattice, Map};
 use use3d_splat::{Colors, Gaussians, Prepared, Rasterizer};

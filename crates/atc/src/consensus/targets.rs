@@ -1,8 +1,9 @@
 //! The targets of a scene: what stage 2 learns from, and their file.
 //!
-//! One safetensors file: `scene` [3,4] f64, `global_scales` [12] and `local_scales` [6] f64, `mean` [N,6] and `weight` [N] f32,
-//! `count` [N] u32, `candidates` [V,3,4] f64. The header records extractor settings (and so the local form), proposer,
-//! dispersion, the names of the views, and the appearance that transitions are in; a file without the last is of transitions with water.
+//! One safetensors file: `scene` [3,4] f64, `global_scales` [12] and `local_scales` [6] f64, `mean` [N,6] and
+//! `weight` [N] f32, `count` [N] u32, `candidates` [V,3,4] f64. The header records extractor settings (and so
+//! the local form), proposer, dispersion, the names of the views, and the appearance that transitions are in;
+//! a file without the last is of transitions with water.
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Appearance, Camera};

@@ -1,10 +1,11 @@
 //! What the calibrator knows about a source image: 18 numbers for the image and 6 for each cell.
 //!
-//! Image: channel means and population standard deviations; the 0.1, 0.5 and 0.9 quantiles of each channel (linear interpolation,
-//! all of one quantile together); mean, standard deviation (≥ 10⁻⁵) and skewness of the luminance of
-//! `softplus(50 v) / 50`. Cell: adaptive means, then standard deviations `√max(E f² − (E f)², 10⁻⁵)`, of
-//! `f = (ln(Y + 10⁻⁴), (ℓ_r − ℓ_g)/√2, (ℓ_r + ℓ_g − 2 ℓ_b)/√6)` with `ℓ = ln(max(v, 0) + 10⁻⁴)` and `Y` the luminance of
-//! `max(v, 0)`. Both see the image at the extractor's working resolution, unclamped.
+//! Image: channel means and population standard deviations; the 0.1, 0.5 and 0.9 quantiles of each channel
+//! (linear interpolation, all of one quantile together); mean, standard deviation (≥ 10⁻⁵) and skewness of
+//! the luminance of `softplus(50 v) / 50`. Cell: adaptive means, then standard deviations `√max(E f² − (E
+//! f)², 10⁻⁵)`, of `f = (ln(Y + 10⁻⁴), (ℓ_r − ℓ_g)/√2, (ℓ_r + ℓ_g − 2 ℓ_b)/√6)` with `ℓ = ln(max(v, 0) +
+//! 10⁻⁴)` and `Y` the luminance of `max(v, 0)`. Both see the image at the extractor's working resolution,
+//! unclamped.
 
 use rayon::prelude::*;
 use use3d_capture::Image;

@@ -1,6 +1,7 @@
 //! The global operator: a weighted, identity-centred ridge fit of one affine between two images.
 //!
-//! With `x̃ = (r, g, b, 1)` of the source, `y` the target, `Y` the source's luminance and `S` the logistic function,
+//! With `x̃ = (r, g, b, 1)` of the source, `y` the target, `Y` the source's luminance and `S` the logistic
+//! function,
 //!
 //! ```text
 //! w  = 0.05 + 0.95 S((Y − 0.005) / 0.02) S((1.2 − Y) / 0.10)
@@ -8,10 +9,11 @@
 //! M − [I|0] = ( Σ w (y − x) x̃ᵀ ) (A + λ I)⁻¹
 //! ```
 //!
-//! which minimises `Σ w ‖M x̃ − y‖² + λ ‖M − [I|0]‖²`: all four columns are drawn to the identity (R15). `A`, its inverse and
-//! `w` depend on the source alone. The fit is linear in `y`, so with `K = (∂L/∂M)(A + λ I)⁻¹` the gradient is
-//! `∂L/∂y = w K x̃`. Sums and the solve are in f64. The fit is a contraction: colour directions that the source hardly
-//! shows are shrunk towards the identity, so `E(I, T(I)) = T` holds only up to that shrinkage.
+//! which minimises `Σ w ‖M x̃ − y‖² + λ ‖M − [I|0]‖²`: all four columns are drawn to the identity (R15). `A`,
+//! its inverse and `w` depend on the source alone. The fit is linear in `y`, so with `K = (∂L/∂M)(A + λ I)⁻¹`
+//! the gradient is `∂L/∂y = w K x̃`. Sums and the solve are in f64. The fit is a contraction: colour
+//! directions that the source hardly shows are shrunk towards the identity, so `E(I, T(I)) = T` holds only up
+//! to that shrinkage.
 
 use rayon::prelude::*;
 use use3d_capture::{Image, Map};

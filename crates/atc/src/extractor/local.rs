@@ -1,8 +1,9 @@
 //! The local operator: per cell and channel, a gain and a bias that explain what the global affine left over.
 //!
-//! Samples are adaptive means, 8 × 8 per cell, of `x' = M x̃` and of the target `y`. With `n = 64`, `ρ = 10⁻²` and
-//! `m₂ = max(mean x'², 10⁻⁴)` the fit minimises `Σ (g x' + b − y)² + ρ n m₂ (g − 1)² + ρ n b²`. With the samples' population
-//! moments — `var`, `mx` of `x'`; `mr` of the residual `r = y − x'`; `cov = cov(x', r)` — the solution without cancellation is
+//! Samples are adaptive means, 8 × 8 per cell, of `x' = M x̃` and of the target `y`. With `n = 64`, `ρ = 10⁻²`
+//! and `m₂ = max(mean x'², 10⁻⁴)` the fit minimises `Σ (g x' + b − y)² + ρ n m₂ (g − 1)² + ρ n b²`. With the
+//! samples' population moments — `var`, `mx` of `x'`; `mr` of the residual `r = y − x'`; `cov = cov(x', r)` —
+//! the solution without cancellation is
 //!
 //! ```text
 //! D     = (1+ρ) var + ρ mx² + ρ (1+ρ) m₂          (≥ 10⁻⁶, because m₂ has a floor)
@@ -10,9 +11,9 @@
 //! b     = ((var + ρ m₂) mr − mx cov) / D
 //! ```
 //!
-//! and the cell's operator is `(ln max(g, 0.05), b)` (log form, R16) or `(g − 1, b)` (linear form). Below the gain floor the
-//! log-gain has no gradient; its bias keeps its own. Pooling is linear, so `x'` at the samples is `M` applied to the pooled
-//! source, which is computed once per source.
+//! and the cell's operator is `(ln max(g, 0.05), b)` (log form, R16) or `(g − 1, b)` (linear form). Below the
+//! gain floor the log-gain has no gradient; its bias keeps its own. Pooling is linear, so `x'` at the samples
+//! is `M` applied to the pooled source, which is computed once per source.
 
 use use3d_numerics::math;
 
@@ -105,7 +106,8 @@ impl Fit {
     }
 }
 
-/// One band of cells: eight rows of samples, `[8][3][columns]`, of the pooled source and of the pooled target.
+/// One band of cells: eight rows of samples, `[8][3][columns]`, of the pooled source and of the pooled
+/// target.
 pub(crate) struct Band<'a> {
     /// Pooled source.
     pub(crate) source: &'a [f64],
@@ -152,8 +154,8 @@ impl Band<'_> {
         }
     }
 
-    /// Cotangents of the operators to those of the pooled target (`[8][3][columns]`, overwritten); returns the cotangent of
-    /// the global operator through `x'`.
+    /// Cotangents of the operators to those of the pooled target (`[8][3][columns]`, overwritten); returns
+    /// the cotangent of the global operator through `x'`.
     #[inline(always)]
     pub(crate) fn backward(
         &self,
@@ -188,8 +190,9 @@ impl Band<'_> {
         global_bar
     }
 
-    /// The calibration weight of the band's cells: `v / (v + 10⁻³) · exp(−mse / 0.02)`, clamped to `[0, 1]`; `v` is the mean over
-    /// channels of the samples' variance, `mse` the mean squared residual of the fit. No gradient.
+    /// The calibration weight of the band's cells: `v / (v + 10⁻³) · exp(−mse / 0.02)`, clamped to `[0, 1]`;
+    /// `v` is the mean over channels of the samples' variance, `mse` the mean squared residual of the
+    /// fit. No gradient.
     pub(crate) fn confidence(&self, global: &Affine, confidence: &mut [f64]) {
         for (cell, out) in confidence.iter_mut().enumerate() {
             let (_, fits) = self.fits(global, cell);

@@ -1,18 +1,18 @@
 //! The extractor `E(source, target)`: how the appearance of one image turns into that of another.
 //!
-//! An appearance transition is a *global operator*, one affine `c ↦ (I + ΔA) c + Δb` for the image, and a *local operator*
-//! per cell of a coarse grid, a gain and a bias per channel that act on what the global one yields:
-//! `I_b(p) ≈ exp(a_p) ⊙ T(I_a(p)) + b_p`. Both come from ridge fits drawn to the identity (`global`, `local`), so
-//! `E(I, I)` is exactly zero. Colours are display-encoded and unclamped.
+//! An appearance transition is a *global operator*, one affine `c ↦ (I + ΔA) c + Δb` for the image, and a
+//! *local operator* per cell of a coarse grid, a gain and a bias per channel that act on what the global one
+//! yields: `I_b(p) ≈ exp(a_p) ⊙ T(I_a(p)) + b_p`. Both come from ridge fits drawn to the identity (`global`,
+//! `local`), so `E(I, I)` is exactly zero. Colours are display-encoded and unclamped.
 //!
 //! Everything that depends on the source alone is in [`Source`] (per image) and [`Geometry`] (per size);
-//! [`Source::forward`] and [`Source::backward`] do the rest, value and exact gradient with respect to the target, without
-//! allocating. The source is a constant of the method (R15); the gradient passes through the resize, through the local fit
-//! and, because the local fit looks at `M x̃`, through the global one.
+//! [`Source::forward`] and [`Source::backward`] do the rest, value and exact gradient with respect to the
+//! target, without allocating. The source is a constant of the method (R15); the gradient passes through the
+//! resize, through the local fit and, because the local fit looks at `M x̃`, through the global one.
 //!
-//! Both images are resized to a long side of at most 384 pixels (R17) by a bilinear resize that reads at most four pixels per
-//! output pixel. [`Geometry::columns`] and [`Geometry::rows`] are the only ones read; a caller that can render just
-//! those uses [`Source::forward_on_lattice`] and gets the same bits.
+//! Both images are resized to a long side of at most 384 pixels (R17) by a bilinear resize that reads at most
+//! four pixels per output pixel. [`Geometry::columns`] and [`Geometry::rows`] are the only ones read; a
+//! caller that can render just those uses [`Source::forward_on_lattice`] and gets the same bits.
 
 mod descriptors;
 pub(crate) mod global;
@@ -106,8 +106,8 @@ impl ExtractorSettings {
         Ok(())
     }
 
-    /// The working size `(width, height)` for an image of some size: long side at most [`Self::long_side`], never enlarged
-    /// beyond the floor of 8 pixels, halves rounded to even.
+    /// The working size `(width, height)` for an image of some size: long side at most [`Self::long_side`],
+    /// never enlarged beyond the floor of 8 pixels, halves rounded to even.
     pub fn working_size(&self, width: usize, height: usize) -> (usize, usize) {
         let long = width.max(height);
         let side = |side: usize| {
@@ -128,7 +128,8 @@ impl ExtractorSettings {
     }
 }
 
-/// Everything about the extractor that depends on the image size alone. Share one between all views of a size.
+/// Everything about the extractor that depends on the image size alone. Share one between all views of a
+/// size.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Geometry {
     settings: ExtractorSettings,
@@ -197,8 +198,9 @@ impl Geometry {
         &self.rows
     }
 
-    /// The same view sampled: the pixels nearest to those of an image of at most `long_side` pixels, and how operators over the
-    /// same grid are read off them. `None` where pixels would repeat or the grid would be another one (very small images).
+    /// The same view sampled: the pixels nearest to those of an image of at most `long_side` pixels, and how
+    /// operators over the same grid are read off them. `None` where pixels would repeat or the grid would
+    /// be another one (very small images).
     pub fn sampled(&self, long_side: usize) -> Result<Option<(Lattice, Self)>, AtcError> {
         let settings =
             ExtractorSettings { long_side: long_side.min(self.settings.long_side), ..self.settings.clone() };
@@ -227,8 +229,9 @@ pub struct Transition {
     pub local: Vec<[f64; 6]>,
 }
 
-/// Subtracts from every local operator their plain mean over the cells, so that it cannot repeat the global one. The map is
-/// a symmetric projection: the cotangent of centred operators, centred, is that of the operators.
+/// Subtracts from every local operator their plain mean over the cells, so that it cannot repeat the global
+/// one. The map is a symmetric projection: the cotangent of centred operators, centred, is that of the
+/// operators.
 pub fn center(cells: &mut [[f64; 6]]) {
     let count = cells.len().max(1) as f64;
     for k in 0..6 {

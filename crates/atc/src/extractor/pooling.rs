@@ -1,7 +1,7 @@
 //! Adaptive mean pooling and its exact adjoint.
 //!
-//! Bin `k` of `n` over an axis of length `L` covers the indices `⌊k L / n⌋ … ⌈(k + 1) L / n⌉ − 1`. Bins overlap by one
-//! index where `L / n` is not whole, and repeat indices where `n > L`.
+//! Bin `k` of `n` over an axis of length `L` covers the indices `⌊k L / n⌋ … ⌈(k + 1) L / n⌉ − 1`. Bins
+//! overlap by one index where `L / n` is not whole, and repeat indices where `n > L`.
 
 use rayon::prelude::*;
 
@@ -40,7 +40,8 @@ impl Bins {
     }
 }
 
-/// Pooling of images with `P` planes: `[P][h][w]` to `[rows][P][columns]`, so that a band of pooled rows is contiguous.
+/// Pooling of images with `P` planes: `[P][h][w]` to `[rows][P][columns]`, so that a band of pooled rows is
+/// contiguous.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Pooling {
     /// Bins along x.
@@ -87,8 +88,8 @@ impl Pooling {
         );
     }
 
-    /// First half of the adjoint: each pooled row's cotangent (`[rows][P][columns]`) divided by its bins' sizes and spread
-    /// over the columns, `[rows][P][w]`. The second half is [`Pooling::covering_rows`].
+    /// First half of the adjoint: each pooled row's cotangent (`[rows][P][columns]`) divided by its bins'
+    /// sizes and spread over the columns, `[rows][P][w]`. The second half is [`Pooling::covering_rows`].
     pub(crate) fn spread(&self, planes: usize, cotangent: &[f64], wide: &mut [f32]) {
         let (w, columns) = (self.x.length(), self.x.len());
         wide.par_chunks_mut(w).zip(cotangent.par_chunks(columns)).enumerate().for_each(

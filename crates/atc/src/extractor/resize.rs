@@ -1,9 +1,10 @@
 //! Bilinear resize and its exact adjoint.
 //!
 //! Output sample `i` of an axis that goes from `n_in` to `n_out` reads the source at
-//! `max((i + 0.5) n_in / n_out − 0.5, 0)`: half-pixel centres, edge clamped, no antialiasing. An image is resized by the
-//! tensor product of two axes, and the adjoint scatters a cotangent back with the same four weights. An axis may be
-//! *compacted* to the indices that it reads; the arithmetic, and so every bit of the result, stays the same.
+//! `max((i + 0.5) n_in / n_out − 0.5, 0)`: half-pixel centres, edge clamped, no antialiasing. An image is
+//! resized by the tensor product of two axes, and the adjoint scatters a cotangent back with the same four
+//! weights. An axis may be *compacted* to the indices that it reads; the arithmetic, and so every bit of the
+//! result, stays the same.
 
 use rayon::prelude::*;
 use use3d_capture::Image;
@@ -18,7 +19,8 @@ pub(crate) struct Axis {
     low: Vec<u32>,
     high: Vec<u32>,
     fraction: Vec<f32>,
-    /// For each source index, the outputs that read it, ascending, with their weights: the adjoint as a gather.
+    /// For each source index, the outputs that read it, ascending, with their weights: the adjoint as a
+    /// gather.
     readers: Vec<(u32, f32)>,
     reader_start: Vec<u32>,
 }
@@ -147,8 +149,8 @@ impl Resize {
         self.forward_planes(source.data(), output.data_mut());
     }
 
-    /// The adjoint of [`Resize::forward`]: `source_cotangent` takes the source size and is overwritten; `scratch` is
-    /// working memory that may be reused.
+    /// The adjoint of [`Resize::forward`]: `source_cotangent` takes the source size and is overwritten;
+    /// `scratch` is working memory that may be reused.
     pub(crate) fn backward(&self, cotangent: &Image, source_cotangent: &mut Image, scratch: &mut Vec<f32>) {
         let (w_in, h_in) = self.source_size();
         let (w, h) = self.output_size();

@@ -26,7 +26,8 @@ pub struct Source {
     samples: Vec<f64>,
 }
 
-/// Working memory of [`Source::forward`] and [`Source::backward`], and the last transition. Reuse one over steps.
+/// Working memory of [`Source::forward`] and [`Source::backward`], and the last transition. Reuse one over
+/// steps.
 #[derive(Clone, Debug)]
 pub struct Workspace {
     transition: Transition,
@@ -124,8 +125,8 @@ impl Source {
         describe(&self.image, &self.geometry.cells)
     }
 
-    /// `E(source, target)` for a target of the geometry's size, of the working size, or of any other (which is
-    /// resized to the working size in the same way).
+    /// `E(source, target)` for a target of the geometry's size, of the working size, or of any other (which
+    /// is resized to the working size in the same way).
     pub fn forward<'w>(
         &self,
         target: &Image,
@@ -191,9 +192,9 @@ impl Source {
         out
     }
 
-    /// The gradient with respect to the target of the last [`Source::forward`], of the geometry's size, given the
-    /// cotangents of the global operator and of the local ones (not centred: see [`super::center`]). `gradient` is
-    /// overwritten.
+    /// The gradient with respect to the target of the last [`Source::forward`], of the geometry's size, given
+    /// the cotangents of the global operator and of the local ones (not centred: see [`super::center`]).
+    /// `gradient` is overwritten.
     pub fn backward(
         &self,
         global: &Affine,

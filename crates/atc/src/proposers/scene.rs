@@ -1,9 +1,10 @@
 //! `scene`: an enhancement proposed for what stage 1 knows of a view, not for a photograph.
 //!
-//! A photograph mixes surface and water, so whoever looks at it alone has to guess which is which. Stage 1 has told them apart: of a training
-//! view it knows the clear radiance `J` (display range, black where nothing is), the accumulation `A`, and per channel what of the
-//! surface's light arrives, `A t` with `t = e^{−β_attn s}`. A pixel is as *sure* as its least known channel, `w = min_c A t_c`. What is
-//! proposed is one grade for the whole scene, and one local rule:
+//! A photograph mixes surface and water, so whoever looks at it alone has to guess which is which. Stage 1
+//! has told them apart: of a training view it knows the clear radiance `J` (display range, black where
+//! nothing is), the accumulation `A`, and per channel what of the surface's light arrives, `A t` with `t =
+//! e^{−β_attn s}`. A pixel is as *sure* as its least known channel, `w = min_c A t_c`. What is proposed is
+//! one grade for the whole scene, and one local rule:
 //!
 //! ```text
 //! m    = weighted medians over all views of ln J_c − mean_c ln J_c              the scene's mean colour
@@ -13,22 +14,28 @@
 //! J⁺   = b (Y⁺/Y_95)^{p−1} g ⊙ J̃                                                brightness, contrast
 //! ```
 //!
-//! * *White balance.* Surfaces under white light are on average not grey but a little warm, `μ`: sand, rock and what grows on them reflect
-//!   the more the longer the wave. A mean colour from grey to twice as warm as `μ` says nothing about the light (`D ≤ 1`: gains of exactly one),
-//!   and a clear cast is taken off nearly whole: the positive-part rule of James and Stein, with `d` cut into its part along `μ` and across it,
-//!   as warmth varies more from scene to scene than tint. Water found by the method's own formation leaves no cast; daylight that faded
-//!   with depth, and a camera that balances by itself, do.
-//! * *Far surfaces.* `J = (I − veil)/t` multiplies noise and what is wrong about the water by `1/t`. Where `t` is below about `t_0`, colour
-//!   `C = J/Y` (Y: luminance) gives way to `C̄`, that of the sure neighbourhood: `Σ w² J / Σ w² Y` blurred over a sixteenth of the image.
-//! * *Brightness.* The bright end of what is sure (99th percentile of the largest channel) is brought to at least 0.85 and at most 0.97, by
-//!   a gain `b` in [1/1.2, 1.5] that clips at most 0.3 % of the surface. `Y_95` is the 95th percentile of luminance after the balance.
-//! * *Contrast.* Only of a scene whose luminance spans less than 3 : 1 from the 5th to the 95th percentile: `p` widens it, by at most 1.15.
+//! * *White balance.* Surfaces under white light are on average not grey but a little warm, `μ`: sand, rock
+//!   and what grows on them reflect the more the longer the wave. A mean colour from grey to twice as warm as
+//!   `μ` says nothing about the light (`D ≤ 1`: gains of exactly one), and a clear cast is taken off nearly
+//!   whole: the positive-part rule of James and Stein, with `d` cut into its part along `μ` and across it, as
+//!   warmth varies more from scene to scene than tint. Water found by the method's own formation leaves no
+//!   cast; daylight that faded with depth, and a camera that balances by itself, do.
+//! * *Far surfaces.* `J = (I − veil)/t` multiplies noise and what is wrong about the water by `1/t`. Where
+//!   `t` is below about `t_0`, colour `C = J/Y` (Y: luminance) gives way to `C̄`, that of the sure
+//!   neighbourhood: `Σ w² J / Σ w² Y` blurred over a sixteenth of the image.
+//! * *Brightness.* The bright end of what is sure (99th percentile of the largest channel) is brought to at
+//!   least 0.85 and at most 0.97, by a gain `b` in [1/1.2, 1.5] that clips at most 0.3 % of the surface.
+//!   `Y_95` is the 95th percentile of luminance after the balance.
+//! * *Contrast.* Only of a scene whose luminance spans less than 3 : 1 from the 5th to the 95th percentile:
+//!   `p` widens it, by at most 1.15.
 //!
-//! Medians and percentiles are of at most 4096 pixels of each view, on an even grid. A standard error counts every four views as one
-//! independent: neighbouring views see the same surfaces. Deterministic; no weights, no randomness.
+//! Medians and percentiles are of at most 4096 pixels of each view, on an even grid. A standard error counts
+//! every four views as one independent: neighbouring views see the same surfaces. Deterministic; no weights,
+//! no randomness.
 //!
-//! Limits: one light for the whole scene. A reef that is mostly of one vivid colour is taken for a cast, as by any such estimate, within
-//! the bounds of `g`. The constants are of everyday surfaces, not of any capture.
+//! Limits: one light for the whole scene. A reef that is mostly of one vivid colour is taken for a cast, as
+//! by any such estimate, within the bounds of `g`. The constants are of everyday surfaces, not of any
+//! capture.
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Image, Map, Raster};
@@ -46,7 +53,8 @@ const VERSION: &str = "1";
 
 /// Mean log-colour of surfaces under white light: between that of everyday photographs and that of sand.
 const WARMTH: [f64; 3] = [0.10, 0.03, -0.13];
-/// How far the mean log-colour of a scene under white light lies from that: along it (grey is one such distance away), and across.
+/// How far the mean log-colour of a scene under white light lies from that: along it (grey is one such
+/// distance away), and across.
 const SPREAD: [f64; 2] = [0.17, 0.10];
 /// Largest gain of a channel.
 const LARGEST_BALANCE: f64 = 1.5;
@@ -60,7 +68,8 @@ const BRIGHT_END: [f64; 2] = [0.85, 0.97];
 const BRIGHTNESS: [f64; 2] = [1.0 / 1.2, 1.5];
 /// Share of the surface that a brighter scene may clip.
 const CLIPPED: f64 = 0.003;
-/// The least range of luminance, 95th over 5th percentile, that is left as it is; and the largest exponent that widens a smaller one.
+/// The least range of luminance, 95th over 5th percentile, that is left as it is; and the largest exponent
+/// that widens a smaller one.
 const CONTRAST: (f64, f64) = (3.0, 1.15);
 /// Sampled pixels of a view, at most.
 const SAMPLES: usize = 4096;
@@ -239,7 +248,8 @@ impl SceneSurvey {
     }
 }
 
-/// Log of each channel over their geometric mean, and the weight, of a pixel that is neither dark nor clipped.
+/// Log of each channel over their geometric mean, and the weight, of a pixel that is neither dark nor
+/// clipped.
 fn log_colour(sample: &Sample) -> Option<Coloured> {
     let shown = |v: &f64| (DARK / 4.0..1.0).contains(v);
     let bright = luminance(sample.radiance) >= DARK;
@@ -394,7 +404,8 @@ fn calmed(view: &SceneView) -> Image {
     out
 }
 
-/// Blurred over about a sixteenth of the long side: reduced until about twenty pixels are left of it, and expanded again.
+/// Blurred over about a sixteenth of the long side: reduced until about twenty pixels are left of it, and
+/// expanded again.
 fn blurred<const C: usize>(image: Raster<f32, C>) -> Raster<f32, C> {
     let (w, h) = (image.width(), image.height());
     if w.max(h) <= 20 {

@@ -1,8 +1,10 @@
-//! Convolutions: `out[o, y, x] = bias[o] + Σ_{c,i,j} w[o, c, i, j] · in[c, s·y + i − top, s·x + j − left]`, zeros outside.
+//! Convolutions: `out[o, y, x] = bias[o] + Σ_{c,i,j} w[o, c, i, j] · in[c, s·y + i − top, s·x + j − left]`,
+//! zeros outside.
 //!
-//! A dense convolution is one [`product`] whose panels are gathered windows. A depthwise one (one kernel per channel) has too few
-//! operations per value for that and runs as a direct loop. A transposed convolution whose stride equals its kernel
-//! is a 1×1 convolution to `kernel²` times the channels, whose results are dealt out as blocks of pixels.
+//! A dense convolution is one [`product`] whose panels are gathered windows. A depthwise one (one kernel per
+//! channel) has too few operations per value for that and runs as a direct loop. A transposed convolution
+//! whose stride equals its kernel is a 1×1 convolution to `kernel²` times the channels, whose results are
+//! dealt out as blocks of pixels.
 
 use rayon::prelude::*;
 
@@ -92,8 +94,8 @@ impl Convolution {
         out
     }
 
-    /// As [`forward_joined`](Self::forward_joined), with maps of the size of the output added before the activation: the part
-    /// of a convolution whose inputs do not change from call to call.
+    /// As [`forward_joined`](Self::forward_joined), with maps of the size of the output added before the
+    /// activation: the part of a convolution whose inputs do not change from call to call.
     pub(crate) fn forward_onto(&self, inputs: &[&Planes], addend: &Planes, activation: Activation) -> Planes {
         let mut out = Planes::new(addend.channels, addend.height, addend.width);
         let finish = Finish { addend: Some(&addend.data), activation, ..Finish::default() };
@@ -254,7 +256,8 @@ impl Depthwise {
     }
 }
 
-/// A transposed convolution whose stride equals its kernel: every input pixel becomes a block of `kernel × kernel`.
+/// A transposed convolution whose stride equals its kernel: every input pixel becomes a block of `kernel ×
+/// kernel`.
 #[derive(Clone, Debug)]
 pub(crate) struct BlockUpsampling {
     weights: Convolution,

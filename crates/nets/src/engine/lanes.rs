@@ -1,7 +1,9 @@
-//! Element-wise functions, written once as plain scalar code that the compiler turns into vectors for the processor at
-//! hand: branch-free, fused multiply-adds only where written, so that every instruction set gives the same bits.
+//! Element-wise functions, written once as plain scalar code that the compiler turns into vectors for the
+//! processor at hand: branch-free, fused multiply-adds only where written, so that every instruction set
+//! gives the same bits.
 //!
-//! Accuracy against exact arithmetic (tested): `exp` 3e-7 relative; sigmoid, tanh, ELU and GELU 2e-7 absolute per unit.
+//! Accuracy against exact arithmetic (tested): `exp` 3e-7 relative; sigmoid, tanh, ELU and GELU 2e-7 absolute
+//! per unit.
 
 use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
@@ -27,7 +29,8 @@ pub(crate) enum Activation {
 /// e^x; arguments beyond ±87 are held there, so the result is always a normal number. NaN stays NaN.
 #[inline(always)]
 pub(crate) fn exp(x: f32) -> f32 {
-    // x = n ln 2 + r, |r| ≤ ln 2 / 2. Adding 1.5·2²³ rounds to an integer and leaves it in the low mantissa bits.
+    // x = n ln 2 + r, |r| ≤ ln 2 / 2. Adding 1.5·2²³ rounds to an integer and leaves it in the low mantissa
+    // bits.
     const ROUNDER: f32 = 12_582_912.0;
     const LN_2_HIGH: f32 = 0.693_145_75;
     const LN_2_LOW: f32 = 1.428_606_8e-6;
@@ -43,8 +46,8 @@ pub(crate) fn exp(x: f32) -> f32 {
     p * f32::from_bits(shifted.to_bits().wrapping_add(127) << 23)
 }
 
-/// The upper tail of the normal distribution times two, erfc(z/√2) for z ≥ 0, as e^(−z·h(z)) with a polynomial h fitted
-/// on [0, 8] (Chebyshev nodes); beyond 8 the value at 8, 1e-15, is kept.
+/// The upper tail of the normal distribution times two, erfc(z/√2) for z ≥ 0, as e^(−z·h(z)) with a
+/// polynomial h fitted on [0, 8] (Chebyshev nodes); beyond 8 the value at 8, 1e-15, is kept.
 #[inline(always)]
 fn two_sided_tail(z: f32) -> f32 {
     const H: [f32; 13] = [
@@ -133,8 +136,9 @@ pub(crate) fn normalise(
     }
 }
 
-/// Column-wise softmax of `[rows][N]`, in place: each column becomes e^(x − max) and the reciprocals of the column sums
-/// are returned, to be applied to whatever the columns are multiplied with (fewer divisions, same result to rounding).
+/// Column-wise softmax of `[rows][N]`, in place: each column becomes e^(x − max) and the reciprocals of the
+/// column sums are returned, to be applied to whatever the columns are multiplied with (fewer divisions, same
+/// result to rounding).
 pub(crate) fn softmax_columns<const N: usize>(level: Level, rows: &mut [[f32; N]]) -> [f32; N] {
     #[inline(always)]
     fn run<S: Simd, const N: usize>(_: S, rows: &mut [[f32; N]]) -> [f32; N] {

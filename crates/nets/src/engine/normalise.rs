@@ -1,6 +1,7 @@
 //! Normalisations, all with the population (biased) variance: `(x − mean) / √(variance + ε)`.
 //!
-//! Means and variances are f64 sums in a fixed order, in two passes, so that nearly constant maps keep their digits.
+//! Means and variances are f64 sums in a fixed order, in two passes, so that nearly constant maps keep their
+//! digits.
 
 use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;

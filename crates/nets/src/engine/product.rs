@@ -1,13 +1,13 @@
 //! The matrix product under every network: `out[m, n] = bias[m] + Σ_k a[m, k] · b[k, n]`.
 //!
-//! `a` is a weight matrix, packed once into panels of [`ROWS`] rows (`[panel][k][row]`). `b` is never stored whole: a
-//! closure fills panels of [`LANES`] columns (`[k][column]`) where they are needed, so a convolution gathers its
-//! windows straight into the panel and no unrolled copy of the picture exists. One [`ROWS`] × [`LANES`] tile of the
-//! result is held in registers while `k` runs.
+//! `a` is a weight matrix, packed once into panels of [`ROWS`] rows (`[panel][k][row]`). `b` is never stored
+//! whole: a closure fills panels of [`LANES`] columns (`[k][column]`) where they are needed, so a convolution
+//! gathers its windows straight into the panel and no unrolled copy of the picture exists. One [`ROWS`] ×
+//! [`LANES`] tile of the result is held in registers while `k` runs.
 //!
-//! Every element is one chain of fused multiply-adds, from 0 over `k` ascending, whatever the tiling: the same
-//! bits for any number of threads, any block size, and any instruction set that has a fused multiply-add. The bias is
-//! added at the end. [`plain`] is the scalar twin.
+//! Every element is one chain of fused multiply-adds, from 0 over `k` ascending, whatever the tiling: the
+//! same bits for any number of threads, any block size, and any instruction set that has a fused
+//! multiply-add. The bias is added at the end. [`plain`] is the scalar twin.
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 use rayon::prelude::*;
@@ -156,8 +156,8 @@ fn panels_per_job(inner: usize) -> usize {
     (1usize << 18).div_ceil(inner.max(1) * LANES).clamp(1, 8)
 }
 
-/// `out[rows, columns] = finish(a · b)`; `fill(first_column, panel)` writes the panel `[inner][LANES]` of columns
-/// `first_column..first_column + LANES` (those past the end are ignored, but must be finite or zero).
+/// `out[rows, columns] = finish(a · b)`; `fill(first_column, panel)` writes the panel `[inner][LANES]` of
+/// columns `first_column..first_column + LANES` (those past the end are ignored, but must be finite or zero).
 pub(crate) fn product(
     a: &Packed,
     columns: usize,

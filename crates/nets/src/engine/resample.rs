@@ -1,8 +1,8 @@
 //! Resampling a picture to another size, by the rules of the tools that the networks were trained with.
 //!
-//! Every rule is separable: one output coordinate is a weighted sum of a short run of input coordinates. [`Axis`] holds the runs and
-//! weights of one direction (computed in f64); [`resize`] applies two of them. Pillow's 8-bit bilinear is apart because
-//! it rounds to whole levels after each pass, in fixed point.
+//! Every rule is separable: one output coordinate is a weighted sum of a short run of input coordinates.
+//! [`Axis`] holds the runs and weights of one direction (computed in f64); [`resize`] applies two of them.
+//! Pillow's 8-bit bilinear is apart because it rounds to whole levels after each pass, in fixed point.
 
 use rayon::prelude::*;
 use use3d_capture::Image8;
@@ -138,8 +138,9 @@ pub(crate) fn resize(input: &Planes, height: usize, width: usize, rule: Rule) ->
     resize_by(input, &Axis::new(rule, input.height, height), &Axis::new(rule, input.width, width))
 }
 
-/// Pillow's bilinear resampling of 8-bit pictures (releases before 13): triangle filter widened when shrinking, horizontal pass
-/// then vertical pass, each rounded to 8 bits from coefficients of 22 fractional bits; a pass that keeps the size is skipped.
+/// Pillow's bilinear resampling of 8-bit pictures (releases before 13): triangle filter widened when
+/// shrinking, horizontal pass then vertical pass, each rounded to 8 bits from coefficients of 22 fractional
+/// bits; a pass that keeps the size is skipped.
 pub(crate) fn pillow_bilinear(image: &Image8, width: usize, height: usize) -> Image8 {
     let (in_width, in_height) = (image.width(), image.height());
     let mut current = image.clone();

@@ -1,9 +1,10 @@
 //! The correlation of all pairs, looked up without ever being stored.
 //!
-//! The correlation of pixel p of the first picture with pixel q of the second is ⟨f₁(p), f₂(q)⟩/√256; the pyramid halves the second picture's axes by
-//! 2×2 means, which by linearity is the correlation with the halved features f₂. A lookup at (x, y) of level l reads, at
-//! (x/2ˡ + i − 4, y/2ˡ + j − 4) for i, j in 0..9, bilinear with zeros outside: all 81 samples share their fractions, so 10 × 10
-//! products at whole positions suffice. The full volume at 1400×933 would take 2.2 GB; this takes the features alone.
+//! The correlation of pixel p of the first picture with pixel q of the second is ⟨f₁(p), f₂(q)⟩/√256; the
+//! pyramid halves the second picture's axes by 2×2 means, which by linearity is the correlation with the
+//! halved features f₂. A lookup at (x, y) of level l reads, at (x/2ˡ + i − 4, y/2ˡ + j − 4) for i, j in 0..9,
+//! bilinear with zeros outside: all 81 samples share their fractions, so 10 × 10 products at whole positions
+//! suffice. The full volume at 1400×933 would take 2.2 GB; this takes the features alone.
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 use rayon::prelude::*;
@@ -54,7 +55,8 @@ impl Correlation {
         Self { height, width, first: features_last(first, scale), pyramid }
     }
 
-    /// The samples around p + flow(p) for every pixel p: `[CHANNELS, height, width]`, channel l·81 + 9i + j, i along x.
+    /// The samples around p + flow(p) for every pixel p: `[CHANNELS, height, width]`, channel l·81 + 9i + j,
+    /// i along x.
     pub(crate) fn lookup(&self, flow: &Planes) -> Planes {
         let level = Level::new();
         let area = self.height * self.width;

@@ -1,8 +1,9 @@
 //! RAFT's encoder: a picture to 256 features at ⅛ resolution.
 //!
-//! 7×7 convolution with stride 2, then three stages of two residual blocks (64, 96, 128 channels; the second and third stage halve the
-//! size), then a 1×1 convolution. A block is `ReLU(shortcut(x) + ReLU(norm(conv(ReLU(norm(conv(x)))))))`. The feature encoder
-//! normalises each picture and channel on its own; the context encoder has batch norms with fixed statistics, folded into the convolutions.
+//! 7×7 convolution with stride 2, then three stages of two residual blocks (64, 96, 128 channels; the second
+//! and third stage halve the size), then a 1×1 convolution. A block is `ReLU(shortcut(x) +
+//! ReLU(norm(conv(ReLU(norm(conv(x)))))))`. The feature encoder normalises each picture and channel on its
+//! own; the context encoder has batch norms with fixed statistics, folded into the convolutions.
 
 use crate::engine::convolution::{Convolution, Padding};
 use crate::engine::lanes::{self, Activation};

@@ -1,9 +1,10 @@
 //! RAFT-Large: optical flow by recurrent refinement of an all-pairs correlation.
 //!
-//! Features of both pictures at ⅛ resolution are correlated; a recurrent unit looks the correlation up around the current
-//! estimate and corrects it, 12 times (torchvision's default). The last estimate is brought to full resolution as learned convex combinations of
-//! its neighbours. Teed, Deng, "RAFT: Recurrent all-pairs field transforms for optical flow", ECCV 2020; torchvision's
-//! `raft_large_*.pth` or Princeton's `raft-*.pth`.
+//! Features of both pictures at ⅛ resolution are correlated; a recurrent unit looks the correlation up around
+//! the current estimate and corrects it, 12 times (torchvision's default). The last estimate is brought to
+//! full resolution as learned convex combinations of its neighbours. Teed, Deng, "RAFT: Recurrent all-pairs
+//! field transforms for optical flow", ECCV 2020; torchvision's `raft_large_*.pth` or Princeton's
+//! `raft-*.pth`.
 
 mod correlation;
 mod encoder;
@@ -49,7 +50,8 @@ impl Raft {
         })
     }
 
-    /// The flow from `a` to `b`: pixel p of `a` is found at p + flow(p) in `b`. Pictures of one size, at least 128 pixels a side.
+    /// The flow from `a` to `b`: pixel p of `a` is found at p + flow(p) in `b`. Pictures of one size, at
+    /// least 128 pixels a side.
     pub fn flow(&self, a: &Image, b: &Image) -> Result<Flow, NetError> {
         self.flow_with(a, b, UPDATES)
     }

@@ -1,8 +1,9 @@
 //! RAFT's recurrent update and the upsampling of its result.
 //!
-//! Motion: correlation and flow, each through two convolutions, joined and reduced; the flow itself is kept beside them. Two gated units
-//! follow, one along rows (1×5), one along columns (5×1): `z, r = σ(conv[h, x])`, `q = tanh(conv[r·h, x])`, `h ← (1 − z)·h + z·q`.
-//! Two convolutions turn h into a correction of the flow in pixels of the ⅛ grid.
+//! Motion: correlation and flow, each through two convolutions, joined and reduced; the flow itself is kept
+//! beside them. Two gated units follow, one along rows (1×5), one along columns (5×1): `z, r = σ(conv[h,
+//! x])`, `q = tanh(conv[r·h, x])`, `h ← (1 − z)·h + z·q`. Two convolutions turn h into a correction of the
+//! flow in pixels of the ⅛ grid.
 
 use rayon::prelude::*;
 
@@ -24,7 +25,8 @@ pub(crate) struct Update {
     head: [Convolution; 2],
 }
 
-/// One gated recurrent unit. The context is the same at every update, so its part of the sums is computed once.
+/// One gated recurrent unit. The context is the same at every update, so its part of the sums is computed
+/// once.
 #[derive(Clone, Debug)]
 struct Gated {
     /// z and r in one convolution: they see the same input.

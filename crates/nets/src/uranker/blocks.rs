@@ -1,7 +1,9 @@
-//! The parts of URanker's blocks: factorised attention with convolutional relative positions, and the perceptron.
+//! The parts of URanker's blocks: factorised attention with convolutional relative positions, and the
+//! perceptron.
 //!
-//! Factorised attention is linear in the number of tokens: `A = d^−½ · q (softmax(k)ᵀ v)`, the softmax over the tokens. To it comes
-//! `q ⊙ (w ∗ v)` on the patches, with one depthwise convolution for each group of heads (3×3 for two heads, 5×5 and 7×7 for three each).
+//! Factorised attention is linear in the number of tokens: `A = d^−½ · q (softmax(k)ᵀ v)`, the softmax over
+//! the tokens. To it comes `q ⊙ (w ∗ v)` on the patches, with one depthwise convolution for each group of
+//! heads (3×3 for two heads, 5×5 and 7×7 for three each).
 
 use rayon::prelude::*;
 

@@ -1,9 +1,11 @@
-//! URanker: a score of underwater image quality without reference, from a co-scale transformer with a histogram token.
+//! URanker: a score of underwater image quality without reference, from a co-scale transformer with a
+//! histogram token.
 //!
-//! Four stages at 1/4, 1/8, 1/16, 1/32 of the size; the tokens of a stage are `[class, histogram, patches…]`, the histogram token a linear
-//! map of the 3 × 64 counts of the padded picture. Two serial blocks per stage, then six parallel blocks in which stages 2 to 4
-//! exchange resized tokens; the score is the mean of three linear heads on the class tokens. Guo et al., "Underwater Ranker: learn
-//! which is better and how to be better", AAAI 2023; file `URanker_ckpt.pth`. Higher is better; the scale is arbitrary.
+//! Four stages at 1/4, 1/8, 1/16, 1/32 of the size; the tokens of a stage are `[class, histogram, patches…]`,
+//! the histogram token a linear map of the 3 × 64 counts of the padded picture. Two serial blocks per stage,
+//! then six parallel blocks in which stages 2 to 4 exchange resized tokens; the score is the mean of three
+//! linear heads on the class tokens. Guo et al., "Underwater Ranker: learn which is better and how to be
+//! better", AAAI 2023; file `URanker_ckpt.pth`. Higher is better; the scale is arbitrary.
 
 mod blocks;
 
@@ -279,7 +281,8 @@ fn pad(image: &Image) -> Planes {
     images::pad_zeros(&images::planes(image), top, left, height, width)
 }
 
-/// Counts of 64 bins over [0, 1] per channel, as one token; 1 falls into the last bin, values outside are not counted.
+/// Counts of 64 bins over [0, 1] per channel, as one token; 1 falls into the last bin, values outside are not
+/// counted.
 fn histogram(x: &Planes) -> Planes {
     let mut counts = vec![0u32; 3 * BINS];
     for c in 0..3 {

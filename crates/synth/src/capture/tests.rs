@@ -100,7 +100,8 @@ fn a_pool_is_even_and_has_points_where_its_joints_are() {
     assert!(share > 0.5, "{share}");
 }
 
-/// I = J e^{-β_attn s} + c_m (1 - e^{-β_bs s}) from the written files alone, away from edges, within noise and quantisation.
+/// I = J e^{-β_attn s} + c_m (1 - e^{-β_bs s}) from the written files alone, away from edges, within noise
+/// and quantisation.
 fn the_formation_equation_holds(
     dir: &Path,
     truth: &CaptureTruth,

@@ -1,7 +1,8 @@
 //! A four-wide tree of bounding boxes over triangles: nearest hit along a ray.
 //!
-//! Built by the binned surface-area heuristic, then collapsed to four children per node, so that the slab tests of four boxes
-//! and the intersection tests of four triangles (Möller and Trumbore) run side by side in vector registers.
+//! Built by the binned surface-area heuristic, then collapsed to four children per node, so that the slab
+//! tests of four boxes and the intersection tests of four triangles (Möller and Trumbore) run side by side in
+//! vector registers.
 
 use glam::Vec3;
 
@@ -43,7 +44,8 @@ struct Pack {
 const EMPTY: u32 = u32::MAX;
 const LEAF: u32 = 1 << 31;
 const BINS: usize = 12;
-/// Triangles reach this share of an edge beyond themselves: rounding must not let a ray slip between two of them.
+/// Triangles reach this share of an edge beyond themselves: rounding must not let a ray slip between two of
+/// them.
 const SLACK: f32 = 5e-5;
 
 /// The tree.

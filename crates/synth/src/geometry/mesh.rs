@@ -1,4 +1,5 @@
-//! Triangle meshes and the few builders that every object of the scene is made of: displaced spheres, swept tubes, beams.
+//! Triangle meshes and the few builders that every object of the scene is made of: displaced spheres, swept
+//! tubes, beams.
 
 use glam::{Vec2, Vec3};
 use use3d_numerics::math;
@@ -47,8 +48,9 @@ impl Mesh {
         self.triangle(a, c, d, surface);
     }
 
-    /// A closed surface `shape(direction)` over the unit sphere, as a cube's faces of `n × n` cells bulged out. `shape` must be
-    /// defined a little off the sphere's points; normals are its differences, so seams do not show.
+    /// A closed surface `shape(direction)` over the unit sphere, as a cube's faces of `n × n` cells bulged
+    /// out. `shape` must be defined a little off the sphere's points; normals are its differences, so
+    /// seams do not show.
     pub(crate) fn displaced_sphere(&mut self, n: usize, surface: u16, shape: impl Fn(Vec3) -> (Vec3, Vec2)) {
         let faces = [
             (Vec3::X, Vec3::Y, Vec3::Z),
@@ -83,7 +85,8 @@ impl Mesh {
         }
     }
 
-    /// A surface through rings, `sides` vertices each; `bulge(angle, ring)` multiplies the radius. Normals follow from the neighbours.
+    /// A surface through rings, `sides` vertices each; `bulge(angle, ring)` multiplies the radius. Normals
+    /// follow from the neighbours.
     pub(crate) fn sweep(
         &mut self,
         rings: &[Ring],
@@ -139,8 +142,9 @@ impl Mesh {
         self.sweep(&rings, sides, surface, |_, _| 1.0);
     }
 
-    /// A bar of rectangular section along a path: flat faces with sharp edges, closed at both ends. `half` is half the width
-    /// (along `across`) and half the height; the first texture parameter runs along the bar in metres.
+    /// A bar of rectangular section along a path: flat faces with sharp edges, closed at both ends. `half` is
+    /// half the width (along `across`) and half the height; the first texture parameter runs along the
+    /// bar in metres.
     pub(crate) fn beam(&mut self, path: &[Vec3], across: Vec3, half: [f32; 2], surface: u16) {
         let Some(last) = path.len().checked_sub(1).filter(|&n| n > 0) else { return };
         let frame = |k: usize| {
@@ -176,8 +180,8 @@ impl Mesh {
         }
     }
 
-    /// A flat rectangle from `origin` over `across` and `up`, with vertices at most `spacing` apart; its normal is `across × up`. Texture
-    /// parameters are metres along both sides, counted from `start`.
+    /// A flat rectangle from `origin` over `across` and `up`, with vertices at most `spacing` apart; its
+    /// normal is `across × up`. Texture parameters are metres along both sides, counted from `start`.
     pub(crate) fn panel(
         &mut self,
         origin: Vec3,
@@ -206,8 +210,8 @@ impl Mesh {
         }
     }
 
-    /// A height field over the product of two ascending coordinate lists; `shape` gives height and texture parameters, `smooth`
-    /// the height whose slope the normals show (the surface adds the rest as bumps).
+    /// A height field over the product of two ascending coordinate lists; `shape` gives height and texture
+    /// parameters, `smooth` the height whose slope the normals show (the surface adds the rest as bumps).
     pub(crate) fn height_field(
         &mut self,
         xs: &[f32],

@@ -1,6 +1,7 @@
 //! A camera that exposes and balances every view on its own, and its sensor.
 //!
-//! The gains of a view follow its own mean light m (per channel, linear, over a coarse grid of rays), as automatic cameras do:
+//! The gains of a view follow its own mean light m (per channel, linear, over a coarse grid of rays), as
+//! automatic cameras do:
 //!
 //! ```text
 //! balance_c  = (mean(m) / m_c)^w                        w the share of the grey-world balance
@@ -9,9 +10,9 @@
 //! display    = sRGB(g_c L_c + noise),  noise deviation σ sqrt(g_c / g₀ · (x + 0.004) / 0.222)  for x = g_c L_c
 //! ```
 //!
-//! a = 0 is one setting for the whole capture (geometric means over its views), a = 1 each view for itself. Noise grows as that
-//! of photons: a channel that is amplified is noisy. g₀ is the capture's middle green gain; σ is then the deviation of a middle tone of
-//! green in display range. Gains are at most 40.
+//! a = 0 is one setting for the whole capture (geometric means over its views), a = 1 each view for itself.
+//! Noise grows as that of photons: a channel that is amplified is noisy. g₀ is the capture's middle green
+//! gain; σ is then the deviation of a middle tone of green in display range. Gains are at most 40.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -84,7 +85,8 @@ pub(crate) fn middle_gain(gains: &[Vec3]) -> f32 {
     green.get(green.len() / 2).copied().unwrap_or(1.0)
 }
 
-/// Turns linear light into display values in place: gains, photon noise of deviation `sigma`, sRGB. Keyed by (seed, view, pixel).
+/// Turns linear light into display values in place: gains, photon noise of deviation `sigma`, sRGB. Keyed by
+/// (seed, view, pixel).
 pub(crate) fn develop(image: &mut Image, gains: Vec3, middle: f32, sigma: f32, seed: u64, view: u64) {
     let stream = Stream::new(seed, Purpose::new("photon noise"), view);
     let n = image.pixels();

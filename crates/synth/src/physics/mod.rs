@@ -1,10 +1,12 @@
-//! How a scene becomes a picture under water: the method's own formation, or one that is none of its assumptions.
+//! How a scene becomes a picture under water: the method's own formation, or one that is none of its
+//! assumptions.
 //!
-//! [`Physics::Display`] applies `I = J e^{-β_attn s} + c_m(d) (1 - e^{-β_bs s})` to display values, exactly as the method
-//! models it ([`crate::water`]). [`Physics::Spectral`] works in linear light and ten wavelengths ([`spectral`]), with daylight
-//! that fades with depth, optional lamps ([`spectral::Lamps`]), a camera that exposes and balances every view on its
-//! own ([`camera`]) and animals and particles that pass by ([`passers`]). A method that only recovers what the first
-//! writes has learnt its own assumptions; the second tells.
+//! [`Physics::Display`] applies `I = J e^{-β_attn s} + c_m(d) (1 - e^{-β_bs s})` to display values, exactly
+//! as the method models it ([`crate::water`]). [`Physics::Spectral`] works in linear light and ten
+//! wavelengths ([`spectral`]), with daylight that fades with depth, optional lamps ([`spectral::Lamps`]), a
+//! camera that exposes and balances every view on its own ([`camera`]) and animals and particles that pass by
+//! ([`passers`]). A method that only recovers what the first writes has learnt its own assumptions; the
+//! second tells.
 
 pub(crate) mod camera;
 pub(crate) mod passers;

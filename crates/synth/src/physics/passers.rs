@@ -1,8 +1,8 @@
 //! What passes between camera and scene: fish, which a mask hides, and marine snow, which nothing does.
 //!
-//! Both are drawn over the finished linear picture at a place and distance of their own in every view, behind whatever is nearer,
-//! with the light that the water leaves of them. A fish is an ellipse with a tail; a particle is a soft disc, larger when near and
-//! out of focus.
+//! Both are drawn over the finished linear picture at a place and distance of their own in every view, behind
+//! whatever is nearer, with the light that the water leaves of them. A fish is an ellipse with a tail; a
+//! particle is a soft disc, larger when near and out of focus.
 
 use glam::{Vec2, Vec3};
 use use3d_capture::{Camera, Image, Map};

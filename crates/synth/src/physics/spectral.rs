@@ -1,7 +1,8 @@
 //! Transport of light through water by wavelength, as single scattering in a homogeneous body of water.
 //!
-//! Ten wavelengths λ from 425 to 650 nm. With `K(λ)` Jerlov's diffuse attenuation (1/m), `z` depths below the surface,
-//! s the distance along the ray (m) and `d_z` the ray's upward component, the light of λ that reaches the camera is
+//! Ten wavelengths λ from 425 to 650 nm. With `K(λ)` Jerlov's diffuse attenuation (1/m), `z` depths below the
+//! surface, s the distance along the ray (m) and `d_z` the ray's upward component, the light of λ that
+//! reaches the camera is
 //!
 //! ```text
 //! L(λ) = ρ(λ) [E₀ e^{-K z_point} σ + lamps(point)] e^{-c s}  +  v(λ, d) E₀ e^{-K z_camera} (1 - e^{-m s}) / m  +  lamp haze
@@ -11,14 +12,14 @@
 //! v    = 0.16 b (1 + 0.35 d·sun)       daylight scattered towards the camera, a little more with the sun ahead
 //! ```
 //!
-//! with ρ the reflectance, σ the neutral shading of the scene under its soft daylight and `E₀ = 1` for every wavelength.
-//! The camera integrates with bell-shaped responses around 465, 532 and 605 nm; a white surface in air under E₀ reads 1 in
-//! every channel. The sum over wavelengths of one channel is no exponential: what a single β per channel can express
-//! ends here, on purpose.
+//! with ρ the reflectance, σ the neutral shading of the scene under its soft daylight and `E₀ = 1` for every
+//! wavelength. The camera integrates with bell-shaped responses around 465, 532 and 605 nm; a white surface
+//! in air under E₀ reads 1 in every channel. The sum over wavelengths of one channel is no exponential: what
+//! a single β per channel can express ends here, on purpose.
 //!
-//! Approximations: reflectances have three degrees of freedom (those of the scene's albedo); scattering is single and does
-//! not blur; b and its share towards the camera are plausible, not measured; E₀ is flat. The table of K is that of N. G. Jerlov, *Marine
-//! Optics*, 2nd edition, 1976, table XXVII.
+//! Approximations: reflectances have three degrees of freedom (those of the scene's albedo); scattering is
+//! single and does not blur; b and its share towards the camera are plausible, not measured; E₀ is flat. The
+//! table of K is that of N. G. Jerlov, *Marine Optics*, 2nd edition, 1976, table XXVII.
 
 use glam::Vec3;
 use use3d_numerics::math;
@@ -61,8 +62,8 @@ fn response(channel: usize) -> Spectrum {
     bell.map(|v| v / sum)
 }
 
-/// How much of each channel's albedo a wavelength reflects: smooth steps at 495 and 580 nm that sum to 1, so that grey is
-/// grey at every wavelength.
+/// How much of each channel's albedo a wavelength reflects: smooth steps at 495 and 580 nm that sum to 1, so
+/// that grey is grey at every wavelength.
 fn reflectance(band: usize) -> [f32; 3] {
     let step = |at: f32| 1.0 / (1.0 + math::exp(-(WAVELENGTHS[band] - at) / 12.0));
     let (above_blue, above_green) = (step(495.0), step(580.0));
@@ -82,8 +83,8 @@ pub(crate) struct Lamps {
     pub(crate) strength: f32,
 }
 
-/// Share of scattered daylight that turns into the view, in units of a white surface's light. Higher orders of scattering
-/// are in it.
+/// Share of scattered daylight that turns into the view, in units of a white surface's light. Higher orders
+/// of scattering are in it.
 const DAYLIGHT_HAZE: f32 = 0.16;
 /// The same of lamp light, which has to turn back.
 const LAMP_HAZE: f32 = 0.02;
@@ -185,8 +186,8 @@ impl Spectral {
         haze
     }
 
-    /// What the camera's channels read, linear: a surface of this shaded albedo at `s` metres along a unit ray, or open
-    /// water. A white surface in air under daylight reads 1.
+    /// What the camera's channels read, linear: a surface of this shaded albedo at `s` metres along a unit
+    /// ray, or open water. A white surface in air under daylight reads 1.
     pub(crate) fn light(&self, surface: Option<Vec3>, eye: Vec3, direction: Vec3, s: f32) -> Vec3 {
         let mut channels = if surface.is_none() { self.background } else { Vec3::ZERO };
         for band in 0..BANDS {
@@ -204,7 +205,8 @@ impl Spectral {
         channels
     }
 
-    /// Light of a white surface at height 0 under daylight alone, per channel, seen from `s` metres away without haze.
+    /// Light of a white surface at height 0 under daylight alone, per channel, seen from `s` metres away
+    /// without haze.
     pub(crate) fn white(&self, s: f32) -> [f32; 3] {
         std::array::from_fn(|c| {
             (0..BANDS)

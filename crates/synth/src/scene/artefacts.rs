@@ -1,4 +1,5 @@
-//! What people left on the sea floor: a colour chart, a rope on a concrete block, the ribs of a wreck, a drum, a jar.
+//! What people left on the sea floor: a colour chart, a rope on a concrete block, the ribs of a wreck, a
+//! drum, a jar.
 
 use glam::{Mat3, Vec2, Vec3};
 use use3d_numerics::math;

@@ -2,7 +2,8 @@
 
 use use3d_numerics::random::{Purpose, Stream};
 
-/// Draws of one object: a function of the scene's seed, the kind of object and its number, whatever else was built before.
+/// Draws of one object: a function of the scene's seed, the kind of object and its number, whatever else was
+/// built before.
 pub(crate) struct Draws {
     stream: Stream,
     next: u64,

@@ -1,12 +1,14 @@
-//! Daylight under water: a soft sun from above, light from the whole upper half, a little light back from the sand.
+//! Daylight under water: a soft sun from above, light from the whole upper half, a little light back from the
+//! sand.
 //!
-//! Linear light per unit albedo at a point with normal n, sun direction l, openness a (0 enclosed to 1 free) and sun
-//! visibility v:
+//! Linear light per unit albedo at a point with normal n, sun direction l, openness a (0 enclosed to 1 free)
+//! and sun visibility v:
 //!
 //! `E = v max(n·l, 0) E_sun + a (1 + n_z)/2 E_sky + a (1 - n_z)/2 E_sand`
 //!
-//! Openness and visibility are computed once per vertex by casting rays and are interpolated. Approximations: no light
-//! reaches one object from another except the sand's, and no light is absorbed on its way along the sea floor.
+//! Openness and visibility are computed once per vertex by casting rays and are interpolated. Approximations:
+//! no light reaches one object from another except the sand's, and no light is absorbed on its way along the
+//! sea floor.
 
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;

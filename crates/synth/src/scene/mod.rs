@@ -1,7 +1,8 @@
-//! The scene: a reef or a tiled pool and what lies on it, as triangles with procedural textures under soft daylight.
+//! The scene: a reef or a tiled pool and what lies on it, as triangles with procedural textures under soft
+//! daylight.
 //!
-//! Nothing here is a Gaussian: the scene is opaque geometry, seen by casting rays. Coordinates are metres, x to the right
-//! of the swim, y ahead, z up.
+//! Nothing here is a Gaussian: the scene is opaque geometry, seen by casting rays. Coordinates are metres, x
+//! to the right of the swim, y ahead, z up.
 
 mod artefacts;
 mod draws;

@@ -1,7 +1,9 @@
-//! What grows on the reef: branching, brain, plate and fan corals, tube sponges, starfish, boulders and pebbles.
+//! What grows on the reef: branching, brain, plate and fan corals, tube sponges, starfish, boulders and
+//! pebbles.
 //!
-//! Every builder adds one object to the mesh, standing at `base` (metres), about `size` large. `detail` in (0, 1] scales the
-//! number of triangles. Texture parameters are documented at the surfaces that read them (`Surface`).
+//! Every builder adds one object to the mesh, standing at `base` (metres), about `size` large. `detail` in
+//! (0, 1] scales the number of triangles. Texture parameters are documented at the surfaces that read them
+//! (`Surface`).
 
 use glam::{Vec2, Vec3};
 use use3d_numerics::math;
@@ -47,7 +49,8 @@ pub(crate) fn brain(mesh: &mut Mesh, draws: &mut Draws, base: Vec3, size: f32, d
     });
 }
 
-/// How far a point is from the middle of a brain coral's groove (0 in it, about 0.3 on a ridge), and the gradient of that.
+/// How far a point is from the middle of a brain coral's groove (0 in it, about 0.3 on a ridge), and the
+/// gradient of that.
 pub(crate) fn groove(noise: Noise, p: Vec3) -> (f32, Vec3) {
     let (bend, turn) = noise.with_gradient(7.0 * p + Vec3::splat(5.0));
     let (value, slope) = noise.with_gradient(26.0 * p + Vec3::splat(1.3 * bend));
@@ -126,7 +129,8 @@ pub(crate) fn branching(
     }
 }
 
-/// Sea fan: branches that fork within one plane facing `facing`. Second parameter: 0 at the foot, 1 at the rim.
+/// Sea fan: branches that fork within one plane facing `facing`. Second parameter: 0 at the foot, 1 at the
+/// rim.
 pub(crate) fn fan(
     mesh: &mut Mesh,
     draws: &mut Draws,

@@ -1,6 +1,8 @@
-//! A tiled pool: flat blue floor and walls with hardly a feature, the hard case for telling surfaces from water.
+//! A tiled pool: flat blue floor and walls with hardly a feature, the hard case for telling surfaces from
+//! water.
 //!
-//! The floor is at z = 0, walls stand left, right and ahead, the swim goes along a lane line. A colour chart, a drum and a jar lie on the floor.
+//! The floor is at z = 0, walls stand left, right and ahead, the swim goes along a lane line. A colour chart,
+//! a drum and a jar lie on the floor.
 
 use glam::{Vec2, Vec3};
 

@@ -1,4 +1,5 @@
-//! What surfaces look like: albedo (linear light) and bumps, as procedural textures that keep within a pixel's resolution.
+//! What surfaces look like: albedo (linear light) and bumps, as procedural textures that keep within a
+//! pixel's resolution.
 
 use glam::{Vec2, Vec3};
 use use3d_numerics::math;
@@ -32,8 +33,8 @@ pub(crate) enum Surface {
     Sponge { outside: Vec3 },
     /// Starfish; first parameter 0 in the middle, 1 at the arms' ends.
     Starfish { color: Vec3 },
-    /// Glazed square tiles of `side` metres with light joints; parameters are metres along the wall. A dark line of half the width `line` runs
-    /// where the first one is 0.
+    /// Glazed square tiles of `side` metres with light joints; parameters are metres along the wall. A dark
+    /// line of half the width `line` runs where the first one is 0.
     Tiles { color: Vec3, side: f32, line: f32 },
 }
 
@@ -89,8 +90,8 @@ impl Palette {
 }
 
 impl Surface {
-    /// Albedo and bump gradient at a point. `footprint` is the size of a pixel there, metres. The bump is the gradient of a
-    /// height above the surface; the shader tilts the normal against it.
+    /// Albedo and bump gradient at a point. `footprint` is the size of a pixel there, metres. The bump is the
+    /// gradient of a height above the surface; the shader tilts the normal against it.
     pub(crate) fn look(&self, noise: Noise, p: Vec3, parameter: Vec2, footprint: f32) -> (Vec3, Vec3) {
         match self {
             Self::Ground { sand, rock, algae, crust, ripples } => {

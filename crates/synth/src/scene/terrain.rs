@@ -113,7 +113,8 @@ impl Terrain {
         self.at(x, y).0
     }
 
-    /// Adds the floor to a mesh: fine where the camera swims (`spacing` metres), coarse towards the distance where water hides it.
+    /// Adds the floor to a mesh: fine where the camera swims (`spacing` metres), coarse towards the distance
+    /// where water hides it.
     pub(crate) fn add_to(&self, mesh: &mut Mesh, spacing: f32, surface: u16) {
         let xs = graded(-4.5, 4.5, -45.0, 45.0, spacing);
         let ys = graded(-1.5, 11.0, -9.0, 60.0, spacing);

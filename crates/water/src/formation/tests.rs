@@ -26,7 +26,8 @@ fn weights() -> Vec<f64> {
 
 #[test]
 fn golden_radiance_is_the_weighted_least_squares_solution() {
-    // Two views of one point, worked out by hand: a = e^{-s}, I - b = 1 and 1/2 at s = 0 and ln 2, weights 1 and 4.
+    // Two views of one point, worked out by hand: a = e^{-s}, I - b = 1 and 1/2 at s = 0 and ln 2, weights 1
+    // and 4.
     let (j, below) = radiance([(1.0, 1.0, 1.0), (4.0, 0.5, 0.5)].into_iter());
     assert_eq!((j, below), (1.0, 2.0));
     let (j, _) = radiance([(1.0, 1.0, 0.8), (4.0, 0.5, 0.5)].into_iter());
@@ -40,7 +41,8 @@ fn golden_radiance_is_the_weighted_least_squares_solution() {
 fn golden_terms_are_those_of_the_equation() {
     let (channel, theta) = (channel(), theta());
     let t = terms(&channel, &Shared::new(&theta), 2);
-    // Computed with 30 digits: γ = 0.03, β_a s = 0.96, β_b s = 0.72, B = 0.4 (1 + 0.3·(−0.1) − 0.2·0.1 + 0.5·0.16).
+    // Computed with 30 digits: γ = 0.03, β_a s = 0.96, β_b s = 0.72, B = 0.4 (1 + 0.3·(−0.1) − 0.2·0.1 +
+    // 0.5·0.16).
     assert!((t.left - 0.394_553_710_371_601_14).abs() < 1e-14, "{}", t.left);
     assert!((t.added - 0.4 * 1.03 * math::exp(0.03) * (1.0 - math::exp(-0.72))).abs() < 1e-15);
 }

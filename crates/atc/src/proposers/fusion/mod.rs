@@ -1,17 +1,19 @@
 //! `fusion`: a classical underwater enhancer without weights.
 //!
-//! After the ideas of C. O. Ancuti, C. Ancuti, C. De Vleeschouwer and P. Bekaert, "Color Balance and Fusion for Underwater
-//! Image Enhancement", IEEE Transactions on Image Processing 27(1), 2018:
+//! After the ideas of C. O. Ancuti, C. Ancuti, C. De Vleeschouwer and P. Bekaert, "Color Balance and Fusion
+//! for Underwater Image Enhancement", IEEE Transactions on Image Processing 27(1), 2018:
 //!
 //! 1. white balance, with red (and in turbid water blue) compensated from green first (`white_balance`);
 //! 2. two inputs made of it: one brought to a middle brightness by a gamma curve, one sharpened;
-//! 3. a weight map for each, from contrast, saliency and saturation (`weights`), normalised to sum 1 per pixel;
-//! 4. the Laplacian pyramids of the inputs blended with the Gaussian pyramids of the weights (`pyramid`), which leaves no
-//!    halos where the weights change quickly.
+//! 3. a weight map for each, from contrast, saliency and saturation (`weights`), normalised to sum 1 per
+//!    pixel;
+//! 4. the Laplacian pyramids of the inputs blended with the Gaussian pyramids of the weights (`pyramid`),
+//!    which leaves no halos where the weights change quickly.
 //!
-//! Differences from the article: opponent colours in place of CIELab in the saliency map; bounded grey-world gains; a plain
-//! unsharp mask; and a last stretch of the range, one curve for all channels, that takes the veil off hazy frames.
-//! Deterministic. Known limits: it knows nothing of distance, so far water is treated like near sand.
+//! Differences from the article: opponent colours in place of CIELab in the saliency map; bounded grey-world
+//! gains; a plain unsharp mask; and a last stretch of the range, one curve for all channels, that takes the
+//! veil off hazy frames. Deterministic. Known limits: it knows nothing of distance, so far water is treated
+//! like near sand.
 
 pub(super) mod pyramid;
 mod weights;
@@ -24,7 +26,8 @@ use use3d_numerics::sums::sums;
 use super::Proposer;
 use crate::error::AtcError;
 
-/// The first input's gamma curve brings the mean luminance towards this: bright frames gain contrast, dark ones light.
+/// The first input's gamma curve brings the mean luminance towards this: bright frames gain contrast, dark
+/// ones light.
 const MEAN_LUMINANCE: f64 = 0.42;
 /// Bounds of the curve's exponent.
 const GAMMA: (f64, f64) = (0.7, 1.35);
@@ -118,7 +121,8 @@ fn normalise(maps: &mut [Map; 2]) {
     }
 }
 
-/// One straight line for all channels from the luminance's dark and bright quantiles to 0 and 1, its slope bounded.
+/// One straight line for all channels from the luminance's dark and bright quantiles to 0 and 1, its slope
+/// bounded.
 fn stretch(image: &Image) -> Image {
     let [r, g, b] = image.planes();
     let mut light: Vec<f32> =

@@ -1,8 +1,9 @@
 //! Gaussian and Laplacian pyramids (Burt & Adelson, "The Laplacian pyramid as a compact image code", 1983).
 //!
-//! One level down: the binomial filter `(1, 4, 6, 4, 1) / 16` along both axes, every second pixel kept, sides rounded up, edges
-//! repeated. One level up: its transpose up to scale, `(1, 6, 1) / 8` at even and `(1, 1) / 2` at odd positions. A
-//! Laplacian level is an image minus its next level brought up again, so summing the levels from the top returns the image.
+//! One level down: the binomial filter `(1, 4, 6, 4, 1) / 16` along both axes, every second pixel kept, sides
+//! rounded up, edges repeated. One level up: its transpose up to scale, `(1, 6, 1) / 8` at even and `(1, 1) /
+//! 2` at odd positions. A Laplacian level is an image minus its next level brought up again, so summing the
+//! levels from the top returns the image.
 
 use rayon::prelude::*;
 use use3d_capture::Raster;
@@ -113,7 +114,8 @@ pub(super) fn gaussian<const C: usize>(image: Raster<f32, C>, levels: usize) -> 
     out
 }
 
-/// Adds `weight · (level of the Laplacian pyramid of an image)` to each level of `sum`, given both Gaussian pyramids.
+/// Adds `weight · (level of the Laplacian pyramid of an image)` to each level of `sum`, given both Gaussian
+/// pyramids.
 pub(super) fn add_laplacian(sum: &mut [Raster<f32, 3>], image: &[Raster<f32, 3>], weight: &[Raster<f32, 1>]) {
     for level in 0..sum.len() {
         let (w, h) = (image[level].width(), image[level].height());

@@ -1,9 +1,9 @@
 //! White balance for water: first give the starved channels what green still knows, then equalise the means.
 //!
-//! Water takes red first, turbid water blue as well; grey-world alone would then multiply almost nothing and paint red noise.
-//! So red is first compensated, `r ← r + (ḡ − r̄)(1 − r) g`: the green channel carries the detail, and pixels that are already
-//! red are left alone; blue likewise where its mean is below green's. Grey-world gains follow, bounded, because a frame full
-//! of blue water *is* blue.
+//! Water takes red first, turbid water blue as well; grey-world alone would then multiply almost nothing and
+//! paint red noise. So red is first compensated, `r ← r + (ḡ − r̄)(1 − r) g`: the green channel carries the
+//! detail, and pixels that are already red are left alone; blue likewise where its mean is below green's.
+//! Grey-world gains follow, bounded, because a frame full of blue water *is* blue.
 
 use use3d_capture::Image;
 use use3d_numerics::math;

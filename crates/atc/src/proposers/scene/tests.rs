@@ -8,8 +8,8 @@ use super::*;
 
 const SIZE: (usize, usize) = (80, 45);
 
-/// A view of random patches: `colour` makes a patch's radiance of three uniform numbers, `t` its transmittance from its column's place in
-/// `[0, 1)`.
+/// A view of random patches: `colour` makes a patch's radiance of three uniform numbers, `t` its
+/// transmittance from its column's place in `[0, 1)`.
 fn view(seed: u64, colour: impl Fn([f64; 3]) -> [f64; 3], t: impl Fn(f64) -> f64) -> SceneView {
     let draw = Stream::new(seed, Purpose::new("scene proposer"), 0);
     let (w, h) = SIZE;
@@ -89,7 +89,8 @@ fn what_views_disagree_about_is_trusted_less() {
     assert_eq!(standard_error(&alike, [0.1, 0.0, -0.1]), 0.0);
     let mixed: Vec<_> =
         (0..8).map(|k| vec![(if k % 2 == 0 { [0.2; 3] } else { [-0.2; 3] }, 100.0)]).collect();
-    // Eight views count as two; centred medians of a grey are zero, so what is left is the mean's own departure.
+    // Eight views count as two; centred medians of a grey are zero, so what is left is the mean's own
+    // departure.
     let error = standard_error(&mixed, [0.3, 0.0, -0.3]);
     assert!((error - (0.06f64 / 2.0).sqrt()).abs() < 1e-9, "{error}");
 }

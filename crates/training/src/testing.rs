@@ -1,0 +1,21 @@
+//! What the tests of this crate train: a state that knows its run and its step, and nothing else.
+
+use serde::{Deserialize, Serialize};
+
+use crate::Resumable;
+
+/// A checkpoint's content.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct State {
+    pub(crate) fingerprint: [u8; 32],
+    pub(crate) step: u64,
+}
+
+impl Resumable for State {
+    fn fingerprint(&self) -> &[u8; 32] {
+        &self.fingerprint
+    }
+    fn step(&self) -> u64 {
+        self.step
+    }
+}
