@@ -17,12 +17,37 @@ use rayon::prelude::*;
 use use3d_capture::{Camera, Lattice, MediumMaps};
 use use3d_numerics::spherical_harmonics::bands;
 
+use crate::Role;
 use crate::lanes::{self, LANES};
 
 /// Spherical-harmonic coefficients of the three quantities: `[c_m, β_bs, β_attn][band][RGB]`.
 pub type Coefficients = [[[f32; 3]; 16]; 3];
 /// Gradients with respect to [`Coefficients`], summed in f64.
 pub(crate) type CoefficientGradients = [[[f64; 3]; 16]; 3];
+
+/// `c_m = 0.5`, `β = softplus(-5 Y₀₀)` in every direction.
+pub(crate) fn initial_coefficients() -> Coefficients {
+    let mut coefficients = [[[0.0; 3]; 16]; 3];
+    coefficients[1][0] = [-5.0; 3];
+    coefficients[2][0] = [-5.0; 3];
+    coefficients
+}
+
+/// Floats of one quantity's 16 bands, and of its constant band.
+const QUANTITY: usize = 48;
+const CONSTANT: usize = 3;
+
+/// Coefficients as runs: three constants, 45 directional, and so on.
+pub(crate) fn runs(coefficients: &[f32]) -> Vec<(Role, &[f32])> {
+    let split = coefficients.chunks_exact(QUANTITY).map(|q| q.split_at(CONSTANT));
+    split.flat_map(|(constant, rest)| [(Role::Constant, constant), (Role::Directional, rest)]).collect()
+}
+
+/// The same, to be changed.
+pub(crate) fn runs_mut(coefficients: &mut [f32]) -> Vec<(Role, &mut [f32])> {
+    let split = coefficients.chunks_exact_mut(QUANTITY).map(|q| q.split_at_mut(CONSTANT));
+    split.flat_map(|(constant, rest)| [(Role::Constant, constant), (Role::Directional, rest)]).collect()
+}
 
 /// Rows per strip.
 pub(crate) const STRIP: usize = 8;

@@ -16,7 +16,10 @@ use use3d_capture::{Camera, Lattice, MediumMaps};
 use use3d_numerics::random::{Purpose, Stream};
 
 use crate::directional::{Rays, STRIP, planes, strips};
+use crate::kinds::{Medium, MediumStart};
 use crate::lanes::{self, LANES};
+use crate::tensors::{self, Put, Tensors};
+use crate::{MediumError, Role};
 
 /// Inputs, hidden units, outputs (padded to a multiple of [`ROWS`] inside the kernels).
 const INPUTS: usize = 16;
@@ -38,7 +41,7 @@ pub struct MediumMlp {
 }
 
 /// Inputs and outputs per layer.
-pub(crate) const SHAPES: [(usize, usize); 3] = [(INPUTS, HIDDEN), (HIDDEN, HIDDEN), (HIDDEN, OUTPUTS)];
+const SHAPES: [(usize, usize); 3] = [(INPUTS, HIDDEN), (HIDDEN, HIDDEN), (HIDDEN, OUTPUTS)];
 
 impl MediumMlp {
     /// Uniform Xavier weights drawn from `seed`, zero biases.
@@ -51,8 +54,14 @@ impl MediumMlp {
         };
         Self { weights: [draw(0), draw(1), draw(2)], biases: SHAPES.map(|(_, outputs)| vec![0.0; outputs]) }
     }
+}
 
-    pub(crate) fn forward(&self, camera: &Camera, lattice: &Lattice, out: &mut MediumMaps) {
+impl Medium for MediumMlp {
+    fn start(start: &MediumStart) -> Result<Self, MediumError> {
+        Ok(Self::new(start.seed))
+    }
+
+    fn maps(&self, camera: &Camera, lattice: &Lattice, _degree: usize, out: &mut MediumMaps) {
         out.resize(lattice.width(), lattice.height());
         let rays = Rays::new(camera, lattice);
         let level = Level::new();
@@ -76,10 +85,11 @@ impl MediumMlp {
         });
     }
 
-    pub(crate) fn backward(
+    fn backward(
         &self,
         camera: &Camera,
         lattice: &Lattice,
+        _degree: usize,
         maps: &MediumMaps,
         cotangent: &MediumMaps,
         gradient: &mut Self,
@@ -120,6 +130,36 @@ impl MediumMlp {
                 *t += s;
             }
         }
+    }
+
+    fn groups(&self) -> Vec<(Role, &[f32])> {
+        let layers = self.weights.iter().zip(&self.biases);
+        layers.flat_map(|(w, b)| [(Role::Network, w.as_slice()), (Role::Network, b.as_slice())]).collect()
+    }
+
+    fn groups_mut(&mut self) -> Vec<(Role, &mut [f32])> {
+        let layers = self.weights.iter_mut().zip(self.biases.iter_mut());
+        layers
+            .flat_map(|(w, b)| [(Role::Network, w.as_mut_slice()), (Role::Network, b.as_mut_slice())])
+            .collect()
+    }
+
+    fn write(&self, put: Put<'_>) {
+        for (layer, &(inputs, outputs)) in SHAPES.iter().enumerate() {
+            put(&format!("layer{layer}.weight"), &[outputs, inputs], &self.weights[layer]);
+            put(&format!("layer{layer}.bias"), &[outputs], &self.biases[layer]);
+        }
+    }
+
+    fn read(_top_k: usize, tensors: &Tensors) -> Result<Self, MediumError> {
+        let mut network = Self::new(0);
+        for (layer, &(inputs, outputs)) in SHAPES.iter().enumerate() {
+            let weight = tensors::get(tensors, &format!("layer{layer}.weight"), &[outputs, inputs])?;
+            network.weights[layer] = weight.to_vec();
+            network.biases[layer] =
+                tensors::get(tensors, &format!("layer{layer}.bias"), &[outputs])?.to_vec();
+        }
+        Ok(network)
     }
 }
 

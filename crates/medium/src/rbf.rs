@@ -11,10 +11,13 @@
 //! the medium jumps where the K-th and the next anchor change places; nor is the camera's position. The maximum is subtracted
 //! before the exponential, since affinities of narrow anchors lie far below the range of `exp`.
 
-use use3d_capture::Camera;
+use use3d_capture::{Camera, Lattice, MediumMaps};
 use use3d_numerics::math;
 
-use crate::directional::{CoefficientGradients, Coefficients};
+use crate::directional::{self, CoefficientGradients, Coefficients, initial_coefficients};
+use crate::kinds::{Anchors, Harmonics, Medium, MediumStart};
+use crate::tensors::{self, MOST_ANCHORS, Put, Tensors};
+use crate::{MediumError, Role};
 
 /// Smallest width, scene units.
 const WIDTH_FLOOR: f64 = 1e-4;
@@ -83,7 +86,7 @@ impl MediumRbf {
     }
 
     /// Adds the gradients with respect to centres, log widths and coefficients, given those with respect to `A`.
-    pub(crate) fn backward(&self, camera: &Camera, aggregate: &CoefficientGradients, gradient: &mut Self) {
+    fn pull(&self, camera: &Camera, aggregate: &CoefficientGradients, gradient: &mut Self) {
         let o = query(camera);
         let selection = self.selection(camera);
         // dL/dw_k, then through the softmax to dL/dρ_k.
@@ -144,17 +147,93 @@ impl MediumRbf {
     }
 }
 
+impl Medium for MediumRbf {
+    const FROM_HARMONICS: bool = true;
+
+    fn start(start: &MediumStart) -> Result<Self, MediumError> {
+        check(start.anchors, start.top_k)?;
+        Ok(Self::new(start.anchors, start.top_k))
+    }
+
+    fn set_harmonics(&mut self, coefficients: &Coefficients) {
+        self.coefficients.fill(*coefficients);
+    }
+
+    fn maps(&self, camera: &Camera, lattice: &Lattice, degree: usize, out: &mut MediumMaps) {
+        directional::forward(&self.aggregate(camera), camera, lattice, degree, out);
+    }
+
+    fn backward(
+        &self,
+        camera: &Camera,
+        lattice: &Lattice,
+        degree: usize,
+        maps: &MediumMaps,
+        cotangent: &MediumMaps,
+        gradient: &mut Self,
+    ) {
+        let sums = directional::backward(camera, lattice, degree, maps, cotangent);
+        self.pull(camera, &sums, gradient);
+    }
+
+    fn groups(&self) -> Vec<(Role, &[f32])> {
+        let mut groups = vec![
+            (Role::Anchor, bytemuck::cast_slice(&self.centers)),
+            (Role::Anchor, self.log_widths.as_slice()),
+        ];
+        groups.extend(directional::runs(bytemuck::cast_slice(&self.coefficients)));
+        groups
+    }
+
+    fn groups_mut(&mut self) -> Vec<(Role, &mut [f32])> {
+        let mut groups = vec![
+            (Role::Anchor, bytemuck::cast_slice_mut(&mut self.centers)),
+            (Role::Anchor, self.log_widths.as_mut_slice()),
+        ];
+        groups.extend(directional::runs_mut(bytemuck::cast_slice_mut(&mut self.coefficients)));
+        groups
+    }
+
+    fn write(&self, put: Put<'_>) {
+        put("centers", &[self.len(), 3], bytemuck::cast_slice(&self.centers));
+        put("log_widths", &[self.len()], &self.log_widths);
+        put("coefficients", &[self.len(), 3, 16, 3], bytemuck::cast_slice(&self.coefficients));
+    }
+
+    fn read(top_k: usize, tensors: &Tensors) -> Result<Self, MediumError> {
+        let anchors = tensors.get("log_widths").map_or(0, |t| t.values.len());
+        check(anchors, top_k)?;
+        let centers = tensors::get(tensors, "centers", &[anchors, 3])?;
+        let log_widths = tensors::get(tensors, "log_widths", &[anchors])?.to_vec();
+        let coefficients = tensors::get(tensors, "coefficients", &[anchors, 3, 16, 3])?;
+        Ok(Self {
+            centers: centers.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect(),
+            log_widths,
+            coefficients: tensors::coefficients(coefficients),
+            top_k,
+        })
+    }
+
+    fn harmonics(&self) -> Option<Harmonics<'_>> {
+        let anchors = Anchors { centers: &self.centers, log_widths: &self.log_widths, top_k: self.top_k };
+        Some(Harmonics { coefficients: &self.coefficients, anchors: Some(anchors) })
+    }
+}
+
+/// Whether there are so many anchors as a model may have, and as many as share a view.
+fn check(anchors: usize, top_k: usize) -> Result<(), MediumError> {
+    if anchors == 0 || anchors > MOST_ANCHORS {
+        return Err(MediumError::Anchors { found: anchors, most: MOST_ANCHORS });
+    }
+    if top_k == 0 || top_k > anchors {
+        return Err(MediumError::TopK { top_k, anchors });
+    }
+    Ok(())
+}
+
 /// The observer, clamped (R4).
 fn query(camera: &Camera) -> [f64; 3] {
     camera.pose.center().to_array().map(|v| v.clamp(-QUERY_LIMIT, QUERY_LIMIT))
-}
-
-/// `c_m = 0.5`, `β = softplus(-5 Y₀₀)` in every direction.
-pub(crate) fn initial_coefficients() -> Coefficients {
-    let mut coefficients = [[[0.0; 3]; 16]; 3];
-    coefficients[1][0] = [-5.0; 3];
-    coefficients[2][0] = [-5.0; 3];
-    coefficients
 }
 
 fn for_each(coefficients: &Coefficients, mut f: impl FnMut(usize, usize, usize, f32)) {

@@ -10,11 +10,11 @@
 //!   `(w J + (1-w) I)` with `w = σ₀² / (σ₀² + σ_J²)`, σ₀ = 0.2 of display range, I the point's colour in the photographs;
 //! * it is held for a share of the run (`medium_hold`) and then learnt at a fraction of its rates (`medium_release`).
 
-use use3d_medium::{Coefficients, MediumGlobal, MediumModel, MediumRbf};
+use use3d_medium::{Coefficients, MediumModel};
 use use3d_numerics::math;
 use use3d_numerics::spherical_harmonics::{C0, C1};
 
-use crate::{Medium, ReconstructParams};
+use crate::ReconstructParams;
 
 /// An error of J, display range, at which the photographs' colour counts as much.
 const EVEN: f64 = 0.2;
@@ -70,16 +70,7 @@ impl FoundWater {
 
     /// The model of the water at the start; `None` for a model that does not start from spherical harmonics.
     pub(crate) fn model(&self, params: &ReconstructParams) -> Option<MediumModel> {
-        let coefficients = self.coefficients();
-        match params.medium {
-            Medium::Rbf => {
-                let start = MediumRbf::new(params.anchors, params.top_k);
-                let all = vec![coefficients; start.len()];
-                Some(MediumModel::Rbf(MediumRbf { coefficients: all, ..start }))
-            }
-            Medium::Global => Some(MediumModel::Global(MediumGlobal { coefficients })),
-            Medium::Mlp | Medium::None => None,
-        }
+        MediumModel::start_from(params.medium, &params.medium_start(), &self.coefficients()).ok().flatten()
     }
 
     /// The colour that the Gaussian of a point starts with, from its colour in the photographs (display range).
@@ -107,6 +98,7 @@ mod tests {
     use use3d_capture::{Camera, Intrinsics, Lattice, MediumMaps, Pose};
 
     use super::*;
+    use crate::Medium;
 
     fn found() -> FoundWater {
         FoundWater {

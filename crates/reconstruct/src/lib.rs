@@ -28,11 +28,12 @@ pub use error::ReconstructError;
 pub use exposure::{ExposureStep, Exposures};
 pub use found::{FoundWater, Known};
 pub use params::{
-    Densify, DepthPrior, Exposure, Images, LearningRates, Medium, MediumPrior, Rate, ReconstructParams,
+    Densify, DepthPrior, Exposure, Images, LearningRates, MediumPrior, Rate, ReconstructParams,
 };
 pub use profile::{StepPart, Stretch, growth};
 pub use report::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
 pub use run::{Outcome, reconstruct, reconstruct_in};
+pub use use3d_medium::MediumKind as Medium;
 pub use views::{Dropped, LoadedView, Target, TrainingView, ViewLoader};
 
 #[cfg(test)]

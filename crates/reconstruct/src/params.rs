@@ -2,25 +2,11 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use use3d_medium::{MediumKind, MediumStart};
 use use3d_numerics::math;
 
 /// The largest divisor of the image pyramid.
 pub(crate) const MOST_DIVISOR: usize = 1024;
-
-/// Which model of the water is fitted.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Medium {
-    /// Anchored spherical harmonics: the method's own.
-    #[default]
-    Rbf,
-    /// A network of the viewing direction (WaterSplatting's water).
-    Mlp,
-    /// One set of spherical harmonics (Plenodium's water).
-    Global,
-    /// No water: plain Gaussian splatting.
-    None,
-}
 
 /// Where depth priors come from (R14).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -214,7 +200,7 @@ pub struct ReconstructParams {
     /// What the scene is learnt from.
     pub images: Images,
     /// The model of the water.
-    pub medium: Medium,
+    pub medium: MediumKind,
     /// Anchors of the `rbf` water.
     pub anchors: usize,
     /// Anchors that share a view.
@@ -273,7 +259,7 @@ impl Default for ReconstructParams {
             iterations: 15_000,
             schedule: 15_000,
             images: Images::Captured,
-            medium: Medium::Rbf,
+            medium: MediumKind::default(),
             anchors: 8,
             top_k: 4,
             medium_prior: MediumPrior::Off,
@@ -352,8 +338,11 @@ impl ReconstructParams {
         share("medium_hold", self.medium_hold)?;
         share("medium_release", self.medium_release)?;
         if self.medium_prior == MediumPrior::Tracks {
-            if !matches!(self.medium, Medium::Rbf | Medium::Global) {
-                return Err("medium_prior is tracks; expected off with this medium (rbf and global can start from tracks)".into());
+            if !self.medium.starts_from_harmonics() {
+                let able = MediumKind::names(MediumKind::starts_from_harmonics);
+                return Err(format!(
+                    "medium_prior is tracks; expected off with this medium ({able} can start from tracks)"
+                ));
             }
             if self.images == Images::Proposed {
                 return Err("medium_prior is tracks; expected off with images = \"proposed\", whose water is no longer the photographs'".into());
@@ -414,6 +403,11 @@ impl ReconstructParams {
             positive(&format!("learning_rates.{name}[1]"), rate.1)?;
         }
         Ok(())
+    }
+
+    /// What the water's model needs to know of its start.
+    pub(crate) fn medium_start(&self) -> MediumStart {
+        MediumStart { anchors: self.anchors, top_k: self.top_k, seed: self.seed }
     }
 
     /// The steps that the schedules span.

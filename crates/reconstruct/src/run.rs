@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Capture, Image};
-use use3d_medium::{MediumGlobal, MediumMlp, MediumModel, MediumRbf};
+use use3d_medium::MediumModel;
 use use3d_metrics::{Score, fitted_on_other_half, mask_of, psnr, ssim};
 use use3d_numerics::random::Purpose;
 use use3d_scene::Scene;
@@ -26,8 +26,7 @@ use crate::report::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
 use crate::views::{TrainingView, ViewLoader};
 use crate::window::Window;
 use crate::{
-    Exposure, ExposureStep, FoundWater, Known, Medium, ReconstructError, ReconstructParams, initialise,
-    losses,
+    Exposure, ExposureStep, FoundWater, Known, ReconstructError, ReconstructParams, initialise, losses,
 };
 
 /// What the names of this loop's checkpoints begin with.
@@ -131,7 +130,11 @@ pub fn reconstruct_in(
     let found = start.as_ref().map(|(found, _)| *found);
     let gaussians = initialise::gaussians(capture, found, params, most, |message| observer.notice(message))?;
     let initial = gaussians.len();
-    let water = start.map_or_else(|| water(params), |(_, model)| model);
+    let water = match start {
+        Some((_, model)) => model,
+        None => MediumModel::start(params.medium, &params.medium_start())
+            .map_err(|wrong| ReconstructError::Parameter(wrong.to_string()))?,
+    };
     let views = load(capture, loader, params, observer)?;
     let exposes = params.exposure == Exposure::PerView;
     let gains: Vec<[f64; 3]> = match known.gains.is_empty() {
@@ -177,16 +180,6 @@ pub fn reconstruct_in(
         return Err(ReconstructError::Interrupted { step, steps: params.iterations, saved });
     }
     run.finish(capture)
-}
-
-/// The water at the start.
-fn water(params: &ReconstructParams) -> MediumModel {
-    match params.medium {
-        Medium::Rbf => MediumModel::Rbf(MediumRbf::new(params.anchors, params.top_k)),
-        Medium::Mlp => MediumModel::Mlp(MediumMlp::new(params.seed)),
-        Medium::Global => MediumModel::Global(MediumGlobal::new()),
-        Medium::None => MediumModel::None,
-    }
 }
 
 /// A run between its first and last step.

@@ -5,7 +5,7 @@ use std::path::{Component, Path};
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Appearance, Frame, shown};
-use use3d_medium::{MediumKind, MediumModel};
+use use3d_medium::MediumKind;
 
 use crate::{Origin, Scene, SceneError, files};
 
@@ -86,10 +86,7 @@ impl Description {
     /// What `save` writes about a scene.
     pub(crate) fn of(scene: &Scene) -> Self {
         let kind = scene.medium.kind();
-        let top_k = match &scene.medium {
-            MediumModel::Rbf(rbf) => Some(rbf.top_k),
-            _ => None,
-        };
+        let top_k = scene.medium.anchors().map(|anchors| anchors.top_k);
         Self {
             format: FORMAT.into(),
             version: VERSION,

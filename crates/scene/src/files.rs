@@ -81,7 +81,8 @@ pub(crate) fn write_gaussians(path: &Path, gaussians: &Gaussians) -> Result<(), 
 pub(crate) fn read_medium(dir: &Path, entry: &MediumEntry) -> Result<(MediumModel, usize), SceneError> {
     let description = |message: String| SceneError::Description { path: dir.join("scene.json"), message };
     let kind = MediumKind::from_name(&entry.kind).ok_or_else(|| {
-        description(format!("medium.kind is `{}`; expected rbf, mlp, global or none", shown(&entry.kind)))
+        let kinds = MediumKind::names(|_| true);
+        description(format!("medium.kind is `{}`; expected {kinds}", shown(&entry.kind)))
     })?;
     let degree = entry.sh_degree.unwrap_or(3);
     if degree > 3 {

@@ -1,4 +1,4 @@
-//! What a page knows of the water: coefficients of its harmonics, or, for a network of the direction, a cube of directions filled here.
+//! What a page knows of the water: coefficients of its harmonics, or, for any other water, a cube of directions filled here.
 //!
 //! The network is smooth, so faces of [`SIDE`] pixels, read with linear interpolation, follow it to about the half floats they are kept in.
 
@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 use half::f16;
 use serde_json::{Value, json};
 use use3d_capture::{Camera, Image, Intrinsics, Lattice, MediumMaps, Pose};
-use use3d_medium::{Coefficients, MediumModel};
+use use3d_medium::Coefficients;
 use use3d_scene::Scene;
 
 /// Pixels along a face of the cube.
@@ -20,20 +20,23 @@ fn flat(coefficients: &Coefficients) -> &[f32] {
 pub(crate) fn entry(scene: &Scene) -> Value {
     let kind = scene.medium.kind().name();
     let degree = scene.medium_degree.min(3);
-    match &scene.medium {
-        MediumModel::None => json!({ "kind": kind }),
-        MediumModel::Global(m) => {
-            json!({ "kind": kind, "degree": degree, "coefficients": flat(&m.coefficients) })
-        }
-        MediumModel::Rbf(m) => json!({
+    if scene.medium.is_none() {
+        return json!({ "kind": kind });
+    }
+    let Some(harmonics) = scene.medium.harmonics() else {
+        return json!({ "kind": kind, "degree": 3, "side": SIDE });
+    };
+    let sets = harmonics.coefficients;
+    match harmonics.anchors {
+        None => json!({ "kind": kind, "degree": degree, "coefficients": sets.first().map(flat) }),
+        Some(anchors) => json!({
             "kind": kind,
             "degree": degree,
-            "topK": m.top_k,
-            "centers": m.centers,
-            "logWidths": m.log_widths,
-            "coefficients": m.coefficients.iter().map(flat).collect::<Vec<_>>(),
+            "topK": anchors.top_k,
+            "centers": anchors.centers,
+            "logWidths": anchors.log_widths,
+            "coefficients": sets.iter().map(flat).collect::<Vec<_>>(),
         }),
-        MediumModel::Mlp(_) => json!({ "kind": kind, "degree": 3, "side": SIDE }),
     }
 }
 
@@ -47,9 +50,12 @@ const FACES: [[[f64; 3]; 3]; 6] = [
     [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]],
 ];
 
-/// The baked cube of a network: colour, backscatter, attenuation, each six faces of RGBA half floats. `None` for other waters.
+/// The baked cube of water that is no harmonics: colour, backscatter, attenuation, each six faces of RGBA half floats. `None` for other
+/// waters.
 pub(crate) fn cube(scene: &Scene) -> Option<Vec<u8>> {
-    let MediumModel::Mlp(_) = &scene.medium else { return None };
+    if scene.medium.is_none() || scene.medium.harmonics().is_some() {
+        return None;
+    }
     let half_side = SIDE as f64 / 2.0;
     let intrinsics =
         Intrinsics { width: SIDE, height: SIDE, fx: half_side, fy: half_side, cx: half_side, cy: half_side };

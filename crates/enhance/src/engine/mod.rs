@@ -127,10 +127,8 @@ pub fn initial_field(
     params: &EnhanceParams,
 ) -> Result<Field, EnhanceError> {
     // The water asks at the cameras, and so near the anchors; clear radiance is asked for at the Gaussians alone.
-    let anchors = match &scene.medium {
-        use3d_medium::MediumModel::Rbf(rbf) if guidance.appearance() == Appearance::Water => {
-            rbf.centers.as_slice()
-        }
+    let anchors = match scene.medium.anchors() {
+        Some(anchors) if guidance.appearance() == Appearance::Water => anchors.centers,
         _ => &[],
     };
     let bounds = FieldBox::of_scene(&scene.gaussians.means, anchors);

@@ -3,7 +3,7 @@
 //! Plain rows in main memory, the same for every engine, so that a run can go on with another one.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
-use use3d_medium::{MOST_ANCHORS, MediumGlobal, MediumKind, MediumMlp, MediumModel, MediumRbf};
+use use3d_medium::{MediumKind, MediumModel, MediumStart};
 use use3d_splat::{GaussianGradients, Gaussians};
 use use3d_training::EngineError;
 
@@ -184,10 +184,7 @@ mod water {
     }
 
     pub(super) fn serialize<S: Serializer>(water: &MediumModel, serializer: S) -> Result<S::Ok, S::Error> {
-        let (anchors, top_k) = match water {
-            MediumModel::Rbf(rbf) => (rbf.len(), rbf.top_k),
-            _ => (0, 0),
-        };
+        let (anchors, top_k) = water.anchors().map_or((0, 0), |a| (a.centers.len(), a.top_k));
         let kind = water.kind().name().to_string();
         Flat { kind, anchors, top_k, values: water.flat() }.serialize(serializer)
     }
@@ -198,17 +195,8 @@ mod water {
         let Flat { kind, anchors, top_k, values } = Flat::deserialize(deserializer)?;
         let kind = MediumKind::from_name(&kind)
             .ok_or_else(|| D::Error::custom(format!("there is no water of kind `{kind}`")))?;
-        let mut water = match kind {
-            MediumKind::None => MediumModel::None,
-            MediumKind::Global => MediumModel::Global(MediumGlobal::new()),
-            MediumKind::Rbf if (1..=MOST_ANCHORS).contains(&anchors) && (1..=anchors).contains(&top_k) => {
-                MediumModel::Rbf(MediumRbf::new(anchors, top_k))
-            }
-            MediumKind::Rbf => {
-                return Err(D::Error::custom(format!("water of {anchors} anchors, {top_k} of which count")));
-            }
-            MediumKind::Mlp => MediumModel::Mlp(MediumMlp::new(0)),
-        };
+        let start = MediumStart { anchors, top_k, seed: 0 };
+        let mut water = MediumModel::start(kind, &start).map_err(D::Error::custom)?;
         if water.set_flat(&values) {
             Ok(water)
         } else {
@@ -219,6 +207,8 @@ mod water {
 
 #[cfg(test)]
 mod tests {
+    use use3d_medium::{MediumGlobal, MediumMlp, MediumRbf};
+
     use super::*;
 
     fn state(medium: MediumModel) -> TrainingState {

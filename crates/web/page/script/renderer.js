@@ -21,7 +21,7 @@ function makeRenderer(canvas, scene) {
   const geometry = wordTexture(gl, scene.geometry, texels, scene.rows);
   const harmonics = scene.harmonics ? wordTexture(gl, scene.harmonics, texels, scene.rows) : geometry;
   const maps = makeTarget(gl, 3), sum = makeTarget(gl, 1);
-  const cubes = medium.kind === 'mlp' ? bakedWater(gl, scene.cube, medium.side) : [];
+  const cubes = medium.side ? bakedWater(gl, scene.cube, medium.side) : [];
   const noCube = makeTexture(gl, gl.NEAREST, gl.TEXTURE_CUBE_MAP);
 
   const screenArray = gl.createVertexArray(), splatArray = gl.createVertexArray(), order = gl.createBuffer();
@@ -41,10 +41,10 @@ function makeRenderer(canvas, scene) {
     gl.bindFramebuffer(gl.FRAMEBUFFER, maps.buffer);
     gl.disable(gl.BLEND);
     water.use();
-    water.ints({ kind: medium.kind === 'mlp' ? 2 : 1, bands: (medium.degree + 1) ** 2, graded });
+    water.ints({ kind: medium.side ? 2 : 1, bands: (medium.degree + 1) ** 2, graded });
     water.floats({ ...pose(camera), height: camera.height, amount });
     ['cubeColor', 'cubeBackscatter', 'cubeAttenuation'].forEach((name, i) => water.texture(name, i, cubes[i] || noCube, gl.TEXTURE_CUBE_MAP));
-    if (medium.kind !== 'mlp') water.arrays(3, { harmonic: new Float32Array(aggregated(medium, camera.eye)) });
+    if (!medium.side) water.arrays(3, { harmonic: new Float32Array(aggregated(medium, camera.eye)) });
     if (graded) {
       const { gains, biases, ratios } = guideTable(enhancement, camera.eye, look.strength);
       water.arrays(3, { gains, biases });
