@@ -1,6 +1,7 @@
 //! What a stage's function is given: inputs by role, a folder to fill, and nothing that its result may not
 //! depend on.
 
+use std::any::Any;
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::io::{self, Write};
@@ -140,6 +141,23 @@ impl StageContext {
             message,
             seconds_left,
         });
+    }
+
+    /// Tells a step's numbers by name, for who draws curves.
+    pub fn figures(&self, step: u64, steps: u64, figures: &[(&str, f64)]) {
+        self.listener.event(&Event::Figures { label: &self.label, step, steps, figures });
+    }
+
+    /// Whether somebody wants to see what the stage is making. To look at only: nothing may depend on it.
+    pub fn wants_view(&self) -> bool {
+        let wanted = AtomicBool::new(false);
+        self.listener.event(&Event::AsksForView { label: &self.label, wanted: &wanted });
+        wanted.into_inner()
+    }
+
+    /// Shows what the stage is making, as it stands.
+    pub fn view(&self, view: &Arc<dyn Any + Send + Sync>) {
+        self.listener.event(&Event::View { label: &self.label, inputs: &self.inputs, view });
     }
 
     /// Says that `done` of `total` steps were found in a checkpoint, so that the time taken is not mistaken

@@ -1,7 +1,11 @@
 //! What the engine tells while it works; the command line draws it.
 
+use std::any::Any;
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
+use super::context::StageInput;
 use super::digest::Digest;
 use super::run::RanNode;
 
@@ -35,6 +39,33 @@ pub enum Event<'a> {
         message: &'a str,
         /// Seconds left, where the stage knows.
         seconds_left: Option<f64>,
+    },
+    /// Numbers of a step, by name, for curves. Told after every step; whoever holds this up holds up the stage.
+    Figures {
+        /// Scene, variant and stage in words.
+        label: &'a str,
+        /// Steps done.
+        step: u64,
+        /// Steps in all.
+        steps: u64,
+        /// Name and value.
+        figures: &'a [(&'a str, f64)],
+    },
+    /// A stage asks whether somebody wants to see what it is making; who does raises the flag.
+    AsksForView {
+        /// Scene, variant and stage in words.
+        label: &'a str,
+        /// Raised by who wants to see it.
+        wanted: &'a AtomicBool,
+    },
+    /// What a stage is making, as it stands: a copy, of a type that the stage says.
+    View {
+        /// Scene, variant and stage in words.
+        label: &'a str,
+        /// What it is made from.
+        inputs: &'a [StageInput],
+        /// What it is.
+        view: &'a Arc<dyn Any + Send + Sync>,
     },
     /// Another process computes the same thing; this one waits for it.
     Waiting {

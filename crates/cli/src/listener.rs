@@ -122,7 +122,11 @@ impl Listener for Terminal {
                 }
             }
             // Whoever asked for it listens itself.
-            Event::Profile { .. } | Event::SceneOver { .. } => {}
+            Event::Profile { .. }
+            | Event::SceneOver { .. }
+            | Event::Figures { .. }
+            | Event::AsksForView { .. }
+            | Event::View { .. } => {}
             _ if self.quiet => {}
             Event::Started { label, .. } => self.line(&format!("{label}: started")),
             Event::Progress { label, done, total, unit, message, seconds_left, .. } => {

@@ -1,16 +1,17 @@
 //! The loop of stage 2.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use use3d_numerics::random::Purpose;
 use use3d_scene::Scene;
 use use3d_training::{
-    Checkpoints, Drain, Ended, EngineError, NonFinite, Observer, Progress, Resumable, Session, Steps,
+    Checkpoints, Drain, Ended, EngineError, NonFinite, Observer, Progress, Resumable, Session, Steps, View,
     ViewOrder,
 };
-use use3d_ubaf::Enhancement;
 use use3d_ubaf::water::ratios;
+use use3d_ubaf::{Enhancement, ObjectPass};
 
 use crate::engine::{Coverage, FieldEngine, FieldPlan, FieldState, Reading, check_inputs, initial_field};
 use crate::fingerprint::fingerprint;
@@ -135,6 +136,21 @@ impl Steps for Run<'_> {
             before: self.before.clone(),
         };
         Ok(checkpoints.save(done, &state)?)
+    }
+
+    /// The [`Scene`] with its enhancement so far. The centre is the mean over all Gaussians, not that over the ones that define it, which the
+    /// engine knows: asking it would cost it what it holds for the next step.
+    fn view(&mut self) -> Result<Option<View>, EnhanceError> {
+        let mut field = initial_field(self.scene, self.guidance, self.params)?;
+        let state = self.engine.save()?;
+        state.check(field.parameters.len())?;
+        field.parameters = state.parameters;
+        let g = &self.scene.gaussians;
+        let mut pass = ObjectPass::new(&field, &g.means, g.sh.iter().map(|sh| sh[0]));
+        pass.forward(&field);
+        let centre = pass.mean();
+        let enhancement = Enhancement { field, centre, appearance: self.guidance.appearance() };
+        Ok(Some(Arc::new(Scene { enhancement: Some(enhancement), ..self.scene.clone() })))
     }
 
     fn shown(&self) -> Progress {

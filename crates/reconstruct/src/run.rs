@@ -3,17 +3,18 @@
 use std::borrow::Cow;
 use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
-use use3d_capture::{Capture, Image};
+use use3d_capture::{Capture, Frame, Image};
 use use3d_medium::MediumModel;
 use use3d_metrics::{Score, fitted_on_other_half, mask_of, psnr, ssim};
 use use3d_numerics::random::Purpose;
 use use3d_scene::Scene;
 use use3d_training::{
     Checkpoints, Drain, Ended, EngineError, NonFinite, Observer, Profile, Progress, Resumable, Session,
-    Steps, ViewOrder,
+    Steps, View, ViewOrder,
 };
 
 use crate::bounds::most_gaussians;
@@ -73,12 +74,12 @@ impl Outcome {
 
 /// Everything a checkpoint holds.
 #[derive(Serialize, Deserialize)]
-struct RunState<'a> {
+pub(crate) struct RunState<'a> {
     fingerprint: [u8; 32],
-    step: u64,
+    pub(crate) step: u64,
     initial: usize,
-    engine: Cow<'a, TrainingState>,
-    log: Cow<'a, [LogEntry]>,
+    pub(crate) engine: Cow<'a, TrainingState>,
+    pub(crate) log: Cow<'a, [LogEntry]>,
     window: Window,
 }
 
@@ -151,6 +152,7 @@ pub fn reconstruct_in(
     engine.load(TrainingState::new(gaussians, water, if exposes { &gains } else { &[] }))?;
     let mut run = Run {
         params,
+        frame: capture.frame,
         holds_water: found.is_some(),
         least_water_degree: found.map_or(0, |_| FoundWater::DEGREE.min(params.sh_degree)),
         order: ViewOrder::new(params.seed, Purpose::new("training views"), names.len()),
@@ -185,6 +187,8 @@ pub fn reconstruct_in(
 /// A run between its first and last step.
 struct Run<'a> {
     params: &'a ReconstructParams,
+    /// The capture's, and so the scene's.
+    frame: Frame,
     /// Whether the water was known beforehand.
     holds_water: bool,
     /// The water's active degree is never below this.
@@ -248,6 +252,15 @@ impl Steps for Run<'_> {
 
     fn work(&self, steps: Range<u64>) -> f64 {
         steps.map(|step| self.params.step_work(step)).sum()
+    }
+
+    /// The [`Scene`] as it would be if this were the last step.
+    fn view(&mut self) -> Result<Option<View>, ReconstructError> {
+        let medium_degree = self.degrees(self.step.saturating_sub(1)).water;
+        let state = self.engine.save()?;
+        let (gaussians, medium) = (state.gaussians.clone(), state.medium.clone());
+        let scene = Scene { gaussians, frame: self.frame, medium, medium_degree, enhancement: None };
+        Ok(Some(Arc::new(scene)))
     }
 
     fn shown(&self) -> Progress {

@@ -140,7 +140,8 @@ impl CheckpointFile {
         Self::at(dir.join(name))
     }
 
-    pub(crate) fn at(path: PathBuf) -> Self {
+    /// The file at `path`.
+    pub fn at(path: PathBuf) -> Self {
         Self { path }
     }
 

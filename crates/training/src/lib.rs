@@ -23,7 +23,7 @@ pub use chain::{Checkpoints, Found, Resumable};
 pub use checkpoint::{CheckpointError, CheckpointFile};
 pub use engine::{Drain, EngineError};
 pub use guard::NonFinite;
-pub use observer::{Observer, Progress, Silent, StopFlag};
+pub use observer::{Observer, Progress, Silent, StopFlag, View};
 pub use order::ViewOrder;
 pub use pace::Pace;
 pub use profile::{Part, Profile};

@@ -1,5 +1,6 @@
 //! Who watches a long loop, and may ask it to stop.
 
+use std::any::Any;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -22,6 +23,10 @@ pub struct Progress {
     pub seconds_left: Option<f64>,
 }
 
+/// What is being trained as it stands after a step, copied so that it may be looked at in another thread while training goes on. Which
+/// type it is, the loop's crate says: this one knows no scenes.
+pub type View = Arc<dyn Any + Send + Sync>;
+
 /// Watches a loop. Every method has a default that does nothing, so a test may pass [`Silent`].
 pub trait Observer {
     /// After every step; implementations decide how often to show it.
@@ -34,6 +39,14 @@ pub trait Observer {
     fn should_stop(&self) -> bool {
         false
     }
+
+    /// Whether somebody wants to see what is being trained. Asked after every step; whatever the answer, results are the same.
+    fn wants_view(&self) -> bool {
+        false
+    }
+
+    /// What is being trained, for who wanted it.
+    fn view(&mut self, _view: View) {}
 }
 
 /// Watches nothing and never stops anything.

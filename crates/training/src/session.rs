@@ -16,7 +16,7 @@ use std::time::Instant;
 
 use crate::chain::{Checkpoints, Resumable};
 use crate::checkpoint::CheckpointError;
-use crate::observer::{Observer, Progress};
+use crate::observer::{Observer, Progress, View};
 use crate::pace::Pace;
 
 /// What a loop does, one step after another.
@@ -33,6 +33,12 @@ pub trait Steps {
     /// What these steps cost, in any unit that is the same for all.
     fn work(&self, steps: Range<u64>) -> f64 {
         steps.end.saturating_sub(steps.start) as f64
+    }
+
+    /// A copy of what is trained as it stands, for somebody who looks on; `None` where there is nothing to look at. It must leave the
+    /// steps to come as they are.
+    fn view(&mut self) -> Result<Option<View>, Self::Error> {
+        Ok(None)
     }
 
     /// What a person sees after a step: smoothed loss and PSNR, and the number of Gaussians. The skeleton
@@ -111,6 +117,11 @@ impl Session {
                 seconds_left: pace.seconds_for(left),
                 ..work.shown()
             });
+            if observer.wants_view()
+                && let Some(view) = work.view()?
+            {
+                observer.view(view);
+            }
             let last = done == self.steps;
             let stop = !last && observer.should_stop();
             let due = done - saved >= self.every_steps
@@ -151,6 +162,9 @@ mod tests {
             self.saved.push(done);
             checkpoints.save(done, &State { fingerprint: [1; 32], step: done })
         }
+        fn view(&mut self) -> Result<Option<View>, CheckpointError> {
+            Ok(Some(std::sync::Arc::new(self.steps.clone())))
+        }
         fn shown(&self) -> Progress {
             Progress { loss: Some(0.5), ..Progress::default() }
         }
@@ -161,6 +175,7 @@ mod tests {
         stop_at: Option<u64>,
         seen: Vec<Progress>,
         notices: Vec<String>,
+        views: Vec<View>,
     }
 
     impl Observer for Watcher {
@@ -172,6 +187,12 @@ mod tests {
         }
         fn should_stop(&self) -> bool {
             self.seen.last().is_some_and(|p| Some(p.step) == self.stop_at)
+        }
+        fn wants_view(&self) -> bool {
+            self.seen.last().is_some_and(|p| p.step.is_multiple_of(3))
+        }
+        fn view(&mut self, view: View) {
+            self.views.push(view);
         }
     }
 
@@ -193,6 +214,10 @@ mod tests {
         // Six of ten steps are done, and what is shown is the loop's own.
         let last = watcher.seen.last().unwrap();
         assert_eq!((last.step, last.steps, last.loss), (6, 10, Some(0.5)));
+
+        // What is trained is shown when it is wanted, as it stands.
+        let shown = watcher.views.iter().map(|view| view.downcast_ref::<Vec<u64>>().expect("steps").len());
+        assert_eq!(shown.collect::<Vec<_>>(), [3, 6]);
 
         let mut second = Counter::default();
         let state = session.furthest::<State>(&mut watcher).expect("a checkpoint");

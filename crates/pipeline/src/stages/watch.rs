@@ -1,6 +1,6 @@
 //! A training loop heard by the engine.
 
-use use3d_training::{Observer, Progress};
+use use3d_training::{Observer, Progress, View};
 
 use use3d_build::StageContext;
 
@@ -30,6 +30,14 @@ impl Observer for Watch<'_> {
         if let Some(pace) = progress.steps_per_second {
             words.push(format!("{pace:.1} steps/s"));
         }
+        let figures = [
+            ("loss", progress.loss),
+            ("psnr", progress.psnr),
+            ("gaussians", progress.gaussians.map(|n| n as f64)),
+            ("seconds left", progress.seconds_left),
+        ];
+        let known: Vec<(&str, f64)> = figures.iter().filter_map(|(name, v)| Some((*name, (*v)?))).collect();
+        self.context.figures(progress.step, progress.steps, &known);
         let words = words.join(", ");
         self.context.progress_left(progress.step, progress.steps, "steps", &words, progress.seconds_left);
     }
@@ -40,5 +48,13 @@ impl Observer for Watch<'_> {
 
     fn should_stop(&self) -> bool {
         self.context.cancelled()
+    }
+
+    fn wants_view(&self) -> bool {
+        self.context.wants_view()
+    }
+
+    fn view(&mut self, view: View) {
+        self.context.view(&view);
     }
 }
