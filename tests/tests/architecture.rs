@@ -29,6 +29,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("render", &["capture", "numerics", "splat", "medium", "ubaf", "scene"]),
     ("reconstruct", &["capture", "numerics", "splat", "medium", "metrics", "training", "scene"]),
     ("web", &["capture", "numerics", "splat", "medium", "ubaf", "scene"]),
+    ("viewer", &["capture", "scene", "render", "web"]),
     ("enhance", &["capture", "numerics", "splat", "medium", "ubaf", "atc", "training", "scene"]),
 ];
 

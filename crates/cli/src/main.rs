@@ -80,6 +80,7 @@ fn run(app: &App, verb: Verb) -> Done {
         Verb::Enhance(args) => verbs::stages::enhance(app, &args),
         Verb::Evaluate(args) => verbs::evaluate::run(app, &args),
         Verb::Render(args) => verbs::render::run(app, &args),
+        Verb::View(args) => verbs::view::run(app, &args),
         Verb::Export(args) => verbs::export::run(app, &args),
         Verb::Synth { what: Synth::Capture(args) } => verbs::synth::capture(app, &args),
         Verb::Synth { what: Synth::Pairs(args) } => verbs::synth::pairs(app, &args),

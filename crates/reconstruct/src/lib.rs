@@ -17,6 +17,7 @@ mod initialise;
 mod load;
 pub mod losses;
 mod params;
+mod peek;
 mod profile;
 mod report;
 mod run;
@@ -30,6 +31,7 @@ pub use found::{FoundWater, Known};
 pub use params::{
     Densify, DepthPrior, Exposure, Images, LearningRates, MediumPrior, Rate, ReconstructParams,
 };
+pub use peek::scene_in_checkpoint;
 pub use profile::{StepPart, Stretch, growth};
 pub use report::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
 pub use run::{Outcome, reconstruct, reconstruct_in};

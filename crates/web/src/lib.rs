@@ -19,7 +19,7 @@ mod photographs;
 mod scene_file;
 mod water;
 
-pub use page::{Page, PageView, Written, write};
+pub use page::{Page, PageData, PageView, Served, Written, data, header, served, write};
 pub use photographs::Photograph;
 
 /// A page that cannot be made.

@@ -24,6 +24,7 @@ const PART: usize = 12_000_000;
 const SCRIPTS: &[&str] = &[
     include_str!("../page/script/vectors.js"),
     include_str!("../page/script/elements.js"),
+    include_str!("../page/script/server.js"),
     include_str!("../page/script/data.js"),
     include_str!("../page/script/modes.js"),
     include_str!("../page/script/water.js"),
@@ -42,6 +43,7 @@ const SCRIPTS: &[&str] = &[
     include_str!("../page/script/measure.js"),
     include_str!("../page/script/panel.js"),
     include_str!("../page/script/keys.js"),
+    include_str!("../page/script/training.js"),
     include_str!("../page/script/main.js"),
 ];
 
@@ -104,6 +106,62 @@ impl Written {
     }
 }
 
+/// A scene's data, for a server that hands it to the page bit by bit.
+#[derive(Clone, Debug)]
+pub struct PageData {
+    /// What the page must know apart from the Gaussians.
+    pub header: Value,
+    /// The parts that it draws from, by name, each packed by gzip.
+    pub sections: Vec<(&'static str, Vec<u8>)>,
+}
+
+/// The page without a scene: it asks the server that it came from for one.
+#[derive(Clone, Debug)]
+pub struct Served {
+    /// The page.
+    pub html: String,
+    /// Its content policy, to be sent along.
+    pub policy: String,
+}
+
+/// What the page must know of a scene whose pictures are drawn elsewhere.
+pub fn header(page: &Page<'_>) -> Value {
+    let mut header = entries(page);
+    header["sections"] = Value::Array(Vec::new());
+    header
+}
+
+/// All that the page draws a scene from, harmonics of every degree.
+///
+/// # Errors
+/// A scene without Gaussians.
+pub fn data(page: &Page<'_>) -> Result<PageData, WebError> {
+    let scene = page.scene;
+    if scene.gaussians.is_empty() {
+        return Err(WebError::Empty);
+    }
+    let order = geometry::curve_order(&scene.gaussians);
+    let grades = enhancement::grades(scene);
+    let degree = scene.gaussians.sh_degree.min(3);
+    let mut sections = vec![("geometry", scene_file::geometry(scene, grades.as_deref(), &order))];
+    if degree > 0 {
+        sections.push(("harmonics", scene_file::harmonics(scene, degree, &order)));
+    }
+    sections.extend(water::cube(scene).map(|cube| ("cube", cube)));
+    let mut header = entries(page);
+    header["degree"] = degree.into();
+    header["harmonicBytes"] = scene_file::harmonic_bytes(degree).into();
+    header["sections"] = sections.iter().map(|(name, _)| json!({ "name": name, "parts": 1 })).collect();
+    let sections = sections.into_iter().map(|(name, bytes)| Ok((name, scene_file::packed(&bytes)?)));
+    Ok(PageData { header, sections: sections.collect::<Result<_, WebError>>()? })
+}
+
+/// The page that asks its server.
+pub fn served() -> Served {
+    let (html, policy) = html("3D-USE", &Value::Null, "", Source::Server);
+    Served { html, policy }
+}
+
 /// Makes the page. `folder` is the name of the folder for its parts, should it need one: a plain name, relative to the page.
 ///
 /// # Errors
@@ -130,10 +188,10 @@ fn write_below(page: &Page<'_>, folder: &str, most: usize) -> Result<Written, We
         rayon::join(|| pack(scene_file::geometry(scene, grades.as_deref(), &order)), || harmonics(full));
     let (geometry, all) = (geometry?, all?);
     let cube = water::cube(scene).map_or_else(|| Ok(String::new()), pack)?;
-    let mut header = header(page);
+    let mut header = entries(page);
 
     // The page without its parts, and room for their elements.
-    let fixed = html(page.name, &header, "", true).len() + geometry.len() + cube.len() + 1000;
+    let fixed = html(page.name, &header, "", Source::Page).0.len() + geometry.len() + cube.len() + 1000;
     let mut degree = full;
     let mut kept = all.clone();
     while degree > 0 && fixed + kept.len() > most {
@@ -167,7 +225,8 @@ fn write_below(page: &Page<'_>, folder: &str, most: usize) -> Result<Written, We
         }
     }
     header["sections"] = entries.into();
-    Ok(Written { html: html(page.name, &header, &embedded, one_file), parts, degree })
+    let source = if one_file { Source::Page } else { Source::Beside };
+    Ok(Written { html: html(page.name, &header, &embedded, source).0, parts, degree })
 }
 
 /// `text` in pieces of at most `most` bytes, a multiple of four.
@@ -176,7 +235,7 @@ fn pieces(text: &str, most: usize) -> Vec<&str> {
 }
 
 /// What the page must know apart from the Gaussians.
-fn header(page: &Page<'_>) -> Value {
+fn entries(page: &Page<'_>) -> Value {
     let scene = page.scene;
     let [low, high] = geometry::bounds(&scene.gaussians);
     let views: Vec<Value> = page
@@ -217,17 +276,29 @@ fn header(page: &Page<'_>) -> Value {
     })
 }
 
-/// The text of the whole page.
-fn html(name: &str, header: &Value, parts: &str, one_file: bool) -> String {
+/// Where a page has its scene from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Source {
+    Page,
+    Beside,
+    Server,
+}
+
+/// The text of the whole page, and its content policy.
+fn html(name: &str, header: &Value, parts: &str, source: Source) -> (String, String) {
     let script = SCRIPTS.join("\n");
     let script_element = format!("\n(() => {{\n'use strict';\n{script}\n}})();\n");
     let style_element = format!("\n{STYLE}\n");
     let digest = |text: &str| format!("'sha256-{}'", STANDARD.encode(Sha256::digest(text.as_bytes())));
     // The parts beside a page come from where the page came from, be it a disk or a host.
-    let beside = if one_file { "" } else { " 'self' file:" };
+    let (beside, connect) = match source {
+        Source::Page => ("", ""),
+        Source::Beside => (" 'self' file:", ""),
+        Source::Server => ("", "connect-src 'self'; "),
+    };
     let policy = format!(
         "default-src 'none'; script-src {}{beside}; style-src {}; worker-src blob:; img-src data: blob:; media-src blob:; \
-         base-uri 'none'; form-action 'none'",
+         {connect}base-uri 'none'; form-action 'none'",
         digest(&script_element),
         digest(&style_element),
     );
@@ -249,7 +320,7 @@ fn html(name: &str, header: &Value, parts: &str, one_file: bool) -> String {
         ("\n(() => {\n'use strict';\n{{script}}\n})();\n", &script_element),
         ("{{title}}", &escaped(name)),
     ];
-    filled(FRAME, &fill)
+    (filled(FRAME, &fill), policy.clone())
 }
 
 /// `frame` with its marks replaced, each wherever it stands; what is put in is not looked through again.

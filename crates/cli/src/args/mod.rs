@@ -7,6 +7,7 @@ mod pipelines;
 mod shared;
 mod stages;
 mod upkeep;
+mod view;
 
 use clap::{Parser, Subcommand};
 
@@ -19,6 +20,7 @@ pub(crate) use stages::{
     CalibrateArgs, EnhanceArgs, EvaluateArgs, ImportArgs, ReconstructArgs, TableFormat, TargetsArgs,
 };
 pub(crate) use upkeep::{CompletionsArgs, GcArgs, ManArgs, ModelsArgs, ParamsArgs, VerifyArgs};
+pub(crate) use view::{ViewArgs, ViewerArgs, WatchArgs};
 
 use shared::count;
 
@@ -123,6 +125,12 @@ pub(crate) enum Verb {
         use3d render enhanced-scene/ --cameras my-reef/ --fps"
     )]
     Render(RenderArgs),
+    /// Look at a scene or a capture in a browser, or follow a training.
+    #[command(
+        after_help = "Examples:\n  use3d view enhanced-scene/ --cameras my-reef/\n  use3d view my-reef/                          cameras and sparse points\n  \
+        use3d view --follow pipelines/seathru4.toml --scene Panama\n  use3d view scene/ --port 7007 --no-open      then: ssh -L 7007:localhost:7007 HOST"
+    )]
+    View(ViewArgs),
     /// Write a scene as a page for a browser, or as a PLY, GLB or SPZ for other viewers.
     #[command(
         after_help = "Examples:\n  use3d export enhanced-scene/ --web reef.html --cameras my-reef/\n  \

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use super::shared::{CacheArgs, CalibrationArgs, Settings, count};
+use super::view::WatchArgs;
 
 /// More stages side by side than any one machine has memory for.
 pub(super) const MAX_JOBS: u64 = 256;
@@ -58,6 +59,8 @@ pub(crate) struct RunArgs {
     /// of this program is never replaced.
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) watch: WatchArgs,
     #[command(flatten)]
     pub(crate) calibration: CalibrationArgs,
     #[command(flatten)]

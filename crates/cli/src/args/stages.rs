@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use super::shared::{Replace, StageSettings};
+use super::view::WatchArgs;
 
 #[derive(Debug, Args)]
 pub(crate) struct ImportArgs {
@@ -32,6 +33,8 @@ pub(crate) struct ReconstructArgs {
     /// Print where a step's time goes: milliseconds and share of each part. Never stored.
     #[arg(long)]
     pub(crate) profile: bool,
+    #[command(flatten)]
+    pub(crate) watch: WatchArgs,
     #[command(flatten)]
     pub(crate) settings: StageSettings,
     #[command(flatten)]

@@ -14,5 +14,6 @@ pub(crate) mod run;
 pub(crate) mod speed;
 pub(crate) mod stages;
 pub(crate) mod synth;
+pub(crate) mod view;
 pub(crate) mod water;
 pub(crate) mod web;

@@ -20,6 +20,7 @@ use crate::error::{CliError, Done};
 use crate::verbs::outcome::{self, Outcome};
 use crate::verbs::stages::{scratch, stages};
 use crate::verbs::synth::keep_capture;
+use crate::verbs::view::Watched;
 
 /// A pipeline with the engine and graph to work on it.
 pub(crate) struct Loaded {
@@ -157,7 +158,13 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     let out =
         args.out.clone().unwrap_or_else(|| PathBuf::from("use3d-out").join(&loaded.pipeline.batch.name));
     results::check(&loaded.graph, until.as_deref(), &out)?;
-    execute(app, &loaded, until, args.jobs, args.keep_going, &out, args.json)
+    let watched = Watched::start(app, &args.watch, None)?;
+    let app = watched.as_ref().map_or(app, Watched::app);
+    let done = execute(app, &loaded, until, args.jobs, args.keep_going, &out, args.json);
+    if let Some(watched) = &watched {
+        watched.end(&done);
+    }
+    done
 }
 
 fn execute(

@@ -16,6 +16,8 @@ use crate::App;
 use crate::args::{CalibrateArgs, EnhanceArgs, ImportArgs, ReconstructArgs, TargetsArgs};
 use crate::destination::{check_file, check_folder, copy_file, copy_folder, path_text, word};
 use crate::error::{CliError, Done};
+use crate::verbs::view::Watched;
+use crate::verbs::web::scene_name;
 
 /// A folder that goes away with the command.
 pub(crate) fn scratch() -> Result<tempfile::TempDir, CliError> {
@@ -293,9 +295,14 @@ pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
     }
     let stage = registry.stage("reconstruct").map_err(CliError::failed)?;
     let app = if args.profile { &profiling(app) } else { app };
+    let watched = Watched::start(app, &args.watch, Some(&scene_name(&args.out)))?;
     let saved = Checkpoints::beside(&args.out);
     let kept = Kept { out: &args.out, force, checkpoints: Some(saved.folder.clone()) };
-    run_kept(app, stage, &parameters[0], inputs, &kept)?;
+    let done = run_kept(watched.as_ref().map_or(app, Watched::app), stage, &parameters[0], inputs, &kept);
+    if let Some(watched) = &watched {
+        watched.end(&done);
+    }
+    done?;
     saved.forget(app);
     let (scene, capture) = (word(&args.out), word(&args.capture));
     let next =

@@ -27,12 +27,7 @@ pub(crate) fn write(app: &App, args: &ExportArgs, path: &Path, scene: &Scene) ->
         Some(cameras) => views(cameras, &args.scene, scene)?,
         None => Vec::new(),
     };
-    let place = std::path::absolute(&args.scene).unwrap_or_else(|_| args.scene.clone());
-    // `reef/enhanced-scene` is the reef.
-    let name = match capture_name(&place).as_str() {
-        "scene" | "enhanced-scene" => place.parent().map_or_else(|| capture_name(&place), capture_name),
-        own => own.to_string(),
-    };
+    let name = scene_name(&args.scene);
     let folder = parts_folder(path);
     let folder_name = folder.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     let page = Page { name: &name, scene, views, metres_per_unit: args.metres_per_unit };
@@ -65,6 +60,15 @@ pub(crate) fn write(app: &App, args: &ExportArgs, path: &Path, scene: &Scene) ->
     Ok(())
 }
 
+/// What a scene folder is called: `reef/enhanced-scene` is the reef.
+pub(crate) fn scene_name(folder: &Path) -> String {
+    let place = std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf());
+    match capture_name(&place).as_str() {
+        "scene" | "enhanced-scene" => place.parent().map_or_else(|| capture_name(&place), capture_name),
+        own => own.to_string(),
+    }
+}
+
 /// `reef.html` keeps its parts in `reef_files`.
 fn parts_folder(path: &Path) -> PathBuf {
     let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
@@ -72,7 +76,7 @@ fn parts_folder(path: &Path) -> PathBuf {
 }
 
 /// The places of a capture's photographs, with the photographs; of anything else that has cameras, the places alone.
-fn views(cameras: &Path, folder: &Path, scene: &Scene) -> Result<Vec<PageView>, CliError> {
+pub(crate) fn views(cameras: &Path, folder: &Path, scene: &Scene) -> Result<Vec<PageView>, CliError> {
     let origin = Origin::read(folder).map_err(CliError::input)?;
     let placed = read_cameras(cameras).map_err(CliError::input)?;
     // A model without its images is no capture, and has cameras all the same.

@@ -40,8 +40,19 @@ function sceneData(header, sections) {
   return { header, count, rows, geometry, harmonics, centres, cube: sections.cube };
 }
 
-// Parts are elements of the page, or scripts beside it have put them into a list; either way in the order of the sections.
-async function loadScene() {
+// Parts are elements of the page, or scripts beside it have put them into a list; either way in the order of the sections. A page that was served
+// has them from its server, or has the server draw.
+async function loadScene(server) {
+  if (server) {
+    const { header, drawn } = await server.begin();
+    if (drawn === 'server' || server.where === 'server' || (server.where !== 'browser' && drawsInSoftware())) return { header, server };
+    const sections = {};
+    for (const { name } of header.sections) {
+      const packed = (await server.ask('/section', { name })).body.pipeThrough(new DecompressionStream('gzip'));
+      sections[name] = new Uint8Array(await new Response(packed).arrayBuffer());
+    }
+    return sceneData(header, sections);
+  }
   const header = JSON.parse(element('scene').textContent);
   const parts = window.use3dParts || [...document.querySelectorAll('script[data-part]')].map(s => s.textContent.trim());
   const sections = {};

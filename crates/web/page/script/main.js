@@ -2,7 +2,11 @@
 
 async function start() {
   const canvas = element('view'), progress = element('progress');
-  const scene = await loadScene();
+  const server = makeServer(), scene = await loadScene(server);
+  if (server) {
+    document.title = element('title').textContent = scene.header.name;
+    element('about-page').textContent = scene.server ? 'The program that serves this page draws its pictures.' : 'The scene comes from the program that serves this page.';
+  }
   const viewer = makeViewer(canvas, scene), overlay = makeOverlay(element('overlay'), viewer);
   const navigation = makeNavigation(canvas, viewer), panel = makePanel(viewer, navigation);
   const views = makeViews(viewer, overlay), path = makePath(viewer, overlay), recorder = makeRecorder(viewer, path);
@@ -16,6 +20,7 @@ async function start() {
   canvas.addEventListener('webglcontextlost', event => { event.preventDefault(); problem('The graphics driver stopped. Load the page again to go on.'); });
   viewer.setLook({});
   viewer.setCompare(null);
+  const training = makeTraining(viewer, server);
   if (scene.header.cameras.length) views.current = 0;
   await new Promise(done => { viewer.on('frame', done); });
   progress.hidden = true;
@@ -28,7 +33,7 @@ async function start() {
     }
   };
   return {
-    viewer, navigation, views, path, recorder, measure, panel, scene: scene.header, settled,
+    viewer, training, navigation, views, path, recorder, measure, panel, scene: scene.header, settled,
     // The float picture (RGBA, rows from the top) of a camera { eye, rotation, lens, width, height } and a look { mode, strength, water }.
     async picture(view, look) {
       const { held } = viewer;

@@ -50,8 +50,7 @@ function makeMeasure(viewer, overlay) {
   };
   measure.click = (x, y) => {
     if (!measure.tool) return false;
-    const point = viewer.pointAt(x, y);
-    if (point) measure.take(point); else say('There is no surface here');
+    viewer.pointAt(x, y).then(point => { if (point) measure.take(point); else say('There is no surface here'); }, error => say(error.message));
     return true;
   };
   for (const name in buttons) buttons[name].onclick = () => measure.choose(name);

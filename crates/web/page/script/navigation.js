@@ -57,8 +57,8 @@ function makeNavigation(canvas, viewer) {
     viewer.flight.stop();
     viewer.moved();
   }, { passive: false });
-  navigation.goTo = (x, y) => {
-    const point = viewer.pointAt(x, y);
+  navigation.goTo = async (x, y) => {
+    const point = await viewer.pointAt(x, y);
     if (!point) return false;
     const rotation = looking(subtract(point, camera.eye), camera.up), away = norm(subtract(point, camera.eye));
     const focus = Math.max(0.55 * away, 0.02 * camera.reach);

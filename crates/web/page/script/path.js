@@ -46,6 +46,35 @@ function pathFile(keys, frame, framesPerSecond) {
   };
 }
 
+// What other programs read: every frame of the path as a camera of its own, in the COLMAP frame. nerfstudio has camera-to-world matrices with y up and
+// z back; COLMAP's images.txt has quaternions, its lens in cameras.txt, and no points.
+function framesOf(keys, framesPerSecond) {
+  const start = keys[0].time, count = Math.round((keys[keys.length - 1].time - start) * framesPerSecond) + 1;
+  return Array.from({ length: count }, (_, i) => betweenKeys(keys, start + i / framesPerSecond));
+}
+
+function nerfstudioPath(keys, frame, framesPerSecond, width, height) {
+  const frames = framesOf(keys, framesPerSecond);
+  return {
+    camera_type: 'perspective', render_width: width, render_height: height, fps: framesPerSecond, seconds: frames.length / framesPerSecond, is_cycle: false, smoothness_value: 0,
+    camera_path: frames.map(key => {
+      const { center, rotation: [x, y, z] } = toColmap(frame, key);
+      return { camera_to_world: [0, 1, 2].flatMap(k => [x[k], -y[k], -z[k], center[k]]).concat(0, 0, 0, 1), fov: key.fov, aspect: width / height };
+    }),
+    keyframes: [],
+  };
+}
+
+function colmapPath(keys, frame, framesPerSecond, width, height) {
+  const f = key => height / 2 / Math.tan(key.fov * DEGREE / 2);
+  const frames = framesOf(keys, framesPerSecond), line = numbers => numbers.join(' ');
+  const images = frames.map((key, i) => {
+    const { center, rotation } = toColmap(frame, key), moved = rotation.map(row => -dot(row, center));
+    return `${line([i + 1, ...quaternionOf(rotation), ...moved, i + 1])} frame_${String(i).padStart(5, '0')}.png\n\n`;
+  });
+  return { 'images.txt': images.join(''), 'cameras.txt': frames.map((key, i) => `${line([i + 1, 'PINHOLE', width, height, f(key), f(key), width / 2, height / 2])}\n`).join('') };
+}
+
 function keysOfFile(file, frame) {
   const numbers = (list, count) => Array.isArray(list) && list.length === count && list.every(Number.isFinite);
   if (file?.format !== PATH_FORMAT) throw new Error(`this is no camera path: its "format" is not "${PATH_FORMAT}"`);
@@ -117,7 +146,16 @@ function makePath(viewer, overlay) {
   element('play').onclick = () => (path.playing ? path.stop() : path.play());
   element('scrub').oninput = event => { path.stop(); path.show(path.keys[0].time + Number(event.target.value)); };
   path.json = () => JSON.stringify(pathFile(path.keys, header.frame, path.framesPerSecond), null, 1);
-  element('save-path').onclick = () => download('camera-path.json', 'application/json', path.json());
+  // Pictures of other programs have the shape of this one, as high as Full HD.
+  path.foreign = format => {
+    const { clientWidth, clientHeight } = viewer.renderer.gl.canvas, height = 1080, width = 2 * Math.round(540 * clientWidth / Math.max(1, clientHeight));
+    if (format === 'colmap') return colmapPath(path.keys, header.frame, path.framesPerSecond, width, height);
+    return { 'camera_path.json': JSON.stringify(nerfstudioPath(path.keys, header.frame, path.framesPerSecond, width, height)) };
+  };
+  element('save-path').onclick = () => {
+    const format = element('path-format').value, files = format === '3d-use' ? { 'camera-path.json': path.json() } : path.foreign(format);
+    for (const name in files) download(name, name.endsWith('.json') ? 'application/json' : 'text/plain', files[name]);
+  };
   path.read = text => { path.keys = keysOfFile(JSON.parse(text), header.frame); path.changed(); };
   element('open-path').onchange = async event => {
     const [file] = event.target.files;

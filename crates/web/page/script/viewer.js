@@ -7,13 +7,14 @@ function makeViewer(canvas, scene) {
   const { header } = scene, listeners = { frame: [], look: [] };
   let dirty = true, movedAt = -1e9, rung = 0, lastFrame = 0, shownAt = 0;
   const range = [1, 10];
-  const camera = makeCamera(header), renderer = makeRenderer(canvas, scene);
+  const camera = makeCamera(header), { server } = scene;
+  const renderer = server ? makeServerRenderer(canvas, server, () => viewer.tell('frame')) : makeRenderer(canvas, scene);
   const invalidate = () => { dirty = true; };
-  const sorter = makeSorter(scene.centres, sorted => { renderer.setOrder(sorted); invalidate(); viewer.ready = true; });
+  const sorter = server ? { ask() {}, settled: () => true } : makeSorter(scene.centres, sorted => { renderer.setOrder(sorted); invalidate(); viewer.ready = true; });
   const moved = () => { movedAt = performance.now(); invalidate(); };
   const flight = makeFlight(camera, moved);
   const viewer = {
-    camera, renderer, sorter, flight, header, invalidate, moved, ready: false,
+    camera, renderer, sorter, flight, header, invalidate, moved, ready: !!server,
     held: false,              // somebody draws a picture of his own: no frames meanwhile
     look: { mode: modesOf(header).includes('enhanced-clear') ? 'enhanced-clear' : 'reconstruction', strength: 1, water: 1 },
     compare: null,            // the mode on the left, or null
@@ -41,6 +42,12 @@ function makeViewer(canvas, scene) {
 
   function draw(now) {
     const moving = now - movedAt < STILL;
+    if (server) {
+      const most = Math.min(1, 1600 / Math.max(1, canvas.clientWidth));
+      renderer.ask(camera.pinhole(Math.max(1, Math.round(most * canvas.clientWidth)), Math.max(1, Math.round(most * canvas.clientHeight))), viewer.look, viewer.leftLook(), viewer.at, moving);
+      if (moving) setTimeout(invalidate, STILL + 10);
+      return;
+    }
     // While moving, a frame that came late asks for a smaller picture; one that came early may have a larger one.
     if (moving && now - shownAt < 400) {
       const took = now - shownAt;
@@ -69,19 +76,20 @@ function makeViewer(canvas, scene) {
   }
   new ResizeObserver(invalidate).observe(canvas);
   requestAnimationFrame(frame);
-  viewer.settled = () => viewer.ready && sorter.settled() && !dirty && !flight.busy();
+  viewer.settled = () => viewer.ready && sorter.settled() && !dirty && !flight.busy() && (!server || renderer.settled());
   // The middle depth of the picture around a place, in CSS pixels; null where there is nothing.
-  viewer.depthAt = (x, y) => {
+  viewer.depthAt = async (x, y) => {
     const size = 9, pinhole = camera.pinhole(canvas.clientWidth, canvas.clientHeight), [fx, fy, cx, cy] = pinhole.lens;
     const view = { ...pinhole, width: size, height: size, lens: [fx, fy, cx - x + size / 2, cy - y + size / 2] };
+    if (server) return renderer.depth(view);
     const part = renderer.picture(view, { mode: 'depth', strength: 0, water: 0 }), found = [];
     for (let i = 0; i < part.length; i += 4) if (part[i + 3] > 0.25) found.push(part[i]);
     invalidate();
     return found.length ? found.sort((a, b) => a - b)[found.length >> 1] : null;
   };
-  viewer.pointAt = (x, y) => {
-    const z = viewer.depthAt(x, y);
-    return z === null ? null : along(camera.eye, camera.through(x, y, canvas.clientWidth, canvas.clientHeight), z);
+  viewer.pointAt = async (x, y) => {
+    const { eye } = camera, direction = camera.through(x, y, canvas.clientWidth, canvas.clientHeight), z = await viewer.depthAt(x, y);
+    return z === null ? null : along(eye, direction, z);
   };
   return viewer;
 }

@@ -49,11 +49,11 @@ impl Chromium {
         let mut child = Command::new("sh")
             .args(["-c", "exec \"$0\" \"$@\" 3<&0 4>&1 </dev/null >/dev/null", &program])
             .args(["--headless=new", "--remote-debugging-pipe", "--no-sandbox", "--disable-gpu-watchdog"])
-            // Software drawing, the same on every machine; the network is off.
+            // Software drawing, the same on every machine; the network is off, but for this machine.
             .args([
                 "--use-angle=swiftshader",
                 "--enable-unsafe-swiftshader",
-                "--host-resolver-rules=MAP * ~NOTFOUND",
+                "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
             ])
             .args([
                 "--no-first-run",
@@ -149,9 +149,19 @@ impl Chromium {
         assert_eq!(kept, true, "waited in vain for {expression}");
     }
 
+    /// Goes to an address.
+    pub(crate) fn go(&mut self, address: &str) {
+        self.ask("Page.navigate", json!({ "url": address }));
+    }
+
     /// Opens a file and waits until the scene is shown.
     pub(crate) fn open(&mut self, path: &std::path::Path) {
-        self.ask("Page.navigate", json!({ "url": format!("file://{}", path.display()) }));
+        self.go(&format!("file://{}", path.display()));
+        self.ready();
+    }
+
+    /// Waits until the scene is shown.
+    pub(crate) fn ready(&mut self) {
         self.evaluate(
             "new Promise(done => { const look = () => (window.use3d ? use3d.ready.then(() => done(true), e => done(String(e))) : setTimeout(look, 20)); look(); })",
         );

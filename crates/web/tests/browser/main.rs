@@ -4,6 +4,7 @@ mod chromium;
 mod controls;
 mod pictures;
 mod scenes;
+mod served;
 
 use std::path::PathBuf;
 
@@ -13,8 +14,8 @@ use use3d_web::{Page, PageView, Photograph};
 
 use chromium::Chromium;
 
-/// A folder with a scene's page in it, with two photographs to fly to.
-fn exported(scene: &Scene) -> (tempfile::TempDir, PathBuf) {
+/// Two photographs to fly to.
+fn page_views() -> Vec<PageView> {
     let views = scenes::cameras(2, 160, 120).into_iter().enumerate().map(|(i, camera)| PageView {
         name: format!("photo_{i}"),
         camera,
@@ -23,7 +24,12 @@ fn exported(scene: &Scene) -> (tempfile::TempDir, PathBuf) {
             Photograph::new("photo", &Image::filled(160, 120, 0.25 * (1 + i) as f32)).expect("a JPEG"),
         ),
     });
-    let page = Page { name: "reef <test>", scene, views: views.collect(), metres_per_unit: None };
+    views.collect()
+}
+
+/// A folder with a scene's page in it.
+fn exported(scene: &Scene) -> (tempfile::TempDir, PathBuf) {
+    let page = Page { name: "reef <test>", scene, views: page_views(), metres_per_unit: None };
     let written = use3d_web::write(&page, "reef_files").expect("a page");
     let dir = tempfile::tempdir().expect("a folder");
     let path = dir.path().join("reef.html");

@@ -1,0 +1,202 @@
+//! Following a training by its files: its checkpoints while it runs, its scene when it is done. Nothing is asked of the process that trains, so it
+//! needs no port, and may be on another machine that writes to the same disk.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant, SystemTime};
+
+use use3d_capture::Frame;
+use use3d_import::{ImportParams, Imported, import, load_prepared};
+use use3d_pipeline::scene_page;
+use use3d_reconstruct::scene_in_checkpoint;
+use use3d_scene::{Origin, Scene};
+use use3d_viewer::{Live, Shown};
+use use3d_web::PageView;
+
+use super::{Told, WAIT, serve};
+use crate::App;
+use crate::args::{CalibrationArgs, Settings, ViewArgs};
+use crate::error::{CliError, Done};
+use crate::verbs::run::{Loaded, open};
+use crate::verbs::web::scene_name;
+
+/// How often files are looked at.
+const EVERY: Duration = Duration::from_secs(3);
+/// And a pipeline's plan, which reads more of them.
+const PLAN_EVERY: Duration = Duration::from_secs(10);
+
+/// What is followed.
+enum Followed {
+    /// A scene folder that is or will be there, and where its training keeps checkpoints.
+    Scene { folder: PathBuf, checkpoints: PathBuf },
+    /// Checkpoints, in a folder or one of them.
+    Checkpoints(PathBuf),
+    /// One scene of a pipeline.
+    Pipeline { loaded: Box<Loaded>, scene: String },
+}
+
+/// The newest file of a training, and where its photographs are, if they are known.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Newest {
+    file: PathBuf,
+    /// Told apart from an earlier one of the same name.
+    modified: Option<SystemTime>,
+    import: Option<PathBuf>,
+}
+
+/// `use3d view --follow`.
+pub(super) fn run(app: &App, args: &ViewArgs, target: &Path, live: &Arc<Live>) -> Done {
+    let followed = followed(args, target)?;
+    let capture = args
+        .cameras
+        .as_ref()
+        .map(|path| import(path, &ImportParams::default()).map_err(CliError::input))
+        .transpose()?;
+    let name = match &followed {
+        Followed::Pipeline { scene, .. } => scene.clone(),
+        Followed::Scene { folder, .. } => scene_name(folder),
+        Followed::Checkpoints(path) => scene_name(path),
+    };
+    live.wait_for(&format!("Waiting for the first checkpoint of {name}"));
+    let _server = serve(app, &args.viewer, live, Told::Result)?;
+    let every = if matches!(followed, Followed::Pipeline { .. }) { PLAN_EVERY } else { EVERY };
+    let (mut shown, mut looked): (Option<Newest>, Option<Instant>) = (None, None);
+    let mut places: Option<(Option<PathBuf>, Frame, Arc<Vec<PageView>>)> = None;
+    while !app.stop.load(Ordering::Relaxed) {
+        if looked.is_some_and(|at| at.elapsed() < every) {
+            std::thread::sleep(WAIT);
+            continue;
+        }
+        looked = Some(Instant::now());
+        let Some(newest) = newest(&followed).filter(|newest| shown.as_ref() != Some(newest)) else {
+            continue;
+        };
+        let own = newest.import.as_deref().and_then(|folder| load_prepared(folder).ok());
+        let capture = own.as_ref().or(capture.as_ref());
+        let (step, scene) = match read(&newest.file, capture) {
+            Ok(Some(found)) => found,
+            // Its writer has a later one by now.
+            Ok(None) => continue,
+            Err(error) => {
+                live.wait_for(&error);
+                tracing::warn!("{error}");
+                shown = Some(newest);
+                continue;
+            }
+        };
+        let known =
+            places.as_ref().is_some_and(|(of, frame, _)| *of == newest.import && *frame == scene.frame);
+        if !known {
+            let views = capture.map_or_else(|| Ok(Vec::new()), |capture| views(&scene, capture));
+            places = Some((newest.import.clone(), scene.frame, Arc::new(views.map_err(CliError::input)?)));
+        }
+        let Some((_, _, views)) = &places else { continue };
+        let state = Shown {
+            name: name.clone(),
+            scene: Arc::new(scene),
+            views: views.clone(),
+            metres_per_unit: args.metres_per_unit,
+            step,
+        };
+        if !app.quiet {
+            let what = step.map_or_else(|| "the finished scene".to_string(), |step| format!("step {step}"));
+            eprintln!("{name}: {what}, {} Gaussians", state.scene.gaussians.len());
+        }
+        live.show(state);
+        shown = Some(newest);
+    }
+    Ok(())
+}
+
+/// What a path stands for.
+fn followed(args: &ViewArgs, target: &Path) -> Result<Followed, CliError> {
+    let is_checkpoint = |path: &Path| path.extension().is_some_and(|e| e == "checkpoint");
+    let beside = {
+        let name = target.file_name().unwrap_or_default().to_string_lossy();
+        target.with_file_name(format!(".{name}.checkpoints"))
+    };
+    if is_checkpoint(target) || target.is_dir() && files(target).any(|file| is_checkpoint(&file)) {
+        return Ok(Followed::Checkpoints(target.to_path_buf()));
+    }
+    if Scene::is_scene(target) || beside.is_dir() || !target.exists() {
+        return Ok(Followed::Scene { folder: target.to_path_buf(), checkpoints: beside });
+    }
+    let settings = Settings { set: args.set.clone() };
+    let loaded = open(target, &[], &settings, &CalibrationArgs::default(), &args.cache)?;
+    let plan = loaded.engine.plan(&loaded.graph, None);
+    let mut scenes =
+        plan.nodes.iter().filter(|node| node.stage == "reconstruct").map(|node| node.scene.clone());
+    let scene = match &args.scene {
+        Some(wanted) => scenes.find(|scene| scene == wanted),
+        None => scenes.next(),
+    };
+    let Some(scene) = scene else {
+        let wanted = args.scene.as_deref().unwrap_or("any");
+        return Err(CliError::Input(format!("{}: it has no scene `{wanted}`", target.display())));
+    };
+    Ok(Followed::Pipeline { loaded: Box::new(loaded), scene })
+}
+
+fn files(folder: &Path) -> impl Iterator<Item = PathBuf> {
+    std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path())
+}
+
+fn modified(path: &Path) -> Option<SystemTime> {
+    std::fs::metadata(path).and_then(|m| m.modified()).ok()
+}
+
+/// The newest checkpoint of stage 1 in a folder, or the one that the path is.
+fn checkpoint(path: &Path) -> Option<PathBuf> {
+    if path.is_file() {
+        return Some(path.to_path_buf());
+    }
+    let named = |file: &PathBuf| {
+        let name = file.file_name().unwrap_or_default().to_string_lossy();
+        name.starts_with("reconstruct-") && name.ends_with(".checkpoint")
+    };
+    files(path).filter(named).max_by_key(|file| modified(file))
+}
+
+fn newest(followed: &Followed) -> Option<Newest> {
+    let of = |file: PathBuf, import: Option<PathBuf>| Newest { modified: modified(&file), file, import };
+    match followed {
+        Followed::Checkpoints(path) => checkpoint(path).map(|file| of(file, None)),
+        Followed::Scene { folder, checkpoints } => {
+            // A training that began after the scene was made has newer files.
+            let made = Some(folder.join("scene.json")).filter(|file| file.is_file());
+            let found = made.into_iter().chain(checkpoint(checkpoints));
+            found.max_by_key(|file| modified(file)).map(|file| of(file, None))
+        }
+        Followed::Pipeline { loaded, scene } => {
+            let plan = loaded.engine.plan(&loaded.graph, None);
+            let node =
+                |stage: &str| plan.nodes.iter().find(|node| node.stage == stage && node.scene == *scene);
+            let import = node("import").and_then(|node| node.artifact.clone());
+            let made = ["enhance", "reconstruct"].iter().find_map(|stage| node(stage)?.artifact.clone());
+            let unfinished = || {
+                let key = node("reconstruct")?.checkpoints?;
+                checkpoint(&loaded.engine.cache.checkpoint_path("reconstruct", &key))
+            };
+            made.map(|folder| folder.join("scene.json")).or_else(unfinished).map(|file| of(file, import))
+        }
+    }
+}
+
+/// The scene in a file: `scene.json` stands for its folder.
+fn read(file: &Path, capture: Option<&Imported>) -> Result<Option<(Option<u64>, Scene)>, String> {
+    if let Some(folder) = file.parent().filter(|_| file.file_name().is_some_and(|name| name == "scene.json"))
+    {
+        return Scene::load(folder).map(|scene| Some((None, scene))).map_err(|e| e.to_string());
+    }
+    let frame = capture.map_or(Frame::IDENTITY, |imported| imported.capture.frame);
+    let found = scene_in_checkpoint(file, frame).map_err(|e| e.to_string())?;
+    Ok(found.map(|(step, scene)| (Some(step), scene)))
+}
+
+fn views(scene: &Scene, imported: &Imported) -> Result<Vec<PageView>, scene_page::ScenePageError> {
+    let origin = Origin::of(&imported.capture);
+    let mut views = scene_page::views(scene, Some(&origin), imported)?;
+    views.sort_by_key(|view| !view.held_out);
+    Ok(views)
+}

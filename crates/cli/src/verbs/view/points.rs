@@ -1,0 +1,53 @@
+//! A capture as a scene to look at: its sparse points as small round Gaussians, in air.
+
+use use3d_capture::Capture;
+use use3d_medium::MediumModel;
+use use3d_scene::Scene;
+use use3d_splat::Gaussians;
+
+/// A point's size over the middle distance of the points from their middle.
+const SIZE: f64 = 0.004;
+/// The harmonic of degree 0.
+const Y0: f32 = 0.282_094_8;
+/// Nearly opaque.
+const OPACITY_LOGIT: f32 = 4.0;
+
+/// The points of a capture.
+///
+/// # Errors
+/// A capture without points, in words.
+pub(super) fn scene(capture: &Capture) -> Result<Scene, String> {
+    let places: Vec<glam::DVec3> = capture.points.iter().map(|p| p.position).collect();
+    let count = places.len();
+    if count == 0 {
+        return Err("this capture holds no sparse points, so there is nothing to show yet; `use3d reconstruct` makes a scene of it".into());
+    }
+    let middle = places.iter().sum::<glam::DVec3>() / count as f64;
+    let mut far: Vec<f64> = places.iter().map(|p| (*p - middle).length()).collect();
+    far.sort_unstable_by(f64::total_cmp);
+    let size = (SIZE * far[count / 2]).max(1e-6);
+    let color = |rgb: [u8; 3]| rgb.map(|v| (f32::from(v) / 255.0 - 0.5) / Y0);
+    let gaussians = Gaussians {
+        sh_degree: 0,
+        means: places.iter().map(|p| p.as_vec3().to_array()).collect(),
+        log_scales: vec![[use3d_numerics::math::ln(size) as f32; 3]; count],
+        quaternions: vec![[1.0, 0.0, 0.0, 0.0]; count],
+        opacity_logits: vec![OPACITY_LOGIT; count],
+        sh: capture
+            .points
+            .iter()
+            .map(|p| {
+                let mut sh = [[0.0; 3]; 16];
+                sh[0] = color(p.color);
+                sh
+            })
+            .collect(),
+    };
+    Ok(Scene {
+        gaussians,
+        frame: capture.frame,
+        medium: MediumModel::None,
+        medium_degree: 0,
+        enhancement: None,
+    })
+}

@@ -1,0 +1,160 @@
+//! A training that is watched: what the stages tell goes to the page as well, and the page may hold them up.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use use3d_build::{Event, Listener};
+use use3d_import::load_prepared;
+use use3d_pipeline::scene_page;
+use use3d_scene::{Origin, Scene};
+use use3d_viewer::{Live, Server, Shown};
+use use3d_web::PageView;
+
+use super::{Told, serve};
+use crate::App;
+use crate::args::WatchArgs;
+use crate::error::CliError;
+
+/// The app whose stages are watched, and the server for as long as it lives.
+pub(crate) struct Watched {
+    app: App,
+    live: Arc<Live>,
+    _server: Server,
+}
+
+impl Watched {
+    /// Starts a viewer if one is asked for. `name` is that of the scene where there is only one.
+    pub(crate) fn start(app: &App, args: &WatchArgs, name: Option<&str>) -> Result<Option<Self>, CliError> {
+        if !args.view {
+            return Ok(None);
+        }
+        let live = Arc::new(Live::new("Waiting for the training to begin", Some(app.stop.clone())));
+        let server = serve(app, &args.viewer(), &live, Told::Remark)?;
+        let watcher =
+            Arc::new(Watcher { live: live.clone(), name: name.map(str::to_string), known: Mutex::default() });
+        let inner = app.listener.clone();
+        let listener: Arc<dyn Listener> = Arc::new(move |event: &Event<'_>| {
+            inner.event(event);
+            watcher.hear(event);
+        });
+        let app =
+            App { quiet: app.quiet, seed: app.seed, threads: app.threads, stop: app.stop.clone(), listener };
+        Ok(Some(Self { app, live, _server: server }))
+    }
+
+    /// What the stages are to be run with.
+    pub(crate) fn app(&self) -> &App {
+        &self.app
+    }
+
+    /// Tells the page how it ended.
+    pub(crate) fn end<T>(&self, result: &Result<T, CliError>) {
+        self.live.end(&match result {
+            Ok(_) => "Done.".to_string(),
+            Err(_) if self.app.stop.load(Ordering::Relaxed) => {
+                "Stopped; the same command goes on from the checkpoint.".to_string()
+            }
+            Err(error) => format!("Failed: {}", error.text()),
+        });
+    }
+}
+
+/// What is known of the stage that is shown.
+#[derive(Default)]
+struct Known {
+    label: String,
+    /// Where its photographs are.
+    import: Option<PathBuf>,
+    /// Its places; none while they are being read.
+    views: Option<Arc<Vec<PageView>>>,
+    /// What was shown last.
+    scene: Option<(Arc<Scene>, u64)>,
+}
+
+struct Watcher {
+    live: Arc<Live>,
+    name: Option<String>,
+    known: Mutex<Known>,
+}
+
+impl Watcher {
+    fn hear(self: &Arc<Self>, event: &Event<'_>) {
+        match event {
+            Event::Started { label, .. } => self.live.wait_for(&format!("{label} is under way")),
+            Event::Progress { label, done, total, unit, .. } => {
+                self.live.wait_for(&format!("{label}: {done} of {total} {unit}"));
+            }
+            Event::Figures { label, step, steps, figures } => {
+                self.live.figures(label, *step, *steps, figures)
+            }
+            Event::AsksForView { label, wanted } => {
+                if self.live.wants_copy(label) {
+                    wanted.store(true, Ordering::Relaxed);
+                } else {
+                    self.live.hold();
+                }
+            }
+            Event::View { label, inputs, view } => {
+                self.live.copied();
+                if let Ok(scene) = Arc::clone(view).downcast::<Scene>() {
+                    let import = inputs.iter().find(|input| input.role == "import").map(|i| i.path.clone());
+                    self.see(label, import, scene);
+                }
+                self.live.hold();
+            }
+            Event::Done { label, .. } | Event::Failed { label, .. } => self.live.over(label),
+            _ => {}
+        }
+    }
+
+    /// Shows a scene; its photographs are read beside the training, once.
+    fn see(self: &Arc<Self>, label: &str, import: Option<PathBuf>, scene: Arc<Scene>) {
+        let step = self.live.step();
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let same_places = known.import == import && !known.label.is_empty();
+        (known.label, known.scene) = (label.into(), Some((scene.clone(), step)));
+        if same_places {
+            drop(known);
+            self.show();
+            return;
+        }
+        (known.import, known.views) = (import.clone(), None);
+        drop(known);
+        let this = self.clone();
+        let reading = std::thread::Builder::new().name("viewer photographs".into()).spawn(move || {
+            let views = import.as_deref().map_or_else(|| Ok(Vec::new()), |import| places(import, &scene));
+            let views = views.unwrap_or_else(|error| {
+                tracing::warn!("the viewer shows no photographs: {error}");
+                Vec::new()
+            });
+            let mut known = this.known.lock().unwrap_or_else(PoisonError::into_inner);
+            if known.import == import {
+                known.views = Some(Arc::new(views));
+                drop(known);
+                this.show();
+            }
+        });
+        if let Err(error) = reading {
+            tracing::warn!("the viewer cannot read photographs: {error}");
+        }
+    }
+
+    fn show(&self) {
+        let known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        if let (Some(views), Some((scene, step))) = (known.views.clone(), known.scene.clone()) {
+            let name = self.name.clone().unwrap_or_else(|| known.label.clone());
+            drop(known);
+            self.live.show(Shown { name, scene, views, metres_per_unit: None, step: Some(step) });
+        }
+    }
+}
+
+/// The places of an imported capture, held-out ones first: those are what one looks at to see how good a scene is.
+fn places(import: &Path, scene: &Scene) -> Result<Vec<PageView>, String> {
+    let imported = load_prepared(import).map_err(|e| e.to_string())?;
+    let origin = Origin::of(&imported.capture);
+    let mut views = scene_page::views(scene, Some(&origin), &imported).map_err(|e| e.to_string())?;
+    views.sort_by_key(|view| !view.held_out);
+    Ok(views)
+}

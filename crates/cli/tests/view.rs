@@ -1,0 +1,220 @@
+//! Watching a training changes nothing about it; what is watched can be paused, stopped, followed by its files, and looked at when it is done.
+
+mod tiny;
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use serde_json::{Value, json};
+use tiny::{Place, command, files};
+
+/// A viewer of a running command.
+struct Viewer {
+    port: u16,
+    token: String,
+}
+
+impl Viewer {
+    /// That whose address a command prints on its standard output or error.
+    fn of(printed: impl Read + Send + 'static) -> Self {
+        let mut lines = BufReader::new(printed).lines().map_while(Result::ok);
+        let address = lines.find(|line| line.starts_with("http://")).expect("an address");
+        // What else it prints must not fill the pipe.
+        std::thread::spawn(move || lines.for_each(drop));
+        let (place, token) = address.split_once("/#").expect("a token");
+        let port = place.rsplit_once(':').expect("a port").1.parse().expect("a number");
+        Self { port, token: token.into() }
+    }
+
+    /// Status and body of an answer; none once the command has ended.
+    fn ask(&self, path: &str, body: &Value) -> Option<(u16, Vec<u8>)> {
+        let (body, host) = (body.to_string(), format!("127.0.0.1:{}", self.port));
+        let mut stream = TcpStream::connect(&host).ok()?;
+        let head = format!(
+            "POST {path} HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nAuthorization: Bearer {}\r\nConnection: close\r\nContent-Length: {}\r\n\r\n",
+            self.token,
+            body.len()
+        );
+        stream.write_all((head + &body).as_bytes()).ok()?;
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).ok()?;
+        let end = answer.windows(4).position(|w| w == b"\r\n\r\n")? + 4;
+        let status = String::from_utf8_lossy(answer.get(9..12)?).parse().ok()?;
+        Some((status, answer[end..].to_vec()))
+    }
+
+    fn json(&self, path: &str, body: &Value) -> Option<Value> {
+        self.ask(path, body).and_then(|(_, text)| serde_json::from_slice(&text).ok())
+    }
+
+    fn command(&self, name: &str) -> Option<Value> {
+        self.json("/do", &json!({ "name": name }))
+    }
+
+    /// What is shown, once there is something.
+    fn header(&self) -> Value {
+        loop {
+            let beginning = self.json("/scene", &json!({})).expect("an answer");
+            if beginning["waiting"].is_null() {
+                return beginning["header"].clone();
+            }
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+    }
+
+    /// Draws the first view, moved by `i`, in a mode that goes round.
+    fn draw(&self, header: &Value, i: usize) -> Option<u16> {
+        let view = &header["cameras"][i % header["cameras"].as_array().map_or(1, Vec::len)];
+        let eye: Vec<f64> =
+            (0..3).map(|k| view["eye"][k].as_f64().unwrap_or(0.0) + 0.01 * i as f64).collect();
+        let mode = ["reconstruction", "clear", "medium", "depth"][i % 4];
+        let look = json!({
+            "page": "test", "mode": mode, "left": if i % 3 == 0 { json!("clear") } else { Value::Null }, "at": 0.3, "strength": 1,
+            "water": (i % 5) as f64 / 4.0, "moving": i % 2 == 0,
+            "camera": { "eye": eye, "rotation": view["rotation"], "lens": view["lens"], "width": view["width"], "height": view["height"] },
+        });
+        self.ask("/frame", &look).map(|(status, _)| status)
+    }
+}
+
+/// Ends a command that would go on for ever.
+struct Ended(Child);
+
+impl Drop for Ended {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn reconstruct(capture: &str, out: &str) -> Command {
+    let mut command = command();
+    command.args(["-q", "reconstruct", capture, "--out", out, "--set", "iterations=15"]);
+    command
+}
+
+fn watched(capture: &str, out: &str) -> Child {
+    let mut command = reconstruct(capture, out);
+    command.args(["--view", "--no-open"]).stderr(Stdio::piped());
+    command.spawn().expect("the command starts")
+}
+
+fn same(a: &str, b: &str) {
+    let (a, b) = (files(Path::new(a)), files(Path::new(b)));
+    assert!(a.keys().eq(b.keys()), "{:?} {:?}", a.keys(), b.keys());
+    for (name, bytes) in &a {
+        assert!(*bytes == b[name], "{} differs", name.display());
+    }
+}
+
+#[test]
+fn a_watched_training_gives_the_same_bytes_however_it_is_watched() {
+    let place = Place::new();
+    let capture = place.at("tiny");
+    let [alone, seen, stopped] = ["alone/scene", "seen/scene", "stopped/scene"].map(|name| place.at(name));
+    assert!(reconstruct(&capture, &alone).status().expect("the command starts").success());
+
+    // Moved, paused and looked at in every way from the first step to the last.
+    let mut child = watched(&capture, &seen);
+    let viewer = Viewer::of(child.stderr.take().expect("a pipe"));
+    viewer.command("pause").expect("paused before it begins");
+    let header = viewer.header();
+    let paused = viewer.json("/state", &json!({})).expect("an answer");
+    assert!(paused["paused"] == true && paused["step"] == 1, "{paused}");
+    assert_eq!(viewer.json("/state", &json!({})).expect("an answer")["step"], 1, "it waits");
+    assert_eq!(header["cameras"].as_array().map(Vec::len), Some(9));
+    assert_eq!(header["cameras"][0]["heldOut"], true);
+    assert!(header["cameras"][0]["photo"].as_str().is_some_and(|photo| photo.starts_with("data:image/jpeg")));
+    assert!((0..8).all(|i| viewer.draw(&header, i) == Some(200)));
+    let (mut i, mut steps) = (8, Vec::new());
+    while viewer.command("resume").is_some() {
+        viewer.draw(&header, i);
+        let status = viewer.command("pause");
+        steps.extend(status.as_ref().and_then(|s| s["step"].as_u64()));
+        viewer.draw(&header, i + 1);
+        i += 2;
+    }
+    assert!(child.wait().expect("it ends").success());
+    steps.dedup();
+    assert!(steps.len() > 1, "it was watched at several steps: {steps:?}");
+    same(&alone, &seen);
+
+    // Stopped from the page, followed by its checkpoint, gone on with.
+    let mut child = watched(&capture, &stopped);
+    let viewer = Viewer::of(child.stderr.take().expect("a pipe"));
+    viewer.command("pause").expect("paused");
+    viewer.header();
+    viewer.command("stop").expect("stopped");
+    assert_eq!(child.wait().expect("it ends").code(), Some(130));
+    let mut follow = command();
+    follow
+        .args(["-q", "view", "--follow", &stopped, "--cameras", &capture, "--no-open"])
+        .stdout(Stdio::piped());
+    let mut follow = Ended(follow.spawn().expect("the command starts"));
+    let follower = Viewer::of(follow.0.stdout.take().expect("a pipe"));
+    let header = follower.header();
+    assert_eq!(header["name"], "stopped");
+    assert_eq!(follower.draw(&header, 0), Some(200));
+    let at = |viewer: &Viewer| viewer.json("/state", &json!({})).expect("an answer")["shownStep"].as_u64();
+    assert_eq!(at(&follower), Some(1));
+    assert!(
+        follower.command("stop").is_none(),
+        "nothing to stop: {:?}",
+        follower.ask("/do", &json!({ "name": "stop" }))
+    );
+    assert!(reconstruct(&capture, &stopped).status().expect("the command starts").success());
+    same(&alone, &stopped);
+    // The finished scene takes the checkpoint's place.
+    let ends = std::time::Instant::now() + std::time::Duration::from_secs(60);
+    while at(&follower).is_some() {
+        assert!(std::time::Instant::now() < ends, "the finished scene is shown");
+        std::thread::sleep(std::time::Duration::from_millis(50));
+    }
+}
+
+#[test]
+fn scenes_and_captures_are_looked_at_and_bad_cases_are_said() {
+    let place = Place::new();
+    let (capture, scene) = (place.at("tiny"), place.at("reef/scene"));
+    let made = command()
+        .args(["-q", "reconstruct", &capture, "--out", &scene, "--set", "iterations=2"])
+        .status()
+        .expect("the command starts");
+    assert!(made.success());
+    let view = |arguments: &[&str]| {
+        let mut view = command();
+        view.args(["-q", "view"]).args(arguments).arg("--no-open").stdout(Stdio::piped());
+        let mut child = Ended(view.spawn().expect("the command starts"));
+        let viewer = Viewer::of(child.0.stdout.take().expect("a pipe"));
+        (child, viewer)
+    };
+    let (_child, viewer) = view(&[&scene, "--cameras", &capture, "--metres-per-unit", "0.5"]);
+    let header = viewer.header();
+    assert!(header["name"] == "reef" && header["metresPerUnit"] == 0.5, "{}", header["name"]);
+    assert!(
+        viewer
+            .ask("/section", &json!({ "name": "geometry" }))
+            .is_some_and(|(status, bytes)| status == 200 && bytes.starts_with(&[0x1f, 0x8b]))
+    );
+    assert_eq!(viewer.draw(&header, 0), Some(200));
+    let (_child, viewer) = view(&[&capture]);
+    let header = viewer.header();
+    assert!(
+        header["name"] == "tiny" && header["medium"]["kind"] == "none" && header["count"].as_u64() > Some(10)
+    );
+
+    let taken = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
+    let port = taken.local_addr().expect("an address").port().to_string();
+    let said = |arguments: &[&str]| {
+        let output = command().args(arguments).output().expect("the command starts");
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        String::from_utf8_lossy(&output.stderr).into_owned()
+    };
+    assert!(said(&["view", &scene, "--port", &port]).contains("--port N"));
+    assert!(said(&["view", &place.at("nowhere")]).contains("no such folder"));
+    assert!(said(&["view"]).contains("SCENE_DIR"));
+    assert!(said(&["view", &scene, "--metres-per-unit", "0"]).contains("positive"));
+    assert!(said(&["reconstruct", &capture, "--out", &place.at("x"), "--port", "7007"]).contains("--view"));
+}

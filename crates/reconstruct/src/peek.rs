@@ -1,0 +1,32 @@
+//! The scene in a checkpoint, for who looks on from outside: another process, another machine that sees the same disk.
+
+use std::path::Path;
+
+use use3d_capture::Frame;
+use use3d_medium::MediumModel;
+use use3d_scene::Scene;
+use use3d_training::{CheckpointError, CheckpointFile};
+
+use crate::report::LogEntry;
+use crate::run::RunState;
+
+/// The scene after so many steps, as the checkpoint file at `path` holds it; `None` where there is no such file (any more). A checkpoint knows no
+/// frame: `frame` is the capture's.
+///
+/// Of the water every band is read, since those that are not learnt yet are zero; a water that is a network is read to the degree of the last
+/// line of the log.
+///
+/// # Errors
+/// A file that cannot be read, or that is damaged or of another version.
+pub fn scene_in_checkpoint(path: &Path, frame: Frame) -> Result<Option<(u64, Scene)>, CheckpointError> {
+    let Some(state) = CheckpointFile::at(path.to_path_buf()).load::<RunState<'_>>()? else { return Ok(None) };
+    let engine = state.engine.into_owned();
+    let logged = state.log.iter().rev().find_map(|entry| match entry {
+        LogEntry::Steps { degree, .. } => Some(*degree),
+        _ => None,
+    });
+    let medium_degree = if let MediumModel::Mlp(_) = engine.medium { logged.unwrap_or(0) } else { 3 };
+    let scene =
+        Scene { gaussians: engine.gaussians, frame, medium: engine.medium, medium_degree, enhancement: None };
+    Ok(Some((state.step, scene)))
+}

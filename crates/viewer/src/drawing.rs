@@ -1,0 +1,300 @@
+//! Pictures for pages, one after another, by one thread.
+//!
+//! Every page has at most one request that waits; a newer one takes its place, and the older is told so. A moving picture is drawn so small,
+//! by the ladder 1, ½, ⅓, ¼, that it takes [`MOVING`] at the pace of those before; a still one whole, or in [`STILL`] beside a training.
+
+use std::collections::VecDeque;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use image::codecs::jpeg::JpegEncoder;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
+use rayon::ThreadPool;
+use use3d_capture::{Camera, Image};
+use use3d_render::{Frame, Mode, SceneRenderer, picture};
+
+use crate::live::Live;
+
+/// What a picture takes while it moves.
+const MOVING: Duration = Duration::from_millis(60);
+/// What a still one takes beside a training.
+const STILL: Duration = Duration::from_millis(300);
+/// By what the sides of a picture are divided.
+const LADDER: [usize; 4] = [1, 2, 3, 4];
+/// Most pages that are drawn for at a time.
+const PAGES: usize = 8;
+/// Of a picture that will soon be followed by another.
+const JPEG_QUALITY: u8 = 70;
+
+/// What is to be drawn.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Look {
+    /// In the scene's frame.
+    pub(crate) camera: Camera,
+    pub(crate) mode: Mode,
+    /// The mode left of the divider, and where that is, as a share of the width.
+    pub(crate) left: Option<(Mode, f64)>,
+    pub(crate) strength: f32,
+    pub(crate) water: f32,
+    pub(crate) moving: bool,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Wanted {
+    Picture(Look),
+    /// The median depth of what such a camera sees.
+    Depth(Camera),
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Drawn {
+    Picture {
+        bytes: Vec<u8>,
+        kind: &'static str,
+        /// By what its sides were divided.
+        divisor: usize,
+        /// Which state of the scene it shows.
+        version: u64,
+    },
+    Depth(Option<f32>),
+    /// A newer request of the same page takes its place, or there are too many pages.
+    Dropped,
+    Failed(String),
+}
+
+struct Job {
+    page: String,
+    wanted: Wanted,
+    answer: Sender<Drawn>,
+}
+
+/// Requests, oldest page first.
+#[derive(Default)]
+struct Queue {
+    jobs: VecDeque<Job>,
+    closed: bool,
+    /// No drawing before then.
+    rests_until: Option<Instant>,
+}
+
+pub(crate) struct Drawing {
+    live: Arc<Live>,
+    queue: Mutex<Queue>,
+    changed: Condvar,
+}
+
+impl Drawing {
+    pub(crate) fn new(live: Arc<Live>) -> Arc<Self> {
+        Arc::new(Self { live, queue: Mutex::default(), changed: Condvar::new() })
+    }
+
+    /// Asks for a drawing.
+    pub(crate) fn ask(&self, page: &str, wanted: Wanted) -> Receiver<Drawn> {
+        let (answer, drawn) = channel();
+        let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
+        let picture = |w: &Wanted| matches!(w, Wanted::Picture(_));
+        let full = queue.jobs.len() >= 2 * PAGES;
+        let waits =
+            queue.jobs.iter_mut().find(|job| job.page == page && picture(&job.wanted) == picture(&wanted));
+        match waits {
+            Some(job) => {
+                // Whoever asked may be gone; then nobody hears it.
+                let _ = std::mem::replace(&mut job.answer, answer).send(Drawn::Dropped);
+                job.wanted = wanted;
+            }
+            None if full => {
+                let _ = answer.send(Drawn::Dropped);
+            }
+            None => queue.jobs.push_back(Job { page: page.into(), wanted, answer }),
+        }
+        self.changed.notify_all();
+        drawn
+    }
+
+    /// Ends the drawing thread.
+    pub(crate) fn close(&self) {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner).closed = true;
+        self.changed.notify_all();
+    }
+
+    /// The next request, once it may be drawn; `None` at the end.
+    fn next(&self) -> Option<Job> {
+        let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
+        loop {
+            if queue.closed {
+                return None;
+            }
+            let left =
+                queue.rests_until.map_or(Duration::ZERO, |at| at.saturating_duration_since(Instant::now()));
+            // A training that was paused meanwhile needs no rest.
+            let rests = !left.is_zero() && self.live.rest(Duration::ZERO).is_some();
+            if !rests && let Some(job) = queue.jobs.pop_front() {
+                return Some(job);
+            }
+            let wait = if rests { left.min(Duration::from_millis(100)) } else { Duration::from_secs(60) };
+            queue = self.changed.wait_timeout(queue, wait).unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    /// Draws until the end.
+    pub(crate) fn work(&self) {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).thread_name(|_| "viewer".into()).build();
+        let Ok(beside) = pool.inspect_err(|e| tracing::warn!("the viewer cannot draw: {e}")) else { return };
+        let mut pace = Pace::default();
+        let mut next = self.next();
+        while let Some(job) = next {
+            let Some((shown, version)) = self.live.shown() else {
+                let _ = job.answer.send(Drawn::Failed("there is no scene yet".into()));
+                next = self.next();
+                continue;
+            };
+            let (strength, water) = amounts(&job.wanted);
+            let made = on(&beside, self.live.rest(Duration::ZERO).is_some(), || {
+                SceneRenderer::new(&shown.scene, strength).and_then(|renderer| renderer.with_water(water))
+            });
+            let mut renderer = match made {
+                Ok(renderer) => renderer,
+                Err(error) => {
+                    let _ = job.answer.send(Drawn::Failed(error.to_string()));
+                    next = self.next();
+                    continue;
+                }
+            };
+            let mut now = Some(job);
+            // As long as scene and amounts are the same, so is the renderer.
+            while let Some(job) = now.take_if(|job| {
+                (self.live.version(), amounts(&job.wanted)) == (version, (strength, water))
+                    || matches!(job.wanted, Wanted::Depth(_)) && self.live.version() == version
+            }) {
+                let started = Instant::now();
+                let trains = self.live.rest(Duration::ZERO).is_some();
+                let drawn = on(&beside, trains, || match &job.wanted {
+                    Wanted::Picture(look) => pace.draw(&mut renderer, look, version, trains),
+                    Wanted::Depth(camera) => depth(&mut renderer, camera),
+                });
+                let _ = job.answer.send(drawn);
+                let rest = self.live.rest(started.elapsed());
+                self.queue.lock().unwrap_or_else(PoisonError::into_inner).rests_until =
+                    rest.map(|rest| Instant::now() + rest);
+                now = self.next();
+                if now.is_none() {
+                    return;
+                }
+            }
+            next = now;
+        }
+    }
+}
+
+/// Strength and water that a renderer is made for.
+fn amounts(wanted: &Wanted) -> (f32, f32) {
+    match wanted {
+        Wanted::Picture(look) => (look.strength, look.water),
+        Wanted::Depth(_) => (1.0, 1.0),
+    }
+}
+
+/// One thread beside a training; else all there are.
+fn on<T: Send>(beside: &ThreadPool, trains: bool, work: impl FnOnce() -> T + Send) -> T {
+    if trains { beside.install(work) } else { work() }
+}
+
+/// How long a pixel takes.
+#[derive(Debug, Default)]
+struct Pace {
+    /// Beside a training, and alone: seconds.
+    per_pixel: [Option<f64>; 2],
+}
+
+impl Pace {
+    fn divisor(&self, look: &Look, trains: bool) -> usize {
+        let budget = match (look.moving, trains) {
+            (true, _) => MOVING,
+            (false, true) => STILL,
+            (false, false) => return 1,
+        };
+        let Some(per_pixel) = self.per_pixel[usize::from(trains)] else { return 2 };
+        let k = &look.camera.intrinsics;
+        let whole = per_pixel * (k.width * k.height) as f64 * if look.left.is_some() { 2.0 } else { 1.0 };
+        let fits = |d: &usize| whole / (d * d) as f64 <= budget.as_secs_f64();
+        LADDER.into_iter().find(fits).unwrap_or(LADDER[LADDER.len() - 1])
+    }
+
+    fn draw(&mut self, renderer: &mut SceneRenderer<'_>, look: &Look, version: u64, trains: bool) -> Drawn {
+        let divisor = self.divisor(look, trains);
+        let k = look.camera.intrinsics;
+        let (width, height) = (k.width.div_ceil(divisor), k.height.div_ceil(divisor));
+        let (sx, sy) = (width as f64 / k.width as f64, height as f64 / k.height as f64);
+        let camera = Camera { intrinsics: k.scaled(sx, sy, width, height), pose: look.camera.pose };
+        let started = Instant::now();
+        let modes = match look.left {
+            Some((left, _)) => vec![look.mode, left],
+            None => vec![look.mode],
+        };
+        let image = match renderer.render(&camera, &modes) {
+            Ok(frames) => joined(look, &modes, &frames),
+            Err(error) => return Drawn::Failed(error.to_string()),
+        };
+        let one = started.elapsed().as_secs_f64() / (width * height * modes.len()) as f64;
+        let known = &mut self.per_pixel[usize::from(trains)];
+        *known = Some(known.map_or(one, |known| 0.7 * known + 0.3 * one));
+        let exact = divisor == 1 && !look.moving && !trains;
+        match encoded(&image, exact) {
+            Ok((bytes, kind)) => Drawn::Picture { bytes, kind, divisor, version },
+            Err(error) => Drawn::Failed(error.to_string()),
+        }
+    }
+}
+
+/// The picture of a look, of both sides of the divider.
+fn joined(look: &Look, modes: &[Mode], frames: &[Frame]) -> Image {
+    let mut sides = modes.iter().zip(frames).map(|(mode, frame)| picture(*mode, frame));
+    let Some(mut image) = sides.next() else { return Image::new(0, 0) };
+    if let (Some(left), Some((_, at))) = (sides.next(), look.left) {
+        let cut = (at * image.width() as f64).round() as usize;
+        for y in 0..image.height() {
+            for x in 0..cut.min(image.width()) {
+                image.set_pixel(x, y, left.pixel(x, y));
+            }
+        }
+    }
+    image
+}
+
+/// A picture for a page: without loss if it is to stay.
+fn encoded(image: &Image, exact: bool) -> Result<(Vec<u8>, &'static str), image::ImageError> {
+    let (width, height) = (image.width() as u32, image.height() as u32);
+    let pixels = image.to_8bit().to_interleaved();
+    let mut bytes = Vec::new();
+    if exact {
+        PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub).write_image(
+            &pixels,
+            width,
+            height,
+            ExtendedColorType::Rgb8,
+        )?;
+        return Ok((bytes, "image/png"));
+    }
+    JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY).encode(
+        &pixels,
+        width,
+        height,
+        ExtendedColorType::Rgb8,
+    )?;
+    Ok((bytes, "image/jpeg"))
+}
+
+fn depth(renderer: &mut SceneRenderer<'_>, camera: &Camera) -> Drawn {
+    let frames = match renderer.render(camera, &[Mode::Depth, Mode::Alpha]) {
+        Ok(frames) => frames,
+        Err(error) => return Drawn::Failed(error.to_string()),
+    };
+    let [Frame::Scalar(depth), Frame::Scalar(alpha)] = &frames[..] else { return Drawn::Depth(None) };
+    let there =
+        depth.data().iter().zip(alpha.data()).filter(|(depth, alpha)| **depth > 0.0 && **alpha > 0.25);
+    let mut depths: Vec<f32> = there.map(|(depth, _)| *depth).collect();
+    depths.sort_unstable_by(f32::total_cmp);
+    Drawn::Depth(depths.get(depths.len() / 2).copied())
+}

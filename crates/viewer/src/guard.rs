@@ -1,0 +1,71 @@
+//! Who is answered: this machine's own page that knows the token.
+//!
+//! A page of another site may send requests to any address, this one too. It cannot choose the `Origin` that its browser puts under them, nor
+//! read the token; and a name of its own that leads here (DNS rebinding) stands in `Host`.
+
+use crate::http::{Request, Response};
+
+/// What the printed address ends with.
+#[derive(Clone, Debug)]
+pub(crate) struct Token(String);
+
+impl Token {
+    /// 128 random bits in hexadecimal.
+    pub(crate) fn new() -> Result<Self, getrandom::Error> {
+        let mut bits = [0u8; 16];
+        getrandom::fill(&mut bits)?;
+        Ok(Self(bits.iter().map(|b| format!("{b:02x}")).collect()))
+    }
+
+    pub(crate) fn text(&self) -> &str {
+        &self.0
+    }
+
+    /// Compares in a time that does not depend on where the first difference is.
+    fn is(&self, given: &str) -> bool {
+        let (own, given) = (self.0.as_bytes(), given.as_bytes());
+        own.len() == given.len() && own.iter().zip(given).fold(0, |apart, (a, b)| apart | (a ^ b)) == 0
+    }
+}
+
+/// Whether a `Host` names this machine as such. The port may be another one: that of a tunnel.
+fn is_loopback(host: &str) -> bool {
+    let name = match host.strip_prefix('[') {
+        Some(rest) => rest.split(']').next().unwrap_or_default(),
+        None => host.split(':').next().unwrap_or_default(),
+    };
+    ["127.0.0.1", "localhost", "::1"].iter().any(|own| name.eq_ignore_ascii_case(own))
+}
+
+/// The refusal of a request, if it gets one. The page itself holds nothing and is there for everybody on this machine; all else is asked for by
+/// `POST` with origin and token.
+pub(crate) fn refusal(request: &Request, token: &Token) -> Option<Response> {
+    let forbidden = |what: &str| Some(Response::text(403, what));
+    let Some(host) = request.host.as_deref().filter(|host| is_loopback(host)) else {
+        return forbidden("this server answers to 127.0.0.1 and localhost only");
+    };
+    let own = format!("http://{host}");
+    if request.origin.as_deref().is_some_and(|origin| !origin.eq_ignore_ascii_case(&own)) {
+        return forbidden("another site's page may not use this server");
+    }
+    match (request.method.as_str(), request.path.as_str()) {
+        ("GET", "/") => None,
+        ("GET", _) => {
+            Some(Response::text(404, "there is nothing here; open the address that the program printed"))
+        }
+        ("POST", _) if request.origin.is_none() => {
+            forbidden("the request does not say which page it comes from")
+        }
+        ("POST", _) => {
+            let given = request.authorization.as_deref().and_then(|text| text.strip_prefix("Bearer "));
+            if given.is_some_and(|given| token.is(given)) {
+                None
+            } else {
+                forbidden(
+                    "the token is missing or wrong; open the address that the program printed, with all that follows `#`",
+                )
+            }
+        }
+        _ => Some(Response::text(405, "GET and POST are understood")),
+    }
+}

@@ -1,0 +1,364 @@
+//! What is shown now, and what is asked of who makes it.
+//!
+//! The one place that both sides touch. A training puts figures and copies of its scene in and asks whether to wait; the page's requests take
+//! them out and leave commands. Whatever stands here is copied or shared for reading: no training waits for a picture.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use use3d_scene::Scene;
+use use3d_web::{Page, PageData, PageView, WebError};
+
+use crate::curve::Curve;
+
+/// Least time between two copies of a scene that is trained.
+const APART: Duration = Duration::from_secs(2);
+/// A copy may take this share of the time until the next one.
+const COPYING: f64 = 0.01;
+/// A page that asked nothing for so long has gone.
+const LOOKING: Duration = Duration::from_secs(10);
+/// The share of the machine's cores that drawing takes beside a training, unless somebody asks for more.
+const SHARE: f64 = 0.04;
+/// The most that can be asked for.
+const MOST_SHARE: f64 = 0.5;
+/// How often one who waits looks whether to stop.
+const WAIT: Duration = Duration::from_millis(100);
+
+/// A scene as it is shown.
+#[derive(Clone, Debug)]
+pub struct Shown {
+    /// Its name.
+    pub name: String,
+    /// The scene.
+    pub scene: Arc<Scene>,
+    /// The places that one can fly to.
+    pub views: Arc<Vec<PageView>>,
+    /// Metres per unit of the COLMAP model, if that is known.
+    pub metres_per_unit: Option<f64>,
+    /// Steps of training behind it; none of a scene that is not trained here.
+    pub step: Option<u64>,
+}
+
+impl Shown {
+    fn page(&self) -> Page<'_> {
+        Page {
+            name: &self.name,
+            scene: &self.scene,
+            views: self.views.to_vec(),
+            metres_per_unit: self.metres_per_unit,
+        }
+    }
+}
+
+#[derive(Debug, Default)]
+struct State {
+    /// What is waited for, or how it ended.
+    words: String,
+    /// Whether a training is under way.
+    training: bool,
+    ended: bool,
+    /// Which stage of which scene.
+    label: String,
+    step: u64,
+    steps: u64,
+    figures: Vec<(String, f64)>,
+    loss: Curve,
+    psnr: Curve,
+    shown: Option<Shown>,
+    /// What the page must know of the scene, apart from its pictures.
+    header: Value,
+    /// Handed over to be drawn in the browser.
+    data: Option<Arc<PageData>>,
+    /// Another scene, other views.
+    generation: u64,
+    /// Another state of the scene.
+    version: u64,
+    paused: bool,
+    share: f64,
+    looked: Option<Instant>,
+    copied: Option<Instant>,
+    copying: Duration,
+}
+
+/// What is shown, shared by a server and whoever makes the scene.
+#[derive(Debug)]
+pub struct Live {
+    state: Mutex<State>,
+    changed: Condvar,
+    /// Raised by the page's stop button and by whoever else stops the training; none where there is nothing to pause or stop.
+    stop: Option<Arc<AtomicBool>>,
+    cores: usize,
+}
+
+impl Live {
+    /// Nothing yet. `stop` is the flag that ends the training with a checkpoint; without one the page cannot pause or stop anything.
+    pub fn new(words: &str, stop: Option<Arc<AtomicBool>>) -> Self {
+        let state = State { words: words.into(), share: SHARE, header: Value::Null, ..State::default() };
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        Self { state: Mutex::new(state), changed: Condvar::new(), stop, cores }
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Says what is waited for, until there is a scene.
+    pub fn wait_for(&self, words: &str) {
+        self.state().words = words.into();
+    }
+
+    /// The numbers of a training step. Those of one stage make a curve; another stage that trains at the same time is not shown.
+    pub fn figures(&self, label: &str, step: u64, steps: u64, figures: &[(&str, f64)]) {
+        let mut state = self.state();
+        if state.training && state.label != label {
+            return;
+        }
+        if state.label != label {
+            (state.loss, state.psnr, state.copied) = (Curve::default(), Curve::default(), None);
+            state.label = label.into();
+        }
+        (state.training, state.step, state.steps) = (true, step, steps);
+        state.figures = figures.iter().map(|(name, value)| ((*name).to_string(), *value)).collect();
+        for (name, value) in figures {
+            match *name {
+                "loss" => state.loss.add(step, *value),
+                "psnr" => state.psnr.add(step, *value),
+                _ => {}
+            }
+        }
+    }
+
+    /// A stage is over; another one may train.
+    pub fn over(&self, label: &str) {
+        let mut state = self.state();
+        if state.label == label {
+            state.training = false;
+        }
+    }
+
+    /// All is over: how.
+    pub fn end(&self, words: &str) {
+        let mut state = self.state();
+        (state.words, state.ended, state.training) = (words.into(), true, false);
+    }
+
+    /// Whether a copy of the scene that this stage trains is wanted now: somebody looks, and the last one is old enough.
+    pub fn wants_copy(&self, label: &str) -> bool {
+        let mut state = self.state();
+        if !state.training || state.label != label || !state.looked.is_some_and(|at| at.elapsed() < LOOKING) {
+            return false;
+        }
+        let stale = state.shown.as_ref().is_none_or(|shown| shown.step != Some(state.step));
+        let apart = APART.max(state.copying.div_f64(COPYING));
+        let due = state.copied.is_none_or(|at| at.elapsed() >= apart) || state.paused && stale;
+        if due {
+            state.copied = Some(Instant::now());
+        }
+        due
+    }
+
+    /// Takes the copy that was asked for.
+    pub fn copied(&self) {
+        let mut state = self.state();
+        state.copying = state.copied.map_or(Duration::ZERO, |at| at.elapsed());
+    }
+
+    /// Waits for as long as the page has paused the training.
+    pub fn hold(&self) {
+        let Some(stop) = &self.stop else { return };
+        let mut state = self.state();
+        while state.paused && !stop.load(Ordering::Relaxed) {
+            state = self.changed.wait_timeout(state, WAIT).unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    /// The step that the stage shown is at.
+    pub fn step(&self) -> u64 {
+        self.state().step
+    }
+
+    /// Shows a scene from now on, drawn here.
+    pub fn show(&self, shown: Shown) {
+        // What the page was told holds for another state of the same scene, too.
+        let header = (!self.continues(&shown)).then(|| use3d_web::header(&shown.page()));
+        self.put(shown, header, None);
+    }
+
+    /// Whether this is another state of the scene that is shown: it can take its place under the visitor's eyes.
+    fn continues(&self, shown: &Shown) -> bool {
+        let state = self.state();
+        state.data.is_none()
+            && state.shown.as_ref().is_some_and(|old| {
+                old.name == shown.name
+                    && Arc::ptr_eq(&old.views, &shown.views)
+                    && old.scene.enhancement.is_some() == shown.scene.enhancement.is_some()
+                    && old.scene.medium.kind() == shown.scene.medium.kind()
+            })
+    }
+
+    /// Shows a scene that stays as it is, drawn in the browser where that can.
+    ///
+    /// # Errors
+    /// A scene without Gaussians.
+    pub fn hand_over(&self, shown: Shown) -> Result<(), WebError> {
+        let data = use3d_web::data(&shown.page())?;
+        let header = data.header.clone();
+        self.put(shown, Some(header), Some(Arc::new(data)));
+        Ok(())
+    }
+
+    fn put(&self, shown: Shown, header: Option<Value>, data: Option<Arc<PageData>>) {
+        let mut state = self.state();
+        if let Some(header) = header {
+            state.header = header;
+            state.generation += 1;
+        }
+        state.version += 1;
+        (state.shown, state.data) = (Some(shown), data);
+        self.changed.notify_all();
+    }
+
+    /// The share of the machine's cores that drawing may take beside a training, in `(0, ½]`.
+    pub fn set_share(&self, share: f64) {
+        if share.is_finite() {
+            self.state().share = share.clamp(0.001, MOST_SHARE);
+        }
+    }
+
+    /// A command of the page; false for one that is none, or cannot be.
+    pub(crate) fn command(&self, name: &str, share: Option<f64>) -> bool {
+        let Some(stop) = &self.stop else { return false };
+        match name {
+            "pause" => self.state().paused = true,
+            "resume" => self.state().paused = false,
+            "stop" => {
+                stop.store(true, Ordering::Relaxed);
+                self.state().paused = false;
+            }
+            "share" => match share {
+                Some(share) => self.set_share(share),
+                None => return false,
+            },
+            _ => return false,
+        }
+        self.changed.notify_all();
+        true
+    }
+
+    /// Notes that a page asks.
+    pub(crate) fn looked(&self) {
+        self.state().looked = Some(Instant::now());
+    }
+
+    /// What is shown and which state of it that is.
+    pub(crate) fn shown(&self) -> Option<(Shown, u64)> {
+        let state = self.state();
+        state.shown.clone().map(|shown| (shown, state.version))
+    }
+
+    /// Which state of the scene is shown.
+    pub(crate) fn version(&self) -> u64 {
+        self.state().version
+    }
+
+    /// How long to rest after a drawing that took one thread so long; none where nothing trains.
+    pub(crate) fn rest(&self, took: Duration) -> Option<Duration> {
+        let state = self.state();
+        let beside = state.training && !state.paused;
+        beside.then(|| took.mul_f64((1.0 / (state.share * self.cores as f64) - 1.0).max(0.0)))
+    }
+
+    /// What the page needs to begin.
+    pub(crate) fn beginning(&self) -> Value {
+        let state = self.state();
+        if state.shown.is_none() {
+            return json!({ "waiting": state.words });
+        }
+        json!({ "generation": state.generation, "header": state.header, "drawn": if state.data.is_some() { "browser" } else { "server" } })
+    }
+
+    /// A part of a scene that was handed over.
+    pub(crate) fn section(&self, name: &str) -> Option<Vec<u8>> {
+        let data = self.state().data.clone()?;
+        data.sections.iter().find(|(section, _)| *section == name).map(|(_, bytes)| bytes.clone())
+    }
+
+    /// How things stand.
+    pub(crate) fn status(&self) -> Value {
+        let state = self.state();
+        let figure =
+            |name: &str| state.figures.iter().find(|(known, _)| known == name).map(|(_, value)| value);
+        json!({
+            "generation": state.generation,
+            "version": state.version,
+            "shownStep": state.shown.as_ref().and_then(|shown| shown.step),
+            "words": state.words,
+            "training": state.training,
+            "ended": state.ended,
+            "label": state.label,
+            "step": state.step,
+            "steps": state.steps,
+            "loss": figure("loss"),
+            "psnr": figure("psnr"),
+            "gaussians": figure("gaussians"),
+            "secondsLeft": figure("seconds left"),
+            "curves": { "loss": state.loss.json(), "psnr": state.psnr.json() },
+            "controls": self.stop.is_some(),
+            "paused": state.paused,
+            "stopping": self.stop.as_ref().is_some_and(|stop| stop.load(Ordering::Relaxed)),
+            "share": state.share,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn copies_are_taken_while_somebody_looks_and_not_often() {
+        let live = Live::new("", Some(Arc::default()));
+        live.figures("reef", 1, 10, &[("loss", 0.5)]);
+        assert!(!live.wants_copy("reef"), "nobody looks");
+        live.looked();
+        assert!(!live.wants_copy("other"), "another stage is not shown");
+        assert!(live.wants_copy("reef"));
+        live.copied();
+        assert!(!live.wants_copy("reef"), "just taken");
+        // Who pauses sees the step that it stands at.
+        assert!(live.command("pause", None) && live.wants_copy("reef"));
+        assert_eq!(live.rest(Duration::from_millis(10)), None, "nothing to be slowed while it is paused");
+    }
+
+    #[test]
+    fn drawing_beside_a_training_keeps_to_its_share() {
+        let live = Live { cores: 2, ..Live::new("", Some(Arc::default())) };
+        let took = Duration::from_millis(40);
+        assert_eq!(live.rest(took), None);
+        live.figures("reef", 1, 10, &[]);
+        // One thread of two cores: 40 ms in half a second are 4 % of the machine.
+        assert_eq!(live.rest(took), Some(Duration::from_millis(460)));
+        assert!(live.command("share", Some(0.5)) && live.rest(took) == Some(Duration::ZERO));
+        live.over("reef");
+        assert_eq!(live.rest(took), None);
+    }
+
+    #[test]
+    fn a_paused_training_goes_on_when_it_is_resumed_or_stopped() {
+        let stop = Arc::new(AtomicBool::new(false));
+        let live = Arc::new(Live::new("", Some(stop.clone())));
+        for command in ["resume", "stop"] {
+            assert!(live.command("pause", None));
+            let held = {
+                let live = live.clone();
+                std::thread::spawn(move || live.hold())
+            };
+            assert!(live.command(command, None));
+            held.join().unwrap();
+        }
+        assert!(stop.load(Ordering::Relaxed) && !live.command("format", None));
+        assert!(!Live::new("", None).command("stop", None), "nothing to stop");
+    }
+}

@@ -1,0 +1,163 @@
+//! Sockets and threads: one that accepts, one per open connection, one that draws.
+
+use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::thread;
+
+use crate::drawing::Drawing;
+use crate::guard::{Token, refusal};
+use crate::http::{self, NoRequest, Pending, Response};
+use crate::live::Live;
+use crate::site::Site;
+
+/// Most connections at a time: a browser holds up to six per page.
+const CONNECTIONS: usize = 56;
+
+/// A server that cannot be started.
+#[derive(Debug, thiserror::Error)]
+pub enum ServerError {
+    /// The port is somebody else's.
+    #[error(
+        "port {0} is taken on this machine; choose another with --port N, or leave --port out and a free one is taken"
+    )]
+    PortTaken(u16),
+    /// The system refuses to listen.
+    #[error("cannot listen on port {port} of this machine: {source}; choose another with --port N")]
+    Listen {
+        /// Which port.
+        port: u16,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// No thread, or no random numbers.
+    #[error("the viewer cannot be started: {0}")]
+    Start(String),
+}
+
+/// A server on this machine's loopback address; it ends when it is dropped.
+#[derive(Debug)]
+pub struct Server {
+    address: SocketAddr,
+    token: Token,
+    closing: Arc<AtomicBool>,
+    drawing: Ender,
+}
+
+/// Ends the drawing thread.
+struct Ender(Arc<Drawing>);
+
+impl std::fmt::Debug for Ender {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Drawing")
+    }
+}
+
+impl Server {
+    /// Starts serving what `live` shows, on `port`; on the first free one without.
+    ///
+    /// # Errors
+    /// [`ServerError`].
+    pub fn start(port: Option<u16>, live: &Arc<Live>) -> Result<Self, ServerError> {
+        let asked = port.unwrap_or(0);
+        let listener =
+            TcpListener::bind((Ipv4Addr::LOCALHOST, asked)).map_err(|source| match source.kind() {
+                std::io::ErrorKind::AddrInUse => ServerError::PortTaken(asked),
+                _ => ServerError::Listen { port: asked, source },
+            })?;
+        let address = listener.local_addr().map_err(|source| ServerError::Listen { port: asked, source })?;
+        let start = |error: &dyn std::fmt::Display| ServerError::Start(error.to_string());
+        let token = Token::new().map_err(|e| start(&e))?;
+        let drawing = Drawing::new(live.clone());
+        let site = Arc::new(Site::new(live.clone(), drawing.clone()));
+        let closing = Arc::new(AtomicBool::new(false));
+        let drawer = drawing.clone();
+        thread::Builder::new()
+            .name("viewer drawing".into())
+            .spawn(move || drawer.work())
+            .map_err(|e| start(&e))?;
+        let accepting =
+            Accepting { site, token: token.clone(), closing: closing.clone(), open: Arc::default() };
+        thread::Builder::new()
+            .name("viewer".into())
+            .spawn(move || accepting.accept(&listener))
+            .map_err(|e| start(&e))?;
+        Ok(Self { address, token, closing, drawing: Ender(drawing) })
+    }
+
+    /// What to open in a browser, token and all.
+    pub fn address(&self) -> String {
+        format!("http://127.0.0.1:{}/#{}", self.port(), self.token.text())
+    }
+
+    /// The port.
+    pub fn port(&self) -> u16 {
+        self.address.port()
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.closing.store(true, Ordering::Relaxed);
+        self.drawing.0.close();
+        // Wakes the thread that accepts; should it fail, the thread ends with the next visitor.
+        let _ = TcpStream::connect(self.address);
+    }
+}
+
+#[derive(Clone)]
+struct Accepting {
+    site: Arc<Site>,
+    token: Token,
+    closing: Arc<AtomicBool>,
+    open: Arc<AtomicUsize>,
+}
+
+impl Accepting {
+    fn accept(&self, listener: &TcpListener) {
+        for stream in listener.incoming() {
+            if self.closing.load(Ordering::Relaxed) {
+                return;
+            }
+            let Ok(mut stream) = stream else { continue };
+            if self.open.fetch_add(1, Ordering::Relaxed) >= CONNECTIONS {
+                self.open.fetch_sub(1, Ordering::Relaxed);
+                let full = Response::text(503, "too many connections; close other pages of this viewer");
+                let _ = http::write(&mut stream, &full, false);
+                continue;
+            }
+            let this = self.clone();
+            let served = thread::Builder::new().name("viewer page".into()).spawn(move || {
+                this.serve(&mut stream);
+                this.open.fetch_sub(1, Ordering::Relaxed);
+            });
+            if served.is_err() {
+                self.open.fetch_sub(1, Ordering::Relaxed);
+            }
+        }
+    }
+
+    /// Answers a connection's requests, one after another.
+    fn serve(&self, stream: &mut TcpStream) {
+        let _ = stream.set_nodelay(true);
+        let mut pending = Pending::default();
+        while !self.closing.load(Ordering::Relaxed) {
+            let request = match http::read(stream, &mut pending) {
+                Ok(request) => request,
+                Err(NoRequest::Gone) => return,
+                Err(NoRequest::Refused(status, why)) => {
+                    let _ = http::write(stream, &Response::text(status, why), false);
+                    // What was sent and not read would make the system drop the answer with the connection.
+                    let _ = stream.shutdown(std::net::Shutdown::Write);
+                    let _ =
+                        std::io::copy(&mut std::io::Read::take(&mut *stream, 1 << 20), &mut std::io::sink());
+                    return;
+                }
+            };
+            let response = refusal(&request, &self.token).unwrap_or_else(|| self.site.answer(&request));
+            if http::write(stream, &response, request.stays).is_err() || !request.stays {
+                return;
+            }
+        }
+    }
+}

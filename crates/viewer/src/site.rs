@@ -1,0 +1,163 @@
+//! What can be asked for: the page, its scene, pictures, how things stand, and commands. All but the page is JSON by `POST`.
+
+use std::sync::Arc;
+use std::sync::mpsc::Receiver;
+use std::time::Duration;
+
+use glam::{DMat3, DVec3};
+use serde::Deserialize;
+use serde_json::json;
+use use3d_capture::{Camera, Intrinsics, Pose};
+use use3d_render::Mode;
+
+use crate::drawing::{Drawing, Drawn, Look, Wanted};
+use crate::http::{Request, Response};
+use crate::live::Live;
+
+/// Longest side of a picture.
+const SIDE: usize = 4096;
+/// Most pixels of a picture: those of a 4K screen.
+const PIXELS: usize = 3840 * 2160;
+/// Longest that a request waits for its drawing.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+pub(crate) struct Site {
+    live: Arc<Live>,
+    drawing: Arc<Drawing>,
+    page: use3d_web::Served,
+}
+
+/// A camera in the page's words: pixels, and rows right, down, forward.
+#[derive(Debug, Deserialize)]
+struct CameraWords {
+    eye: [f64; 3],
+    rotation: [[f64; 3]; 3],
+    lens: [f64; 4],
+    width: usize,
+    height: usize,
+}
+
+#[derive(Debug, Deserialize)]
+struct LookWords {
+    page: String,
+    camera: CameraWords,
+    mode: String,
+    left: Option<String>,
+    at: f64,
+    strength: f32,
+    water: f32,
+    moving: bool,
+}
+
+#[derive(Debug, Deserialize)]
+struct DepthWords {
+    page: String,
+    camera: CameraWords,
+}
+
+#[derive(Debug, Deserialize)]
+struct SectionWords {
+    name: String,
+}
+
+#[derive(Debug, Deserialize)]
+struct CommandWords {
+    name: String,
+    share: Option<f64>,
+}
+
+impl CameraWords {
+    fn camera(&self) -> Result<Camera, String> {
+        let (width, height) = (self.width, self.height);
+        if width > SIDE || height > SIDE || width * height > PIXELS {
+            return Err(format!("a picture of {width} × {height} pixels; at most {PIXELS} are drawn"));
+        }
+        let [fx, fy, cx, cy] = self.lens;
+        let [right, down, forward] = self.rotation.map(DVec3::from_array);
+        let rotation = DMat3::from_cols(right, down, forward).transpose();
+        let pose = Pose::from_center(rotation, DVec3::from_array(self.eye));
+        let camera = Camera { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, pose };
+        camera.validate().map_err(|e| e.to_string())?;
+        Ok(camera)
+    }
+}
+
+impl LookWords {
+    fn look(&self) -> Result<Look, String> {
+        let mode = |name: &str| Mode::from_name(name).ok_or_else(|| format!("there is no mode `{name}`"));
+        let shares = [f64::from(self.strength), f64::from(self.water), self.at];
+        if shares.iter().any(|share| !(0.0..=1.0).contains(share)) {
+            return Err("strength, water and the divider's place are 0 to 1".into());
+        }
+        let left = self.left.as_deref().map(mode).transpose()?;
+        Ok(Look {
+            camera: self.camera.camera()?,
+            mode: mode(&self.mode)?,
+            left: left.map(|left| (left, self.at)),
+            strength: self.strength,
+            water: self.water,
+            moving: self.moving,
+        })
+    }
+}
+
+impl Site {
+    pub(crate) fn new(live: Arc<Live>, drawing: Arc<Drawing>) -> Self {
+        Self { live, drawing, page: use3d_web::served() }
+    }
+
+    /// The answer to a request that may be answered.
+    pub(crate) fn answer(&self, request: &Request) -> Response {
+        if request.method == "GET" {
+            let mut page = Response::new(200, "text/html; charset=utf-8", self.page.html.clone());
+            page.fields = vec![
+                ("Content-Security-Policy", format!("{}; frame-ancestors 'none'", self.page.policy)),
+                ("X-Frame-Options", "DENY".into()),
+            ];
+            return page;
+        }
+        self.live.looked();
+        let answer = match request.path.as_str() {
+            "/scene" => Ok(Response::json(&self.live.beginning())),
+            "/state" => Ok(Response::json(&self.live.status())),
+            "/section" => words::<SectionWords>(request).map(|asked| match self.live.section(&asked.name) {
+                Some(bytes) => Response::new(200, "application/gzip", bytes),
+                None => Response::text(404, "the scene has no such part"),
+            }),
+            "/frame" => words::<LookWords>(request)
+                .and_then(|words| Ok((words.look()?, words.page)))
+                .map(|(look, page)| self.picture(&self.drawing.ask(&page, Wanted::Picture(look)))),
+            "/depth" => words::<DepthWords>(request)
+                .and_then(|words| Ok((words.camera.camera()?, words.page)))
+                .map(|(camera, page)| self.picture(&self.drawing.ask(&page, Wanted::Depth(camera)))),
+            "/do" => words::<CommandWords>(request).and_then(|asked| {
+                if self.live.command(&asked.name, asked.share) {
+                    Ok(Response::json(&self.live.status()))
+                } else {
+                    Err("there is nothing of that kind to do here".into())
+                }
+            }),
+            _ => Ok(Response::text(404, "there is nothing here")),
+        };
+        answer.unwrap_or_else(|wrong| Response::text(400, &wrong))
+    }
+
+    fn picture(&self, drawn: &Receiver<Drawn>) -> Response {
+        match drawn.recv_timeout(PATIENCE) {
+            Ok(Drawn::Picture { bytes, kind, divisor, version }) => {
+                let mut response = Response::new(200, kind, bytes);
+                response.fields =
+                    vec![("X-Divisor", divisor.to_string()), ("X-Version", version.to_string())];
+                response
+            }
+            Ok(Drawn::Depth(depth)) => Response::json(&json!({ "depth": depth })),
+            Ok(Drawn::Dropped) | Err(_) => Response::new(204, "text/plain", ""),
+            Ok(Drawn::Failed(why)) => Response::text(503, &why),
+        }
+    }
+}
+
+/// What a request's body says.
+fn words<T: serde::de::DeserializeOwned>(request: &Request) -> Result<T, String> {
+    serde_json::from_slice(&request.body).map_err(|e| format!("the request cannot be read: {e}"))
+}

@@ -1,0 +1,71 @@
+// The program that this page came from, where it came from one: `use3d view`, or a training that is watched. Requests carry the token that stands
+// behind `#` in the address, which browsers send to nobody. `#TOKEN,server` has pictures drawn by the program, `#TOKEN,browser` here.
+
+function makeServer() {
+  if (JSON.parse(element('scene').textContent) !== null) return null;
+  const [token, where] = location.hash.slice(1).split(',');
+  const server = { page: Math.random().toString(36).slice(2), where, lost: false, generation: null };
+  server.ask = async (path, body = {}) => {
+    const answer = await fetch(path, { method: 'POST', headers: { Authorization: `Bearer ${token}` }, body: JSON.stringify(body), cache: 'no-store' });
+    if (!answer.ok) throw Object.assign(new Error(await answer.text()), { status: answer.status });
+    return answer;
+  };
+  server.json = async (path, body) => (await server.ask(path, body)).json();
+  // What is shown, once there is something.
+  server.begin = async () => {
+    for (;;) {
+      const beginning = await server.json('/scene').catch(error => { if (error.status) throw error; return { waiting: 'The program does not answer; trying again' }; });
+      if (beginning.waiting === undefined) { server.generation = beginning.generation; return beginning; }
+      element('waiting').textContent = beginning.waiting;
+      await new Promise(done => setTimeout(done, 700));
+    }
+  };
+  return server;
+}
+
+// A browser without a graphics card draws so slowly that the program is quicker.
+function drawsInSoftware() {
+  const gl = document.createElement('canvas').getContext('webgl2'), info = gl?.getExtension('WEBGL_debug_renderer_info');
+  const name = gl ? String(gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER)) : '';
+  gl?.getExtension('WEBGL_lose_context')?.loseContext();
+  return !gl || /swiftshader|llvmpipe|softpipe|software/i.test(name);
+}
+
+// Pictures by the program, in the place of a renderer. One is asked for at a time; of what is wanted meanwhile only the newest counts, and the next
+// request goes out when the picture before is on the screen.
+function makeServerRenderer(canvas, server, shown) {
+  const context = canvas.getContext('2d');
+  let wanted = null, busy = false;
+  async function work() {
+    busy = true;
+    while (wanted) {
+      const asked = wanted;
+      wanted = null;
+      try {
+        const answer = await server.ask('/frame', asked);
+        server.lost = false;
+        if (answer.status !== 200) continue;
+        const picture = await createImageBitmap(await answer.blob());
+        [canvas.width, canvas.height] = [picture.width, picture.height];
+        context.drawImage(picture, 0, 0);
+        picture.close();
+        shown(Number(answer.headers.get('X-Divisor')));
+      } catch (error) {
+        server.lost = !error.status;
+        await new Promise(done => setTimeout(done, 1000));
+        wanted ??= asked;
+      }
+    }
+    busy = false;
+  }
+  return {
+    gl: { canvas, isContextLost: () => false },
+    setOrder() {},
+    settled: () => !busy,
+    ask(camera, look, left, at, moving) {
+      wanted = { page: server.page, camera, mode: look.mode, left: left?.mode ?? null, at, strength: look.strength, water: look.water, moving };
+      if (!busy) work();
+    },
+    depth: async camera => (await server.json('/depth', { page: server.page, camera })).depth ?? null,
+  };
+}
