@@ -72,6 +72,35 @@ fn a_scene_goes_to_browsers_and_viewers_and_follows_a_path() {
     assert!(go(2, &["--out", &frames]).contains("--force"));
     go(0, &["--out", &frames, "--modes", "depth,clear"]);
     assert!(Path::new(&frames).join("depth").is_dir() && Path::new(&frames).join("clear").is_dir());
+    // Other programs' paths: told by what they hold, and by their names.
+    let nerfstudio = place.at("camera_path.json");
+    let matrix = "[1,0,0,0, 0,-1,0,0, 0,0,-1,-1, 0,0,0,1]";
+    std::fs::write(
+        &nerfstudio,
+        format!(r#"{{"camera_path": [{{"camera_to_world": {matrix}, "fov": 50}}], "fps": 24}}"#),
+    )
+    .unwrap();
+    let drawn = |file: &str, out: &str| {
+        let said = expect(0, &["render", &scene, "--path", file, "--size", "48x32", "--out", out]);
+        (said, std::fs::read_dir(Path::new(out).join("path")).unwrap().count())
+    };
+    let (said, frames) = drawn(&nerfstudio, &place.at("nerfstudio"));
+    assert!(frames == 1 && said.contains("dataparser_transforms.json"), "{said}");
+    std::fs::write(
+        place.at("dataparser_transforms.json"),
+        r#"{"transform": [[1,0,0,0],[0,1,0,0],[0,0,1,0]], "scale": 0.5}"#,
+    )
+    .unwrap();
+    let (said, _) = drawn(&nerfstudio, &place.at("scaled"));
+    assert!(!said.contains("dataparser"), "{said}");
+    let images = place.at("images.txt");
+    std::fs::write(&images, "1 1 0 0 0 0 0 1 1 b.png\n\n2 1 0 0 0 0.1 0 1 1 a.png\n\n").unwrap();
+    assert!(
+        expect(2, &["render", &scene, "--path", &images, "--out", &place.at("no")]).contains("cameras.txt")
+    );
+    std::fs::write(place.at("cameras.txt"), "1 PINHOLE 96 64 80 80 48 32\n").unwrap();
+    assert_eq!(drawn(&images, &place.at("colmap")).1, 2);
+
     std::fs::write(&path, text("enhanced")).unwrap();
     assert!(go(2, &["--out", &place.at("no")]).contains("use3d enhance"));
     std::fs::write(&path, text("sunny")).unwrap();

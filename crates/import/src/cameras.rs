@@ -52,6 +52,19 @@ pub fn read_cameras(path: &Path) -> Result<Vec<(FileName, Camera)>, ImportError>
     from_model(&model)
 }
 
+/// The pinhole cameras of one `images.txt`, in its order, and of the `cameras.txt` in its folder; points are not asked for, so that a path of
+/// cameras can be two files.
+pub fn read_images_txt(path: &Path) -> Result<Vec<Camera>, ImportError> {
+    let read = |path: &Path| std::fs::read(path).map_err(ImportError::file(path));
+    let lenses = path.with_file_name("cameras.txt");
+    let images = use3d_io_colmap::text::images(&read(path)?, path)?;
+    let cameras = use3d_io_colmap::text::cameras(&read(&lenses)?, &lenses)?;
+    let names: Vec<FileName> = images.iter().map(|image| image.name.clone()).collect();
+    let by_name: BTreeMap<FileName, Camera> =
+        from_model(&Model { cameras, images, points: Vec::new() })?.into_iter().collect();
+    Ok(names.iter().filter_map(|name| by_name.get(name).copied()).collect())
+}
+
 /// The pinhole cameras of a model's images, sorted by name.
 pub(crate) fn from_model(model: &Model) -> Result<Vec<(FileName, Camera)>, ImportError> {
     let mut lenses: BTreeMap<u32, Intrinsics> = BTreeMap::new();

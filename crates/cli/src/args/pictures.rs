@@ -36,8 +36,11 @@ impl FromStr for CameraPath {
         match text {
             "interpolate" => Ok(Self::Interpolate),
             "spiral" => Ok(Self::Spiral),
-            file if file.to_lowercase().ends_with(".json") => Ok(Self::File(file.into())),
-            _ => Err("expected `interpolate`, `spiral`, or a path file that ends in .json".into()),
+            file if [".json", ".txt"].iter().any(|e| file.to_lowercase().ends_with(e)) => Ok(Self::File(file.into())),
+            _ => Err(
+                "expected `interpolate`, `spiral`, or a path file: .json of a scene's page or of nerfstudio, or COLMAP's images.txt"
+                    .into(),
+            ),
         }
     }
 }
@@ -67,8 +70,9 @@ pub(crate) struct RenderArgs {
     #[arg(long)]
     pub(crate) held_out: bool,
     /// Follow a path instead of the cameras themselves: `interpolate` and `spiral` are made from them; a file saved by a
-    /// scene's page has its own cameras, looks and frames per second.
-    #[arg(long, value_name = "interpolate|spiral|FILE.json")]
+    /// scene's page has its own cameras, looks and frames per second. Also nerfstudio's camera_path.json (with its model's
+    /// dataparser_transforms.json beside it) and COLMAP's images.txt (with cameras.txt beside it), at --frame-rate.
+    #[arg(long, value_name = "interpolate|spiral|FILE.json|images.txt")]
     pub(crate) path: Option<CameraPath>,
     /// Frames of the path.
     #[arg(long, default_value_t = 120, value_name = "N", value_parser = count(MAX_FRAMES))]

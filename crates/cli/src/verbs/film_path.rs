@@ -5,6 +5,7 @@ use std::path::Path;
 use use3d_build::machine::bytes;
 use use3d_build::{Event, place};
 use use3d_capture::FileName;
+use use3d_import::read_images_txt;
 use use3d_render::{Mode, SceneRenderer, picture};
 use use3d_scene::Scene;
 use use3d_web::path::CameraPath;
@@ -22,11 +23,36 @@ const OWN: &str = "path";
 /// The size of pictures where none is given: a path has no pixels.
 const SIZE: (usize, usize) = (1280, 720);
 
-/// `use3d render SCENE --path FILE.json`.
+/// A path of whatever program.
+fn read(args: &RenderArgs, file: &Path, quiet: bool) -> Result<CameraPath, String> {
+    if file.extension().is_some_and(|e| e.eq_ignore_ascii_case("txt")) {
+        let cameras = read_images_txt(file).map_err(|e| e.to_string())?;
+        return CameraPath::of_cameras(&cameras, f64::from(args.frame_rate));
+    }
+    let text = std::fs::read_to_string(file).map_err(|e| e.to_string())?;
+    if !CameraPath::is_nerfstudio(&text) {
+        return CameraPath::read(&text);
+    }
+    let beside = file.with_file_name("dataparser_transforms.json");
+    let dataparser = match std::fs::read_to_string(&beside) {
+        Ok(text) => Some(text),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => None,
+        Err(error) => return Err(format!("{}: {error}", beside.display())),
+    };
+    if dataparser.is_none() && !quiet {
+        eprintln!(
+            "{}: no dataparser_transforms.json beside it, so its places are taken to be in the frame of the COLMAP model; copy that file of the \
+             nerfstudio model there if they are nerfstudio's own",
+            path_text(file)
+        );
+    }
+    CameraPath::read_nerfstudio(&text, dataparser.as_deref())
+}
+
+/// `use3d render SCENE --path FILE`.
 pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene, file: &Path) -> Done {
     let wrong = |what: &str| CliError::Input(format!("--path {}: {what}", path_text(file)));
-    let text = std::fs::read_to_string(file).map_err(|e| wrong(&e.to_string()))?;
-    let path = CameraPath::read(&text).map_err(|what| wrong(&what))?;
+    let path = read(args, file, app.quiet).map_err(|what| wrong(&what))?;
     let (width, height) = args.size.as_deref().map(parse_size).transpose()?.unwrap_or(SIZE);
     let given = modes(&args.modes)?;
     let frames = path.frames(width, height);

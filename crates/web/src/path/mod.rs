@@ -5,6 +5,8 @@
 //! page does the same, so that what was tried there is what is drawn. Poses are in the COLMAP frame: a path outlives the scene it was
 //! made in.
 
+mod formats;
+
 use glam::{DMat3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Camera, Intrinsics, Pose};
@@ -74,12 +76,27 @@ pub struct PathFrame<'a> {
 }
 
 impl CameraPath {
-    /// Reads the text of a path file.
+    /// Reads the text of a path file: our own, or nerfstudio's in COLMAP's frame.
     ///
     /// # Errors
     /// In words: what is wrong with which key.
     pub fn read(text: &str) -> Result<Self, String> {
-        let path: Self = serde_json::from_str(text).map_err(|e| format!("it is no camera path: {e}"))?;
+        let no_path = |e: serde_json::Error| format!("it is no camera path: {e}");
+        let value: serde_json::Value = serde_json::from_str(text).map_err(no_path)?;
+        if formats::is_nerfstudio(&value) {
+            return Self::read_nerfstudio(text, None);
+        }
+        serde_json::from_value::<Self>(value).map_err(no_path)?.checked()
+    }
+
+    /// Whether a text is nerfstudio's `camera_path.json`.
+    pub fn is_nerfstudio(text: &str) -> bool {
+        serde_json::from_str(text).is_ok_and(|value| formats::is_nerfstudio(&value))
+    }
+
+    /// The path, if it can be followed.
+    fn checked(self) -> Result<Self, String> {
+        let path = self;
         if path.format != FORMAT {
             return Err(format!("its `format` is not `{FORMAT}`"));
         }

@@ -2,6 +2,8 @@
 
 use serde_json::{Value, json};
 
+use use3d_web::path::CameraPath;
+
 use crate::{opened, scenes};
 
 fn number(value: &Value) -> f64 {
@@ -146,6 +148,32 @@ fn paths_come_back_as_they_were_and_lengths_become_metres() {
     // Files are in the COLMAP frame.
     let [center, eye] = ["center", "eye"].map(|name| glam::DVec3::from_slice(&numbers(&read[name])));
     assert!((scene.frame.apply(center) - eye).length() < 1e-9);
+
+    // What the page saves for nerfstudio, and for COLMAP, are the frames that the program draws of its own file.
+    let saved = browser.evaluate("[use3d.path.json(), use3d.path.foreign('nerfstudio')['camera_path.json'], use3d.path.foreign('colmap')]");
+    let frames = |k: usize| {
+        let path = CameraPath::read(saved[k].as_str().expect("text")).expect("a path");
+        path.frames(192, 108).iter().map(|frame| frame.camera).collect::<Vec<_>>()
+    };
+    let (own, nerfstudio) = (frames(0), frames(1));
+    let dir = tempfile::tempdir().expect("a folder");
+    for name in ["images.txt", "cameras.txt"] {
+        std::fs::write(dir.path().join(name), saved[2][name].as_str().expect("text")).expect("written");
+    }
+    let colmap = use3d_import::read_images_txt(&dir.path().join("images.txt")).expect("cameras");
+    assert_eq!((own.len(), nerfstudio.len(), colmap.len()), (181, 181, 181));
+    for (i, own) in own.iter().enumerate() {
+        for other in [&nerfstudio[i], &colmap[i]] {
+            let [(a, b), (c, d)] =
+                [(own.pose, other.pose), (other.pose, own.pose)].map(|(a, b)| (a.center(), b.rotation));
+            assert!(
+                (a - c).length() < 1e-6 && (b - d).to_cols_array().iter().all(|v| v.abs() < 1e-6),
+                "frame {i}"
+            );
+            let fov = |camera: &use3d_capture::Camera| camera.intrinsics.height as f64 / camera.intrinsics.fy;
+            assert!((fov(own) - fov(other)).abs() < 1e-6, "frame {i}");
+        }
+    }
 
     // Played in the page, it becomes a film.
     let film = browser.evaluate(

@@ -1,0 +1,193 @@
+//! Paths of other programs as ours: nerfstudio's `camera_path.json` and COLMAP's cameras. Each of their cameras is a frame, and so a key: between
+//! neighbours nothing is left to be interpolated.
+//!
+//! nerfstudio writes camera-to-world matrices with x right, y up, z back, in the frame that its dataparser made: `x_ns = scale T x_colmap`. Beside a
+//! trained model it keeps `T` and `scale` in `dataparser_transforms.json`; with that file a path returns to COLMAP's frame. Its field of view is
+//! that of the height, in degrees.
+
+use glam::{DMat3, DVec3};
+use serde::Deserialize;
+use use3d_capture::Camera;
+use use3d_numerics::math;
+
+use super::{CameraPath, FORMAT, Key};
+
+/// What nerfstudio's render panel saves, as far as it is needed.
+#[derive(Deserialize)]
+struct Nerfstudio {
+    camera_path: Vec<Frame>,
+    #[serde(default)]
+    fps: Option<f64>,
+    #[serde(default)]
+    seconds: Option<f64>,
+}
+
+#[derive(Deserialize)]
+struct Frame {
+    camera_to_world: Vec<f64>,
+    fov: f64,
+}
+
+/// `dataparser_transforms.json`.
+#[derive(Deserialize)]
+struct Dataparser {
+    transform: [[f64; 4]; 3],
+    scale: f64,
+}
+
+/// Whether a JSON text is nerfstudio's.
+pub(super) fn is_nerfstudio(value: &serde_json::Value) -> bool {
+    value.get("camera_path").is_some()
+}
+
+impl CameraPath {
+    /// Reads nerfstudio's `camera_path.json`; `dataparser` is the text of its model's `dataparser_transforms.json`. Without one the path is taken to
+    /// be in COLMAP's frame.
+    ///
+    /// # Errors
+    /// In words: what is wrong with which camera.
+    pub fn read_nerfstudio(text: &str, dataparser: Option<&str>) -> Result<Self, String> {
+        let path: Nerfstudio =
+            serde_json::from_str(text).map_err(|e| format!("it is no nerfstudio camera path: {e}"))?;
+        let count = path.camera_path.len();
+        // Of the two numbers the file may lack one.
+        let by_length = path.seconds.filter(|s| *s > 0.0).map(|s| count as f64 / s);
+        let rate = path.fps.or(by_length).unwrap_or(30.0);
+        let (turn, shift, scale) = match dataparser {
+            None => (DMat3::IDENTITY, DVec3::ZERO, 1.0),
+            Some(text) => {
+                let parsed: Dataparser = serde_json::from_str(text)
+                    .map_err(|e| format!("the dataparser_transforms.json beside it cannot be read: {e}"))?;
+                let [x, y, z] = parsed.transform.map(|row| DVec3::new(row[0], row[1], row[2]));
+                let shift = DVec3::from_array(parsed.transform.map(|row| row[3]));
+                (DMat3::from_cols(x, y, z).transpose(), shift, parsed.scale)
+            }
+        };
+        let whole = turn.determinant().abs() > 1e-12 && turn.is_finite() && shift.is_finite();
+        if !(whole && scale.is_finite() && scale > 0.0) {
+            return Err("the dataparser_transforms.json beside it has no inverse".into());
+        }
+        let back = turn.inverse();
+        let keys = path.camera_path.iter().enumerate().map(|(i, frame)| {
+            let m: [f64; 16] = frame.camera_to_world.as_slice().try_into().map_err(|_| {
+                format!(
+                    "camera {}: camera_to_world has {} numbers; expected 16",
+                    i + 1,
+                    frame.camera_to_world.len()
+                )
+            })?;
+            let column = |c: usize| back * DVec3::new(m[c], m[4 + c], m[8 + c]);
+            let (right, down, forward) = (column(0), -column(1), -column(2));
+            let unit = |v: DVec3| v.normalize_or_zero().to_array();
+            Ok(key(
+                i,
+                rate,
+                back * (DVec3::new(m[3], m[7], m[11]) / scale - shift),
+                [right, down, forward].map(unit),
+                frame.fov,
+            ))
+        });
+        Self::of_keys(rate, keys.collect::<Result<_, String>>()?)
+    }
+
+    /// A path of one frame per camera, in COLMAP's frame; of their lenses the field of view of the height stays.
+    ///
+    /// # Errors
+    /// No cameras, more than a path may have, or a rate that is not above 0.
+    pub fn of_cameras(cameras: &[Camera], frames_per_second: f64) -> Result<Self, String> {
+        let keys = cameras.iter().enumerate().map(|(i, camera)| {
+            let k = &camera.intrinsics;
+            let fov = 2.0 * math::atan(k.height as f64 / 2.0 / k.fy).to_degrees();
+            let rows = std::array::from_fn(|r| camera.pose.rotation.row(r).to_array());
+            key(i, frames_per_second, camera.pose.center(), rows, fov)
+        });
+        Self::of_keys(frames_per_second, keys.collect())
+    }
+
+    fn of_keys(frames_per_second: f64, keys: Vec<Key>) -> Result<Self, String> {
+        Self { format: FORMAT.into(), version: 1, frames_per_second, keys }.checked()
+    }
+}
+
+fn key(index: usize, rate: f64, center: DVec3, rotation: [[f64; 3]; 3], vertical_fov_degrees: f64) -> Key {
+    Key {
+        time: index as f64 / rate,
+        center: center.to_array(),
+        rotation,
+        vertical_fov_degrees,
+        mode: super::reconstruction(),
+        strength: 1.0,
+        water: 1.0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use use3d_capture::{Intrinsics, Pose};
+
+    fn cameras() -> Vec<Camera> {
+        let intrinsics = Intrinsics { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 };
+        let at = |i: usize| DVec3::new(1.0 + i as f64, -2.0, 0.5 * i as f64);
+        (0..4).map(|i| Camera { intrinsics, pose: Pose::look_at(at(i), DVec3::ZERO, DVec3::Z) }).collect()
+    }
+
+    fn near(a: &Camera, b: &Camera) -> bool {
+        (a.pose.center() - b.pose.center()).length() < 1e-9
+            && (a.pose.rotation - b.pose.rotation).to_cols_array().iter().all(|v| v.abs() < 1e-9)
+            && (a.intrinsics.fy - b.intrinsics.fy).abs() < 1e-9
+    }
+
+    #[test]
+    fn cameras_make_a_path_of_a_frame_each() {
+        let path = CameraPath::of_cameras(&cameras(), 7.0).unwrap();
+        let frames = path.frames(64, 48);
+        assert_eq!(frames.len(), 4);
+        assert!(frames.iter().zip(cameras()).all(|(frame, camera)| near(&frame.camera, &camera)));
+        assert!(CameraPath::of_cameras(&[], 7.0).unwrap_err().contains("no keys"));
+    }
+
+    #[test]
+    fn a_path_of_nerfstudio_returns_to_the_frame_of_colmap() {
+        // As its dataparser would place and turn the world.
+        let turn = DMat3::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 0.7);
+        let (shift, scale) = (DVec3::new(0.2, -0.4, 3.0), 0.25);
+        let frame = |camera: &Camera| {
+            let rows: [DVec3; 3] = std::array::from_fn(|r| turn * camera.pose.rotation.row(r));
+            let (x, y, z) = (rows[0], -rows[1], -rows[2]);
+            let c = scale * (turn * camera.pose.center() + shift);
+            let matrix = [x.x, y.x, z.x, c.x, x.y, y.y, z.y, c.y, x.z, y.z, z.z, c.z, 0.0, 0.0, 0.0, 1.0];
+            let fov = 2.0 * f64::to_degrees(math::atan(24.0 / 60.0));
+            serde_json::json!({ "camera_to_world": matrix, "fov": fov, "aspect": 4.0 / 3.0 })
+        };
+        let frames: Vec<_> = cameras().iter().map(frame).collect();
+        let text = serde_json::json!({ "camera_type": "perspective", "render_height": 48, "render_width": 64, "camera_path": frames, "fps": 24, "seconds": 0.2 }).to_string();
+        let rows: Vec<Vec<f64>> = (0..3)
+            .map(|r| {
+                let row = turn.row(r);
+                vec![row.x, row.y, row.z, shift[r]]
+            })
+            .collect();
+        let parser = serde_json::json!({ "transform": rows, "scale": scale }).to_string();
+        let path = CameraPath::read_nerfstudio(&text, Some(&parser)).unwrap();
+        assert_eq!(path.frames_per_second, 24.0);
+        let frames = path.frames(64, 48);
+        assert!(
+            frames.len() == 4
+                && frames.iter().zip(cameras()).all(|(frame, camera)| near(&frame.camera, &camera))
+        );
+        // Told by its content, and refused with the camera that is wrong.
+        assert!(CameraPath::read(&text).is_ok());
+        for (from, to, said) in [
+            ("\"camera_to_world\":[", "\"camera_to_world\":[1.0,", "camera 1"),
+            ("\"fps\":24", "\"fps\":0", "frames_per_second"),
+        ] {
+            assert!(text.contains(from), "{text}");
+            let error = CameraPath::read(&text.replacen(from, to, 1)).unwrap_err();
+            assert!(error.contains(said), "{error}");
+        }
+        assert!(
+            CameraPath::read_nerfstudio(&text, Some("{}")).unwrap_err().contains("dataparser_transforms")
+        );
+    }
+}
