@@ -29,6 +29,8 @@ pub struct Batch {
     pub name: String,
     /// The seed.
     pub seed: u64,
+    /// Parameters for all scenes that everything wins over but the stages' own defaults.
+    pub preset: Overrides,
     /// Parameters for all scenes.
     pub defaults: Overrides,
     /// Parameters that win over everything: those of the command line.
@@ -75,6 +77,8 @@ pub struct Variant {
     pub name: String,
     /// Another seed.
     pub seed: Option<u64>,
+    /// In place of the batch's.
+    pub preset: Option<Overrides>,
     /// Its files and folders, by name; they win over a scene's.
     pub externals: BTreeMap<String, External>,
     /// Where the user named them, by name. For messages only.
@@ -257,7 +261,8 @@ fn check_names(registry: &Registry, batch: &Batch) -> Result<(), EngineError> {
     }
     let scenes = batch.scenes.iter().map(|s| &s.overrides);
     let variants = batch.variants.iter().map(|v| &v.overrides);
-    for overrides in [&batch.defaults, &batch.forced].into_iter().chain(scenes).chain(variants) {
+    for overrides in [&batch.preset, &batch.defaults, &batch.forced].into_iter().chain(scenes).chain(variants)
+    {
         for stage in overrides.keys() {
             registry.index(stage)?;
         }
@@ -274,14 +279,15 @@ struct Builder<'a> {
 }
 
 impl Builder<'_> {
-    /// Parameters of every stage for a scene and variant: defaults, scene, variant, command line, later ones
-    /// winning.
+    /// Parameters of every stage for a scene and variant: preset, defaults, scene, variant, command line, later
+    /// ones winning.
     fn parameters(&self, scene: Option<&Scene>, variant: &Variant) -> Result<AllParameters, EngineError> {
         let mut all = AllParameters::new();
         for stage in self.registry.stages() {
             let scene = scene.filter(|_| stage.scope == Scope::Scene);
             let variant = Some(variant).filter(|_| stage.scope != Scope::Batch);
             let layers = [
+                Some(variant.and_then(|v| v.preset.as_ref()).unwrap_or(&self.batch.preset)),
                 Some(&self.batch.defaults),
                 scene.map(|s| &s.overrides),
                 variant.map(|v| &v.overrides),

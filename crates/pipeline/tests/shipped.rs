@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use use3d_build::Graph;
-use use3d_pipeline::config::{LoadOptions, load, schema_text};
+use use3d_pipeline::config::{LoadOptions, from_text, load, presets, schema_text};
 use use3d_pipeline::stages::registry;
 
 fn folder() -> PathBuf {
@@ -196,4 +196,50 @@ fn the_schema_is_current() {
         written == text,
         "pipelines/schema.json is not that of the stages; write it anew with USE3D_UPDATE_SCHEMA=1"
     );
+}
+
+/// What a pipeline file says below these lines, over one scene without variants unless it lists some.
+fn graph_of(text: &str, sets: &[&str]) -> Result<Graph, String> {
+    let registry = registry().expect("the stage table");
+    let text = format!("name = \"x\"\n{text}\n[[scene]]\nname = \"a\"\ncapture = \"a\"\n");
+    let sets = sets.iter().map(ToString::to_string).collect();
+    let options = LoadOptions { sets, ..LoadOptions::default() };
+    let pipeline = from_text(&registry, &text, Path::new("x.toml"), &options).map_err(|e| e.to_string())?;
+    Graph::new(&registry, &pipeline.batch).map_err(|e| e.to_string())
+}
+
+#[test]
+fn presets_are_the_weakest_layer_and_nothing_but_their_values() {
+    let parameters = |graph: &Graph, variant: &str, stage: &str| {
+        graph.nodes[graph.find("a", variant, stage).expect("a node")].parameters.clone()
+    };
+    let plain = graph_of("", &[]).unwrap();
+    for name in presets() {
+        graph_of(&format!("preset = \"{name}\""), &[]).unwrap_or_else(|e| panic!("{name}: {e}"));
+    }
+    // What the paper has are today's defaults.
+    let paper = graph_of("preset = \"paper\"", &[]).unwrap();
+    for stage in ["reconstruct", "enhance"] {
+        assert_eq!(parameters(&paper, "", stage), parameters(&plain, "", stage));
+    }
+    let medium = |text: &str, sets: &[&str], variant: &str| {
+        parameters(&graph_of(text, sets).unwrap(), variant, "reconstruct")["medium"].clone()
+    };
+    let vanilla = "preset = \"vanilla\"";
+    assert_eq!(medium(vanilla, &[], ""), "none");
+    assert_eq!(medium("", &["preset=vanilla"], ""), "none");
+    assert_eq!(medium(&format!("{vanilla}\n[defaults.reconstruct]\nmedium = \"mlp\""), &[], ""), "mlp");
+    assert_eq!(medium(vanilla, &["reconstruct.medium=rbf"], ""), "rbf");
+    let variants =
+        format!("{vanilla}\n[[variant]]\nname = \"p\"\npreset = \"plenodium\"\n[[variant]]\nname = \"v\"");
+    assert_eq!(medium(&variants, &[], "p"), "global");
+    assert_eq!(medium(&variants, &[], "v"), "none");
+    assert_eq!(medium(&variants, &["variant.v.preset=watersplatting"], "v"), "mlp");
+    // The same values under another name are the same work.
+    let written = graph_of("[defaults.reconstruct]\nmedium = \"none\"\ndepth_prior = \"off\"", &[]).unwrap();
+    let named = graph_of(vanilla, &[]).unwrap();
+    assert_eq!(parameters(&written, "", "reconstruct"), parameters(&named, "", "reconstruct"));
+    let wrong = graph_of("preset = \"vanila\"", &[]).unwrap_err();
+    assert!(wrong.contains("x.toml:2:10") && wrong.contains("did you mean `vanilla`?"), "{wrong}");
+    assert!(graph_of("", &["preset=papers"]).unwrap_err().contains("did you mean `paper`?"));
 }

@@ -3,6 +3,8 @@
 use schemars::JsonSchema;
 use serde::Deserialize;
 
+use super::presets::name_schema as preset_name;
+
 /// The top of a pipeline file.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -12,6 +14,10 @@ pub(crate) struct PipelineFile {
     /// Everything random follows from it.
     #[serde(default = "default_seed")]
     pub(crate) seed: u64,
+    /// Parameters of stages under a name; all that is said elsewhere wins over them.
+    #[serde(default)]
+    #[schemars(schema_with = "preset_name")]
+    pub(crate) preset: Option<String>,
     /// The cache folder. `--cache` and USE3D_CACHE win over it.
     #[serde(default)]
     pub(crate) cache: Option<String>,
@@ -93,6 +99,10 @@ pub(crate) struct VariantEntry {
     /// Another seed.
     #[serde(default)]
     pub(crate) seed: Option<u64>,
+    /// Another preset, in place of the pipeline's.
+    #[serde(default)]
+    #[schemars(schema_with = "preset_name")]
+    pub(crate) preset: Option<String>,
     /// A finished calibrator for this variant only.
     #[serde(default)]
     pub(crate) calibrator: Option<OwnCalibrator>,

@@ -3,6 +3,7 @@
 //! ```toml
 //! name = "seathru4"
 //! seed = 42
+//! preset = "paper"                           # parameters of stages under a name
 //! [models]
 //! dir = "models"
 //! [calibrator]
@@ -18,7 +19,7 @@
 //! reconstruct = { medium = "mlp" }
 //! ```
 //!
-//! Later ones win: a stage's defaults, `[defaults.<stage>]`, the scene's, the variant's, `--set`. Unknown and ill-typed keys
+//! Later ones win: a stage's defaults, the preset, `[defaults.<stage>]`, the scene's, the variant's, `--set`. Unknown and ill-typed keys
 //! are errors that point at line and column and name the nearest known key. Relative paths start at the file's folder. An
 //! environment variable that is not set only hurts the scenes that need it.
 
@@ -35,6 +36,7 @@ mod document;
 mod file;
 mod parameters;
 mod places;
+mod presets;
 mod schema;
 mod set;
 
@@ -43,6 +45,7 @@ use document::{Document, join, unknown_key};
 use file::{Calibrator, PipelineFile, SceneEntry, VariantEntry};
 pub use parameters::{Parameter, StageParameters, parameters};
 use places::{check_learning, check_pairs, expand, home, key_of, say_instead};
+pub use presets::presets;
 pub use schema::{schema, schema_text};
 pub use set::stage_parameters;
 
@@ -136,6 +139,7 @@ fn parse(
     reader.name("name", &own.name)?;
     batch.name = own.name;
     batch.seed = own.seed;
+    batch.preset = reader.preset("", own.preset.as_deref())?.unwrap_or_default();
     let said = |key: &str| format!("`{key}` in {}", file.display());
     reader.calibrator(&own.calibrator, folder, &said, &mut batch)?;
     for (i, entry) in reader.list("scene", scenes)?.into_iter().enumerate() {
@@ -165,6 +169,7 @@ fn parse(
         let said = |key: &str| format!("`{key}` of variant {} in {}", entry.name, file.display());
         let mut variant =
             Variant { name: entry.name.clone(), seed: entry.seed, overrides, ..Variant::default() };
+        variant.preset = reader.preset(&base, entry.preset.as_deref())?;
         if let Some(own) = &entry.calibrator {
             variant.name_external("calibrator", expand(&own.file, folder), said(key_of("calibrator")));
         }
@@ -388,6 +393,12 @@ impl Reader<'_> {
             batch.name_external(external, expand(path, folder), said(key_of(external)));
         }
         Ok(())
+    }
+
+    /// The parameters of the preset that is named in the table at `base`.
+    fn preset(&self, base: &str, name: Option<&str>) -> Result<Option<Overrides>, ConfigError> {
+        let found = name.map(presets::preset).transpose();
+        found.map_err(|message| self.document.error(&join(base, "preset"), message))
     }
 
     fn name(&self, path: &str, name: &str) -> Result<(), ConfigError> {

@@ -10,7 +10,7 @@ use use3d_build::{Batch, ParameterError, Registry, Source, Stage};
 use super::document::{ConfigError, loose_value};
 use super::parameters::homes;
 use super::places::{expand, external_of, key_of, say_instead};
-use super::{did_you_mean, merge_into};
+use super::{did_you_mean, merge_into, presets};
 
 /// A value of the command line as a stage's parameter expects it: `size=640` and `size=0x0` are numbers to TOML and texts to
 /// the stage.
@@ -24,7 +24,7 @@ fn typed(stage: &Stage, key: &str, value: &Value, text: &str) -> Result<Value, P
     stage.parameters(&second).map(|_| second)
 }
 
-/// Applies one setting: `seed=7`, `reconstruct.iterations=3000`, `calibrator.proposer=fusion`,
+/// Applies one setting: `seed=7`, `preset=paper`, `reconstruct.iterations=3000`, `calibrator.proposer=fusion`,
 /// `scene.Panama.reconstruct.iterations=3000`, `variant.mlp.enhance.steps=10`.
 pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Result<(), ConfigError> {
     let (key, text, value) = split(setting)?;
@@ -52,12 +52,21 @@ pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Re
     if let Some(rest) = key.strip_prefix("variant.") {
         let names: Vec<String> = batch.variants.iter().map(|v| v.name.clone()).collect();
         let (index, rest) = named("variant", rest, &names).map_err(wrong)?;
+        if rest == "preset" {
+            let found = presets::preset(value.as_str().unwrap_or(text)).map_err(wrong)?;
+            batch.variants[index].preset = Some(found);
+            return Ok(());
+        }
         if rest == key_of("calibrator") {
             batch.variants[index].name_external("calibrator", path(), by);
             return Ok(());
         }
         return place(registry, "variant", rest, (&value, text), &mut batch.variants[index].forced)
             .map_err(wrong);
+    }
+    if key == "preset" {
+        batch.preset = presets::preset(value.as_str().unwrap_or(text)).map_err(wrong)?;
+        return Ok(());
     }
     if key == "seed" {
         batch.seed =

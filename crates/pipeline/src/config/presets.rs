@@ -1,0 +1,43 @@
+//! Presets: parameters of stages under a name, each a file of this folder and a row of the table.
+//!
+//! A preset is the weakest layer of parameters, below `[defaults]`. It is its values and nothing else: no key, artifact or stage knows its
+//! name, so a file that writes them out is the same pipeline.
+
+use std::path::Path;
+
+use schemars::{Schema, SchemaGenerator, json_schema};
+use use3d_build::graph::Overrides;
+
+use super::did_you_mean;
+use super::document::{ConfigError, Document};
+
+/// Names and files.
+const PRESETS: &[(&str, &str)] = &[
+    ("paper", include_str!("presets/paper.toml")),
+    ("no-pairs", include_str!("presets/no-pairs.toml")),
+    ("vanilla", include_str!("presets/vanilla.toml")),
+    ("watersplatting", include_str!("presets/watersplatting.toml")),
+    ("plenodium", include_str!("presets/plenodium.toml")),
+];
+
+/// Names of all presets.
+pub fn presets() -> impl Iterator<Item = &'static str> + Clone {
+    PRESETS.iter().map(|(name, _)| *name)
+}
+
+/// The parameters of a preset, by stage; the error is for a person to read.
+pub(super) fn preset(name: &str) -> Result<Overrides, String> {
+    let Some((_, text)) = PRESETS.iter().find(|(known, _)| *known == name) else {
+        let known: Vec<&str> = presets().collect();
+        let near = did_you_mean(name, known.iter().copied());
+        return Err(format!("no preset `{name}`; there are {}{near}", known.join(", ")));
+    };
+    let document = Document::parse(Path::new(name), (*text).to_string());
+    let document = document.map_err(|e: ConfigError| e.to_string())?;
+    Ok(document.value.as_object().cloned().unwrap_or_default())
+}
+
+/// The schema of a preset's name.
+pub(super) fn name_schema(_: &mut SchemaGenerator) -> Schema {
+    json_schema!({ "type": ["string", "null"], "enum": presets().map(Some).chain([None]).collect::<Vec<_>>() })
+}
