@@ -1,5 +1,7 @@
 //! Everything that can go wrong in this crate, with what to do about it.
 
+use use3d_numerics::range::OutOfRange;
+
 use crate::extractor::Form;
 
 /// An error of Appearance Transition Consensus.
@@ -31,15 +33,8 @@ pub enum AtcError {
         height: usize,
     },
     /// Extractor settings out of range.
-    #[error("`{field}` is {value}; expected {expected}")]
-    Setting {
-        /// The field.
-        field: &'static str,
-        /// Value found.
-        value: String,
-        /// What it should be.
-        expected: &'static str,
-    },
+    #[error(transparent)]
+    Setting(#[from] OutOfRange),
     /// The proposer failed.
     #[error("the proposer `{proposer}` failed: {message}")]
     Proposer {

@@ -57,7 +57,9 @@ impl ParameterError {
 impl fmt::Display for ParameterError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if !self.path.is_empty() {
-            write!(f, "`{}`: ", self.path)?;
+            // What is said of a value goes on the sentence that its name begins.
+            let joint = if self.message.starts_with("is ") { " " } else { ": " };
+            write!(f, "`{}`{joint}", self.path)?;
         }
         f.write_str(&self.message)?;
         match self.suggestion() {

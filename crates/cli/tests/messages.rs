@@ -196,7 +196,7 @@ fn settings_are_explained() {
         |set: &str, parts: &[&str]| check(&[(&["plan", &reef, "--cache", &cache, "--set", set], 2, parts)]);
     piped("iterations=100", &["STAGE.PARAMETER", "`reconstruct.iterations`", "`enhance.iterations`"]);
     piped("anchors=100000", &["did you mean `reconstruct.anchors`"]);
-    piped("reconstruct.anchors=100000", &["anchors is 100000; expected 1 to 4096"]);
+    piped("reconstruct.anchors=100000", &["`anchors` is 100000; expected 1 to 4096"]);
     piped("reconstruct.iterations=many", &["expected a whole number, 0 or more, found \"many\""]);
     piped("calibrate.trust=5", &["`trust` is 5; expected 0 to 1"]);
     // Before a single picture is rendered.

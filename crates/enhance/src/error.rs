@@ -1,6 +1,7 @@
 //! What can go wrong in stage 2.
 
 use use3d_atc::AtcError;
+use use3d_numerics::range::OutOfRange;
 use use3d_training::{CheckpointError, EngineError, NonFinite};
 use use3d_ubaf::FieldError;
 
@@ -8,15 +9,8 @@ use use3d_ubaf::FieldError;
 #[derive(Debug, thiserror::Error)]
 pub enum EnhanceError {
     /// A parameter outside its range.
-    #[error("enhance parameter `{field}` is {value}; expected {expected}")]
-    Parameter {
-        /// The field.
-        field: &'static str,
-        /// Value found.
-        value: f64,
-        /// What it should be.
-        expected: &'static str,
-    },
+    #[error("enhance: {0}")]
+    Parameter(OutOfRange),
     /// Sizes of the field that are not supported.
     #[error(transparent)]
     Field(#[from] FieldError),
@@ -64,10 +58,4 @@ pub enum EnhanceError {
         /// Whether a checkpoint holds the state.
         saved: bool,
     },
-}
-
-impl EnhanceError {
-    pub(crate) fn parameter(field: &'static str, value: f64, expected: &'static str) -> Self {
-        Self::Parameter { field, value, expected }
-    }
 }

@@ -29,7 +29,7 @@ impl PseudoLabels {
         views: &[EnhanceView],
         params: &EnhanceParams,
     ) -> Result<Self, EnhanceError> {
-        params.validate()?;
+        params.validate().map_err(EnhanceError::Parameter)?;
         let mut samplings = Samplings::new(ExtractorSettings::default(), params.sample_side);
         let mut one = |(index, view): (usize, &EnhanceView)| {
             let wrong = |problem: String| EnhanceError::Label { view: view.name.clone(), problem };

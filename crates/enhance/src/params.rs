@@ -2,9 +2,8 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use use3d_ubaf::Shape;
-
-use crate::EnhanceError;
+use use3d_numerics::range::{OutOfRange, at_least, not_negative, within};
+use use3d_ubaf::{FieldError, Shape};
 
 /// What stage 2 learns from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -131,46 +130,29 @@ impl EnhanceParams {
         }
     }
 
-    /// Checks ranges; the error names the first bad field.
-    pub fn validate(&self) -> Result<(), EnhanceError> {
-        self.shape().validate()?;
-        let weights = [
-            ("lambda_global", self.lambda_global),
-            ("lambda_local", self.lambda_local),
-            ("lambda_variation", self.lambda_variation),
-        ];
-        for (field, value) in weights {
-            if !(value >= 0.0 && value.is_finite()) {
-                return Err(EnhanceError::parameter(field, value, "a finite number, 0 or above"));
-            }
+    /// Checks every range; the error has the first bad parameter's path.
+    pub fn validate(&self) -> Result<(), OutOfRange> {
+        const MOST_STEPS: u64 = 200_000_000;
+        match self.shape().validate() {
+            Err(FieldError::Size { what, value, low, high }) => within(what, value, low, high)?,
+            Err(other) => return Err(OutOfRange::new("resolution", self.resolution, other.to_string())),
+            Ok(()) => {}
         }
-        for (field, value) in
+        not_negative("lambda_global", self.lambda_global)?;
+        not_negative("lambda_local", self.lambda_local)?;
+        not_negative("lambda_variation", self.lambda_variation)?;
+        for (path, value) in
             [("learning_rate", self.learning_rate), ("transport_learning_rate", self.transport_learning_rate)]
         {
             if !(value > 0.0 && value <= 1.0) {
-                return Err(EnhanceError::parameter(field, value, "above 0, at most 1"));
+                return Err(OutOfRange::new(path, value, "above 0, at most 1"));
             }
         }
         if !(self.sample_side == 0 || (8..=8192).contains(&self.sample_side)) {
-            return Err(EnhanceError::parameter(
-                "sample_side",
-                self.sample_side as f64,
-                "0, or 8 to 8192 pixels",
-            ));
+            return Err(OutOfRange::new("sample_side", self.sample_side, "0, or 8 to 8192 pixels"));
         }
-        const MOST_STEPS: u64 = 200_000_000;
-        if self.iterations > MOST_STEPS {
-            return Err(EnhanceError::parameter(
-                "iterations",
-                self.iterations as f64,
-                "at most 200000000 steps",
-            ));
-        }
-        for (field, value) in [("checkpoint_every", self.checkpoint_every), ("log_every", self.log_every)] {
-            if value == 0 {
-                return Err(EnhanceError::parameter(field, 0.0, "at least 1 step"));
-            }
-        }
-        Ok(())
+        within("iterations", self.iterations, 0, MOST_STEPS)?;
+        at_least("checkpoint_every", self.checkpoint_every, 1)?;
+        at_least("log_every", self.log_every, 1)
     }
 }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use use3d_capture::{CameraError, CaptureError, FileName, NameError};
 use use3d_io_colmap::ModelError;
 use use3d_io_image::ImageError;
+use use3d_numerics::range::OutOfRange;
 
 /// A capture that cannot be imported, prepared or loaded.
 #[derive(Debug, thiserror::Error)]
@@ -87,7 +88,10 @@ pub enum ImportError {
         /// What is wrong.
         source: CameraError,
     },
-    /// A parameter with an impossible value.
+    /// A parameter outside its range.
+    #[error(transparent)]
+    OutOfRange(#[from] OutOfRange),
+    /// A parameter that does not go with the capture.
     #[error("parameter `{field}`: {reason}")]
     Parameter {
         /// Its name.

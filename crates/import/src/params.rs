@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::error::ImportError;
+use use3d_numerics::range::OutOfRange;
 
 /// Parameters of the import.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -140,15 +140,19 @@ impl From<ImageSize> for String {
 
 impl ImportParams {
     /// Checks what the types cannot: at most one way of resizing.
-    pub fn validate(&self) -> Result<(), ImportError> {
+    pub fn validate(&self) -> Result<(), OutOfRange> {
         if self.downscale == 0 {
-            let reason = "0 is not a divisor; 1 leaves the size as it is".into();
-            return Err(ImportError::Parameter { field: "downscale", reason });
+            return Err(OutOfRange::new("downscale", 0, "1, which leaves the size as it is, or more"));
         }
-        let ways = [self.size.is_some(), self.downscale > 1, self.max_side > 0];
-        if ways.iter().filter(|w| **w).count() > 1 {
-            let reason = "at most one of `size`, `downscale` and `max_side` may be given".into();
-            return Err(ImportError::Parameter { field: "size", reason });
+        let ways = [
+            ("size", self.size.map(|s| s.to_string())),
+            ("max_side", (self.max_side > 0).then(|| self.max_side.to_string())),
+            ("downscale", (self.downscale > 1).then(|| self.downscale.to_string())),
+        ];
+        let mut given = ways.iter().filter_map(|(name, way)| Some((*name, way.as_ref()?)));
+        if let (Some(_), Some((path, value))) = (given.next(), given.next()) {
+            let expected = "no such value, as at most one of `size`, `downscale` and `max_side` may be given";
+            return Err(OutOfRange::new(path, value, expected));
         }
         Ok(())
     }

@@ -7,5 +7,6 @@ pub mod adam;
 pub mod lanes;
 pub mod math;
 pub mod random;
+pub mod range;
 pub mod spherical_harmonics;
 pub mod sums;

@@ -243,3 +243,23 @@ fn presets_are_the_weakest_layer_and_nothing_but_their_values() {
     assert!(wrong.contains("x.toml:2:10") && wrong.contains("did you mean `vanilla`?"), "{wrong}");
     assert!(graph_of("", &["preset=papers"]).unwrap_err().contains("did you mean `paper`?"));
 }
+
+#[test]
+fn a_value_out_of_range_is_pointed_at_in_every_stage() {
+    for (stage, line, words) in [
+        ("reconstruct", "iterations = 0", "`iterations` is 0; expected 1 to"),
+        ("reconstruct", "sh_degree = 4", "`sh_degree` is 4; expected 0 to 3"),
+        ("reconstruct", "densify.opacity_ceiling = 1.0", "`densify.opacity_ceiling` is 1;"),
+        ("reconstruct", "learning_rates.means = [1e-4, 0.0]", "`learning_rates.means[1]` is 0;"),
+        ("enhance", "rank = 99", "`rank` is 99; expected 1 to"),
+        ("enhance", "log_every = 0", "`log_every` is 0; expected at least 1"),
+        ("calibrate", "extractor.cells = 1", "`extractor.cells` is 1; expected 2 to 256"),
+        ("calibrate", "trust = 5.0", "`trust` is 5; expected 0 to 1"),
+        ("import", "downscale = 0", "`downscale` is 0; expected 1"),
+        ("render", "strength = 3.0", "`strength` is 3; expected 0 to 1"),
+    ] {
+        // The table begins in line 2: what is wrong stands in line 4.
+        let error = graph_of(&format!("[defaults.{stage}]\n\n{line}"), &[]).unwrap_err();
+        assert!(error.starts_with("x.toml:4:") && error.contains(words), "{stage}: {error}");
+    }
+}

@@ -1,6 +1,7 @@
 //! What can go wrong in stage 1.
 
 use use3d_capture::{CameraError, CaptureError};
+use use3d_numerics::range::OutOfRange;
 use use3d_training::{CheckpointError, EngineError, NonFinite};
 
 /// Why there is no reconstruction.
@@ -71,7 +72,7 @@ pub enum ReconstructError {
     },
     /// A parameter out of range.
     #[error("reconstruct: {0}")]
-    Parameter(String),
+    Parameter(OutOfRange),
     /// The run diverged.
     #[error(transparent)]
     NonFinite(#[from] NonFinite),

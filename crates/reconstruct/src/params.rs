@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_medium::{MediumKind, MediumStart};
 use use3d_numerics::math;
+use use3d_numerics::range::{OutOfRange, at_least, not_negative, positive, within};
 
 /// The largest divisor of the image pyramid.
 pub(crate) const MOST_DIVISOR: usize = 1024;
@@ -294,70 +295,44 @@ const MOST_STEPS: u64 = 200_000_000;
 const MOST_POINTS: u64 = 10_000_000;
 
 impl ReconstructParams {
-    /// Checks every range; the message names the field.
-    pub fn validate(&self) -> Result<(), String> {
-        let positive = |name: &str, value: f64| {
-            if value.is_finite() && value > 0.0 {
-                Ok(())
-            } else {
-                Err(format!("{name} is {value}; expected a positive number"))
-            }
-        };
-        let share = |name: &str, value: f64| {
-            if (0.0..=1.0).contains(&value) {
-                Ok(())
-            } else {
-                Err(format!("{name} is {value}; expected 0 to 1"))
-            }
-        };
-        let at_least = |name: &str, value: u64, least: u64| {
-            if value >= least { Ok(()) } else { Err(format!("{name} is {value}; expected at least {least}")) }
-        };
-        let within = |name: &str, value: u64, most: u64| {
-            if (1..=most).contains(&value) {
-                Ok(())
-            } else {
-                Err(format!("{name} is {value}; expected 1 to {most}"))
-            }
-        };
-        within("iterations", self.iterations, MOST_STEPS)?;
+    /// Checks every range; the error has the first bad parameter's path.
+    pub fn validate(&self) -> Result<(), OutOfRange> {
+        let share = |path: &str, value: f64| within(path, value, 0.0, 1.0);
+        within("iterations", self.iterations, 1, MOST_STEPS)?;
         at_least("schedule", self.schedule, 1)?;
-        within("anchors", self.anchors as u64, use3d_medium::MOST_ANCHORS as u64)?;
+        within("anchors", self.anchors, 1, use3d_medium::MOST_ANCHORS)?;
         at_least("log_every", self.log_every, 1)?;
         at_least("checkpoint_steps", self.checkpoint_steps, 1)?;
         at_least("densify.every", self.densify.every, 1)?;
         at_least("densify.period", self.densify.period, 1)?;
-        within("random_points", self.random_points as u64, MOST_POINTS)?;
+        within("random_points", self.random_points as u64, 1, MOST_POINTS)?;
         positive("checkpoint_minutes", self.checkpoint_minutes)?;
         if self.top_k == 0 || self.top_k > self.anchors {
-            return Err(format!("top_k is {}; expected 1 to anchors, which is {}", self.top_k, self.anchors));
+            let expected = format!("1 to anchors, which is {}", self.anchors);
+            return Err(OutOfRange::new("top_k", self.top_k, expected));
         }
-        if self.sh_degree > 3 {
-            return Err(format!("sh_degree is {}; expected 0 to 3", self.sh_degree));
-        }
+        within("sh_degree", self.sh_degree, 0, 3)?;
         share("medium_hold", self.medium_hold)?;
         share("medium_release", self.medium_release)?;
         if self.medium_prior == MediumPrior::Tracks {
             if !self.medium.starts_from_harmonics() {
                 let able = MediumKind::names(MediumKind::starts_from_harmonics);
-                return Err(format!(
-                    "medium_prior is tracks; expected off with this medium ({able} can start from tracks)"
-                ));
+                let expected = format!("off with this medium ({able} can start from tracks)");
+                return Err(OutOfRange::new("medium_prior", "tracks", expected));
             }
             if self.images == Images::Proposed {
-                return Err("medium_prior is tracks; expected off with images = \"proposed\", whose water is no longer the photographs'".into());
+                let expected = "off with images = \"proposed\", whose water is no longer the photographs'";
+                return Err(OutOfRange::new("medium_prior", "tracks", expected));
             }
         }
         share("structure_weight", self.structure_weight)?;
         share("initial_opacity", self.initial_opacity)?;
         positive("initial_opacity", self.initial_opacity)?;
-        positive("1 - initial_opacity", 1.0 - self.initial_opacity)?;
-        if !(self.depth_weight.is_finite() && self.depth_weight >= 0.0) {
-            return Err(format!("depth_weight is {}; expected 0 or more", self.depth_weight));
+        if self.initial_opacity >= 1.0 {
+            return Err(OutOfRange::new("initial_opacity", self.initial_opacity, "above 0, below 1"));
         }
-        if !(self.exposure_weight.is_finite() && self.exposure_weight >= 0.0) {
-            return Err(format!("exposure_weight is {}; expected 0 or more", self.exposure_weight));
-        }
+        not_negative("depth_weight", self.depth_weight)?;
+        not_negative("exposure_weight", self.exposure_weight)?;
         positive("sh_every", self.sh_every)?;
         let schedule = &self.resolution_schedule;
         let starts_at_zero = schedule.first().is_some_and(|s| s.0 == 0.0);
@@ -367,9 +342,10 @@ impl ReconstructParams {
             || !ascends
             || schedule.iter().any(|s| !divisors.contains(&s.1) || !(0.0..=1.0).contains(&s.0))
         {
-            return Err(format!(
-                "resolution_schedule is {schedule:?}; expected pairs of (share of the run, divisor), the first at 0, ascending, divisors from 1 to {MOST_DIVISOR}"
-            ));
+            let expected = format!(
+                "pairs of (share of the run, divisor), the first at 0, ascending, divisors from 1 to {MOST_DIVISOR}"
+            );
+            return Err(OutOfRange::new("resolution_schedule", format!("{schedule:?}"), expected));
         }
         let d = &self.densify;
         share("densify.until", d.until)?;
@@ -381,10 +357,7 @@ impl ReconstructParams {
         positive("densify.shrink", d.shrink)?;
         positive("densify.cull_scale", d.cull_scale)?;
         if !(d.opacity_ceiling > 0.0 && d.opacity_ceiling < 1.0) {
-            return Err(format!(
-                "densify.opacity_ceiling is {}; expected between 0 and 1",
-                d.opacity_ceiling
-            ));
+            return Err(OutOfRange::new("densify.opacity_ceiling", d.opacity_ceiling, "between 0 and 1"));
         }
         let r = &self.learning_rates;
         for (name, rate) in [
@@ -399,8 +372,8 @@ impl ReconstructParams {
             ("medium_network", r.medium_network),
             ("exposure", r.exposure),
         ] {
-            positive(&format!("learning_rates.{name}[0]"), rate.0)?;
-            positive(&format!("learning_rates.{name}[1]"), rate.1)?;
+            positive(format!("learning_rates.{name}[0]"), rate.0)?;
+            positive(format!("learning_rates.{name}[1]"), rate.1)?;
         }
         Ok(())
     }
@@ -474,7 +447,7 @@ mod tests {
         let wrong = |change: fn(&mut ReconstructParams)| {
             let mut p = ReconstructParams::default();
             change(&mut p);
-            p.validate().unwrap_err()
+            p.validate().unwrap_err().to_string()
         };
         assert!(wrong(|p| p.top_k = 9).contains("top_k"));
         assert!(wrong(|p| p.resolution_schedule[0].1 = 1025).contains("1 to 1024"));

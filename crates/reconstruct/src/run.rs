@@ -11,6 +11,7 @@ use use3d_capture::{Capture, Frame, Image};
 use use3d_medium::MediumModel;
 use use3d_metrics::{Score, fitted_on_other_half, mask_of, psnr, ssim};
 use use3d_numerics::random::Purpose;
+use use3d_numerics::range::OutOfRange;
 use use3d_scene::Scene;
 use use3d_training::{
     Checkpoints, Drain, Ended, EngineError, NonFinite, Observer, Profile, Progress, Resumable, Session,
@@ -133,8 +134,9 @@ pub fn reconstruct_in(
     let initial = gaussians.len();
     let water = match start {
         Some((_, model)) => model,
-        None => MediumModel::start(params.medium, &params.medium_start())
-            .map_err(|wrong| ReconstructError::Parameter(wrong.to_string()))?,
+        None => MediumModel::start(params.medium, &params.medium_start()).map_err(|wrong| {
+            ReconstructError::Parameter(OutOfRange::new("medium", params.medium.name(), wrong.to_string()))
+        })?,
     };
     let views = load(capture, loader, params, observer)?;
     let exposes = params.exposure == Exposure::PerView;

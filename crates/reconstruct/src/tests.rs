@@ -569,7 +569,7 @@ fn right_water_held_gives_truer_colours_than_water_that_is_learnt_with_them() {
 fn tracks_are_for_waters_that_can_start_from_them() {
     let params = ReconstructParams { medium_prior: MediumPrior::Tracks, ..ReconstructParams::default() };
     params.validate().unwrap();
-    let wrong = |params: ReconstructParams| params.validate().unwrap_err();
+    let wrong = |params: ReconstructParams| params.validate().unwrap_err().to_string();
     assert!(wrong(ReconstructParams { medium: Medium::Mlp, ..params.clone() }).contains("medium_prior"));
     assert!(wrong(ReconstructParams { images: Images::Proposed, ..params.clone() }).contains("images"));
     assert!(wrong(ReconstructParams { medium_hold: 1.5, ..params }).contains("medium_hold"));

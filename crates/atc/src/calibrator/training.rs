@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use use3d_numerics::adam::Adam;
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
+use use3d_numerics::range::{OutOfRange, positive, within};
 
 use super::head::{Batch, Head};
 use super::mlp::{Mlp, Trace};
@@ -86,43 +87,19 @@ impl Default for CalibratorParams {
 
 impl CalibratorParams {
     /// Checks the ranges.
-    pub fn validate(&self) -> Result<(), AtcError> {
-        self.extractor.validate()?;
-        let bad = |field, value: String, expected| Err(AtcError::Setting { field, value, expected });
-        for (field, value) in
-            [("pairs_per_step", self.pairs_per_step), ("cells_per_step", self.cells_per_step)]
-        {
-            if !(1..=1 << 20).contains(&value) {
-                return bad(field, value.to_string(), "1 to 1048576");
-            }
-        }
+    pub fn validate(&self) -> Result<(), OutOfRange> {
+        self.extractor.validate().map_err(|wrong| wrong.within("extractor"))?;
+        within("pairs_per_step", self.pairs_per_step, 1, 1 << 20)?;
+        within("cells_per_step", self.cells_per_step, 1, 1 << 20)?;
         // Weights grow with the square of a width.
-        for (field, value) in [("global_hidden", self.global_hidden), ("local_hidden", self.local_hidden)] {
-            if !(1..=8192).contains(&value) {
-                return bad(field, value.to_string(), "1 to 8192");
-            }
-        }
-        if self.steps > 200_000_000 {
-            return bad("steps", self.steps.to_string(), "at most 200000000");
-        }
-        for (field, value) in [("learning_rate", self.learning_rate), ("gradient_limit", self.gradient_limit)]
-        {
-            if !(value.is_finite() && value > 0.0) {
-                return bad(field, value.to_string(), "a positive number");
-            }
-        }
-        if !(0.0..=1.0).contains(&self.final_fraction) {
-            return bad("final_fraction", self.final_fraction.to_string(), "0 to 1");
-        }
-        if !(0.0..=0.9).contains(&self.held_out) {
-            return bad("held_out", self.held_out.to_string(), "0 to 0.9");
-        }
-        if let Some(trust) = self.trust
-            && !(0.0..=1.0).contains(&trust)
-        {
-            return bad("trust", trust.to_string(), "0 to 1");
-        }
-        Ok(())
+        within("global_hidden", self.global_hidden, 1, 8192)?;
+        within("local_hidden", self.local_hidden, 1, 8192)?;
+        within("steps", self.steps, 0, 200_000_000)?;
+        positive("learning_rate", self.learning_rate)?;
+        positive("gradient_limit", self.gradient_limit)?;
+        within("final_fraction", self.final_fraction, 0.0, 1.0)?;
+        within("held_out", self.held_out, 0.0, 0.9)?;
+        self.trust.map_or(Ok(()), |trust| within("trust", trust, 0.0, 1.0))
     }
 
     /// Whether a data set is small beside the pairs that the recipe was made for ([`METHOD_PAIRS`]), less

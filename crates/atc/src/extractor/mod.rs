@@ -26,6 +26,7 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_capture::Lattice;
+use use3d_numerics::range::{OutOfRange, within};
 
 use crate::error::AtcError;
 use local::SIDE;
@@ -88,22 +89,9 @@ impl Default for ExtractorSettings {
 
 impl ExtractorSettings {
     /// Checks the ranges.
-    pub fn validate(&self) -> Result<(), AtcError> {
-        if !(8..=8192).contains(&self.long_side) {
-            return Err(AtcError::Setting {
-                field: "long_side",
-                value: self.long_side.to_string(),
-                expected: "8 to 8192 pixels",
-            });
-        }
-        if !(2..=256).contains(&self.cells) {
-            return Err(AtcError::Setting {
-                field: "cells",
-                value: self.cells.to_string(),
-                expected: "2 to 256 cells",
-            });
-        }
-        Ok(())
+    pub fn validate(&self) -> Result<(), OutOfRange> {
+        within("long_side", self.long_side, 8, 8192)?;
+        within("cells", self.cells, 2, 256)
     }
 
     /// The working size `(width, height)` for an image of some size: long side at most [`Self::long_side`],

@@ -142,7 +142,7 @@ pub fn check_inputs(
     guidance: Guidance<'_>,
     params: &EnhanceParams,
 ) -> Result<(), EnhanceError> {
-    params.validate()?;
+    params.validate().map_err(EnhanceError::Parameter)?;
     check_guidance(guidance, params.objective)?;
     if scene.gaussians.is_empty() {
         return Err(EnhanceError::EmptyScene);

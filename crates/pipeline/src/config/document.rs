@@ -108,10 +108,7 @@ impl Document {
                     error.known.iter().map(String::as_str).chain(more.iter().copied()).collect();
                 self.key_error(&path, unknown_key(unknown, &known))
             }
-            _ => {
-                let shown = ParameterError { path: String::new(), ..error.clone() };
-                self.error(&path, format!("`{}`: {shown}", error.path))
-            }
+            _ => self.error(&path, error.to_string()),
         }
     }
 

@@ -5,14 +5,14 @@ use use3d_atc::progress::Progress;
 use use3d_build::{Scope, Stage, StageContext, StageError};
 
 use super::calibrated::is_calibrated;
-use super::common::{read_json, write_json};
+use super::common::{out_of_range, read_json, write_json};
 use super::names::{CALIBRATOR, DATASET};
 
 pub(super) fn stage() -> Stage {
     Stage::new("calibrate", Scope::Shared, run)
         .about("learn from image pairs what \"enhanced\" means")
         .made_of(&[], &["src/stages/calibrate.rs"])
-        .check(|p: &CalibratorParams| p.validate().map_err(|e| (String::new(), e.to_string())))
+        .check(|p: &CalibratorParams| p.validate().map_err(out_of_range))
         .input("pairs", "pairs")
         .when_named(|all, named| is_calibrated(all) && !named.has("calibrator"))
         .seeded()

@@ -6,6 +6,13 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use use3d_build::StageError;
+use use3d_numerics::range::OutOfRange;
+
+/// A bad parameter as a stage's check says it: path and words.
+pub(super) fn out_of_range(wrong: OutOfRange) -> (String, String) {
+    let words = wrong.words();
+    (wrong.path, words)
+}
 
 /// Writes pretty JSON with a final newline.
 pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), StageError> {

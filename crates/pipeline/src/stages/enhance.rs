@@ -13,7 +13,7 @@ use use3d_import::load_pixels;
 use use3d_scene::Origin;
 
 use super::captured::capture;
-use super::common::{write_json, write_text};
+use super::common::{out_of_range, write_json, write_text};
 use super::names::TARGETS;
 use super::proposals::asked_for;
 use super::proposer::by_name;
@@ -35,7 +35,7 @@ pub(super) fn stage() -> Stage {
     Stage::new("enhance", Scope::Scene, run)
         .about("stage 2: store the enhancement in the scene")
         .made_of(&[], &["src/stages/enhance.rs"])
-        .check(|p: &EnhanceParams| p.validate().map_err(|e| (String::new(), e.to_string())))
+        .check(|p: &EnhanceParams| p.validate().map_err(out_of_range))
         .when(|all| !asked_for(all))
         .input("import", "import")
         .input("scene", "reconstruct")

@@ -8,13 +8,13 @@ use use3d_import::{ImportError, ImportParams, import, prepare};
 use use3d_io_colmap::ModelError;
 use use3d_io_image::ImageError;
 
-use super::common::write_json;
+use super::common::{out_of_range, write_json};
 
 pub(super) fn stage() -> Stage {
     Stage::new("import", Scope::Scene, run)
         .about("read a COLMAP folder: find model and images, undistort, resize, normalise, split")
         .made_of(&[], &["src/stages/import.rs"])
-        .check(|p: &ImportParams| p.validate().map_err(|e| (String::new(), e.to_string())))
+        .check(|p: &ImportParams| p.validate().map_err(out_of_range))
         .external("capture", "capture")
         .select(files)
         .cost(0, 1 << 30)

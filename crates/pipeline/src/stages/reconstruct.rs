@@ -15,7 +15,7 @@ use use3d_scene::Origin;
 use use3d_water::WaterParams;
 
 use super::captured::capture;
-use super::common::{write_json, write_text};
+use super::common::{out_of_range, write_json, write_text};
 use super::contact::sheet;
 use super::names::{CONTACT, EVALUATION};
 use super::proposals;
@@ -46,7 +46,7 @@ pub(super) fn stage() -> Stage {
     let stage = Stage::new("reconstruct", Scope::Scene, run)
         .about("stage 1: reconstruct the scene with its water")
         .made_of(&[], &["src/stages/reconstruct.rs"])
-        .check(|p: &ReconstructParams| p.validate().map_err(|e| (String::new(), e)))
+        .check(|p: &ReconstructParams| p.validate().map_err(out_of_range))
         .input("import", "import")
         .optional_input("proposals", "propose");
     let stage = if cfg!(feature = "nets") { stage.optional_input("depth", "depth") } else { stage };

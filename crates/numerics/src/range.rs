@@ -1,0 +1,92 @@
+//! Parameters outside their range: which one, what was found, what is expected. Whoever reads parameters from a file can point at the
+//! line, since the path is kept apart from the words.
+
+use std::error::Error;
+use std::fmt;
+
+/// A parameter outside its range.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OutOfRange {
+    /// Its name among its siblings, or its path below them: `learning_rates.means[1]`.
+    pub path: String,
+    /// What was found.
+    pub found: String,
+    /// What is expected.
+    pub expected: String,
+}
+
+impl OutOfRange {
+    /// The parameter at `path` is not what is expected.
+    pub fn new(path: impl Into<String>, found: impl fmt::Display, expected: impl Into<String>) -> Self {
+        Self { path: path.into(), found: found.to_string(), expected: expected.into() }
+    }
+
+    /// The same of a parameter in the table `table`.
+    #[must_use]
+    pub fn within(self, table: &str) -> Self {
+        Self { path: format!("{table}.{}", self.path), ..self }
+    }
+
+    /// Without the path: `is 7; expected 0 to 1`.
+    pub fn words(&self) -> String {
+        format!("is {}; expected {}", self.found, self.expected)
+    }
+}
+
+impl fmt::Display for OutOfRange {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "`{}` {}", self.path, self.words())
+    }
+}
+
+impl Error for OutOfRange {}
+
+/// `value` lies in `[least, most]`.
+pub fn within<T: PartialOrd + fmt::Display>(
+    path: impl Into<String>,
+    value: T,
+    least: T,
+    most: T,
+) -> Result<(), OutOfRange> {
+    if value >= least && value <= most {
+        Ok(())
+    } else {
+        Err(OutOfRange::new(path, value, format!("{least} to {most}")))
+    }
+}
+
+/// `value` is at least this.
+pub fn at_least(path: impl Into<String>, value: u64, least: u64) -> Result<(), OutOfRange> {
+    if value >= least { Ok(()) } else { Err(OutOfRange::new(path, value, format!("at least {least}"))) }
+}
+
+/// `value` is finite and above 0.
+pub fn positive(path: impl Into<String>, value: f64) -> Result<(), OutOfRange> {
+    if value.is_finite() && value > 0.0 {
+        Ok(())
+    } else {
+        Err(OutOfRange::new(path, value, "a positive number"))
+    }
+}
+
+/// `value` is finite and not below 0.
+pub fn not_negative(path: impl Into<String>, value: f64) -> Result<(), OutOfRange> {
+    if value.is_finite() && value >= 0.0 {
+        Ok(())
+    } else {
+        Err(OutOfRange::new(path, value, "a finite number, 0 or more"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_no_number_is_in_no_range() {
+        assert!(within("a", f64::NAN, 0.0, 1.0).is_err() && positive("a", f64::NAN).is_err());
+        assert!(not_negative("a", f64::INFINITY).is_err() && within("a", 1.0, 0.0, 1.0).is_ok());
+        let error = positive("rate", 0.0).unwrap_err().within("field");
+        assert_eq!(error.to_string(), "`field.rate` is 0; expected a positive number");
+    }
+}
