@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use use3d_capture::Frame;
-use use3d_medium::MediumModel;
 use use3d_scene::Scene;
 use use3d_training::{CheckpointError, CheckpointFile};
 
@@ -13,7 +12,7 @@ use crate::run::RunState;
 /// The scene after so many steps, as the checkpoint file at `path` holds it; `None` where there is no such file (any more). A checkpoint knows no
 /// frame: `frame` is the capture's.
 ///
-/// Of the water every band is read, since those that are not learnt yet are zero; a water that is a network is read to the degree of the last
+/// Of the water every band is read, since those that are not learnt yet are zero; a water that is no harmonics is read to the degree of the last
 /// line of the log.
 ///
 /// # Errors
@@ -25,7 +24,8 @@ pub fn scene_in_checkpoint(path: &Path, frame: Frame) -> Result<Option<(u64, Sce
         LogEntry::Steps { degree, .. } => Some(*degree),
         _ => None,
     });
-    let medium_degree = if let MediumModel::Mlp(_) = engine.medium { logged.unwrap_or(0) } else { 3 };
+    let bands = engine.medium.is_none() || engine.medium.harmonics().is_some();
+    let medium_degree = if bands { 3 } else { logged.unwrap_or(0) };
     let scene =
         Scene { gaussians: engine.gaussians, frame, medium: engine.medium, medium_degree, enhancement: None };
     Ok(Some((state.step, scene)))
