@@ -74,3 +74,15 @@ fn a_medium_is_one_file_and_one_row() {
         assert_eq!(files_with(&sources, &words), expected, "{words:?}");
     }
 }
+
+#[test]
+fn the_rooms_of_splat_stand_one_below_the_other() {
+    let below = [("project", &["crate::lists", "crate::compose"][..]), ("lists", &["crate::compose"])];
+    for (room, above) in below {
+        let place = format!("crates/splat/src/{room}/");
+        let files: Vec<(String, String)> =
+            sources().into_iter().filter(|(f, _)| f.starts_with(&place)).collect();
+        assert!(files.len() >= 3, "{room}: {files:?}");
+        assert_eq!(files_with(&files, above), BTreeSet::new(), "{room} looks up");
+    }
+}

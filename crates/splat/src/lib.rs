@@ -11,31 +11,20 @@
 //! The same kernel without a medium is the plain compositor, and with channels instead of colours the linear splat `S_v`.
 //! Everything is exact: a Gaussian reaches every pixel with `α ≥ 1/255`, and nothing depends on how tiles fall.
 //!
+//! Three rooms, one below the other, each with forward beside backward: `project` (a Gaussian seen by a camera), `lists` (which tiles it
+//! meets), `compose` (light through them).
+//!
 //! The same inputs give the same bits on any number of threads, and on AVX2, AVX-512 and the scalar twin.
 
-mod axis;
-mod color;
-mod gather;
+mod compose;
 mod gaussians;
-mod lanes;
-mod linear;
-mod pixels;
-mod plain;
+mod lists;
 pub mod ply;
-mod prepared;
-mod projection;
-mod rasterizer;
-mod sort;
-mod statistics;
-mod strips;
-mod tile;
-mod trim;
+mod project;
 mod view;
 
-pub use color::view_colors;
+pub use compose::{Pairs, Rasterizer};
 pub use gaussians::{GaussianGradients, Gaussians, GaussiansError};
-pub use prepared::Prepared;
-pub use projection::{BLUR, FAR, NEAR};
-pub use rasterizer::Rasterizer;
-pub use statistics::Pairs;
+pub use lists::Prepared;
+pub use project::{BLUR, FAR, NEAR, view_colors};
 pub use view::{Colors, Cotangents, Layers, Options, Rendered};

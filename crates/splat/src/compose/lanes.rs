@@ -1,5 +1,5 @@
 //! The compositor on 16 lanes: one row of a tile is one vector. Every function here is the lane form of its namesake in
-//! [`plain`](crate::plain), with the same operations in the same order per pixel and per sum.
+//! [`plain`](crate::compose::plain), with the same operations in the same order per pixel and per sum.
 //!
 //! The Gaussian is outermost inside a tile: the tile's pixel state stays in the first-level cache, the Gaussian's gradient sums in
 //! registers. For each (tile, Gaussian) entry one vector holds the 16 rows and says which of them the 1/255
@@ -8,11 +8,12 @@
 use fearless_simd::{Simd, SimdBase, SimdFloat, SimdMask, f32x4, f32x16, i32x16, mask32x16};
 use use3d_numerics::lanes::{SMALL_COEFFICIENTS, exp2_lanes, exp2_unclamped_lanes};
 
-use crate::prepared::{LOG2_255, Span, Splat, TILE};
-use crate::tile::{
-    ALPHA_MAX, BackwardTile, CHANNELS, ForwardRow, ForwardTile, Input, Lanes, NEVER, Record, STOP, Sink,
-    Water, WaterRow, moments,
+use super::tile::{
+    ALPHA_MAX, BackwardTile, CHANNELS, ForwardRow, ForwardTile, Input, Lanes, NEVER, STOP, Sink, Water,
+    WaterRow, moments,
 };
+use crate::lists::{Span, TILE};
+use crate::project::{LOG2_255, Record, Splat, SplatGradient};
 
 #[inline(always)]
 fn load<S: Simd>(simd: S, lanes: &Lanes) -> f32x16<S> {
@@ -190,7 +191,7 @@ fn stop<S: Simd>(simd: S, stopped: mask32x16<S>, row: &mut ForwardRow, r: usize,
     }
 }
 
-/// See [`plain::forward`](crate::plain::forward).
+/// See [`plain::forward`](crate::compose::plain::forward).
 #[inline(always)]
 pub(crate) fn forward<S: Simd, const WATER: bool, const LAYERS: bool>(
     simd: S,
@@ -290,7 +291,7 @@ fn forward_rows<S: Simd, const WATER: bool, const LAYERS: bool, const SMALL: boo
     }
 }
 
-/// See [`plain::backward`](crate::plain::backward).
+/// See [`plain::backward`](crate::compose::plain::backward).
 #[inline(always)]
 pub(crate) fn backward<S: Simd, const WATER: bool, const EXTRAS: bool>(
     simd: S,
@@ -480,10 +481,11 @@ fn finish<S: Simd>(
     let [sx1, s2, slope, r] = sums(simd, [p1 * offset, p2, slope, r]);
     let [g, b, ax, ay] = sums(simd, [g, b, ax, ay]);
     let [s0, t, y, tt, ty, yy] = moments(splat, origin, [s0, sx, sxx, s1, sx1, s2]);
-    [s0, t, y, tt, ty, yy, slope, r, g, b, ax, ay]
+    let (color, screen) = ([r, g, b], [ax, ay]);
+    SplatGradient { weight: s0, t, dy: y, t_t: tt, t_dy: ty, dy_dy: yy, z: slope, color, screen }.record()
 }
 
-/// See [`plain::backward_colors`](crate::plain::backward_colors).
+/// See [`plain::backward_colors`](crate::compose::plain::backward_colors).
 #[inline(always)]
 pub(crate) fn backward_colors<S: Simd, const WATER: bool>(
     simd: S,
@@ -541,7 +543,8 @@ pub(crate) fn backward_colors<S: Simd, const WATER: bool>(
                 }
             };
             let [r, g, b] = lanes;
-            out[7..10].copy_from_slice(&sums(simd, [r, g, b, b])[..3]);
+            let [r, g, b, _] = sums(simd, [r, g, b, b]);
+            out = SplatGradient::of_color([r, g, b]);
         }
         sink.put(span, out);
     }
@@ -587,7 +590,7 @@ fn color_rows<S: Simd, const WATER: bool, const SMALL: bool>(
     lanes
 }
 
-/// See [`plain::splat`](crate::plain::splat); the first `C` channels.
+/// See [`plain::splat`](crate::compose::plain::splat); the first `C` channels.
 #[inline(always)]
 pub(crate) fn splat<S: Simd, const C: usize>(
     simd: S,
@@ -621,7 +624,7 @@ pub(crate) fn splat<S: Simd, const C: usize>(
     }
 }
 
-/// See [`plain::splat_adjoint`](crate::plain::splat_adjoint); the first `C` channels.
+/// See [`plain::splat_adjoint`](crate::compose::plain::splat_adjoint); the first `C` channels.
 #[inline(always)]
 pub(crate) fn splat_adjoint<S: Simd, const C: usize>(
     simd: S,

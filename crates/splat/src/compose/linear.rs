@@ -4,13 +4,14 @@
 
 use fearless_simd::dispatch;
 
-use crate::gather::{in_groups, scatter};
-use crate::pixels::{input, row_splats};
-use crate::prepared::{Prepared, TILE};
-use crate::rasterizer::{Engine, Rasterizer};
-use crate::strips::{Strips, for_each};
-use crate::tile::{CHANNELS, ForwardTile, Lanes, Record, Sink};
-use crate::{lanes, plain};
+use super::pixels::{input, row_splats};
+use super::rasterizer::{Engine, Rasterizer};
+use super::strips::{Strips, for_each};
+use super::sums::{in_groups, scatter};
+use super::tile::{CHANNELS, ForwardTile, Lanes, Sink};
+use super::{lanes, plain};
+use crate::lists::{Prepared, TILE};
+use crate::project::Record;
 
 /// Some channels' planes of a planar raster, cut at tile rows.
 struct ChannelPlanes<'a> {

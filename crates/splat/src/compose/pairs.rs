@@ -2,9 +2,10 @@
 
 use rayon::prelude::*;
 
-use crate::pixels::{input, row_splats};
-use crate::prepared::{LOG2_255, Prepared, Splat, TILE};
-use crate::tile::{ForwardTile, NEVER};
+use super::pixels::{input, row_splats};
+use super::tile::{ForwardTile, NEVER};
+use crate::lists::{Prepared, TILE};
+use crate::project::{LOG2_255, Splat};
 
 /// Numbers of (pixel, Gaussian) pairs of a prepared view.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -38,8 +39,8 @@ impl Prepared {
         let input = input(self, splats, row, column);
         let (rows, columns) = (input.filled_rows, input.filled_columns);
         let mut state = ForwardTile::new(rows, columns);
-        let nothing = crate::tile::Water::default();
-        crate::plain::forward::<false, false>(&input, &nothing, &mut state);
+        let nothing = crate::compose::tile::Water::default();
+        crate::compose::plain::forward::<false, false>(&input, &nothing, &mut state);
         let mut pairs = Pairs { entries: input.list.len() as u64, ..Pairs::default() };
         for k in 0..input.list.len() {
             let splat = input.entry(k).1;

@@ -8,9 +8,10 @@ use std::ops::{Deref, Range};
 use use3d_capture::{Image, Map, MediumMaps};
 use use3d_numerics::lanes::exp2;
 
-use crate::prepared::{Prepared, Splat, TILE};
-use crate::strips::{Planes, Strips};
-use crate::tile::{BackwardTile, ForwardTile, Input, Lanes, Water};
+use super::strips::{Planes, Strips};
+use super::tile::{BackwardTile, ForwardTile, Input, Lanes, Water};
+use crate::lists::{Prepared, TILE};
+use crate::project::Splat;
 use crate::view::{Cotangents, Layers};
 
 thread_local! {

@@ -1,6 +1,6 @@
 //! The compositor as plain scalar code: the definition of correct, and the path of machines without vectors.
 //!
-//! Per pixel, Gaussians by ascending depth, with `log₂ α` from [`Splat`](crate::prepared::Splat):
+//! Per pixel, Gaussians by ascending depth, with `log₂ α` from [`Splat`](crate::project::Splat):
 //!
 //! ```text
 //! α = min(0.999, opacity e^{-σ}),  skipped if α < 1/255;   T' = T (1 − α);  if T' ≤ 1e-4: stop, not added
@@ -25,10 +25,9 @@
 
 use use3d_numerics::lanes::{SMALL_COEFFICIENTS, exp2, exp2_unclamped, sum};
 
-use crate::prepared::{LOG2_255, Splat, TILE};
-use crate::tile::{
-    ALPHA_MAX, BackwardTile, CHANNELS, ForwardTile, Input, Lanes, Record, STOP, Sink, Water, moments,
-};
+use super::tile::{ALPHA_MAX, BackwardTile, CHANNELS, ForwardTile, Input, Lanes, STOP, Sink, Water, moments};
+use crate::lists::TILE;
+use crate::project::{LOG2_255, Record, Splat, SplatGradient};
 
 /// The six exponentials of one Gaussian in one tile.
 struct Decay {
@@ -62,7 +61,7 @@ impl Decay {
 
 /// `log₂ α` before the clamp at a pixel column, and `t`.
 #[inline(always)]
-fn log2_alpha(splat: &Splat, row: crate::tile::RowTerms, x: f32) -> (f32, f32) {
+fn log2_alpha(splat: &Splat, row: crate::compose::tile::RowTerms, x: f32) -> (f32, f32) {
     let t = x - row.peak;
     ((t * splat.steepness).mul_add(-t, row.power), t)
 }
@@ -213,11 +212,12 @@ pub(crate) fn finish(splat: &Splat, origin: [f32; 2], offset: &Lanes, lanes: &[L
         sum(&lanes[2]),
     ];
     let [s0, t, y, tt, ty, yy] = moments(splat, origin, sums);
-    let rest: [f32; 6] = std::array::from_fn(|i| sum(&lanes[3 + i]));
-    [s0, t, y, tt, ty, yy, rest[0], rest[1], rest[2], rest[3], rest[4], rest[5]]
+    let [z, r, g, b, x, y_slope] = std::array::from_fn(|i| sum(&lanes[3 + i]));
+    let (color, screen) = ([r, g, b], [x, y_slope]);
+    SplatGradient { weight: s0, t, dy: y, t_t: tt, t_dy: ty, dy_dy: yy, z, color, screen }.record()
 }
 
-/// Stage 2: the gradient with respect to colours (records' entries 7, 8, 9) and the medium, front to back, no geometry.
+/// Stage 2: the gradient with respect to colours and the medium, front to back, no geometry.
 pub(crate) fn backward_colors<const WATER: bool>(
     input: &Input<'_>,
     water: &Water,
@@ -251,11 +251,7 @@ pub(crate) fn backward_colors<const WATER: bool>(
                 }
             }
         }
-        let mut sums = [0.0; 12];
-        for c in 0..3 {
-            sums[7 + c] = sum(&lanes[c]);
-        }
-        sink.put(span, sums);
+        sink.put(span, SplatGradient::of_color(std::array::from_fn(|c| sum(&lanes[c]))));
     }
 }
 
@@ -263,9 +259,9 @@ pub(crate) fn backward_colors<const WATER: bool>(
 #[inline(always)]
 fn weight(
     splat: &Splat,
-    terms: crate::tile::RowTerms,
+    terms: crate::compose::tile::RowTerms,
     x: f32,
-    row: &mut crate::tile::ForwardRow,
+    row: &mut crate::compose::tile::ForwardRow,
     l: usize,
     k: usize,
 ) -> Option<f32> {

@@ -7,16 +7,18 @@
 use fearless_simd::{Level, dispatch};
 use use3d_capture::{Camera, Image, MediumMaps};
 
-use crate::gather::{backward_gaussians, in_groups, scatter};
-use crate::pixels::{
+use super::pixels::{
     ImagePlanes, LayerPlanes, MediumPlanes, Saved, SavedPlanes, input, load_cotangents, load_water,
     row_splats, store_images, store_layers, store_medium_gradient,
 };
-use crate::prepared::{Prepared, TILE};
-use crate::strips::for_each;
-use crate::tile::{BackwardTile, ForwardTile, Input, Record, Sink, Water};
+use super::strips::for_each;
+use super::sums::{in_groups, scatter};
+use super::tile::{BackwardTile, ForwardTile, Input, Sink, Water};
+use super::{lanes, plain};
+use crate::lists::{Prepared, TILE};
+use crate::project::{Drawn, Record, SplatGradient, backward};
 use crate::view::{Cotangents, Options, Rendered};
-use crate::{GaussianGradients, Gaussians, lanes, plain};
+use crate::{GaussianGradients, Gaussians};
 
 /// Which code composes a tile. All give the same bits where multiply-add is fused.
 #[derive(Clone, Copy, Debug)]
@@ -155,7 +157,8 @@ impl Rasterizer {
             (true, true) => Self::backward_tiles::<true, true>,
         };
         run(self, prepared, medium, s_gradient, cotangents, medium_grads);
-        backward_gaussians(prepared, &self.sums, gaussians, camera, grads);
+        let drawn = Drawn { splats: &prepared.splats, ranks: &prepared.ranks, source: prepared.color_source };
+        backward(&drawn, &self.sums, gaussians, camera, grads);
     }
 
     fn backward_tiles<const WATER: bool, const EXTRAS: bool>(
@@ -219,7 +222,7 @@ impl Rasterizer {
             false => self.color_tiles::<false>(prepared, medium, image_cotangent, medium_grads),
             true => self.color_tiles::<true>(prepared, medium, image_cotangent, medium_grads),
         }
-        scatter(prepared, &self.sums, color_grads, |sum| [sum[7], sum[8], sum[9]]);
+        scatter(prepared, &self.sums, color_grads, |sum| SplatGradient::of(sum).color);
     }
 
     fn color_tiles<const WATER: bool>(

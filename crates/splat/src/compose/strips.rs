@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::prepared::TILE;
+use crate::lists::TILE;
 
 /// Something that can be cut after a number of tile rows.
 pub(crate) trait Strips: Sized + Send {

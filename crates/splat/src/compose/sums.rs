@@ -1,4 +1,4 @@
-//! From gradient records of (tile, Gaussian) entries to gradients of Gaussians, in a fixed order and without atomics.
+//! Sums of the gradient records of (tile, Gaussian) entries over each Gaussian, in a fixed order and without atomics.
 //!
 //! Tile rows are handled in groups of at most [`GROUP`] entries (or one row), so that the records' buffer is bounded; after a
 //! group, each Gaussian adds its records in the order of tiles. Groups follow one another, so the order of additions
@@ -8,14 +8,10 @@ use std::ops::Range;
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
-use use3d_capture::Camera;
-use use3d_numerics::math;
 
-use crate::prepared::{ColorSource, HIDDEN, Prepared, Splat, TileRow};
-use crate::projection::Projector;
-use crate::strips::{Strips, for_each};
-use crate::tile::Record;
-use crate::{GaussianGradients, Gaussians, color};
+use super::strips::{Strips, for_each};
+use crate::lists::{Prepared, TileRow};
+use crate::project::{HIDDEN, Record};
 
 /// Entries whose records are held at once (unless one tile row alone has more).
 const GROUP: usize = 1 << 20;
@@ -112,119 +108,4 @@ pub(crate) fn scatter<T: Copy + Default + Send>(
             *out = if rank == HIDDEN { T::default() } else { value(&sums[rank as usize]) };
         }
     });
-}
-
-/// From sums of records to gradients of raw parameters. Overwrites `grads`.
-pub(crate) fn backward_gaussians(
-    prepared: &Prepared,
-    sums: &[Record],
-    gaussians: &Gaussians,
-    camera: &Camera,
-    grads: &mut GaussianGradients,
-) {
-    grads.resize(gaussians.len());
-    let (projector, center) = (Projector::new(camera), color::center(camera));
-    let view = View { prepared, sums, gaussians, projector, center };
-    let level = Level::new();
-    let GaussianGradients { means, log_scales, quaternions, opacity_logits, sh, screen, visible } = grads;
-    (
-        means.par_chunks_mut(CHUNK),
-        log_scales.par_chunks_mut(CHUNK),
-        quaternions.par_chunks_mut(CHUNK),
-        opacity_logits.par_chunks_mut(CHUNK),
-        sh.par_chunks_mut(CHUNK),
-        screen.par_chunks_mut(CHUNK),
-        visible.par_chunks_mut(CHUNK),
-        prepared.ranks.par_chunks(CHUNK),
-    )
-        .into_par_iter()
-        .enumerate()
-        .for_each(|(chunk, (means, scales, quats, logits, sh, screen, visible, ranks))| {
-            let out = Chunk { means, scales, quats, logits, sh, screen, visible };
-            dispatch!(level, _simd => backward_chunk(&view, chunk * CHUNK, ranks, out));
-        });
-}
-
-/// What the gradients of a view's Gaussians are made from.
-struct View<'a> {
-    prepared: &'a Prepared,
-    sums: &'a [Record],
-    gaussians: &'a Gaussians,
-    projector: Projector,
-    center: [f32; 3],
-}
-
-/// The gradients of consecutive Gaussians.
-struct Chunk<'a> {
-    means: &'a mut [[f32; 3]],
-    scales: &'a mut [[f32; 3]],
-    quats: &'a mut [[f32; 4]],
-    logits: &'a mut [f32],
-    sh: &'a mut [[[f32; 3]; 16]],
-    screen: &'a mut [[f32; 2]],
-    visible: &'a mut [bool],
-}
-
-/// The gradients of the Gaussians from `first` on. Always inlined, so that the instruction set reaches it: multiply-add is a call
-/// without.
-#[inline(always)]
-fn backward_chunk(view: &View<'_>, first: usize, ranks: &[u32], out: Chunk<'_>) {
-    let View { prepared, sums, gaussians, projector, center } = view;
-    let Chunk { means, scales, quats, logits, sh, screen, visible } = out;
-    // Ranks are scattered over the view: fetched together, the waits for memory overlap.
-    let mut fetched = [(Splat::default(), [0.0; 12]); CHUNK];
-    for (fetched, &rank) in fetched.iter_mut().zip(ranks) {
-        if rank != HIDDEN {
-            *fetched = (prepared.splats[rank as usize], sums[rank as usize]);
-        }
-    }
-    for (i, &rank) in ranks.iter().enumerate() {
-        visible[i] = rank != HIDDEN;
-        if rank == HIDDEN {
-            (means[i], scales[i], quats[i]) = ([0.0; 3], [0.0; 3], [0.0; 4]);
-            (logits[i], sh[i], screen[i]) = (0.0, [[0.0; 3]; 16], [0.0; 2]);
-            continue;
-        }
-        let index = first + i;
-        let (splat, sum) = &fetched[i];
-        let s = sum.map(f64::from);
-        // v = conic · (pixel − centre) = (a t, shear a t + dy / cov_yy), a = conic_xx.
-        let twice = 2.0 * std::f64::consts::LN_2;
-        let (k, a, b) = (
-            f64::from(splat.shear),
-            f64::from(splat.steepness) * twice,
-            f64::from(splat.steepness_y) * twice,
-        );
-        let d_mean = [a * s[1], k * a * s[1] + b * s[2]];
-        let xx = a * a * s[3];
-        let xy = k * xx + a * b * s[4];
-        let yy = k * (2.0 * xy - k * xx) + b * b * s[5];
-        let d_z = s[6] * std::f64::consts::LN_2;
-        let g = projector.backward(
-            gaussians.means[index],
-            gaussians.log_scales[index],
-            gaussians.quaternions[index],
-            d_mean,
-            d_z,
-            [0.5 * xx, xy, 0.5 * yy],
-        );
-        means[i] = g.mean.map(|v| v as f32);
-        scales[i] = g.log_scale.map(|v| v as f32);
-        quats[i] = g.quaternion.map(|v| v as f32);
-        // α = o e^{-σ}, so ∂L/∂logit = (1 − o) Σ α ∂L/∂α.
-        let closed = 1.0 / (1.0 + math::exp(f64::from(gaussians.opacity_logits[index])));
-        logits[i] = (closed * s[0]) as f32;
-        screen[i] = [(a * s[10]) as f32, s[11] as f32];
-        match prepared.color_source {
-            ColorSource::Harmonics(degree) => color::color_backward(
-                degree,
-                *center,
-                gaussians.means[index],
-                &gaussians.sh[index],
-                [sum[7], sum[8], sum[9]],
-                &mut sh[i],
-            ),
-            ColorSource::Given => sh[i] = [[0.0; 3]; 16],
-        }
-    }
 }

@@ -2,7 +2,8 @@
 
 use use3d_numerics::lanes::SMALL;
 
-use crate::prepared::{LOG2_255, Span, Splat, TILE};
+use crate::lists::{Span, TILE};
+use crate::project::{LOG2_255, Record, Splat};
 
 /// 16 pixels of a row.
 pub(crate) type Lanes = [f32; TILE];
@@ -218,12 +219,6 @@ pub(crate) struct BackwardTile {
 impl BackwardTile {
     pub(crate) const ZERO: Self = Self { rows: [BackwardRow::ZERO; TILE] };
 }
-
-/// Gradient of one (tile, Gaussian) entry, or the sum of several.
-///
-/// `[ΣG, ΣG t, ΣG dy, ΣG t², ΣG t dy, ΣG dy², ∂z, ∂c rgb, Σ|G t|, Σ|G v_y|]` with `G = α ∂L/∂α`, `t = dx + shear dy`; the
-/// linear adjoint uses the entries as channels.
-pub(crate) type Record = [f32; 12];
 
 /// Where one tile's records go: each beside the others of its Gaussian's span.
 pub(crate) struct Sink<'a> {

@@ -7,9 +7,10 @@
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
+use super::pixels::{input, row_splats};
 use crate::Rasterizer;
-use crate::pixels::{input, row_splats};
-use crate::prepared::{LOG2_255, Prepared, Span, TILE, TileRow};
+use crate::lists::{Prepared, Span, TILE, TileRow};
+use crate::project::LOG2_255;
 
 /// Added to the contour, so that an entry whose test rounds otherwise than the compositor's is kept.
 const MARGIN: f32 = 1e-3;
@@ -91,7 +92,7 @@ mod tests {
     use use3d_numerics::math;
 
     use super::*;
-    use crate::prepared::tests::cloud;
+    use crate::lists::tests::cloud;
     use crate::{Colors, Options, Rendered};
 
     #[test]

@@ -15,53 +15,16 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 use use3d_capture::{Camera, Lattice};
-use use3d_numerics::math;
 
-use crate::axis::Axis;
-use crate::color;
-use crate::projection::{Projection, Projector};
-use crate::{Colors, Gaussians, sort};
+use super::axis::Axis;
+use super::sort;
+use crate::project::{ColorSource, HIDDEN, LOG2_255, Projecting, Splat};
+use crate::{Colors, Gaussians};
 
-/// Pixels along a tile's side; one row of a tile is one vector of lanes.
-pub(crate) const TILE: usize = 16;
 /// Tile rows per band of the first binning level.
 const BAND: usize = 8;
 /// Gaussians per parallel task.
 const CHUNK: usize = 1024;
-/// The rank of a Gaussian that is not visible.
-pub(crate) const HIDDEN: u32 = u32::MAX;
-/// `log₂ 255`: a Gaussian contributes where `log₂ α ≥ −LOG2_255`.
-pub(crate) const LOG2_255: f32 = 7.994_353_3;
-
-/// A projected Gaussian as the compositor reads it.
-///
-/// With `dx, dy` from the centre to the pixel, `σ` is written as a completed square along the pixel row:
-/// `log₂ α = log2_opacity − steepness (dx + shear dy)² − steepness_y dy²`. It cannot become negative by rounding and keeps
-/// the accuracy of the f64 determinant for needles.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-#[repr(C)]
-pub(crate) struct Splat {
-    /// Centre, pixels.
-    pub(crate) x: f32,
-    pub(crate) y: f32,
-    /// `−cov_xy / cov_yy`.
-    pub(crate) shear: f32,
-    /// `½ log₂e · conic_xx`.
-    pub(crate) steepness: f32,
-    /// `½ log₂e / cov_yy`.
-    pub(crate) steepness_y: f32,
-    /// `log₂` of the opacity.
-    pub(crate) log2_opacity: f32,
-    /// Depth.
-    pub(crate) z: f32,
-    /// Colour of this view.
-    pub(crate) color: [f32; 3],
-    /// Which Gaussian.
-    pub(crate) index: u32,
-    /// Half height of the 1/255 contour, pixels.
-    pub(crate) reach_y: f32,
-}
-
 /// The tiles of one tile row that one Gaussian meets.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Span {
@@ -117,13 +80,6 @@ impl TileRow {
         }
         self.offsets[0] = 0;
     }
-}
-
-/// Where a view's colours come from, remembered for the backward pass.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum ColorSource {
-    Harmonics(usize),
-    Given,
 }
 
 /// Projected Gaussians with their tile lists for one camera and lattice. Reusable while the geometry is frozen; the buffers
@@ -266,19 +222,12 @@ impl Prepared {
     }
 
     fn project(&mut self, gaussians: &Gaussians, camera: &Camera, colors: Colors<'_>) {
-        let projecting = Projecting {
-            gaussians,
-            colors,
-            source: self.color_source,
-            projector: Projector::new(camera),
-            center: color::center(camera),
-            columns: self.columns.range(),
-            rows: self.rows.range(),
-        };
+        let lattice = [self.columns.range(), self.rows.range()];
+        let projecting = Projecting::new(gaussians, camera, colors, self.color_source, lattice);
         self.projected.resize(gaussians.len(), Splat::default());
         let level = Level::new();
         self.projected.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, out)| {
-            dispatch!(level, _simd => projecting.chunk(chunk * CHUNK, out));
+            dispatch!(level, _simd => projecting.forward(chunk * CHUNK, out));
         });
     }
 
@@ -357,84 +306,6 @@ impl Prepared {
     }
 }
 
-/// What the Gaussians of a view are projected with.
-struct Projecting<'a> {
-    gaussians: &'a Gaussians,
-    colors: Colors<'a>,
-    source: ColorSource,
-    projector: Projector,
-    center: [f32; 3],
-    columns: [f32; 2],
-    rows: [f32; 2],
-}
-
-impl Projecting<'_> {
-    /// Projects the Gaussians from `first` on. Always inlined, so that the instruction set reaches it: multiply-add is a call without.
-    #[inline(always)]
-    fn chunk(&self, first: usize, out: &mut [Splat]) {
-        let gaussians = self.gaussians;
-        for (out, i) in out.iter_mut().zip(first..) {
-            let mean = gaussians.means[i];
-            let projection = self.projector.project(mean, gaussians.log_scales[i], gaussians.quaternions[i]);
-            let splat = match &projection {
-                Some(p) => splat_of(p, gaussians.opacity_logits[i], self.columns, self.rows),
-                None => None,
-            };
-            *out = match splat {
-                Some(splat) => {
-                    let color = match (self.source, self.colors) {
-                        (ColorSource::Harmonics(degree), _) => {
-                            color::color(degree, self.center, mean, &gaussians.sh[i])
-                        }
-                        (_, Colors::Given(colors)) => colors[i],
-                        (ColorSource::Given, Colors::Sh { .. }) => [0.0; 3],
-                    };
-                    Splat { color, index: i as u32, ..splat }
-                }
-                None => Splat { z: f32::INFINITY, ..Splat::default() },
-            };
-        }
-    }
-}
-
-/// The compositor's form of a projection; `None` if it is never drawn or its contour misses the lattice.
-#[inline(always)]
-fn splat_of(p: &Projection, logit: f32, columns: [f32; 2], rows: [f32; 2]) -> Option<Splat> {
-    // log₂ of the logistic function, stable at both ends; NaN compares false below.
-    let x = f64::from(logit);
-    let log2_opacity = -(math::ln_1p(math::exp(-x.abs())) - x.min(0.0)) * std::f64::consts::LOG2_E;
-    let level = log2_opacity + f64::from(LOG2_255);
-    if level.is_nan() || level < 0.0 {
-        return None;
-    }
-    let [xx, xy, yy] = p.cov;
-    let det = xx * yy - xy * xy;
-    if det.is_nan() || det <= 0.0 {
-        return None;
-    }
-    // σ ≤ level / log₂e: half extents √(2 σ cov).
-    let twice_sigma = 2.0 * level * std::f64::consts::LN_2;
-    let (reach_x, reach_y) = ((twice_sigma * xx).sqrt(), (twice_sigma * yy).sqrt());
-    let half = 0.5 * std::f64::consts::LOG2_E;
-    let splat = Splat {
-        x: p.mean[0] as f32,
-        y: p.mean[1] as f32,
-        shear: (-xy / yy) as f32,
-        steepness: (half * yy / det) as f32,
-        steepness_y: (half / yy) as f32,
-        log2_opacity: log2_opacity as f32,
-        z: p.z as f32,
-        // A hair more than exact, so that rounding never loses a pixel on the contour.
-        reach_y: (reach_y * (1.0 + 1e-6) + 1e-3) as f32,
-        ..Splat::default()
-    };
-    let reach_x = (reach_x * (1.0 + 1e-6) + 1e-3) as f32;
-    let meets =
-        |centre: f32, reach: f32, [low, high]: [f32; 2]| centre + reach >= low && centre - reach <= high;
-    let finite = splat.shear.is_finite() && splat.steepness > 0.0 && splat.steepness_y > 0.0;
-    (finite && meets(splat.x, reach_x, columns) && meets(splat.y, splat.reach_y, rows)).then_some(splat)
-}
-
 /// The x range of the contour between two heights (relative to the centre), as offsets from the centre.
 #[inline(always)]
 fn contour_range(s: &Splat, low: f32, high: f32) -> Option<[f32; 2]> {
@@ -482,6 +353,8 @@ fn fill_tile_row(
 
 #[cfg(test)]
 pub(crate) mod tests {
+    use use3d_numerics::math;
+
     use super::*;
 
     /// The tangent formula against a dense walk around the contour.
