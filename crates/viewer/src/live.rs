@@ -144,6 +144,23 @@ impl Live {
         (state.words, state.ended, state.training) = (words.into(), true, false);
     }
 
+    /// Waits a moment for the page to learn how it ended, if there is one.
+    pub fn let_them_know(&self) {
+        const MOMENT: Duration = Duration::from_secs(2);
+        let ended = Instant::now();
+        let waits = |state: &State| {
+            let looked = state.looked.filter(|at| at.elapsed() < LOOKING);
+            looked.is_some_and(|at| at < ended) && ended.elapsed() < MOMENT
+        };
+        while waits(&self.state()) {
+            std::thread::sleep(WAIT);
+        }
+        // The answer is still on its way.
+        if self.state().looked.is_some_and(|at| at >= ended) {
+            std::thread::sleep(WAIT);
+        }
+    }
+
     /// Whether a copy of the scene that this stage trains is wanted now: somebody looks, and the last one is old enough.
     pub fn wants_copy(&self, label: &str) -> bool {
         let mut state = self.state();

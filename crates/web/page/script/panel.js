@@ -95,7 +95,8 @@ function makePanel(viewer, navigation) {
 
   const water_ = { none: 'no water', global: 'one water everywhere', rbf: 'water that varies with place and direction', mlp: 'water that varies with direction' };
   element('facts').textContent = [
-    `${header.count.toLocaleString('en')} Gaussians`, water_[header.medium.kind], header.enhancement ? 'enhanced' : 'not enhanced',
+    // That of a scene that is trained changes.
+    header.sections.length ? `${header.count.toLocaleString('en')} Gaussians` : null, water_[header.medium.kind], header.enhancement ? 'enhanced' : 'not enhanced',
     header.cameras.length ? `${header.cameras.length} photographs` : null,
   ].filter(Boolean).join(' · ');
   return { actions, open: name => open(element(`tab-${name}`)), modes };

@@ -35,7 +35,7 @@ function drawsInSoftware() {
 // request goes out when the picture before is on the screen.
 function makeServerRenderer(canvas, server, shown) {
   const context = canvas.getContext('2d');
-  let wanted = null, busy = false;
+  let wanted = null, busy = false, patience = 500;
   async function work() {
     busy = true;
     while (wanted) {
@@ -43,7 +43,7 @@ function makeServerRenderer(canvas, server, shown) {
       wanted = null;
       try {
         const answer = await server.ask('/frame', asked);
-        server.lost = false;
+        [server.lost, patience] = [false, 500];
         if (answer.status !== 200) continue;
         const picture = await createImageBitmap(await answer.blob());
         [canvas.width, canvas.height] = [picture.width, picture.height];
@@ -51,8 +51,10 @@ function makeServerRenderer(canvas, server, shown) {
         picture.close();
         shown(Number(answer.headers.get('X-Divisor')));
       } catch (error) {
+        // A program that has ended is asked less and less often.
         server.lost = !error.status;
-        await new Promise(done => setTimeout(done, 1000));
+        patience = Math.min(2 * patience, 15000);
+        await new Promise(done => setTimeout(done, patience));
         wanted ??= asked;
       }
     }
@@ -61,7 +63,7 @@ function makeServerRenderer(canvas, server, shown) {
   return {
     gl: { canvas, isContextLost: () => false },
     setOrder() {},
-    settled: () => !busy,
+    settled: () => !busy || server.lost,
     ask(camera, look, left, at, moving) {
       wanted = { page: server.page, camera, mode: look.mode, left: left?.mode ?? null, at, strength: look.strength, water: look.water, moving };
       if (!busy) work();

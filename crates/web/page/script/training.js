@@ -77,7 +77,7 @@ function makeTraining(viewer, server) {
         element('training-state').textContent = error.status ? error.message : 'The program does not answer: it may have ended.';
       }
     }
-    setTimeout(watch, training.status?.training ? 1000 : 2000);
+    setTimeout(watch, server.lost ? 10000 : training.status?.training ? 1000 : 2000);
   }
   watch();
   return training;

@@ -57,6 +57,7 @@ impl Watched {
             }
             Err(error) => format!("Failed: {}", error.text()),
         });
+        self.live.let_them_know();
     }
 }
 
