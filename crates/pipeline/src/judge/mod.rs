@@ -2,7 +2,7 @@
 //!
 //! [`scoring`] compares pictures and [`truth`] scenes with what is known of them, [`speed`] times drawing,
 //! [`strip`] shows a spot in neighbouring views; [`scores`] is what is written down of one scene, [`tables`]
-//! of many, [`report`] the page.
+//! of many, [`verdict`] puts it into sentences, [`report`] is the page.
 
 pub mod report;
 pub mod scores;
@@ -11,3 +11,4 @@ pub mod speed;
 pub mod strip;
 pub mod tables;
 pub mod truth;
+pub mod verdict;

@@ -26,7 +26,7 @@ use use3d_scene::Scene;
 
 use super::captured::capture;
 use super::common::{folder, read_json, write_json};
-use super::names::{ENHANCED_IN_2D, EVALUATION};
+use super::names::{ENHANCED_IN_2D, EVALUATION, TRUE_VIEWS};
 pub use super::names::{SCORES, SPEED, STRIP};
 use super::proposals::{asked_for, file};
 use super::proposer::{ProposerChoice, open};
@@ -361,6 +361,11 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         let mask = mask(view)?;
         let judges = &evaluation.judges;
         let true_view = truth.as_ref().map(|t| t.view(view.stem())).transpose()?.flatten();
+        if let Some(truth) = &true_view {
+            let true_views = context.output().join(TRUE_VIEWS);
+            folder(&true_views)?;
+            write_png(&file(&true_views, view), truth.clean())?;
+        }
         for (method, image) in &now.images {
             let mut scores: Scores = judges.alone(image, mask.as_ref());
             if let (true, Some(captured)) = (*method != Method::Captured, now.of(Method::Captured)) {

@@ -16,6 +16,8 @@ pub const SCORES: &str = "scores.json";
 pub const STRIP: (&str, &str) = ("strip.png", "strip.json");
 /// The folder in `evaluate` with the held-out photographs enhanced in 2D, by stem.
 pub(super) const ENHANCED_IN_2D: &str = "proposal";
+/// Held-out views without water, of captures that bring their truth.
+pub(super) const TRUE_VIEWS: &str = "truth";
 /// The note of `evaluate` with how fast the scene is drawn.
 pub const SPEED: &str = "speed";
 /// In `reconstruct`: which images the scene was learnt from, and how held-out ones came out.

@@ -14,12 +14,13 @@ use use3d_scene::Scene;
 
 use super::calibrator::read_calibrator;
 use super::common::{folder, read_json, write_json, write_text};
-use super::names::{CONTACT, ENHANCED_IN_2D, SCORES, STRIP};
+use super::names::{CONTACT, ENHANCED_IN_2D, SCORES, STRIP, TRUE_VIEWS};
 use crate::judge::report::plot::{Plot, RGB, Series};
 use crate::judge::report::{CalibratorSection, Page, Picture, PlotFigure, SceneSection, ViewSection};
 use crate::judge::scores::{Method, MethodScores, SceneScores, ScoredScene};
 use crate::judge::strip::Strip;
 use crate::judge::tables::{Table, paper};
+use crate::judge::verdict::{Sentence, Tone, verdict};
 
 /// Parameters of the report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -118,11 +119,18 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         None => None,
     };
     let page = Page {
-        title: params.title.clone(),
+        title: match &all[..] {
+            // What it is about, unless somebody gave it a name.
+            [only] if params.title == Params::default().title => {
+                format!("{} · {}", only.name(), params.title)
+            }
+            _ => params.title.clone(),
+        },
         subtitle: match all.len() {
             1 => "one scene".into(),
             n => format!("{n} scenes, {} scored", scored.len()),
         },
+        verdict: overall(&scenes, context.missing()),
         tables,
         scenes,
         calibrator,
@@ -131,6 +139,42 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     };
     write_json(&context.output().join("scores.json"), &scored)?;
     write_text(&context.output().join("index.html"), &page.html()?)
+}
+
+/// What a batch comes to: the sentences of a scene that is alone, else how many scenes turn out how; and what is missing.
+fn overall(scenes: &[SceneSection], missing: &[String]) -> Vec<Sentence> {
+    let mut out = Vec::new();
+    if scenes.len() > 1 {
+        let judged = scenes.iter().filter(|scene| !scene.verdict.is_empty()).count();
+        let bad: Vec<&str> = scenes
+            .iter()
+            .filter(|scene| scene.verdict.iter().any(|sentence| sentence.tone == Tone::Bad))
+            .map(|scene| scene.name.as_str())
+            .collect();
+        let text = match (judged, bad.len()) {
+            (0, _) => "No scene was scored.".to_string(),
+            (n, 0) => format!(
+                "{n} scenes were scored, and in none of them does a comparison turn out against the result."
+            ),
+            (n, k) => format!(
+                "{n} scenes were scored; in {k} of them something turns out against the result: {}. Each scene says what, below.",
+                bad.join(", ")
+            ),
+        };
+        let tone = if judged == 0 {
+            Tone::Plain
+        } else if bad.is_empty() {
+            Tone::Good
+        } else {
+            Tone::Bad
+        };
+        out.push(Sentence { tone, text });
+    }
+    if !missing.is_empty() {
+        let text = format!("Failed or not made, and so not in this report: {}.", missing.join(", "));
+        out.push(Sentence { tone: Tone::Bad, text });
+    }
+    out
 }
 
 fn read_scores(folder: &Path) -> Result<SceneScores, StageError> {
@@ -203,17 +247,30 @@ fn section(
         );
         section.notes = left_out(scores);
     }
+    let best = best_look(parts.path("enhanced"))?;
+    if let Some(scores) = scores {
+        section.verdict = verdict(
+            scores,
+            match best {
+                Mode::Enhanced => Method::Enhanced,
+                Mode::EnhancedClear => Method::EnhancedClear,
+                _ => Method::Clear,
+            },
+        );
+    }
     if let Some(renders) = parts.path("renders") {
-        let best = best_look(parts.path("enhanced"))?;
         section.views = views(renders, parts.path("scores"), scores, best, params.views)?;
     }
-    for (role, file, caption) in [
-        ("scene", "training.svg", "Stage 1: loss, PSNR and number of Gaussians"),
-        ("enhanced", "training.svg", "Stage 2: losses"),
-    ] {
-        if let Some(svg) = parts.path(role).and_then(|p| std::fs::read_to_string(p.join(file)).ok()) {
-            section.plots.push(PlotFigure { svg: inline(&svg), caption: caption.into() });
-        }
+    if let Some(log) =
+        parts.path("scene").and_then(|p| std::fs::read_to_string(p.join("training.jsonl")).ok())
+    {
+        section.plots.extend(stage_1(&log));
+    }
+    if let Some(svg) =
+        parts.path("enhanced").and_then(|p| std::fs::read_to_string(p.join("training.svg")).ok())
+    {
+        let caption = "Stage 2: how far the scene is from its targets, as a whole (global) and surface by surface (local). Both should fall.";
+        section.plots.push(PlotFigure { svg: inline(&svg), caption: caption.into() });
     }
     section.plots.extend(water(parts)?);
     section.sheets.extend(parts.path("scene").map(contact).transpose()?.flatten());
@@ -224,6 +281,45 @@ fn section(
         section.sheets.extend(sheets(&targets.join("previews"), &report)?);
     }
     Ok(section)
+}
+
+/// The course of stage 1, out of its log.
+fn stage_1(log: &str) -> Vec<PlotFigure> {
+    let entries: Vec<serde_json::Value> =
+        log.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
+    let curve = |name: &str, color: &'static str, label: &str, evaluated: bool| {
+        let event = if evaluated { "evaluation" } else { "steps" };
+        let points = entries.iter().filter(|e| e["event"] == event);
+        let points = points.filter_map(|e| Some((e["step"].as_f64()?, e[name].as_f64()?))).collect();
+        Series { label: label.into(), color, points, dots: evaluated }
+    };
+    let plot = |title: &str, log_y: bool, series: Vec<Series>, caption: &str| {
+        let plot = Plot { title: title.into(), x_label: "step".into(), log_y, series };
+        PlotFigure { svg: plot.svg(), caption: caption.into() }
+    };
+    vec![
+        plot(
+            "Stage 1: loss",
+            true,
+            vec![curve("loss", "#0b7285", "", false)],
+            "How far pictures of the training views are from the photographs. It should fall and level out.",
+        ),
+        plot(
+            "Stage 1: PSNR, dB",
+            false,
+            vec![
+                curve("psnr", "#0b7285", "training views", false),
+                curve("psnr", "#e8590c", "held-out views", true),
+            ],
+            "Above 30 dB differences are hard to see. Held-out views far below the training views mean too few or too similar photographs.",
+        ),
+        plot(
+            "Stage 1: Gaussians",
+            false,
+            vec![curve("gaussians", "#845ef7", "", false)],
+            "How many Gaussians the scene has. It grows for as long as detail is added.",
+        ),
+    ]
 }
 
 /// What the means leave out: images and pairs of which there is no such number.
@@ -291,7 +387,12 @@ fn views(
             Some(evaluated) => picture("2D enhancer", &evaluated.join(ENHANCED_IN_2D))?,
             None => None,
         };
-        let lead = [picture("captured", &captured)?, proposal, rendered(best)?];
+        // Of a synthetic capture it is known what the scene looks like without water.
+        let truth = match evaluated {
+            Some(evaluated) => picture("truth", &evaluated.join(TRUE_VIEWS))?,
+            None => None,
+        };
+        let lead = [picture("captured", &captured)?, proposal, rendered(best)?, truth];
         let others = [
             Mode::Clear,
             Mode::Enhanced,
@@ -299,8 +400,6 @@ fn views(
             Mode::Reconstruction,
             Mode::Depth,
             Mode::Medium,
-            Mode::Attenuation,
-            Mode::Backscatter,
         ];
         let images = others.into_iter().filter(|mode| *mode != best).map(rendered);
         let images = images.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect();
@@ -353,9 +452,9 @@ fn water(parts: &Parts<'_>) -> Result<Vec<PlotFigure>, StageError> {
         PlotFigure { svg: plot.svg(), caption: format!("{title} {place}") }
     };
     let kinds: [(&str, Pick); 3] = [
-        ("Attenuation", |s| s.attenuation),
-        ("Backscatter", |s| s.backscatter),
-        ("Medium colour", |s| s.color),
+        ("Attenuation, 1 / scene unit", |s| s.attenuation),
+        ("Backscatter, 1 / scene unit", |s| s.backscatter),
+        ("Colour of open water, 0 to 1", |s| s.color),
     ];
     let along = format!("along the horizontal of {}", view.name);
     let from = format!("at the training cameras' places, looking as {} does", view.name);
@@ -377,7 +476,7 @@ fn contact(scene: &Path) -> Result<Option<Picture>, StageError> {
     if !path.is_file() {
         return Ok(None);
     }
-    let caption = "On the left the images that stage 1 learns from, on their right what it renders from the same places; held-out views where there are any.";
+    let caption = "In pairs: on the left a photograph, on its right what stage 1 renders from the same place. Photographs that training did not see, where there are any.";
     Ok(Some(Picture::embed_wide("Stage 1: captured and rendered", caption, &read_image(&path)?, 1640)?))
 }
 
@@ -406,7 +505,7 @@ fn strip(scores: &Path) -> Result<Option<Picture>, StageError> {
 fn dispersion(report: &TargetsReport) -> PlotFigure {
     let points = report.views.iter().enumerate().map(|(i, v)| (i as f64, v.distance)).collect();
     let plot = Plot {
-        title: "Distance of each view's operator from the consensus".into(),
+        title: "How far each view is from the consensus".into(),
         x_label: "training view".into(),
         log_y: false,
         series: vec![Series { label: String::new(), color: "#0b7285", points, dots: true }],
@@ -417,7 +516,8 @@ fn dispersion(report: &TargetsReport) -> PlotFigure {
         (Appearance::Water, true) => "",
     };
     let caption = format!(
-        "Median {:.4}; {} of {} Gaussians have a target.{made}",
+        "Each photograph proposes how colours should change; the consensus is what they agree on. A view far from the others was lit or exposed \
+         differently. Median {:.4}; {} of {} Gaussians have a target.{made}",
         report.dispersion, report.supported, report.gaussians
     );
     PlotFigure { svg: plot.svg(), caption }

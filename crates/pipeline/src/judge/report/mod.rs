@@ -10,6 +10,7 @@ use base64::Engine as _;
 use use3d_capture::{Image, Image8};
 
 use crate::judge::tables::{Cell, Rank, Table};
+use crate::judge::verdict::{Sentence, Tone};
 
 /// Long side of embedded pictures, pixels.
 pub const PICTURE_SIDE: usize = 960;
@@ -23,6 +24,8 @@ pub struct Page {
     pub title: String,
     /// One line below it.
     pub subtitle: String,
+    /// What the whole run comes to, in sentences.
+    pub verdict: Vec<Sentence>,
     /// The tables, in order.
     pub tables: Vec<Table>,
     /// The scenes, in order.
@@ -44,6 +47,8 @@ pub struct SceneSection {
     pub group: String,
     /// One line: views, size, Gaussians.
     pub summary: String,
+    /// What its scores say, in sentences.
+    pub verdict: Vec<Sentence>,
     /// Further lines: what was skipped, what is not available.
     pub notes: Vec<String>,
     /// Held-out views.
@@ -186,6 +191,8 @@ fn shrink(image: &Image, side: usize) -> Image8 {
 struct PageTemplate<'a> {
     title: &'a str,
     subtitle: &'a str,
+    verdict: String,
+    verdicts: Vec<String>,
     has_tables: bool,
     tables_section: &'a str,
     scenes: &'a [SceneSection],
@@ -211,6 +218,7 @@ impl TablesTemplate {
 struct ViewLink<'a> {
     name: &'a str,
     address: &'a str,
+    folder: &'a str,
 }
 
 #[derive(Template)]
@@ -251,8 +259,23 @@ struct StageView {
     key: String,
 }
 
+/// The table without the columns in which nobody has a number; the reasons stay below it.
+fn measured(table: &Table) -> Table {
+    let has = |k: usize| table.rows.iter().any(|row| matches!(row.cells.get(k), Some(Cell::Number { .. })));
+    let kept: Vec<usize> = (0..table.columns.len()).filter(|k| has(*k)).collect();
+    let mut out = table.clone();
+    if !kept.is_empty() {
+        out.columns = kept.iter().map(|k| table.columns[*k].clone()).collect();
+        for row in &mut out.rows {
+            row.cells = kept.iter().filter_map(|k| row.cells.get(*k).cloned()).collect();
+        }
+    }
+    out
+}
+
 impl TableView {
-    fn new(table: &Table) -> Self {
+    fn new(whole: &Table) -> Self {
+        let table = &measured(whole);
         let mut spans: Vec<(String, usize)> = Vec::new();
         for column in &table.columns {
             match spans.last_mut() {
@@ -271,7 +294,7 @@ impl TableView {
                     Rank::Second => "second",
                     Rank::Other => "",
                 },
-                title: source.clone(),
+                title: if source.is_empty() { String::new() } else { format!("from the scores of {source}") },
             },
             Cell::NotAvailable { reason } => {
                 CellView { text: "n/a".into(), class: "missing", title: reason.clone() }
@@ -290,7 +313,7 @@ impl TableView {
             spans,
             heads: table.columns.iter().map(|c| format!("{}{}", c.name, c.better.arrow())).collect(),
             rows: rows.collect(),
-            missing: table.missing().into_iter().map(str::to_string).collect(),
+            missing: whole.missing().into_iter().map(str::to_string).collect(),
         }
     }
 }
@@ -301,6 +324,8 @@ impl Page {
         let template = PageTemplate {
             title: &self.title,
             subtitle: &self.subtitle,
+            verdict: verdict(&self.verdict)?,
+            verdicts: self.scenes.iter().map(|scene| verdict(&scene.verdict)).collect::<Result<_, _>>()?,
             has_tables: !self.tables.is_empty(),
             tables_section: &TablesTemplate::new(&self.tables).render()?,
             scenes: &self.scenes,
@@ -310,6 +335,25 @@ impl Page {
         };
         Ok(template.render()?)
     }
+}
+
+#[derive(Template)]
+#[template(path = "verdict.html")]
+struct VerdictTemplate<'a> {
+    sentences: Vec<(&'static str, &'static str, &'a str)>,
+}
+
+/// Sentences as a list; nothing where there are none.
+fn verdict(sentences: &[Sentence]) -> Result<String, askama::Error> {
+    let marked = sentences.iter().map(|sentence| {
+        let (class, mark) = match sentence.tone {
+            Tone::Good => ("good", "+"),
+            Tone::Bad => ("bad", "–"),
+            Tone::Plain => ("plain", "·"),
+        };
+        (class, mark, sentence.text.as_str())
+    });
+    VerdictTemplate { sentences: marked.collect() }.render()
 }
 
 /// Where a page's costs go.
@@ -334,7 +378,11 @@ pub fn with_views<'a>(html: &str, views: impl Iterator<Item = (&'a str, &'a str,
     views.fold(html.to_string(), |html, (scene, variant, address)| {
         // The section's name, as the template escapes it.
         let name = if variant.is_empty() { scene.to_string() } else { format!("{scene} · {variant}") };
-        let link = ViewLink { name: &name, address: &address };
+        let link = ViewLink {
+            name: &name,
+            address: &address,
+            folder: address.rsplit_once('/').map_or("", |(folder, _)| folder),
+        };
         match link.render() {
             Ok(filled) => {
                 let mark = filled.lines().next().unwrap_or_default();

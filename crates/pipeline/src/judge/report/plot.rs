@@ -105,11 +105,14 @@ impl Plot {
             let points: Vec<(f64, f64)> =
                 series.points.iter().filter(usable).map(|p| (px(p.0), py(y_of(p.1)))).collect();
             if series.dots {
-                for (x, y) in &points {
+                for ((x, y), (at, value)) in points.iter().zip(series.points.iter().filter(usable)) {
                     let _ = write!(
                         out,
-                        "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"2.6\" fill=\"{}\" fill-opacity=\".75\"/>",
-                        series.color
+                        "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"2.6\" fill=\"{}\" fill-opacity=\".75\"><title>{} {}: {}</title></circle>",
+                        series.color,
+                        escape(&self.x_label),
+                        short(*at),
+                        short(*value)
                     );
                 }
             } else {
@@ -121,7 +124,7 @@ impl Plot {
                     series.color
                 );
             }
-            if !series.label.is_empty() {
+            if !series.label.is_empty() && !points.is_empty() {
                 let _ = write!(
                     out,
                     "<rect x=\"{legend}\" y=\"25\" width=\"10\" height=\"10\" rx=\"2\" fill=\"{}\"/><text x=\"{}\" y=\"34\">{}</text>",

@@ -1,0 +1,261 @@
+//! What the scores of a scene say, in sentences: what is better than what and by how much, what is worse, what was not measured.
+//!
+//! Every sentence is made from the figures that stand in the tables; where a comparison turns out against the enhanced scene, it says so.
+
+use use3d_capture::flat_stem;
+
+use super::scores::{Method, SceneScores};
+
+/// How a sentence reads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tone {
+    /// Good news.
+    Good,
+    /// Bad news.
+    Bad,
+    /// Neither.
+    Plain,
+}
+
+/// One sentence.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Sentence {
+    /// How it reads.
+    pub tone: Tone,
+    /// What it says.
+    pub text: String,
+}
+
+/// A weakest view is named if it is so many dB below the mean.
+const WEAK: f64 = 2.0;
+/// PSNR from which a reconstruction is good, and below which it is bad, dB.
+const PSNR: [f64; 2] = [30.0, 22.0];
+
+fn sentence(tone: Tone, text: String) -> Sentence {
+    Sentence { tone, text }
+}
+
+fn mean(scores: &SceneScores, method: Method, metric: &str) -> Option<f64> {
+    scores.mean(method, metric)?.value()
+}
+
+/// The sentences of a scene whose enhanced look is `best`.
+pub fn verdict(scores: &SceneScores, best: Method) -> Vec<Sentence> {
+    let mut out = Vec::new();
+    out.extend(reconstruction(scores));
+    out.extend(against_truth(scores, best));
+    out.extend(consistency(scores, best));
+    out.extend(without_reference(scores, best));
+    out.extend(not_measured(scores));
+    out
+}
+
+fn reconstruction(scores: &SceneScores) -> Option<Sentence> {
+    let views = &scores.method(Method::Reconstruction)?.views;
+    let Some(psnr) = mean(scores, Method::Reconstruction, "psnr") else {
+        return Some(sentence(
+            Tone::Plain,
+            "No photograph was held out, so nothing says how well the scene is reconstructed.".into(),
+        ));
+    };
+    let of = |view: &super::scores::ViewScores| {
+        Some((view.scores.get("psnr")?.value()?, flat_stem(&view.view).to_string()))
+    };
+    let worst = views.iter().filter_map(of).min_by(|a, b| a.0.total_cmp(&b.0));
+    let ssim =
+        mean(scores, Method::Reconstruction, "ssim").map_or_else(String::new, |v| format!(", SSIM {v:.3}"));
+    let weak = worst.filter(|(value, _)| *value < psnr - WEAK && views.len() > 1);
+    let weak =
+        weak.map_or_else(String::new, |(value, name)| format!("; the weakest, {name}, with {value:.1} dB"));
+    let (tone, meaning) = if psnr >= PSNR[0] {
+        (Tone::Good, "a difference that is hard to see")
+    } else if psnr >= PSNR[1] {
+        (Tone::Plain, "details are missing, the scene is right")
+    } else {
+        (Tone::Bad, "something is wrong: look at the pictures below")
+    };
+    let count = match views.len() {
+        1 => "the photograph that training did not see is".to_string(),
+        n => format!("the {n} photographs that training did not see are"),
+    };
+    Some(sentence(
+        tone,
+        format!("Reconstruction: {count} met with PSNR {psnr:.1} dB{ssim} ({meaning}){weak}."),
+    ))
+}
+
+/// `1.2 dB more than the photographs`.
+fn compared(ours: f64, other: f64, unit: &str, decimals: usize, whom: &str, words: [&str; 2]) -> String {
+    let apart = format!("{:.decimals$}", (ours - other).abs());
+    if apart.parse() == Ok(0.0) {
+        return format!("the same as {whom}");
+    }
+    format!("{apart}{unit} {} than {whom}", words[usize::from(ours < other)])
+}
+
+/// What an enhanced scene is compared with.
+const OTHERS: [(Method, &str); 2] =
+    [(Method::Captured, "the photographs"), (Method::Proposal, "the 2D enhancer on each photograph")];
+
+fn against_truth(scores: &SceneScores, best: Method) -> Option<Sentence> {
+    let metric = "truth_psnr";
+    let ours = mean(scores, best, metric)?;
+    let others: Vec<(f64, &str)> =
+        OTHERS.iter().filter_map(|(method, name)| Some((mean(scores, *method, metric)?, *name))).collect();
+    let texts: Vec<String> =
+        others.iter().map(|(other, name)| compared(ours, *other, " dB", 1, name, ["more", "less"])).collect();
+    let tone = if others.iter().any(|(other, _)| *other > ours) { Tone::Bad } else { Tone::Good };
+    let looks = [Method::Clear, Method::Enhanced, Method::EnhancedClear];
+    let better = looks.into_iter().filter(|look| *look != best);
+    let better = better.filter_map(|look| Some((mean(scores, look, metric)?, look)));
+    let better = better.filter(|(value, _)| *value > ours + 0.05).max_by(|a, b| a.0.total_cmp(&b.0));
+    let better = better.map_or_else(String::new, |(value, look)| {
+        format!(" Closer still is {}, with {value:.1} dB.", look.name())
+    });
+    let texts = if texts.is_empty() { String::new() } else { format!(": {}", texts.join(", ")) };
+    Some(sentence(
+        tone,
+        format!("Against the true scene without water, {} reaches {ours:.1} dB{texts}.{better}", best.name()),
+    ))
+}
+
+fn consistency(scores: &SceneScores, best: Method) -> Option<Sentence> {
+    let metric = "w_delta_e";
+    let ours = mean(scores, best, metric)?;
+    let others: Vec<(f64, &str)> =
+        OTHERS.iter().filter_map(|(method, name)| Some((mean(scores, *method, metric)?, *name))).collect();
+    let texts: Vec<String> = others.iter().map(|(other, name)| format!("{} by {other:.1}", name)).collect();
+    // A stronger picture also moves more; what counts is the enhancer that knows one picture at a time.
+    let rival = mean(scores, Method::Proposal, metric);
+    let tone = match rival {
+        Some(rival) if ours > rival => Tone::Bad,
+        Some(_) => Tone::Good,
+        None => Tone::Plain,
+    };
+    let beside = if texts.is_empty() { String::new() } else { format!("; those of {}", texts.join(", of ")) };
+    Some(sentence(
+        tone,
+        format!(
+            "Consistency: between neighbouring views the colours of {} move by ΔE {ours:.1}{beside} (less is better).",
+            best.name()
+        ),
+    ))
+}
+
+fn without_reference(scores: &SceneScores, best: Method) -> Option<Sentence> {
+    let text = |metric: &str, name: &str| -> Option<String> {
+        let ours = mean(scores, best, metric)?;
+        let captured = mean(scores, Method::Captured, metric)?;
+        Some(format!("{name} {ours:.2} ({captured:.2} of the photographs)"))
+    };
+    let both: Vec<String> = [text("uciqe", "UCIQE"), text("uiqm", "UIQM")].into_iter().flatten().collect();
+    (!both.is_empty()).then(|| {
+        let what = both.join(", ");
+        sentence(
+            Tone::Plain,
+            format!("Scores without a reference: {what}. They reward contrast and colour, right or wrong, and decide nothing by themselves."),
+        )
+    })
+}
+
+fn not_measured(scores: &SceneScores) -> Option<Sentence> {
+    let mut names: Vec<&str> = Vec::new();
+    let mut reason = None;
+    for (metric, score) in scores.methods.iter().flat_map(|m| &m.mean) {
+        if let use3d_metrics::Score::NotAvailable(why) = score {
+            let metric = metric.strip_prefix("path_").unwrap_or(metric);
+            if !names.contains(&metric) {
+                names.push(metric);
+            }
+            reason.get_or_insert(why.as_str());
+        }
+    }
+    names.sort_unstable();
+    let why = reason?.strip_prefix("not available: ").unwrap_or(reason?);
+    Some(sentence(Tone::Plain, format!("Not measured: {} ({why}).", names.join(", "))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::judge::scores::{FORMAT, MethodScores, Scores, VERSION, ViewScores, Warp};
+    use use3d_metrics::Score;
+
+    fn scene(methods: &[(Method, &[(&str, f64)])]) -> SceneScores {
+        let view = |name: &str, scores: &[(&str, f64)], off: f64| ViewScores {
+            view: name.into(),
+            scores: scores
+                .iter()
+                .map(|(metric, v)| ((*metric).to_string(), Score::of(v + off)))
+                .collect::<Scores>(),
+        };
+        let of = |(method, scores): &(Method, &[(&str, f64)])| {
+            MethodScores::new(
+                *method,
+                vec![view("a.png", scores, 3.0), view("b.png", scores, -3.0)],
+                Vec::new(),
+                Vec::new(),
+            )
+        };
+        SceneScores {
+            format: FORMAT.into(),
+            version: VERSION,
+            training_views: 8,
+            held_out_views: 2,
+            size: (64, 48),
+            gaussians: 10,
+            warp: Warp::Own,
+            water: None,
+            methods: methods.iter().map(of).collect(),
+        }
+    }
+
+    fn texts(scores: &SceneScores) -> Vec<(Tone, String)> {
+        verdict(scores, Method::EnhancedClear).into_iter().map(|s| (s.tone, s.text)).collect()
+    }
+
+    #[test]
+    fn it_says_what_is_better_and_what_is_worse() {
+        let good = scene(&[
+            (Method::Captured, &[("truth_psnr", 14.0), ("w_delta_e", 8.0), ("uciqe", 4.5)]),
+            (Method::Proposal, &[("truth_psnr", 19.5), ("w_delta_e", 9.0)]),
+            (Method::Reconstruction, &[("psnr", 33.0), ("ssim", 5.0)]),
+            (Method::EnhancedClear, &[("truth_psnr", 22.0), ("w_delta_e", 7.0), ("uciqe", 5.0)]),
+        ]);
+        let said = texts(&good);
+        assert!(
+            said[0].0 == Tone::Good
+                && said[0].1.contains("33.0 dB")
+                && said[0].1.contains("the weakest, b, with 30.0 dB"),
+            "{said:?}"
+        );
+        assert!(
+            said[1].0 == Tone::Good
+                && said[1].1.contains("8.0 dB more than the photographs, 2.5 dB more than the 2D enhancer"),
+            "{said:?}"
+        );
+        assert!(said[2].0 == Tone::Good && said[2].1.contains("move by ΔE 7.0"), "{said:?}");
+        assert!(said[3].1.contains("UCIQE 5.00 (4.50"), "{said:?}");
+
+        let mut bad = scene(&[
+            (Method::Proposal, &[("truth_psnr", 25.0), ("w_delta_e", 3.5)]),
+            (Method::Reconstruction, &[("psnr", 15.0)]),
+            (Method::Clear, &[("truth_psnr", 27.0)]),
+            (Method::EnhancedClear, &[("truth_psnr", 22.0), ("w_delta_e", 7.0)]),
+        ]);
+        bad.methods[0]
+            .mean
+            .insert("lpips".into(), Score::NotAvailable("not available: no models folder".into()));
+        let said = texts(&bad);
+        assert!(said[0].0 == Tone::Bad && said[0].1.contains("something is wrong"), "{said:?}");
+        assert!(
+            said[1].0 == Tone::Bad
+                && said[1].1.contains("3.0 dB less than the 2D enhancer")
+                && said[1].1.contains("Closer still is clear"),
+            "{said:?}"
+        );
+        assert!(said[2].0 == Tone::Bad, "{said:?}");
+        assert_eq!(said[3].1, "Not measured: lpips (no models folder).");
+        assert!(texts(&scene(&[(Method::Reconstruction, &[])]))[0].1.contains("No photograph was held out"));
+    }
+}
