@@ -15,10 +15,11 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd, dispatch, f32x16};
 use rayon::prelude::*;
 use use3d_capture::{Camera, Lattice, MediumMaps};
-use use3d_numerics::spherical_harmonics::bands;
+use use3d_numerics::functions;
+use use3d_numerics::rows::{self, LANES};
+use use3d_numerics::spherical_harmonics::{bands, basis_lanes};
 
 use crate::Role;
-use crate::lanes::{self, LANES};
 
 /// Spherical-harmonic coefficients of the three quantities: `[c_m, β_bs, β_attn][band][RGB]`.
 pub type Coefficients = [[[f32; 3]; 16]; 3];
@@ -80,7 +81,7 @@ impl Rays {
     /// Unit world directions of 16 pixels of row `j` from column `i` on.
     #[inline(always)]
     pub(crate) fn directions<S: Simd>(&self, simd: S, i: usize, j: usize) -> [f32x16<S>; 3] {
-        let x = lanes::load(simd, &self.x, i);
+        let x = rows::load(simd, &self.x, i);
         let y = self.y[j];
         let norm = x.mul_add(x, y * y + 1.0).sqrt();
         let inverse = f32x16::splat(simd, 1.0) / norm;
@@ -137,15 +138,15 @@ fn forward_strip<S: Simd>(
     for row in 0..rows {
         for i in (0..width).step_by(LANES) {
             let [x, y, z] = rays.directions(simd, i, first_row + row);
-            let basis = lanes::basis(simd, degree, x, y, z);
+            let basis = basis_lanes(simd, degree, x, y, z);
             for q in 0..9 {
                 let (quantity, channel) = (q / 3, q % 3);
                 let mut raw = basis[0] * coefficients[quantity][0][channel];
                 for b in 1..bands(degree) {
                     raw = basis[b].mul_add(coefficients[quantity][b][channel], raw);
                 }
-                let value = if quantity == 0 { (raw + 0.5).max(0.0) } else { lanes::softplus(simd, raw) };
-                lanes::store(value, &mut strip[q][row * width..][..width], i);
+                let value = if quantity == 0 { (raw + 0.5).max(0.0) } else { functions::softplus(simd, raw) };
+                rows::store(value, &mut strip[q][row * width..][..width], i);
             }
         }
     }
@@ -203,17 +204,17 @@ fn backward_strip<S: Simd>(
             for v in 0..vectors {
                 let i = start + v * LANES;
                 let [x, y, z] = rays.directions(simd, i, row);
-                let at_pixels = lanes::basis(simd, degree, x, y, z);
+                let at_pixels = basis_lanes(simd, degree, x, y, z);
                 for b in 0..4 * band_groups {
                     at_pixels[b].store_slice(&mut basis[b][v * LANES..][..LANES]);
                 }
                 for q in 0..9 {
-                    let value = lanes::load(simd, &maps[q][row * width..][..width], i);
-                    let pull = lanes::load(simd, &cotangent[q][row * width..][..width], i);
+                    let value = rows::load(simd, &maps[q][row * width..][..width], i);
+                    let pull = rows::load(simd, &cotangent[q][row * width..][..width], i);
                     let gradient = if q < 3 {
                         value.simd_gt(zero).select(pull, zero)
                     } else {
-                        pull * lanes::softplus_slope(simd, value)
+                        pull * functions::softplus_slope(simd, value)
                     };
                     gradient.store_slice(&mut raw[q][v * LANES..][..LANES]);
                 }

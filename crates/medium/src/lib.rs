@@ -11,7 +11,6 @@
 mod directional;
 mod global;
 mod kinds;
-mod lanes;
 mod mlp;
 mod rbf;
 mod tensors;

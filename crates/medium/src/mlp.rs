@@ -13,11 +13,13 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd, dispatch, f32x16};
 use rayon::prelude::*;
 use use3d_capture::{Camera, Lattice, MediumMaps};
+use use3d_numerics::functions;
 use use3d_numerics::random::{Purpose, Stream};
+use use3d_numerics::rows::{self, LANES};
+use use3d_numerics::spherical_harmonics::basis_lanes;
 
 use crate::directional::{Rays, STRIP, planes, strips};
 use crate::kinds::{Medium, MediumStart};
-use crate::lanes::{self, LANES};
 use crate::tensors::{self, Put, Tensors};
 use crate::{MediumError, Role};
 
@@ -75,8 +77,8 @@ impl Medium for MediumMlp {
                         for v in (0..(width - start).min(BLOCK)).step_by(LANES) {
                             for q in 0..9 {
                                 let raw = f32x16::from_slice(simd, &block.raw[q * BLOCK + v..][..LANES]);
-                                let value = if q < 3 { lanes::sigmoid(simd, raw) } else { lanes::softplus(simd, raw) };
-                                lanes::store(value, &mut strip[q][row * width..][..width], start + v);
+                                let value = if q < 3 { functions::sigmoid(simd, raw) } else { functions::softplus(simd, raw) };
+                                rows::store(value, &mut strip[q][row * width..][..width], start + v);
                             }
                         }
                     });
@@ -191,7 +193,7 @@ impl Padded {
             // Beyond the row's end: any direction will do, its cotangent is zero.
             let i = (start + v).min(rays.width() - 1);
             let [x, y, z] = rays.directions(simd, i, row);
-            for (b, value) in lanes::basis(simd, 3, x, y, z).iter().enumerate() {
+            for (b, value) in basis_lanes(simd, 3, x, y, z).iter().enumerate() {
                 value.store_slice(&mut block.input[b * BLOCK + v..][..LANES]);
             }
         }
@@ -218,12 +220,12 @@ impl Padded {
             for q in 0..PADDED {
                 let mut gradient = zero;
                 if q < OUTPUTS && start + v < maps[q].len() {
-                    let value = lanes::load(simd, maps[q], start + v);
-                    let pull = lanes::load(simd, cotangent[q], start + v);
+                    let value = rows::load(simd, maps[q], start + v);
+                    let pull = rows::load(simd, cotangent[q], start + v);
                     let slope = if q < 3 {
                         value * (f32x16::splat(simd, 1.0) - value)
                     } else {
-                        lanes::softplus_slope(simd, value)
+                        functions::softplus_slope(simd, value)
                     };
                     gradient = pull * slope;
                 }
@@ -432,7 +434,7 @@ fn accumulate_tiles<S: Simd, const V: usize>(
 #[inline(always)]
 fn activate<S: Simd>(simd: S, values: &mut [f32]) {
     for chunk in values.chunks_exact_mut(LANES) {
-        lanes::sigmoid(simd, f32x16::from_slice(simd, chunk)).store_slice(chunk);
+        functions::sigmoid(simd, f32x16::from_slice(simd, chunk)).store_slice(chunk);
     }
 }
 

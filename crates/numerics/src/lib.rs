@@ -4,9 +4,11 @@
 //! gives the bits of its scalar twin wherever fused multiply-add exists.
 
 pub mod adam;
+pub mod functions;
 pub mod lanes;
 pub mod math;
 pub mod random;
 pub mod range;
+pub mod rows;
 pub mod spherical_harmonics;
 pub mod sums;

@@ -42,7 +42,7 @@ impl fmt::Display for OutOfRange {
 impl Error for OutOfRange {}
 
 /// `value` lies in `[least, most]`.
-pub fn within<T: PartialOrd + fmt::Display>(
+pub fn within<T: Copy + PartialOrd + fmt::Display>(
     path: impl Into<String>,
     value: T,
     least: T,

@@ -2,6 +2,9 @@
 //!
 //! For a unit direction `(x, y, z)` the 16 values are `Y₀₀, Y₁₋₁ … Y₃₃`; a lower degree `d` uses the first `(d+1)²`.
 
+use fearless_simd::prelude::*;
+use fearless_simd::{Simd, f32x16};
+
 /// `Y₀₀`.
 pub const C0: f32 = 0.282_094_8;
 /// Degree 1.
@@ -43,6 +46,42 @@ pub fn basis(degree: usize, d: [f32; 3]) -> [f32; 16] {
             b[13] = C3[4] * x * (4.0 * zz - xx - yy);
             b[14] = C3[5] * z * (xx - yy);
             b[15] = C3[6] * x * (xx - 3.0 * yy);
+        }
+    }
+    b
+}
+
+/// The basis of [`basis`] at 16 directions; values above `degree` are zero.
+#[inline(always)]
+pub fn basis_lanes<S: Simd>(
+    simd: S,
+    degree: usize,
+    x: f32x16<S>,
+    y: f32x16<S>,
+    z: f32x16<S>,
+) -> [f32x16<S>; 16] {
+    let mut b = [f32x16::splat(simd, 0.0); 16];
+    b[0] = f32x16::splat(simd, C0);
+    if degree >= 1 {
+        b[1] = y * -C1;
+        b[2] = z * C1;
+        b[3] = x * -C1;
+    }
+    if degree >= 2 {
+        let (xx, yy, zz) = (x * x, y * y, z * z);
+        b[4] = (x * y) * C2[0];
+        b[5] = (y * z) * C2[1];
+        b[6] = (zz * 2.0 - xx - yy) * C2[2];
+        b[7] = (x * z) * C2[3];
+        b[8] = (xx - yy) * C2[4];
+        if degree >= 3 {
+            b[9] = y * C3[0] * (xx * 3.0 - yy);
+            b[10] = (x * y) * C3[1] * z;
+            b[11] = y * C3[2] * (zz * 4.0 - xx - yy);
+            b[12] = z * C3[3] * (zz * 2.0 - xx * 3.0 - yy * 3.0);
+            b[13] = x * C3[4] * (zz * 4.0 - xx - yy);
+            b[14] = z * C3[5] * (xx - yy);
+            b[15] = x * C3[6] * (xx - yy * 3.0);
         }
     }
     b

@@ -18,9 +18,9 @@ use use3d_capture::{Appearance, MediumMaps};
 
 use crate::OUTPUTS;
 use crate::field::{Field, apply_affine};
-use crate::lanes;
 use crate::objects::ObjectPass;
 use crate::water::{Water, WaterPass};
+use use3d_numerics::lanes::exp;
 
 /// Gaussians per parallel task.
 const CHUNK: usize = 4096;
@@ -60,7 +60,7 @@ impl Enhancement {
         grades.par_iter_mut().with_min_len(CHUNK).for_each(|g| {
             for (o, v) in g.iter_mut().enumerate() {
                 let scaled = strength * *v;
-                *v = if o < 3 { lanes::exp_scalar(scaled) } else { scaled };
+                *v = if o < 3 { exp(scaled) } else { scaled };
             }
         });
         ObjectGrades { affine: self.field.affine().map(|row| row.map(|v| strength * v)), grades }

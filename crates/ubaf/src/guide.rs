@@ -6,7 +6,7 @@
 use fearless_simd::{Simd, f32x16, prelude::*};
 use use3d_numerics::math;
 
-use crate::lanes;
+use use3d_numerics::functions;
 
 /// `sign(c) ln(1 + |c|)`.
 #[inline]
@@ -19,14 +19,14 @@ pub(crate) fn signed_log(c: f32) -> f32 {
 pub(crate) fn gamma<S: Simd>(simd: S, guide: &[f32; 4], h: [f32x16<S>; 3]) -> f32x16<S> {
     let [wr, wg, wb, b] = *guide;
     let c = |v: f32| f32x16::splat(simd, v);
-    lanes::tanh(simd, c(wr).mul_add(h[0], c(wg).mul_add(h[1], c(wb).mul_add(h[2], c(b)))))
+    functions::tanh(simd, c(wr).mul_add(h[0], c(wg).mul_add(h[1], c(wb).mul_add(h[2], c(b)))))
 }
 
 /// Scalar twin of [`gamma`].
 #[cfg(test)]
 pub(crate) fn gamma_scalar(guide: &[f32; 4], h: [f32; 3]) -> f32 {
     let [wr, wg, wb, b] = *guide;
-    lanes::tanh_scalar(wr.mul_add(h[0], wg.mul_add(h[1], wb.mul_add(h[2], b))))
+    functions::scalar::tanh(wr.mul_add(h[0], wg.mul_add(h[1], wb.mul_add(h[2], b))))
 }
 
 /// Where a coordinate in `[-1, 1]` falls on a grid of `nodes` nodes: the lower node and the fraction towards

@@ -15,8 +15,8 @@ use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 use crate::OUTPUTS;
 use crate::field::{Field, Shape};
 use crate::guide::locate;
-use crate::lanes;
 use crate::sites::LANES;
+use use3d_numerics::functions;
 
 /// Gaussians per tile.
 pub(crate) const TILE: usize = 256;
@@ -235,7 +235,7 @@ fn forward_tile<S: Simd, const P: usize>(
         }
         for (k, unit) in packed.units.chunks_exact(P + 1 + OUTPUTS).enumerate() {
             let pre = activation(simd, unit, &z);
-            let s = lanes::logistic(simd, pre);
+            let s = functions::logistic(simd, pre);
             if keeps {
                 // Unit by unit, as the backward pass reads them.
                 s.store_slice(&mut kept[k * lookups.gamma.len() + at..][..LANES]);
@@ -323,7 +323,7 @@ fn units_backward<S: Simd, const P: usize, const U: usize>(
             let place = (first + u) * pass.count + at;
             let s = match pass.kept.get(place..place + LANES) {
                 Some(s) => f32x16::from_slice(simd, s),
-                None => lanes::logistic(simd, pre[u]),
+                None => functions::logistic(simd, pre[u]),
             };
             (pre[u] * s).store_slice(&mut hidden[u][at..at + LANES]);
             // silu' = s (1 + pre (1 - s)).

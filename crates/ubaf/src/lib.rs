@@ -16,7 +16,6 @@ pub mod field;
 pub mod field_box;
 mod guide;
 mod kernel;
-mod lanes;
 pub mod objects;
 #[cfg(test)]
 mod plain;

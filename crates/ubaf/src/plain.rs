@@ -11,8 +11,8 @@ use crate::OUTPUTS;
 use crate::field::{Field, Shape};
 use crate::field_box::FieldBox;
 use crate::guide::locate;
-use crate::lanes;
 use crate::water::ROWS;
+use use3d_numerics::functions;
 
 /// The decoder's outputs at field coordinates `u` (x, y, z, γ), in the kernel's arithmetic.
 pub(crate) fn raw(field: &Field, u: [f32; 4]) -> [f32; OUTPUTS] {
@@ -36,7 +36,7 @@ pub(crate) fn raw(field: &Field, u: [f32; 4]) -> [f32; OUTPUTS] {
         for r in 0..s.rank {
             pre = z[r].mul_add(p[s.hidden_weight()][unit * s.rank + r], pre);
         }
-        let hidden = pre * lanes::logistic_scalar(pre);
+        let hidden = pre * functions::scalar::logistic(pre);
         for o in 0..OUTPUTS {
             out[o] = hidden.mul_add(p[s.output_weight()][o * s.width + unit], out[o]);
         }

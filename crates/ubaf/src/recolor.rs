@@ -7,8 +7,8 @@ use fearless_simd::{Simd, f32x16, prelude::*};
 
 use crate::OUTPUTS;
 use crate::field::apply_affine;
-use crate::lanes;
 use crate::sites::{BLOCK, LANES};
+use use3d_numerics::lanes::exp_lanes;
 
 /// What a block adds up: outputs or their derivatives, and affine derivatives.
 #[derive(Clone, Copy, Debug, Default)]
@@ -23,7 +23,7 @@ fn gains<S: Simd>(simd: S, raw: &[f32], centre: &[f32; OUTPUTS], at: usize) -> [
     let mut gains = [[0.0; LANES]; 3];
     for (c, gain) in gains.iter_mut().enumerate() {
         let raw = f32x16::from_slice(simd, &raw[c * BLOCK + at..c * BLOCK + at + LANES]);
-        lanes::exp(simd, raw - f32x16::splat(simd, centre[c])).store_slice(gain);
+        exp_lanes(simd, raw - f32x16::splat(simd, centre[c])).store_slice(gain);
     }
     gains
 }

@@ -22,8 +22,8 @@ use crate::OUTPUTS;
 use crate::field::{Field, Gradient, apply_affine};
 use crate::guide::{self, locate, signed_log};
 use crate::kernel::{Accumulator, Lookups, Packed, TILE, TileOutputs};
-use crate::lanes;
 use crate::sites::LANES;
+use use3d_numerics::lanes::exp;
 
 /// Rows of the guide table.
 pub const ROWS: usize = 16;
@@ -126,7 +126,7 @@ impl WaterPass {
             let mean = (column.iter().map(|&v| f64::from(v)).sum::<f64>() / ROWS as f64) as f32;
             for (row, &v) in self.table.iter_mut().zip(column) {
                 let centred = strength * (v - mean);
-                row[o] = if o < 3 { lanes::exp_scalar(centred) } else { centred };
+                row[o] = if o < 3 { exp(centred) } else { centred };
             }
         }
         self.table

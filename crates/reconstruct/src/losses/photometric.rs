@@ -20,6 +20,7 @@ use fearless_simd::{Level, Simd, dispatch, f32x16};
 use rayon::prelude::*;
 use use3d_capture::{Image, Map};
 use use3d_metrics::ms_ssim::{MsSsim, RECONSTRUCTION_WEIGHTS};
+use use3d_numerics::rows::{LANES, load, store};
 
 use super::{LossTerm, LossValue, Observation, Term, ViewGradients};
 
@@ -34,7 +35,6 @@ pub(super) const TERM: LossTerm = LossTerm {
 
 /// `ε` of the weight.
 const EPSILON: f32 = 1e-3;
-const LANES: usize = 16;
 /// Elements per task.
 const BLOCK: usize = 1 << 14;
 
@@ -168,29 +168,6 @@ impl Term for PhotometricLoss {
 
     fn squared_error(&self) -> Option<f64> {
         Some(self.squared_error)
-    }
-}
-
-#[inline(always)]
-fn load<S: Simd>(simd: S, values: &[f32], i: usize) -> f32x16<S> {
-    match values.get(i..i + LANES) {
-        Some(full) => f32x16::from_slice(simd, full),
-        None => {
-            let mut padded = [0.0; LANES];
-            padded[..values.len() - i].copy_from_slice(&values[i..]);
-            f32x16::from_slice(simd, &padded)
-        }
-    }
-}
-
-#[inline(always)]
-fn store<S: Simd>(value: f32x16<S>, values: &mut [f32], i: usize) {
-    match values.get_mut(i..i + LANES) {
-        Some(full) => value.store_slice(full),
-        None => {
-            let rest = values.len() - i;
-            values[i..].copy_from_slice(&value.as_slice()[..rest]);
-        }
     }
 }
 

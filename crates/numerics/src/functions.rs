@@ -1,15 +1,15 @@
-//! Sixteen pixels at a time: the exponential, softplus, sigmoid and the spherical-harmonic basis, each with its scalar twin.
+//! Functions of networks and water on 16 lanes, each with its scalar twin; equal bits wherever fused multiply-add exists.
 //!
-//! `e^x = 2^n (1 + q(r))` with `n = round(x / ln 2)`, `r = x - n ln 2` in two steps, `q` a polynomial of degree 7 (relative error
-//! below 1e-7). `ln(1 + t) = 2 artanh(t / (2 + t))` for `0 ≤ t ≤ 1`, again a polynomial. The scalar twin does the same operations
-//! in the same order, so both give the same bits wherever fused multiply-add exists.
+//! Two ways to an exponential. [`lanes::exp`](crate::lanes::exp) is short and of the whole range; [`logistic`] and [`tanh`] are made of it
+//! (logistic relative 5e-7, tanh absolute 2e-7). [`exp_negative`] keeps `e^x - 1` apart:
+//! `e^x = 2^n (1 + q(r))` with `n = round(x / ln 2)`, `r = x - n ln 2` in two steps, `q` a polynomial of degree 7. [`softplus`], its slope and
+//! [`sigmoid`] are made of that and relatively accurate (4e-7) also where they vanish: `ln(1 + t) = 2 artanh(t / (2 + t))` for `0 ≤ t ≤ 1`,
+//! again a polynomial.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16, i32x16};
-use use3d_numerics::spherical_harmonics::{C0, C1, C2, C3};
 
-/// Pixels per vector.
-pub(crate) const LANES: usize = 16;
+use crate::lanes::{exp as exp_scalar, exp_lanes};
 
 const LOG2_E: f32 = std::f32::consts::LOG2_E;
 /// `ln 2` in two parts; the first has few enough bits that `n · LN2_HIGH` is exact.
@@ -22,29 +22,6 @@ const ARTANH: [f32; 8] =
     [1.0 / 3.0, 1.0 / 5.0, 1.0 / 7.0, 1.0 / 9.0, 1.0 / 11.0, 1.0 / 13.0, 1.0 / 15.0, 1.0 / 17.0];
 /// Below this `e^x` is taken as `e^LOWEST`, 1.6e-38.
 const LOWEST: f32 = -87.0;
-
-/// Loads lanes `i..i + 16` of a row, zeros beyond its end.
-#[inline(always)]
-pub(crate) fn load<S: Simd>(simd: S, row: &[f32], i: usize) -> f32x16<S> {
-    if let Some(full) = row.get(i..i + LANES) {
-        f32x16::from_slice(simd, full)
-    } else {
-        let mut padded = [0.0; LANES];
-        padded[..row.len() - i].copy_from_slice(&row[i..]);
-        f32x16::from_slice(simd, &padded)
-    }
-}
-
-/// Stores lanes `i..i + 16` of a row, dropping those beyond its end.
-#[inline(always)]
-pub(crate) fn store<S: Simd>(value: f32x16<S>, row: &mut [f32], i: usize) {
-    if let Some(full) = row.get_mut(i..i + LANES) {
-        value.store_slice(full);
-    } else {
-        let rest = row.len() - i;
-        row[i..].copy_from_slice(&value.as_slice()[..rest]);
-    }
-}
 
 /// `(2^n, e^r - 1)` of `x ≤ 0`.
 #[inline(always)]
@@ -66,16 +43,16 @@ fn exp_parts<S: Simd>(simd: S, x: f32x16<S>) -> (f32x16<S>, f32x16<S>) {
 
 /// `e^x` for `x ≤ 0`.
 #[inline(always)]
-pub(crate) fn exp<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
+pub fn exp_negative<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
     let (scale, q) = exp_parts(simd, x);
     scale.mul_add(q, scale)
 }
 
 /// `softplus(x) = ln(1 + e^x)`.
 #[inline(always)]
-pub(crate) fn softplus<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
+pub fn softplus<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
     let zero = f32x16::splat(simd, 0.0);
-    let t = exp(simd, zero - x.abs());
+    let t = exp_negative(simd, zero - x.abs());
     let s = t / (t + 2.0);
     let ss = s * s;
     let mut p = f32x16::splat(simd, ARTANH[7]);
@@ -88,60 +65,38 @@ pub(crate) fn softplus<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
 
 /// The slope of softplus from its value `y = ln(1 + e^x)`: `e^x / (1 + e^x) = 1 - e^{-y}`.
 #[inline(always)]
-pub(crate) fn softplus_slope<S: Simd>(simd: S, y: f32x16<S>) -> f32x16<S> {
+pub fn softplus_slope<S: Simd>(simd: S, y: f32x16<S>) -> f32x16<S> {
     let (scale, q) = exp_parts(simd, f32x16::splat(simd, 0.0) - y);
     f32x16::splat(simd, 0.0) - scale.mul_add(q, scale - 1.0)
 }
 
 /// `1 / (1 + e^{-x})`.
 #[inline(always)]
-pub(crate) fn sigmoid<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
+pub fn sigmoid<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
     let zero = f32x16::splat(simd, 0.0);
     let one = f32x16::splat(simd, 1.0);
-    let t = exp(simd, zero - x.abs());
+    let t = exp_negative(simd, zero - x.abs());
     let small = t / (t + 1.0);
     x.simd_ge(zero).select(one - small, small)
 }
 
-/// The basis of [`use3d_numerics::spherical_harmonics::basis`] at 16 directions; values above `degree` are zero.
+/// `1 / (1 + e⁻ˣ)`.
 #[inline(always)]
-pub(crate) fn basis<S: Simd>(
-    simd: S,
-    degree: usize,
-    x: f32x16<S>,
-    y: f32x16<S>,
-    z: f32x16<S>,
-) -> [f32x16<S>; 16] {
-    let mut b = [f32x16::splat(simd, 0.0); 16];
-    b[0] = f32x16::splat(simd, C0);
-    if degree >= 1 {
-        b[1] = y * -C1;
-        b[2] = z * C1;
-        b[3] = x * -C1;
-    }
-    if degree >= 2 {
-        let (xx, yy, zz) = (x * x, y * y, z * z);
-        b[4] = (x * y) * C2[0];
-        b[5] = (y * z) * C2[1];
-        b[6] = (zz * 2.0 - xx - yy) * C2[2];
-        b[7] = (x * z) * C2[3];
-        b[8] = (xx - yy) * C2[4];
-        if degree >= 3 {
-            b[9] = y * C3[0] * (xx * 3.0 - yy);
-            b[10] = (x * y) * C3[1] * z;
-            b[11] = y * C3[2] * (zz * 4.0 - xx - yy);
-            b[12] = z * C3[3] * (zz * 2.0 - xx * 3.0 - yy * 3.0);
-            b[13] = x * C3[4] * (zz * 4.0 - xx - yy);
-            b[14] = z * C3[5] * (xx - yy);
-            b[15] = x * C3[6] * (xx - yy * 3.0);
-        }
-    }
-    b
+pub fn logistic<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
+    let one = f32x16::splat(simd, 1.0);
+    one / (one + exp_lanes(simd, -x))
+}
+
+/// `tanh x` as `sign(x) (1 - e)/(1 + e)`, `e = e^{-2|x|}`: absolute error 2e-7, never outside `[-1, 1]`.
+#[inline(always)]
+pub fn tanh<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
+    let one = f32x16::splat(simd, 1.0);
+    let e = exp_lanes(simd, x.abs() * f32x16::splat(simd, -2.0));
+    ((one - e) / (one + e)).copysign(x)
 }
 
 /// Scalar twins, operation for operation.
-#[cfg(test)]
-pub(crate) mod scalar {
+pub mod scalar {
     use super::*;
 
     fn exp_parts(x: f32) -> (f32, f32) {
@@ -153,28 +108,43 @@ pub(crate) mod scalar {
         (f32::from_bits(((n as i32 + 127) << 23) as u32), q)
     }
 
-    pub(crate) fn exp(x: f32) -> f32 {
+    /// `e^x` for `x ≤ 0`; not below `e^-87`.
+    pub fn exp_negative(x: f32) -> f32 {
         let (scale, q) = exp_parts(x);
         scale.mul_add(q, scale)
     }
 
-    pub(crate) fn softplus(x: f32) -> f32 {
-        let t = exp(-x.abs());
+    /// `ln(1 + e^x)`.
+    pub fn softplus(x: f32) -> f32 {
+        let t = exp_negative(-x.abs());
         let s = t / (t + 2.0);
         let ss = s * s;
         let p = ARTANH[..7].iter().rev().fold(ARTANH[7], |p, &c| p.mul_add(ss, c));
         (s * ss).mul_add(p, s).mul_add(2.0, x.max(0.0))
     }
 
-    pub(crate) fn softplus_slope(y: f32) -> f32 {
+    /// `1 - e^-y`: the slope of softplus where it is `y`.
+    pub fn softplus_slope(y: f32) -> f32 {
         let (scale, q) = exp_parts(-y);
         0.0 - scale.mul_add(q, scale - 1.0)
     }
 
-    pub(crate) fn sigmoid(x: f32) -> f32 {
-        let t = exp(-x.abs());
+    /// `1 / (1 + e^-x)`, relatively accurate at both ends.
+    pub fn sigmoid(x: f32) -> f32 {
+        let t = exp_negative(-x.abs());
         let small = t / (t + 1.0);
         if x >= 0.0 { 1.0 - small } else { small }
+    }
+
+    /// Scalar twin of [`logistic`].
+    pub fn logistic(x: f32) -> f32 {
+        1.0 / (1.0 + exp_scalar(-x))
+    }
+
+    /// Scalar twin of [`tanh`].
+    pub fn tanh(x: f32) -> f32 {
+        let e = exp_scalar(x.abs() * -2.0);
+        ((1.0 - e) / (1.0 + e)).copysign(x)
     }
 }
 
@@ -183,7 +153,7 @@ mod tests {
     use fearless_simd::{Level, dispatch};
 
     use super::*;
-    use use3d_numerics::math;
+    use crate::math;
 
     /// Whether the vector code fuses multiply and add here, as the scalar twin always does.
     fn fused() -> bool {
@@ -198,7 +168,7 @@ mod tests {
         let v = f32x16::from_slice(simd, x);
         let negative = f32x16::splat(simd, 0.0) - v.abs();
         [
-            exp(simd, negative).to_array(),
+            exp_negative(simd, negative).to_array(),
             softplus(simd, v).to_array(),
             softplus_slope(simd, v.abs()).to_array(),
             sigmoid(simd, v).to_array(),
@@ -226,12 +196,38 @@ mod tests {
                     assert!(error <= 4e-7 * exact.abs() + 2e-38, "at {v}: {value:e} against {exact:e}");
                 }
                 if fused() {
-                    assert_eq!(e[i].to_bits(), scalar::exp(-v.abs()).to_bits());
+                    assert_eq!(e[i].to_bits(), scalar::exp_negative(-v.abs()).to_bits());
                     assert_eq!(s[i].to_bits(), scalar::softplus(v).to_bits());
                     assert_eq!(d[i].to_bits(), scalar::softplus_slope(v.abs()).to_bits());
                     assert_eq!(g[i].to_bits(), scalar::sigmoid(v).to_bits());
                 }
             }
+        }
+    }
+
+    #[inline(always)]
+    fn evaluate<S: Simd>(simd: S, x: &[f32]) -> Vec<[f32; 2]> {
+        let mut out = Vec::with_capacity(x.len());
+        for chunk in x.chunks_exact(16) {
+            let v = f32x16::from_slice(simd, chunk);
+            let (l, t) = (logistic(simd, v), tanh(simd, v));
+            out.extend((0..16).map(|k| [l[k], t[k]]));
+        }
+        out
+    }
+
+    #[test]
+    fn logistic_and_tanh_agree_with_their_twins_and_with_f64() {
+        let x: Vec<f32> = (0..16 * 4000).map(|i| (i as f32 - 32_000.0) * 2.6e-3).collect();
+        let lanes = dispatch!(Level::new(), simd => evaluate(simd, &x));
+        for (&x, lane) in x.iter().zip(&lanes) {
+            let twin = [scalar::logistic(x), scalar::tanh(x)];
+            if fused() {
+                assert_eq!(lane.map(f32::to_bits), twin.map(f32::to_bits), "at {x}");
+            }
+            let d = f64::from(x);
+            assert!((f64::from(lane[0]) * (1.0 + math::exp(-d)) - 1.0).abs() < 5e-7, "logistic {x}");
+            assert!((f64::from(lane[1]) - math::tanh(d)).abs() < 2e-7, "tanh {x}: {}", lane[1]);
         }
     }
 }
