@@ -1,0 +1,78 @@
+//! What a user reads, word for word: the help of every verb and the messages that a beginner meets. `USE3D_UPDATE_SNAPSHOTS=1` writes the
+//! files below `snapshots/` anew; the difference is then read like code.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// Exit code, stdout and stderr of a run in `folder`.
+fn said(folder: &Path, arguments: &[&str]) -> String {
+    let output = Command::new(env!("CARGO_BIN_EXE_use3d"))
+        .args(arguments)
+        .current_dir(folder)
+        .env_clear()
+        .output()
+        .expect("the command starts");
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).replace(&*folder.to_string_lossy(), "DIR");
+    let code = output.status.code().map_or_else(|| "killed".into(), |code| code.to_string());
+    format!("$ use3d {}\n{}{}[{code}]\n", arguments.join(" "), text(&output.stdout), text(&output.stderr))
+}
+
+/// Compares with the file of that name.
+fn check(name: &str, text: &str) {
+    let file = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/snapshots").join(format!("{name}.txt"));
+    // Whoever reads the file should see no spaces at the ends of lines.
+    let text: String = text.lines().map(|line| format!("{}\n", line.trim_end())).collect();
+    if std::env::var_os("USE3D_UPDATE_SNAPSHOTS").is_some() {
+        std::fs::write(&file, &text).expect("the snapshot can be written");
+    }
+    let written = std::fs::read_to_string(&file).unwrap_or_default();
+    let differs = text.lines().zip(written.lines()).position(|(now, then)| now != then);
+    let line = differs.unwrap_or_else(|| text.lines().count().min(written.lines().count()));
+    assert!(
+        text == written,
+        "{} differs from line {}:\n- {}\n+ {}\nread it, and write it anew with USE3D_UPDATE_SNAPSHOTS=1",
+        file.display(),
+        line + 1,
+        written.lines().nth(line).unwrap_or_default(),
+        text.lines().nth(line).unwrap_or_default()
+    );
+}
+
+#[test]
+fn the_help_of_every_verb() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let top = said(folder.path(), &["--help"]);
+    // Verbs stand in the list of commands behind two spaces; what goes on in the next line stands further in.
+    let list = top.split("Commands:\n").nth(1).and_then(|rest| rest.split("\n\n").next()).unwrap_or_default();
+    let verbs = list.lines().filter(|line| line.starts_with("  ") && !line.starts_with("   "));
+    let verbs: Vec<&str> = verbs.filter_map(|line| line.split_whitespace().next()).collect();
+    assert!(verbs.contains(&"run") && verbs.contains(&"man") && verbs.len() > 15, "{verbs:?}");
+    let each =
+        verbs.iter().filter(|verb| **verb != "help").map(|verb| said(folder.path(), &[verb, "--help"]));
+    check("help", &(top.clone() + "\n" + &each.collect::<Vec<_>>().join("\n")));
+}
+
+#[test]
+fn the_messages_that_a_beginner_meets() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).expect("a file");
+    let scene = "[[scene]]\nname = \"reef\"\ncapture = \"reef\"\n";
+    write("key.toml", &format!("name = \"x\"\n[defaults.reconstruct]\niteratons = 3\n{scene}"));
+    write("value.toml", &format!("name = \"x\"\n[defaults.reconstruct]\nsh_degree = 4\n{scene}"));
+    write("preset.toml", &format!("name = \"x\"\npreset = \"vanila\"\n{scene}"));
+    write("empty.toml", "name = \"x\"\n");
+    std::fs::create_dir(folder.path().join("photographs")).expect("a folder");
+    let runs: [&[&str]; 9] = [
+        &["rnu"],
+        &["run"],
+        &["run", "nowhere.toml"],
+        &["run", "key.toml"],
+        &["run", "value.toml"],
+        &["run", "preset.toml"],
+        &["run", "empty.toml"],
+        &["import", "photographs", "--out", "out"],
+        &["render", "photographs", "--cameras", "photographs", "--out", "out"],
+    ];
+    let text: Vec<String> = runs.iter().map(|arguments| said(folder.path(), arguments)).collect();
+    check("messages", &text.join("\n"));
+}
