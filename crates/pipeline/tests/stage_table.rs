@@ -197,7 +197,7 @@ fn a_token_in_any_file_makes_every_stage_stale_that_reaches_it() {
     let known = |path: &String| {
         let (krate, file) = path.split_once('/').expect("a crate");
         match krate {
-            "cli" | "golden" | "build" | "web" => true,
+            "cli" | "golden" | "build" | "web" | "viewer" => true,
             "pipeline" => WITHOUT_ARTIFACTS.iter().any(|known| file.starts_with(known)),
             _ => false,
         }
