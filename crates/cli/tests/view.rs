@@ -71,8 +71,8 @@ impl Viewer {
             (0..3).map(|k| view["eye"][k].as_f64().unwrap_or(0.0) + 0.01 * i as f64).collect();
         let mode = ["reconstruction", "clear", "medium", "depth"][i % 4];
         let look = json!({
-            "page": "test", "mode": mode, "left": if i % 3 == 0 { json!("clear") } else { Value::Null }, "at": 0.3, "strength": 1,
-            "water": (i % 5) as f64 / 4.0, "moving": i % 2 == 0,
+            "page": "test", "mode": mode, "left": if i.is_multiple_of(3) { json!("clear") } else { Value::Null }, "at": 0.3, "strength": 1,
+            "water": (i % 5) as f64 / 4.0, "moving": i.is_multiple_of(2),
             "camera": { "eye": eye, "rotation": view["rotation"], "lens": view["lens"], "width": view["width"], "height": view["height"] },
         });
         self.ask("/frame", &look).map(|(status, _)| status)

@@ -164,7 +164,7 @@ impl Live {
     /// Whether a copy of the scene that this stage trains is wanted now: somebody looks, and the last one is old enough.
     pub fn wants_copy(&self, label: &str) -> bool {
         let mut state = self.state();
-        if !state.training || state.label != label || !state.looked.is_some_and(|at| at.elapsed() < LOOKING) {
+        if !state.training || state.label != label || state.looked.is_none_or(|at| at.elapsed() >= LOOKING) {
             return false;
         }
         let stale = state.shown.as_ref().is_none_or(|shown| shown.step != Some(state.step));

@@ -58,9 +58,8 @@ fn reconstruction(scores: &SceneScores) -> Option<Sentence> {
             "No photograph was held out, so nothing says how well the scene is reconstructed.".into(),
         ));
     };
-    let of = |view: &super::scores::ViewScores| {
-        Some((view.scores.get("psnr")?.value()?, flat_stem(&view.view).to_string()))
-    };
+    let of =
+        |view: &super::scores::ViewScores| Some((view.scores.get("psnr")?.value()?, flat_stem(&view.view)));
     let worst = views.iter().filter_map(of).min_by(|a, b| a.0.total_cmp(&b.0));
     let ssim =
         mean(scores, Method::Reconstruction, "ssim").map_or_else(String::new, |v| format!(", SSIM {v:.3}"));
@@ -124,7 +123,7 @@ fn consistency(scores: &SceneScores, best: Method) -> Option<Sentence> {
     let ours = mean(scores, best, metric)?;
     let others: Vec<(f64, &str)> =
         OTHERS.iter().filter_map(|(method, name)| Some((mean(scores, *method, metric)?, *name))).collect();
-    let texts: Vec<String> = others.iter().map(|(other, name)| format!("{} by {other:.1}", name)).collect();
+    let texts: Vec<String> = others.iter().map(|(other, name)| format!("{name} by {other:.1}")).collect();
     // A stronger picture also moves more; what counts is the enhancer that knows one picture at a time.
     let rival = mean(scores, Method::Proposal, metric);
     let tone = match rival {

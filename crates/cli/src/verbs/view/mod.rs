@@ -79,7 +79,7 @@ fn shown(target: &Path, args: &ViewArgs) -> Result<Shown, CliError> {
     let origin = Origin::of(&imported.capture);
     let views: Vec<PageView> =
         scene_page::views(&scene, Some(&origin), &imported).map_err(CliError::input)?;
-    let name = imported.capture.name.clone();
+    let name = imported.capture.name;
     Ok(Shown { name, scene: Arc::new(scene), views: Arc::new(views), metres_per_unit, step: None })
 }
 

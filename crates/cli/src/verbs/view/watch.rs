@@ -87,7 +87,7 @@ impl Watcher {
                 self.live.wait_for(&format!("{label}: {done} of {total} {unit}"));
             }
             Event::Figures { label, step, steps, figures } => {
-                self.live.figures(label, *step, *steps, figures)
+                self.live.figures(label, *step, *steps, figures);
             }
             Event::AsksForView { label, wanted } => {
                 if self.live.wants_copy(label) {

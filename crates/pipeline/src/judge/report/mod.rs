@@ -273,6 +273,25 @@ fn measured(table: &Table) -> Table {
     out
 }
 
+/// Which columns nobody has a number in, and why cells are empty.
+fn not_measured(table: &Table) -> Vec<String> {
+    let plain = |reason: &str| reason.strip_prefix("not available: ").unwrap_or(reason).to_string();
+    let mut reasons: Vec<(String, Vec<&str>)> =
+        table.missing().into_iter().map(|reason| (plain(reason), Vec::new())).collect();
+    for (k, column) in table.columns.iter().enumerate() {
+        for row in &table.rows {
+            let Some(Cell::NotAvailable { reason }) = row.cells.get(k) else { continue };
+            let of = plain(reason);
+            if let Some((_, names)) = reasons.iter_mut().find(|(known, _)| *known == of)
+                && !names.contains(&column.name.as_str())
+            {
+                names.push(&column.name);
+            }
+        }
+    }
+    reasons.into_iter().map(|(reason, names)| format!("{}: {reason}", names.join(", "))).collect()
+}
+
 impl TableView {
     fn new(whole: &Table) -> Self {
         let table = &measured(whole);
@@ -313,7 +332,7 @@ impl TableView {
             spans,
             heads: table.columns.iter().map(|c| format!("{}{}", c.name, c.better.arrow())).collect(),
             rows: rows.collect(),
-            missing: whole.missing().into_iter().map(str::to_string).collect(),
+            missing: not_measured(whole),
         }
     }
 }

@@ -72,9 +72,8 @@ impl Plot {
         let px = |x: f64| LEFT + (x - x0) / (x1 - x0) * (WIDTH - LEFT - RIGHT);
         let py = |y: f64| HEIGHT - BOTTOM - (y - y0) / (y1 - y0) * (HEIGHT - TOP - BOTTOM);
 
-        for tick in ticks(y0, y1, 5) {
-            let y = py(tick);
-            let value = if self.log_y { math::powf(10f64, tick) } else { tick };
+        for value in if self.log_y { log_ticks(y0, y1) } else { ticks(y0, y1, 5) } {
+            let y = py(y_of(value));
             let _ = write!(
                 out,
                 "<line x1=\"{LEFT}\" x2=\"{}\" y1=\"{y:.1}\" y2=\"{y:.1}\" stroke=\"currentColor\" stroke-opacity=\".15\"/><text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
@@ -150,6 +149,19 @@ fn ticks(low: f64, high: f64, count: usize) -> Vec<f64> {
     (first..=last.min(first + 20)).map(|i| i as f64 * step).collect()
 }
 
+/// Round values of a logarithmic axis from `10^low` to `10^high`: even ones within a decade or so, else powers of ten.
+fn log_ticks(low: f64, high: f64) -> Vec<f64> {
+    if high - low < 1.3 {
+        let even = ticks(math::powf(10f64, low), math::powf(10f64, high), 4);
+        return even.into_iter().filter(|value| *value > 0.0).collect();
+    }
+    let step = ((high - low) / 6.0).ceil().max(1.0) as usize;
+    (low.ceil() as i64..=high.floor() as i64)
+        .step_by(step)
+        .map(|power| math::powf(10f64, power as f64))
+        .collect()
+}
+
 /// A number in at most about six characters.
 fn short(value: f64) -> String {
     let magnitude = value.abs();
@@ -191,6 +203,10 @@ mod tests {
     fn ticks_are_round_and_inside() {
         assert_eq!(ticks(0.0, 10.0, 5), [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]);
         assert!(ticks(0.013, 0.097, 5).iter().all(|t| (0.013..=0.097).contains(t)));
+        // 0.178 and 0.063 are nobody's numbers.
+        let shown = |low, high| log_ticks(low, high).into_iter().map(short).collect::<Vec<_>>();
+        assert_eq!(shown(-0.76, -0.57), ["0.2", "0.25"]);
+        assert_eq!(shown(-2.2, 1.1), ["0.01", "0.1", "1", "10"]);
         assert_eq!(
             [short(15000.0), short(0.25), short(1e-5), short(1500.0)],
             ["15k", "0.25", "1e-5", "1.5k"]
