@@ -8,7 +8,7 @@
 //!
 //! ```text
 //! m    = weighted medians over all views of ln J_c − mean_c ln J_c              the scene's mean colour
-//! d    = m − μ,   D² = (d_∥/σ_∥)² + (d_⊥/σ_⊥)²,   σ² = σ_0² + (standard error of m)²
+//! d    = m − μ,   D² = (d_∥/σ_∥)² + (d_⊥/σ_⊥)²,   σ² = σ_0² + (error of m)²
 //! ln g = −max(0, 1 − 1/D²) d,   scaled so that |ln g_c| ≤ ln 1.5                white balance
 //! J̃    = Y (s C + (1 − s) C̄),   s = t²/(t² + t_0²),   t = min_c t_c             colour of far surfaces
 //! J⁺   = b (Y⁺/Y_95)^{p−1} g ⊙ J̃                                                brightness, contrast
@@ -19,7 +19,10 @@
 //!   `μ` says nothing about the light (`D ≤ 1`: gains of exactly one), and a clear cast is taken off nearly
 //!   whole: the positive-part rule of James and Stein, with `d` cut into its part along `μ` and across it, as
 //!   warmth varies more from scene to scene than tint. Water found by the method's own formation leaves no
-//!   cast; daylight that faded with depth, and a camera that balances by itself, do.
+//!   cast; daylight that faded with depth, and a camera that balances by itself, do. The error of `m` has two
+//!   parts: how views differ about it, and how few kinds of surface there are. With `n = 1 / P(two pixels of
+//!   the scene look alike)` kinds, a scene of fewer than three (a tiled pool, a hull) has a mean colour that
+//!   is its paint's as well as its light's, and adds `σ_s² (1/n − 1/3)`.
 //! * *Far surfaces.* `J = (I − veil)/t` multiplies noise and what is wrong about the water by `1/t`. Where
 //!   `t` is below about `t_0`, colour `C = J/Y` (Y: luminance) gives way to `C̄`, that of the sure
 //!   neighbourhood: `Σ w² J / Σ w² Y` blurred over a sixteenth of the image.
@@ -49,7 +52,7 @@ use crate::extractor::global::LUMINANCE;
 /// The proposer's name.
 pub const NAME: &str = "scene";
 /// The version of the formula; raised when a constant or a step changes.
-const VERSION: &str = "1";
+const VERSION: &str = "2";
 
 /// Mean log-colour of surfaces under white light: between that of everyday photographs and that of sand.
 const WARMTH: [f64; 3] = [0.10, 0.03, -0.13];
@@ -58,6 +61,15 @@ const WARMTH: [f64; 3] = [0.10, 0.03, -0.13];
 const SPREAD: [f64; 2] = [0.17, 0.10];
 /// Largest gain of a channel.
 const LARGEST_BALANCE: f64 = 1.5;
+/// How far the log-colour of one kind of surface, any paint, lies from the mean of all: per scene, root mean
+/// square.
+const PAINT: f64 = 0.8;
+/// Kinds of surface from which on their mean is the usual one.
+const KINDS: f64 = 3.0;
+/// Two pixels whose centred log-colours are nearer than this look alike.
+const ALIKE: f64 = 0.1;
+/// Pixels that are compared with each other, at most.
+const COMPARED: usize = 1024;
 /// Views that count as one independent look at the scene.
 const VIEWS_ALIKE: f64 = 4.0;
 /// Transmittance at which half the colour is the neighbourhood's.
@@ -142,8 +154,10 @@ pub struct SceneSurvey {
 pub struct SceneFindings {
     /// The scene's mean colour `m`: log of each channel over their geometric mean.
     pub mean_colour: [f64; 3],
-    /// Its standard error, over views.
+    /// Its standard error, over views and kinds of surface.
     pub standard_error: f64,
+    /// How many kinds of surface there are: one over the chance that two pixels look alike; at least 1.
+    pub kinds: f64,
     /// Share of the departure from the usual mean colour that is taken off, `[0, 1)`; 0: no cast is sure.
     pub trusted: f64,
     /// White balance `g`.
@@ -163,6 +177,7 @@ impl SceneFindings {
     const NONE: Self = Self {
         mean_colour: [0.0; 3],
         standard_error: 0.0,
+        kinds: 1.0,
         trusted: 0.0,
         balance: [1.0; 3],
         brightness: 1.0,
@@ -212,8 +227,11 @@ impl SceneSurvey {
     fn findings(&self) -> Option<SceneFindings> {
         let coloured: Vec<Vec<Coloured>> =
             self.views.iter().map(|v| v.iter().filter_map(log_colour).collect()).collect();
-        let (mean_colour, _) = middle(&coloured.concat())?;
-        let standard_error = standard_error(&coloured, mean_colour);
+        let pooled = coloured.concat();
+        let (mean_colour, _) = middle(&pooled)?;
+        let kinds = kinds(&pooled);
+        let few = PAINT * PAINT * (1.0 / kinds - 1.0 / KINDS).max(0.0);
+        let standard_error = (math::powi(standard_error(&coloured, mean_colour), 2) + few).sqrt();
         let (balance, trusted) = balance(mean_colour, standard_error);
 
         let all: Vec<Sample> = self.views.iter().flatten().copied().collect();
@@ -238,6 +256,7 @@ impl SceneSurvey {
         Some(SceneFindings {
             mean_colour,
             standard_error,
+            kinds,
             trusted,
             balance,
             brightness,
@@ -321,6 +340,23 @@ fn standard_error(views: &[Vec<Coloured>], mean: [f64; 3]) -> f64 {
     }
     let independent = (weights * weights / squares / VIEWS_ALIKE).max(1.0);
     (spread / weights / independent).sqrt()
+}
+
+/// One over the chance that two pixels, drawn by their weights, look alike; 1 without pixels.
+fn kinds(colours: &[Coloured]) -> f64 {
+    let some: Vec<&Coloured> = colours.iter().step_by(colours.len().div_ceil(COMPARED).max(1)).collect();
+    let (mut alike, mut all) = (0.0, 0.0);
+    for (i, (one, weight)) in some.iter().enumerate() {
+        for (other, other_weight) in &some[..i] {
+            let apart: [f64; 3] = std::array::from_fn(|c| one[c] - other[c]);
+            let pair = weight * other_weight;
+            all += pair;
+            if dot(apart, apart) < ALIKE * ALIKE {
+                alike += pair;
+            }
+        }
+    }
+    if alike > 0.0 { all / alike } else { (some.len() as f64).max(1.0) }
 }
 
 /// The gains that take off what of a mean colour is surely a cast, and its share.

@@ -78,6 +78,32 @@ fn a_cast_of_all_sure_pixels_is_mostly_taken_off_within_bounds() {
     assert!(strong.balance[0] > 1.4, "{strong:?}");
 }
 
+/// A tiled pool in white light and a grey one in blue light look the same: nothing is taken off.
+#[test]
+fn the_colour_of_a_scene_of_one_surface_is_no_cast() {
+    let blue = [-0.33, 0.11, 0.22];
+    let tiles = |u: [f64; 3]| {
+        let (light, line) = (0.2 + 0.6 * u[0], u[1] < 0.06);
+        if line { [light; 3] } else { blue.map(|b| light * math::exp(b)) }
+    };
+    let found = *survey(&several(tiles)).findings();
+    assert!(found.kinds < 1.3 && found.balance == [1.0; 3], "{found:?}");
+    let varied = *survey(&several(cast(blue))).findings();
+    assert!(varied.kinds > KINDS && varied.trusted > 0.8, "{varied:?}");
+}
+
+#[test]
+fn kinds_of_surface_are_counted_by_their_colours() {
+    let of = |n: usize| -> Vec<Coloured> {
+        (0..3000).map(|i| ([0.3 * (i % n) as f64, 0.0, 0.0], 1.0 + (i % 5) as f64)).collect()
+    };
+    assert_eq!(kinds(&[]), 1.0);
+    assert_eq!(kinds(&of(1)), 1.0);
+    for n in [2, 4, 7] {
+        assert!((kinds(&of(n)) / n as f64 - 1.0).abs() < 0.02, "{n}: {}", kinds(&of(n)));
+    }
+}
+
 /// The same mean colour is believed the less the more the views differ about it.
 #[test]
 fn what_views_disagree_about_is_trusted_less() {
