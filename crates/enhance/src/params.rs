@@ -35,11 +35,11 @@ pub enum PixelLoss {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Start {
-    /// At the identity: the method.
-    #[default]
+    /// At the identity: the paper.
     Identity,
     /// With the scene's affine at the global target. A composite is linear in its colours, so the global target is nearly met at once,
-    /// and the field's local part does not have to learn it first and unlearn it later. With objectives that have a global term.
+    /// and the field's local part does not have to learn it first and unlearn it later. Without a global term as `identity`.
+    #[default]
     Operator,
 }
 
@@ -94,7 +94,7 @@ impl Default for EnhanceParams {
         Self {
             iterations: 5000,
             objective: Objective::Full,
-            start: Start::Identity,
+            start: Start::Operator,
             lambda_global: 1.0,
             lambda_local: 1.0,
             lambda_variation: 1e-4,

@@ -217,10 +217,17 @@ fn presets_are_the_weakest_layer_and_nothing_but_their_values() {
     for name in presets() {
         graph_of(&format!("preset = \"{name}\""), &[]).unwrap_or_else(|e| panic!("{name}: {e}"));
     }
-    // What the paper has are today's defaults.
+    // The paper's ways are other words for three parameters; the rest are today's defaults.
     let paper = graph_of("preset = \"paper\"", &[]).unwrap();
-    for stage in ["reconstruct", "enhance"] {
-        assert_eq!(parameters(&paper, "", stage), parameters(&plain, "", stage));
+    for (stage, parameter, value) in [
+        ("reconstruct", "medium_prior", "off"),
+        ("targets", "proposer", "auto"),
+        ("enhance", "start", "identity"),
+    ] {
+        let mut expected = parameters(&plain, "", stage);
+        assert_ne!(expected[parameter], value, "{stage}");
+        expected[parameter] = value.into();
+        assert_eq!(parameters(&paper, "", stage), expected);
     }
     let medium = |text: &str, sets: &[&str], variant: &str| {
         parameters(&graph_of(text, sets).unwrap(), variant, "reconstruct")["medium"].clone()
@@ -242,6 +249,35 @@ fn presets_are_the_weakest_layer_and_nothing_but_their_values() {
     let wrong = graph_of("preset = \"vanila\"", &[]).unwrap_err();
     assert!(wrong.contains("x.toml:2:10") && wrong.contains("did you mean `vanilla`?"), "{wrong}");
     assert!(graph_of("", &["preset=papers"]).unwrap_err().contains("did you mean `paper`?"));
+}
+
+#[test]
+fn whoever_names_pairs_or_a_calibrator_has_photographs_enhanced() {
+    let proposer = |text: &str, sets: &[&str], scene: &str, variant: &str| {
+        let graph = graph_of(text, sets).unwrap_or_else(|e| panic!("{text}: {e}"));
+        let node = &graph.nodes[graph.find(scene, variant, "targets").expect("targets")];
+        node.parameters["proposer"].as_str().unwrap().to_string()
+    };
+    let (scene, photographs) = ("scene".to_string(), "auto".to_string());
+    assert_eq!(proposer("", &[], "a", ""), scene);
+    let pairs = "[calibrator]\npairs = { input = \"x\", target = \"y\" }";
+    for text in [
+        pairs,
+        "[calibrator]\nfile = \"c\"",
+        "[defaults.calibrate]\nsteps = 5",
+        "[defaults.pairs]\nsynthetic = { pairs = 8 }",
+    ] {
+        assert_eq!(proposer(text, &[], "a", ""), photographs, "{text}");
+    }
+    assert_eq!(proposer("", &["calibrate.steps=5"], "a", ""), photographs);
+    assert_eq!(proposer("", &["targets.proposer=auto"], "a", ""), photographs);
+    // What is said of a scene or a variant holds there alone.
+    let b = "[[scene]]\nname = \"b\"\ncapture = \"b\"\ncalibrator = { file = \"c\" }";
+    assert_eq!((proposer(b, &[], "a", ""), proposer(b, &[], "b", "")), (scene.clone(), photographs.clone()));
+    let v = "[[variant]]\nname = \"v\"\n[[variant]]\nname = \"w\"\ncalibrator = { file = \"c\" }";
+    assert_eq!((proposer(v, &[], "a", "v"), proposer(v, &[], "a", "w")), (scene.clone(), photographs));
+    // What is said of the proposer itself counts first.
+    assert_eq!(proposer(&format!("{pairs}\n[defaults.targets]\nproposer = \"scene\""), &[], "a", ""), scene);
 }
 
 #[test]

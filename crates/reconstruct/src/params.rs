@@ -29,8 +29,10 @@ pub enum DepthPrior {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MediumPrior {
-    /// Nothing: the water starts as the method has it and is learnt from the first step on.
+    /// `tracks` for water that can start from them and is learnt from the photographs, else `off`.
     #[default]
+    Auto,
+    /// Nothing: the water starts as the paper has it and is learnt from the first step on.
     Off,
     /// What the capture's tracks tell, where they do; else as `off`, and the log says why. For the `rbf` and `global` waters.
     Tracks,
@@ -263,9 +265,9 @@ impl Default for ReconstructParams {
             medium: MediumKind::default(),
             anchors: 8,
             top_k: 4,
-            medium_prior: MediumPrior::Off,
+            medium_prior: MediumPrior::Auto,
             medium_hold: 0.5,
-            medium_release: 0.1,
+            medium_release: 0.3,
             exposure: Exposure::Off,
             exposure_weight: 0.02,
             depth_prior: DepthPrior::Auto,
@@ -405,6 +407,15 @@ impl ReconstructParams {
     pub fn active_degree(&self, step: u64) -> usize {
         let every = (self.sh_every * self.course() as f64).round().max(1.0) as u64;
         ((step / every) as usize).min(self.sh_degree)
+    }
+
+    /// Whether the capture's tracks are asked for the water.
+    pub fn asks_tracks(&self) -> bool {
+        match self.medium_prior {
+            MediumPrior::Auto => self.medium.starts_from_harmonics() && self.images == Images::Captured,
+            MediumPrior::Tracks => true,
+            MediumPrior::Off => false,
+        }
     }
 
     /// What the rates of water that was found beforehand are multiplied by at `step`.

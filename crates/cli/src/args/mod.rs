@@ -101,10 +101,8 @@ pub(crate) enum Verb {
     )]
     Calibrate(CalibrateArgs),
     /// Build the scene-global and Gaussian-local targets (appearance transition consensus).
-    #[command(
-        after_help = "Example:\n  use3d targets scene/ my-reef/ --calibrator calibrator.safetensors --out targets.safetensors\n  \
-        use3d targets scene/ my-reef/ --set proposer=scene --out targets.safetensors"
-    )]
+    #[command(after_help = "Example:\n  use3d targets scene/ my-reef/ --out targets.safetensors\n  \
+        use3d targets scene/ my-reef/ --calibrator calibrator.safetensors --out targets.safetensors")]
     Targets(TargetsArgs),
     /// Stage 2: store the enhancement in the scene.
     #[command(

@@ -72,7 +72,8 @@ pub(crate) struct TargetsArgs {
     /// The capture it was made from.
     #[arg(value_name = "CAPTURE_DIR")]
     pub(crate) capture: PathBuf,
-    /// The calibrator file; none with `--set proposer=scene`.
+    /// A calibrator: 2D enhancements of the photographs are then what is proposed. Without one it is what stage 1 knows of the
+    /// scene.
     #[arg(long, value_name = "FILE")]
     pub(crate) calibrator: Option<PathBuf>,
     /// The targets file.

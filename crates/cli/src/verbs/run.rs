@@ -232,14 +232,8 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     };
     let params = use3d_synth::CaptureParams { views, width, height, ..use3d_synth::CaptureParams::default() };
     let capture = args.out.join("captures").join(SCENE);
-    // What shows a scene at its best where nothing but photographs and their model is given.
-    let mut sets = vec![
-        format!("reconstruct.iterations={iterations}"),
-        "reconstruct.medium_prior=tracks".to_string(),
-        "targets.proposer=scene".to_string(),
-        "enhance.start=operator".to_string(),
-        format!("enhance.iterations={steps}"),
-    ];
+    let mut sets =
+        vec![format!("reconstruct.iterations={iterations}"), format!("enhance.iterations={steps}")];
     sets.extend(args.settings.set.iter().cloned());
     // Settings and the places of all results are checked before anything is rendered: the pipeline of an empty folder of the capture's
     // name knows the same ones.

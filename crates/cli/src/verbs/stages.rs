@@ -347,7 +347,12 @@ pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
     let previews = args.out.with_extension("previews");
     check_folder(&previews, args.replace.force)?;
     let registry = stages()?;
-    let parameters = parameters(&registry, &["targets", "import"], &args.settings.set)?;
+    let mut sets = args.settings.set.clone();
+    // A calibrator is of photographs.
+    if args.calibrator.is_some() {
+        sets.insert(0, "proposer=auto".into());
+    }
+    let parameters = parameters(&registry, &["targets", "import"], &sets)?;
     if args.calibrator.is_none() && parameters[0]["proposer"] != "scene" {
         return Err(CliError::Input(
             "proposals for photographs need a calibrator: give --calibrator FILE (`use3d calibrate` makes one), or start from what stage 1 \

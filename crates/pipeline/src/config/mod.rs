@@ -19,6 +19,8 @@
 //! reconstruct = { medium = "mlp" }
 //! ```
 //!
+//! Targets start from what stage 1 knows (`targets.proposer = "scene"`) unless pairs or a calibrator are named: those are of photographs.
+//!
 //! Later ones win: a stage's defaults, the preset, `[defaults.<stage>]`, the scene's, the variant's, `--set`. Unknown and ill-typed keys
 //! are errors that point at line and column and name the nearest known key. Relative paths start at the file's folder. An
 //! environment variable that is not set only hurts the scenes that need it.
@@ -44,7 +46,7 @@ pub use document::ConfigError;
 use document::{Document, join, unknown_key};
 use file::{Calibrator, PipelineFile, SceneEntry, VariantEntry};
 pub use parameters::{Parameter, StageParameters, parameters};
-use places::{check_learning, check_pairs, expand, home, key_of, say_instead};
+use places::{check_learning, check_pairs, expand, home, key_of, propose_for_photographs, say_instead};
 pub use presets::presets;
 pub use schema::{schema, schema_text};
 pub use set::stage_parameters;
@@ -206,6 +208,7 @@ fn finish(
     }
     check_pairs(&batch)?;
     check_learning(&batch)?;
+    propose_for_photographs(&mut batch);
     if let Some(models) = &options.models {
         batch.name_external("models", Ok(models.clone()), "--models or USE3D_MODELS");
     } else if !batch.externals.contains_key("models") && Path::new("models").is_dir() {

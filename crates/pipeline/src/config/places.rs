@@ -2,10 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use serde_json::Value;
+use serde_json::{Map, Value};
 use use3d_build::Batch;
-use use3d_build::graph::External;
+use use3d_build::graph::{External, Overrides};
 
+use super::LEARNING;
 use super::document::ConfigError;
 
 /// The inputs from outside that hold for all scenes, with the key of the pipeline file that names each.
@@ -46,6 +47,52 @@ pub(super) fn say_instead(batch: &mut Batch, external: &str, place: External, by
         });
     }
     batch.name_external(external, place, by);
+}
+
+/// Whoever names pairs, a calibrator or how one is learnt means enhancement that is learnt from photographs: where nobody says what
+/// proposes for the targets, it is then a 2D enhancer, and not what stage 1 knows of the scene.
+pub(super) fn propose_for_photographs(batch: &mut Batch) {
+    let everywhere = ["pairs.input", "calibrator"].iter().any(|name| batch.externals.contains_key(*name))
+        || learns(&batch.defaults)
+        || learns(&batch.forced);
+    if says_proposer(&batch.preset) || says_proposer(&batch.defaults) {
+        return;
+    }
+    if everywhere {
+        say_proposer(&mut batch.defaults);
+    }
+    for scene in &mut batch.scenes {
+        if scene.externals.contains_key("calibrator") || learns(&scene.overrides) || learns(&scene.forced) {
+            say_proposer(&mut scene.overrides);
+        }
+    }
+    for variant in &mut batch.variants {
+        if variant.externals.contains_key("calibrator")
+            || learns(&variant.overrides)
+            || learns(&variant.forced)
+        {
+            say_proposer(&mut variant.overrides);
+        }
+    }
+}
+
+/// Whether parameters of the stages that learn a calibrator are given.
+fn learns(overrides: &Overrides) -> bool {
+    LEARNING
+        .iter()
+        .any(|stage| overrides.get(*stage).and_then(Value::as_object).is_some_and(|p| !p.is_empty()))
+}
+
+fn says_proposer(overrides: &Overrides) -> bool {
+    overrides.get("targets").is_some_and(|targets| targets.get("proposer").is_some())
+}
+
+/// `targets.proposer = "auto"` where nothing else is said.
+fn say_proposer(overrides: &mut Overrides) {
+    let targets = overrides.entry("targets").or_insert_with(|| Value::Object(Map::new()));
+    if let Some(targets) = targets.as_object_mut() {
+        targets.entry("proposer").or_insert_with(|| "auto".into());
+    }
 }
 
 /// Refuses settings of the command line about how a calibrator is learnt where a finished one is read everywhere.

@@ -14,7 +14,6 @@ use super::document::{ConfigError, Document};
 /// Names and files.
 const PRESETS: &[(&str, &str)] = &[
     ("paper", include_str!("presets/paper.toml")),
-    ("no-pairs", include_str!("presets/no-pairs.toml")),
     ("vanilla", include_str!("presets/vanilla.toml")),
     ("watersplatting", include_str!("presets/watersplatting.toml")),
     ("plenodium", include_str!("presets/plenodium.toml")),

@@ -161,10 +161,8 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         need.most,
         "lower `reconstruct.max_gaussians`, or `import.size` for smaller images",
     )?;
-    let (known, dry) = match params.medium_prior {
-        MediumPrior::Off => (Known::default(), false),
-        MediumPrior::Tracks => known_from_tracks(context)?,
-    };
+    let (known, dry) =
+        if params.asks_tracks() { known_from_tracks(context)? } else { (Known::default(), false) };
     if dry {
         (params.medium, params.medium_prior) = (Medium::None, MediumPrior::Off);
     }

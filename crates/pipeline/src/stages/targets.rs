@@ -22,8 +22,8 @@ use super::starts::Starts;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct Params {
-    /// What proposes. A 2D enhancer: `auto` is the one that the calibrator was fitted for, another one is refused. `scene`: stage 1's own
-    /// knowledge of the views, in clear radiance; it needs no calibrator.
+    /// What proposes. `scene`, unless pairs or a calibrator are named: stage 1's own knowledge of the views, in clear radiance; it needs no
+    /// calibrator. A 2D enhancer: `auto` is the one that the calibrator was fitted for, another one is refused.
     pub(super) proposer: ProposerChoice,
     /// The consensus.
     pub(super) consensus: TargetsParams,
@@ -33,7 +33,7 @@ pub(super) struct Params {
 
 impl Default for Params {
     fn default() -> Self {
-        Self { proposer: ProposerChoice::Auto, consensus: TargetsParams::default(), previews: 4 }
+        Self { proposer: ProposerChoice::Scene, consensus: TargetsParams::default(), previews: 4 }
     }
 }
 
