@@ -126,6 +126,9 @@ pub struct Water {
 ///
 /// Never fails: where the capture cannot tell, the verdicts say so and the values are those of no water. What
 /// is not finite is left out. The result does not depend on the observations' order.
+///
+/// Even cells that would make a veil surely brighter than white are no water but a sky or a lit wall: the
+/// estimate is then made without them.
 pub fn estimate(
     sights: &Sights,
     points: usize,
@@ -134,19 +137,12 @@ pub fn estimate(
     params: &WaterParams,
 ) -> Water {
     let data = Data::new(sights, points, positions, views, params);
-    let fits: Vec<(ChannelWater, Vec<f64>, Solved)> =
-        (0..3).into_par_iter().map(|c| data.channel(c, params)).collect();
-    let mut gains = vec![[1.0; 3]; views];
-    for (c, (_, gain, _)) in fits.iter().enumerate() {
-        for (view, g) in gain.iter().enumerate() {
-            gains[view][c] = *g;
-        }
+    let water = data.water(points, views, params);
+    let brighter_than_white = |c: &ChannelWater| c.veil.value - 2.0 * c.veil.error > 1.0;
+    if water.open > 0 && water.channels.iter().any(brighter_than_white) {
+        return Data { open: vec![], ..data }.water(points, views, params);
     }
-    let radiances = data.radiances(&fits, points);
-    let channels: [ChannelWater; 3] = std::array::from_fn(|c| fits[c].0.clone());
-    let grey = crate::verdict::grey(&channels);
-    let open = data.open.len();
-    Water { channels, gains, radiances, points: data.telling, open, distances: data.percentiles, grey }
+    water
 }
 
 /// What all channels share.
@@ -173,6 +169,23 @@ struct Solved {
 }
 
 impl Data {
+    /// The fit of all channels.
+    fn water(&self, points: usize, views: usize, params: &WaterParams) -> Water {
+        let fits: Vec<(ChannelWater, Vec<f64>, Solved)> =
+            (0..3).into_par_iter().map(|c| self.channel(c, params)).collect();
+        let mut gains = vec![[1.0; 3]; views];
+        for (c, (_, gain, _)) in fits.iter().enumerate() {
+            for (view, g) in gain.iter().enumerate() {
+                gains[view][c] = *g;
+            }
+        }
+        let radiances = self.radiances(&fits, points);
+        let channels: [ChannelWater; 3] = std::array::from_fn(|c| fits[c].0.clone());
+        let grey = crate::verdict::grey(&channels);
+        let open = self.open.len();
+        Water { channels, gains, radiances, points: self.telling, open, distances: self.percentiles, grey }
+    }
+
     fn new(sights: &Sights, points: usize, positions: &[DVec3], views: usize, params: &WaterParams) -> Self {
         let finite = |o: &&Observation| {
             o.point < points.min(positions.len())

@@ -290,3 +290,24 @@ fn observations_that_make_no_sense_are_left_out() {
     ]);
     assert_eq!(solve(&bad, &WaterParams::default()).channels, reference.channels);
 }
+
+/// The sky over a castle is even and far behind everything, and no water.
+#[test]
+fn what_is_brighter_than_white_is_no_open_water() {
+    let sky = Truth {
+        attenuation: [0.15; 3],
+        backscatter: [0.04; 3],
+        veil: [1.3, 1.4, 1.5],
+        slope: DVec3::ZERO,
+        noise: 0.004,
+        ..SEA
+    };
+    let made = make(&sky);
+    let with = |open: Vec<OpenWater>| {
+        let sights = Sights { points: made.observations.clone(), open };
+        estimate(&sights, made.positions.len(), &made.positions, VIEWS, &WaterParams::default())
+    };
+    let told = with(open_water(&sky));
+    assert_eq!(told.open, 0);
+    assert_eq!(told, with(vec![]));
+}

@@ -21,8 +21,8 @@
 //!   warmth varies more from scene to scene than tint. Water found by the method's own formation leaves no
 //!   cast; daylight that faded with depth, and a camera that balances by itself, do. The error of `m` has two
 //!   parts: how views differ about it, and how few kinds of surface there are. With `n = 1 / P(two pixels of
-//!   the scene look alike)` kinds, a scene of fewer than three (a tiled pool, a hull) has a mean colour that
-//!   is its paint's as well as its light's, and adds `σ_s² (1/n − 1/3)`.
+//!   the scene look alike)` kinds, a scene of fewer than two (a tiled pool, a hull) has a mean colour that
+//!   is its paint's as well as its light's, and adds `σ_s² (1/n − 1/2)`.
 //! * *Far surfaces.* `J = (I − veil)/t` multiplies noise and what is wrong about the water by `1/t`. Where
 //!   `t` is below about `t_0`, colour `C = J/Y` (Y: luminance) gives way to `C̄`, that of the sure
 //!   neighbourhood: `Σ w² J / Σ w² Y` blurred over a sixteenth of the image.
@@ -63,9 +63,9 @@ const SPREAD: [f64; 2] = [0.17, 0.10];
 const LARGEST_BALANCE: f64 = 1.5;
 /// How far the log-colour of one kind of surface, any paint, lies from the mean of all: per scene, root mean
 /// square.
-const PAINT: f64 = 0.8;
+const PAINT: f64 = 1.3;
 /// Kinds of surface from which on their mean is the usual one.
-const KINDS: f64 = 3.0;
+const KINDS: f64 = 2.0;
 /// Two pixels whose centred log-colours are nearer than this look alike.
 const ALIKE: f64 = 0.1;
 /// Pixels that are compared with each other, at most.

@@ -36,7 +36,8 @@ pub(crate) struct BenchTruthArgs {
     /// Where captures, table and pictures go.
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// Only these captures: display-I, display-II, display-III, display-1C, display-5C, spectral, lamps, air.
+    /// Only these captures: display-I, display-II, display-III, display-1C, display-5C, pool, spectral,
+    /// lamps, air.
     #[arg(long, value_delimiter = ',', value_name = "NAME,...")]
     pub(crate) captures: Vec<String>,
     /// The seeds, of captures and trainings alike.
