@@ -128,9 +128,9 @@ fn a_scene_proposes_for_itself_in_clear_radiance() {
     assert_eq!(read("out/reef/enhanced-scene/scene.json")["enhancement"]["appearance"], "clear");
 
     let hand = ["targets", "out/reef/scene", "reef", "--out", "t.safetensors"];
-    let (_, err) = expect(0, at, &[&hand[..], &["--set", "proposer=scene"]].concat());
+    let (_, err) = expect(0, at, &hand);
     assert!(err.contains("proposer: scene, in clear radiance, not calibrated: "), "{err}");
-    let (_, err) = expect(2, at, &[&hand[..], &["--force"]].concat());
+    let (_, err) = expect(2, at, &[&hand[..], &["--force", "--set", "proposer=auto"]].concat());
     assert!(err.contains("--set proposer=scene"), "{err}");
     let (_, err) = expect(
         2,
@@ -168,6 +168,8 @@ fn a_calibrator_of_our_own_serves_a_pipeline_and_a_scene_of_it() {
         ["pairs", "calibrate"].map(|stage| plan.contains(&format!("\"stage\": \"{stage}\"")))
     };
     pipeline("", "calibrator = { file = \"own.safetensors\" }");
+    assert_eq!(stages(), [false; 2], "the other scene starts from what stage 1 knows");
+    pipeline("[defaults.targets]\nproposer = \"auto\"", "calibrator = { file = \"own.safetensors\" }");
     assert_eq!(stages(), [true; 2], "the other scene needs pairs");
     pipeline("[calibrator]\nfile = \"own.safetensors\"", "");
     assert_eq!(stages(), [false; 2]);

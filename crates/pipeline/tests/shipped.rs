@@ -62,17 +62,18 @@ fn a_scene_that_proposes_for_itself_needs_neither_pairs_nor_a_calibrator() {
         Graph::new(&registry, &pipeline.batch).expect("a graph")
     };
     let stages = |graph: &Graph| -> Vec<&str> { graph.nodes.iter().map(|n| n.stage_name).collect() };
-    let usual = stages(&graph(&[]));
-    assert!(usual.contains(&"pairs") && usual.contains(&"calibrate"), "{usual:?}");
-    for word in ["targets.proposer=scene", "calibrator.proposer=scene"] {
-        let own = stages(&graph(&[word]));
+    let photographs = stages(&graph(&["targets.proposer=auto"]));
+    assert!(photographs.contains(&"pairs") && photographs.contains(&"calibrate"), "{photographs:?}");
+    for word in [None, Some("targets.proposer=scene"), Some("calibrator.proposer=scene")] {
+        let own = stages(&graph(word.as_slice()));
+        let word = word.unwrap_or("nothing said");
         assert!(!own.contains(&"pairs") && !own.contains(&"calibrate"), "{word}: {own:?}");
         assert!(own.contains(&"targets") && own.contains(&"enhance"), "{word}: {own:?}");
     }
 
     // One scene of two: the other's calibrator is none of its business.
     let file = dir.path().join("p.toml");
-    let text = "name = \"p\"\n[[scene]]\nname = \"own\"\ncapture = \"reef\"\n[scene.targets]\nproposer = \"scene\"\n\
+    let text = "name = \"p\"\n[defaults.targets]\nproposer = \"auto\"\n[[scene]]\nname = \"own\"\ncapture = \"reef\"\n[scene.targets]\nproposer = \"scene\"\n\
                 [[scene]]\nname = \"other\"\ncapture = \"reef\"\n";
     std::fs::write(&file, text).expect("written");
     let needs = |scene: &str| {

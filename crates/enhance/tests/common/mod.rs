@@ -11,7 +11,7 @@ use use3d_atc::consensus::{LocalConsensus, Targets};
 use use3d_atc::extractor::{ExtractorSettings, Source, Workspace};
 use use3d_atc::proposers::ProposerId;
 use use3d_capture::{Appearance, Image};
-use use3d_enhance::{EnhanceParams, EnhanceView, LabelSource};
+use use3d_enhance::{EnhanceParams, EnhanceView, LabelSource, Start};
 use use3d_render::Look;
 use use3d_scene::Scene;
 use use3d_ubaf::ObjectPass;
@@ -64,7 +64,14 @@ pub(crate) fn targets(scene: &Scene, taught: &Scene, views: &[EnhanceView]) -> T
 
 /// Quick settings.
 pub(crate) fn quick(iterations: u64) -> EnhanceParams {
-    EnhanceParams { iterations, learning_rate: 5e-3, log_every: 10, ..EnhanceParams::default() }
+    // From the identity, so that a test sees what was learnt.
+    EnhanceParams {
+        iterations,
+        start: Start::Identity,
+        learning_rate: 5e-3,
+        log_every: 10,
+        ..EnhanceParams::default()
+    }
 }
 
 /// The teacher's renders as pseudo-labels.
