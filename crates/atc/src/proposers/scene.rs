@@ -11,6 +11,7 @@
 //! d    = m − μ,   D² = (d_∥/σ_∥)² + (d_⊥/σ_⊥)²,   σ² = σ_0² + (error of m)²
 //! ln g = −max(0, 1 − 1/D²) d,   scaled so that |ln g_c| ≤ ln 1.5                white balance
 //! J̃    = Y (s C + (1 − s) C̄),   s = t²/(t² + t_0²),   t = min_c t_c             colour of far surfaces
+//! ln C ← k ln C + (1 − k) m,   k = σ_C²/(σ_C² + ρ² Σ_c (τ_c − τ̄)²),   τ_c = −ln t_c
 //! J⁺   = b (Y⁺/Y_95)^{p−1} g ⊙ J̃                                                brightness, contrast
 //! ```
 //!
@@ -26,6 +27,9 @@
 //! * *Far surfaces.* `J = (I − veil)/t` multiplies noise and what is wrong about the water by `1/t`. Where
 //!   `t` is below about `t_0`, colour `C = J/Y` (Y: luminance) gives way to `C̄`, that of the sure
 //!   neighbourhood: `Σ w² J / Σ w² Y` blurred over a sixteenth of the image.
+//!   What is wrong about an attenuation grows with the distance: a share ρ of it, and colours are off by ρ
+//!   times the differences of the optical depths `τ`. Log-colours (centred) are therefore drawn to the
+//!   scene's mean `m` as far as that error outweighs their own spread `σ_C`; luminance stays.
 //! * *Brightness.* The bright end of what is sure (99th percentile of the largest channel) is brought to at
 //!   least 0.85 and at most 0.97, by a gain `b` in [1/1.2, 1.5] that clips at most 0.3 % of the surface.
 //!   `Y_95` is the 95th percentile of luminance after the balance.
@@ -52,7 +56,7 @@ use crate::extractor::global::LUMINANCE;
 /// The proposer's name.
 pub const NAME: &str = "scene";
 /// The version of the formula; raised when a constant or a step changes.
-const VERSION: &str = "2";
+const VERSION: &str = "3";
 
 /// Mean log-colour of surfaces under white light: between that of everyday photographs and that of sand.
 const WARMTH: [f64; 3] = [0.10, 0.03, -0.13];
@@ -74,6 +78,12 @@ const COMPARED: usize = 1024;
 const VIEWS_ALIKE: f64 = 4.0;
 /// Transmittance at which half the colour is the neighbourhood's.
 const HALF_TRUST: f32 = 0.05;
+/// Share by which an attenuation may be wrong.
+const WRONG: f64 = 0.15;
+/// Spread of surfaces' centred log-colours about the scene's mean.
+const COLOURS: f64 = 0.3;
+/// Least transmittance and least radiance that are told from none.
+const LEAST: f64 = 1e-3;
 /// Where the bright end of the scene may lie, display range.
 const BRIGHT_END: [f64; 2] = [0.85, 0.97];
 /// Bounds of the brightness.
@@ -394,8 +404,11 @@ impl SceneProposer {
     /// The enhanced clear radiance of a view, of its size; display range, not clamped.
     pub fn propose(&self, view: &SceneView) -> Result<Image, AtcError> {
         view.check()?;
-        let SceneFindings { balance, brightness, contrast, pivot, .. } = self.findings;
+        let SceneFindings { mean_colour, balance, brightness, contrast, pivot, .. } = self.findings;
         let mut out = calmed(view);
+        if self.findings != SceneFindings::NONE {
+            draw_to_mean(&mut out, view, mean_colour);
+        }
         for p in 0..out.pixels() {
             let x: [f64; 3] = std::array::from_fn(|c| balance[c] * f64::from(out.plane(c)[p]));
             let curve = curve(x, pivot, contrast);
@@ -438,6 +451,32 @@ fn calmed(view: &SceneView) -> Image {
         }
     }
     out
+}
+
+/// Draws colours to the scene's mean log-colour as far as a wrong attenuation may have made them.
+fn draw_to_mean(image: &mut Image, view: &SceneView, mean: [f64; 3]) {
+    for p in 0..image.pixels() {
+        let accumulation = f64::from(view.accumulation.data()[p]);
+        if accumulation <= LEAST {
+            continue;
+        }
+        let depths: [f64; 3] = std::array::from_fn(|c| {
+            -math::ln((f64::from(view.arriving.plane(c)[p]) / accumulation).clamp(LEAST, 1.0))
+        });
+        let apart = centred(depths);
+        let wrong = WRONG * WRONG * dot(apart, apart);
+        let x: [f64; 3] = std::array::from_fn(|c| f64::from(image.plane(c)[p]));
+        if wrong <= 0.0 || luminance(x) <= LEAST {
+            continue;
+        }
+        let own = COLOURS * COLOURS / (COLOURS * COLOURS + wrong);
+        let colour = centred(x.map(|v| math::ln(v.max(LEAST))));
+        let drawn: [f64; 3] = std::array::from_fn(|c| math::exp(own * colour[c] + (1.0 - own) * mean[c]));
+        let scale = luminance(x) / luminance(drawn);
+        for (c, v) in drawn.into_iter().enumerate() {
+            image.plane_mut(c)[p] = (scale * v) as f32;
+        }
+    }
 }
 
 /// Blurred over about a sixteenth of the long side: reduced until about twenty pixels are left of it, and

@@ -191,6 +191,43 @@ fn far_noisy_pixels_do_not_steer_the_balance() {
     assert!(survey(&noisy).findings().balance[0] > one.balance[0] + 0.05);
 }
 
+/// The colour that a wrong attenuation of red makes far away gives way to the scene's mean; near colours, and those behind a
+/// grey haze, which errs in no colour, stay. Luminance always does.
+#[test]
+fn colours_that_a_wrong_attenuation_may_have_made_are_drawn_to_the_mean() {
+    let mean = [0.05, 0.03, -0.08];
+    let pixel = |colour: [f32; 3], t: [f32; 3]| {
+        let view = SceneView {
+            clear: Image::from_planes(1, 1, colour.to_vec()).unwrap(),
+            accumulation: Map::filled(1, 1, 0.8),
+            arriving: Image::from_planes(1, 1, t.map(|t| 0.8 * t).to_vec()).unwrap(),
+        };
+        let mut image = view.clear.clone();
+        draw_to_mean(&mut image, &view, mean);
+        image.pixel(0, 0)
+    };
+    let log = |c: [f32; 3]| centred(c.map(|v| math::ln(f64::from(v))));
+    let pink = [0.9, 0.5, 0.45];
+    let away = |c: [f32; 3]| {
+        let apart: [f64; 3] = std::array::from_fn(|k| log(c)[k] - mean[k]);
+        dot(apart, apart).sqrt()
+    };
+    let mut before = away(pink);
+    for red in [0.8, 0.5, 0.2, 0.05] {
+        let drawn = pixel(pink, [red, 0.9, 0.9]);
+        assert!((luminance(drawn.map(f64::from)) - luminance(pink.map(f64::from))).abs() < 1e-6);
+        assert!(away(drawn) < before, "{red}: {drawn:?}");
+        before = away(drawn);
+    }
+    assert!(before < 0.45 * away(pink), "{before}");
+    for grey in [1.0, 0.3] {
+        assert!((0..3).all(|c| (pixel(pink, [grey; 3])[c] - pink[c]).abs() < 1e-5));
+    }
+    let near = pixel(pink, [0.85, 0.95, 0.97]);
+    assert!(away(near) > 0.98 * away(pink), "{near:?}");
+    assert_eq!(pixel([0.0; 3], [0.1, 0.9, 0.9]), [0.0; 3]);
+}
+
 #[test]
 fn the_colour_of_far_surfaces_is_drawn_to_what_is_sure_beside_them() {
     let colour = [0.5f32, 0.4, 0.3];
