@@ -276,8 +276,16 @@ fn whoever_names_pairs_or_a_calibrator_has_photographs_enhanced() {
     let b = "[[scene]]\nname = \"b\"\ncapture = \"b\"\ncalibrator = { file = \"c\" }";
     assert_eq!((proposer(b, &[], "a", ""), proposer(b, &[], "b", "")), (scene.clone(), photographs.clone()));
     let v = "[[variant]]\nname = \"v\"\n[[variant]]\nname = \"w\"\ncalibrator = { file = \"c\" }";
-    assert_eq!((proposer(v, &[], "a", "v"), proposer(v, &[], "a", "w")), (scene.clone(), photographs));
-    // What is said of the proposer itself counts first.
+    assert_eq!(
+        (proposer(v, &[], "a", "v"), proposer(v, &[], "a", "w")),
+        (scene.clone(), photographs.clone())
+    );
+    // A variant's own preset takes the place of the pipeline's, not of the pairs.
+    let w = format!("preset = \"paper\"\n{pairs}\n[[variant]]\nname = \"w\"\npreset = \"vanilla\"");
+    assert_eq!(proposer(&w, &[], "a", "w"), photographs);
+    // What is said of the proposer itself counts first, of a scene also where a variant has a calibrator.
+    let own = "[[scene]]\nname = \"b\"\ncapture = \"b\"\ntargets = { proposer = \"scene\" }";
+    assert_eq!(proposer(&format!("{own}\n{v}"), &[], "b", "w"), scene);
     assert_eq!(proposer(&format!("{pairs}\n[defaults.targets]\nproposer = \"scene\""), &[], "a", ""), scene);
 }
 

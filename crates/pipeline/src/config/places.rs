@@ -51,27 +51,32 @@ pub(super) fn say_instead(batch: &mut Batch, external: &str, place: External, by
 
 /// Whoever names pairs, a calibrator or how one is learnt means enhancement that is learnt from photographs: where nobody says what
 /// proposes for the targets, it is then a 2D enhancer, and not what stage 1 knows of the scene.
+///
+/// Said in the weakest layer there is, so that whatever a file or a command says of the proposer counts first.
 pub(super) fn propose_for_photographs(batch: &mut Batch) {
+    if says_proposer(&batch.defaults) {
+        return;
+    }
     let everywhere = ["pairs.input", "calibrator"].iter().any(|name| batch.externals.contains_key(*name))
         || learns(&batch.defaults)
         || learns(&batch.forced);
-    if says_proposer(&batch.preset) || says_proposer(&batch.defaults) {
-        return;
-    }
+    let preset = batch.preset.clone();
     if everywhere {
-        say_proposer(&mut batch.defaults);
+        say_proposer(&mut batch.preset);
     }
     for scene in &mut batch.scenes {
-        if scene.externals.contains_key("calibrator") || learns(&scene.overrides) || learns(&scene.forced) {
+        let own =
+            scene.externals.contains_key("calibrator") || learns(&scene.overrides) || learns(&scene.forced);
+        if own && !says_proposer(&preset) {
             say_proposer(&mut scene.overrides);
         }
     }
     for variant in &mut batch.variants {
-        if variant.externals.contains_key("calibrator")
+        let own = variant.externals.contains_key("calibrator")
             || learns(&variant.overrides)
-            || learns(&variant.forced)
-        {
-            say_proposer(&mut variant.overrides);
+            || learns(&variant.forced);
+        if everywhere || own {
+            say_proposer(variant.preset.get_or_insert_with(|| preset.clone()));
         }
     }
 }
