@@ -8,9 +8,8 @@ use std::time::{Duration, Instant, SystemTime};
 
 use use3d_capture::Frame;
 use use3d_import::{ImportParams, Imported, import, load_prepared};
-use use3d_pipeline::scene_page;
 use use3d_reconstruct::scene_in_checkpoint;
-use use3d_scene::{Origin, Scene};
+use use3d_scene::Scene;
 use use3d_viewer::{Live, Shown};
 use use3d_web::PageView;
 
@@ -88,7 +87,7 @@ pub(super) fn run(app: &App, args: &ViewArgs, target: &Path, live: &Arc<Live>) -
         let known =
             places.as_ref().is_some_and(|(of, frame, _)| *of == newest.import && *frame == scene.frame);
         if !known {
-            let views = capture.map_or_else(|| Ok(Vec::new()), |capture| views(&scene, capture));
+            let views = capture.map_or_else(|| Ok(Vec::new()), |capture| super::places(&scene, capture));
             places = Some((newest.import.clone(), scene.frame, Arc::new(views.map_err(CliError::input)?)));
         }
         let Some((_, _, views)) = &places else { continue };
@@ -192,11 +191,4 @@ fn read(file: &Path, capture: Option<&Imported>) -> Result<Option<(Option<u64>, 
     let frame = capture.map_or(Frame::IDENTITY, |imported| imported.capture.frame);
     let found = scene_in_checkpoint(file, frame).map_err(|e| e.to_string())?;
     Ok(found.map(|(step, scene)| (Some(step), scene)))
-}
-
-fn views(scene: &Scene, imported: &Imported) -> Result<Vec<PageView>, scene_page::ScenePageError> {
-    let origin = Origin::of(&imported.capture);
-    let mut views = scene_page::views(scene, Some(&origin), imported)?;
-    views.sort_by_key(|view| !view.held_out);
-    Ok(views)
 }

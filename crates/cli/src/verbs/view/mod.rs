@@ -13,8 +13,8 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use use3d_import::{ImportParams, import};
-use use3d_pipeline::scene_page;
+use use3d_import::{ImportParams, Imported, import};
+use use3d_pipeline::scene_page::{self, ScenePageError};
 use use3d_scene::{Origin, Scene};
 use use3d_viewer::{Live, Server, Shown};
 use use3d_web::PageView;
@@ -81,6 +81,14 @@ fn shown(target: &Path, args: &ViewArgs) -> Result<Shown, CliError> {
         scene_page::views(&scene, Some(&origin), &imported).map_err(CliError::input)?;
     let name = imported.capture.name;
     Ok(Shown { name, scene: Arc::new(scene), views: Arc::new(views), metres_per_unit, step: None })
+}
+
+/// The places of an imported capture, held-out ones first: those are what one looks at to see how good a scene is.
+fn places(scene: &Scene, imported: &Imported) -> Result<Vec<PageView>, ScenePageError> {
+    let origin = Origin::of(&imported.capture);
+    let mut views = scene_page::views(scene, Some(&origin), imported)?;
+    views.sort_by_key(|view| !view.held_out);
+    Ok(views)
 }
 
 /// Where the address is printed: it is what `use3d view` gives, and a remark beside what a training gives.

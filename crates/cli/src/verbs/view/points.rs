@@ -2,13 +2,12 @@
 
 use use3d_capture::Capture;
 use use3d_medium::MediumModel;
+use use3d_numerics::spherical_harmonics::C0;
 use use3d_scene::Scene;
 use use3d_splat::Gaussians;
 
 /// A point's size over the middle distance of the points from their middle.
 const SIZE: f64 = 0.004;
-/// The harmonic of degree 0.
-const Y0: f32 = 0.282_094_8;
 /// Nearly opaque.
 const OPACITY_LOGIT: f32 = 4.0;
 
@@ -26,7 +25,7 @@ pub(super) fn scene(capture: &Capture) -> Result<Scene, String> {
     let mut far: Vec<f64> = places.iter().map(|p| (*p - middle).length()).collect();
     far.sort_unstable_by(f64::total_cmp);
     let size = (SIZE * far[count / 2]).max(1e-6);
-    let color = |rgb: [u8; 3]| rgb.map(|v| (f32::from(v) / 255.0 - 0.5) / Y0);
+    let color = |rgb: [u8; 3]| rgb.map(|v| (f32::from(v) / 255.0 - 0.5) / C0);
     let gaussians = Gaussians {
         sh_degree: 0,
         means: places.iter().map(|p| p.as_vec3().to_array()).collect(),

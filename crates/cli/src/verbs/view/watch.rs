@@ -6,12 +6,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use use3d_build::{Event, Listener};
 use use3d_import::load_prepared;
-use use3d_pipeline::scene_page;
-use use3d_scene::{Origin, Scene};
+use use3d_scene::Scene;
 use use3d_viewer::{Live, Server, Shown};
 use use3d_web::PageView;
 
-use super::{Told, serve};
+use super::{Told, places, serve};
 use crate::App;
 use crate::args::WatchArgs;
 use crate::error::CliError;
@@ -124,7 +123,7 @@ impl Watcher {
         drop(known);
         let this = self.clone();
         let reading = std::thread::Builder::new().name("viewer photographs".into()).spawn(move || {
-            let views = import.as_deref().map_or_else(|| Ok(Vec::new()), |import| places(import, &scene));
+            let views = import.as_deref().map_or_else(|| Ok(Vec::new()), |import| places_of(import, &scene));
             let views = views.unwrap_or_else(|error| {
                 tracing::warn!("the viewer shows no photographs: {error}");
                 Vec::new()
@@ -151,11 +150,8 @@ impl Watcher {
     }
 }
 
-/// The places of an imported capture, held-out ones first: those are what one looks at to see how good a scene is.
-fn places(import: &Path, scene: &Scene) -> Result<Vec<PageView>, String> {
+/// The places of the import in a folder.
+fn places_of(import: &Path, scene: &Scene) -> Result<Vec<PageView>, String> {
     let imported = load_prepared(import).map_err(|e| e.to_string())?;
-    let origin = Origin::of(&imported.capture);
-    let mut views = scene_page::views(scene, Some(&origin), &imported).map_err(|e| e.to_string())?;
-    views.sort_by_key(|view| !view.held_out);
-    Ok(views)
+    places(scene, &imported).map_err(|e| e.to_string())
 }
