@@ -1,0 +1,105 @@
+//! Interrupted runs, longer ones and several at once come to the same bytes.
+
+use super::*;
+
+#[test]
+fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
+    let (capture, loaded) = tiny_capture(7);
+    let params = ReconstructParams { checkpoint_steps: 8, schedule: 60, ..tiny_params(60) };
+    let on = |threads: usize, dir: Option<&std::path::Path>, observer: &mut Watcher| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let work = || reconstruct(&capture, &loader(&loaded), &params, dir, observer);
+        pool.install(work)
+    };
+    let whole = on(1, None, &mut Watcher::default()).unwrap();
+    assert!(same(&whole, &on(3, None, &mut Watcher::default()).unwrap()), "threads change the scene");
+
+    let dir = tempfile::tempdir().unwrap();
+    // Asked to stop: the state of that very step is kept.
+    let stopped = on(2, Some(dir.path()), &mut Watcher { stop_at: Some(27), ..Watcher::default() });
+    assert!(matches!(stopped, Err(ReconstructError::Interrupted { step: 27, steps: 60, saved: true })));
+    // Killed without a word: the last checkpoint is taken up.
+    let killed = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+        on(1, Some(dir.path()), &mut Watcher { panic_at: Some(46), ..Watcher::default() })
+    }));
+    assert!(killed.is_err());
+    let mut watcher = Watcher::default();
+    let resumed = on(2, Some(dir.path()), &mut watcher).unwrap();
+    assert!(watcher.notices.iter().any(|n| n.contains("going on from step 43")), "{:?}", watcher.notices);
+    assert!(same(&whole, &resumed), "interruptions change the scene");
+    // A finished run is not run again.
+    assert!(same(
+        &whole,
+        &on(1, Some(dir.path()), &mut Watcher { panic_at: Some(1), ..Watcher::default() }).unwrap()
+    ));
+
+    // Twenty steps more cost twenty steps, and end where an uninterrupted longer run ends.
+    let longer = ReconstructParams { iterations: 80, ..params.clone() };
+    let run_longer = |dir: Option<&std::path::Path>, observer: &mut Watcher| {
+        reconstruct(&capture, &loader(&loaded), &longer, dir, observer).unwrap()
+    };
+    let mut watcher = Watcher::default();
+    let extended = run_longer(Some(dir.path()), &mut watcher);
+    assert!(watcher.notices.iter().any(|n| n.contains("going on from step 60")), "{:?}", watcher.notices);
+    assert!(same(&run_longer(None, &mut Watcher::default()), &extended), "extending changes the scene");
+
+    // A checkpoint of other parameters, and a damaged one, are left alone aloud.
+    let other = ReconstructParams { seed: 7, iterations: 90, ..params.clone() };
+    let mut watcher = Watcher::default();
+    reconstruct(&capture, &loader(&loaded), &other, Some(dir.path()), &mut watcher).unwrap();
+    assert!(watcher.notices.iter().any(|n| n.contains("other parameters")), "{:?}", watcher.notices);
+    let files = |dir: &std::path::Path| -> Vec<_> {
+        std::fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().path()).collect()
+    };
+    assert_eq!(files(dir.path()).len(), 3, "one of each run");
+    for file in files(dir.path()) {
+        std::fs::write(file, b"3d-use state v01 nonsense").unwrap();
+    }
+    let mut watcher = Watcher::default();
+    reconstruct(&capture, &loader(&loaded), &other, Some(dir.path()), &mut watcher).unwrap();
+    assert!(watcher.notices.iter().any(|n| n.contains("starting anew")), "{:?}", watcher.notices);
+}
+
+#[test]
+fn going_on_from_the_end_of_a_shorter_run_leaves_no_trace_of_that_end() {
+    let (capture, loaded) = tiny_capture(6);
+    // The shorter run ends between two lines of the log, and on a step that a longer one is measured at.
+    let params = |iterations| ReconstructParams {
+        iterations,
+        schedule: 18,
+        log_every: 10,
+        evaluate_every: 9,
+        ..tiny_params(18)
+    };
+    let run = |iterations, dir: Option<&std::path::Path>| {
+        reconstruct(&capture, &loader(&loaded), &params(iterations), dir, &mut Watcher::default()).unwrap()
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let short = run(27, Some(dir.path()));
+    let long = run(36, Some(dir.path()));
+    assert!(same(&long, &run(36, None)), "{}", long.log_lines());
+    assert!(same(&short, &run(27, Some(dir.path()))), "the longer run took nothing from it");
+}
+
+#[test]
+fn runs_of_two_lengths_at_once_share_a_folder() {
+    let (capture, loaded) = tiny_capture(5);
+    let params = |iterations| ReconstructParams { iterations, checkpoint_steps: 1, ..tiny_params(12) };
+    let dir = tempfile::tempdir().unwrap();
+    let run = |iterations, dir: Option<&std::path::Path>| {
+        reconstruct(&capture, &loader(&loaded), &params(iterations), dir, &mut Watcher::default()).unwrap()
+    };
+    std::thread::scope(|scope| {
+        let runs: Vec<_> = [12, 13, 12]
+            .map(|iterations| {
+                let (run, dir) = (&run, dir.path());
+                scope.spawn(move || (iterations, run(iterations, Some(dir))))
+            })
+            .into_iter()
+            .collect();
+        for one in runs {
+            let (iterations, outcome) = one.join().unwrap();
+            assert!(same(&outcome, &run(iterations, None)), "{iterations}");
+        }
+    });
+}
