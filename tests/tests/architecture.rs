@@ -31,6 +31,23 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("web", &["capture", "numerics", "splat", "medium", "ubaf", "scene"]),
     ("viewer", &["capture", "scene", "render", "web"]),
     ("enhance", &["capture", "numerics", "splat", "medium", "ubaf", "atc", "training", "scene"]),
+    (
+        "gpu",
+        &[
+            "capture",
+            "numerics",
+            "splat",
+            "medium",
+            "metrics",
+            "ubaf",
+            "atc",
+            "training",
+            "scene",
+            "render",
+            "reconstruct",
+            "enhance",
+        ],
+    ),
 ];
 
 /// Crates that may use these heavy or delicate third-party crates.
@@ -38,6 +55,7 @@ const RESERVED: &[(&str, &[&str])] = &[
     ("libm", &["numerics"]),
     ("pytorch-reader", &["nets"]),
     ("bincode", &["training"]),
+    ("wgpu", &["gpu"]),
     ("clap", &["use3d"]),
     ("indicatif", &["use3d"]),
 ];

@@ -1,0 +1,160 @@
+//! Typed buffers on the device, which grow and say what they would need.
+
+use std::marker::PhantomData;
+
+use bytemuck::Pod;
+use use3d_training::EngineError;
+
+use crate::device::{Gpu, NAME};
+
+/// An array of `T` that kernels read and write. Growing loses what it held.
+#[derive(Debug)]
+pub(crate) struct Array<T> {
+    what: &'static str,
+    buffer: wgpu::Buffer,
+    capacity: usize,
+    item: PhantomData<T>,
+}
+
+fn create(gpu: &Gpu, what: &'static str, bytes: u64, uniform: bool) -> Result<wgpu::Buffer, EngineError> {
+    gpu.fits(what, bytes)?;
+    let kind = if uniform { wgpu::BufferUsages::UNIFORM } else { wgpu::BufferUsages::STORAGE };
+    let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some(what),
+        size: bytes,
+        usage: kind | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    });
+    gpu.check().map_err(|error| match error {
+        EngineError::OutOfMemory { .. } => {
+            EngineError::OutOfMemory { engine: NAME, what: format!("{bytes} bytes for {what}") }
+        }
+        other => other,
+    })?;
+    Ok(buffer)
+}
+
+impl<T: Pod> Array<T> {
+    /// Room for so many items, zero.
+    pub(crate) fn new(gpu: &Gpu, what: &'static str, capacity: usize) -> Result<Self, EngineError> {
+        let capacity = capacity.max(1);
+        let buffer = create(gpu, what, Self::bytes(capacity), false)?;
+        Ok(Self { what, buffer, capacity, item: PhantomData })
+    }
+
+    /// One that kernels read as a uniform.
+    pub(crate) fn uniform(gpu: &Gpu, what: &'static str) -> Result<Self, EngineError> {
+        let buffer = create(gpu, what, Self::bytes(1), true)?;
+        Ok(Self { what, buffer, capacity: 1, item: PhantomData })
+    }
+
+    /// With these items.
+    pub(crate) fn from(gpu: &Gpu, what: &'static str, items: &[T]) -> Result<Self, EngineError> {
+        let array = Self::new(gpu, what, items.len())?;
+        array.write(gpu, 0, items);
+        Ok(array)
+    }
+
+    /// Bytes of so many items, padded to what the device copies at once.
+    fn bytes(items: usize) -> u64 {
+        (items * size_of::<T>()).next_multiple_of(16) as u64
+    }
+
+    /// Items there is room for.
+    pub(crate) fn capacity(&self) -> usize {
+        self.capacity
+    }
+
+    /// Bytes on the device.
+    pub(crate) fn size(&self) -> usize {
+        self.buffer.size() as usize
+    }
+
+    /// What kernels bind.
+    pub(crate) fn raw(&self) -> &wgpu::Buffer {
+        &self.buffer
+    }
+
+    /// Makes room; whether the items are gone. The old buffer is let go first, so that both need not fit.
+    pub(crate) fn grow(&mut self, gpu: &Gpu, items: usize) -> Result<bool, EngineError> {
+        if items <= self.capacity {
+            return Ok(false);
+        }
+        gpu.fits(self.what, Self::bytes(items))?;
+        gpu.forget_bindings();
+        self.buffer.destroy();
+        self.buffer = create(gpu, self.what, Self::bytes(items), false)?;
+        self.capacity = items;
+        Ok(true)
+    }
+
+    /// Puts items at `first`; what lies past the capacity is left out.
+    pub(crate) fn write(&self, gpu: &Gpu, first: usize, items: &[T]) {
+        let items = &items[..items.len().min(self.capacity.saturating_sub(first))];
+        if items.is_empty() {
+            return;
+        }
+        let bytes: &[u8] = bytemuck::cast_slice(items);
+        let offset = (first * size_of::<T>()) as u64;
+        gpu.queue.write_buffer(&self.buffer, offset, bytes);
+    }
+
+    /// The first items, waited for.
+    pub(crate) fn read(&self, gpu: &Gpu, items: usize) -> Result<Vec<T>, EngineError> {
+        let items = items.min(self.capacity);
+        if items == 0 {
+            return Ok(Vec::new());
+        }
+        let bytes = Self::bytes(items);
+        let staging = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("read-back"),
+            size: bytes,
+            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let mut encoder = gpu.device.create_command_encoder(&Default::default());
+        encoder.copy_buffer_to_buffer(&self.buffer, 0, &staging, 0, bytes);
+        gpu.queue.submit([encoder.finish()]);
+        let slice = staging.slice(..);
+        // The result is found out by reading below.
+        slice.map_async(wgpu::MapMode::Read, |_| ());
+        gpu.wait()?;
+        let view = slice.get_mapped_range().map_err(|e| EngineError::Failed(Box::new(e)))?;
+        let mut out = vec![T::zeroed(); items];
+        bytemuck::cast_slice_mut::<T, u8>(&mut out).copy_from_slice(&view[..items * size_of::<T>()]);
+        Ok(out)
+    }
+
+    /// Fills it with what is no number, so that whoever reads before writing is found out.
+    #[cfg(test)]
+    pub(crate) fn poison(&self, gpu: &Gpu) {
+        let words = vec![0x7fc0_dead_u32; self.size() / 4];
+        gpu.queue.write_buffer(&self.buffer, 0, bytemuck::cast_slice(&words));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_written_is_read_and_growing_starts_anew() {
+        let Some(gpu) = crate::testing::software() else { return };
+        let mut array = Array::from(&gpu, "numbers", &[1u32, 2, 3, 4, 5]).unwrap();
+        assert_eq!(array.read(&gpu, 9).unwrap(), [1, 2, 3, 4, 5]);
+        array.write(&gpu, 3, &[7, 8, 9]);
+        assert_eq!(array.read(&gpu, 5).unwrap(), [1, 2, 3, 7, 8]);
+        array.poison(&gpu);
+        assert_eq!(array.read(&gpu, 2).unwrap(), [0x7fc0_dead; 2]);
+        assert!(!array.grow(&gpu, 5).unwrap() && array.grow(&gpu, 700).unwrap());
+        assert_eq!((array.capacity(), array.read(&gpu, 700).unwrap()), (700, vec![0; 700]));
+    }
+
+    #[test]
+    fn a_buffer_that_no_kernel_could_see_is_refused_with_its_size() {
+        let Some(gpu) = crate::testing::software() else { return };
+        let most = gpu.adapter().binding;
+        let error = Array::<u32>::new(&gpu, "records", (most / 4 + 4) as usize).unwrap_err().to_string();
+        assert!(error.contains("records") && error.contains(&most.to_string()), "{error}");
+    }
+}

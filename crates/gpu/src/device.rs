@@ -1,0 +1,367 @@
+//! Which adapters there are, which one is taken, and a device of it.
+//!
+//! The driver's loader is opened at run time, so the program builds and starts on machines without any. Processors that pretend to be
+//! graphics cards (software adapters) are slower than the engine for processors and are taken only when they are asked for by name.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use use3d_training::EngineError;
+
+/// The engine's name in messages.
+pub(crate) const NAME: &str = "gpu";
+
+/// What every adapter must offer at least.
+const STORAGE_BUFFERS: u32 = 16;
+const WORKGROUP_BYTES: u32 = 20 * 1024;
+const BINDING_BYTES: u64 = 128 << 20;
+
+/// Why there is no device.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum DeviceError {
+    /// Nothing to choose from.
+    #[error(
+        "no graphics card was found: neither Vulkan's loader (`libvulkan.so.1`, package `libvulkan1`) nor another driver answered; install the card's driver, or use the processor (`--engine cpu`)"
+    )]
+    None,
+    /// Only software adapters, and none was named.
+    #[error(
+        "no graphics card was found, only software adapters: {}; name one to use it all the same (`--engine gpu:{}`), or use the processor (`--engine cpu`)", .found.join(", "), first_word(.found)
+    )]
+    OnlySoftware {
+        /// Their names.
+        found: Vec<String>,
+    },
+    /// No adapter has such a name.
+    #[error("no adapter's name has `{name}` in it; there are: {}", if .found.is_empty() { "none".to_string() } else { .found.join(", ") })]
+    Named {
+        /// What was asked for.
+        name: String,
+        /// The adapters' names.
+        found: Vec<String>,
+    },
+    /// An adapter that cannot run the kernels.
+    #[error(
+        "the adapter `{adapter}` has {found} {what}, {needed} are needed; update its driver or use another engine"
+    )]
+    Limit {
+        /// Its name.
+        adapter: String,
+        /// Of what it has too little.
+        what: &'static str,
+        /// How much it has.
+        found: u64,
+        /// How much is needed.
+        needed: u64,
+    },
+    /// The driver did not open it.
+    #[error("the adapter `{adapter}` could not be opened: {reason}; update its driver or use another engine")]
+    Open {
+        /// Its name.
+        adapter: String,
+        /// What the driver said.
+        reason: String,
+    },
+}
+
+fn first_word(names: &[String]) -> &str {
+    names.first().and_then(|name| name.split_whitespace().next()).unwrap_or("NAME")
+}
+
+/// An adapter as a person is told of it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AdapterReport {
+    /// Its name.
+    pub name: String,
+    /// `discrete`, `integrated`, `virtual`, `software` or `other`.
+    pub kind: &'static str,
+    /// The interface it is reached through, such as `vulkan`.
+    pub backend: String,
+    /// Name and version of its driver.
+    pub driver: String,
+    /// Largest buffer that a kernel can see, bytes.
+    pub binding: u64,
+    /// Largest buffer, bytes.
+    pub buffer: u64,
+    /// Memory that the threads of a workgroup share, bytes.
+    pub workgroup: u32,
+    /// Buffers that a kernel can see.
+    pub buffers: u32,
+    /// Least and most threads that run in step.
+    pub subgroup: [u32; 2],
+    /// Why it cannot be used, if it cannot.
+    pub refusal: Option<DeviceError>,
+}
+
+impl AdapterReport {
+    fn of(adapter: &wgpu::Adapter) -> Self {
+        let (info, limits) = (adapter.get_info(), adapter.limits());
+        let kind = match info.device_type {
+            wgpu::DeviceType::DiscreteGpu => "discrete",
+            wgpu::DeviceType::IntegratedGpu => "integrated",
+            wgpu::DeviceType::VirtualGpu => "virtual",
+            wgpu::DeviceType::Cpu => "software",
+            wgpu::DeviceType::Other => "other",
+        };
+        let mut report = Self {
+            name: info.name,
+            kind,
+            backend: info.backend.to_string(),
+            driver: format!("{} {}", info.driver, info.driver_info).trim().to_string(),
+            binding: limits.max_storage_buffer_binding_size.into(),
+            buffer: limits.max_buffer_size,
+            workgroup: limits.max_compute_workgroup_storage_size,
+            buffers: limits.max_storage_buffers_per_shader_stage,
+            subgroup: [info.subgroup_min_size, info.subgroup_max_size],
+            refusal: None,
+        };
+        report.refusal = report.check().err();
+        report
+    }
+
+    /// Whether it is a processor.
+    pub fn is_software(&self) -> bool {
+        self.kind == "software"
+    }
+
+    fn check(&self) -> Result<(), DeviceError> {
+        for (what, found, needed) in [
+            ("storage buffers per kernel", self.buffers.into(), u64::from(STORAGE_BUFFERS)),
+            ("bytes of workgroup memory", self.workgroup.into(), u64::from(WORKGROUP_BYTES)),
+            ("bytes in the largest binding", self.binding, BINDING_BYTES),
+        ] {
+            if found < needed {
+                return Err(DeviceError::Limit { adapter: self.name.clone(), what, found, needed });
+            }
+        }
+        Ok(())
+    }
+
+    /// Cards before chips, chips before what a machine of others lends, software last.
+    fn rank(&self) -> usize {
+        ["discrete", "integrated", "virtual", "other", "software"]
+            .iter()
+            .position(|kind| *kind == self.kind)
+            .unwrap_or(usize::MAX)
+    }
+}
+
+fn instance() -> wgpu::Instance {
+    let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+    descriptor.backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
+    wgpu::Instance::new(descriptor)
+}
+
+fn enumerate() -> Vec<(AdapterReport, wgpu::Adapter)> {
+    let adapters = pollster::block_on(instance().enumerate_adapters(wgpu::Backends::all()));
+    let mut all: Vec<_> = adapters.into_iter().map(|a| (AdapterReport::of(&a), a)).collect();
+    all.sort_by_key(|(report, _)| report.rank());
+    all
+}
+
+/// All adapters of this machine, the likeliest first.
+pub fn adapters() -> Vec<AdapterReport> {
+    enumerate().into_iter().map(|(report, _)| report).collect()
+}
+
+/// Which of some adapters is meant: the first whose name contains `name` in any case, or without a name the best that is no software.
+fn choose(reports: &[AdapterReport], name: Option<&str>) -> Result<usize, DeviceError> {
+    let found = || reports.iter().map(|report| report.name.clone()).collect::<Vec<_>>();
+    let at = match name {
+        Some(name) => {
+            let wanted = name.to_lowercase();
+            let position = reports.iter().position(|r| r.name.to_lowercase().contains(&wanted));
+            position.ok_or_else(|| DeviceError::Named { name: name.to_string(), found: found() })?
+        }
+        None if reports.is_empty() => return Err(DeviceError::None),
+        None => {
+            let position = reports.iter().position(|r| !r.is_software());
+            position.ok_or_else(|| DeviceError::OnlySoftware { found: found() })?
+        }
+    };
+    match &reports[at].refusal {
+        Some(refusal) => Err(refusal.clone()),
+        None => Ok(at),
+    }
+}
+
+/// What went wrong on the device since it was last asked.
+#[derive(Debug, Default)]
+struct Trouble {
+    lost: Option<String>,
+    memory: Option<String>,
+    other: Option<String>,
+}
+
+/// An open device. Clones are the same device.
+#[derive(Clone, Debug)]
+pub struct Gpu {
+    pub(crate) device: wgpu::Device,
+    pub(crate) queue: wgpu::Queue,
+    report: AdapterReport,
+    trouble: Arc<Mutex<Trouble>>,
+    /// Counts what was let go, so that nothing keeps bindings to it.
+    generation: Arc<AtomicU64>,
+}
+
+fn lock(trouble: &Mutex<Trouble>) -> MutexGuard<'_, Trouble> {
+    trouble.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Gpu {
+    /// Opens the adapter whose name contains `name` in any case; without a name the best that is no software.
+    pub fn open(name: Option<&str>) -> Result<Self, DeviceError> {
+        let mut all = enumerate();
+        let reports: Vec<AdapterReport> = all.iter().map(|(report, _)| report.clone()).collect();
+        let (report, adapter) = all.swap_remove(choose(&reports, name)?);
+        let limits = adapter.limits();
+        let wanted = wgpu::Limits {
+            max_storage_buffers_per_shader_stage: limits.max_storage_buffers_per_shader_stage.min(32),
+            max_compute_workgroup_storage_size: limits.max_compute_workgroup_storage_size.min(32 << 10),
+            max_storage_buffer_binding_size: limits.max_storage_buffer_binding_size,
+            max_buffer_size: limits.max_buffer_size,
+            ..wgpu::Limits::default()
+        };
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("use3d"),
+            required_features: wgpu::Features::empty(),
+            required_limits: wanted.or_worse_values_from(&limits),
+            memory_hints: wgpu::MemoryHints::Performance,
+            ..Default::default()
+        };
+        let opened = pollster::block_on(adapter.request_device(&descriptor));
+        let (device, queue) =
+            opened.map_err(|e| DeviceError::Open { adapter: report.name.clone(), reason: e.to_string() })?;
+        let trouble = Arc::new(Mutex::new(Trouble::default()));
+        let told = trouble.clone();
+        device.set_device_lost_callback(move |reason, message| {
+            lock(&told).lost.get_or_insert(format!("{reason:?}: {message}"));
+        });
+        // Without a handler of ours an error would end the process.
+        let told = trouble.clone();
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            let mut told = lock(&told);
+            let place = match &error {
+                wgpu::Error::OutOfMemory { .. } => &mut told.memory,
+                _ => &mut told.other,
+            };
+            place.get_or_insert(error.to_string());
+        }));
+        Ok(Self { device, queue, report, trouble, generation: Arc::default() })
+    }
+
+    /// The adapter.
+    pub fn adapter(&self) -> &AdapterReport {
+        &self.report
+    }
+
+    /// What its arithmetic depends on besides the kernels: results of one class may be taken for each other's.
+    pub fn numeric_class(&self) -> String {
+        let AdapterReport { name, backend, driver, .. } = &self.report;
+        format!("gpu {name}, {backend}, {driver}")
+    }
+
+    /// Whether nothing went wrong since the last call.
+    pub(crate) fn check(&self) -> Result<(), EngineError> {
+        let mut trouble = lock(&self.trouble);
+        if let Some(reason) = trouble.lost.clone() {
+            return Err(EngineError::DeviceLost { engine: NAME, reason });
+        }
+        if let Some(what) = trouble.memory.take() {
+            return Err(EngineError::OutOfMemory { engine: NAME, what });
+        }
+        match trouble.other.take() {
+            Some(what) => Err(EngineError::Failed(what.into())),
+            None => Ok(()),
+        }
+    }
+
+    /// Waits until everything that was submitted is done.
+    pub(crate) fn wait(&self) -> Result<(), EngineError> {
+        let polled = self.device.poll(wgpu::PollType::wait_indefinitely());
+        self.check()?;
+        polled.map(|_| ()).map_err(|e| EngineError::DeviceLost { engine: NAME, reason: e.to_string() })
+    }
+
+    /// Refuses a buffer that no kernel could see whole, or that the device cannot hold.
+    pub(crate) fn fits(&self, what: &str, bytes: u64) -> Result<(), EngineError> {
+        let most = self.report.binding.min(self.report.buffer);
+        if bytes <= most {
+            return Ok(());
+        }
+        let name = &self.report.name;
+        let what = format!("{what} would take {bytes} bytes, `{name}` binds at most {most}");
+        Err(EngineError::OutOfMemory { engine: NAME, what })
+    }
+
+    /// Bindings made before this call may be to buffers that are gone.
+    pub(crate) fn forget_bindings(&self) {
+        self.generation.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(crate) fn generation(&self) -> u64 {
+        self.generation.load(Ordering::Relaxed)
+    }
+
+    /// As if the driver had given up.
+    #[cfg(test)]
+    pub(crate) fn lose(&self) {
+        self.device.destroy();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn report(name: &str, kind: &'static str) -> AdapterReport {
+        AdapterReport {
+            name: name.into(),
+            kind,
+            backend: "vulkan".into(),
+            driver: "d 1".into(),
+            binding: 1 << 31,
+            buffer: 1 << 31,
+            workgroup: 32 << 10,
+            buffers: 32,
+            subgroup: [8, 8],
+            refusal: None,
+        }
+    }
+
+    #[test]
+    fn software_is_taken_by_name_alone() {
+        let soft = report("llvmpipe (LLVM 15)", "software");
+        let card = report("GeForce RTX 3090", "discrete");
+        assert_eq!(choose(&[card.clone(), soft.clone()], None), Ok(0));
+        assert_eq!(choose(&[card.clone(), soft.clone()], Some("LLVMPIPE")), Ok(1));
+        assert_eq!(choose(&[card.clone(), soft.clone()], Some("3090")), Ok(0));
+        let only = choose(std::slice::from_ref(&soft), None).unwrap_err().to_string();
+        assert!(only.contains("gpu:llvmpipe") && only.contains("--engine cpu"), "{only}");
+        let none = choose(&[], None).unwrap_err().to_string();
+        assert!(none.contains("libvulkan"), "{none}");
+        let wrong = choose(&[card, soft], Some("radeon")).unwrap_err().to_string();
+        assert!(wrong.contains("radeon") && wrong.contains("3090") && wrong.contains("llvmpipe"), "{wrong}");
+    }
+
+    #[test]
+    fn a_limit_that_is_too_low_is_told_with_its_number() {
+        let mut small = report("tiny", "integrated");
+        small.workgroup = 16 << 10;
+        small.refusal = small.check().err();
+        let refusal = choose(&[small], None).unwrap_err().to_string();
+        assert!(
+            refusal.contains("16384 bytes of workgroup memory") && refusal.contains("20480"),
+            "{refusal}"
+        );
+    }
+
+    #[test]
+    fn a_lost_device_is_an_error_and_no_panic() {
+        let Some(gpu) = crate::testing::software() else { return };
+        gpu.check().unwrap();
+        gpu.lose();
+        let error = gpu.wait().unwrap_err();
+        assert!(matches!(error, EngineError::DeviceLost { .. }), "{error}");
+    }
+}

@@ -1,0 +1,97 @@
+//! What every kernel of a step may read: camera, sizes, the step's constants. One uniform of 512 bytes, written before each step.
+
+use bytemuck::{Pod, Zeroable};
+
+/// The WGSL struct; [`Frame`] in its words.
+pub(crate) const FRAME: &str = include_str!("frame.wgsl");
+
+/// A step's constants. Rows of four words; the comments name them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(crate) struct Frame {
+    /// Rows of the world-to-camera rotation; fourth word 0.
+    pub(crate) rotation: [[f32; 4]; 3],
+    /// The camera's centre, and what it lost in rounding: `centre + rest` is the centre to twice the digits.
+    pub(crate) center: [f32; 4],
+    /// See `center`.
+    pub(crate) center_rest: [f32; 4],
+    /// `fx, fy, cx, cy`, pixels.
+    pub(crate) lens: [f32; 4],
+    /// Limits of x/z and y/z in the projection's Jacobian: low x, high x, low y, high y.
+    pub(crate) limits: [f32; 4],
+    /// First and last pixel centre: columns, rows.
+    pub(crate) extent: [f32; 4],
+    /// Width, height, tiles across, tiles down.
+    pub(crate) size: [u32; 4],
+    /// Gaussians, bands of colour active (1, 4, 9 or 16), entries there is room for, the step modulo 2^32.
+    pub(crate) counts: [u32; 4],
+    /// Water (0 or 1), gradients through distances (0 or 1), statistics gathered (0 or 1), place of the step's report.
+    pub(crate) flags: [u32; 4],
+    /// Adam: β₁, β₂, 1/√(1 − β₂ᵗ), ε.
+    pub(crate) adam: [f32; 4],
+    /// Rates over 1 − β₁ᵗ: means, log scales, quaternions, opacity logits.
+    pub(crate) rates: [f32; 4],
+    /// The same: constant colours, directional colours, 0, 0.
+    pub(crate) color_rates: [f32; 4],
+    /// Statistics: half width and half height times the scale, 0, 0.
+    pub(crate) screen: [f32; 4],
+    /// Room for more.
+    pub(crate) spare: [[f32; 4]; 17],
+}
+
+/// Words of the counts buffer.
+pub(crate) mod counts {
+    /// (tile, Gaussian) entries of the view.
+    pub(crate) const ENTRIES: usize = 0;
+    /// Gaussians that reach the lattice.
+    pub(crate) const VISIBLE: usize = 1;
+    /// The largest number of entries that a view needed so far.
+    pub(crate) const MOST: usize = 2;
+    /// The sticky stop: 0 while all is well, else [`OVERFLOW`] or [`NON_FINITE`]. Updates change nothing from then on.
+    pub(crate) const STOP: usize = 4;
+    /// The step, modulo 2^32, that set it.
+    pub(crate) const STOP_STEP: usize = 5;
+    /// What was not finite first: bit 0 means, 1 log scales, 2 quaternions, 3 opacity logits, 4 colours, 5 water, 6 gains, 7 the loss.
+    pub(crate) const BAD: usize = 6;
+    /// Words in all.
+    pub(crate) const WORDS: usize = 64;
+    /// More entries than there is room for.
+    pub(crate) const OVERFLOW: u32 = 1;
+    /// A value that is not finite.
+    pub(crate) const NON_FINITE: u32 = 2;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The two descriptions of the frame agree, word for word.
+    #[test]
+    fn the_kernels_see_the_frame_as_it_is_written() {
+        let module = wgpu::naga::front::wgsl::parse_str(FRAME).unwrap();
+        let (_, found) = module.types.iter().find(|(_, t)| t.name.as_deref() == Some("Frame")).unwrap();
+        let wgpu::naga::TypeInner::Struct { members, span } = &found.inner else { panic!("no struct") };
+        assert_eq!(*span as usize, size_of::<Frame>());
+        assert_eq!(size_of::<Frame>(), 512);
+        let ours = [
+            ("rotation", std::mem::offset_of!(Frame, rotation)),
+            ("center", std::mem::offset_of!(Frame, center)),
+            ("center_rest", std::mem::offset_of!(Frame, center_rest)),
+            ("lens", std::mem::offset_of!(Frame, lens)),
+            ("limits", std::mem::offset_of!(Frame, limits)),
+            ("extent", std::mem::offset_of!(Frame, extent)),
+            ("size", std::mem::offset_of!(Frame, size)),
+            ("counts", std::mem::offset_of!(Frame, counts)),
+            ("flags", std::mem::offset_of!(Frame, flags)),
+            ("adam", std::mem::offset_of!(Frame, adam)),
+            ("rates", std::mem::offset_of!(Frame, rates)),
+            ("color_rates", std::mem::offset_of!(Frame, color_rates)),
+            ("screen", std::mem::offset_of!(Frame, screen)),
+            ("spare", std::mem::offset_of!(Frame, spare)),
+        ];
+        assert_eq!(members.len(), ours.len());
+        for (member, (name, offset)) in members.iter().zip(ours) {
+            assert_eq!((member.name.as_deref(), member.offset as usize), (Some(name), offset));
+        }
+    }
+}

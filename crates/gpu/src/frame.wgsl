@@ -1,0 +1,16 @@
+struct Frame {
+    rotation: array<vec4<f32>, 3>,
+    center: vec4<f32>,
+    center_rest: vec4<f32>,
+    lens: vec4<f32>,
+    limits: vec4<f32>,
+    extent: vec4<f32>,
+    size: vec4<u32>,
+    counts: vec4<u32>,
+    flags: vec4<u32>,
+    adam: vec4<f32>,
+    rates: vec4<f32>,
+    color_rates: vec4<f32>,
+    screen: vec4<f32>,
+    spare: array<vec4<f32>, 17>,
+}

@@ -1,0 +1,342 @@
+//! Kernels: WGSL put together from a header, shared snippets and a body; bound and dispatched.
+//!
+//! A [`Spec`] is plain data: which buffers a kernel sees and how, the constants that stand above it, its text. The declarations of its
+//! bindings are written from the same list as its bind group layout, so the two cannot disagree. Specs are checked without a device
+//! (the test below walks through all of them), a [`Kernel`] is a spec compiled for one.
+//!
+//! Every kernel has one bind group, bindings in the order of its list, and one entry point `main`. The header offers it
+//!
+//! ```text
+//! WG                          threads of a workgroup
+//! group_of(wid, nwg) -> u32   number of the workgroup in a grid that may have two dimensions ([`Grid`])
+//! is_bad(x) -> bool           whether a float is infinite or no number, by its bits: WGSL does not promise `x != x`
+//! ```
+
+use std::fmt::Write as _;
+use std::sync::{Mutex, PoisonError};
+
+use use3d_training::EngineError;
+
+use crate::buffer::Array;
+use crate::device::Gpu;
+
+/// Most workgroups in one dimension of a grid.
+const SIDE: u64 = 65_535;
+
+/// How a kernel sees a buffer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Access {
+    /// A small constant.
+    Uniform,
+    /// Read only.
+    Read,
+    /// Read and written.
+    Write,
+}
+
+/// A buffer that a kernel sees: how, its name, and its type in WGSL.
+pub(crate) type Binding = (Access, &'static str, &'static str);
+
+/// A constant above a kernel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Constant {
+    /// A whole number.
+    Count(u32),
+    /// A float, written with all its digits.
+    Number(f32),
+    /// A switch.
+    Switch(bool),
+}
+
+/// What a kernel is made of.
+#[derive(Clone, Debug)]
+pub(crate) struct Spec {
+    /// Its name in messages and profiles.
+    pub(crate) name: &'static str,
+    /// Threads of a workgroup.
+    pub(crate) threads: u32,
+    /// What it sees, in the order in which it is bound.
+    pub(crate) bindings: Vec<Binding>,
+    /// Constants of this variant.
+    pub(crate) constants: Vec<(&'static str, Constant)>,
+    /// Shared text, then its own.
+    pub(crate) parts: Vec<&'static str>,
+}
+
+impl Spec {
+    /// The whole text.
+    pub(crate) fn source(&self) -> String {
+        let mut text = String::from(HEADER);
+        // Writing to a string does not fail.
+        let _ = writeln!(text, "const WG: u32 = {}u;", self.threads);
+        for (name, value) in &self.constants {
+            let _ = match value {
+                Constant::Count(v) => writeln!(text, "const {name}: u32 = {v}u;"),
+                Constant::Number(v) => writeln!(text, "const {name}: f32 = {v:e}f;"),
+                Constant::Switch(v) => writeln!(text, "const {name}: bool = {v};"),
+            };
+        }
+        for (at, (access, name, kind)) in self.bindings.iter().enumerate() {
+            let space = match access {
+                Access::Uniform => "uniform",
+                Access::Read => "storage, read",
+                Access::Write => "storage, read_write",
+            };
+            let _ = writeln!(text, "@group(0) @binding({at}) var<{space}> {name}: {kind};");
+        }
+        for part in &self.parts {
+            text.push_str(part);
+            text.push('\n');
+        }
+        text
+    }
+}
+
+const HEADER: &str = "
+fn group_of(wid: vec3<u32>, nwg: vec3<u32>) -> u32 { return wid.y * nwg.x + wid.x; }
+fn is_bad(x: f32) -> bool { return (bitcast<u32>(x) & 0x7f800000u) == 0x7f800000u; }
+";
+
+/// Workgroups of a dispatch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Grid {
+    x: u32,
+    y: u32,
+}
+
+impl Grid {
+    /// At least so many workgroups: rows of 65,535 where there are more, so that a kernel has to leave those past its end out.
+    pub(crate) fn groups(count: usize) -> Self {
+        let count = count as u64;
+        if count <= SIDE {
+            return Self { x: count as u32, y: 1 };
+        }
+        Self { x: SIDE as u32, y: count.div_ceil(SIDE).min(SIDE) as u32 }
+    }
+
+    /// So many items, `threads` to a workgroup.
+    pub(crate) fn items(count: usize, threads: u32) -> Self {
+        Self::groups(count.div_ceil(threads as usize))
+    }
+}
+
+/// Part of a buffer, or all of it, as a kernel binds it.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Bound {
+    buffer: wgpu::Buffer,
+    offset: u64,
+    size: Option<std::num::NonZeroU64>,
+}
+
+impl From<&wgpu::Buffer> for Bound {
+    fn from(buffer: &wgpu::Buffer) -> Self {
+        Self { buffer: buffer.clone(), offset: 0, size: None }
+    }
+}
+
+impl<T: bytemuck::Pod> From<&Array<T>> for Bound {
+    fn from(array: &Array<T>) -> Self {
+        array.raw().into()
+    }
+}
+
+/// Bind groups of a kernel, by what is bound, and the generation of buffers they are of.
+#[derive(Debug, Default)]
+struct Bindings {
+    generation: u64,
+    groups: Vec<(Vec<Bound>, wgpu::BindGroup)>,
+}
+
+/// Most bind groups that a kernel keeps.
+const KEPT: usize = 64;
+
+/// A kernel on a device.
+#[derive(Debug)]
+pub(crate) struct Kernel {
+    gpu: Gpu,
+    name: &'static str,
+    pipeline: wgpu::ComputePipeline,
+    layout: wgpu::BindGroupLayout,
+    bindings: Mutex<Bindings>,
+    threads: u32,
+}
+
+impl Kernel {
+    /// Compiles a spec.
+    pub(crate) fn new(gpu: &Gpu, spec: &Spec) -> Result<Self, EngineError> {
+        let device = &gpu.device;
+        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some(spec.name),
+            source: wgpu::ShaderSource::Wgsl(spec.source().into()),
+        });
+        let entries: Vec<wgpu::BindGroupLayoutEntry> = (0u32..)
+            .zip(&spec.bindings)
+            .map(|(binding, (access, ..))| wgpu::BindGroupLayoutEntry {
+                binding,
+                visibility: wgpu::ShaderStages::COMPUTE,
+                ty: wgpu::BindingType::Buffer {
+                    ty: match access {
+                        Access::Uniform => wgpu::BufferBindingType::Uniform,
+                        Access::Read => wgpu::BufferBindingType::Storage { read_only: true },
+                        Access::Write => wgpu::BufferBindingType::Storage { read_only: false },
+                    },
+                    has_dynamic_offset: false,
+                    min_binding_size: None,
+                },
+                count: None,
+            })
+            .collect();
+        let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some(spec.name),
+            entries: &entries,
+        });
+        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some(spec.name),
+            bind_group_layouts: &[Some(&layout)],
+            immediate_size: 0,
+        });
+        let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(spec.name),
+            layout: Some(&pipeline_layout),
+            module: &module,
+            entry_point: Some("main"),
+            // Kernels write what they read; clearing costs a barrier per workgroup.
+            compilation_options: wgpu::PipelineCompilationOptions {
+                constants: &[],
+                zero_initialize_workgroup_memory: false,
+            },
+            cache: None,
+        });
+        gpu.check()?;
+        Ok(Self {
+            gpu: gpu.clone(),
+            name: spec.name,
+            pipeline,
+            layout,
+            bindings: Mutex::default(),
+            threads: spec.threads,
+        })
+    }
+
+    /// Its name.
+    pub(crate) fn name(&self) -> &'static str {
+        self.name
+    }
+
+    /// A grid of so many items.
+    pub(crate) fn grid(&self, items: usize) -> Grid {
+        Grid::items(items, self.threads)
+    }
+
+    /// Records a dispatch. The buffers stand in the order of the spec's bindings; an empty grid is nothing.
+    pub(crate) fn dispatch(&self, pass: &mut wgpu::ComputePass<'_>, grid: Grid, buffers: Vec<Bound>) {
+        if grid.x == 0 || grid.y == 0 {
+            return;
+        }
+        pass.set_pipeline(&self.pipeline);
+        pass.set_bind_group(0, &self.bind(buffers), &[]);
+        pass.dispatch_workgroups(grid.x, grid.y, 1);
+    }
+
+    fn bind(&self, buffers: Vec<Bound>) -> wgpu::BindGroup {
+        let mut kept = self.bindings.lock().unwrap_or_else(PoisonError::into_inner);
+        let generation = self.gpu.generation();
+        if kept.generation != generation || kept.groups.len() >= KEPT {
+            (kept.generation, kept.groups) = (generation, Vec::new());
+        }
+        if let Some((_, group)) = kept.groups.iter().find(|(of, _)| *of == buffers) {
+            return group.clone();
+        }
+        let entries: Vec<wgpu::BindGroupEntry<'_>> = (0u32..)
+            .zip(&buffers)
+            .map(|(binding, Bound { buffer, offset, size })| wgpu::BindGroupEntry {
+                binding,
+                resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+                    buffer,
+                    offset: *offset,
+                    size: *size,
+                }),
+            })
+            .collect();
+        let group = self.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(self.name),
+            layout: &self.layout,
+            entries: &entries,
+        });
+        kept.groups.push((buffers, group.clone()));
+        group
+    }
+}
+
+/// The buffers of a dispatch: `bound![frame, splats, out]`, each an [`Array`] or a buffer.
+macro_rules! bound {
+    ($($buffer:expr),* $(,)?) => {
+        vec![$($crate::kernel::Bound::from(&$buffer)),*]
+    };
+}
+pub(crate) use bound;
+
+/// Records dispatches into one pass and submits them.
+pub(crate) fn submit(
+    gpu: &Gpu,
+    what: &'static str,
+    record: impl FnOnce(&mut wgpu::ComputePass<'_>),
+) -> Result<(), EngineError> {
+    let label = Some(what);
+    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label });
+    {
+        let mut pass =
+            encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label, timestamp_writes: None });
+        record(&mut pass);
+    }
+    gpu.queue.submit([encoder.finish()]);
+    gpu.check()
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use wgpu::naga;
+
+    use super::*;
+
+    /// Parses and validates a kernel as the device's driver would be given it, without a device.
+    pub(crate) fn validate(spec: &Spec) {
+        let source = spec.source();
+        let module = naga::front::wgsl::parse_str(&source)
+            .unwrap_or_else(|e| panic!("{}: {}", spec.name, e.emit_to_string(&source)));
+        let flags = naga::valid::ValidationFlags::all();
+        let mut validator = naga::valid::Validator::new(flags, naga::valid::Capabilities::empty());
+        if let Err(e) = validator.validate(&module) {
+            panic!("{}: {}", spec.name, e.emit_to_string(&source));
+        }
+        let entry = module.entry_points.iter().find(|e| e.name == "main");
+        let entry = entry.unwrap_or_else(|| panic!("{} has no entry point `main`", spec.name));
+        assert_eq!(entry.workgroup_size, [spec.threads, 1, 1], "{}", spec.name);
+        let shared: u32 = module
+            .global_variables
+            .iter()
+            .filter(|(_, v)| v.space == naga::AddressSpace::WorkGroup)
+            .map(|(_, v)| module.types[v.ty].inner.size(module.to_ctx()))
+            .sum();
+        assert!(shared <= 20 * 1024, "{} shares {shared} bytes", spec.name);
+        let buffers = spec.bindings.iter().filter(|b| b.0 != Access::Uniform).count();
+        assert!(buffers <= 16, "{} sees {buffers} buffers", spec.name);
+    }
+
+    #[test]
+    fn every_kernel_is_valid() {
+        for spec in &crate::specs() {
+            validate(spec);
+        }
+    }
+
+    #[test]
+    fn grids_cover_their_items() {
+        for count in [0usize, 1, 255, 256, 257, 65_535 * 256, 65_535 * 256 + 1, 40_000_000] {
+            let grid = Grid::items(count, 256);
+            let groups = u64::from(grid.x) * u64::from(grid.y);
+            assert!(groups * 256 >= count as u64 && u64::from(grid.x) <= SIDE, "{count}");
+            assert!(groups < (count as u64).div_ceil(256) + SIDE, "{count}");
+        }
+    }
+}

@@ -1,0 +1,45 @@
+//! The engines of training on graphics cards, of any vendor, found at run time.
+//!
+//! [`adapters`] lists what this machine has and [`Gpu::open`] takes one. A step is a row of kernels, written by hand in WGSL and recorded
+//! into one pass; nothing is read back while steps run, so that the card never waits for the processor.
+//!
+//! # What lies where
+//!
+//! N Gaussians, E (tile, Gaussian) entries, P pixels of the view, T tiles of 16×16 pixels. Every buffer is a flat array.
+//!
+//! | buffer | items | what |
+//! |---|---|---|
+//! | geometry | N × 3 `vec4<f32>` | mean and opacity logit; log scales and 0; quaternion `w, x, y, z` |
+//! | colours | N × 12 `vec4<f32>` | 16 bands × rgb one after another |
+//! | first and second moments | as these two | Adam's |
+//! | statistics | N `vec2<u32>` | bits of the summed norm, renders |
+//! | splats | N × 3 `vec4<f32>` | `x, y, shear, steepness`; `steepness_y, log2_opacity, z, reach_y`; colour, and 1 where visible |
+//! | runs | N `vec2<u32>` | first entry and number of entries of a Gaussian |
+//! | entries | E `u32` | the Gaussian of an entry; entries of a Gaussian lie together, by tile |
+//! | lists | E `u32` | entries by tile, by depth within |
+//! | starts | T + 1 `u32` | where a tile's list begins |
+//! | records | E × 3 `vec4<f32>` | gradient of an entry: ΣG, ΣGt, ΣGdy, ΣGt²; ΣGt·dy, ΣGdy², ∂z/ln 2, ∂r; ∂g, ∂b, Σ\|Gt\|, Σ\|Gv_y\| |
+//! | colour planes | 3 P `f32` | `c·P + y·W + x`: image, its gradient, `Σ w e_b`, `Σ w z c e_a`, `Σ w z e_b`, the water's `c_m`, `k_a`, `k_b` |
+//! | planes | P `f32` or `u32` | depth, accumulation, final transmittance, the entry of its list at which a pixel stopped |
+//!
+//! The water in front of a pixel enters as `e = 2^(−k z)` with `k = β |d| log₂e`.
+//!
+//! # Determinism
+//!
+//! Sorts are stable and of whole numbers, every record has one writer, sums go through fixed trees, and no kernel adds floats
+//! atomically: the same requests give the same bytes on the same adapter, driver and program.
+
+mod buffer;
+mod device;
+mod frame;
+mod kernel;
+#[cfg(test)]
+mod testing;
+
+pub use device::{AdapterReport, DeviceError, Gpu, adapters};
+
+/// Every kernel in every variant.
+#[cfg(test)]
+fn specs() -> Vec<kernel::Spec> {
+    Vec::new()
+}
