@@ -22,8 +22,11 @@ const SLOPE_PRIOR: f64 = 1.0;
 /// Noise, design effect and gains follow from the residuals this many times.
 const ROUNDS: usize = 3;
 /// A gain per view is kept where it takes away at least this share of the loss: exposure that changes does
-/// far more than this, and gains that are not there would take over part of what distance does.
+/// more than this, and gains that are not there would take over part of what distance does.
 const GAINS_EXPLAIN: f64 = 0.35;
+/// Where gains without any water leave less than water without gains, this share is enough: exposure is then what
+/// changes most, and water that is fitted without it takes over part of what exposure does.
+const GAINS_EXPLAIN_FIRST: f64 = 0.15;
 /// Starts are compared on about so many points.
 const START_POINTS: usize = 1200;
 /// More points than this tell nothing new.
@@ -308,7 +311,9 @@ impl Data {
             let sigmas = noise.sigmas(&channel);
             let (freed, share) = self.free_gains(&channel, &sigmas, &best, &prior);
             gains_explain = share;
-            if share >= GAINS_EXPLAIN {
+            if share >= GAINS_EXPLAIN
+                || (share >= GAINS_EXPLAIN_FIRST && self.exposure_first(&channel, &sigmas, &best, &freed.0))
+            {
                 (prior, best) = (freed.0, freed.1);
                 for _ in 0..ROUNDS {
                     noise = noise.estimate(&channel, &best.theta, &best.weights, &best.residuals);
@@ -341,9 +346,14 @@ impl Data {
         let prior = Prior { gain: 0.1, trend: trend(channel), ..prior.clone() };
         let mut freed = fit(channel, sigmas, &prior, &best.theta, &[1.0]);
         center_gains(&mut freed.theta);
-        let total = |f: &Fit| f.residuals.iter().zip(sigmas).map(|(r, s)| loss(*r, *s, CAUCHY)).sum::<f64>();
-        let (held, free) = (total(best), total(&freed));
+        let (held, free) = (total(best, sigmas), total(&freed, sigmas));
         ((prior, freed), if held > 0.0 { 1.0 - free / held } else { 0.0 })
+    }
+
+    /// Whether gains without water leave less than `best`, water without gains.
+    fn exposure_first(&self, channel: &Channel, sigmas: &[f64], best: &Fit, freed: &Prior) -> bool {
+        let prior = Prior { water: false, ..freed.clone() };
+        total(&fit(channel, sigmas, &prior, &dry(self.views), &[2.0, 1.0]), sigmas) < total(best, sigmas)
     }
 
     /// The best of several starts on a part of the points.
@@ -451,6 +461,11 @@ impl Data {
         }
         (below > 0.0).then(|| Measured { value, error: below.sqrt().recip() })
     }
+}
+
+/// The loss of a fit.
+fn total(fit: &Fit, sigmas: &[f64]) -> f64 {
+    fit.residuals.iter().zip(sigmas).map(|(r, s)| loss(*r, *s, CAUCHY)).sum()
 }
 
 /// Parameters of no water.

@@ -84,3 +84,30 @@ fn a_camera_that_exposes_each_view_on_its_own_is_not_taken_for_water() {
         assert!(off.abs() < 0.3, "channel {c}: {each:?} in place of {one:?}");
     }
 }
+
+#[test]
+fn air_has_no_water_whatever_the_camera_does() {
+    let dir = tempfile::tempdir().unwrap();
+    for seed in [2, 3] {
+        let out = dir.path().join(format!("air {seed}"));
+        let params = CaptureParams {
+            views: 20,
+            width: 240,
+            height: 135,
+            points: 2500,
+            detail: 0.3,
+            depth_priors: false,
+            seed,
+            physics: use3d_synth::Physics::Spectral,
+            air: true,
+            white_balance: 0.5,
+            auto_exposure: 0.5,
+            ..CaptureParams::default()
+        };
+        write_capture(&params, &out, &mut |_, _| ()).unwrap();
+        let water = solve(&out, "images");
+        for w in &water.channels {
+            assert!(!w.verdict.usable(), "seed {seed}: {w:?}");
+        }
+    }
+}
