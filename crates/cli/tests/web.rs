@@ -39,6 +39,10 @@ fn a_scene_goes_to_browsers_and_viewers_and_follows_a_path() {
     expect(0, &["export", &scene, "--glb", &glb, "--spz", &spz, "--compressed-ply", &compressed]);
     let begins = |path: &str, bytes: &[u8]| std::fs::read(path).unwrap().starts_with(bytes);
     assert!(begins(&glb, b"glTF") && begins(&spz, &[0x1f, 0x8b]) && begins(&compressed, b"ply\n"));
+    let newer = place.at("b.spz");
+    expect(0, &["export", &scene, "--spz", &newer, "--spz-version", "4"]);
+    assert!(begins(&newer, b"NGSP\x04"));
+    expect(2, &["export", &scene, "--spz", &newer, "--spz-version", "5", "--force"]);
 
     let path = place.at("path.json");
     let key = |time: f64, mode: &str| {

@@ -134,9 +134,12 @@ pub(crate) struct ExportArgs {
     /// A glTF file with KHR_gaussian_splatting, for Cesium, Babylon, three and GIS viewers.
     #[arg(long, value_name = "FILE.glb")]
     pub(crate) glb: Option<PathBuf>,
-    /// An SPZ file (version 3), a tenth of the size, y up.
+    /// An SPZ file, a tenth of the size, y up.
     #[arg(long, value_name = "FILE.spz")]
     pub(crate) spz: Option<PathBuf>,
+    /// Version of the SPZ file: every viewer with SPZ reads 3, newer ones 4 (a little smaller) too.
+    #[arg(long, value_name = "3|4", requires = "spz", default_value_t = 3, value_parser = clap::value_parser!(u8).range(3..=4))]
+    pub(crate) spz_version: u8,
     /// A compressed PLY, for PlayCanvas and SuperSplat.
     #[arg(long, value_name = "FILE.ply")]
     pub(crate) compressed_ply: Option<PathBuf>,

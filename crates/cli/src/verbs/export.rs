@@ -156,7 +156,7 @@ fn write(
         Format::Ply => ply::write_with_comments(gaussians, &comments, writer),
         Format::CompressedPly => compressed_ply::write(gaussians, &comments, writer),
         Format::Glb => glb::write(gaussians, &comments.join("; "), HALF_TURN, writer),
-        Format::Spz => spz::write(gaussians, writer),
+        Format::Spz => spz::write(gaussians, spz_version(args), writer),
     })?;
     if !app.quiet {
         let [_, what, frame] = &comments;
@@ -164,6 +164,10 @@ fn write(
         eprintln!("{}: {} Gaussians, {what}, {frame}, {}", path_text(path), gaussians.len(), bytes(size));
     }
     Ok(())
+}
+
+fn spz_version(args: &ExportArgs) -> spz::Version {
+    if args.spz_version == 4 { spz::Version::Four } else { spz::Version::Three }
 }
 
 /// A choice as it is written on the command line.

@@ -4,7 +4,7 @@
 //! | file | up | what is lost |
 //! |---|---|---|
 //! | [`glb`]: glTF with `KHR_gaussian_splatting` | y, by the node | nothing |
-//! | [`spz`]: version 3 | as given; readers take y for up | 8-bit colours and sizes, 24-bit positions, 4- and 5-bit harmonics |
+//! | [`spz`]: versions 3 and 4 | as given; readers take y for up | 8-bit colours and sizes, 24-bit positions, 4- and 5-bit harmonics |
 //! | [`compressed_ply`]: PlayCanvas's | as given | 11 bits within chunks of 256, 8-bit harmonics |
 
 pub mod compressed_ply;

@@ -1,16 +1,34 @@
-//! SPZ, version 3: about a tenth of a PLY, read by phones and web viewers.
+//! SPZ, versions 3 and 4: about a tenth of a PLY, read by phones and web viewers.
 //!
-//! A gzip stream of a 16-byte head (`NGSP`, version, count, degree, fractional bits, flags) and six arrays: positions as 24-bit fixed point,
-//! opacities, colours `255 (0.15 f + ½)`, sizes `16 (ln σ + 10)`, turns as two bits for the largest component and ten for each other one (sign and
-//! magnitude over `√½`), harmonics `128 f + 128` rounded to 5 bits in degree 1 and to 4 above. Coordinates: right, up, back, so y is up.
+//! Six arrays: positions as 24-bit fixed point, opacities, colours `255 (0.15 f + ½)`, sizes `16 (ln σ + 10)`, turns as two bits for the largest
+//! component and ten for each other one (sign and magnitude over `√½`), harmonics `128 f + 128` rounded to 5 bits in degree 1 and to 4 above.
+//! Coordinates: right, up, back, so y is up.
+//!
+//! | version | bytes |
+//! |---|---|
+//! | 3 | one gzip stream: `NGSP`, version, count (u32); degree, fractional bits, flags, 0 (u8); the arrays |
+//! | 4 | `NGSP`, version, count (u32); degree, fractional bits, flags, streams (u8); where the table stands (u32); 12 zeros; the table: packed and plain size of every array (u64 each); the arrays, each a zstd frame |
+//!
+//! Every viewer with SPZ reads 3, and not yet every one 4.
 
 use std::io::{self, Write};
 
 use flate2::{Compression, write::GzEncoder};
+use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 use use3d_numerics::spherical_harmonics::bands;
 use use3d_splat::Gaussians;
 
 use super::{largest, normalised, opacity};
+
+/// Which of the format's versions is written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Version {
+    /// One gzip stream.
+    #[default]
+    Three,
+    /// A zstd frame per array.
+    Four,
+}
 
 const MAGIC: u32 = 0x5053_474E;
 /// Most bits behind the point; fewer where the scene is large.
@@ -18,11 +36,14 @@ const FRACTION: u32 = 12;
 /// Bits that are dropped of harmonics: degree 1, and above.
 const DROPPED: [u32; 2] = [3, 4];
 
+/// Bytes of version 4's head, and of each row of its table.
+const HEAD: u32 = 32;
+
 /// Writes Gaussians whose y points up.
 ///
 /// # Errors
 /// Those of the writer; a scene with more than 2³² Gaussians or a position beyond 2²³ units, which the format cannot hold.
-pub fn write(gaussians: &Gaussians, writer: impl Write) -> io::Result<()> {
+pub fn write(gaussians: &Gaussians, version: Version, writer: impl Write) -> io::Result<()> {
     let g = gaussians;
     let count = u32::try_from(g.len()).map_err(|_| io::Error::other("too many Gaussians for an SPZ file"))?;
     let reach = g.means.as_flattened().iter().fold(0.0f32, |m, v| m.max(v.abs()));
@@ -32,32 +53,69 @@ pub fn write(gaussians: &Gaussians, writer: impl Write) -> io::Result<()> {
             "a Gaussian lies {reach} units away: too far for an SPZ file; export a PLY, or crop the scene"
         ))
     })?;
+    let arrays = arrays(g, fraction);
+    let shape = [g.sh_degree as u8, fraction as u8, 0];
+    match version {
+        Version::Three => gzipped(count, shape, &arrays, writer),
+        Version::Four => framed(count, shape, &arrays, writer),
+    }
+}
+
+fn gzipped(count: u32, shape: [u8; 3], arrays: &[Vec<u8>], writer: impl Write) -> io::Result<()> {
     let mut out = GzEncoder::new(writer, Compression::default());
     for word in [MAGIC, 3, count] {
         out.write_all(&word.to_le_bytes())?;
     }
-    out.write_all(&[g.sh_degree as u8, fraction as u8, 0, 0])?;
-    for v in g.means.as_flattened() {
-        let fixed = (v * (1u32 << fraction) as f32).round() as i32;
-        out.write_all(&fixed.to_le_bytes()[..3])?;
-    }
-    let byte = |v: f32| v.round().clamp(0.0, 255.0) as u8;
-    let bytes: Vec<u8> = g.opacity_logits.iter().map(|&v| byte(255.0 * opacity(v))).collect();
-    out.write_all(&bytes)?;
-    let bytes: Vec<u8> = g.sh.iter().flat_map(|sh| sh[0]).map(|v| byte(255.0 * (0.15 * v + 0.5))).collect();
-    out.write_all(&bytes)?;
-    let bytes: Vec<u8> = g.log_scales.as_flattened().iter().map(|v| byte(16.0 * (v + 10.0))).collect();
-    out.write_all(&bytes)?;
-    for &q in &g.quaternions {
-        out.write_all(&turn(q).to_le_bytes())?;
-    }
-    for sh in &g.sh {
-        for (k, band) in sh.iter().enumerate().take(bands(g.sh_degree)).skip(1) {
-            let dropped = DROPPED[usize::from(k > 3)];
-            out.write_all(&band.map(|v| harmonic(v, dropped)))?;
-        }
+    out.write_all(&shape)?;
+    out.write_all(&[0])?;
+    for array in arrays {
+        out.write_all(array)?;
     }
     out.finish()?.flush()
+}
+
+fn framed(count: u32, shape: [u8; 3], arrays: &[Vec<u8>], mut out: impl Write) -> io::Result<()> {
+    for word in [MAGIC, 4, count] {
+        out.write_all(&word.to_le_bytes())?;
+    }
+    out.write_all(&shape)?;
+    out.write_all(&[arrays.len() as u8])?;
+    out.write_all(&HEAD.to_le_bytes())?;
+    out.write_all(&[0; 12])?;
+    let frames: Vec<Vec<u8>> =
+        arrays.iter().map(|array| compress_to_vec(array.as_slice(), CompressionLevel::Fastest)).collect();
+    for (frame, array) in frames.iter().zip(arrays) {
+        out.write_all(&(frame.len() as u64).to_le_bytes())?;
+        out.write_all(&(array.len() as u64).to_le_bytes())?;
+    }
+    for frame in &frames {
+        out.write_all(frame)?;
+    }
+    out.flush()
+}
+
+/// Positions, opacities, colours, sizes, turns, harmonics; no harmonics of degree 0.
+fn arrays(g: &Gaussians, fraction: u32) -> Vec<Vec<u8>> {
+    let byte = |v: f32| v.round().clamp(0.0, 255.0) as u8;
+    let fixed = |v: &f32| ((v * (1u32 << fraction) as f32).round() as i32).to_le_bytes();
+    let mut arrays: Vec<Vec<u8>> = vec![
+        g.means.as_flattened().iter().flat_map(|v| fixed(v).into_iter().take(3)).collect(),
+        g.opacity_logits.iter().map(|&v| byte(255.0 * opacity(v))).collect(),
+        g.sh.iter().flat_map(|sh| sh[0]).map(|v| byte(255.0 * (0.15 * v + 0.5))).collect(),
+        g.log_scales.as_flattened().iter().map(|v| byte(16.0 * (v + 10.0))).collect(),
+        g.quaternions.iter().flat_map(|&q| turn(q).to_le_bytes()).collect(),
+    ];
+    if g.sh_degree > 0 {
+        let mut harmonics = Vec::with_capacity(3 * bands(g.sh_degree) * g.len());
+        for sh in &g.sh {
+            for (k, band) in sh.iter().enumerate().take(bands(g.sh_degree)).skip(1) {
+                let dropped = DROPPED[usize::from(k > 3)];
+                harmonics.extend(band.map(|v| harmonic(v, dropped)));
+            }
+        }
+        arrays.push(harmonics);
+    }
+    arrays
 }
 
 /// `128 f + 128` as the nearest multiple of `2^dropped`.
@@ -85,11 +143,36 @@ mod tests {
     use std::io::Read;
     use use3d_numerics::math;
 
+    /// A file of version 4 as one of version 3 before it is packed.
+    fn unframed(file: &[u8]) -> Vec<u8> {
+        let word = |at: usize| u32::from_le_bytes(file[at..at + 4].try_into().unwrap()) as usize;
+        let long = |at: usize| u64::from_le_bytes(file[at..at + 8].try_into().unwrap()) as usize;
+        assert_eq!((word(4), word(16), &file[20..32]), (4, 32, &[0; 12][..]));
+        let streams = usize::from(file[15]);
+        let (mut plain, mut at) = (file[..16].to_vec(), 32 + 16 * streams);
+        for row in (0..streams).map(|k| 32 + 16 * k) {
+            let mut array = Vec::new();
+            let mut frame = &file[at..at + long(row)];
+            let mut decoder = ruzstd::decoding::StreamingDecoder::new(&mut frame).unwrap();
+            decoder.read_to_end(&mut array).unwrap();
+            assert_eq!(array.len(), long(row + 8));
+            plain.extend(array);
+            at += long(row);
+        }
+        assert_eq!(at, file.len());
+        plain
+    }
+
     fn read(file: &[u8]) -> Gaussians {
-        let mut bytes = Vec::new();
-        flate2::read::GzDecoder::new(file).read_to_end(&mut bytes).unwrap();
+        let bytes = if file.starts_with(b"NGSP") {
+            unframed(file)
+        } else {
+            let mut bytes = Vec::new();
+            flate2::read::GzDecoder::new(file).read_to_end(&mut bytes).unwrap();
+            bytes
+        };
         let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
-        assert_eq!((&bytes[..4], word(4)), (&b"NGSP"[..], 3));
+        assert!(bytes.starts_with(b"NGSP") && [3, 4].contains(&word(4)));
         let (n, degree, fraction) = (word(8) as usize, bytes[12] as usize, bytes[13]);
         let mut rest = &bytes[16..];
         let mut take = |count: usize| {
@@ -137,10 +220,17 @@ mod tests {
 
     #[test]
     fn what_is_written_is_read_again() {
-        for degree in [0, 1, 3] {
+        for (degree, version) in [
+            (0, Version::Three),
+            (1, Version::Three),
+            (3, Version::Three),
+            (0, Version::Four),
+            (3, Version::Four),
+        ] {
             let written = varied(400, degree);
             let mut file = Vec::new();
-            write(&written, &mut file).unwrap();
+            write(&written, version, &mut file).unwrap();
+            assert_eq!(file.starts_with(b"NGSP"), version == Version::Four);
             assert_alike(&written, &read(&file), [1.3e-4, 0.032, 1e-5, 0.002, 0.0135, 0.0626]);
         }
     }
@@ -150,9 +240,9 @@ mod tests {
         let mut far = varied(10, 0);
         far.means[3] = [5000.0, 0.0, -1.0];
         let mut file = Vec::new();
-        write(&far, &mut file).unwrap();
+        write(&far, Version::Three, &mut file).unwrap();
         assert!((read(&file).means[3][0] - 5000.0).abs() < 1e-2);
         far.means[3] = [1e9, 0.0, 0.0];
-        assert!(write(&far, Vec::new()).unwrap_err().to_string().contains("too far"));
+        assert!(write(&far, Version::Three, Vec::new()).unwrap_err().to_string().contains("too far"));
     }
 }

@@ -2,6 +2,7 @@
 
 mod chromium;
 mod controls;
+mod foreign;
 mod pictures;
 mod scenes;
 mod served;

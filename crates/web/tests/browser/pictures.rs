@@ -12,7 +12,7 @@ use crate::chromium::Chromium;
 use crate::{opened, scenes};
 
 /// What the program draws, interleaved RGB in the display range; depth in units of [`DEPTH`].
-fn drawn(scene: &Scene, camera: &Camera, mode: &str, strength: f32, water: f32) -> Vec<f32> {
+pub(crate) fn drawn(scene: &Scene, camera: &Camera, mode: &str, strength: f32, water: f32) -> Vec<f32> {
     let look = if mode.starts_with("enhanced") { Look::Enhanced { strength } } else { Look::Reconstruction };
     let share = if mode.ends_with("clear") { 0.0 } else { water };
     let mut renderer = Renderer::new(scene, look).expect("a scene").with_water(share).expect("a share");
