@@ -1,6 +1,11 @@
 //! What every kernel of a step may read: camera, sizes, the step's constants. One uniform of 512 bytes, written before each step.
 
 use bytemuck::{Pod, Zeroable};
+use use3d_capture::Camera;
+use use3d_numerics::spherical_harmonics::bands;
+
+/// Pixels along a tile's side.
+pub(crate) const TILE: u32 = 16;
 
 /// The WGSL struct; [`Frame`] in its words.
 pub(crate) const FRAME: &str = include_str!("frame.wgsl");
@@ -39,12 +44,58 @@ pub(crate) struct Frame {
     pub(crate) spare: [[f32; 4]; 17],
 }
 
+impl Frame {
+    /// Every pixel of a camera looked at: geometry of the view and numbers of Gaussians; the rest is zero.
+    pub(crate) fn of(camera: &Camera, gaussians: usize, degree: usize, entries: usize) -> Self {
+        let (k, pose) = (&camera.intrinsics, &camera.pose);
+        let single = |v: f64| v as f32;
+        let center = pose.center().to_array();
+        let near = center.map(single);
+        let rest = std::array::from_fn::<f64, 3, _>(|i| center[i] - f64::from(near[i])).map(single);
+        let limits = |size: usize, focal: f64, centre: f64| {
+            let size = size as f64;
+            let margin = 0.3 * (size / 2.0) / focal;
+            [single(-(centre / focal + margin)), single((size - centre) / focal + margin)]
+        };
+        let ([x0, x1], [y0, y1]) = (limits(k.width, k.fx, k.cx), limits(k.height, k.fy, k.cy));
+        let (width, height) = (k.width as u32, k.height as u32);
+        Self {
+            rotation: std::array::from_fn(|r| {
+                std::array::from_fn(|c| if c < 3 { single(pose.rotation.col(c)[r]) } else { 0.0 })
+            }),
+            center: [near[0], near[1], near[2], 0.0],
+            center_rest: [rest[0], rest[1], rest[2], 0.0],
+            lens: [k.fx, k.fy, k.cx, k.cy].map(single),
+            limits: [x0, x1, y0, y1],
+            extent: [0.5, k.width as f32 - 0.5, 0.5, k.height as f32 - 0.5],
+            size: [width, height, width.div_ceil(TILE), height.div_ceil(TILE)],
+            counts: [gaussians as u32, bands(degree.min(3)) as u32, entries as u32, 0],
+            ..Self::default()
+        }
+    }
+
+    /// Tiles of the view.
+    pub(crate) fn tiles(&self) -> usize {
+        self.size[2] as usize * self.size[3] as usize
+    }
+
+    /// Pixels of the view.
+    pub(crate) fn pixels(&self) -> usize {
+        self.size[0] as usize * self.size[1] as usize
+    }
+
+    /// Gaussians.
+    pub(crate) fn gaussians(&self) -> usize {
+        self.counts[0] as usize
+    }
+}
+
 /// Words of the counts buffer.
 pub(crate) mod counts {
+    use crate::kernel::Constant;
+
     /// (tile, Gaussian) entries of the view.
     pub(crate) const ENTRIES: usize = 0;
-    /// Gaussians that reach the lattice.
-    pub(crate) const VISIBLE: usize = 1;
     /// The largest number of entries that a view needed so far.
     pub(crate) const MOST: usize = 2;
     /// The sticky stop: 0 while all is well, else [`OVERFLOW`] or [`NON_FINITE`]. Updates change nothing from then on.
@@ -55,6 +106,15 @@ pub(crate) mod counts {
     pub(crate) const BAD: usize = 6;
     /// Words in all.
     pub(crate) const WORDS: usize = 64;
+    /// Their names in WGSL.
+    pub(crate) fn constants() -> Vec<(&'static str, Constant)> {
+        let words =
+            [("ENTRIES", ENTRIES), ("MOST", MOST), ("STOP", STOP), ("STOP_STEP", STOP_STEP), ("BAD", BAD)];
+        let mut all: Vec<_> = words.map(|(name, at)| (name, Constant::Count(at as u32))).into();
+        all.extend([("OVERFLOW", Constant::Count(OVERFLOW)), ("NON_FINITE", Constant::Count(NON_FINITE))]);
+        all
+    }
+
     /// More entries than there is room for.
     pub(crate) const OVERFLOW: u32 = 1;
     /// A value that is not finite.

@@ -33,13 +33,20 @@ mod buffer;
 mod device;
 mod frame;
 mod kernel;
+mod lists;
+mod raster;
+mod scene;
+mod sort;
 #[cfg(test)]
 mod testing;
+#[cfg(test)]
+mod tests;
+mod update;
 
 pub use device::{AdapterReport, DeviceError, Gpu, adapters};
 
 /// Every kernel in every variant.
 #[cfg(test)]
 fn specs() -> Vec<kernel::Spec> {
-    Vec::new()
+    [sort::specs(), lists::specs(), raster::specs(), update::specs()].concat()
 }

@@ -1,0 +1,298 @@
+//! A view's Gaussians made ready to compose: projected, ordered by depth, and listed per tile.
+//!
+//! ```text
+//! project ─▶ order by depth ─▶ reduce, total, offsets ─▶ emit ─▶ order by tile ─▶ starts
+//! ```
+//!
+//! Entries are numbered in the order of depth, those of a Gaussian one after another: the number is where an entry's gradient goes, so
+//! that a Gaussian finds its own side by side. The order by tile is stable and keeps depth within a tile. Hidden Gaussians go through
+//! the first order with the largest key instead of being left out before: a dispatch less against a little more to sort.
+
+use use3d_training::EngineError;
+
+use crate::buffer::Array;
+use crate::device::Gpu;
+use crate::frame::{FRAME, Frame, TILE, counts};
+use crate::kernel::{Access, Binding, Constant, Grid, Kernel, Spec, bound};
+use crate::scene::{Parameters, Row};
+use crate::sort::{Items, Sort, SortKernels};
+
+/// Threads of a workgroup.
+const THREADS: u32 = 256;
+/// Gaussians per thread of the sums.
+const ITEMS: u32 = 8;
+/// Bits of a depth's key.
+const DEPTH_BITS: u32 = 28;
+
+pub(crate) const HARMONICS: &str = include_str!("view/harmonics.wgsl");
+pub(crate) const PROJECTION: &str = include_str!("view/projection.wgsl");
+const CONTOUR: &str = include_str!("view/contour.wgsl");
+const SCAN: &str = include_str!("scan.wgsl");
+
+const U32S: &str = "array<u32>";
+const ROWS: &str = "array<vec4<f32>>";
+const FRAME_BINDING: Binding = (Access::Uniform, "frame", "Frame");
+const COUNTS: Binding = (Access::Read, "counts", U32S);
+
+fn spec(name: &'static str, bindings: &[Binding], parts: &[&'static str], records: bool) -> Spec {
+    let mut constants = counts::constants();
+    constants.push(("ITEMS", Constant::Count(ITEMS)));
+    constants.push(("RECORDS", Constant::Switch(records)));
+    Spec {
+        name,
+        threads: THREADS,
+        bindings: [&[FRAME_BINDING], bindings].concat(),
+        constants,
+        parts: [&[FRAME], parts].concat(),
+    }
+}
+
+fn project() -> Spec {
+    let bindings = [
+        (Access::Read, "axes", "array<f32>"),
+        (Access::Read, "geometry", ROWS),
+        (Access::Read, "colors", "array<f32>"),
+        (Access::Write, "splats", ROWS),
+        (Access::Write, "keys", U32S),
+        (Access::Write, "tiles", U32S),
+    ];
+    spec("project", &bindings, &[HARMONICS, PROJECTION, CONTOUR, include_str!("view/project.wgsl")], false)
+}
+
+fn reduce() -> Spec {
+    let bindings =
+        [(Access::Read, "order", U32S), (Access::Read, "tiles", U32S), (Access::Write, "partial", U32S)];
+    spec("reduce", &bindings, &[SCAN, include_str!("view/reduce.wgsl")], false)
+}
+
+fn total() -> Spec {
+    let bindings = [(Access::Write, "counts", U32S), (Access::Write, "partial", U32S)];
+    spec("total", &bindings, &[SCAN, include_str!("view/total.wgsl")], false)
+}
+
+fn offsets() -> Spec {
+    let bindings = [
+        COUNTS,
+        (Access::Read, "order", U32S),
+        (Access::Read, "tiles", U32S),
+        (Access::Read, "partial", U32S),
+        (Access::Write, "offsets", U32S),
+        (Access::Write, "runs", "array<vec2<u32>>"),
+    ];
+    spec("offsets", &bindings, &[SCAN, include_str!("view/offsets.wgsl")], false)
+}
+
+fn emit(records: bool) -> Spec {
+    let bindings = [
+        COUNTS,
+        (Access::Read, "axes", "array<f32>"),
+        (Access::Read, "splats", ROWS),
+        (Access::Read, "order", U32S),
+        (Access::Read, "offsets", U32S),
+        (Access::Write, "keys", U32S),
+        (Access::Write, "owners", U32S),
+        (Access::Write, "records", ROWS),
+    ];
+    const LOG2_255: &str = "const LOG2_255: f32 = 7.9943533f;";
+    spec("emit", &bindings, &[LOG2_255, CONTOUR, include_str!("view/emit.wgsl")], records)
+}
+
+fn starts() -> Spec {
+    let bindings = [COUNTS, (Access::Read, "keys", U32S), (Access::Write, "starts", U32S)];
+    spec("starts", &bindings, &[include_str!("view/starts.wgsl")], false)
+}
+
+/// All kernels of this room.
+#[cfg(test)]
+pub(crate) fn specs() -> Vec<Spec> {
+    vec![project(), reduce(), total(), offsets(), emit(false), emit(true), starts()]
+}
+
+/// The kernels.
+#[derive(Debug)]
+pub(crate) struct ListKernels {
+    sort: SortKernels,
+    project: Kernel,
+    reduce: Kernel,
+    total: Kernel,
+    offsets: Kernel,
+    /// Without records, and with.
+    emit: [Kernel; 2],
+    starts: Kernel,
+}
+
+impl ListKernels {
+    pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
+        Ok(Self {
+            sort: SortKernels::new(gpu)?,
+            project: Kernel::new(gpu, &project())?,
+            reduce: Kernel::new(gpu, &reduce())?,
+            total: Kernel::new(gpu, &total())?,
+            offsets: Kernel::new(gpu, &offsets())?,
+            emit: [Kernel::new(gpu, &emit(false))?, Kernel::new(gpu, &emit(true))?],
+            starts: Kernel::new(gpu, &starts())?,
+        })
+    }
+}
+
+/// The buffers of a view's lists.
+#[derive(Debug)]
+pub(crate) struct Lists {
+    /// Pixel centres of columns, then of rows, each padded to whole tiles with the last one.
+    pub(crate) axes: Array<f32>,
+    /// Size that the axes are of.
+    size: [usize; 2],
+    pub(crate) splats: Array<Row>,
+    tiles: Array<u32>,
+    by_depth: Sort,
+    partial: Array<u32>,
+    offsets: Array<u32>,
+    pub(crate) runs: Array<[u32; 2]>,
+    pub(crate) owners: Array<u32>,
+    by_tile: Sort,
+    tile_bits: u32,
+    pub(crate) starts: Array<u32>,
+    nothing: Array<Row>,
+}
+
+/// Entries that there is room for at first.
+const FIRST_ENTRIES: usize = 1 << 14;
+
+impl Lists {
+    pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
+        Ok(Self {
+            axes: Array::new(gpu, "pixel centres", 1)?,
+            size: [0; 2],
+            splats: Array::new(gpu, "splats", 1)?,
+            tiles: Array::new(gpu, "tiles per Gaussian", 1)?,
+            by_depth: Sort::new(gpu, 1)?,
+            partial: Array::new(gpu, "partial sums", 1)?,
+            offsets: Array::new(gpu, "offsets", 1)?,
+            runs: Array::new(gpu, "runs", 1)?,
+            owners: Array::new(gpu, "owners", FIRST_ENTRIES)?,
+            by_tile: Sort::new(gpu, FIRST_ENTRIES)?,
+            tile_bits: 8,
+            starts: Array::new(gpu, "list starts", 1)?,
+            nothing: Array::new(gpu, "no records", 1)?,
+        })
+    }
+
+    /// Entries that there is room for.
+    pub(crate) fn capacity(&self) -> usize {
+        self.by_tile.capacity()
+    }
+
+    /// Makes room for so many entries.
+    pub(crate) fn grow(&mut self, gpu: &Gpu, entries: usize) -> Result<(), EngineError> {
+        self.owners.grow(gpu, entries)?;
+        self.by_tile.grow(gpu, entries)
+    }
+
+    /// Makes ready for a view; before [`Lists::record`], and again when the frame's sizes change.
+    pub(crate) fn prepare(&mut self, gpu: &Gpu, frame: &Frame) -> Result<(), EngineError> {
+        let n = frame.gaussians();
+        self.splats.grow(gpu, 3 * n)?;
+        self.tiles.grow(gpu, n)?;
+        self.by_depth.grow(gpu, n)?;
+        self.partial.grow(gpu, n.div_ceil((ITEMS * THREADS) as usize))?;
+        self.offsets.grow(gpu, n)?;
+        self.runs.grow(gpu, n)?;
+        self.starts.grow(gpu, frame.tiles() + 1)?;
+        let size = [frame.size[0] as usize, frame.size[1] as usize];
+        if self.size != size {
+            let axes: Vec<f32> = size
+                .iter()
+                .flat_map(|&n| (0..n.next_multiple_of(TILE as usize)).map(move |i| i.min(n - 1) as f32 + 0.5))
+                .collect();
+            self.axes.grow(gpu, axes.len())?;
+            self.axes.write(gpu, 0, &axes);
+            self.size = size;
+        }
+        // One tile more than there are: that of entries nobody draws.
+        self.tile_bits = usize::BITS - frame.tiles().leading_zeros();
+        self.by_depth.prepare(gpu, Items::Fixed(n), DEPTH_BITS);
+        self.by_tile.prepare(gpu, Items::Counted(self.capacity()), self.tile_bits);
+        Ok(())
+    }
+
+    /// Records the making of the lists. With `records`, those of entries that no tile draws are zeroed.
+    pub(crate) fn record(
+        &self,
+        kernels: &ListKernels,
+        pass: &mut wgpu::ComputePass<'_>,
+        frame: &Array<Frame>,
+        n: usize,
+        tiles: usize,
+        scene: &Parameters,
+        counts: &Array<u32>,
+        records: Option<&Array<Row>>,
+    ) {
+        let Self { axes, splats, tiles: met, by_depth, partial, offsets, runs, owners, by_tile, .. } = self;
+        let Parameters { geometry, colors } = scene;
+        let k = kernels;
+        let keys = by_depth.input();
+        k.project.dispatch(
+            pass,
+            k.project.grid(n),
+            bound![*frame, *axes, *geometry, *colors, *splats, *keys, *met],
+        );
+        by_depth.record(&k.sort, pass, counts, DEPTH_BITS);
+        let (_, order) = by_depth.output(DEPTH_BITS);
+        let blocks = Grid::groups(n.div_ceil((ITEMS * THREADS) as usize));
+        k.reduce.dispatch(pass, blocks, bound![*frame, *order, *met, *partial]);
+        k.total.dispatch(pass, Grid::groups(1), bound![*frame, *counts, *partial]);
+        k.offsets.dispatch(pass, blocks, bound![*frame, *counts, *order, *met, *partial, *offsets, *runs]);
+        let emit = &k.emit[usize::from(records.is_some())];
+        let (keys, records) = (by_tile.input(), records.unwrap_or(&self.nothing));
+        let places = if n == 0 { 0 } else { self.capacity() };
+        emit.dispatch(
+            pass,
+            emit.grid(places),
+            bound![*frame, *counts, *axes, *splats, *order, *offsets, *keys, *owners, *records],
+        );
+        by_tile.record(&k.sort, pass, counts, self.tile_bits);
+        let (keys, _) = by_tile.output(self.tile_bits);
+        k.starts.dispatch(pass, k.starts.grid(tiles + 1), bound![*frame, *counts, *keys, self.starts]);
+    }
+
+    /// Entries by tile, by depth within.
+    pub(crate) fn entries(&self) -> &Array<u32> {
+        self.by_tile.output(self.tile_bits).1
+    }
+
+    /// Bytes on the device.
+    pub(crate) fn size(&self) -> usize {
+        let small = self.axes.size() + self.partial.size() + self.offsets.size() + self.starts.size();
+        small
+            + self.splats.size()
+            + self.tiles.size()
+            + self.runs.size()
+            + self.owners.size()
+            + self.by_depth.size()
+            + self.by_tile.size()
+    }
+
+    /// Gaussians that reach the lattice, nearest first; waited for.
+    #[cfg(test)]
+    pub(crate) fn visible(&self, gpu: &Gpu, n: usize) -> Vec<usize> {
+        if n == 0 {
+            return Vec::new();
+        }
+        let read = |array: &Array<u32>| array.read(gpu, n).expect("the device answers");
+        let (keys, order) = self.by_depth.output(DEPTH_BITS);
+        let hidden = (1 << DEPTH_BITS) - 1;
+        read(keys).iter().zip(read(order)).filter(|(k, _)| **k != hidden).map(|(_, i)| i as usize).collect()
+    }
+
+    /// Fills everything that a view writes with what is no number.
+    #[cfg(test)]
+    pub(crate) fn poison(&self, gpu: &Gpu) {
+        self.by_depth.poison(gpu);
+        self.by_tile.poison(gpu);
+        self.splats.poison(gpu);
+        self.runs.poison(gpu);
+        for array in [&self.tiles, &self.partial, &self.offsets, &self.owners, &self.starts] {
+            array.poison(gpu);
+        }
+    }
+}

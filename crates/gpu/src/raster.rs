@@ -1,0 +1,285 @@
+//! Light through a tile's Gaussians and the water, forward and backward.
+//!
+//! Forward, one thread per pixel: the processor's compositor in the telescoped form, with what the water's gradients need summed on
+//! the way (`Σ w e_b`, `Σ w z c e_a`, `Σ w z e_b`). Backward, one thread per Gaussian of a round of 64, in a diagonal over the tile's
+//! pixels: it uses neither subgroups nor float atomics, so its bits depend on no width.
+
+use use3d_training::EngineError;
+
+use crate::buffer::Array;
+use crate::device::Gpu;
+use crate::frame::{FRAME, Frame};
+use crate::kernel::{Access, Binding, Constant, Grid, Kernel, Spec, bound};
+use crate::lists::Lists;
+use crate::scene::Row;
+
+/// Threads of the forward pass: the pixels of a tile.
+const FORWARD: u32 = 256;
+/// Threads of the backward pass: Gaussians of a round.
+const BACKWARD: u32 = 64;
+
+const F32S: &str = "array<f32>";
+const U32S: &str = "array<u32>";
+const ROWS: &str = "array<vec4<f32>>";
+
+/// What both passes read of a tile.
+const TILE: [Binding; 6] = [
+    (Access::Uniform, "frame", "Frame"),
+    (Access::Read, "axes", F32S),
+    (Access::Read, "starts", U32S),
+    (Access::Read, "lists", U32S),
+    (Access::Read, "owners", U32S),
+    (Access::Read, "splats", ROWS),
+];
+/// The water in front of every pixel.
+const WATER: [Binding; 3] = [
+    (Access::Read, "water_color", F32S),
+    (Access::Read, "k_attenuation", F32S),
+    (Access::Read, "k_backscatter", F32S),
+];
+
+fn spec(
+    name: &'static str,
+    threads: u32,
+    more: &[Binding],
+    switches: &[(&'static str, bool)],
+    body: &'static str,
+) -> Spec {
+    Spec {
+        name,
+        threads,
+        bindings: [&TILE[..], &WATER[..], more].concat(),
+        constants: switches.iter().map(|(name, on)| (*name, Constant::Switch(*on))).collect(),
+        parts: vec![FRAME, include_str!("raster/shared.wgsl"), body],
+    }
+}
+
+fn forward(water: bool, train: bool) -> Spec {
+    let more = [
+        (Access::Write, "image", F32S),
+        (Access::Write, "depths", F32S),
+        (Access::Write, "accumulations", F32S),
+        (Access::Write, "transmittances", F32S),
+        (Access::Write, "stops", U32S),
+        (Access::Write, "veils", F32S),
+        (Access::Write, "object_moments", F32S),
+        (Access::Write, "veil_moments", F32S),
+    ];
+    let switches = [("WATER", water), ("TRAIN", train)];
+    spec("forward", FORWARD, &more, &switches, include_str!("raster/forward.wgsl"))
+}
+
+fn backward(water: bool) -> Spec {
+    let more = [
+        (Access::Read, "depths", F32S),
+        (Access::Read, "accumulations", F32S),
+        (Access::Read, "transmittances", F32S),
+        (Access::Read, "stops", U32S),
+        (Access::Read, "image_pull", F32S),
+        (Access::Read, "depth_pull", F32S),
+        (Access::Write, "records", ROWS),
+    ];
+    spec("backward", BACKWARD, &more, &[("WATER", water)], include_str!("raster/backward.wgsl"))
+}
+
+/// All kernels of this room.
+#[cfg(test)]
+pub(crate) fn specs() -> Vec<Spec> {
+    let both = [false, true];
+    let mut specs: Vec<Spec> = both.iter().flat_map(|w| both.map(|t| forward(*w, t))).collect();
+    specs.extend(both.map(backward));
+    specs
+}
+
+/// The kernels.
+#[derive(Debug)]
+pub(crate) struct RasterKernels {
+    /// By water, by training.
+    forward: [[Kernel; 2]; 2],
+    /// By water.
+    backward: [Kernel; 2],
+}
+
+impl RasterKernels {
+    pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
+        let pair = |water| {
+            Ok::<_, EngineError>([
+                Kernel::new(gpu, &forward(water, false))?,
+                Kernel::new(gpu, &forward(water, true))?,
+            ])
+        };
+        Ok(Self {
+            forward: [pair(false)?, pair(true)?],
+            backward: [Kernel::new(gpu, &backward(false))?, Kernel::new(gpu, &backward(true))?],
+        })
+    }
+}
+
+/// The water in front of every pixel, colour planes: `c_m`, and `k` with `e = 2^(−k z)`.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct WaterPlanes<'a> {
+    pub(crate) color: &'a Array<f32>,
+    pub(crate) attenuation: &'a Array<f32>,
+    pub(crate) backscatter: &'a Array<f32>,
+}
+
+/// What the forward pass writes of every pixel.
+#[derive(Debug)]
+pub(crate) struct Planes {
+    /// Colour planes.
+    pub(crate) image: Array<f32>,
+    pub(crate) depth: Array<f32>,
+    pub(crate) accumulation: Array<f32>,
+    pub(crate) transmittance: Array<f32>,
+    /// The entry of its tile's list at which a pixel stopped; 2³¹ − 1 where it did not.
+    pub(crate) stop: Array<u32>,
+    /// Colour planes: `Σ w e_b`, `Σ w z c e_a`, `Σ w z e_b`.
+    pub(crate) veil: Array<f32>,
+    pub(crate) object_moment: Array<f32>,
+    pub(crate) veil_moment: Array<f32>,
+    /// What stands for the water where there is none.
+    nothing: Array<f32>,
+}
+
+impl Planes {
+    pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
+        Ok(Self {
+            image: Array::new(gpu, "image", 1)?,
+            depth: Array::new(gpu, "depth", 1)?,
+            accumulation: Array::new(gpu, "accumulation", 1)?,
+            transmittance: Array::new(gpu, "transmittance", 1)?,
+            stop: Array::new(gpu, "stops", 1)?,
+            veil: Array::new(gpu, "veil", 1)?,
+            object_moment: Array::new(gpu, "moments of the object", 1)?,
+            veil_moment: Array::new(gpu, "moments of the veil", 1)?,
+            nothing: Array::new(gpu, "no water", 1)?,
+        })
+    }
+
+    /// Makes room for so many pixels.
+    pub(crate) fn grow(&mut self, gpu: &Gpu, pixels: usize) -> Result<(), EngineError> {
+        for colors in [&mut self.image, &mut self.veil, &mut self.object_moment, &mut self.veil_moment] {
+            colors.grow(gpu, 3 * pixels)?;
+        }
+        for values in [&mut self.depth, &mut self.accumulation, &mut self.transmittance] {
+            values.grow(gpu, pixels)?;
+        }
+        self.stop.grow(gpu, pixels)?;
+        Ok(())
+    }
+
+    /// Bytes on the device.
+    pub(crate) fn size(&self) -> usize {
+        let floats = [
+            &self.image,
+            &self.depth,
+            &self.accumulation,
+            &self.transmittance,
+            &self.veil,
+            &self.object_moment,
+            &self.veil_moment,
+        ];
+        floats.into_iter().map(Array::size).sum::<usize>() + self.stop.size()
+    }
+
+    /// Fills everything with what is no number.
+    #[cfg(test)]
+    pub(crate) fn poison(&self, gpu: &Gpu) {
+        self.stop.poison(gpu);
+        for plane in [
+            &self.image,
+            &self.depth,
+            &self.accumulation,
+            &self.transmittance,
+            &self.veil,
+            &self.object_moment,
+            &self.veil_moment,
+        ] {
+            plane.poison(gpu);
+        }
+    }
+
+    fn water<'a>(&'a self, water: Option<WaterPlanes<'a>>) -> WaterPlanes<'a> {
+        let none = &self.nothing;
+        water.unwrap_or(WaterPlanes { color: none, attenuation: none, backscatter: none })
+    }
+
+    /// Records the forward pass of `tiles` tiles. Without `train` only image, depth and accumulation are written.
+    pub(crate) fn record_forward(
+        &self,
+        kernels: &RasterKernels,
+        pass: &mut wgpu::ComputePass<'_>,
+        frame: &Array<Frame>,
+        tiles: usize,
+        lists: &Lists,
+        water: Option<WaterPlanes<'_>>,
+        train: bool,
+    ) {
+        let kernel = &kernels.forward[usize::from(water.is_some())][usize::from(train)];
+        let WaterPlanes { color, attenuation, backscatter } = self.water(water);
+        let (axes, starts, entries) = (&lists.axes, &lists.starts, lists.entries());
+        kernel.dispatch(
+            pass,
+            Grid::groups(tiles),
+            bound![
+                *frame,
+                *axes,
+                *starts,
+                *entries,
+                lists.owners,
+                lists.splats,
+                *color,
+                *attenuation,
+                *backscatter,
+                self.image,
+                self.depth,
+                self.accumulation,
+                self.transmittance,
+                self.stop,
+                self.veil,
+                self.object_moment,
+                self.veil_moment,
+            ],
+        );
+    }
+
+    /// Records the backward pass from the loss's derivatives with respect to image and depth: every entry's record.
+    pub(crate) fn record_backward(
+        &self,
+        kernels: &RasterKernels,
+        pass: &mut wgpu::ComputePass<'_>,
+        frame: &Array<Frame>,
+        tiles: usize,
+        lists: &Lists,
+        water: Option<WaterPlanes<'_>>,
+        image_pull: &Array<f32>,
+        depth_pull: &Array<f32>,
+        records: &Array<Row>,
+    ) {
+        let kernel = &kernels.backward[usize::from(water.is_some())];
+        let WaterPlanes { color, attenuation, backscatter } = self.water(water);
+        let (axes, starts, entries) = (&lists.axes, &lists.starts, lists.entries());
+        kernel.dispatch(
+            pass,
+            Grid::groups(tiles),
+            bound![
+                *frame,
+                *axes,
+                *starts,
+                *entries,
+                lists.owners,
+                lists.splats,
+                *color,
+                *attenuation,
+                *backscatter,
+                self.depth,
+                self.accumulation,
+                self.transmittance,
+                self.stop,
+                *image_pull,
+                *depth_pull,
+                *records,
+            ],
+        );
+    }
+}

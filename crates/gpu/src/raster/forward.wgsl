@@ -1,0 +1,113 @@
+// One workgroup per tile, one thread per pixel: light through the tile's Gaussians, nearest first.
+var<workgroup> near: array<vec4<f32>, 256>;
+var<workgroup> far: array<vec4<f32>, 256>;
+var<workgroup> tint: array<vec4<f32>, 256>;
+var<workgroup> open: atomic<u32>;
+var<workgroup> any_open: u32;
+
+@compute @workgroup_size(WG)
+fn main(
+    @builtin(workgroup_id) wid: vec3<u32>,
+    @builtin(num_workgroups) nwg: vec3<u32>,
+    @builtin(local_invocation_index) lid: u32,
+) {
+    let tile = group_of(wid, nwg);
+    if (tile >= frame.size.z * frame.size.w) { return; }
+    let column = (tile % frame.size.z) * TILE + lid % TILE;
+    let row = (tile / frame.size.z) * TILE + lid / TILE;
+    let inside = column < frame.size.x && row < frame.size.y;
+    let centre_x = axes[column];
+    let centre_y = axes[frame.size.z * TILE + row];
+    let plane = frame.size.x * frame.size.y;
+    let pixel = row * frame.size.x + column;
+    var ka = vec3<f32>();
+    var kb = vec3<f32>();
+    if (WATER && inside) {
+        ka = vec3<f32>(k_attenuation[pixel], k_attenuation[plane + pixel], k_attenuation[2u * plane + pixel]);
+        kb = vec3<f32>(k_backscatter[pixel], k_backscatter[plane + pixel], k_backscatter[2u * plane + pixel]);
+    }
+    var transmittance = 1.0f;
+    var object = vec3<f32>();
+    var veil = vec3<f32>();
+    var object_moment = vec3<f32>();
+    var veil_moment = vec3<f32>();
+    var depth = 0.0f;
+    var weight = 0.0f;
+    var stop = NEVER;
+    var live = inside;
+    if (!inside) { stop = 0u; }
+
+    let first = starts[tile];
+    let end = starts[tile + 1u];
+    for (var base = first; base < end; base += WG) {
+        workgroupBarrier();
+        if (lid == 0u) { atomicStore(&open, 0u); }
+        if (base + lid < end) {
+            let i = owners[lists[base + lid]];
+            near[lid] = splats[3u * i];
+            far[lid] = splats[3u * i + 1u];
+            tint[lid] = splats[3u * i + 2u];
+        }
+        workgroupBarrier();
+        if (live) { atomicOr(&open, 1u); }
+        workgroupBarrier();
+        if (lid == 0u) { any_open = atomicLoad(&open); }
+        if (workgroupUniformLoad(&any_open) == 0u) { break; }
+        let count = min(WG, end - base);
+        if (!live) { continue; }
+        for (var j = 0u; j < count; j++) {
+            let a = near[j];
+            let b = far[j];
+            let dy = centre_y - a.y;
+            let t = centre_x - fma(a.z, -dy, a.x);
+            let power = fma(t * a.w, -t, fma(b.x, -(dy * dy), b.y));
+            if (!(power >= -LOG2_255)) { continue; }
+            let alpha = min(exp2(power), ALPHA_MAX);
+            let w = transmittance * alpha;
+            let rest = transmittance * (1.0f - alpha);
+            if (rest <= STOP_AT) {
+                stop = base + j - first;
+                live = false;
+                break;
+            }
+            transmittance = rest;
+            let z = b.z;
+            depth = fma(w, z, depth);
+            weight += w;
+            let color = tint[j].xyz;
+            if (WATER) {
+                let seen = exp2(-(ka * z)) * color;
+                let veiled = exp2(-(kb * z));
+                object = fma(vec3<f32>(w), seen, object);
+                veil = fma(vec3<f32>(w), veiled, veil);
+                if (TRAIN) {
+                    let wz = w * z;
+                    object_moment = fma(vec3<f32>(wz), seen, object_moment);
+                    veil_moment = fma(vec3<f32>(wz), veiled, veil_moment);
+                }
+            } else {
+                object = fma(vec3<f32>(w), color, object);
+            }
+        }
+    }
+    if (!inside) { return; }
+    for (var c = 0u; c < 3u; c++) {
+        let at = c * plane + pixel;
+        if (WATER) {
+            image[at] = fma(water_color[at], 1.0f - veil[c], object[c]);
+            if (TRAIN) {
+                veils[at] = veil[c];
+                object_moments[at] = object_moment[c];
+                veil_moments[at] = veil_moment[c];
+            }
+        } else {
+            image[at] = object[c];
+        }
+    }
+    depths[pixel] = depth / max(weight, 1e-6f);
+    accumulations[pixel] = weight;
+    if (TRAIN) {
+        transmittances[pixel] = transmittance;
+        stops[pixel] = stop;
+    }
+}

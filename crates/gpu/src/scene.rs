@@ -1,0 +1,184 @@
+//! Gaussians, moments and statistics on the device, and the way between them and the rows in main memory.
+
+use use3d_reconstruct::engine::{Moments, Statistics};
+use use3d_splat::Gaussians;
+use use3d_training::EngineError;
+
+use crate::buffer::Array;
+use crate::device::Gpu;
+
+/// Four floats.
+pub(crate) type Row = [f32; 4];
+/// Rows of geometry per Gaussian.
+pub(crate) const GEOMETRY: usize = 3;
+/// Floats of colour per Gaussian.
+pub(crate) const COLORS: usize = 48;
+
+/// The parameters of N Gaussians, or one of their moments.
+#[derive(Debug)]
+pub(crate) struct Parameters {
+    /// Mean and opacity logit; log scales and 0; quaternion.
+    pub(crate) geometry: Array<Row>,
+    /// 16 bands × rgb.
+    pub(crate) colors: Array<f32>,
+}
+
+impl Parameters {
+    fn new(gpu: &Gpu, geometry: &'static str, colors: &'static str, n: usize) -> Result<Self, EngineError> {
+        Ok(Self {
+            geometry: Array::new(gpu, geometry, GEOMETRY * n)?,
+            colors: Array::new(gpu, colors, COLORS * n)?,
+        })
+    }
+
+    fn grow(&mut self, gpu: &Gpu, n: usize) -> Result<(), EngineError> {
+        self.geometry.grow(gpu, GEOMETRY * n)?;
+        self.colors.grow(gpu, COLORS * n)?;
+        Ok(())
+    }
+
+    /// Takes these Gaussians, for which there is room.
+    pub(crate) fn write(&self, gpu: &Gpu, g: &Gaussians) {
+        let rows: Vec<Row> = (0..g.len())
+            .flat_map(|i| {
+                let ([x, y, z], [a, b, c]) = (g.means[i], g.log_scales[i]);
+                [[x, y, z, g.opacity_logits[i]], [a, b, c, 0.0], g.quaternions[i]]
+            })
+            .collect();
+        self.geometry.write(gpu, 0, &rows);
+        self.colors.write(gpu, 0, g.sh.as_flattened().as_flattened());
+    }
+
+    /// The first `n` of them, waited for.
+    pub(crate) fn read(&self, gpu: &Gpu, n: usize, sh_degree: usize) -> Result<Gaussians, EngineError> {
+        let rows = self.geometry.read(gpu, GEOMETRY * n)?;
+        let colors = self.colors.read(gpu, COLORS * n)?;
+        let mut g = Gaussians::empty(sh_degree);
+        for row in rows.chunks_exact(GEOMETRY) {
+            let [[x, y, z, logit], [a, b, c, _], q] = [row[0], row[1], row[2]];
+            g.means.push([x, y, z]);
+            g.log_scales.push([a, b, c]);
+            g.quaternions.push(q);
+            g.opacity_logits.push(logit);
+        }
+        g.sh = colors
+            .chunks_exact(COLORS)
+            .map(|c| std::array::from_fn(|k| std::array::from_fn(|channel| c[3 * k + channel])))
+            .collect();
+        Ok(g)
+    }
+
+    fn size(&self) -> usize {
+        self.geometry.size() + self.colors.size()
+    }
+}
+
+/// A scene in training on the device.
+#[derive(Debug)]
+pub(crate) struct DeviceScene {
+    /// How many Gaussians.
+    pub(crate) count: usize,
+    /// Highest degree of colours stored.
+    pub(crate) sh_degree: usize,
+    pub(crate) values: Parameters,
+    pub(crate) first: Parameters,
+    pub(crate) second: Parameters,
+    /// Bits of the summed norm, and renders.
+    pub(crate) statistics: Array<[u32; 2]>,
+}
+
+impl DeviceScene {
+    /// Empty.
+    pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
+        Ok(Self {
+            count: 0,
+            sh_degree: 0,
+            values: Parameters::new(gpu, "geometry", "colours", 1)?,
+            first: Parameters::new(gpu, "first moments of geometry", "first moments of colours", 1)?,
+            second: Parameters::new(gpu, "second moments of geometry", "second moments of colours", 1)?,
+            statistics: Array::new(gpu, "density statistics", 1)?,
+        })
+    }
+
+    /// Takes a scene from main memory. All have one length.
+    pub(crate) fn write(
+        &mut self,
+        gpu: &Gpu,
+        gaussians: &Gaussians,
+        moments: &Moments,
+        statistics: &Statistics,
+    ) -> Result<(), EngineError> {
+        let n = gaussians.len();
+        (self.count, self.sh_degree) = (n, gaussians.sh_degree);
+        for (to, from) in [
+            (&mut self.values, gaussians),
+            (&mut self.first, &moments.first),
+            (&mut self.second, &moments.second),
+        ] {
+            to.grow(gpu, n)?;
+            to.write(gpu, from);
+        }
+        self.statistics.grow(gpu, n)?;
+        self.write_statistics(gpu, statistics);
+        Ok(())
+    }
+
+    /// Takes other statistics of the same Gaussians.
+    pub(crate) fn write_statistics(&self, gpu: &Gpu, statistics: &Statistics) {
+        let rows: Vec<[u32; 2]> =
+            statistics.norms.iter().zip(&statistics.renders).map(|(n, r)| [n.to_bits(), *r]).collect();
+        self.statistics.write(gpu, 0, &rows);
+    }
+
+    /// The Gaussians, waited for.
+    pub(crate) fn gaussians(&self, gpu: &Gpu) -> Result<Gaussians, EngineError> {
+        self.values.read(gpu, self.count, self.sh_degree)
+    }
+
+    /// Their moments, waited for.
+    pub(crate) fn moments(&self, gpu: &Gpu) -> Result<Moments, EngineError> {
+        Ok(Moments {
+            first: self.first.read(gpu, self.count, self.sh_degree)?,
+            second: self.second.read(gpu, self.count, self.sh_degree)?,
+        })
+    }
+
+    /// Their statistics, waited for.
+    pub(crate) fn statistics(&self, gpu: &Gpu) -> Result<Statistics, EngineError> {
+        let rows = self.statistics.read(gpu, self.count)?;
+        Ok(Statistics {
+            norms: rows.iter().map(|r| f32::from_bits(r[0])).collect(),
+            renders: rows.iter().map(|r| r[1]).collect(),
+        })
+    }
+
+    /// Bytes on the device.
+    pub(crate) fn size(&self) -> usize {
+        self.values.size() + self.first.size() + self.second.size() + self.statistics.size()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scene_comes_back_as_it_went() {
+        let Some(gpu) = crate::testing::software() else { return };
+        let mut scene = DeviceScene::new(&gpu).unwrap();
+        for n in [0usize, 1, 257] {
+            let gaussians = crate::testing::cloud(n, -2.0, 1.0);
+            let mut moments = Moments::new(&gaussians);
+            moments.first.clone_from(&gaussians);
+            moments.second.opacity_logits.fill(0.25);
+            let statistics = Statistics {
+                norms: (0..n).map(|i| i as f32 * 0.1).collect(),
+                renders: (0..n as u32).collect(),
+            };
+            scene.write(&gpu, &gaussians, &moments, &statistics).unwrap();
+            assert!(scene.gaussians(&gpu).unwrap() == gaussians);
+            assert!(scene.moments(&gpu).unwrap() == moments);
+            assert!(scene.statistics(&gpu).unwrap() == statistics);
+        }
+    }
+}

@@ -1,0 +1,265 @@
+//! A stable radix sort of (key, value) pairs of whole numbers: per pass of eight bits a histogram of every block of items, the places
+//! that follow from it, and the move.
+//!
+//! No pass waits for another workgroup (no look-back), no order of threads matters: the same input gives the same output everywhere.
+//! The values of the first pass are the items' numbers, so a caller writes keys alone.
+
+use bytemuck::{Pod, Zeroable};
+use use3d_training::EngineError;
+
+use crate::buffer::Array;
+use crate::device::Gpu;
+use crate::kernel::{Access, Binding, Constant, Grid, Kernel, Spec, bound};
+
+/// Threads of a workgroup.
+const THREADS: u32 = 256;
+/// Items of a block.
+const BLOCK: usize = 16 * THREADS as usize;
+/// Digits of a pass.
+const DIGITS: usize = 256;
+/// Passes of the longest key.
+const PASSES: usize = 4;
+
+/// One pass as its kernels read it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+struct Pass {
+    shift: u32,
+    items: u32,
+    blocks: u32,
+    counted: u32,
+}
+
+const ORDER: Binding = (Access::Uniform, "order", "Pass");
+const COUNTS: Binding = (Access::Read, "counts", "array<u32>");
+
+fn spec(name: &'static str, body: &'static str, identity: bool, more: &[Binding]) -> Spec {
+    Spec {
+        name,
+        threads: THREADS,
+        bindings: [&[ORDER, COUNTS], more].concat(),
+        constants: vec![("IDENTITY", Constant::Switch(identity))],
+        parts: vec![include_str!("scan.wgsl"), include_str!("sort/shared.wgsl"), body],
+    }
+}
+
+fn histogram() -> Spec {
+    let more = [(Access::Read, "keys", "array<u32>"), (Access::Write, "table", "array<u32>")];
+    spec("sort: histogram", include_str!("sort/histogram.wgsl"), false, &more)
+}
+
+fn spread() -> Spec {
+    let more = [(Access::Write, "table", "array<u32>"), (Access::Write, "totals", "array<u32>")];
+    spec("sort: spread", include_str!("sort/spread.wgsl"), false, &more)
+}
+
+fn scatter(identity: bool) -> Spec {
+    let more = [
+        (Access::Read, "keys", "array<u32>"),
+        (Access::Read, "values", "array<u32>"),
+        (Access::Read, "table", "array<u32>"),
+        (Access::Read, "totals", "array<u32>"),
+        (Access::Write, "sorted_keys", "array<u32>"),
+        (Access::Write, "sorted_values", "array<u32>"),
+    ];
+    spec("sort: scatter", include_str!("sort/scatter.wgsl"), identity, &more)
+}
+
+/// All kernels of the sort.
+#[cfg(test)]
+pub(crate) fn specs() -> Vec<Spec> {
+    vec![histogram(), spread(), scatter(false), scatter(true)]
+}
+
+/// The kernels; shared by all sorts of a device.
+#[derive(Debug)]
+pub(crate) struct SortKernels {
+    histogram: Kernel,
+    spread: Kernel,
+    scatter: Kernel,
+    scatter_first: Kernel,
+}
+
+impl SortKernels {
+    pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
+        Ok(Self {
+            histogram: Kernel::new(gpu, &histogram())?,
+            spread: Kernel::new(gpu, &spread())?,
+            scatter: Kernel::new(gpu, &scatter(false))?,
+            scatter_first: Kernel::new(gpu, &scatter(true))?,
+        })
+    }
+}
+
+/// How many items a sort has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Items {
+    /// So many.
+    Fixed(usize),
+    /// As many as the first word of the counts says, at most so many.
+    Counted(usize),
+}
+
+/// The buffers of one sort. Keys are written by the caller; both are in order afterwards.
+#[derive(Debug)]
+pub(crate) struct Sort {
+    keys: [Array<u32>; 2],
+    values: [Array<u32>; 2],
+    table: Array<u32>,
+    totals: Array<u32>,
+    passes: Vec<Array<Pass>>,
+    written: [Pass; PASSES],
+}
+
+impl Sort {
+    /// With room for so many items.
+    pub(crate) fn new(gpu: &Gpu, capacity: usize) -> Result<Self, EngineError> {
+        let pair =
+            |what| Ok::<_, EngineError>([Array::new(gpu, what, capacity)?, Array::new(gpu, what, capacity)?]);
+        Ok(Self {
+            keys: pair("sort keys")?,
+            values: pair("sorted items")?,
+            table: Array::new(gpu, "digit counts", DIGITS * capacity.div_ceil(BLOCK).max(1))?,
+            totals: Array::new(gpu, "digit totals", DIGITS)?,
+            passes: (0..PASSES).map(|_| Array::uniform(gpu, "sort pass")).collect::<Result<_, _>>()?,
+            written: [Pass::default(); PASSES],
+        })
+    }
+
+    /// Makes room; what it held is lost.
+    pub(crate) fn grow(&mut self, gpu: &Gpu, capacity: usize) -> Result<(), EngineError> {
+        for array in self.keys.iter_mut().chain(&mut self.values) {
+            array.grow(gpu, capacity)?;
+        }
+        self.table.grow(gpu, DIGITS * capacity.div_ceil(BLOCK))?;
+        Ok(())
+    }
+
+    /// Where the caller puts the keys.
+    pub(crate) fn input(&self) -> &Array<u32> {
+        &self.keys[0]
+    }
+
+    /// Items there is room for.
+    pub(crate) fn capacity(&self) -> usize {
+        self.keys[0].capacity()
+    }
+
+    /// Bytes on the device.
+    pub(crate) fn size(&self) -> usize {
+        let pairs: usize = self.keys.iter().chain(&self.values).map(Array::size).sum();
+        pairs + self.table.size() + self.totals.size()
+    }
+
+    /// Passes for keys of so many bits.
+    fn passes(bits: u32) -> usize {
+        (bits.div_ceil(8) as usize).clamp(1, PASSES)
+    }
+
+    /// Keys and values after sorting keys of so many bits.
+    pub(crate) fn output(&self, bits: u32) -> (&Array<u32>, &Array<u32>) {
+        let side = Self::passes(bits) % 2;
+        (&self.keys[side], &self.values[side])
+    }
+
+    /// Sets the passes up; before [`Sort::record`], and again when one of these changes.
+    pub(crate) fn prepare(&mut self, gpu: &Gpu, items: Items, bits: u32) {
+        let (count, counted) = match items {
+            Items::Fixed(count) => (count, 0),
+            Items::Counted(most) => (most, 1),
+        };
+        for (at, array) in self.passes.iter().enumerate().take(Self::passes(bits)) {
+            let blocks = count.div_ceil(BLOCK) as u32;
+            let pass = Pass { shift: 8 * at as u32, items: count as u32, blocks, counted };
+            if self.written[at] != pass {
+                array.write(gpu, 0, &[pass]);
+                self.written[at] = pass;
+            }
+        }
+    }
+
+    /// Records the sort that was prepared.
+    pub(crate) fn record(
+        &self,
+        kernels: &SortKernels,
+        pass: &mut wgpu::ComputePass<'_>,
+        counts: &Array<u32>,
+        bits: u32,
+    ) {
+        let blocks = Grid::groups(self.written[0].blocks as usize);
+        for (at, order) in self.passes.iter().enumerate().take(Self::passes(bits)) {
+            let (from, to) = (at % 2, (at + 1) % 2);
+            let (keys, values) = (&self.keys[from], &self.values[from]);
+            let (table, totals) = (&self.table, &self.totals);
+            kernels.histogram.dispatch(pass, blocks, bound![*order, *counts, *keys, *table]);
+            let digits = if self.written[0].blocks == 0 { Grid::groups(0) } else { Grid::groups(DIGITS) };
+            kernels.spread.dispatch(pass, digits, bound![*order, *counts, *table, *totals]);
+            let scatter = if at == 0 { &kernels.scatter_first } else { &kernels.scatter };
+            let (keys_to, values_to) = (&self.keys[to], &self.values[to]);
+            scatter.dispatch(
+                pass,
+                blocks,
+                bound![*order, *counts, *keys, *values, *table, *totals, *keys_to, *values_to],
+            );
+        }
+    }
+
+    /// Fills everything with what is no number.
+    #[cfg(test)]
+    pub(crate) fn poison(&self, gpu: &Gpu) {
+        for array in self.keys.iter().chain(&self.values).chain([&self.table, &self.totals]) {
+            array.poison(gpu);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernel::submit;
+
+    /// Numbers that repeat themselves, from a small generator.
+    fn keys(n: usize, bits: u32) -> Vec<u32> {
+        let mut state = 0x2545_f491_4f6c_dd1du64 ^ n as u64;
+        let mut next = || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 24) as u32
+        };
+        (0..n).map(|i| if i % 3 == 0 { 5 } else { next() & (u32::MAX >> (32 - bits)) }).collect()
+    }
+
+    fn expected(keys: &[u32]) -> (Vec<u32>, Vec<u32>) {
+        let mut order: Vec<u32> = (0..keys.len() as u32).collect();
+        order.sort_by_key(|&i| keys[i as usize]);
+        (order.iter().map(|&i| keys[i as usize]).collect(), order)
+    }
+
+    #[test]
+    fn pairs_are_sorted_and_ties_keep_their_order() {
+        let Some(gpu) = crate::testing::software() else { return };
+        let kernels = SortKernels::new(&gpu).unwrap();
+        let counts = Array::from(&gpu, "counts", &[0u32; 64]).unwrap();
+        let mut sort = Sort::new(&gpu, 1).unwrap();
+        for (n, bits) in
+            [(0, 8), (1, 28), (255, 8), (256, 13), (257, 13), (4096, 8), (4097, 28), (70_000, 32)]
+        {
+            let keys = keys(n, bits);
+            sort.grow(&gpu, n).unwrap();
+            for items in [Items::Fixed(n), Items::Counted(n + 5000)] {
+                if let Items::Counted(most) = items {
+                    sort.grow(&gpu, most).unwrap();
+                }
+                sort.poison(&gpu);
+                counts.write(&gpu, 0, &[n as u32]);
+                sort.input().write(&gpu, 0, &keys);
+                sort.prepare(&gpu, items, bits);
+                submit(&gpu, "sort", |pass| sort.record(&kernels, pass, &counts, bits)).unwrap();
+                let (sorted, order) = sort.output(bits);
+                let found = (sorted.read(&gpu, n).unwrap(), order.read(&gpu, n).unwrap());
+                assert!(found == expected(&keys), "{n} items of {bits} bits, {items:?}");
+            }
+        }
+    }
+}

@@ -1,0 +1,17 @@
+const ITEMS: u32 = 16u;
+const DIGITS: u32 = 256u;
+
+struct Pass {
+    // First bit of the digit, items, blocks there is room for, and whether the items are counted on the device instead.
+    shift: u32,
+    items: u32,
+    blocks: u32,
+    counted: u32,
+}
+
+fn item_count() -> u32 {
+    if (order.counted != 0u) { return min(counts[0], order.items); }
+    return order.items;
+}
+
+fn digit_of(key: u32) -> u32 { return (key >> order.shift) & (DIGITS - 1u); }

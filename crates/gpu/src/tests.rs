@@ -1,0 +1,303 @@
+//! Projection, lists, compositor and update beside the processor's, on the same inputs.
+
+use use3d_capture::{Camera, Image, Lattice, Map, MediumMaps};
+use use3d_reconstruct::engine::{Moments, Statistics, StepRates};
+use use3d_splat::{
+    Colors, Cotangents, GaussianGradients, Gaussians, Options, Prepared, Rasterizer, Rendered,
+};
+
+use crate::buffer::Array;
+use crate::device::Gpu;
+use crate::frame::{Frame, counts};
+use crate::kernel::submit;
+use crate::lists::{ListKernels, Lists};
+use crate::raster::{Planes, RasterKernels, WaterPlanes};
+use crate::scene::{DeviceScene, Row};
+use crate::testing::{camera, cloud, relative, software, water};
+use crate::update::UpdateKernels;
+
+const RATES: StepRates = StepRates {
+    means: 1e-3,
+    sh_constant: 2e-3,
+    sh_directional: 3e-3,
+    opacity: 4e-3,
+    scales: 5e-3,
+    quaternions: 6e-3,
+    medium_constant: 0.0,
+    medium_directional: 0.0,
+    medium_network: 0.0,
+};
+
+/// What one view needs, outside an engine.
+struct Bench {
+    gpu: Gpu,
+    lists: ListKernels,
+    raster: RasterKernels,
+    update: UpdateKernels,
+}
+
+/// A view as the device drew and differentiated it.
+struct Drawn {
+    image: Vec<f32>,
+    depth: Vec<f32>,
+    accumulation: Vec<f32>,
+    /// `Σ w e_b`, `Σ w z c e_a`, `Σ w z e_b`.
+    along: [Vec<f32>; 3],
+    /// First moments after one step from zero: a tenth of the gradients.
+    first: Gaussians,
+    moved: Gaussians,
+    statistics: Statistics,
+    entries: usize,
+    visible: Vec<usize>,
+}
+
+/// A view and what the loss says of it.
+struct Case {
+    gaussians: Gaussians,
+    camera: Camera,
+    degree: usize,
+    water: Option<MediumMaps>,
+    image: Image,
+    depth: Map,
+    depth_gradient: bool,
+}
+
+impl Case {
+    fn new(gaussians: Gaussians, width: usize, height: usize, wet: bool) -> Self {
+        // Mostly of one sign, as a loss's are: sums that cancel would say little of either side.
+        let wave = |i: usize, f: f32| ((i as f32 * f).fract() - 0.2) * 2e-3;
+        let image = (0..3 * width * height).map(|i| wave(i, 0.618_034)).collect();
+        let depth = (0..width * height).map(|i| wave(i, 0.414_213)).collect();
+        Self {
+            gaussians,
+            camera: camera(width, height),
+            degree: 3,
+            water: wet.then(|| water(width, height)),
+            image: Image::from_planes(width, height, image).unwrap(),
+            depth: Map::from_planes(width, height, depth).unwrap(),
+            depth_gradient: true,
+        }
+    }
+
+    fn cpu(&self) -> (Prepared, Rendered, GaussianGradients, MediumMaps) {
+        let mut prepared = Prepared::new();
+        let lattice = Lattice::full(&self.camera.intrinsics);
+        prepared.prepare(&self.gaussians, &self.camera, &lattice, Colors::Sh { degree: self.degree });
+        let (mut rasterizer, mut rendered) = (Rasterizer::new(), Rendered::new());
+        let options = Options { depth_gradient: self.depth_gradient, layers: false };
+        rasterizer.forward(&prepared, self.water.as_ref(), &options, &mut rendered);
+        let cotangents =
+            Cotangents { image: &self.image, depth: Some(&self.depth), accumulation: None, clear: None };
+        let (mut gradients, mut maps) = (GaussianGradients::default(), MediumMaps::zeros(0, 0));
+        rasterizer.backward(
+            &prepared,
+            &self.gaussians,
+            &self.camera,
+            self.water.as_ref(),
+            &options,
+            &cotangents,
+            &mut gradients,
+            Some(&mut maps),
+        );
+        (prepared, rendered, gradients, maps)
+    }
+}
+
+impl Bench {
+    fn new() -> Option<Self> {
+        let gpu = software()?;
+        Some(Self {
+            lists: ListKernels::new(&gpu).unwrap(),
+            raster: RasterKernels::new(&gpu).unwrap(),
+            update: UpdateKernels::new(&gpu).unwrap(),
+            gpu,
+        })
+    }
+
+    /// Draws and differentiates with every buffer poisoned; `room` entries, more where they do not suffice.
+    fn draw(&self, case: &Case, room: usize) -> Drawn {
+        let (gpu, n) = (&self.gpu, case.gaussians.len());
+        let mut scene = DeviceScene::new(gpu).unwrap();
+        let (moments, statistics) = (Moments::new(&case.gaussians), Statistics::new(n));
+        scene.write(gpu, &case.gaussians, &moments, &statistics).unwrap();
+        let (mut lists, mut planes) = (Lists::new(gpu).unwrap(), Planes::new(gpu).unwrap());
+        lists.grow(gpu, room).unwrap();
+        let degree = case.degree.min(case.gaussians.sh_degree);
+        let mut frame = Frame::of(&case.camera, n, degree, lists.capacity());
+        let pixels = frame.pixels();
+        frame.flags = [u32::from(case.water.is_some()), u32::from(case.depth_gradient), 1, 0];
+        frame.set_rates(0, &RATES);
+        frame.screen = [frame.size[0] as f32 * 0.5, frame.size[1] as f32 * 0.5, 0.0, 0.0];
+        lists.prepare(gpu, &frame).unwrap();
+        planes.grow(gpu, pixels).unwrap();
+        let records = Array::<Row>::new(gpu, "records", 3 * lists.capacity()).unwrap();
+        lists.poison(gpu);
+        planes.poison(gpu);
+        records.poison(gpu);
+        let counts = Array::from(gpu, "counts", &[0u32; counts::WORDS]).unwrap();
+        let uniform = Array::uniform(gpu, "frame").unwrap();
+        uniform.write(gpu, 0, &[frame]);
+        let ends = Array::<[u32; 4]>::new(gpu, "ends", 4).unwrap();
+        let image = Array::from(gpu, "image slopes", case.image.data()).unwrap();
+        let depth = Array::from(gpu, "depth slopes", case.depth.data()).unwrap();
+        let maps = case
+            .water
+            .as_ref()
+            .map(|maps| exponents(maps, &case.camera))
+            .map(|planes| planes.map(|plane| Array::from(gpu, "water", &plane).unwrap()));
+        let water = maps.as_ref().map(|[color, attenuation, backscatter]| WaterPlanes {
+            color,
+            attenuation,
+            backscatter,
+        });
+        submit(gpu, "view", |pass| {
+            let tiles = frame.tiles();
+            lists.record(&self.lists, pass, &uniform, n, tiles, &scene.values, &counts, Some(&records));
+            planes.record_forward(&self.raster, pass, &uniform, tiles, &lists, water, true);
+            planes.record_backward(
+                &self.raster,
+                pass,
+                &uniform,
+                tiles,
+                &lists,
+                water,
+                &image,
+                &depth,
+                &records,
+            );
+            self.update.record(pass, &uniform, &counts, &lists, &records, &scene);
+            self.update.record_finish(pass, &uniform, &counts, &ends);
+        })
+        .unwrap();
+        let told = counts.read(gpu, counts::WORDS).unwrap();
+        if told[counts::STOP] == counts::OVERFLOW {
+            assert!(scene.gaussians(gpu).unwrap() == case.gaussians, "an overflow changed something");
+            assert!(told[counts::MOST] as usize > room);
+            return self.draw(case, told[counts::MOST] as usize);
+        }
+        assert_eq!(told[counts::STOP], 0, "not finite: {:b}", told[counts::BAD]);
+        let of = |array: &Array<f32>, n: usize| array.read(gpu, n).unwrap();
+        let order = lists.visible(gpu, n);
+        Drawn {
+            image: of(&planes.image, 3 * pixels),
+            depth: of(&planes.depth, pixels),
+            accumulation: of(&planes.accumulation, pixels),
+            along: [&planes.veil, &planes.object_moment, &planes.veil_moment].map(|p| of(p, 3 * pixels)),
+            first: scene.moments(gpu).unwrap().first,
+            moved: scene.gaussians(gpu).unwrap(),
+            statistics: scene.statistics(gpu).unwrap(),
+            entries: told[counts::ENTRIES] as usize,
+            visible: order,
+        }
+    }
+}
+
+/// The water as the kernels read it.
+fn exponents(maps: &MediumMaps, camera: &Camera) -> [Vec<f32>; 3] {
+    let (w, h) = (maps.color.width(), maps.color.height());
+    let ray = |i: usize| {
+        let (x, y) = (i % (w * h) % w, i % (w * h) / w);
+        camera.ray(x as f64 + 0.5, y as f64 + 0.5).length()
+    };
+    let k = |map: &Image| {
+        let each = map.data().iter().enumerate();
+        each.map(|(i, b)| (f64::from(*b) * ray(i) * std::f64::consts::LOG2_E) as f32).collect()
+    };
+    [maps.color.data().to_vec(), k(&maps.attenuation), k(&maps.backscatter)]
+}
+
+/// Holds the device's view to the processor's.
+fn agree(bench: &Bench, case: &Case, room: usize, what: &str) -> Drawn {
+    let drawn = bench.draw(case, room);
+    let (prepared, rendered, gradients, maps) = case.cpu();
+    let close = |name: &str, a: &[f32], b: &[f32], bar: f64| {
+        let error = relative(a, b);
+        assert!(error <= bar, "{what}: {name} off by {error:.1e}");
+    };
+    let cpu: Vec<usize> = prepared.visible().collect();
+    let swapped = drawn.visible.iter().zip(&cpu).filter(|(a, b)| a != b).count();
+    assert!(
+        drawn.visible.len().abs_diff(cpu.len()) <= cpu.len() / 1000 && swapped <= cpu.len() / 100,
+        "{what}: {} visible, {} on the processor, {swapped} in another place",
+        drawn.visible.len(),
+        cpu.len(),
+    );
+    assert!(drawn.entries.abs_diff(prepared.entries()) <= prepared.entries() / 500, "{what}");
+    close("image", &drawn.image, rendered.image.data(), 1e-5);
+    close("depth", &drawn.depth, rendered.depth.data(), 1e-5);
+    close("accumulation", &drawn.accumulation, rendered.accumulation.data(), 1e-5);
+    if let Some(water) = &case.water {
+        let pixels = case.depth.pixels();
+        let g = case.image.data();
+        let ray = |i: usize| {
+            let (x, y) = (i % pixels % case.depth.width(), i % pixels / case.depth.width());
+            case.camera.ray(x as f64 + 0.5, y as f64 + 0.5).length() as f32
+        };
+        let [veil, object, veiled] = &drawn.along;
+        let of = |f: &dyn Fn(usize) -> f32| (0..g.len()).map(f).collect::<Vec<f32>>();
+        close("slope of water's colour", &of(&|i| g[i] * (1.0 - veil[i])), maps.color.data(), 1e-5);
+        let backscatter = of(&|i| g[i] * water.color.data()[i] * veiled[i] * ray(i));
+        close("slope of backscatter", &backscatter, maps.backscatter.data(), 1e-5);
+        let attenuation = of(&|i| -g[i] * object[i] * ray(i));
+        close("slope of attenuation", &attenuation, maps.attenuation.data(), 1e-5);
+    }
+    let tenth = |values: &[f32]| values.iter().map(|v| (1.0 - 0.9f32) * v).collect::<Vec<_>>();
+    let f = &drawn.first;
+    close("means", f.means.as_flattened(), &tenth(gradients.means.as_flattened()), 1e-5);
+    close("log scales", f.log_scales.as_flattened(), &tenth(gradients.log_scales.as_flattened()), 1e-5);
+    close("quaternions", f.quaternions.as_flattened(), &tenth(gradients.quaternions.as_flattened()), 1e-5);
+    close("opacities", &f.opacity_logits, &tenth(&gradients.opacity_logits), 1e-5);
+    let colors = gradients.sh.as_flattened().as_flattened();
+    close("colours", f.sh.as_flattened().as_flattened(), &tenth(colors), 1e-5);
+    let mut statistics = Statistics::new(case.gaussians.len());
+    let (w, h) = (case.camera.intrinsics.width, case.camera.intrinsics.height);
+    statistics.gather(&gradients, w, h, 1.0);
+    close("statistics", &drawn.statistics.norms, &statistics.norms, 1e-5);
+    let renders = drawn.statistics.renders.iter().zip(&statistics.renders).filter(|(a, b)| a != b).count();
+    assert!(renders <= case.gaussians.len() / 1000, "{what}: {renders}");
+    drawn
+}
+
+#[test]
+fn a_view_is_drawn_and_differentiated_as_on_the_processor() {
+    let Some(bench) = Bench::new() else { return };
+    for n in [0usize, 1, 255, 256, 257, 600] {
+        for wet in [false, true] {
+            // Room for one entry at first: the overflow is told, changes nothing, and is cured.
+            agree(&bench, &Case::new(cloud(n, -3.0, 0.5), 75, 58, wet), 1, &format!("{n}, water {wet}"));
+        }
+    }
+    let mut dry_distance = Case::new(cloud(300, -3.0, 0.5), 40, 33, true);
+    dry_distance.depth_gradient = false;
+    dry_distance.degree = 1;
+    agree(&bench, &dry_distance, 1, "no gradient through distances");
+}
+
+#[test]
+fn a_huge_one_needles_and_full_tiles_are_drawn_alike() {
+    let Some(bench) = Bench::new() else { return };
+    let mut huge = cloud(40, -3.5, 0.0);
+    huge.means[7] = [0.0, 0.0, 4.0];
+    huge.log_scales[7] = [2.0, 2.5, 1.0];
+    agree(&bench, &Case::new(huge, 70, 52, true), 1, "a huge one");
+    // Ten thousand times as long as they are wide.
+    let mut needles = cloud(60, -4.0, 2.0);
+    for (i, scales) in needles.log_scales.iter_mut().enumerate() {
+        *scales = [-1.5, -10.7, -10.7 + 0.1 * i as f32];
+    }
+    agree(&bench, &Case::new(needles, 64, 48, false), 1, "needles");
+    // Faint ones, thousands to a tile, so that no pixel stops early.
+    let full = cloud(9000, -1.5, -4.5);
+    let drawn = agree(&bench, &Case::new(full, 16, 16, true), 1, "full tiles");
+    assert!(drawn.entries > 4096, "{}", drawn.entries);
+}
+
+#[test]
+fn the_same_view_is_the_same_bytes() {
+    let Some(bench) = Bench::new() else { return };
+    let case = Case::new(cloud(400, -3.0, 0.5), 61, 47, true);
+    let (a, b) = (bench.draw(&case, 1 << 15), bench.draw(&case, 1));
+    assert!(a.image == b.image && a.depth == b.depth && a.along == b.along);
+    assert!(a.first == b.first && a.moved == b.moved && a.statistics == b.statistics);
+    assert!(a.moved != case.gaussians);
+}

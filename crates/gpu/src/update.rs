@@ -1,0 +1,190 @@
+//! Adam on the Gaussians, with everything that leads to it: their records added up, the projection's derivative, the statistics of
+//! density control. One kernel, so that no gradient is written anywhere.
+
+use bytemuck::{Pod, Zeroable};
+use use3d_numerics::adam::Adam;
+use use3d_numerics::math;
+use use3d_reconstruct::engine::StepRates;
+use use3d_training::EngineError;
+
+use crate::buffer::Array;
+use crate::device::Gpu;
+use crate::frame::{FRAME, Frame, counts};
+use crate::kernel::{Access, Binding, Grid, Kernel, Spec, bound};
+use crate::lists::{HARMONICS, Lists, PROJECTION};
+use crate::scene::{DeviceScene, Row};
+
+/// Threads of a workgroup.
+const THREADS: u32 = 128;
+const F32S: &str = "array<f32>";
+const ROWS: &str = "array<vec4<f32>>";
+const FRAME_BINDING: Binding = (Access::Uniform, "frame", "Frame");
+
+fn update() -> Spec {
+    Spec {
+        name: "update",
+        threads: THREADS,
+        bindings: vec![
+            FRAME_BINDING,
+            (Access::Write, "counts", "array<atomic<u32>>"),
+            (Access::Read, "runs", "array<vec2<u32>>"),
+            (Access::Read, "records", ROWS),
+            (Access::Read, "splats", ROWS),
+            (Access::Write, "geometry", ROWS),
+            (Access::Write, "colors", F32S),
+            (Access::Write, "geometry_first", ROWS),
+            (Access::Write, "colors_first", F32S),
+            (Access::Write, "geometry_second", ROWS),
+            (Access::Write, "colors_second", F32S),
+            (Access::Write, "statistics", "array<vec2<u32>>"),
+        ],
+        constants: counts::constants(),
+        parts: vec![FRAME, HARMONICS, PROJECTION, include_str!("update/update.wgsl")],
+    }
+}
+
+fn finish() -> Spec {
+    Spec {
+        name: "finish",
+        threads: 1,
+        bindings: vec![
+            FRAME_BINDING,
+            (Access::Write, "counts", "array<u32>"),
+            (Access::Write, "ends", "array<vec4<u32>>"),
+        ],
+        constants: counts::constants(),
+        parts: vec![FRAME, include_str!("update/finish.wgsl")],
+    }
+}
+
+fn limit() -> Spec {
+    Spec {
+        name: "limit opacity",
+        threads: THREADS,
+        bindings: vec![
+            (Access::Uniform, "ceiling", "Ceiling"),
+            (Access::Write, "geometry", ROWS),
+            (Access::Write, "geometry_first", ROWS),
+            (Access::Write, "geometry_second", ROWS),
+        ],
+        constants: vec![],
+        parts: vec![
+            "struct Ceiling { count: u32, logit: f32, pad0: u32, pad1: u32 }",
+            include_str!("update/limit.wgsl"),
+        ],
+    }
+}
+
+/// All kernels of this room.
+#[cfg(test)]
+pub(crate) fn specs() -> Vec<Spec> {
+    vec![update(), finish(), limit()]
+}
+
+/// What the opacity ceiling is done with.
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C)]
+struct Ceiling {
+    count: u32,
+    logit: f32,
+    pad: [u32; 2],
+}
+
+/// The kernels.
+#[derive(Debug)]
+pub(crate) struct UpdateKernels {
+    update: Kernel,
+    finish: Kernel,
+    limit: Kernel,
+    ceiling: Array<Ceiling>,
+}
+
+impl UpdateKernels {
+    pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
+        Ok(Self {
+            update: Kernel::new(gpu, &update())?,
+            finish: Kernel::new(gpu, &finish())?,
+            limit: Kernel::new(gpu, &limit())?,
+            ceiling: Array::uniform(gpu, "opacity ceiling")?,
+        })
+    }
+
+    /// Records one update of every Gaussian.
+    pub(crate) fn record(
+        &self,
+        pass: &mut wgpu::ComputePass<'_>,
+        frame: &Array<Frame>,
+        counts: &Array<u32>,
+        lists: &Lists,
+        records: &Array<Row>,
+        scene: &DeviceScene,
+    ) {
+        let DeviceScene { values, first, second, statistics, .. } = scene;
+        self.update.dispatch(
+            pass,
+            self.update.grid(scene.count),
+            bound![
+                *frame,
+                *counts,
+                lists.runs,
+                *records,
+                lists.splats,
+                values.geometry,
+                values.colors,
+                first.geometry,
+                first.colors,
+                second.geometry,
+                second.colors,
+                *statistics,
+            ],
+        );
+    }
+
+    /// Records a step's end: what was not finite stops what follows, and how it ended is noted.
+    pub(crate) fn record_finish(
+        &self,
+        pass: &mut wgpu::ComputePass<'_>,
+        frame: &Array<Frame>,
+        counts: &Array<u32>,
+        ends: &Array<[u32; 4]>,
+    ) {
+        self.finish.dispatch(pass, Grid::groups(1), bound![*frame, *counts, *ends]);
+    }
+
+    /// Records the lowering of opacities to a logit.
+    pub(crate) fn record_limit(
+        &self,
+        gpu: &Gpu,
+        pass: &mut wgpu::ComputePass<'_>,
+        scene: &DeviceScene,
+        logit: f32,
+    ) {
+        self.ceiling.write(gpu, 0, &[Ceiling { count: scene.count as u32, logit, pad: [0; 2] }]);
+        let DeviceScene { values, first, second, .. } = scene;
+        self.limit.dispatch(
+            pass,
+            self.limit.grid(scene.count),
+            bound![self.ceiling, values.geometry, first.geometry, second.geometry],
+        );
+    }
+}
+
+/// The corrections of step `step` (from 1): the first moment's `1 − β₁ᵗ` and the second's `1 / √(1 − β₂ᵗ)`.
+fn corrections(step: u64) -> (f64, f32) {
+    let Adam { beta1, beta2, .. } = Adam::SPLATTING;
+    let exponent = i32::try_from(step).unwrap_or(i32::MAX);
+    let (c1, c2) = (1.0 - math::powi(beta1, exponent), 1.0 - math::powi(beta2, exponent));
+    (c1, (1.0 / c2.sqrt()) as f32)
+}
+
+impl Frame {
+    /// Sets Adam's scalars for step `step` (from 0).
+    pub(crate) fn set_rates(&mut self, step: u64, rates: &StepRates) {
+        let Adam { beta1, beta2, epsilon, .. } = Adam::SPLATTING;
+        let (c1, root) = corrections(step + 1);
+        let size = |rate: f64| (rate / c1) as f32;
+        self.adam = [beta1 as f32, beta2 as f32, root, epsilon as f32];
+        self.rates = [rates.means, rates.scales, rates.quaternions, rates.opacity].map(size);
+        self.color_rates = [size(rates.sh_constant), size(rates.sh_directional), 0.0, 0.0];
+    }
+}

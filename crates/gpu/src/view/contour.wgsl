@@ -1,0 +1,80 @@
+// The exact tiles of a Gaussian, row by row of tiles: those with a pixel centre within the box of its 1/255 contour along the row.
+const TILE: u32 = 16u;
+
+struct Contour {
+    x: f32,
+    y: f32,
+    shear: f32,
+    steepness: f32,
+    steepness_y: f32,
+    level: f32,
+    reach_y: f32,
+}
+
+// First and last centre of a tile across, and down.
+fn across(t: u32) -> vec2<f32> { return vec2<f32>(axes[t * TILE], axes[t * TILE + TILE - 1u]); }
+fn down(t: u32) -> vec2<f32> {
+    let first = (frame.size.z + t) * TILE;
+    return vec2<f32>(axes[first], axes[first + TILE - 1u]);
+}
+
+// The half-open range of tiles across with a centre between two numbers.
+fn columns_meeting(low: f32, high: f32) -> vec2<u32> {
+    var a = 0u;
+    var b = frame.size.z;
+    while (a < b) {
+        let middle = (a + b) / 2u;
+        if (across(middle).y < low) { a = middle + 1u; } else { b = middle; }
+    }
+    let first = a;
+    b = frame.size.z;
+    while (a < b) {
+        let middle = (a + b) / 2u;
+        if (across(middle).x <= high) { a = middle + 1u; } else { b = middle; }
+    }
+    return vec2<u32>(first, a);
+}
+
+// The same down.
+fn rows_meeting(low: f32, high: f32) -> vec2<u32> {
+    var a = 0u;
+    var b = frame.size.w;
+    while (a < b) {
+        let middle = (a + b) / 2u;
+        if (down(middle).y < low) { a = middle + 1u; } else { b = middle; }
+    }
+    let first = a;
+    b = frame.size.w;
+    while (a < b) {
+        let middle = (a + b) / 2u;
+        if (down(middle).x <= high) { a = middle + 1u; } else { b = middle; }
+    }
+    return vec2<u32>(first, a);
+}
+
+fn half_width(s: Contour, dy: f32) -> f32 {
+    return sqrt(max(s.level - s.steepness_y * dy * dy, 0.0f) / s.steepness);
+}
+
+fn within(dy: f32, low: f32, high: f32) -> f32 {
+    if ((bitcast<u32>(dy) & 0x7fffffffu) > 0x7f800000u) { return low; }
+    return min(max(dy, low), high);
+}
+
+fn margin(x: f32) -> f32 { return 1e-3f + 1e-5f * abs(x); }
+
+// The tiles of one row of tiles, half open; none where the first is not below the second.
+fn row_span(s: Contour, row: u32) -> vec2<u32> {
+    let rows = down(row);
+    let low = max(rows.x - s.y, -s.reach_y);
+    let high = min(rows.y - s.y, s.reach_y);
+    if (!(low <= high)) { return vec2<u32>(0u, 0u); }
+    let a = s.steepness;
+    let d = s.steepness_y;
+    let tangent = s.shear * sqrt(s.level * a / (d * (d + a * s.shear * s.shear)));
+    let right = within(-tangent, low, high);
+    let left = within(tangent, low, high);
+    let x0 = -s.shear * left - half_width(s, left);
+    let x1 = -s.shear * right + half_width(s, right);
+    return columns_meeting(s.x + (x0 - margin(x0)), s.x + (x1 + margin(x1)));
+}

@@ -1,0 +1,26 @@
+// One workgroup: where every block's entries begin, and how many there are. Too many are none, and stop what follows.
+@compute @workgroup_size(WG)
+fn main(@builtin(local_invocation_index) lid: u32) {
+    let n = frame.counts.x;
+    let blocks = (n + ITEMS * WG - 1u) / (ITEMS * WG);
+    var carry = 0u;
+    for (var first = 0u; first < blocks; first += WG) {
+        let block = first + lid;
+        var count = 0u;
+        if (block < blocks) { count = partial[block]; }
+        let sums = exclusive(lid, count);
+        if (block < blocks) { partial[block] = carry + sums.x; }
+        carry += sums.y;
+    }
+    if (lid != 0u) { return; }
+    counts[MOST] = max(counts[MOST], carry);
+    if (carry <= frame.counts.z) {
+        counts[ENTRIES] = carry;
+        return;
+    }
+    counts[ENTRIES] = 0u;
+    if (counts[STOP] == 0u) {
+        counts[STOP] = OVERFLOW;
+        counts[STOP_STEP] = frame.counts.w;
+    }
+}
