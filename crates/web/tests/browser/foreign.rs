@@ -191,7 +191,7 @@ fn the_formats_own_library_reads_what_is_written() {
         assert!(largest("colors", &colours) < 0.014);
         let harmonics: Vec<f32> = g.sh.iter().flat_map(|sh| sh[1..].as_flattened().to_vec()).collect();
         assert!(largest("sh", &harmonics) < 0.063);
-        let opacity = |logit: &f32| 1.0 / (1.0 + (-logit).exp());
+        let opacity = |logit: &f32| 1.0 / (1.0 + use3d_numerics::math::exp(-logit));
         for (theirs, ours) in array("alphas").iter().zip(&g.opacity_logits) {
             assert!((opacity(theirs) - opacity(ours)).abs() < 0.003);
         }
