@@ -162,9 +162,17 @@ fn not_measured(scores: &SceneScores) -> Option<Sentence> {
     let mut reason = None;
     for (metric, score) in scores.methods.iter().flat_map(|m| &m.mean) {
         if let use3d_metrics::Score::NotAvailable(why) = score {
-            let metric = metric.strip_prefix("path_").unwrap_or(metric);
-            if !names.contains(&metric) {
-                names.push(metric);
+            // The share of pixels that flow covers is no score of its own: wLPIPS is missing with it.
+            let name = match metric.strip_prefix("path_").unwrap_or(metric) {
+                "flow_coverage" => "wLPIPS",
+                "lpips" => "LPIPS",
+                "musiq" => "MUSIQ",
+                "uranker" => "URanker",
+                "wlpips" => "wLPIPS",
+                other => other,
+            };
+            if !names.contains(&name) {
+                names.push(name);
             }
             reason.get_or_insert(why.as_str());
         }
@@ -254,7 +262,7 @@ mod tests {
             "{said:?}"
         );
         assert!(said[2].0 == Tone::Bad, "{said:?}");
-        assert_eq!(said[3].1, "Not measured: lpips (no models folder).");
+        assert_eq!(said[3].1, "Not measured: LPIPS (no models folder).");
         assert!(texts(&scene(&[(Method::Reconstruction, &[])]))[0].1.contains("No photograph was held out"));
     }
 }
