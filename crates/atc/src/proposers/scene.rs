@@ -31,10 +31,12 @@
 //!   times the differences of the optical depths `τ`. Log-colours (centred) are therefore drawn to the
 //!   scene's mean `m` as far as that error outweighs their own spread `σ_C`; luminance stays.
 //! * *Brightness.* The bright end of what is sure (99th percentile of the largest channel) is brought to at
-//!   least 0.85 and at most 0.97, by a gain `b` in [1/1.2, 1.5] that clips at most 0.3 % of the surface.
-//!   `Y_95` is the 95th percentile of luminance after the balance.
+//!   least 0.85 and at most 0.97, by a gain `b` in [1/1.2, 1.5] that clips at most 0.3 % of what is
+//!   sure, and above one of the whole surface. `Y_95` is the 95th percentile of luminance after the balance.
 //! * *Contrast.* Only of a scene whose luminance spans less than 3 : 1 from the 5th to the 95th percentile:
 //!   `p` widens it, by at most 1.15.
+//! * *Air.* Where there is no water, nothing was taken from the scene: brightness and contrast are as the
+//!   camera set them.
 //!
 //! Medians and percentiles are of at most 4096 pixels of each view, on an even grid. A standard error counts
 //! every four views as one independent: neighbouring views see the same surfaces. Deterministic; no weights,
@@ -56,7 +58,7 @@ use crate::extractor::global::LUMINANCE;
 /// The proposer's name.
 pub const NAME: &str = "scene";
 /// The version of the formula; raised when a constant or a step changes.
-const VERSION: &str = "3";
+const VERSION: &str = "4";
 
 /// Mean log-colour of surfaces under white light: between that of everyday photographs and that of sand.
 const WARMTH: [f64; 3] = [0.10, 0.03, -0.13];
@@ -88,6 +90,8 @@ const LEAST: f64 = 1e-3;
 const BRIGHT_END: [f64; 2] = [0.85, 0.97];
 /// Bounds of the brightness.
 const BRIGHTNESS: [f64; 2] = [1.0 / 1.2, 1.5];
+/// Where more of the light than this arrives everywhere, there is no water.
+const NO_LOSS: f32 = 0.999;
 /// Share of the surface that a brighter scene may clip.
 const CLIPPED: f64 = 0.003;
 /// The least range of luminance, 95th over 5th percentile, that is left as it is; and the largest exponent
@@ -157,6 +161,8 @@ type Coloured = ([f64; 3], f64);
 #[derive(Clone, Debug, Default)]
 pub struct SceneSurvey {
     views: Vec<Vec<Sample>>,
+    /// Whether anything takes light away.
+    water: bool,
 }
 
 /// What was found about a scene, for reports.
@@ -219,6 +225,8 @@ impl SceneSurvey {
             for x in axis(w) {
                 let [accumulation] = view.accumulation.pixel(x, y);
                 if accumulation >= 0.5 {
+                    let arriving = view.arriving.pixel(x, y);
+                    self.water |= arriving.iter().any(|a| *a < NO_LOSS * accumulation);
                     let radiance = view.clear.pixel(x, y).map(|v| f64::from(v.max(0.0)));
                     samples.push(Sample { radiance, weight: f64::from(sure.pixel(x, y)[0]) });
                 }
@@ -249,7 +257,8 @@ impl SceneSurvey {
         let light: Vec<(f64, f64)> = all.iter().map(|s| (luminance(graded(s)), s.weight)).collect();
         let pivot = quantile(&light, 0.95)?.max(1e-3);
         let range = pivot / quantile(&light, 0.05)?.max(1e-3);
-        let contrast = (math::ln(CONTRAST.0) / math::ln(range.max(1.0 + 1e-9))).clamp(1.0, CONTRAST.1);
+        let widest = if self.water { CONTRAST.1 } else { 1.0 };
+        let contrast = (math::ln(CONTRAST.0) / math::ln(range.max(1.0 + 1e-9))).clamp(1.0, widest);
         let largest = |s: &Sample| {
             let x = graded(s);
             curve(x, pivot, contrast) * x[0].max(x[1]).max(x[2])
@@ -257,11 +266,13 @@ impl SceneSurvey {
         let sure: Vec<(f64, f64)> = all.iter().map(|s| (largest(s), s.weight)).collect();
         let surface: Vec<(f64, f64)> = sure.iter().map(|(v, _)| (*v, 1.0)).collect();
         let bright = quantile(&sure, 0.99)?.max(1e-3);
+        let sure_limit = quantile(&sure, 1.0 - CLIPPED)?.max(1e-3);
         let limit = quantile(&surface, 1.0 - CLIPPED)?.max(1e-3);
-        let brightness = (bright.clamp(BRIGHT_END[0], BRIGHT_END[1]) / bright)
-            .clamp(BRIGHTNESS[0], BRIGHTNESS[1])
-            // What was bright already, noise far away for one, does not make the scene darker than the bound.
-            .min((1.0 / limit).max(BRIGHTNESS[0]));
+        let wanted =
+            (bright.clamp(BRIGHT_END[0], BRIGHT_END[1]) / bright).clamp(BRIGHTNESS[0], BRIGHTNESS[1]);
+        // What is not sure, noise far away for one, keeps a scene from becoming brighter, and makes none darker.
+        let bounded = wanted.min((1.0 / sure_limit).max(BRIGHTNESS[0])).min((1.0 / limit).max(1.0));
+        let brightness = if self.water { bounded } else { 1.0 };
         let over = surface.iter().filter(|(v, _)| brightness * v > 1.0).count();
         Some(SceneFindings {
             mean_colour,

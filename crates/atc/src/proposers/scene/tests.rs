@@ -155,6 +155,35 @@ fn brightness_brings_the_bright_end_up_and_does_not_clip() {
     }
 }
 
+/// In air nothing was taken from the scene: it stays as the camera exposed it, dim or flat.
+#[test]
+fn a_scene_without_water_keeps_its_light() {
+    let dim = |u: [f64; 3]| [0.3 + 0.1 * u[0]; 3];
+    let mut views = several(dim);
+    let under_water = *survey(&views).findings();
+    assert!(under_water.brightness > 1.4 && under_water.contrast > 1.1, "{under_water:?}");
+    for view in &mut views {
+        view.arriving = Image::filled(SIZE.0, SIZE.1, 1.0);
+    }
+    let in_air = *survey(&views).findings();
+    assert_eq!((in_air.brightness, in_air.contrast), (1.0, 1.0));
+}
+
+/// Noise where hardly any light arrives is brighter than white: the scene becomes neither darker nor brighter for it.
+#[test]
+fn what_is_not_sure_does_not_darken() {
+    let views: Vec<SceneView> = (0..6)
+        .map(|seed| {
+            let mut view = view(seed, warm, |x| if x < 0.5 { 0.9 } else { 0.001 });
+            for y in 0..SIZE.1 {
+                (SIZE.0 / 2..SIZE.0).for_each(|x| view.clear.set_pixel(x, y, [1.6, 0.3, 1.2]));
+            }
+            view
+        })
+        .collect();
+    assert_eq!(survey(&views).findings().brightness, 1.0);
+}
+
 #[test]
 fn contrast_is_for_flat_scenes_only() {
     let range =
