@@ -70,6 +70,7 @@ impl Stage {
             log: Log::new(Box::new(std::io::sink())),
             resumed: AtomicU64::new(0),
             notes: None,
+            reached: Arc::default(),
         };
         let ran = in_pool(context.threads, || (self.run)(&context, alone.parameters));
         let placed = ran.and_then(|()| {
@@ -123,6 +124,7 @@ impl Engine {
             log: Log::new(Box::new(std::io::sink())),
             resumed: AtomicU64::new(0),
             notes: None,
+            reached: Arc::default(),
         };
         let ran = in_pool(context.threads, || (stage.run)(&context, &graph.nodes[node].parameters));
         let sealed = ran.and_then(|()| self.cache.seal(&output).map_err(StageError::failed));

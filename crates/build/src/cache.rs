@@ -5,20 +5,21 @@
 //! <folder>/v1/artifacts/<stage>/<key>/…, manifest.json   whole or not at all
 //! <folder>/v1/checkpoints/<stage>/<key without length>/  what long stages go on from
 //! <folder>/v1/history/<pipeline>/<scene>/<variant>/<stage>.json   the last record of a node
-//! <folder>/v1/logs/…  timings.jsonl  stat-table          logs, durations for forecasts, remembered digests
+//! <folder>/v1/logs/…  timings/<machine>.jsonl  stat-table   logs, durations for forecasts, remembered digests
 //! <folder>/v1/leases/<key>  run-…                        who computes what now, what running processes need
 //! <folder>/v1/tmp/  damaged/                             being made; found damaged
 //! ```
 //!
 //! An artifact is made in `tmp`, its files synced, its manifest written last, and the folder renamed into
-//! place, so a crash at any moment leaves either no artifact or a whole one. Several processes may share a
-//! cache: the first to publish a key wins, and another one's different bytes raise an alarm. There is no lock
-//! to remove by hand.
+//! place, so a crash at any moment leaves either no artifact or a whole one. Several processes, also of several
+//! machines, may share a cache: the first to publish a key wins, and another one's different bytes raise an
+//! alarm. There is no lock to remove by hand, and none of the file system's is used.
 
 use std::collections::BTreeSet;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 use rayon::prelude::*;
 
@@ -30,6 +31,10 @@ use super::key::{Ingredients, Key};
 use super::lease::Watch;
 use super::machine::ProcessId;
 use super::manifest::{Circumstances, FileRecord, MANIFEST, Manifest};
+use super::node::Node;
+
+/// How late a network file system may show a name that is there: clients remember for a minute that it was not.
+const LATE: Duration = Duration::from_secs(90);
 
 const TAG: &str = "Signature: 8a477f597d28d172789f06886806bc55\n\
     # This folder holds results of use3d that can be computed again.\n";
@@ -42,6 +47,7 @@ pub struct Cache {
     contents: Arc<Contents>,
     verified: Arc<Mutex<BTreeSet<Key>>>,
     leases: Arc<Watch>,
+    node: Arc<Node>,
 }
 
 /// An artifact that is there.
@@ -98,7 +104,19 @@ impl Cache {
             }
         }
         let contents = Arc::new(Contents::open(files.clone(), root.join("stat-table"), rehash));
-        Ok(Self { root, files, contents, verified: Arc::default(), leases: Arc::default() })
+        let node = Arc::new(Node::this());
+        Ok(Self { root, files, contents, verified: Arc::default(), leases: Arc::default(), node })
+    }
+
+    /// The same cache as another one of several that share it sees it; for tests.
+    #[must_use]
+    pub fn as_node(self, node: Node) -> Self {
+        Self { node: Arc::new(node), ..self }
+    }
+
+    /// Who uses the cache here.
+    pub(crate) fn node(&self) -> &Node {
+        &self.node
     }
 
     /// The versioned folder.
@@ -140,12 +158,14 @@ impl Cache {
             Err(e)
                 if matches!(e.kind(), std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory) =>
             {
-                let left = std::fs::symlink_metadata(&path).is_ok();
-                return Ok(if left {
-                    Lookup::Damaged(format!("{MANIFEST} is missing"))
-                } else {
-                    Lookup::Missing
-                });
+                // A folder that came between the two looks was never without its manifest.
+                if !matches!(self.files.exists(&path), Ok(true)) {
+                    return Ok(Lookup::Missing);
+                }
+                match self.files.read(&manifest_path) {
+                    Ok(bytes) => bytes,
+                    Err(_) => return Ok(Lookup::Damaged(format!("{MANIFEST} is missing"))),
+                }
             }
             Err(source) => return Err(FileError { path: manifest_path, doing: "read", source }),
         };
@@ -161,6 +181,34 @@ impl Cache {
             Some(reason) => Lookup::Damaged(reason),
             None => Lookup::Whole(Box::new(Artifact { path, manifest })),
         })
+    }
+
+    /// As [`lookup`](Self::lookup), after asking the file system anew what is there.
+    pub(crate) fn lookup_again(&self, stage: &str, key: &Key) -> Result<Lookup, FileError> {
+        let path = self.artifact_path(stage, key);
+        path.ancestors().skip(1).take(2).for_each(|folder| self.files.look_again(folder));
+        self.lookup(stage, key)
+    }
+
+    /// Looks for an artifact that another machine has made, until it is seen, `enough` says so, or a network
+    /// file system cannot be that late any more.
+    pub(crate) fn lookup_patiently(
+        &self,
+        stage: &str,
+        key: &Key,
+        enough: &dyn Fn() -> bool,
+    ) -> Result<Lookup, FileError> {
+        let clock = self.node.clock;
+        let start = clock.now();
+        let mut wait = Duration::from_millis(100);
+        loop {
+            let found = self.lookup_again(stage, key)?;
+            if matches!(found, Lookup::Whole(_)) || enough() || clock.now() - start > LATE {
+                return Ok(found);
+            }
+            std::thread::sleep(clock.wait_for(wait));
+            wait = (2 * wait).min(Duration::from_secs(5));
+        }
     }
 
     /// Reads every byte of an artifact and compares; the first difference in words. The bytes once per
@@ -199,7 +247,7 @@ impl Cache {
         let to = self.root.join("damaged").join(format!("{stage}-{}-{}", key.short(), files::unique()));
         let parent = self.root.join("damaged");
         files::at(&parent, "create", self.files.create_dir_all(&parent))?;
-        files::at(&from, "move aside", self.files.rename(&from, &to))?;
+        files::at(&from, "move aside", files::rename(self.files(), &from, &to))?;
         self.verified.lock().unwrap_or_else(PoisonError::into_inner).remove(key);
         Ok(to)
     }
@@ -253,8 +301,16 @@ impl Cache {
         let parent = self.root.join("artifacts").join(&stage);
         files::at(&parent, "create", self.files.create_dir_all(&parent))?;
         if let Err(source) = self.files.rename(folder, &place) {
-            // Somebody was first, or something damaged is in the way.
-            return match self.lookup(&stage, &manifest.key)? {
+            // Somebody was first, something damaged is in the way, or it was done and the answer was lost.
+            let taken = |e: &std::io::Error| {
+                matches!(e.kind(), ErrorKind::AlreadyExists | ErrorKind::DirectoryNotEmpty)
+            };
+            let found = if taken(&source) || matches!(self.files.exists(folder), Ok(false)) {
+                self.lookup_patiently(&stage, &manifest.key, &|| false)?
+            } else {
+                self.lookup_again(&stage, &manifest.key)?
+            };
+            return match found {
                 Lookup::Whole(first) if first.manifest.content == manifest.content => {
                     Ok(Published::Already(*first))
                 }
@@ -264,7 +320,7 @@ impl Cache {
                 }
                 Lookup::Damaged(_) => {
                     self.set_aside(&stage, &manifest.key)?;
-                    files::at(&place, "publish", self.files.rename(folder, &place))?;
+                    files::at(&place, "publish", files::rename(self.files(), folder, &place))?;
                     self.finish_publish(&parent, place, manifest)
                 }
                 Lookup::Missing => Err(FileError { path: place, doing: "publish", source }),

@@ -14,6 +14,7 @@ use use3d_capture::name::shown_lines;
 
 use super::error::StageError;
 use super::events::{Event, Listener};
+use super::pulse::Progress;
 use super::{machine, memory};
 
 /// One input as a stage sees it.
@@ -48,6 +49,8 @@ pub struct StageContext {
     pub(crate) resumed: AtomicU64,
     /// What is kept beside the artifact; none where nothing keeps it.
     pub(crate) notes: Option<Mutex<Notes>>,
+    /// How far the work is, for those who look at its lease.
+    pub(crate) reached: Arc<Progress>,
 }
 
 /// What a stage measured that does not follow from its inputs, such as times: by name, kept in the manifest
@@ -132,6 +135,7 @@ impl StageContext {
     /// As [`progress_with`](Self::progress_with), for work of which the stage knows how many seconds are
     /// left.
     pub fn progress_left(&self, done: u64, total: u64, unit: &str, message: &str, seconds_left: Option<f64>) {
+        self.reached.note(done, total, unit);
         self.listener.event(&Event::Progress {
             node: self.node,
             label: &self.label,

@@ -67,7 +67,8 @@ pub enum Event<'a> {
         /// What it is.
         view: &'a Arc<dyn Any + Send + Sync>,
     },
-    /// Another process computes the same thing; this one waits for it.
+    /// Another process computes the same thing; this one does something else meanwhile, or waits for it. Told
+    /// once.
     Waiting {
         /// The node in the graph.
         node: usize,

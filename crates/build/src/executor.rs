@@ -27,8 +27,8 @@ pub struct Task<'t> {
 }
 
 impl Task<'_> {
-    /// Does the work and tells the run how it ended: waits for whoever does it already, takes what is there,
-    /// or computes.
+    /// Does the work and tells the run how it ended: takes what is there, computes, or says that another
+    /// process computes it, so that the run takes something else meanwhile.
     pub fn run(self) {
         (self.work)();
     }

@@ -5,13 +5,13 @@
 //! it.
 
 use std::fs::{self, File};
-use std::io::{self, Read, Write};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::error::FileError;
-use super::machine::ProcessId;
+use super::machine::{self, ProcessId};
 
 /// What stands between a file's name and [`unique`] in the name of the sibling that becomes it.
 pub(crate) const SIBLING: &str = ".tmp-";
@@ -38,6 +38,25 @@ pub trait Files: Send + Sync {
     fn remove_file(&self, path: &Path) -> io::Result<()>;
     /// Removes a folder with everything below.
     fn remove_dir_all(&self, path: &Path) -> io::Result<()>;
+    /// Whether something of that name is there.
+    fn exists(&self, path: &Path) -> io::Result<bool> {
+        match fs::symlink_metadata(path) {
+            Ok(_) => Ok(true),
+            Err(e) if matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => Ok(false),
+            Err(e) => Err(e),
+        }
+    }
+    /// Writes over some bytes of a file that is there; its length stays.
+    fn overwrite(&self, path: &Path, start: u64, bytes: &[u8]) -> io::Result<()> {
+        let mut file = File::options().write(true).open(path)?;
+        file.seek(SeekFrom::Start(start))?;
+        file.write_all(bytes)
+    }
+    /// Has the system ask the server again what is in a folder: a client of a network file system may
+    /// remember for a minute that a name was not there.
+    fn look_again(&self, folder: &Path) {
+        drop(fs::read_dir(folder).map(|mut entries| entries.next().is_some()));
+    }
 }
 
 /// The real file system.
@@ -100,7 +119,8 @@ pub(crate) fn write_atomic(files: &dyn Files, path: &Path, bytes: &[u8]) -> Resu
     let mut name = path.file_name().unwrap_or_default().to_os_string();
     name.push(format!("{SIBLING}{}", unique()));
     let sibling = parent.join(name);
-    let written = at(path, "write", files.write(&sibling, bytes).and_then(|()| files.rename(&sibling, path)));
+    let moved = files.write(&sibling, bytes).and_then(|()| rename(files, &sibling, path));
+    let written = at(path, "write", moved);
     if written.is_err() {
         // The error that matters is the one above; the sibling is swept with other leftovers.
         let _ = files.remove_file(&sibling);
@@ -108,13 +128,32 @@ pub(crate) fn write_atomic(files: &dyn Files, path: &Path, bytes: &[u8]) -> Resu
     written
 }
 
-/// A name that no other process, on whatever machine, and no other call uses. It says
-/// [whose](ProcessId::owner_is_alive) it is.
+/// Renames what this process alone knows by its old or by its new name. A server whose answer was lost is asked
+/// twice and may then say that there is nothing to rename; what counts is what is there.
+pub(crate) fn rename(files: &dyn Files, from: &Path, to: &Path) -> io::Result<()> {
+    let renamed = files.rename(from, to);
+    if renamed.is_err() {
+        [from, to].into_iter().filter_map(Path::parent).for_each(|folder| files.look_again(folder));
+        if matches!((files.exists(from), files.exists(to)), (Ok(false), Ok(true))) {
+            return Ok(());
+        }
+    }
+    renamed
+}
+
+/// A name that no other process, on whatever machine and in whatever container, and no other call uses. It
+/// says [whose](ProcessId::owner_is_alive) it is, as far as that can be known, and has some chance in it for
+/// where it cannot.
 pub(crate) fn unique() -> String {
-    static COUNTER: AtomicU64 = AtomicU64::new(0);
     static OWNER: OnceLock<String> = OnceLock::new();
-    let owner = OWNER.get_or_init(|| ProcessId::this().name());
-    format!("{owner}-{}", COUNTER.fetch_add(1, Ordering::Relaxed))
+    unique_of(OWNER.get_or_init(|| ProcessId::this().name()))
+}
+
+fn unique_of(owner: &str) -> String {
+    static COUNTER: AtomicU64 = AtomicU64::new(0);
+    static CHANCE: OnceLock<u64> = OnceLock::new();
+    let chance = CHANCE.get_or_init(machine::random);
+    format!("{owner}-{chance:016x}-{}", COUNTER.fetch_add(1, Ordering::Relaxed))
 }
 
 /// Every regular file below a folder with its path (`/` between folders) and size, sorted; symbolic links and
@@ -153,4 +192,69 @@ pub(crate) fn walk_error(root: &Path, error: walkdir::Error) -> FileError {
         None => error.into_io_error().unwrap_or_else(|| io::Error::other("unreadable")),
     };
     FileError { path, doing: "read", source }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Does what it is asked and then says that it did not.
+    struct LostAnswers;
+
+    impl Files for LostAnswers {
+        fn read(&self, path: &Path) -> io::Result<Vec<u8>> {
+            Disk.read(path)
+        }
+        fn open(&self, path: &Path) -> io::Result<Box<dyn Read>> {
+            Disk.open(path)
+        }
+        fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+            Disk.write(path, bytes)
+        }
+        fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+            Disk.append(path, bytes)
+        }
+        fn create_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+            Disk.create_new(path, bytes)
+        }
+        fn create_dir_all(&self, path: &Path) -> io::Result<()> {
+            Disk.create_dir_all(path)
+        }
+        fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+            Disk.rename(from, to)?;
+            Disk.rename(from, to)
+        }
+        fn sync(&self, _: &Path) -> io::Result<()> {
+            Ok(())
+        }
+        fn remove_file(&self, path: &Path) -> io::Result<()> {
+            Disk.remove_file(path)
+        }
+        fn remove_dir_all(&self, path: &Path) -> io::Result<()> {
+            Disk.remove_dir_all(path)
+        }
+    }
+
+    #[test]
+    fn a_rename_whose_answer_was_lost_has_happened() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("file");
+        for text in ["one", "two"] {
+            write_atomic(&LostAnswers, &file, text.as_bytes()).unwrap();
+            assert_eq!(fs::read_to_string(&file).unwrap(), text);
+        }
+        let error = rename(&LostAnswers, &dir.path().join("nothing"), &dir.path().join("new")).unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::NotFound);
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn processes_that_think_they_are_one_get_different_names() {
+        // Two containers may have one host name, one process id and one start time; chance tells them apart.
+        let names: std::collections::BTreeSet<String> = (0..100).map(|_| unique_of("a-1-2")).collect();
+        assert_eq!(names.len(), 100);
+        let chance = |name: &str| name.split('-').nth(3).map(str::len);
+        assert!(names.iter().all(|name| chance(name) == Some(16)), "{names:?}");
+        assert_ne!(machine::random(), machine::random());
+    }
 }

@@ -174,7 +174,7 @@ impl Cache {
     fn discard(&self, path: &Path) -> Result<(), super::error::FileError> {
         let scratch = self.scratch()?;
         let gone = scratch.join("gone");
-        files::at(path, "remove", self.files().rename(path, &gone))?;
+        files::at(path, "remove", files::rename(self.files(), path, &gone))?;
         files::at(&scratch, "remove", self.files().remove_dir_all(&scratch))
     }
 }

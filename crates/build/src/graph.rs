@@ -223,10 +223,19 @@ impl Graph {
 
     /// Marks the named stages and all they need; `None` marks everything.
     pub fn wanted(&self, until: Option<&[String]>) -> Vec<bool> {
-        let mut wanted: Vec<bool> = match until {
-            None => return vec![true; self.nodes.len()],
-            Some(stages) => self.nodes.iter().map(|n| stages.iter().any(|s| s == n.stage_name)).collect(),
+        self.wanted_of(until, None)
+    }
+
+    /// As [`wanted`](Self::wanted), of the stages only those of these scenes and variants, and all they need.
+    pub fn wanted_of(&self, until: Option<&[String]>, only: Option<&[(String, String)]>) -> Vec<bool> {
+        if until.is_none() && only.is_none() {
+            return vec![true; self.nodes.len()];
+        }
+        let asked = |n: &Node| {
+            until.is_none_or(|stages| stages.iter().any(|s| s == n.stage_name))
+                && only.is_none_or(|cells| cells.iter().any(|(s, v)| *s == n.scene && *v == n.variant))
         };
+        let mut wanted: Vec<bool> = self.nodes.iter().map(asked).collect();
         for i in (0..self.nodes.len()).rev().filter(|i| wanted[*i]).collect::<Vec<_>>() {
             let mut open = vec![i];
             while let Some(node) = open.pop() {

@@ -57,6 +57,9 @@ impl Record {
     }
 }
 
+/// The folder of durations, a file for every machine.
+const TIMINGS: &str = "timings";
+
 impl Cache {
     /// Where a node's record and log are; `kind` is `history` or `logs`.
     fn node_path(&self, kind: &str, pipeline: &str, node: &Node, extension: &str) -> PathBuf {
@@ -96,16 +99,31 @@ impl Cache {
     pub(crate) fn add_timing(&self, timing: &Timing) {
         if let Ok(mut line) = serde_json::to_vec(timing) {
             line.push(b'\n');
-            let _ = self.files().append(&self.root().join("timings.jsonl"), &line);
+            // Appending is safe among the processes of one machine, and on no network file system between two.
+            let path = self.root().join(TIMINGS).join(format!("{}.jsonl", self.node().machine()));
+            let appended = self.files().append(&path, &line);
+            if appended.is_err_and(|e| e.kind() == std::io::ErrorKind::NotFound)
+                && self.files().create_dir_all(&self.root().join(TIMINGS)).is_ok()
+            {
+                let _ = self.files().append(&path, &line);
+            }
         }
     }
 
     pub(crate) fn timings(&self) -> Timings {
-        let text = self.files().read(&self.root().join("timings.jsonl")).unwrap_or_default();
+        let list = std::fs::read_dir(self.root().join(TIMINGS)).into_iter().flatten().filter_map(Result::ok);
+        // What earlier versions wrote comes first, as it came first.
+        let mut paths: Vec<PathBuf> = list.map(|entry| entry.path()).collect();
+        paths.sort();
+        paths.insert(0, self.root().join("timings.jsonl"));
+        let mut all: Vec<Timing> = Vec::new();
+        for text in paths.iter().filter_map(|path| self.files().read(path).ok()) {
+            let text = String::from_utf8_lossy(&text);
+            all.extend(text.lines().filter_map(|line| serde_json::from_str::<Timing>(line).ok()));
+        }
+        all.sort_by_key(|timing| timing.at);
         let mut by_stage: BTreeMap<String, Vec<Timing>> = BTreeMap::new();
-        for timing in
-            String::from_utf8_lossy(&text).lines().filter_map(|l| serde_json::from_str::<Timing>(l).ok())
-        {
+        for timing in all {
             by_stage.entry(timing.stage.clone()).or_default().push(timing);
         }
         Timings { by_stage }
@@ -146,6 +164,9 @@ pub(crate) struct Timing {
     pub(crate) peak_memory: u64,
     /// Bytes of its artifact.
     pub(crate) output: u64,
+    /// When, in seconds since 1970 as the machine had it: later ones count more.
+    #[serde(default)]
+    pub(crate) at: u64,
 }
 
 pub(crate) struct Timings {
@@ -218,6 +239,7 @@ mod tests {
             seconds,
             peak_memory: 5,
             output: 7,
+            at: 0,
         };
         let list = vec![timing("a", 100.0, 10.0), timing("b", 100.0, 30.0), timing("a", 200.0, 24.0)];
         let timings = Timings { by_stage: BTreeMap::from([("reconstruct".to_string(), list)]) };
@@ -227,5 +249,34 @@ mod tests {
         assert_eq!((all.seconds, all.least, all.most, all.records), (12.0, 10.0, 30.0, 3));
         assert!(!all.own);
         assert!(timings.forecast("import", "a", 1.0).is_none());
+    }
+
+    #[test]
+    fn each_machine_keeps_durations_in_a_file_of_its_own() {
+        let dir = tempfile::tempdir().unwrap();
+        let timing = |at: u64| Timing {
+            stage: "import".to_string(),
+            scene: "a".to_string(),
+            length: 1.0,
+            bytes: 0,
+            seconds: at as f64,
+            peak_memory: 0,
+            output: 0,
+            at,
+        };
+        let open = |host: &str| {
+            let node = super::super::node::Node::elsewhere(host, super::super::node::Clock::system());
+            Cache::open(dir.path(), false).unwrap().as_node(node)
+        };
+        let (east, west) = (open("east"), open("west"));
+        for (cache, at) in [(&east, 10), (&west, 5), (&east, 30), (&west, 20)] {
+            cache.add_timing(&timing(at));
+        }
+        // Earlier versions kept one file, without times.
+        let old = r#"{"stage":"import","scene":"a","length":1.0,"bytes":0,"seconds":1.0,"peak_memory":0,"output":0}"#;
+        std::fs::write(east.root().join("timings.jsonl"), old).unwrap();
+        let read: Vec<u64> = west.timings().by_stage["import"].iter().map(|t| t.at).collect();
+        assert_eq!(read, [0, 5, 10, 20, 30]);
+        assert_eq!(std::fs::read_dir(east.root().join(TIMINGS)).unwrap().count(), 2);
     }
 }

@@ -1,4 +1,4 @@
-//! One node's work: wait for whoever does it already, run the stage in a scratch folder, publish.
+//! One node's work: ask who does it already, run the stage in a scratch folder, publish.
 
 use std::fs::File;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -19,6 +19,8 @@ use super::key::Key;
 use super::lease::{Asked, HEARTBEAT, Lease};
 use super::machine;
 use super::manifest::{Circumstances, MANIFEST, MadeFor};
+use super::node::Clock;
+use super::pulse::Progress;
 use super::resolve::{self, Resolved};
 
 /// How a job ended.
@@ -29,6 +31,8 @@ pub(crate) enum Ended {
     Failed(String),
     /// It was asked to stop.
     Cancelled,
+    /// Another process computes it: who, in words.
+    Held(String),
     /// An input's artifact was damaged and is moved aside; the node that makes it.
     DamagedInput(usize),
 }
@@ -50,15 +54,19 @@ impl Job<'_> {
         if let Some(parent) = self.damaged_input(&label) {
             return Ended::DamagedInput(parent);
         }
-        let lease = match self.wait_for_turn(&label) {
+        let lease = match self.turn() {
             Ok(Turn::Ours(lease)) => lease,
             Ok(Turn::Made(artifact)) => return Ended::Ready { artifact, computed: false, seconds: 0.0 },
             Ok(Turn::Cancelled) => return Ended::Cancelled,
+            Ok(Turn::Held(holder)) => return Ended::Held(holder),
             Err(error) => return Ended::Failed(error.to_string()),
         };
         let start = Instant::now();
         match self.compute(&label, lease.as_ref()) {
             Ok(artifact) => {
+                if let Some(lease) = lease {
+                    lease.finish();
+                }
                 let seconds = start.elapsed().as_secs_f64();
                 Ended::Ready { artifact: Box::new(artifact), computed: true, seconds }
             }
@@ -75,7 +83,15 @@ impl Job<'_> {
     fn damaged_input(&self, label: &str) -> Option<usize> {
         let cache = &self.engine.cache;
         for (parent, artifact) in &self.resolved.artifacts {
-            let Err(reason) = cache.verify(artifact, false) else { continue };
+            if cache.verify(artifact, false).is_ok() {
+                continue;
+            }
+            // What another machine made may be seen in part for a moment.
+            [Some(artifact.path.as_path()), artifact.path.parent()]
+                .into_iter()
+                .flatten()
+                .for_each(|folder| cache.files().look_again(folder));
+            let Err(reason) = cache.verify(artifact, true) else { continue };
             let stage = &artifact.manifest.ingredients.stage;
             let text = if std::fs::symlink_metadata(&artifact.path).is_err() {
                 format!(
@@ -93,29 +109,31 @@ impl Job<'_> {
         None
     }
 
-    fn wait_for_turn(&self, label: &str) -> Result<Turn, FileError> {
+    fn turn(&self) -> Result<Turn, FileError> {
+        let (cache, stage, key) = (&self.engine.cache, self.node.stage_name, &self.resolved.key);
+        if self.stop.load(Ordering::Relaxed) {
+            return Ok(Turn::Cancelled);
+        }
         let artifacts = self.resolved.artifacts.iter().map(|(_, a)| a.manifest.key);
         let reads: Vec<Key> = artifacts.chain(self.resolved.checkpoints).collect();
-        let mut told = false;
-        loop {
-            if self.stop.load(Ordering::Relaxed) {
-                return Ok(Turn::Cancelled);
+        let asked = Lease::ask(cache, key, &reads);
+        // Another process may have finished between this one's look and the lease.
+        let found = match &asked {
+            Asked::Granted(Some(lease)) if lease.followed => {
+                cache.lookup_patiently(stage, key, &|| self.stop.load(Ordering::Relaxed))?
             }
-            let asked = Lease::ask(&self.engine.cache, &self.resolved.key, &reads);
-            // Another process may have finished between this one's look and the lease.
-            let found = self.engine.cache.lookup(self.node.stage_name, &self.resolved.key)?;
-            match (found, asked) {
-                (Lookup::Whole(artifact), _) => return Ok(Turn::Made(artifact)),
-                (_, Asked::Granted(lease)) => return Ok(Turn::Ours(lease)),
-                (_, Asked::Held(holder)) => {
-                    if !told {
-                        self.listener.event(&Event::Waiting { node: self.id, label, holder: &holder });
-                        told = true;
-                    }
-                    std::thread::sleep(Duration::from_millis(50));
+            _ => cache.lookup_again(stage, key)?,
+        };
+        Ok(match (found, asked) {
+            (Lookup::Whole(artifact), asked) => {
+                if let Asked::Granted(Some(lease)) = asked {
+                    lease.finish();
                 }
+                Turn::Made(artifact)
             }
-        }
+            (_, Asked::Granted(lease)) => Turn::Ours(lease),
+            (_, Asked::Held(holder)) => Turn::Held(holder),
+        })
     }
 
     fn compute(&self, label: &str, lease: Option<&Lease>) -> Result<Artifact, StageError> {
@@ -145,6 +163,7 @@ impl Job<'_> {
             log: log.clone(),
             resumed: AtomicU64::new(0),
             notes: Some(Mutex::default()),
+            reached: Arc::default(),
         };
         self.listener.event(&Event::Started {
             node: self.id,
@@ -153,8 +172,9 @@ impl Job<'_> {
             threads: self.threads,
         });
         let start = Instant::now();
-        let (ran, peak_memory) =
-            watched(lease, || in_pool(self.threads, || (stage.run)(&context, &self.node.parameters)));
+        let (ran, peak_memory) = watched(lease, &cache.node().clock, &context.reached, || {
+            in_pool(self.threads, || (stage.run)(&context, &self.node.parameters))
+        });
         let seconds = start.elapsed().as_secs_f64();
         if let Err(error) = ran {
             log.line(&format!("failed: {error}"));
@@ -201,6 +221,7 @@ impl Job<'_> {
             seconds: artifact.manifest.full_seconds(),
             peak_memory,
             output: artifact.manifest.bytes(),
+            at: machine::now(),
         });
         Ok(artifact)
     }
@@ -219,6 +240,7 @@ impl Job<'_> {
 enum Turn {
     Ours(Option<Lease>),
     Made(Box<Artifact>),
+    Held(String),
     Cancelled,
 }
 
@@ -257,19 +279,25 @@ pub(crate) fn in_pool(
 }
 
 /// Runs `work` while a companion renews the lease and watches the memory.
-fn watched<T>(lease: Option<&Lease>, work: impl FnOnce() -> T) -> (T, u64) {
+fn watched<T>(
+    lease: Option<&Lease>,
+    clock: &Clock,
+    reached: &Progress,
+    work: impl FnOnce() -> T,
+) -> (T, u64) {
     const SAMPLE: Duration = Duration::from_millis(200);
     let peak = AtomicU64::new(machine::resident_memory().unwrap_or(0));
     let (finished, wait) = mpsc::channel::<()>();
     let result = std::thread::scope(|scope| {
         let peak = &peak;
         scope.spawn(move || {
-            let mut renewed = Instant::now();
+            lease.iter().for_each(|l| l.renew(reached));
+            let mut renewed = clock.now();
             while let Err(mpsc::RecvTimeoutError::Timeout) = wait.recv_timeout(SAMPLE) {
                 peak.fetch_max(machine::resident_memory().unwrap_or(0), Ordering::Relaxed);
-                if renewed.elapsed() > HEARTBEAT {
-                    lease.iter().for_each(|l| l.renew());
-                    renewed = Instant::now();
+                if clock.now() - renewed > HEARTBEAT {
+                    lease.iter().for_each(|l| l.renew(reached));
+                    renewed = clock.now();
                 }
             }
         });

@@ -4,13 +4,14 @@
 //! Leases only save time. Results are right without them, because publishing is atomic and the first wins; so
 //! a lease that cannot be written is no error, one whose holder is gone is taken over, and nobody ever has to
 //! remove one by hand. A holder on this machine is asked for by process id and start time. One on another
-//! machine renews its lease every few seconds, and whoever waits for it looks whether the file *changes*, by
-//! his own steady clock: what the clocks of two machines say, or one that was set back, is never compared.
+//! machine writes its [pulse](super::pulse) every few seconds, and whoever waits for it looks whether the file
+//! *changes*, by his own steady clock: what the clocks of two machines say is never compared. A lease that
+//! goes says that its artifact is there; who gives up leaves his lease behind with a pulse that says so.
 
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, SystemTime};
 
 use serde::{Deserialize, Serialize};
 
@@ -18,16 +19,20 @@ use super::cache::Cache;
 use super::digest::Digest;
 use super::files::{self, Files};
 use super::key::Key;
-use super::machine::{Machine, ProcessId};
+use super::machine::ProcessId;
+use super::node::Node;
+use super::pulse::{self, Beat, Progress};
 
 /// How often a holder renews.
 pub(crate) const HEARTBEAT: Duration = Duration::from_secs(10);
-/// How long a lease of another machine may stay as it is before its holder counts as gone.
-const EXPIRY: Duration = Duration::from_secs(90);
+/// How long a lease of another machine may stay as it is before its holder counts as gone: many times the
+/// heartbeat and the minute for which a network file system may show what was.
+const EXPIRY: Duration = Duration::from_secs(300);
 /// The same for a file that does not say whose it is: being written at this moment, or left half-written by a
 /// crash.
-const HALF: Duration = Duration::from_secs(2);
-/// Who looks only once cannot see a lease change. So far from the present it is of a holder that is gone.
+const HALF: Duration = Duration::from_secs(5);
+/// Who looks only once cannot see a lease change. One so far from what the file system calls now is of a
+/// holder that is gone.
 const LONG_GONE: Duration = Duration::from_secs(86_400);
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -41,8 +46,22 @@ pub(crate) struct Holder {
 }
 
 impl Holder {
-    fn this(reads: Vec<Key>) -> Self {
-        Self { process: ProcessId::this(), host: Machine::this().host, token: files::unique(), reads }
+    fn of(node: &Node, reads: Vec<Key>) -> Self {
+        Self { process: node.process.clone(), host: node.host.clone(), token: files::unique(), reads }
+    }
+
+    /// The line that a lease begins with; its pulse follows.
+    fn line(&self) -> Vec<u8> {
+        let mut line = serde_json::to_vec(self).unwrap_or_default();
+        line.push(b'\n');
+        line
+    }
+
+    /// Of a lease's bytes, with its pulse where it has one.
+    fn parse(bytes: &[u8]) -> Option<(Self, Option<Beat>)> {
+        let end = bytes.iter().position(|b| *b == b'\n').unwrap_or(bytes.len());
+        let holder = serde_json::from_slice(&bytes[..end]).ok()?;
+        Some((holder, bytes.get(end + 1..).and_then(pulse::parse)))
     }
 }
 
@@ -50,13 +69,15 @@ impl Holder {
 #[derive(Debug, Default)]
 pub(crate) struct Watch {
     seen: Mutex<HashMap<PathBuf, Seen>>,
+    /// Keys that another machine was seen to compute.
+    elsewhere: Mutex<BTreeSet<Key>>,
 }
 
 #[derive(Debug)]
 struct Seen {
     bytes: Vec<u8>,
     modified: Option<SystemTime>,
-    since: Instant,
+    since: Duration,
 }
 
 /// What a lease is.
@@ -65,16 +86,16 @@ enum Judged {
     Absent,
     /// Somebody's, in words; the holder where it can be read.
     Live(String, Option<Holder>),
-    /// Of a holder that is gone; its bytes.
+    /// Of a holder that is gone or has given up; its bytes.
     Dead(Vec<u8>),
 }
 
 impl Watch {
     /// How long the file has been seen as it is.
-    fn unchanged(&self, path: &Path, bytes: &[u8], modified: Option<SystemTime>, now: Instant) -> Duration {
+    fn unchanged(&self, path: &Path, bytes: &[u8], modified: Option<SystemTime>, now: Duration) -> Duration {
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         match seen.get(path) {
-            Some(s) if s.bytes == bytes && s.modified == modified => now.saturating_duration_since(s.since),
+            Some(s) if s.bytes == bytes && s.modified == modified => now.saturating_sub(s.since),
             _ => {
                 seen.insert(path.to_path_buf(), Seen { bytes: bytes.to_vec(), modified, since: now });
                 Duration::ZERO
@@ -82,38 +103,58 @@ impl Watch {
         }
     }
 
-    fn judge(&self, path: &Path, now: Instant) -> Judged {
-        let bytes = match std::fs::read(path) {
-            Ok(bytes) => bytes,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                self.seen.lock().unwrap_or_else(PoisonError::into_inner).remove(path);
-                return Judged::Absent;
-            }
-            // Not ours to read: as if it did not say whose it is.
-            Err(_) => Vec::new(),
-        };
-        let modified = std::fs::metadata(path).and_then(|m| m.modified()).ok();
-        let unchanged = self.unchanged(path, &bytes, modified, now);
-        let (limit, name, holder) = match serde_json::from_slice::<Holder>(&bytes) {
-            Ok(holder) => {
-                let name = format!("process {} on {}", holder.process.pid, holder.host);
-                let limit = match holder.process.is_alive() {
-                    Some(true) => Duration::MAX,
-                    Some(false) => Duration::ZERO,
-                    None => EXPIRY,
-                };
-                (limit, name, Some(holder))
-            }
-            Err(_) => (HALF, "another process on this cache".to_string(), None),
-        };
-        if unchanged < limit { Judged::Live(name, holder) } else { Judged::Dead(bytes) }
+    fn forget(&self, path: &Path) {
+        self.seen.lock().unwrap_or_else(PoisonError::into_inner).remove(path);
+    }
+
+    fn note_elsewhere(&self, key: &Key) {
+        self.elsewhere.lock().unwrap_or_else(PoisonError::into_inner).insert(*key);
+    }
+
+    /// Whether another machine was seen to compute the key; told once.
+    fn was_elsewhere(&self, key: &Key) -> bool {
+        self.elsewhere.lock().unwrap_or_else(PoisonError::into_inner).remove(key)
     }
 }
 
-/// A lease that this process holds; given back when dropped.
+fn judge(cache: &Cache, path: &Path, now: Duration) -> Judged {
+    let (watch, node) = (cache.leases(), cache.node());
+    let bytes = match cache.files().read(path) {
+        Ok(bytes) => bytes,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            watch.forget(path);
+            return Judged::Absent;
+        }
+        // Not ours to read: as if it did not say whose it is.
+        Err(_) => Vec::new(),
+    };
+    let modified = std::fs::metadata(path).and_then(|m| m.modified()).ok();
+    let unchanged = watch.unchanged(path, &bytes, modified, now);
+    let (limit, name, holder) = match Holder::parse(&bytes) {
+        Some((_, Some(beat))) if beat.left => return Judged::Dead(bytes),
+        Some((holder, _)) => {
+            let name = format!("process {} on {}", holder.process.pid, holder.host);
+            let limit = match node.is_alive(&holder.process) {
+                Some(true) => Duration::MAX,
+                Some(false) => Duration::ZERO,
+                None => EXPIRY,
+            };
+            (limit, name, Some(holder))
+        }
+        None => (HALF, "another process on this cache".to_string(), None),
+    };
+    if unchanged < limit { Judged::Live(name, holder) } else { Judged::Dead(bytes) }
+}
+
+/// A lease that this process holds. Dropped, it says that its holder gave up.
 pub(crate) struct Lease {
+    cache: Cache,
     path: PathBuf,
-    bytes: Vec<u8>,
+    line: Vec<u8>,
+    beat: Mutex<Beat>,
+    since: Duration,
+    /// Another machine computed this key and its lease went: the artifact may be there and not be seen yet.
+    pub(crate) followed: bool,
 }
 
 /// What came of asking.
@@ -127,32 +168,93 @@ pub(crate) enum Asked {
 impl Lease {
     /// Asks for the lease of `key`.
     pub(crate) fn ask(cache: &Cache, key: &Key, reads: &[Key]) -> Asked {
-        Self::ask_at(cache, key, reads, Instant::now())
+        Self::ask_at(cache, key, reads, cache.node().clock.now())
     }
 
-    fn ask_at(cache: &Cache, key: &Key, reads: &[Key], now: Instant) -> Asked {
+    fn ask_at(cache: &Cache, key: &Key, reads: &[Key], now: Duration) -> Asked {
         let path = folder(cache).join(key.to_string());
-        let bytes = serde_json::to_vec(&Holder::this(reads.to_vec())).unwrap_or_default();
-        match create(cache.files(), &path, &bytes) {
-            Created::Taken => match cache.leases().judge(&path, now) {
-                Judged::Live(name, _) => Asked::Held(name),
-                Judged::Absent => Asked::Held("a process that has just ended".to_string()),
-                Judged::Dead(dead) => take_over(cache, &path, &dead, &bytes, now),
+        let mut lease = Self {
+            cache: cache.clone(),
+            path,
+            line: Holder::of(cache.node(), reads.to_vec()).line(),
+            beat: Mutex::new(Beat::default()),
+            since: now,
+            followed: false,
+        };
+        match create(cache.files(), &lease.path, &lease.bytes()) {
+            Created::Done => {
+                lease.followed = cache.leases().was_elsewhere(key);
+                Asked::Granted(Some(lease))
+            }
+            Created::Impossible => Asked::Granted(lease.never_held()),
+            Created::Taken => match judge(cache, &lease.path, now) {
+                Judged::Live(name, holder) => {
+                    if holder.is_some_and(|h| cache.node().is_alive(&h.process).is_none()) {
+                        cache.leases().note_elsewhere(key);
+                    }
+                    lease.never_held();
+                    Asked::Held(name)
+                }
+                Judged::Absent => {
+                    lease.never_held();
+                    Asked::Held("a process that has just ended".to_string())
+                }
+                Judged::Dead(dead) => {
+                    cache.leases().was_elsewhere(key);
+                    take_over(lease, &dead, now)
+                }
             },
-            Created::Done => Asked::Granted(Some(Self { path, bytes })),
-            Created::Impossible => Asked::Granted(None),
         }
     }
 
-    /// Shows that the holder is alive.
-    pub(crate) fn renew(&self) {
-        let _ = touch(&self.path);
+    /// The whole file.
+    fn bytes(&self) -> Vec<u8> {
+        let beat = self.beat.lock().unwrap_or_else(PoisonError::into_inner);
+        [&self.line[..], &pulse::line(&beat)].concat()
+    }
+
+    /// Whether the file is this lease's: it may have been taken over while this process was stopped.
+    fn is_ours(&self) -> bool {
+        self.cache.files().read(&self.path).is_ok_and(|found| found.starts_with(&self.line))
+    }
+
+    /// Shows that the holder is alive, and how far it is.
+    pub(crate) fn renew(&self, progress: &Progress) {
+        let mut beat = self.beat.lock().unwrap_or_else(PoisonError::into_inner);
+        beat.number += 1;
+        beat.seconds = self.cache.node().clock.now().saturating_sub(self.since).as_secs();
+        progress.read(&mut beat);
+        if self.is_ours() {
+            let _ = self.cache.files().overwrite(&self.path, self.line.len() as u64, &pulse::line(&beat));
+        }
+    }
+
+    /// The artifact is there: nobody needs to wait any more.
+    pub(crate) fn finish(mut self) {
+        if self.is_ours() {
+            let _ = self.cache.files().remove_file(&self.path);
+        }
+        self.line.clear();
+    }
+
+    /// It was never there: nothing is given back.
+    fn never_held(mut self) -> Option<Self> {
+        self.line.clear();
+        None
     }
 }
 
 impl Drop for Lease {
     fn drop(&mut self) {
-        give_back(&self.path, &self.bytes);
+        if self.line.is_empty() || !self.is_ours() {
+            return;
+        }
+        let beat = self.beat.get_mut().unwrap_or_else(PoisonError::into_inner);
+        beat.left = true;
+        let files = self.cache.files();
+        if files.overwrite(&self.path, self.line.len() as u64, &pulse::line(beat)).is_err() {
+            let _ = files.remove_file(&self.path);
+        }
     }
 }
 
@@ -162,25 +264,27 @@ pub(crate) struct RunLease {
     cache: Cache,
     path: PathBuf,
     holder: Holder,
-    bytes: Vec<u8>,
+    line: Vec<u8>,
+    beat: Beat,
     keys: BTreeSet<Key>,
     changed: bool,
-    renewed: Instant,
+    renewed: Duration,
 }
 
 impl RunLease {
     /// Of nothing yet.
     pub(crate) fn new(cache: &Cache) -> Self {
-        let holder = Holder::this(Vec::new());
+        let holder = Holder::of(cache.node(), Vec::new());
         let path = folder(cache).join(format!("run-{}", holder.token));
         Self {
             cache: cache.clone(),
             path,
             holder,
-            bytes: Vec::new(),
+            line: Vec::new(),
+            beat: Beat::default(),
             keys: BTreeSet::new(),
             changed: false,
-            renewed: Instant::now(),
+            renewed: cache.node().clock.now(),
         }
     }
 
@@ -193,17 +297,21 @@ impl RunLease {
 
     /// Lets others see what was added, and that this process is alive.
     pub(crate) fn show(&mut self) {
-        if !self.changed && self.renewed.elapsed() < HEARTBEAT {
+        let now = self.cache.node().clock.now();
+        if !self.changed && now.saturating_sub(self.renewed) < HEARTBEAT {
             return;
         }
-        self.renewed = Instant::now();
+        self.renewed = now;
+        self.beat.number += 1;
+        let files = self.cache.files();
+        let beat = pulse::line(&self.beat);
         // A lease that somebody removed is written again.
-        if !self.changed && touch(&self.path).is_ok() {
+        if !self.changed && files.overwrite(&self.path, self.line.len() as u64, &beat).is_ok() {
             return;
         }
         self.holder.reads = self.keys.iter().copied().collect();
-        self.bytes = serde_json::to_vec(&self.holder).unwrap_or_default();
-        self.changed = put(self.cache.files(), &self.path, &self.bytes).is_err();
+        self.line = self.holder.line();
+        self.changed = put(files, &self.path, &[&self.line[..], &beat].concat()).is_err();
     }
 }
 
@@ -215,23 +323,15 @@ impl std::fmt::Debug for RunLease {
 
 impl Drop for RunLease {
     fn drop(&mut self) {
-        give_back(&self.path, &self.bytes);
+        let files = self.cache.files();
+        if files.read(&self.path).is_ok_and(|found| !self.line.is_empty() && found.starts_with(&self.line)) {
+            let _ = files.remove_file(&self.path);
+        }
     }
 }
 
 fn folder(cache: &Cache) -> PathBuf {
     cache.root().join("leases")
-}
-
-fn touch(path: &Path) -> std::io::Result<()> {
-    std::fs::File::options().write(true).open(path).and_then(|f| f.set_modified(SystemTime::now()))
-}
-
-/// Only one's own: it may have been taken over while this process was stopped.
-fn give_back(path: &Path, bytes: &[u8]) {
-    if std::fs::read(path).is_ok_and(|found| found == bytes) {
-        let _ = std::fs::remove_file(path);
-    }
 }
 
 enum Created {
@@ -243,15 +343,23 @@ enum Created {
 fn create(files: &dyn Files, path: &Path, bytes: &[u8]) -> Created {
     match files.create_new(path, bytes) {
         Ok(()) => Created::Done,
-        Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => Created::Taken,
+        // A server whose first answer was lost says so of what it has just made for us.
+        Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {
+            let ours = !bytes.is_empty() && files.read(path).is_ok_and(|found| found == bytes);
+            if ours { Created::Done } else { Created::Taken }
+        }
         Err(_) => Created::Impossible,
     }
 }
 
 /// Puts our lease in the place of that of a holder who is gone. Of several processes that do so at once one
 /// gets it: who first claims these very bytes.
-fn take_over(cache: &Cache, path: &Path, dead: &[u8], bytes: &[u8], now: Instant) -> Asked {
-    let another = || Asked::Held("another process on this cache".to_string());
+fn take_over(lease: Lease, dead: &[u8], now: Duration) -> Asked {
+    let another = |lease: Lease| {
+        lease.never_held();
+        Asked::Held("another process on this cache".to_string())
+    };
+    let (cache, path) = (lease.cache.clone(), lease.path.clone());
     let files = cache.files();
     let mut name = path.file_name().unwrap_or_default().to_os_string();
     name.push(format!("{}claim-{}", files::SIBLING, Digest::of(dead).short()));
@@ -264,15 +372,17 @@ fn take_over(cache: &Cache, path: &Path, dead: &[u8], bytes: &[u8], now: Instant
                 // Whoever claimed it was killed before he was done.
                 let _ = files.remove_file(&claim);
             }
-            return another();
+            return another(lease);
         }
-        Created::Impossible => return Asked::Granted(None),
+        Created::Impossible => return Asked::Granted(lease.never_held()),
     }
-    let asked = if std::fs::read(path).is_ok_and(|found| found == dead) {
-        let lease = Lease { path: path.to_path_buf(), bytes: bytes.to_vec() };
-        Asked::Granted(put(files, path, bytes).is_ok().then_some(lease))
+    let asked = if files.read(&path).is_ok_and(|found| found == dead) {
+        match put(files, &path, &lease.bytes()) {
+            Ok(()) => Asked::Granted(Some(lease)),
+            Err(_) => Asked::Granted(lease.never_held()),
+        }
     } else {
-        another()
+        another(lease)
     };
     let _ = files.remove_file(&claim);
     asked
@@ -283,135 +393,119 @@ fn put(files: &dyn Files, path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     let mut name = path.file_name().unwrap_or_default().to_os_string();
     name.push(format!("{}{}", files::SIBLING, files::unique()));
     let sibling = path.with_file_name(name);
-    let written = files.create_new(&sibling, bytes).and_then(|()| files.rename(&sibling, path));
+    let written = create_own(files, &sibling, bytes).and_then(|()| files::rename(files, &sibling, path));
     if written.is_err() {
         let _ = files.remove_file(&sibling);
     }
     written
 }
 
+/// Creates a file under a name that nobody else has: where it is said to be there already, it is ours.
+fn create_own(files: &dyn Files, path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    match files.create_new(path, bytes) {
+        Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => Ok(()),
+        other => other,
+    }
+}
+
+/// What the file system with the leases calls now: the time it gives a new file. Comparing two of its times
+/// compares no two clocks.
+fn file_time(cache: &Cache) -> Option<SystemTime> {
+    let path = folder(cache).join(format!("now{}{}", files::SIBLING, files::unique()));
+    create_own(cache.files(), &path, b"now").ok()?;
+    let time = std::fs::metadata(&path).and_then(|m| m.modified()).ok();
+    let _ = cache.files().remove_file(&path);
+    time
+}
+
 /// Everything that running processes compute, read or go on from now; leases of processes that are gone are
 /// removed.
 pub(crate) fn in_use(cache: &Cache) -> BTreeSet<Key> {
     let mut keys = BTreeSet::new();
+    let mut present = None;
     let entries = std::fs::read_dir(folder(cache)).into_iter().flatten().filter_map(Result::ok);
     for entry in entries {
         let (path, name) = (entry.path(), entry.file_name());
         if name.to_string_lossy().contains(files::SIBLING) {
             continue;
         }
-        let modified = entry.metadata().and_then(|m| m.modified());
-        let far = modified.is_ok_and(|at| {
-            let now = SystemTime::now();
-            now.duration_since(at).or_else(|_| at.duration_since(now)).is_ok_and(|d| d > LONG_GONE)
-        });
-        match cache.leases().judge(&path, Instant::now()) {
-            Judged::Live(_, holder)
-                if !far || holder.as_ref().is_some_and(|h| h.process.is_alive() == Some(true)) =>
-            {
+        let live = match judge(cache, &path, cache.node().clock.now()) {
+            Judged::Absent => continue,
+            Judged::Dead(_) => None,
+            Judged::Live(_, Some(holder)) if cache.node().is_alive(&holder.process) == Some(true) => {
+                Some(Some(holder))
+            }
+            Judged::Live(_, holder) => {
+                let now = *present.get_or_insert_with(|| file_time(cache));
+                let modified = entry.metadata().and_then(|m| m.modified());
+                let far = modified.ok().zip(now).is_some_and(|(at, now)| {
+                    now.duration_since(at).or_else(|_| at.duration_since(now)).is_ok_and(|d| d > LONG_GONE)
+                });
+                (!far).then_some(holder)
+            }
+        };
+        match live {
+            Some(holder) => {
                 keys.extend(name.to_str().and_then(|n| n.parse::<Key>().ok()));
                 keys.extend(holder.into_iter().flat_map(|h| h.reads));
             }
-            Judged::Absent => {}
-            Judged::Live(..) | Judged::Dead(_) => {
-                let _ = std::fs::remove_file(&path);
-            }
+            None => drop(cache.files().remove_file(&path)),
         }
     }
     keys
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+/// Who computes a key now, as its lease tells.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Working {
+    /// The machine.
+    pub host: String,
+    /// The process there.
+    pub process: u32,
+    /// How long it has worked on it by its own clock, seconds; known up to its last sign of life.
+    pub seconds: u64,
+    /// How long ago that was, seconds, by the clock of the file system.
+    pub silent: u64,
+    /// Work done.
+    pub done: u64,
+    /// Work in all; 0 where the stage does not say.
+    pub total: u64,
+    /// What is counted.
+    pub unit: String,
+}
 
-    fn foreign() -> Vec<u8> {
-        let process = ProcessId { place: "elsewhere".to_string(), pid: 7, started: 1 };
-        let host = "elsewhere".to_string();
-        serde_json::to_vec(&Holder { process, host, token: String::new(), reads: Vec::new() }).unwrap()
-    }
-
-    fn granted(asked: &Asked) -> bool {
-        matches!(asked, Asked::Granted(Some(_)))
-    }
-
-    #[test]
-    fn a_lease_is_judged_by_whether_it_changes_and_not_by_its_time() {
-        let dir = tempfile::tempdir().unwrap();
-        let cache = Cache::open(dir.path(), false).unwrap();
-        let start = Instant::now();
-        let hour = Duration::from_secs(3600);
-        for (i, (bytes, limit)) in [(foreign(), EXPIRY), (Vec::new(), HALF)].into_iter().enumerate() {
-            for (j, future) in [true, false].into_iter().enumerate() {
-                let key = Digest::of(&[i as u8, j as u8]);
-                let path = folder(&cache).join(key.to_string());
-                let write = |beats: u32| {
-                    std::fs::write(&path, &bytes).unwrap();
-                    let now = SystemTime::now() + Duration::from_secs(u64::from(beats));
-                    let at = if future { now + hour } else { now - hour };
-                    std::fs::File::options()
-                        .write(true)
-                        .open(&path)
-                        .and_then(|f| f.set_modified(at))
-                        .unwrap();
-                };
-                let ask = |after: Duration| Lease::ask_at(&cache, &key, &[], start + after);
-                write(0);
-                assert!(!granted(&ask(Duration::ZERO)), "it may be alive");
-                // It changes: its holder lives, however wrong his clock is.
-                for beat in 1..4 {
-                    write(beat);
-                    assert!(!granted(&ask(limit * beat)), "{i} {future} {beat}");
-                }
-                assert!(!granted(&ask(limit * 3 + limit / 2)));
-                assert!(granted(&ask(limit * 4)), "it has not changed for long: {i} {future}");
-                assert!(!path.exists(), "given back");
-            }
+impl Cache {
+    /// Who computes `key` now; `None` where nobody is known to. A holder on another machine that has not been
+    /// heard of for long is told as it is: its `silent` says so.
+    pub fn working_on(&self, key: &Key) -> Option<Working> {
+        let path = folder(self).join(key.to_string());
+        let (holder, beat) = Holder::parse(&self.files().read(&path).ok()?)?;
+        let beat = beat.unwrap_or_default();
+        if beat.left || self.node().is_alive(&holder.process) == Some(false) {
+            return None;
         }
-    }
-
-    #[test]
-    fn of_many_that_take_over_one_gets_it() {
-        let dir = tempfile::tempdir().unwrap();
-        let cache = Cache::open(dir.path(), false).unwrap();
-        let key = Digest::of(b"key");
-        let gone = ProcessId { started: ProcessId::this().started + 1, ..ProcessId::this() };
-        if gone.is_alive() != Some(false) {
-            return; // a system that does not tell
-        }
-        let dead = Holder { process: gone, ..Holder::this(Vec::new()) };
-        for _ in 0..20 {
-            let path = folder(&cache).join(key.to_string());
-            std::fs::write(&path, serde_json::to_vec(&dead).unwrap()).unwrap();
-            let asked: Vec<Asked> = std::thread::scope(|scope| {
-                let all: Vec<_> = (0..4).map(|_| scope.spawn(|| Lease::ask(&cache, &key, &[]))).collect();
-                all.into_iter().map(|one| one.join().unwrap()).collect()
-            });
-            assert!(asked.iter().filter(|a| granted(a)).count() <= 1);
-            let later = Lease::ask(&cache, &key, &[]);
-            assert_eq!(asked.iter().chain([&later]).filter(|a| granted(a)).count(), 1);
-        }
-        assert_eq!(std::fs::read_dir(folder(&cache)).unwrap().count(), 0);
-    }
-
-    #[test]
-    fn a_run_protects_what_it_has_decided_on() {
-        let dir = tempfile::tempdir().unwrap();
-        let cache = Cache::open(dir.path(), false).unwrap();
-        let mut run = RunLease::new(&cache);
-        for (i, text) in ["a", "b"].into_iter().enumerate() {
-            run.extend([Digest::of(text.as_bytes())]);
-            run.show();
-            assert_eq!(in_use(&cache).len(), i + 1);
-        }
-        drop(run);
-        assert!(in_use(&cache).is_empty());
-        // Of another machine, seen once: alive, unless it is from another day.
-        let path = folder(&cache).join(Digest::of(b"c").to_string());
-        std::fs::write(&path, foreign()).unwrap();
-        assert_eq!(in_use(&cache).len(), 1);
-        let long = SystemTime::now() + 2 * LONG_GONE;
-        std::fs::File::options().write(true).open(&path).and_then(|f| f.set_modified(long)).unwrap();
-        assert!(in_use(&cache).is_empty() && !path.exists());
+        let modified = std::fs::metadata(&path).and_then(|m| m.modified()).ok();
+        let silent = file_time(self).zip(modified).and_then(|(now, at)| now.duration_since(at).ok());
+        Some(Working {
+            host: holder.host,
+            process: holder.process.pid,
+            seconds: beat.seconds,
+            silent: silent.map_or(0, |d| d.as_secs()),
+            done: beat.done,
+            total: beat.total,
+            unit: beat.unit,
+        })
     }
 }
+
+/// How long to wait before a lease that was held is asked for again, the n-th time: doubled each time up to
+/// ten seconds, and not the same for all processes.
+pub(crate) fn back_off(times: u32, number: u64) -> Duration {
+    let base = Duration::from_millis(50).saturating_mul(1 << times.min(8)).min(Duration::from_secs(10));
+    let share = (number.rotate_left(times.wrapping_mul(7)) % 256) as u32;
+    base * (192 + share / 2) / 256
+}
+
+#[cfg(test)]
+#[path = "lease/tests.rs"]
+mod tests;

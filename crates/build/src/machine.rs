@@ -1,6 +1,8 @@
 //! The facts about this machine and moment that records carry and keys never do.
 
+use std::hash::{BuildHasher, Hasher, RandomState};
 use std::path::Path;
+use std::sync::OnceLock;
 use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
@@ -105,9 +107,27 @@ impl ProcessId {
 }
 
 fn place() -> String {
-    let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
-    let space = std::fs::read_link("/proc/self/ns/pid").map(|p| p.display().to_string()).unwrap_or_default();
-    format!("{} {} {}", Machine::this().host, boot.trim(), space)
+    static PLACE: OnceLock<String> = OnceLock::new();
+    let find = || {
+        let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
+        let space = std::fs::read_link("/proc/self/ns/pid").map(|p| p.display().to_string());
+        place_of(&Machine::this().host, boot.trim(), &space.unwrap_or_default())
+    };
+    PLACE.get_or_init(find).clone()
+}
+
+/// A host's name alone is no place: two machines may be called the same. Where the system does not say which
+/// machine and which space of process ids this is, the process is in a place of its own.
+fn place_of(host: &str, boot: &str, space: &str) -> String {
+    if boot.is_empty() || space.is_empty() {
+        return format!("{host} {:016x}", random());
+    }
+    format!("{host} {boot} {space}")
+}
+
+/// A number that no other call in any process gets, from the system's source of randomness. Never for results.
+pub(crate) fn random() -> u64 {
+    RandomState::new().build_hasher().finish()
 }
 
 /// Field 22 of `/proc/<pid>/stat`; a zombie has ended.
@@ -176,6 +196,14 @@ mod tests {
         assert_eq!(seconds(18_420.0), "5 h 07 min");
         assert_eq!(bytes(12), "12 B");
         assert_eq!(bytes(1_500_000), "1.5 MB");
+    }
+
+    #[test]
+    fn machines_of_one_name_are_not_one_place() {
+        assert_eq!(place_of("a", "boot", "space"), place_of("a", "boot", "space"));
+        for (boot, space) in [("", ""), ("boot", ""), ("", "space")] {
+            assert_ne!(place_of("a", boot, space), place_of("a", boot, space), "{boot} {space}");
+        }
     }
 
     #[test]

@@ -12,6 +12,7 @@ use super::cache::Lookup;
 use super::graph::Graph;
 use super::history::{Forecast, Record};
 use super::key::{Difference, Key};
+use super::lease::Working;
 use super::resolve::{self, Outcome, Unresolved};
 
 /// What is to become of a node.
@@ -64,6 +65,9 @@ pub struct PlannedNode {
     pub failed: Option<String>,
     /// Whether it ever had an artifact.
     pub had: bool,
+    /// Who computes it now.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub working: Option<Working>,
 }
 
 /// A plan.
@@ -138,6 +142,7 @@ impl Engine {
                 shared_with: None,
                 failed: None,
                 had: record.last.is_some(),
+                working: None,
             };
             if !wanted[i] {
                 outcomes[i] = Outcome::Unavailable(String::new());
@@ -151,6 +156,7 @@ impl Engine {
                 planned.artifact = twin.artifact.clone();
                 planned.checkpoints = twin.checkpoints;
                 planned.failed = twin.failed.clone();
+                planned.working = twin.working.clone();
                 planned.shared_with = Some(graph.nodes[first].label());
                 outcomes[i] = outcomes[first].clone();
                 nodes.push(planned);
@@ -213,6 +219,7 @@ impl Engine {
                 return Outcome::Unavailable(label());
             }
         };
+        planned.working = self.cache.working_on(&resolved.key);
         planned.failed = record.failed(Some(resolved.key)).map(|f| f.reason.clone());
         planned.changes = match &record.last {
             Some(last) if last.key != resolved.key => last.ingredients.differences(&resolved.ingredients),

@@ -4,22 +4,27 @@
 //! scenes finish one after another. A failed node blocks what reads it and nothing else; stages over the
 //! whole batch go on with what there is. What the run has decided on is protected by a lease until it ends,
 //! and a scene is told as soon as its last stage is over, so that its results need not wait for the others.
+//!
+//! Any number of processes, on one machine or on many, may run the same batch on one cache at once. What
+//! another one computes is put back and something else is taken; its artifact is found when it is there. So
+//! they share the work without knowing of each other, and all end with the same results.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use super::Engine;
 use super::cache::{Artifact, Lookup};
 use super::digest::Digest;
+use super::error::FileError;
 use super::events::{Event, Listener};
 use super::executor::{Executor, Starter, Task, Threads};
 use super::graph::Graph;
-use super::history::{Failure, Made, Record};
+use super::history::{Failure, Made, Record, Timings};
 use super::job::{Ended, Job};
 use super::key::{Ingredients, Key};
-use super::lease::{HEARTBEAT, RunLease};
+use super::lease::{self, HEARTBEAT, RunLease};
 use super::machine;
 use super::resolve::{self, Outcome, Unresolved};
 use super::stage::Scope;
@@ -38,11 +43,26 @@ pub struct RunOptions {
     pub keep_going: bool,
     /// Stop after these stages; all without.
     pub until: Option<Vec<String>>,
+    /// Only these scenes and variants, and what they need; all without.
+    pub only: Option<Vec<(String, String)>>,
     /// Set by whoever wants the run to end: stages save their checkpoints and leave.
     pub stop: Arc<AtomicBool>,
+    /// Leave before so much time has passed since the run began: stages save their checkpoints, and what is
+    /// left is left for another run.
+    pub limit: Option<Duration>,
+    /// Set, before `stop`, by whoever wants the run to leave its work to another one and say so.
+    pub leave: Arc<AtomicBool>,
+    /// Leave to others what they compute, once there was nothing else to do for so long; without, wait for
+    /// them.
+    pub until_empty: Option<Duration>,
     /// Where jobs are done.
     pub executor: Arc<dyn Executor>,
 }
+
+/// The last part of a run's limit is for writing checkpoints: a tenth, at most so much.
+const LEAVING: Duration = Duration::from_secs(120);
+/// How long a run that waits for others goes without a look at whether it is to stop.
+const SLICE: Duration = Duration::from_millis(50);
 
 impl Default for RunOptions {
     fn default() -> Self {
@@ -52,7 +72,11 @@ impl Default for RunOptions {
             memory: machine::available_memory().unwrap_or(u64::MAX),
             keep_going: false,
             until: None,
+            only: None,
             stop: Arc::default(),
+            limit: None,
+            leave: Arc::default(),
+            until_empty: None,
             executor: Arc::new(Threads),
         }
     }
@@ -72,7 +96,7 @@ impl Engine {
         }
         let mut runner = Runner::new(self, graph, options, listener);
         options.executor.serve(&mut |starter| runner.drive(starter));
-        let (nodes, lease) = (runner.nodes, runner.lease);
+        let (nodes, lease, left) = (runner.nodes, runner.lease, runner.left);
         if let Err(error) = self.cache.contents().save() {
             listener.event(&Event::Warning { label: &graph.name, text: &error.to_string() });
         }
@@ -81,6 +105,7 @@ impl Engine {
             pipeline: graph.name.clone(),
             nodes,
             interrupted,
+            left: left || options.leave.load(Ordering::Relaxed),
             seconds: start.elapsed().as_secs_f64(),
             lease: Some(Arc::new(lease)),
         }
@@ -128,6 +153,14 @@ impl Need {
     }
 }
 
+/// A node that another process computes.
+struct Held {
+    holder: String,
+    times: u32,
+    /// When to ask again.
+    again: Duration,
+}
+
 struct Running {
     cores: usize,
     memory: u64,
@@ -149,6 +182,21 @@ struct Runner<'r> {
     damaged: HashMap<usize, usize>,
     halted: bool,
     lease: RunLease,
+    /// The order in which nodes are tried.
+    order: Vec<usize>,
+    spread: bool,
+    held: HashMap<usize, Held>,
+    /// Keys that were looked for and were not there: not looked for again until they could be computed.
+    missing: HashMap<usize, Key>,
+    start: Duration,
+    leave_at: Option<Duration>,
+    /// Durations, where the time is limited.
+    timings: Option<Timings>,
+    /// Something was not begun since it would not have come to an end.
+    untimely: bool,
+    left: bool,
+    /// Since when there is nothing to do here.
+    idle: Option<Duration>,
     /// The nodes of each scene and variant that is not over.
     scenes: BTreeMap<(String, String), Vec<usize>>,
     sender: mpsc::Sender<(usize, Ended, Ingredients)>,
@@ -162,7 +210,7 @@ impl<'r> Runner<'r> {
         options: &'r RunOptions,
         listener: &'r Arc<dyn Listener>,
     ) -> Self {
-        let wanted = graph.wanted(options.until.as_deref());
+        let wanted = graph.wanted_of(options.until.as_deref(), options.only.as_deref());
         let nodes = graph.nodes.iter().zip(&wanted).map(|(node, wanted)| RanNode {
             stage: node.stage_name,
             scene: node.scene.clone(),
@@ -184,7 +232,19 @@ impl<'r> Runner<'r> {
             }
         }
         lease.show();
+        let start = engine.cache.node().clock.now();
+        let leave_at = options.limit.map(|limit| start + limit - LEAVING.min(limit / 10));
         Self {
+            order: (0..graph.nodes.len()).collect(),
+            spread: false,
+            held: HashMap::new(),
+            missing: HashMap::new(),
+            start,
+            leave_at,
+            timings: options.limit.map(|_| engine.cache.timings()),
+            untimely: false,
+            left: false,
+            idle: None,
             engine,
             graph,
             options,
@@ -208,24 +268,105 @@ impl<'r> Runner<'r> {
 
     fn drive(&mut self, starter: &dyn Starter<'r>) {
         loop {
+            self.watch_time();
             let mut moved = true;
             while moved && !self.stopped() {
                 moved = false;
-                for i in 0..self.graph.nodes.len() {
-                    if self.phase[i] == Phase::Pending && !self.stopped() {
+                for at in 0..self.order.len() {
+                    let i = self.order[at];
+                    if self.phase[i] == Phase::Pending && !self.stopped() && !self.is_held(i) {
                         moved |= self.advance(i, starter);
                     }
                 }
             }
             self.lease.show();
             self.tell_scenes();
-            if self.running.is_empty() {
+            if self.running.is_empty() && (self.stopped() || !self.waits_for_others()) {
+                self.left |= self.untimely;
                 return;
             }
-            if let Ok((i, ended, ingredients)) = self.receiver.recv_timeout(HEARTBEAT) {
-                self.finish(i, ended, ingredients);
+            self.wait();
+        }
+    }
+
+    fn now(&self) -> Duration {
+        self.engine.cache.node().clock.now()
+    }
+
+    /// Ends the run when its time is over.
+    fn watch_time(&mut self) {
+        if !self.left && self.leave_at.is_some_and(|at| self.now() >= at) {
+            self.left = true;
+            let text = "its time is over: saving checkpoints and leaving; the same command goes on from here";
+            self.listener.event(&Event::Note { label: &self.graph.name, text });
+            self.options.stop.store(true, Ordering::Relaxed);
+        }
+    }
+
+    /// Whether another process computes a node and it is not yet time to ask again.
+    fn is_held(&self, i: usize) -> bool {
+        self.held.get(&i).is_some_and(|held| held.again > self.now())
+    }
+
+    /// With nothing to do here: whether to go on until others are done. If not, what is left is theirs.
+    fn waits_for_others(&mut self) -> bool {
+        // One that something else has ended is nobody's any more.
+        let phase = &self.phase;
+        self.held.retain(|i, _| phase[*i] == Phase::Pending);
+        if self.held.is_empty() {
+            return false;
+        }
+        let now = self.now();
+        let since = *self.idle.get_or_insert(now);
+        if self.options.until_empty.is_none_or(|patience| now.saturating_sub(since) < patience) {
+            return true;
+        }
+        for i in 0..self.phase.len() {
+            if self.phase[i] == Phase::Pending {
+                let holder = self.held.get(&i).map(|held| held.holder.clone());
+                let holder = holder.unwrap_or_else(|| "who computes what it needs".to_string());
+                self.nodes[i].result = Became::Elsewhere(holder);
             }
         }
+        false
+    }
+
+    /// Waits until a job ends, a lease is to be asked for again, or it is time to show that this run lives.
+    fn wait(&mut self) {
+        let (clock, now) = (self.engine.cache.node().clock, self.now());
+        let asks = self.held.values().map(|held| held.again).filter(|_| self.has_room());
+        let next = asks.chain(self.leave_at.filter(|_| !self.left)).min();
+        let until = next.map_or(HEARTBEAT, |at| at.saturating_sub(now).min(HEARTBEAT));
+        let mut left = clock.wait_for(until).max(Duration::from_millis(1));
+        // Where nothing runs, nothing but this loop hears that it is to stop.
+        while self.running.is_empty() && left > SLICE && !self.stopped() {
+            std::thread::sleep(SLICE);
+            left -= SLICE;
+        }
+        if let Ok((i, ended, ingredients)) = self.receiver.recv_timeout(left) {
+            self.finish(i, ended, ingredients);
+        }
+    }
+
+    /// Whether another job may be started.
+    fn has_room(&self) -> bool {
+        self.running.len() < self.options.jobs.max(1)
+    }
+
+    /// From now on scenes are tried in an order of this process's own: others work on the same batch, and not
+    /// all should ask for the same things.
+    fn spread(&mut self) {
+        if std::mem::replace(&mut self.spread, true) {
+            return;
+        }
+        let number = self.engine.cache.node().number();
+        let nodes = &self.graph.nodes;
+        let place = |i: &usize| {
+            let scene = &nodes[*i].scene;
+            let place = Digest::of(format!("{number} {scene}").as_bytes());
+            if scene.is_empty() { (None, *i) } else { (Some(place), *i) }
+        };
+        self.order.sort_by_cached_key(place);
     }
 
     /// Tells every scene whose last node is over.
@@ -288,7 +429,10 @@ impl<'r> Runner<'r> {
             }
         };
         self.lease.extend([resolved.key]);
-        match engine.cache.lookup(self.graph.nodes[i].stage_name, &resolved.key) {
+        if !self.has_room() && self.missing.get(&i) == Some(&resolved.key) {
+            return false;
+        }
+        match self.look_up(i, &resolved.key) {
             Ok(Lookup::Whole(artifact)) => {
                 engine.cache.touch(&artifact.path);
                 self.listener.event(&Event::Done {
@@ -325,6 +469,32 @@ impl<'r> Runner<'r> {
             }
         }
         self.start(i, resolved, starter)
+    }
+
+    /// What is there for a node's key. What is not as it should be is looked at a second time: where the cache
+    /// is a network file system, what another machine has made may come late.
+    fn look_up(&mut self, i: usize, key: &Key) -> Result<Lookup, FileError> {
+        let (cache, node) = (&self.engine.cache, &self.graph.nodes[i]);
+        let found = cache.lookup(node.stage_name, key)?;
+        let suspect = match found {
+            Lookup::Whole(_) => return Ok(found),
+            Lookup::Damaged(_) => true,
+            Lookup::Missing if self.missing.insert(i, *key) == Some(*key) => false,
+            Lookup::Missing => cache.record(&self.graph.name, node).last.is_some_and(|last| last.key == *key),
+        };
+        if suspect { cache.lookup_again(node.stage_name, key) } else { Ok(found) }
+    }
+
+    /// Whether a stage that leaves no checkpoints would be cut off by the limit, and would not be in a run that
+    /// has its whole time before it.
+    fn comes_too_late(&self, i: usize) -> bool {
+        let node = &self.graph.nodes[i];
+        let stage = &self.engine.registry.stages()[node.stage];
+        let (Some(at), Some(timings)) = (self.leave_at, &self.timings) else { return false };
+        let forecast = timings.forecast(stage.name, &node.scene, resolve::length(stage, node));
+        let Some(forecast) = forecast.filter(|_| stage.length_like.is_empty()) else { return false };
+        let (left, whole) = (at.saturating_sub(self.now()), at.saturating_sub(self.start));
+        forecast.seconds > left.as_secs_f64() && forecast.seconds < whole.as_secs_f64()
     }
 
     /// Whether some scene that reads a shared node can still be computed: [`Need::Unknown`] until the first
@@ -368,6 +538,10 @@ impl<'r> Runner<'r> {
         let memory = *self.memory[i]
             .get_or_insert_with(|| stage.memory_on(&self.graph.nodes[i].parameters, &resolved.inputs));
         let fits = used_memory.saturating_add(memory) <= self.options.memory;
+        if self.comes_too_late(i) {
+            self.untimely = true;
+            return false;
+        }
         let twin = self.running.values().any(|r| r.key == resolved.key);
         if twin || self.running.len() >= jobs || (!fits && !self.running.is_empty()) {
             return false;
@@ -417,6 +591,10 @@ impl<'r> Runner<'r> {
 
     fn finish(&mut self, i: usize, ended: Ended, ingredients: Ingredients) {
         let key = self.running.remove(&i).map(|r| r.key);
+        if !matches!(ended, Ended::Held(_)) {
+            self.held.remove(&i);
+            self.idle = None;
+        }
         match ended {
             Ended::Ready { artifact, computed, seconds } => {
                 self.warn_if_changed(i, &artifact);
@@ -429,6 +607,18 @@ impl<'r> Runner<'r> {
             Ended::Cancelled => {
                 self.phase[i] = Phase::Over;
                 self.outcomes[i] = Outcome::Unavailable("the interruption".to_string());
+            }
+            Ended::Held(holder) => {
+                let (now, node) = (self.now(), self.engine.cache.node());
+                let times = self.held.get(&i).map_or(0, |held| held.times);
+                if times == 0 {
+                    let label = &self.nodes[i].label;
+                    self.listener.event(&Event::Waiting { node: i, label, holder: &holder });
+                }
+                let again = now + lease::back_off(times, node.number());
+                self.held.insert(i, Held { holder, times: times + 1, again });
+                self.phase[i] = Phase::Pending;
+                self.spread();
             }
             Ended::DamagedInput(parent) => {
                 // What shares another node's work is made again by that one.
@@ -462,6 +652,7 @@ impl<'r> Runner<'r> {
         seconds: f64,
         ingredients: Ingredients,
     ) {
+        self.held.remove(&i);
         self.record_made(i, ingredients, artifact.manifest.content);
         self.nodes[i].artifact = Some(artifact.as_ref().clone());
         self.nodes[i].result = result;
@@ -471,6 +662,7 @@ impl<'r> Runner<'r> {
     }
 
     fn fail(&mut self, i: usize, key: Option<Key>, reason: String) {
+        self.held.remove(&i);
         let node = &self.graph.nodes[i];
         let log = self.engine.cache.log_path(&self.graph.name, node);
         let label = self.nodes[i].label.clone();

@@ -6,6 +6,7 @@ use super::Engine;
 use super::error::EngineError;
 use super::graph::Graph;
 use super::key::{Difference, Key};
+use super::lease::Working;
 use super::plan::{Plan, PlannedNode, State};
 use super::resolve::Unresolved;
 use super::resolve::{self, Outcome};
@@ -47,6 +48,16 @@ pub struct Cell {
     pub reason: String,
     /// The ingredients that changed, where they are known.
     pub changes: Vec<Difference>,
+    /// Who computes it now.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub working: Option<Working>,
+}
+
+impl Cell {
+    /// Where it stands, in one word.
+    pub fn word(&self) -> &'static str {
+        if self.working.is_some() { "running" } else { self.standing.word() }
+    }
 }
 
 /// One row: a scene and variant, or what all scenes share.
@@ -102,7 +113,8 @@ pub(crate) fn cell(node: &PlannedNode) -> Cell {
         (State::Blocked(by), _) => (before, format!("needs {by}")),
         (State::Unwanted, _) => (before, "not asked for".to_string()),
     };
-    Cell { stage: node.stage, standing, reason, changes: node.changes.clone() }
+    let (changes, working) = (node.changes.clone(), node.working.clone());
+    Cell { stage: node.stage, standing, reason, changes, working }
 }
 
 impl Status {

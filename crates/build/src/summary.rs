@@ -27,6 +27,8 @@ pub enum Became {
     Blocked(String),
     /// Not run because the run ended before.
     NotRun,
+    /// Left to another process, which computes it or what it needs: who, in words.
+    Elsewhere(String),
     /// Nobody asked for it.
     Unwanted,
 }
@@ -63,6 +65,8 @@ pub struct Summary {
     pub nodes: Vec<RanNode>,
     /// Whether it was interrupted.
     pub interrupted: bool,
+    /// Whether it left for want of time, with work for another one.
+    pub left: bool,
     /// How long it took, seconds.
     pub seconds: f64,
     /// Keeps others from cleaning up what the summary points to while it is being used.
@@ -79,19 +83,28 @@ impl Summary {
             pipeline: String::new(),
             nodes: own.cloned().collect(),
             interrupted: false,
+            left: false,
             seconds: 0.0,
             lease: None,
         }
     }
 
-    /// 0 all done, 1 something failed, 130 interrupted.
+    /// 0 all done (or in the hands of others), 1 something failed, 75 out of time: the same again goes on,
+    /// 130 interrupted.
     pub fn exit_code(&self) -> u8 {
-        let bad =
-            |n: &RanNode| matches!(n.result, Became::Failed { .. } | Became::Blocked(_) | Became::NotRun);
-        match (self.interrupted, self.nodes.iter().any(bad)) {
-            (true, _) => 130,
-            (false, failed) => u8::from(failed),
+        let any = |bad: fn(&Became) -> bool| self.nodes.iter().any(|n| bad(&n.result));
+        if self.left && any(|r| matches!(r, Became::NotRun)) {
+            return 75;
         }
+        if self.interrupted && !self.left {
+            return 130;
+        }
+        u8::from(any(|r| matches!(r, Became::Failed { .. } | Became::Blocked(_) | Became::NotRun)))
+    }
+
+    /// How many nodes were left to other processes.
+    pub fn elsewhere(&self) -> usize {
+        self.count(|r| matches!(r, Became::Elsewhere(_)))
     }
 
     /// How many nodes were computed now.

@@ -5,10 +5,11 @@ use std::fmt::{self, Display, Formatter};
 use use3d_capture::name::{shown, shown_lines};
 
 use super::gc::Cleaning;
+use super::lease::Working;
 use super::machine::{bytes, seconds};
 use super::plan::{Plan, PlannedNode, State};
 use super::run::{Became, Summary};
-use super::status::{Standing, Status, Why};
+use super::status::{Cell, Standing, Status, Why};
 use super::verify::Verification;
 
 /// How many changed ingredients a line names.
@@ -91,15 +92,20 @@ impl Display for Summary {
         let blocked = self.count(|r| matches!(r, Became::Blocked(_)));
         let not_run = self.count(|r| *r == Became::NotRun);
         write!(f, "{}: {} done, {} cached", self.pipeline, self.done(), self.cached())?;
-        for (count, word) in
-            [(self.failed().count(), "failed"), (blocked, "not run because of these"), (not_run, "not run")]
-        {
+        for (count, word) in [
+            (self.failed().count(), "failed"),
+            (blocked, "not run because of these"),
+            (not_run, "not run"),
+            (self.elsewhere(), "left to others, who compute them"),
+        ] {
             if count > 0 {
                 write!(f, ", {count} {word}")?;
             }
         }
         write!(f, ", in {}", seconds(self.seconds))?;
-        if self.interrupted {
+        if self.left && not_run > 0 {
+            write!(f, "; out of time: the same command goes on from here")?;
+        } else if self.interrupted && !self.left {
             write!(f, "; interrupted: the same command goes on from here")?;
         }
         writeln!(f)
@@ -130,17 +136,32 @@ impl Display for Status {
         for (row, name) in self.rows.iter().zip(&names) {
             let mut line = format!("{name:<wide$}");
             for stage in &stages {
-                let word = row.cells.iter().find(|c| c.stage == *stage).map_or("", |c| c.standing.word());
+                let word = row.cells.iter().find(|c| c.stage == *stage).map_or("", Cell::word);
                 line.push_str(&format!("  {word:<w$}", w = stage.len().max(7)));
             }
             writeln!(f, "{}", line.trim_end())?;
         }
         for (row, name) in self.rows.iter().zip(&names) {
-            for cell in row.cells.iter().filter(|c| c.standing == Standing::Failed) {
-                writeln!(f, "{name} · {}: {}", cell.stage, cell.reason)?;
+            for cell in &row.cells {
+                if let Some(working) = &cell.working {
+                    writeln!(f, "{name} · {}: {working}", cell.stage)?;
+                } else if cell.standing == Standing::Failed {
+                    writeln!(f, "{name} · {}: {}", cell.stage, cell.reason)?;
+                }
             }
         }
         Ok(())
+    }
+}
+
+impl Display for Working {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        let Self { host, process, done, total, unit, .. } = self;
+        write!(f, "on {} (process {process})", shown(host))?;
+        if *total > 0 {
+            write!(f, ", {done} of {total} {}", shown(unit))?;
+        }
+        write!(f, ", for {}, heard of {} ago", seconds(self.seconds as f64), seconds(self.silent as f64))
     }
 }
 

@@ -117,7 +117,7 @@ impl Cache {
         ));
         files::at(&folder, "create", self.files().create_dir_all(&folder))?;
         let to = folder.join(file.file_name().unwrap_or_default());
-        files::at(file, "move aside", self.files().rename(file, &to))
+        files::at(file, "move aside", files::rename(self.files(), file, &to))
     }
 }
 

@@ -91,6 +91,7 @@ impl Checkpoints {
     /// Writes the state after `step` steps, then removes the run's earlier ones.
     pub fn save(&self, step: u64, state: &impl Serialize) -> Result<(), CheckpointError> {
         CheckpointFile::at(self.path(step)).save(state)?;
+        sweep(&self.dir);
         for earlier in self.entries().iter().filter(|e| e.ours && e.length == self.length && e.step < step) {
             // It only takes up room, and another process may have been quicker.
             let _ = fs::remove_file(&earlier.path);

@@ -8,10 +8,14 @@
 //! an error that says so; the loop then starts anew (and the caller says so aloud), never from half a state.
 //! Internal state only: exchange formats are open ones.
 
-use std::fs::{self, File, TryLockError};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::{self, File};
+use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::{BufRead, BufReader, BufWriter, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{LazyLock, Mutex, PoisonError};
+use std::time::{Duration, Instant, SystemTime};
 
 use bincode::error::{DecodeError, EncodeError};
 use serde::Serialize;
@@ -75,43 +79,62 @@ impl Write for Digesting {
     }
 }
 
-/// What a sibling's name has between the file's own and a number.
+/// What a sibling's name has between the file's own and what tells siblings apart.
 const PART: &str = ".part-";
+/// How long a sibling must have stayed as it is, as this process saw it by its own clock, for its writer to
+/// count as gone. Locks would tell sooner, where all machines that share a folder agree on them; on network
+/// file systems they may not, or may hang.
+const ABANDONED: Duration = Duration::from_secs(600);
 
-/// Creates a sibling of `path` that no other process and no other thread writes, and locks it: whoever finds
-/// it unlocked knows that its writer is gone.
+/// Creates a sibling of `path` that no other process on any machine and no other thread writes.
 fn create_sibling(path: &Path) -> std::io::Result<(PathBuf, File)> {
     static COUNTER: AtomicU64 = AtomicU64::new(0);
+    // Process ids are told apart on one machine only; hash maps are seeded by chance, and so are names.
+    static CHANCE: LazyLock<u64> = LazyLock::new(|| RandomState::new().build_hasher().finish());
     loop {
         let mut name = path.file_name().unwrap_or_default().to_os_string();
-        name.push(format!("{PART}{}-{}", std::process::id(), COUNTER.fetch_add(1, Ordering::Relaxed)));
+        let number = COUNTER.fetch_add(1, Ordering::Relaxed);
+        name.push(format!("{PART}{}-{:016x}-{number}", std::process::id(), *CHANCE));
         let part = path.with_file_name(name);
-        // Created, never opened: process ids are told apart on one machine only.
+        // Created, never opened.
         match File::options().write(true).create_new(true).open(&part) {
-            Ok(file) => {
-                // Some file systems know no locks. Then a leftover of a crash stays until the folder goes.
-                let _ = file.try_lock();
-                return Ok((part, file));
-            }
+            Ok(file) => return Ok((part, file)),
             Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
             Err(error) => return Err(error),
         }
     }
 }
 
-/// Removes what processes that were killed while writing left in a folder of checkpoints.
+/// Removes what processes that were killed while writing left in a folder of checkpoints. Called again and
+/// again while a training lasts.
 pub(crate) fn sweep(dir: &Path) {
+    sweep_at(dir, Instant::now());
+}
+
+fn sweep_at(dir: &Path, now: Instant) {
+    type Seen = (u64, Option<SystemTime>, Instant);
+    static SEEN: Mutex<BTreeMap<PathBuf, Seen>> = Mutex::new(BTreeMap::new());
+    let mut seen = SEEN.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut there = BTreeSet::new();
     for entry in fs::read_dir(dir).into_iter().flatten().filter_map(Result::ok) {
         if !entry.file_name().to_string_lossy().contains(PART) {
             continue;
         }
-        let Ok(file) = File::open(entry.path()) else { continue };
-        match file.try_lock() {
-            // A writer caught between creating and locking it writes again.
-            Ok(()) => drop(fs::remove_file(entry.path())),
-            Err(TryLockError::WouldBlock | TryLockError::Error(_)) => {}
+        let (path, Ok(data)) = (entry.path(), entry.metadata()) else { continue };
+        let (size, modified) = (data.len(), data.modified().ok());
+        match seen.get(&path) {
+            Some((s, m, since)) if (*s, *m) == (size, modified) => {
+                if now.saturating_duration_since(*since) >= ABANDONED {
+                    let _ = fs::remove_file(&path);
+                }
+            }
+            _ => {
+                seen.insert(path.clone(), (size, modified, now));
+            }
         }
+        there.insert(path);
     }
+    seen.retain(|path, _| path.parent() != Some(dir) || there.contains(path));
 }
 
 /// Writes and syncs a whole file. The digest is known last and put in its place then; until then the file has
@@ -274,12 +297,18 @@ mod tests {
     fn what_a_killed_writer_left_is_removed_and_what_is_being_written_is_not() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("state.bin");
-        let (written, held) = create_sibling(&path).unwrap();
-        let (left, gone) = create_sibling(&path).unwrap();
-        drop(gone);
-        sweep(dir.path());
+        let (written, mut file) = create_sibling(&path).unwrap();
+        let (left, _) = create_sibling(&path).unwrap();
+        assert_ne!(written, left);
+        // It may be another machine's, which no lock and no process id tells of: what counts is that it grows.
+        let now = Instant::now();
+        for minutes in [0, 5, 9] {
+            sweep_at(dir.path(), now + Duration::from_secs(60 * minutes));
+            file.write_all(b"more").unwrap();
+        }
+        assert!(written.exists() && left.exists());
+        sweep_at(dir.path(), now + ABANDONED);
         assert!(written.exists() && !left.exists());
-        drop(held);
     }
 
     #[test]

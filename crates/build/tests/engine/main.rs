@@ -6,6 +6,7 @@ mod code;
 mod crash;
 mod executors;
 mod faults;
+mod nodes;
 mod reference;
 mod sharing;
 mod stages;

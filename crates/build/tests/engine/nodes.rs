@@ -1,0 +1,375 @@
+//! One cache, two machines: other names, clocks a year apart, a file system that shows what is there late and
+//! loses answers. They share the work, nothing is computed twice, and the bytes are those of one machine.
+
+use std::collections::{BTreeMap, HashMap};
+use std::fs;
+use std::io::{self, ErrorKind, Read};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{self, Receiver, Sender};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use serde_json::json;
+use use3d_build::files::Files;
+use use3d_build::node::{Clock, Node};
+use use3d_build::run::{Became, RunOptions};
+use use3d_build::{Batch, Cache, Engine, Event, Graph, Listener, Summary};
+
+use super::stages::{Fast, batch, engine, payload, registry, run};
+
+/// How fast the clocks of these machines run: their minutes are parts of a second.
+const RATE: f64 = 200.0;
+
+/// A machine's view of the files: for `late` after it has looked for an artifact in vain it does not see it
+/// come, unless it asks anew and `stubborn` is not set; of every `nth` rename and creation it hears that it
+/// failed, though it did not.
+struct Network {
+    late: Duration,
+    stubborn: bool,
+    nth: u64,
+    count: AtomicU64,
+    absent: Mutex<HashMap<PathBuf, Instant>>,
+}
+
+impl Network {
+    fn new(late: u64, stubborn: bool, nth: u64) -> Arc<Self> {
+        let late = Duration::from_millis(late);
+        Arc::new(Self { late, stubborn, nth, count: AtomicU64::new(0), absent: Mutex::default() })
+    }
+
+    /// The artifact's folder that a path lies in or is.
+    fn artifact(path: &Path) -> Option<PathBuf> {
+        let below = path.ancestors().find(|a| a.parent().is_some_and(|p| p.ends_with("artifacts")))?;
+        let key = path.strip_prefix(below).ok()?.components().next()?;
+        Some(below.join(key))
+    }
+
+    fn is_hidden(&self, path: &Path) -> bool {
+        let Some(artifact) = Self::artifact(path) else { return false };
+        let mut absent = self.absent.lock().expect("lock");
+        match absent.get(&artifact) {
+            Some(since) if since.elapsed() < self.late => true,
+            Some(_) => {
+                absent.remove(&artifact);
+                false
+            }
+            None => {
+                if !artifact.exists() {
+                    absent.insert(artifact, Instant::now());
+                }
+                false
+            }
+        }
+    }
+
+    fn seen<T>(&self, path: &Path, look: impl FnOnce() -> io::Result<T>) -> io::Result<T> {
+        if self.is_hidden(path) { Err(ErrorKind::NotFound.into()) } else { look() }
+    }
+
+    fn answer_is_lost(&self) -> bool {
+        self.nth > 0 && self.count.fetch_add(1, Ordering::SeqCst) % self.nth == self.nth - 1
+    }
+}
+
+impl Files for Network {
+    fn read(&self, path: &Path) -> io::Result<Vec<u8>> {
+        self.seen(path, || Fast.read(path))
+    }
+    fn open(&self, path: &Path) -> io::Result<Box<dyn Read>> {
+        self.seen(path, || Fast.open(path))
+    }
+    fn exists(&self, path: &Path) -> io::Result<bool> {
+        Ok(!self.is_hidden(path) && path.exists())
+    }
+    fn look_again(&self, folder: &Path) {
+        if !self.stubborn {
+            self.absent.lock().expect("lock").retain(|path, _| !path.starts_with(folder));
+        }
+    }
+    fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        Fast.write(path, bytes)
+    }
+    fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        Fast.append(path, bytes)
+    }
+    fn create_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        Fast.create_new(path, bytes)?;
+        if self.answer_is_lost() { Err(ErrorKind::AlreadyExists.into()) } else { Ok(()) }
+    }
+    fn create_dir_all(&self, path: &Path) -> io::Result<()> {
+        Fast.create_dir_all(path)
+    }
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        Fast.rename(from, to)?;
+        if let Some(artifact) = Self::artifact(to) {
+            self.absent.lock().expect("lock").remove(&artifact);
+        }
+        if self.answer_is_lost() { Err(ErrorKind::NotFound.into()) } else { Ok(()) }
+    }
+    fn sync(&self, _: &Path) -> io::Result<()> {
+        Ok(())
+    }
+    fn remove_file(&self, path: &Path) -> io::Result<()> {
+        Fast.remove_file(path)
+    }
+    fn remove_dir_all(&self, path: &Path) -> io::Result<()> {
+        Fast.remove_dir_all(path)
+    }
+}
+
+/// A machine on the cache in `folder` whose stages take `delay` milliseconds.
+fn machine(folder: &Path, host: &str, files: Arc<dyn Files>, delay: u64) -> Engine {
+    let year = Duration::from_secs(31_536_000);
+    let clock = Clock::other(if host == "west" { year } else { Duration::ZERO }, RATE);
+    let cache = Cache::with_files(folder, false, files).expect("cache");
+    Engine::new(registry(delay), cache.as_node(Node::elsewhere(host, clock)))
+}
+
+#[derive(Default)]
+struct Told {
+    started: Vec<String>,
+    waited: Vec<String>,
+    warnings: Vec<String>,
+}
+
+/// Runs a batch; `meddle` sees every event first.
+fn run_told(
+    engine: &Engine,
+    batch: &Batch,
+    options: &RunOptions,
+    meddle: impl Fn(&Event<'_>) + Send + Sync + 'static,
+) -> (Summary, Told) {
+    let graph = Graph::new(&engine.registry, batch).expect("graph");
+    let told: Arc<Mutex<Told>> = Arc::default();
+    let into = told.clone();
+    let listener: Arc<dyn Listener> = Arc::new(move |event: &Event<'_>| {
+        match event {
+            Event::Started { label, .. } => into.lock().expect("lock").started.push((*label).to_string()),
+            Event::Waiting { label, .. } => into.lock().expect("lock").waited.push((*label).to_string()),
+            Event::Warning { label, text } => {
+                into.lock().expect("lock").warnings.push(format!("{label}: {text}"));
+            }
+            _ => {}
+        }
+        meddle(event);
+    });
+    let summary = engine.run(&graph, options, &listener);
+    let told = std::mem::take(&mut *told.lock().expect("lock"));
+    (summary, told)
+}
+
+fn undisturbed(folder: &Path, batch: &Batch) -> BTreeMap<String, Vec<u8>> {
+    let alone = engine(&folder.join("alone"));
+    assert_eq!(run(&alone, batch).0.exit_code(), 0);
+    payload(&alone.cache)
+}
+
+#[test]
+fn two_machines_share_the_work_and_compute_nothing_twice() {
+    let dir = tempfile::tempdir().expect("folder");
+    let batch = batch(&dir.path().join("data"), &["reef", "wreck", "wall", "cave"]);
+    let expected = undisturbed(dir.path(), &batch);
+    for (late, nth) in [(0, 0), (150, 0), (150, 3)] {
+        let folder = dir.path().join(format!("cache-{late}-{nth}"));
+        let both: Vec<(Summary, Told)> = std::thread::scope(|scope| {
+            let start = |host: &'static str| {
+                let engine = machine(&folder, host, Network::new(late, false, nth), 12);
+                let batch = &batch;
+                scope.spawn(move || run_told(&engine, batch, &RunOptions::default(), |_| ()))
+            };
+            let threads = ["east", "west"].map(start);
+            threads.into_iter().map(|thread| thread.join().expect("runs")).collect()
+        });
+        let mut started: Vec<&String> = both.iter().flat_map(|(_, told)| &told.started).collect();
+        let all = started.len();
+        started.sort();
+        started.dedup();
+        assert_eq!((started.len(), all), (22, 22), "{late} {nth}: {started:?}");
+        for (summary, told) in &both {
+            assert_eq!((summary.exit_code(), told.warnings.len()), (0, 0), "{summary}{:?}", told.warnings);
+            assert!(!told.started.is_empty(), "both have worked");
+        }
+        let cache = machine(&folder, "east", Arc::new(Fast), 0).cache;
+        assert_eq!(payload(&cache), expected, "{late} {nth}");
+        assert!(!cache.root().join("damaged").exists(), "nothing good was taken for damaged");
+        // What a summary points to is protected while somebody has it.
+        drop(both);
+        assert_eq!(fs::read_dir(cache.root().join("leases")).expect("leases").count(), 0);
+        assert_eq!(fs::read_dir(cache.root().join("tmp")).expect("tmp").count(), 0);
+    }
+}
+
+/// Where the first machine waits for the second: it has begun a stage, and goes on when it is told.
+fn gate(stage: &'static str) -> (impl Fn(&Event<'_>) + Send + Sync, Receiver<()>, Sender<()>) {
+    let ((begun, begins), (go, goes)) = (mpsc::channel(), mpsc::channel::<()>());
+    let goes = Mutex::new(goes);
+    let meddle = move |event: &Event<'_>| {
+        if matches!(event, Event::Started { label, .. } if *label == stage) {
+            begun.send(()).expect("heard");
+            // Whoever fails drops the other end.
+            let _ = goes.lock().expect("lock").recv();
+        }
+    };
+    (meddle, begins, go)
+}
+
+#[test]
+fn what_another_machine_has_made_is_waited_for_until_it_is_seen() {
+    let dir = tempfile::tempdir().expect("folder");
+    let batch = batch(&dir.path().join("data"), &["reef"]);
+    let expected = undisturbed(dir.path(), &batch);
+    let folder = dir.path().join("cache");
+    let east = machine(&folder, "east", Arc::new(Fast), 0);
+    let west = machine(&folder, "west", Network::new(250, true, 0), 0);
+    let (meddle, begins, go) = gate("reef · import");
+    let options = RunOptions { until: Some(vec!["import".to_string()]), ..RunOptions::default() };
+    std::thread::scope(|scope| {
+        let first = scope.spawn(|| run_told(&east, &batch, &options, meddle));
+        begins.recv().expect("it begins");
+        let go = Mutex::new(go);
+        let second = move |event: &Event<'_>| {
+            if matches!(event, Event::Waiting { .. }) {
+                // It has looked in vain, and will not see it come for a while.
+                go.lock().expect("lock").send(()).expect("goes on");
+            }
+        };
+        let (summary, told) = run_told(&west, &batch, &options, second);
+        assert_eq!((summary.exit_code(), told.started.len()), (0, 0), "{summary}{:?}", told.started);
+        assert_eq!((told.waited.as_slice(), summary.cached()), (&["reef · import".to_string()][..], 1));
+        assert_eq!(first.join().expect("runs").0.exit_code(), 0);
+    });
+    run(&west, &batch);
+    assert_eq!(payload(&west.cache), expected);
+}
+
+#[test]
+fn while_another_one_computes_something_else_is_done() {
+    let dir = tempfile::tempdir().expect("folder");
+    let batch = batch(&dir.path().join("data"), &["reef", "wreck", "wall"]);
+    let expected = undisturbed(dir.path(), &batch);
+    let folder = dir.path().join("cache");
+    let (east, west) =
+        (machine(&folder, "east", Arc::new(Fast), 0), machine(&folder, "west", Arc::new(Fast), 0));
+    let (meddle, begins, go) = gate("reef · import");
+    std::thread::scope(|scope| {
+        let first = scope.spawn(|| run_told(&east, &batch, &RunOptions::default(), meddle));
+        begins.recv().expect("it begins");
+        // With one job at a time, it does the other scenes, and leaves the one to who is at it.
+        let options = RunOptions { until_empty: Some(Duration::ZERO), ..RunOptions::default() };
+        let (summary, told) = run_told(&west, &batch, &options, |_| ());
+        assert_eq!(summary.exit_code(), 0, "{summary}");
+        assert!(told.started.iter().all(|label| !label.starts_with("reef")), "{:?}", told.started);
+        for scene in ["wreck", "wall"] {
+            assert!(told.started.contains(&format!("{scene} · evaluate")), "{:?}", told.started);
+        }
+        let theirs = |n: &&use3d_build::run::RanNode| matches!(n.result, Became::Elsewhere(_));
+        let left: Vec<&str> = summary.nodes.iter().filter(theirs).map(|n| n.stage).collect();
+        assert!(left.contains(&"import") && left.contains(&"report"), "{left:?}");
+        assert!(summary.to_string().contains("left to others"), "{summary}");
+        let of = |n: &&use3d_build::run::RanNode| n.scene == "reef" && n.stage == "import";
+        let import = summary.nodes.iter().find(of).expect("there");
+        assert!(matches!(&import.result, Became::Elsewhere(who) if who.contains("east")), "{import:?}");
+        go.send(()).expect("goes on");
+        let (summary, told) = first.join().expect("runs");
+        assert_eq!(summary.exit_code(), 0, "{summary}");
+        assert!(told.started.iter().all(|l| l.starts_with("reef") || l == "report"), "{:?}", told.started);
+    });
+    assert_eq!(payload(&east.cache), expected);
+}
+
+#[test]
+fn a_run_whose_time_is_over_leaves_its_checkpoints_to_the_next() {
+    let dir = tempfile::tempdir().expect("folder");
+    let mut batch = batch(&dir.path().join("data"), &["reef"]);
+    batch.defaults.insert("reconstruct".to_string(), json!({"iterations": 400}));
+    let expected = undisturbed(dir.path(), &batch);
+    let east = machine(&dir.path().join("cache"), "east", Arc::new(Fast), 6);
+    // By a clock that runs two hundred times as fast.
+    let limited =
+        |seconds: u64| RunOptions { limit: Some(Duration::from_secs(seconds)), ..RunOptions::default() };
+    let (mut codes, mut resumed) = (Vec::new(), 0);
+    for _ in 0..40 {
+        let (summary, _) = run_told(&east, &batch, &limited(50), |_| ());
+        codes.push(summary.exit_code());
+        if summary.exit_code() == 0 {
+            break;
+        }
+        assert!(summary.to_string().contains("out of time"), "{summary}");
+        let log = fs::read_to_string(east.cache.root().join("logs/synthetic/reef/_/reconstruct.log"));
+        resumed += usize::from(log.is_ok_and(|log| log.contains("going on from step")));
+    }
+    assert_eq!((codes.first(), codes.last()), (Some(&75), Some(&0)), "{codes:?}");
+    assert!(codes[..codes.len() - 1].iter().all(|code| *code == 75) && resumed > 0, "{codes:?} {resumed}");
+    assert_eq!(payload(&east.cache), expected);
+}
+
+#[test]
+fn what_would_be_cut_off_is_left_for_a_run_with_more_time() {
+    let dir = tempfile::tempdir().expect("folder");
+    let batch = batch(&dir.path().join("data"), &["reef"]);
+    let folder = dir.path().join("cache");
+    let east = machine(&folder, "east", Arc::new(Fast), 12);
+    // Everything else is quick; by what is known, this one takes nearly all of the time, and leaves no checkpoints.
+    let timing = json!({"stage": "targets", "scene": "reef", "length": 1.0, "bytes": 0, "seconds": 17_999.9,
+        "peak_memory": 0, "output": 0});
+    fs::create_dir_all(east.cache.root().join("timings")).expect("folder");
+    fs::write(east.cache.root().join("timings/known.jsonl"), timing.to_string()).expect("written");
+    let limit =
+        |seconds: u64| RunOptions { limit: Some(Duration::from_secs(seconds)), ..RunOptions::default() };
+    let (summary, told) = run_told(&east, &batch, &limit(18_120), |_| ());
+    assert_eq!(summary.exit_code(), 75, "{summary}");
+    assert!(told.started.iter().any(|l| l == "reef · reconstruct"), "{:?}", told.started);
+    assert!(told.started.iter().all(|l| l != "reef · targets"), "{:?}", told.started);
+    // More than there ever is in a run of this limit: tried all the same.
+    let (summary, told) = run_told(&east, &batch, &limit(3600), |_| ());
+    assert_eq!((summary.exit_code(), told.started.iter().any(|l| l == "reef · targets")), (0, true));
+}
+
+#[test]
+fn who_computes_what_is_seen_from_another_machine() {
+    let dir = tempfile::tempdir().expect("folder");
+    let batch = batch(&dir.path().join("data"), &["reef", "wreck"]);
+    let folder = dir.path().join("cache");
+    let (east, west) =
+        (machine(&folder, "east", Arc::new(Fast), 0), machine(&folder, "west", Arc::new(Fast), 0));
+    let graph = Graph::new(&west.registry, &batch).expect("graph");
+    let (meddle, begins, go) = gate("reef · import");
+    std::thread::scope(|scope| {
+        let first = scope.spawn(|| run_told(&east, &batch, &RunOptions::default(), meddle));
+        begins.recv().expect("it begins");
+        let status = west.plan(&graph, None).status();
+        let cell = |scene: &str| {
+            let row = status.rows.iter().find(|r| r.scene == scene).expect("a row");
+            row.cells.iter().find(|c| c.stage == "import").expect("a cell")
+        };
+        assert_eq!(cell("reef").working.as_ref().expect("somebody").host, "east");
+        assert!(cell("wreck").working.is_none());
+        let text = status.to_string();
+        assert!(text.contains("running") && text.contains("reef · import: on east (process 1)"), "{text}");
+        go.send(()).expect("goes on");
+        first.join().expect("runs");
+    });
+    let text = west.plan(&graph, None).status().to_string();
+    assert!(!text.contains("running"), "{text}");
+}
+
+#[test]
+fn a_part_of_a_batch_is_what_was_asked_for_and_what_it_needs() {
+    let dir = tempfile::tempdir().expect("folder");
+    let batch = batch(&dir.path().join("data"), &["reef", "wreck"]);
+    let engine = engine(&dir.path().join("cache"));
+    let options = RunOptions {
+        only: Some(vec![("wreck".to_string(), String::new())]),
+        until: Some(vec!["targets".to_string()]),
+        ..RunOptions::default()
+    };
+    let (summary, told) = run_told(&engine, &batch, &options, |_| ());
+    assert_eq!(summary.exit_code(), 0, "{summary}");
+    let mut started = told.started;
+    started.sort();
+    assert_eq!(started, ["calibrate", "wreck · import", "wreck · reconstruct", "wreck · targets"]);
+    let (summary, told) = run_told(&engine, &batch, &RunOptions { until: None, ..options }, |_| ());
+    let of = |label: &String| label.starts_with("wreck");
+    assert!(summary.exit_code() == 0 && told.started.iter().all(of), "{summary}{:?}", told.started);
+}
