@@ -8,6 +8,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use use3d_training::EngineError;
 
+use crate::profile::{self, Clock};
+
 /// The engine's name in messages.
 pub(crate) const NAME: &str = "gpu";
 
@@ -202,6 +204,8 @@ pub struct Gpu {
     trouble: Arc<Mutex<Trouble>>,
     /// Counts what was let go, so that nothing keeps bindings to it.
     generation: Arc<AtomicU64>,
+    /// Times every dispatch, where that was asked for.
+    clock: Option<Arc<Clock>>,
 }
 
 fn lock(trouble: &Mutex<Trouble>) -> MutexGuard<'_, Trouble> {
@@ -224,7 +228,7 @@ impl Gpu {
         };
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("use3d"),
-            required_features: wgpu::Features::empty(),
+            required_features: adapter.features() & profile::features(),
             required_limits: wanted.or_worse_values_from(&limits),
             memory_hints: wgpu::MemoryHints::Performance,
             ..Default::default()
@@ -247,12 +251,24 @@ impl Gpu {
             };
             place.get_or_insert(error.to_string());
         }));
-        Ok(Self { device, queue, report, trouble, generation: Arc::default() })
+        Ok(Self { device, queue, report, trouble, generation: Arc::default(), clock: None })
     }
 
     /// The adapter.
     pub fn adapter(&self) -> &AdapterReport {
         &self.report
+    }
+
+    /// The same device with every dispatch of kernels made for it timed, where the device can.
+    pub(crate) fn timed(mut self) -> Self {
+        if self.device.features().contains(profile::features()) {
+            self.clock = Some(Arc::new(Clock::new(&self.device)));
+        }
+        self
+    }
+
+    pub(crate) fn clock(&self) -> Option<&Clock> {
+        self.clock.as_deref()
     }
 
     /// What its arithmetic depends on besides the kernels: results of one class may be taken for each other's.

@@ -235,7 +235,12 @@ impl Kernel {
         }
         pass.set_pipeline(&self.pipeline);
         pass.set_bind_group(0, &self.bind(buffers), &[]);
+        let clock = self.gpu.clock();
+        let place = clock.and_then(|clock| clock.before(pass, self.name));
         pass.dispatch_workgroups(grid.x, grid.y, 1);
+        if let Some(clock) = clock {
+            clock.after(pass, place);
+        }
     }
 
     fn bind(&self, buffers: Vec<Bound>) -> wgpu::BindGroup {

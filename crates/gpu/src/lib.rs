@@ -29,11 +29,15 @@
 //! Sorts are stable and of whole numbers, every record has one writer, sums go through fixed trees, and no kernel adds floats
 //! atomically: the same requests give the same bytes on the same adapter, driver and program.
 
+pub mod bench;
 mod buffer;
+mod check;
 mod device;
 mod frame;
 mod kernel;
 mod lists;
+mod losses;
+mod profile;
 mod raster;
 mod scene;
 mod sort;
@@ -41,12 +45,21 @@ mod sort;
 mod testing;
 #[cfg(test)]
 mod tests;
+pub mod twins;
 mod update;
+mod water;
 
+pub use check::{CheckError, check, checked_adapters, open_checked};
 pub use device::{AdapterReport, DeviceError, Gpu, adapters};
+pub use profile::KernelTime;
+
+/// The text of every kernel in every variant, as drivers are given it: what results depend on besides adapter and driver.
+pub fn kernel_sources() -> Vec<String> {
+    specs().iter().map(kernel::Spec::source).collect()
+}
 
 /// Every kernel in every variant.
-#[cfg(test)]
 fn specs() -> Vec<kernel::Spec> {
-    [sort::specs(), lists::specs(), raster::specs(), update::specs()].concat()
+    let own = [sort::specs(), lists::specs(), raster::specs(), update::specs()].concat();
+    own.into_iter().chain(losses::specs()).chain(water::specs()).collect()
 }

@@ -103,7 +103,6 @@ fn starts() -> Spec {
 }
 
 /// All kernels of this room.
-#[cfg(test)]
 pub(crate) fn specs() -> Vec<Spec> {
     vec![project(), reduce(), total(), offsets(), emit(false), emit(true), starts()]
 }

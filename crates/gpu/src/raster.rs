@@ -83,7 +83,6 @@ fn backward(water: bool) -> Spec {
 }
 
 /// All kernels of this room.
-#[cfg(test)]
 pub(crate) fn specs() -> Vec<Spec> {
     let both = [false, true];
     let mut specs: Vec<Spec> = both.iter().flat_map(|w| both.map(|t| forward(*w, t))).collect();

@@ -66,7 +66,6 @@ fn scatter(identity: bool) -> Spec {
 }
 
 /// All kernels of the sort.
-#[cfg(test)]
 pub(crate) fn specs() -> Vec<Spec> {
     vec![histogram(), spread(), scatter(false), scatter(true)]
 }

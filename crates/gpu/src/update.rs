@@ -76,7 +76,6 @@ fn limit() -> Spec {
 }
 
 /// All kernels of this room.
-#[cfg(test)]
 pub(crate) fn specs() -> Vec<Spec> {
     vec![update(), finish(), limit()]
 }

@@ -1,0 +1,63 @@
+// One level of the structure measure backward: its derivatives pulled to the pixels, times the level's factor, and what the coarser level
+// asks for.
+
+// The third quantity's tile.
+var<workgroup> tile_c: array<f32, 676>;
+
+@compute @workgroup_size(WG)
+fn main(
+    @builtin(workgroup_id) wid: vec3<u32>,
+    @builtin(num_workgroups) nwg: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+) {
+    let across = (level.width + 15u) / 16u;
+    let tile = tile_of(group_of(wid, nwg), across, across * ((level.height + 15u) / 16u));
+    if (tile.z >= 3u) {
+        return;
+    }
+    let local = vec2<u32>(lane % 16u, lane / 16u);
+    let columns = level.width - MARGIN;
+    let lines = level.height - MARGIN;
+    let plane = tile.z * columns * lines;
+    let corner = tile.xy * 16u;
+    for (var cell = lane; cell < SIDE * SIDE; cell = cell + 256u) {
+        // Wraps to a huge number left of the first.
+        let at = corner + vec2<u32>(cell % SIDE, cell / SIDE) - vec2<u32>(MARGIN, MARGIN);
+        var d = vec3<f32>(0.0);
+        if (at.x < columns && at.y < lines) {
+            let start = plane + at.y * columns + at.x;
+            d = vec3<f32>(by_mean[start], by_square[start], by_product[start]);
+        }
+        tile_a[cell] = d.x;
+        tile_b[cell] = d.y;
+        tile_c[cell] = d.z;
+    }
+    workgroupBarrier();
+    for (var cell = lane; cell < SIDE * 16u; cell = cell + 256u) {
+        let start = (cell / 16u) * SIDE + cell % 16u + MARGIN;
+        var sum = vec4<f32>(0.0);
+        for (var k = 0u; k < 11u; k = k + 1u) {
+            sum = sum + tap(k) * vec4<f32>(tile_a[start - k], tile_b[start - k], tile_c[start - k], 0.0);
+        }
+        rows[cell] = sum;
+    }
+    workgroupBarrier();
+    let at = corner + local;
+    if (at.x >= level.width || at.y >= level.height) {
+        return;
+    }
+    var d = vec4<f32>(0.0);
+    for (var k = 0u; k < 11u; k = k + 1u) {
+        d = d + tap(k) * rows[(local.y + MARGIN - k) * 16u + local.x];
+    }
+    let cell = tile.z * level.width * level.height + at.y * level.width + at.x;
+    let a = x_plane[cell];
+    let b = y_plane[cell];
+    var own = factors[3u * level.index + tile.z] * (2.0 * a * d.y + b * d.z + d.x);
+    if (level.last == 0u) {
+        let above = (at + vec2<u32>(level.width % 2u, level.height % 2u)) / 2u;
+        let start = tile.z * level.coarse_width * level.coarse_height + above.y * level.coarse_width + above.x;
+        own = own + 0.25 * coarse[start];
+    }
+    slope[cell] = own;
+}

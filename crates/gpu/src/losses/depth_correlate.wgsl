@@ -1,0 +1,37 @@
+// The correlation, the loss, and what every pixel's slope is made of. One workgroup.
+
+fn total_of(quantity: u32, lane: u32) -> f32 {
+    var own = 0.0;
+    for (var group = lane; group < view.groups; group = group + 256u) {
+        own = own + sums[quantity * view.groups + group];
+    }
+    return sum_of_group(own, lane);
+}
+
+@compute @workgroup_size(WG)
+fn main(@builtin(local_invocation_index) lane: u32) {
+    let dd = total_of(0u, lane);
+    let pp = total_of(1u, lane);
+    let dp = total_of(2u, lane);
+    if (lane == 0u) {
+        let n = told[0];
+        var own = 0.0;
+        var other = 0.0;
+        var loss = 0.0;
+        if (n >= FEWEST_PIXELS) {
+            let variance_d = dd / n;
+            let product = sqrt(variance_d) * sqrt(pp / n);
+            let correlation = dp / n / max(product, DEVIATION_FLOOR);
+            if (product > DEVIATION_FLOOR) {
+                own = view.slopes.z * correlation / (n * variance_d);
+                other = -view.slopes.z / (n * product);
+            } else {
+                other = -view.slopes.z / (n * DEVIATION_FLOOR);
+            }
+            loss = 1.0 - correlation;
+        }
+        told[3] = own;
+        told[4] = other;
+        told[5] = loss;
+    }
+}

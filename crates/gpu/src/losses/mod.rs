@@ -1,0 +1,584 @@
+//! What stage 1 minimises, on the device: the values and derivatives of the processor's table of terms.
+//!
+//! ```text
+//! weigh ─▶ pool ─▶ pool ─▶ compare × levels ─▶ weigh_levels ─▶ blur_back × levels ─▶ pull ─▶ tell
+//! depth_means ─▶ depth_take_means ─▶ depth_deviations ─▶ depth_correlate ─▶ depth_slopes ──────▲
+//! ```
+//!
+//! The formulas are those of `use3d_reconstruct::losses` and `use3d_metrics::ms_ssim`, down to the images *less one* that keep f32 enough;
+//! sums go through trees whose form follows from the image's size alone. [`VALUES`] are the terms' values that there are kernels for: a
+//! plan that weighs another one is refused.
+
+mod shape;
+#[cfg(test)]
+mod tests;
+
+use use3d_numerics::adam::Adam;
+use use3d_numerics::math;
+use use3d_reconstruct::{ExposureStep, Exposures};
+use use3d_training::EngineError;
+
+use crate::buffer::Array;
+use crate::device::{Gpu, NAME};
+use crate::frame::counts;
+use crate::kernel::{Access, Binding, Constant, Grid, Kernel, Spec, bound};
+use shape::{HALVING, Halving, LEVEL, LEVELS, Level, Shape, View};
+
+/// The values there are kernels for, in the order of the table of terms.
+pub const VALUES: [&str; 3] = ["reg_l1", "reg_ms_ssim", "depth_loss"];
+
+/// Floats of a step's report that the losses write: total, the three [`VALUES`], mean squared error, pixels that count.
+pub(crate) const TOLD: usize = 6;
+
+const WITH_MASK: u32 = 1;
+const WITH_GAINS: u32 = 2;
+const WITH_PRIOR: u32 = 4;
+const OVER_WATER: u32 = 8;
+
+/// What a view's loss is made from. Colour planes lie channel by channel.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Seen<'a> {
+    /// The rendered image, before the view's gain: 3 P.
+    pub(crate) image: &'a Array<f32>,
+    /// Expected depth: P.
+    pub(crate) depth: &'a Array<f32>,
+    /// The photograph: 3 P.
+    pub(crate) photograph: &'a Array<f32>,
+    /// What of it counts: P.
+    pub(crate) mask: Option<&'a Array<f32>>,
+    /// The depth prior: P.
+    pub(crate) prior: Option<&'a Array<f32>>,
+}
+
+/// Where derivatives and values go.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Told<'a> {
+    /// By the rendered image, before the view's gain: 3 P.
+    pub(crate) image: &'a Array<f32>,
+    /// By depth: P, zeros where there is no prior.
+    pub(crate) depth: &'a Array<f32>,
+    /// Reports of steps, sixteen floats each; [`TOLD`] of them are written.
+    pub(crate) reports: &'a Array<f32>,
+    /// The run's counts with the word that stops it.
+    pub(crate) counts: &'a Array<u32>,
+}
+
+/// What a step weighs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct LossPlan {
+    /// The step.
+    pub(crate) step: u64,
+    /// Place of the step's report.
+    pub(crate) report: u32,
+    /// Weights of [`VALUES`].
+    pub(crate) weights: [f64; 3],
+    /// The view's row in the gains and how they are learnt; `None`: every gain is one.
+    pub(crate) gains: Option<(usize, ExposureStep)>,
+}
+
+impl LossPlan {
+    /// The weights of a plan, in the order of [`VALUES`]; refuses one that weighs what there is no kernel for.
+    pub(crate) fn weights(given: &[f64]) -> Result<[f64; 3], EngineError> {
+        let refused = |what: String| EngineError::Request { engine: NAME, what };
+        let names: Vec<&str> = use3d_reconstruct::losses::names().collect();
+        if given.len() != names.len() {
+            let (found, expected) = (given.len(), names.len());
+            return Err(refused(format!("the plan has {found} weights of the loss, expected {expected}")));
+        }
+        let mut weights = [0.0; 3];
+        for (name, weight) in names.into_iter().zip(given) {
+            match VALUES.iter().position(|value| *value == name) {
+                Some(at) => weights[at] = *weight,
+                None if *weight == 0.0 => {}
+                None => {
+                    let what = format!("there is no kernel for the loss `{name}`; use the engine cpu");
+                    return Err(refused(what));
+                }
+            }
+        }
+        Ok(weights)
+    }
+}
+
+/// The views' gains on the device with Adam's moments: see `use3d_reconstruct`'s exposures.
+#[derive(Debug)]
+pub(crate) struct Gains {
+    /// Three runs of 3 × views: log-gains, first and second moments.
+    state: Array<f32>,
+    /// Adam's steps of each view.
+    steps: Vec<u64>,
+}
+
+impl Gains {
+    /// Takes a state's gains.
+    pub(crate) fn new(gpu: &Gpu, from: &Exposures) -> Result<Self, EngineError> {
+        let runs = [&from.log_gains, &from.first, &from.second];
+        let values: Vec<f32> = runs.into_iter().flat_map(|run| run.as_flattened()).copied().collect();
+        Ok(Self { state: Array::from(gpu, "the views' gains", &values)?, steps: from.steps.clone() })
+    }
+
+    /// Takes back that a view's step was counted: it was left undone and is asked for again.
+    pub(crate) fn undo(&mut self, row: usize) {
+        if let Some(steps) = self.steps.get_mut(row) {
+            *steps = steps.saturating_sub(1);
+        }
+    }
+
+    /// Gives them back.
+    pub(crate) fn read(&self, gpu: &Gpu) -> Result<Exposures, EngineError> {
+        let n = self.steps.len();
+        let values = self.state.read(gpu, 9 * n)?;
+        let run = |k: usize| values[3 * n * k..3 * n * (k + 1)].chunks_exact(3).map(|v| [v[0], v[1], v[2]]);
+        Ok(Exposures {
+            log_gains: run(0).collect(),
+            first: run(1).collect(),
+            second: run(2).collect(),
+            steps: self.steps.clone(),
+        })
+    }
+}
+
+/// The kernels, compiled.
+#[derive(Debug)]
+struct Kernels {
+    over_water: Kernel,
+    weigh: Kernel,
+    pool: Kernel,
+    compare: Kernel,
+    weigh_levels: Kernel,
+    blur_back: Kernel,
+    pull: Kernel,
+    depth_means: Kernel,
+    depth_take_means: Kernel,
+    depth_deviations: Kernel,
+    depth_correlate: Kernel,
+    depth_slopes: Kernel,
+    tell: Kernel,
+    gains: Kernel,
+}
+
+/// What one level of the structure measure keeps.
+#[derive(Debug)]
+struct LevelBuffers {
+    level: Array<Level>,
+    /// How it came from the finer one; unused by the finest.
+    halving: Array<Halving>,
+    /// `W Î − 1` and `W I − 1`.
+    x: Array<f32>,
+    y: Array<f32>,
+    by_mean: Array<f32>,
+    by_square: Array<f32>,
+    by_product: Array<f32>,
+    /// Derivative by `x`; the finest one's lies with whoever asks.
+    slope: Array<f32>,
+}
+
+/// The losses of views of one size, with their buffers.
+#[derive(Debug)]
+pub(crate) struct Losses {
+    kernels: Kernels,
+    view: Array<View>,
+    levels: Vec<LevelBuffers>,
+    sums: Array<f32>,
+    level_sums: Array<f32>,
+    factors: Array<f32>,
+    depth_sums: Array<f32>,
+    depth_told: Array<f32>,
+    /// Stands where a view has no mask, prior or gains.
+    nothing: Array<f32>,
+    shape: Shape,
+}
+
+const VIEW: Binding = (Access::Uniform, "view", "View");
+const fn read(name: &'static str) -> Binding {
+    (Access::Read, name, "array<f32>")
+}
+const fn write(name: &'static str) -> Binding {
+    (Access::Write, name, "array<f32>")
+}
+const COUNTS: Binding = (Access::Write, "counts", "array<atomic<u32>>");
+
+fn spec(name: &'static str, bindings: &[Binding], parts: &[&'static str]) -> Spec {
+    let mut all = vec![include_str!("shared.wgsl")];
+    all.extend(parts);
+    let constants = vec![
+        ("STOP", Constant::Count(counts::STOP as u32)),
+        ("STOP_STEP", Constant::Count(counts::STOP_STEP as u32)),
+        ("BAD", Constant::Count(counts::BAD as u32)),
+        ("NON_FINITE", Constant::Count(counts::NON_FINITE)),
+        ("BAD_GAINS", Constant::Count(1 << 6)),
+        ("BAD_LOSS", Constant::Count(1 << 7)),
+    ];
+    Spec { name, threads: 256, bindings: bindings.to_vec(), constants, parts: all }
+}
+
+/// All kernels of the losses.
+pub(crate) fn specs() -> [Spec; 14] {
+    const STRUCTS: &str = include_str!("structs.wgsl");
+    const LEVEL_TEXT: &str = include_str!("level.wgsl");
+    const DEPTH: &str = include_str!("depth.wgsl");
+    [
+        spec(
+            "over_water",
+            &[VIEW, read("alpha"), read("water"), read("gains"), write("photograph")],
+            &[include_str!("over_water.wgsl")],
+        ),
+        spec(
+            "weigh",
+            &[
+                VIEW,
+                read("rendered"),
+                read("photograph"),
+                read("mask"),
+                read("gains"),
+                write("weighed"),
+                write("weighed_target"),
+                write("sums"),
+            ],
+            &[include_str!("weigh.wgsl")],
+        ),
+        spec(
+            "pool",
+            &[VIEW, HALVING, read("fine"), read("fine_target"), write("coarse"), write("coarse_target")],
+            &[STRUCTS, include_str!("pool.wgsl")],
+        ),
+        spec(
+            "compare",
+            &[
+                VIEW,
+                LEVEL,
+                read("x_plane"),
+                read("y_plane"),
+                write("by_mean"),
+                write("by_square"),
+                write("by_product"),
+                write("sums"),
+            ],
+            &[STRUCTS, LEVEL_TEXT, include_str!("compare.wgsl")],
+        ),
+        spec(
+            "weigh_levels",
+            &[VIEW, read("level_sums"), write("factors")],
+            &[include_str!("weigh_levels.wgsl")],
+        ),
+        spec(
+            "blur_back",
+            &[
+                VIEW,
+                LEVEL,
+                read("x_plane"),
+                read("y_plane"),
+                read("by_mean"),
+                read("by_square"),
+                read("by_product"),
+                read("factors"),
+                read("coarse"),
+                write("slope"),
+            ],
+            &[STRUCTS, LEVEL_TEXT, include_str!("blur_back.wgsl")],
+        ),
+        spec(
+            "pull",
+            &[
+                VIEW,
+                read("rendered"),
+                read("mask"),
+                read("gains"),
+                read("weighed"),
+                read("weighed_target"),
+                write("sums"),
+                write("gradient"),
+            ],
+            &[include_str!("pull.wgsl")],
+        ),
+        spec(
+            "depth_means",
+            &[VIEW, read("depth"), read("prior"), write("sums")],
+            &[DEPTH, include_str!("depth_means.wgsl")],
+        ),
+        spec(
+            "depth_take_means",
+            &[VIEW, read("sums"), write("told")],
+            &[DEPTH, include_str!("depth_take_means.wgsl")],
+        ),
+        spec(
+            "depth_deviations",
+            &[VIEW, read("depth"), read("prior"), read("told"), write("sums")],
+            &[DEPTH, include_str!("depth_deviations.wgsl")],
+        ),
+        spec(
+            "depth_correlate",
+            &[VIEW, read("sums"), write("told")],
+            &[DEPTH, include_str!("depth_correlate.wgsl")],
+        ),
+        spec(
+            "depth_slopes",
+            &[VIEW, read("depth"), read("prior"), read("told"), write("gradient")],
+            &[DEPTH, include_str!("depth_slopes.wgsl")],
+        ),
+        spec(
+            "tell",
+            &[VIEW, read("sums"), read("factors"), read("depth_told"), write("told"), COUNTS],
+            &[include_str!("tell.wgsl")],
+        ),
+        spec("gains", &[VIEW, read("sums"), write("gains"), COUNTS], &[include_str!("gains.wgsl")]),
+    ]
+}
+
+impl Kernels {
+    fn new(gpu: &Gpu) -> Result<Self, EngineError> {
+        let [
+            over_water,
+            weigh,
+            pool,
+            compare,
+            weigh_levels,
+            blur_back,
+            pull,
+            depth_means,
+            depth_take_means,
+            depth_deviations,
+            depth_correlate,
+            depth_slopes,
+            tell,
+            gains,
+        ] = specs();
+        let of = |spec: &Spec| Kernel::new(gpu, spec);
+        Ok(Self {
+            over_water: of(&over_water)?,
+            weigh: of(&weigh)?,
+            pool: of(&pool)?,
+            compare: of(&compare)?,
+            weigh_levels: of(&weigh_levels)?,
+            blur_back: of(&blur_back)?,
+            pull: of(&pull)?,
+            depth_means: of(&depth_means)?,
+            depth_take_means: of(&depth_take_means)?,
+            depth_deviations: of(&depth_deviations)?,
+            depth_correlate: of(&depth_correlate)?,
+            depth_slopes: of(&depth_slopes)?,
+            tell: of(&tell)?,
+            gains: of(&gains)?,
+        })
+    }
+}
+
+impl LevelBuffers {
+    fn new(gpu: &Gpu) -> Result<Self, EngineError> {
+        let planes = |what| Array::new(gpu, what, 1);
+        Ok(Self {
+            level: Array::uniform(gpu, "a level")?,
+            halving: Array::uniform(gpu, "a level's sizes")?,
+            x: planes("a level's image")?,
+            y: planes("a level's photograph")?,
+            by_mean: planes("a level's slopes by means")?,
+            by_square: planes("a level's slopes by squares")?,
+            by_product: planes("a level's slopes by products")?,
+            slope: planes("a level's slopes")?,
+        })
+    }
+}
+
+/// One workgroup.
+fn one() -> Grid {
+    Grid::groups(1)
+}
+
+impl Losses {
+    /// The losses, for no size yet.
+    pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
+        Ok(Self {
+            kernels: Kernels::new(gpu)?,
+            view: Array::uniform(gpu, "a view's constants")?,
+            levels: (0..LEVELS).map(|_| LevelBuffers::new(gpu)).collect::<Result<_, _>>()?,
+            sums: Array::new(gpu, "sums of the loss", 1)?,
+            level_sums: Array::new(gpu, "sums of the structure measure", 1)?,
+            factors: Array::new(gpu, "factors of the levels", 10)?,
+            depth_sums: Array::new(gpu, "sums over depth", 1)?,
+            depth_told: Array::new(gpu, "the depth loss", 8)?,
+            nothing: Array::new(gpu, "nothing", 4)?,
+            shape: Shape::default(),
+        })
+    }
+
+    /// Bytes on the device.
+    pub(crate) fn memory(&self) -> usize {
+        let levels = self
+            .levels
+            .iter()
+            .flat_map(|l| [&l.x, &l.y, &l.by_mean, &l.by_square, &l.by_product, &l.slope].map(Array::size));
+        levels.sum::<usize>() + self.sums.size() + self.level_sums.size() + self.depth_sums.size()
+    }
+
+    /// Makes room for views of this size.
+    pub(crate) fn resize(&mut self, gpu: &Gpu, width: usize, height: usize) -> Result<(), EngineError> {
+        let shape = Shape::of(width, height);
+        if shape == self.shape {
+            return Ok(());
+        }
+        self.shape = Shape::default();
+        self.sums.grow(gpu, 12 * shape.groups)?;
+        self.depth_sums.grow(gpu, 3 * shape.groups)?;
+        self.level_sums.grow(gpu, 3 * shape.levels.iter().map(|level| level.groups).sum::<usize>())?;
+        // The image itself is weighed in any case; its derivatives are kept where it has a level of its own.
+        let finest = 3 * width * height;
+        self.levels[0].x.grow(gpu, finest)?;
+        self.levels[0].y.grow(gpu, finest)?;
+        for (at, (buffers, level)) in self.levels.iter_mut().zip(&shape.levels).enumerate() {
+            let (pixels, valid) = (3 * level.width * level.height, 3 * level.valid());
+            if at > 0 {
+                buffers.x.grow(gpu, pixels)?;
+                buffers.y.grow(gpu, pixels)?;
+                buffers.slope.grow(gpu, pixels)?;
+            }
+            buffers.by_mean.grow(gpu, valid)?;
+            buffers.by_square.grow(gpu, valid)?;
+            buffers.by_product.grow(gpu, valid)?;
+            buffers.level.write(gpu, 0, &[shape.level(at)]);
+            buffers.halving.write(gpu, 0, &[shape.halving(at)]);
+        }
+        self.shape = shape;
+        Ok(())
+    }
+
+    /// Writes the constants of a step; before its pass is submitted, after [`Losses::resize`].
+    pub(crate) fn prepare(
+        &mut self,
+        gpu: &Gpu,
+        plan: &LossPlan,
+        seen: &Seen<'_>,
+        gains: Option<&mut Gains>,
+        water: bool,
+    ) {
+        let shape = &self.shape;
+        let mut has = 0;
+        let mut view = shape.view();
+        if seen.mask.is_some() {
+            has |= WITH_MASK;
+        }
+        if seen.prior.is_some() && plan.weights[2] != 0.0 {
+            has |= WITH_PRIOR;
+        }
+        if water {
+            has |= OVER_WATER;
+        }
+        if let (Some((row, step)), Some(gains)) = (plan.gains, gains)
+            && row < gains.steps.len()
+        {
+            let count = &mut gains.steps[row];
+            has |= WITH_GAINS;
+            *count += 1;
+            let adam = Adam::SPLATTING;
+            let exponent = i32::try_from(*count).unwrap_or(i32::MAX);
+            view.row = row as u32;
+            view.views = gains.steps.len() as u32;
+            let step_size = step.rate / (1.0 - math::powi(adam.beta1, exponent));
+            let root = 1.0 / (1.0 - math::powi(adam.beta2, exponent)).sqrt();
+            view.gains = [step_size as f32, root as f32, step.weight as f32, 0.0];
+        }
+        view.has = has;
+        let count = 3.0 * (shape.width * shape.height) as f64;
+        let [difference, structure, depth] = plan.weights;
+        view.slopes = [(difference / count) as f32, -structure as f32, depth as f32, 0.0];
+        view.weights = [difference as f32, structure as f32, depth as f32, 0.0];
+        view.step = plan.step as u32;
+        view.report = plan.report;
+        self.view.write(gpu, 0, &[view]);
+    }
+
+    /// Lays a photograph over the water that is seen through it: `alpha` P, `color` the water's 3 P.
+    pub(crate) fn over_water(
+        &self,
+        pass: &mut wgpu::ComputePass<'_>,
+        photograph: &Array<f32>,
+        alpha: &Array<f32>,
+        color: Option<&Array<f32>>,
+        gains: Option<&Gains>,
+    ) {
+        let gains = gains.map_or(&self.nothing, |g| &g.state);
+        let color = color.unwrap_or(&self.nothing);
+        let grid = Grid::groups(3 * self.shape.groups);
+        self.kernels.over_water.dispatch(pass, grid, bound![self.view, *alpha, *color, *gains, *photograph]);
+    }
+
+    /// Records values and derivatives of one view.
+    pub(crate) fn record(
+        &self,
+        pass: &mut wgpu::ComputePass<'_>,
+        seen: &Seen<'_>,
+        gains: Option<&Gains>,
+        told: &Told<'_>,
+    ) {
+        let (k, shape, view) = (&self.kernels, &self.shape, &self.view);
+        let gains = gains.map_or(&self.nothing, |g| &g.state);
+        let mask = seen.mask.unwrap_or(&self.nothing);
+        let per_plane = Grid::groups(3 * shape.groups);
+        let finest = &self.levels[0];
+        k.weigh.dispatch(
+            pass,
+            per_plane,
+            bound![*view, *seen.image, *seen.photograph, *mask, *gains, finest.x, finest.y, self.sums],
+        );
+        let levels = &self.levels[..shape.levels.len()];
+        for ((fine, coarse), size) in
+            levels.iter().zip(levels.iter().skip(1)).zip(shape.levels.iter().skip(1))
+        {
+            let grid = k.pool.grid(3 * size.width * size.height);
+            k.pool.dispatch(pass, grid, bound![*view, coarse.halving, fine.x, fine.y, coarse.x, coarse.y]);
+        }
+        for (buffers, level) in levels.iter().zip(&shape.levels) {
+            let LevelBuffers { level: constants, x, y, by_mean, by_square, by_product, .. } = buffers;
+            let to = bound![*view, *constants, *x, *y, *by_mean, *by_square, *by_product, self.level_sums];
+            k.compare.dispatch(pass, Grid::groups(3 * level.groups), to);
+        }
+        k.weigh_levels.dispatch(pass, one(), bound![*view, self.level_sums, self.factors]);
+        for (at, (buffers, level)) in levels.iter().zip(&shape.levels).enumerate().rev() {
+            let LevelBuffers { level: constants, x, y, by_mean, by_square, by_product, slope, .. } = buffers;
+            let slope = if at == 0 { told.image } else { slope };
+            let coarse = levels.get(at + 1).map_or(&self.nothing, |coarse| &coarse.slope);
+            let grid = Grid::groups(3 * level.tiles());
+            let factors = &self.factors;
+            k.blur_back.dispatch(
+                pass,
+                grid,
+                bound![
+                    *view,
+                    *constants,
+                    *x,
+                    *y,
+                    *by_mean,
+                    *by_square,
+                    *by_product,
+                    *factors,
+                    *coarse,
+                    *slope
+                ],
+            );
+        }
+        k.pull.dispatch(
+            pass,
+            per_plane,
+            bound![*view, *seen.image, *mask, *gains, finest.x, finest.y, self.sums, *told.image],
+        );
+        let plane = Grid::groups(shape.groups);
+        let (sums, depth_told) = (&self.depth_sums, &self.depth_told);
+        if let Some(prior) = seen.prior {
+            k.depth_means.dispatch(pass, plane, bound![*view, *seen.depth, *prior, *sums]);
+            k.depth_take_means.dispatch(pass, one(), bound![*view, *sums, *depth_told]);
+            k.depth_deviations.dispatch(pass, plane, bound![*view, *seen.depth, *prior, *depth_told, *sums]);
+            k.depth_correlate.dispatch(pass, one(), bound![*view, *sums, *depth_told]);
+        }
+        let prior = seen.prior.unwrap_or(&self.nothing);
+        k.depth_slopes.dispatch(pass, plane, bound![*view, *seen.depth, *prior, *depth_told, *told.depth]);
+        k.tell.dispatch(
+            pass,
+            one(),
+            bound![*view, self.sums, self.factors, *depth_told, *told.reports, *told.counts],
+        );
+    }
+
+    /// Records the step of the view's gain, after [`Losses::record`].
+    pub(crate) fn learn_gains(&self, pass: &mut wgpu::ComputePass<'_>, gains: &Gains, counts: &Array<u32>) {
+        self.kernels.gains.dispatch(pass, one(), bound![self.view, self.sums, gains.state, *counts]);
+    }
+}

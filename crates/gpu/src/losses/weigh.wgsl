@@ -1,0 +1,61 @@
+// Before the structure measure: W Î − 1 and W I − 1 of every value, and the sums of Reg-L1 and of the squared error.
+
+const EPSILON: f32 = 1e-3;
+
+fn gain_of(channel: u32) -> f32 {
+    if ((view.has & HAS_GAINS) != 0u) {
+        return exp(gains[3u * view.row + channel]);
+    }
+    return 1.0;
+}
+
+fn mask_at(pixel: u32) -> f32 {
+    if ((view.has & HAS_MASK) != 0u) {
+        return mask[pixel];
+    }
+    return 1.0;
+}
+
+@compute @workgroup_size(WG)
+fn main(
+    @builtin(workgroup_id) wid: vec3<u32>,
+    @builtin(num_workgroups) nwg: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+) {
+    let place = place_of(group_of(wid, nwg));
+    let channel = place.channel;
+    if (channel >= 3u) {
+        return;
+    }
+    let gain = gain_of(channel);
+    var absolute = 0.0;
+    var squared = 0.0;
+    var counted = 0.0;
+    for (var k = 0u; k < SPAN; k = k + 256u) {
+        let pixel = place.group * SPAN + k + lane;
+        if (pixel < view.pixels) {
+            let at = channel * view.pixels + pixel;
+            let m = mask_at(pixel);
+            let p = rendered[at] * gain * m;
+            let t = photograph[at] * m;
+            let w = 1.0 / (max(p, 0.0) + EPSILON);
+            let off = w * (t - p);
+            let from_one = w * -EPSILON;
+            weighed[at] = from_one;
+            weighed_target[at] = off + from_one;
+            absolute = absolute + abs(off);
+            let e = min(max(p, 0.0), 1.0) - t;
+            squared = squared + e * e;
+            counted = counted + m * m;
+        }
+    }
+    let first = channel * view.groups + place.group;
+    let a = sum_of_group(absolute, lane);
+    let s = sum_of_group(squared, lane);
+    let c = sum_of_group(counted, lane);
+    if (lane == 0u) {
+        sums[run_of(0u) + first] = a;
+        sums[run_of(1u) + first] = s;
+        sums[run_of(2u) + first] = c;
+    }
+}

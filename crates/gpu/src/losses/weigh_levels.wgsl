@@ -1,0 +1,45 @@
+// The structure measure, and every level's factor on its way back. One workgroup. Factors are three channels per level; the measure
+// stands at 9.
+
+var<workgroup> level_means: array<f32, 12>;
+
+@compute @workgroup_size(WG)
+fn main(@builtin(local_invocation_index) lane: u32) {
+    for (var plane = 0u; plane < 3u * view.levels; plane = plane + 1u) {
+        let level = plane / 3u;
+        let first = view.level_first[level] + (plane % 3u) * view.level_groups[level];
+        var own = 0.0;
+        for (var group = lane; group < view.level_groups[level]; group = group + 256u) {
+            own = own + level_sums[first + group];
+        }
+        let total = sum_of_group(own, lane);
+        if (lane == 0u) {
+            level_means[plane] = total * view.level_mean[level];
+        }
+    }
+    workgroupBarrier();
+    if (lane == 0u) {
+        var similarity = 0.0;
+        for (var channel = 0u; channel < 3u; channel = channel + 1u) {
+            var product = 1.0;
+            for (var level = 0u; level < view.levels; level = level + 1u) {
+                let mean = level_means[3u * level + channel];
+                if (mean > 0.0) {
+                    product = product * pow(mean, view.level_weight[level]);
+                } else {
+                    product = 0.0;
+                }
+            }
+            for (var level = 0u; level < view.levels; level = level + 1u) {
+                // A channel with a mean at or below 0 has value 0 and no gradient.
+                var factor = 0.0;
+                if (product > 0.0) {
+                    factor = product * view.level_slope[level] / level_means[3u * level + channel];
+                }
+                factors[3u * level + channel] = factor;
+            }
+            similarity = similarity + product;
+        }
+        factors[9] = similarity / 3.0;
+    }
+}

@@ -1,0 +1,141 @@
+//! Where the time of kernels goes: the device's own clock before and after every dispatch, where it has one that can be read there.
+
+use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
+
+use use3d_training::EngineError;
+
+use crate::device::Gpu;
+
+/// Times that one reading holds: two per dispatch.
+const PLACES: u32 = 4096;
+
+/// Time of a kernel over some steps.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct KernelTime {
+    /// Dispatches.
+    pub dispatches: u64,
+    /// Seconds of all of them together.
+    pub seconds: f64,
+}
+
+/// Readings that were recorded and not yet taken.
+#[derive(Debug)]
+pub(crate) struct Clock {
+    set: wgpu::QuerySet,
+    resolved: wgpu::Buffer,
+    staging: wgpu::Buffer,
+    /// The kernel of every second place.
+    names: Mutex<Vec<&'static str>>,
+}
+
+/// Features that a clock needs.
+pub(crate) fn features() -> wgpu::Features {
+    wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::TIMESTAMP_QUERY_INSIDE_PASSES
+}
+
+impl Clock {
+    /// A clock of a device that has [`features`].
+    pub(crate) fn new(device: &wgpu::Device) -> Self {
+        let size = 8 * u64::from(PLACES);
+        let buffer = |usage| {
+            let label = Some("times");
+            device.create_buffer(&wgpu::BufferDescriptor { label, size, usage, mapped_at_creation: false })
+        };
+        use wgpu::BufferUsages as Usage;
+        Self {
+            set: device.create_query_set(&wgpu::QuerySetDescriptor {
+                label: Some("times"),
+                ty: wgpu::QueryType::Timestamp,
+                count: PLACES,
+            }),
+            resolved: buffer(Usage::QUERY_RESOLVE | Usage::COPY_SRC),
+            staging: buffer(Usage::MAP_READ | Usage::COPY_DST),
+            names: Mutex::default(),
+        }
+    }
+
+    /// Notes the time before a dispatch; what to give to [`Clock::after`].
+    pub(crate) fn before(&self, pass: &mut wgpu::ComputePass<'_>, name: &'static str) -> Option<u32> {
+        let mut names = self.names.lock().unwrap_or_else(PoisonError::into_inner);
+        let place = 2 * names.len() as u32;
+        if place + 1 >= PLACES {
+            return None; // not read for long: the rest goes untimed
+        }
+        names.push(name);
+        pass.write_timestamp(&self.set, place);
+        Some(place + 1)
+    }
+
+    /// Notes the time after it.
+    pub(crate) fn after(&self, pass: &mut wgpu::ComputePass<'_>, place: Option<u32>) {
+        if let Some(place) = place {
+            pass.write_timestamp(&self.set, place);
+        }
+    }
+
+    /// What was noted since the last reading, added to `times`; waits for the device.
+    fn read(&self, gpu: &Gpu, times: &mut BTreeMap<&'static str, KernelTime>) -> Result<(), EngineError> {
+        let names = std::mem::take(&mut *self.names.lock().unwrap_or_else(PoisonError::into_inner));
+        if names.is_empty() {
+            return Ok(());
+        }
+        let count = 2 * names.len() as u32;
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        encoder.resolve_query_set(&self.set, 0..count, &self.resolved, 0);
+        encoder.copy_buffer_to_buffer(&self.resolved, 0, &self.staging, 0, 8 * u64::from(count));
+        gpu.queue.submit([encoder.finish()]);
+        let slice = self.staging.slice(..8 * u64::from(count));
+        // The result is found out by reading below.
+        slice.map_async(wgpu::MapMode::Read, |_| ());
+        gpu.wait()?;
+        {
+            let view = slice.get_mapped_range().map_err(|e| EngineError::Failed(Box::new(e)))?;
+            let ticks: Vec<u64> =
+                view.chunks_exact(8).map(|b| b.iter().rev().fold(0, |v, b| v << 8 | u64::from(*b))).collect();
+            let tick = f64::from(gpu.queue.get_timestamp_period()) * 1e-9;
+            for (name, pair) in names.into_iter().zip(ticks.chunks_exact(2)) {
+                let time = times.entry(name).or_default();
+                time.dispatches += 1;
+                time.seconds += pair[1].saturating_sub(pair[0]) as f64 * tick;
+            }
+        }
+        self.staging.unmap();
+        Ok(())
+    }
+}
+
+impl Gpu {
+    /// Adds the kernels' times since the last call to `times`, after what was submitted is done. Nothing where the device has no clock.
+    pub(crate) fn read_times(
+        &self,
+        times: &mut BTreeMap<&'static str, KernelTime>,
+    ) -> Result<(), EngineError> {
+        match self.clock() {
+            Some(clock) => clock.read(self, times),
+            None => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::software;
+
+    #[test]
+    fn every_dispatch_is_timed_once() {
+        let Some(gpu) = software() else { return };
+        let gpu = gpu.timed();
+        assert!(gpu.clock().is_some(), "the software adapter has a clock");
+        crate::twins::small(&gpu).unwrap();
+        let mut times = BTreeMap::new();
+        gpu.read_times(&mut times).unwrap();
+        assert_eq!(times["weigh"].dispatches, 1);
+        assert_eq!(times["compare"].dispatches, 3, "three levels of 61 × 47");
+        assert!(times.values().all(|time| time.seconds >= 0.0 && time.seconds < 60.0));
+        let before = times.clone();
+        gpu.read_times(&mut times).unwrap();
+        assert_eq!(times, before);
+    }
+}

@@ -1,0 +1,85 @@
+//! Kernels beside the processor's functions that they stand for, on the same inputs.
+//!
+//! The tests hold them to their bars over many sizes; the check at the start and the benchmark run some of them on the adapter at hand, so
+//! that a driver that computes wrongly is found before a training is.
+
+mod losses;
+mod scene;
+mod steps;
+mod water;
+
+use use3d_numerics::random::{Purpose, Stream};
+use use3d_training::EngineError;
+
+use crate::device::Gpu;
+
+pub use losses::{LossCase, losses};
+pub use scene::Packed;
+pub use steps::step;
+pub use water::{WaterCase, water};
+
+/// How near a kernel's results are to the processor's.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Agreement {
+    /// Of what.
+    pub what: String,
+    /// Norm of the difference over the norm of the processor's result; infinite where a value is not finite.
+    pub error: f64,
+    /// The most it may be.
+    pub bar: f64,
+    /// Of the device's bits.
+    pub digest: [u8; 32],
+}
+
+impl Agreement {
+    /// Of two arrays: relative to the norm of `ours`.
+    fn of(what: impl Into<String>, device: &[f32], ours: &[f32], bar: f64) -> Self {
+        let mut sums = [0.0f64; 2];
+        let mut finite = device.len() == ours.len();
+        for (d, o) in device.iter().zip(ours) {
+            finite &= d.is_finite() && o.is_finite();
+            let (d, o) = (f64::from(*d), f64::from(*o));
+            sums[0] += (d - o) * (d - o);
+            sums[1] += o * o;
+        }
+        // Two arrays of zeros agree.
+        let error = match (finite, sums) {
+            (false, _) => f64::INFINITY,
+            (_, [0.0, _]) => 0.0,
+            (_, [difference, own]) => difference.sqrt() / own.sqrt().max(f64::MIN_POSITIVE),
+        };
+        let digest = *blake3::hash(bytemuck::cast_slice(device)).as_bytes();
+        Self { what: what.into(), error, bar, digest }
+    }
+
+    /// Of two numbers, absolutely.
+    fn of_values(what: impl Into<String>, device: f64, ours: f64, bar: f64) -> Self {
+        let error = (device - ours).abs();
+        let error = if error.is_finite() { error } else { f64::INFINITY };
+        let digest = *blake3::hash(&device.to_le_bytes()).as_bytes();
+        Self { what: what.into(), error, bar, digest }
+    }
+
+    /// Whether it is within its bar.
+    pub fn holds(&self) -> bool {
+        self.error <= self.bar
+    }
+}
+
+/// Every twin at a small size: what the check at the start runs.
+pub fn small(gpu: &Gpu) -> Result<Vec<Agreement>, EngineError> {
+    let mut all =
+        losses(gpu, &LossCase { width: 61, height: 47, seed: 1, mask: true, prior: true, gains: true })?;
+    all.extend(water(gpu, &WaterCase { width: 61, height: 47, seed: 1, anchors: 8, top_k: 4, degree: 3 })?);
+    Ok(all)
+}
+
+/// Uniform draws of a twin.
+fn draws(what: &'static str, seed: u64) -> Stream {
+    Stream::new(seed, Purpose::new(what), 0)
+}
+
+/// What buffers hold before a kernel writes them: no number, so that whoever reads before writing is found out.
+fn poison(items: usize) -> Vec<f32> {
+    vec![f32::from_bits(0x7fc0_dead); items]
+}

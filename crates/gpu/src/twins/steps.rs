@@ -1,0 +1,64 @@
+//! Whole steps of stage 1: an engine beside the processor's, from the same state.
+
+use use3d_reconstruct::engine::{CpuEngine, Engine, TrainingState};
+use use3d_training::{Drain, EngineError};
+
+use super::{Agreement, Packed};
+
+/// One step from the same state on both engines: report, moments after it (which are the gradients, from zero), statistics.
+pub fn step(engine: &mut dyn Engine, scene: &Packed) -> Result<Vec<Agreement>, EngineError> {
+    let mut ours = CpuEngine::new();
+    let state = scene.state();
+    for view in scene.training_views()? {
+        ours.upload(view.clone())?;
+        engine.upload(view)?;
+    }
+    let mut all = Vec::new();
+    ours.load(state.clone())?;
+    engine.load(state)?;
+    for view in 0..scene.views {
+        let plan = Packed::plan(view as u64);
+        ours.step(view, &plan)?;
+        engine.step(view, &plan)?;
+        let (expected, found) = (ours.drain(Drain::All)?, engine.drain(Drain::All)?);
+        let (Some(expected), Some(found)) = (expected.first(), found.first()) else { continue };
+        all.push(Agreement::of_values("loss", found.loss, expected.loss, 1e-4 * expected.loss.abs()));
+        compare(engine.save()?.as_ref(), ours.save()?.as_ref(), &mut all);
+        // Each step is judged alone.
+        let state = ours.save()?.into_owned();
+        engine.load(state)?;
+    }
+    Ok(all)
+}
+
+/// First moments are gradients times a constant; the second follow.
+fn compare(device: &TrainingState, ours: &TrainingState, all: &mut Vec<Agreement>) {
+    let (d, o) = (&device.moments.first, &ours.moments.first);
+    for (what, device, ours) in [
+        ("gradients of means", d.means.as_flattened(), o.means.as_flattened()),
+        ("gradients of log scales", d.log_scales.as_flattened(), o.log_scales.as_flattened()),
+        ("gradients of quaternions", d.quaternions.as_flattened(), o.quaternions.as_flattened()),
+        ("gradients of opacities", &d.opacity_logits, &o.opacity_logits),
+        ("gradients of colours", d.sh.as_flattened().as_flattened(), o.sh.as_flattened().as_flattened()),
+        ("gradients of the water", &device.medium_moments[0], &ours.medium_moments[0]),
+        ("statistics", &device.statistics.norms, &ours.statistics.norms),
+    ] {
+        all.push(Agreement::of(what, device, ours, 1e-4));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_engine_agrees_with_itself() {
+        let scene = Packed { width: 48, height: 32, gaussians: 150, views: 2, seed: 1 };
+        let found = step(&mut CpuEngine::new(), &scene).unwrap();
+        assert_eq!(found.len(), 16);
+        assert!(found.iter().all(|agreement| agreement.error == 0.0), "{found:?}");
+        // Nothing is compared that is not there.
+        let state = scene.state();
+        assert_eq!((state.gaussians.len(), scene.training_views().unwrap().len()), (150, 2));
+    }
+}

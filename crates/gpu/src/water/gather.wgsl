@@ -1,0 +1,102 @@
+// Derivatives of the loss by the mixed coefficients, from what the forward pass summed along every ray:
+//
+//   ∂c = g (1 − V)      ∂β_bs = g c MB |d|      ∂β_attn = −g MA |d|
+//
+// with V = Σ w e_bs (`veil`), MB = Σ w z e_bs (`veil_by_depth`), MA = Σ w z c e_attn (`light_by_depth`). Basis × slope, summed over 1024
+// pixels a workgroup, 128 at a time, each sum in one lane.
+
+const LOG2_E: f32 = 1.4426950408889634;
+const SPAN: u32 = 1024u;
+const LANES: u32 = 128u;
+
+var<workgroup> bases: array<f32, 2048>;
+var<workgroup> slopes: array<f32, 1152>;
+
+// 1 − e^{−y} for y ≥ 0: the slope of softplus by its value.
+fn softplus_slope(y: f32) -> f32 {
+    if (y > 0.5) {
+        return 1.0 - exp(-y);
+    }
+    var sum = 1.0;
+    for (var k = 9u; k >= 2u; k = k - 1u) {
+        sum = 1.0 - y / f32(k) * sum;
+    }
+    return y * sum;
+}
+
+// One sum of 144: over the pixels that lie in workgroup memory, four interleaved sums.
+fn sum_of(index: u32) -> f32 {
+    let quantity = index / 48u;
+    let band = (index % 48u) / 3u;
+    let channel = index % 3u;
+    if (band >= water.bands) {
+        return 0.0;
+    }
+    let b = band * LANES;
+    let s = (3u * quantity + channel) * LANES;
+    var sum = vec4<f32>(0.0);
+    for (var k = 0u; k < LANES; k = k + 4u) {
+        sum = sum
+            + vec4<f32>(bases[b + k], bases[b + k + 1u], bases[b + k + 2u], bases[b + k + 3u])
+                * vec4<f32>(slopes[s + k], slopes[s + k + 1u], slopes[s + k + 2u], slopes[s + k + 3u]);
+    }
+    return (sum.x + sum.y) + (sum.z + sum.w);
+}
+
+@compute @workgroup_size(WG)
+fn main(
+    @builtin(workgroup_id) wid: vec3<u32>,
+    @builtin(num_workgroups) nwg: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+) {
+    let own = group_of(wid, nwg);
+    if (own >= water.groups) {
+        return;
+    }
+    var first = 0.0;
+    var second = 0.0;
+    for (var start = 0u; start < SPAN; start = start + LANES) {
+        let pixel = own * SPAN + start + lane;
+        if (pixel < water.pixels) {
+            let ray = ray_of(pixel);
+            var basis = basis_of(ray.direction);
+            for (var band = 0u; band < 16u; band = band + 1u) {
+                bases[band * LANES + lane] = basis[band];
+            }
+            let to_value = 1.0 / (LOG2_E * ray.length);
+            for (var channel = 0u; channel < 3u; channel = channel + 1u) {
+                let at = channel * water.pixels + pixel;
+                let g = image_slope[at];
+                let c = color[at];
+                var by_color = 0.0;
+                if (c > 0.0) {
+                    by_color = g * (1.0 - veil[at]);
+                }
+                let by_backscatter = g * c * veil_by_depth[at] * ray.length;
+                let by_attenuation = -g * light_by_depth[at] * ray.length;
+                slopes[channel * LANES + lane] = by_color;
+                slopes[(3u + channel) * LANES + lane] =
+                    by_backscatter * softplus_slope(backscatter[at] * to_value);
+                slopes[(6u + channel) * LANES + lane] =
+                    by_attenuation * softplus_slope(attenuation[at] * to_value);
+            }
+        } else {
+            for (var band = 0u; band < 16u; band = band + 1u) {
+                bases[band * LANES + lane] = 0.0;
+            }
+            for (var quantity = 0u; quantity < 9u; quantity = quantity + 1u) {
+                slopes[quantity * LANES + lane] = 0.0;
+            }
+        }
+        workgroupBarrier();
+        first = first + sum_of(lane);
+        if (lane < COEFFICIENTS - LANES) {
+            second = second + sum_of(LANES + lane);
+        }
+        workgroupBarrier();
+    }
+    partial[lane * water.groups + own] = first;
+    if (lane < COEFFICIENTS - LANES) {
+        partial[(LANES + lane) * water.groups + own] = second;
+    }
+}

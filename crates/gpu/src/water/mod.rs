@@ -1,0 +1,333 @@
+//! The water on the device: maps of a view, derivatives from what the forward pass summed along every ray, and Adam.
+//!
+//! ```text
+//! mix ─▶ look ─▶ (the view is drawn, the loss differentiated) ─▶ gather ─▶ total ─▶ spread ─▶ learn
+//! ```
+//!
+//! The formulas are those of `use3d_medium`. What water there is: the kinds made of spherical harmonics (`rbf`, `global`), and none. Water
+//! that is a network is refused: the processor's engine has it.
+//!
+//! The water in front of a pixel enters the compositor as `2^(−k z)` with `k = β |d| log₂e`, where |d| is the length of the pixel's ray at
+//! z = 1. So `e` needs no other map, and `∂β = ∂k · log₂e · |d|`.
+
+#[cfg(test)]
+mod tests;
+
+use bytemuck::{Pod, Zeroable};
+use use3d_capture::Camera;
+use use3d_medium::{MediumModel, Role};
+use use3d_numerics::adam::Adam;
+use use3d_numerics::math;
+use use3d_numerics::spherical_harmonics::bands;
+use use3d_training::EngineError;
+
+use crate::buffer::Array;
+use crate::device::{Gpu, NAME};
+use crate::frame::counts;
+use crate::kernel::{Access, Binding, Constant, Grid, Kernel, Spec, bound};
+
+/// Pixels that a workgroup sums.
+const SPAN: usize = 1024;
+/// Coefficients of one set.
+const COEFFICIENTS: usize = 144;
+/// Camera coordinates are clamped to this, normalised scene units (R4).
+const QUERY_LIMIT: f64 = 1.5;
+
+/// The view's constants, as `shared.wgsl` reads them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+struct Uniform {
+    width: u32,
+    height: u32,
+    pixels: u32,
+    bands: u32,
+    anchors: u32,
+    shared_by: u32,
+    groups: u32,
+    parameters: u32,
+    to_world: [[f32; 4]; 3],
+    lens: [f32; 4],
+    adam: [f32; 4],
+}
+
+/// What the forward pass summed along every ray, 3 P each: `Σ w e_bs`, `Σ w z c e_attn`, `Σ w z e_bs`.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct AlongRays<'a> {
+    pub(crate) veil: &'a Array<f32>,
+    pub(crate) light_by_depth: &'a Array<f32>,
+    pub(crate) veil_by_depth: &'a Array<f32>,
+}
+
+/// The water with everything that its kernels keep.
+#[derive(Debug)]
+pub(crate) struct Water {
+    mix: Kernel,
+    look: Kernel,
+    gather: Kernel,
+    total: Kernel,
+    spread: Kernel,
+    learn: Kernel,
+    uniform: Array<Uniform>,
+    /// Parameters, first and second moments.
+    state: Array<f32>,
+    slope: Array<f32>,
+    mixed: Array<f32>,
+    by_mixed: Array<f32>,
+    partial: Array<f32>,
+    /// `c_m`: 3 P.
+    pub(crate) color: Array<f32>,
+    /// `k` of attenuation: 3 P.
+    pub(crate) attenuation: Array<f32>,
+    /// `k` of backscatter: 3 P.
+    pub(crate) backscatter: Array<f32>,
+    /// The model, whose parameters are the device's only after [`Water::read`].
+    model: MediumModel,
+    anchors: usize,
+    shared_by: usize,
+    constants: Uniform,
+}
+
+const WATER: Binding = (Access::Uniform, "water", "Water");
+const fn read(name: &'static str) -> Binding {
+    (Access::Read, name, "array<f32>")
+}
+const fn write(name: &'static str) -> Binding {
+    (Access::Write, name, "array<f32>")
+}
+const COUNTS: Binding = (Access::Write, "counts", "array<atomic<u32>>");
+
+fn spec(name: &'static str, threads: u32, bindings: &[Binding], text: &'static str) -> Spec {
+    let constants = vec![
+        ("STOP", Constant::Count(counts::STOP as u32)),
+        ("BAD", Constant::Count(counts::BAD as u32)),
+        ("BAD_WATER", Constant::Count(1 << 5)),
+    ];
+    Spec {
+        name,
+        threads,
+        bindings: bindings.to_vec(),
+        constants,
+        parts: vec![include_str!("shared.wgsl"), text],
+    }
+}
+
+/// All kernels of the water.
+pub(crate) fn specs() -> [Spec; 6] {
+    [
+        spec("mix", 256, &[WATER, read("parameters"), write("mixed")], include_str!("mix.wgsl")),
+        spec(
+            "look",
+            256,
+            &[WATER, read("mixed"), write("color"), write("attenuation"), write("backscatter")],
+            include_str!("look.wgsl"),
+        ),
+        spec(
+            "gather",
+            128,
+            &[
+                WATER,
+                read("color"),
+                read("attenuation"),
+                read("backscatter"),
+                read("image_slope"),
+                read("veil"),
+                read("light_by_depth"),
+                read("veil_by_depth"),
+                write("partial"),
+            ],
+            include_str!("gather.wgsl"),
+        ),
+        spec("total", 128, &[WATER, read("partial"), write("by_mixed")], include_str!("total.wgsl")),
+        spec(
+            "spread",
+            256,
+            &[WATER, read("mixed"), read("by_mixed"), read("state"), write("slope")],
+            include_str!("spread.wgsl"),
+        ),
+        spec("learn", 256, &[WATER, write("slope"), write("state"), COUNTS], include_str!("learn.wgsl")),
+    ]
+}
+
+impl Water {
+    /// Takes a model with Adam's moments; `None` where there is no water. A network is refused.
+    pub(crate) fn new(
+        gpu: &Gpu,
+        model: &MediumModel,
+        moments: [&[f32]; 2],
+    ) -> Result<Option<Self>, EngineError> {
+        if model.is_none() {
+            return Ok(None);
+        }
+        let Some(harmonics) = model.harmonics() else {
+            let what = format!(
+                "the water `{}` runs on the processor alone; use `--engine cpu`, or a water of spherical harmonics (medium = \"rbf\" or \"global\")",
+                model.kind().name()
+            );
+            return Err(EngineError::Request { engine: NAME, what });
+        };
+        let (anchors, shared_by) = harmonics.anchors.map_or((0, 0), |a| (a.centers.len(), a.top_k.max(1)));
+        let shared_by = shared_by.min(anchors);
+        let values = model.flat();
+        let n = values.len();
+        if moments.iter().any(|m| m.len() != n) {
+            let what = format!("the water has {n} parameters and moments of another number");
+            return Err(EngineError::State(what));
+        }
+        let state: Vec<f32> = values.iter().chain(moments[0]).chain(moments[1]).copied().collect();
+        let [mix, look, gather, total, spread, learn] = specs();
+        let kernel = |spec: &Spec| Kernel::new(gpu, spec);
+        let plane = |what| Array::new(gpu, what, 1);
+        Ok(Some(Self {
+            mix: kernel(&mix)?,
+            look: kernel(&look)?,
+            gather: kernel(&gather)?,
+            total: kernel(&total)?,
+            spread: kernel(&spread)?,
+            learn: kernel(&learn)?,
+            uniform: Array::uniform(gpu, "the water's constants")?,
+            state: Array::from(gpu, "the water", &state)?,
+            slope: Array::from(gpu, "the water's slopes", &vec![0.0; n])?,
+            mixed: Array::new(gpu, "the water of a view", COEFFICIENTS + 2 * shared_by)?,
+            by_mixed: Array::new(gpu, "slopes of the water of a view", COEFFICIENTS)?,
+            partial: Array::new(gpu, "sums of the water", 1)?,
+            color: plane("the water's colour")?,
+            attenuation: plane("attenuation")?,
+            backscatter: plane("backscatter")?,
+            model: model.clone(),
+            anchors,
+            shared_by,
+            constants: Uniform::default(),
+        }))
+    }
+
+    /// The model and its moments as they are now, waited for.
+    pub(crate) fn read(&self, gpu: &Gpu) -> Result<(MediumModel, [Vec<f32>; 2]), EngineError> {
+        let n = self.model.parameter_count();
+        let values = self.state.read(gpu, 3 * n)?;
+        let mut model = self.model.clone();
+        if !model.set_flat(&values[..n]) {
+            return Err(EngineError::State("the water's parameters changed their number".into()));
+        }
+        Ok((model, [values[n..2 * n].to_vec(), values[2 * n..].to_vec()]))
+    }
+
+    /// Moments of the coefficients start anew.
+    pub(crate) fn forget_moments(&self, gpu: &Gpu) {
+        let n = self.model.parameter_count();
+        let mut offset = 0;
+        for (role, values) in self.model.groups() {
+            if matches!(role, Role::Constant | Role::Directional) {
+                for moment in 1..3 {
+                    self.state.write(gpu, moment * n + offset, &vec![0.0; values.len()]);
+                }
+            }
+            offset += values.len();
+        }
+    }
+
+    /// Bytes on the device.
+    pub(crate) fn memory(&self) -> usize {
+        [&self.state, &self.partial, &self.color, &self.attenuation, &self.backscatter]
+            .map(Array::size)
+            .iter()
+            .sum()
+    }
+
+    /// Writes the constants of a view, and makes room for it; before its pass is recorded. `rates` are Adam's of constants and of
+    /// directions; `step` counts from 0.
+    pub(crate) fn prepare(
+        &mut self,
+        gpu: &Gpu,
+        camera: &Camera,
+        degree: usize,
+        step: u64,
+        rates: [f64; 2],
+    ) -> Result<(), EngineError> {
+        let k = &camera.intrinsics;
+        let pixels = k.width * k.height;
+        let groups = pixels.div_ceil(SPAN);
+        for plane in [&mut self.color, &mut self.attenuation, &mut self.backscatter] {
+            plane.grow(gpu, 3 * pixels)?;
+        }
+        self.partial.grow(gpu, COEFFICIENTS * groups)?;
+        let to_world = camera.pose.rotation.transpose();
+        let here = camera.pose.center().to_array().map(|v| v.clamp(-QUERY_LIMIT, QUERY_LIMIT));
+        let row = |axis: usize| {
+            let r = to_world.row(axis);
+            [r.x as f32, r.y as f32, r.z as f32, here[axis] as f32]
+        };
+        let adam = Adam::SPLATTING;
+        let exponent = i32::try_from(step + 1).unwrap_or(i32::MAX);
+        let size = |rate: f64| (rate / (1.0 - math::powi(adam.beta1, exponent))) as f32;
+        let root = (1.0 / (1.0 - math::powi(adam.beta2, exponent)).sqrt()) as f32;
+        self.constants = Uniform {
+            width: k.width as u32,
+            height: k.height as u32,
+            pixels: pixels as u32,
+            bands: bands(degree.min(3)) as u32,
+            anchors: self.anchors as u32,
+            shared_by: self.shared_by as u32,
+            groups: groups as u32,
+            parameters: self.model.parameter_count() as u32,
+            to_world: [row(0), row(1), row(2)],
+            lens: [(1.0 / k.fx) as f32, (1.0 / k.fy) as f32, k.cx as f32, k.cy as f32],
+            adam: [size(rates[0]), size(rates[1]), root, 0.0],
+        };
+        self.uniform.write(gpu, 0, &[self.constants]);
+        Ok(())
+    }
+
+    /// Records the maps of the view.
+    pub(crate) fn record_maps(&self, pass: &mut wgpu::ComputePass<'_>) {
+        let grid = self.look.grid(self.constants.pixels as usize);
+        self.mix.dispatch(pass, Grid::groups(1), bound![self.uniform, self.state, self.mixed]);
+        self.look.dispatch(
+            pass,
+            grid,
+            bound![self.uniform, self.mixed, self.color, self.attenuation, self.backscatter],
+        );
+    }
+
+    /// Records the derivatives by all parameters, from the image's.
+    pub(crate) fn record_backward(
+        &self,
+        pass: &mut wgpu::ComputePass<'_>,
+        image_slope: &Array<f32>,
+        along: &AlongRays<'_>,
+    ) {
+        let groups = Grid::groups(self.constants.groups as usize);
+        self.gather.dispatch(
+            pass,
+            groups,
+            bound![
+                self.uniform,
+                self.color,
+                self.attenuation,
+                self.backscatter,
+                *image_slope,
+                *along.veil,
+                *along.light_by_depth,
+                *along.veil_by_depth,
+                self.partial
+            ],
+        );
+        let each = Grid::groups(COEFFICIENTS);
+        self.total.dispatch(pass, each, bound![self.uniform, self.partial, self.by_mixed]);
+        self.spread.dispatch(
+            pass,
+            Grid::groups(1),
+            bound![self.uniform, self.mixed, self.by_mixed, self.state, self.slope],
+        );
+    }
+
+    /// Records Adam's step, which takes the derivatives and leaves zeros.
+    pub(crate) fn record_update(&self, pass: &mut wgpu::ComputePass<'_>, counts: &Array<u32>) {
+        let grid = self.learn.grid(self.model.parameter_count());
+        self.learn.dispatch(pass, grid, bound![self.uniform, self.slope, self.state, *counts]);
+    }
+
+    /// The derivatives by all parameters, before [`Water::record_update`]; waited for.
+    pub(crate) fn slopes(&self, gpu: &Gpu) -> Result<Vec<f32>, EngineError> {
+        self.slope.read(gpu, self.model.parameter_count())
+    }
+}
