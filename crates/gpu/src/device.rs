@@ -279,6 +279,10 @@ impl Gpu {
 
     /// Whether nothing went wrong since the last call.
     pub(crate) fn check(&self) -> Result<(), EngineError> {
+        if lock(&self.trouble).other.is_some() {
+            // A lost device refuses everything, and says that it is lost when it is waited for.
+            let _ = self.device.poll(wgpu::PollType::wait_indefinitely());
+        }
         let mut trouble = lock(&self.trouble);
         if let Some(reason) = trouble.lost.clone() {
             return Err(EngineError::DeviceLost { engine: NAME, reason });

@@ -41,6 +41,7 @@ mod profile;
 mod raster;
 mod scene;
 mod sort;
+mod stage1;
 #[cfg(test)]
 mod testing;
 #[cfg(test)]
@@ -52,6 +53,7 @@ mod water;
 pub use check::{CheckError, check, checked_adapters, open_checked};
 pub use device::{AdapterReport, DeviceError, Gpu, adapters};
 pub use profile::KernelTime;
+pub use stage1::Stage1;
 
 /// The text of every kernel in every variant, as drivers are given it: what results depend on besides adapter and driver.
 pub fn kernel_sources() -> Vec<String> {

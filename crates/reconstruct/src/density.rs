@@ -203,8 +203,8 @@ fn rotate(q: [f32; 4], x: [f64; 3]) -> [f64; 3] {
     if norm == 0.0 { x } else { ((q * (1.0 / norm)) * glam::DVec3::from(x)).to_array() }
 }
 
-/// `ln(p / (1 − p))`, with the ends at ±infinity.
-pub(crate) fn logit(p: f64) -> f32 {
+/// `ln(p / (1 − p))` of an opacity, with the ends at ±infinity.
+pub fn logit(p: f64) -> f32 {
     math::ln(p / (1.0 - p)) as f32
 }
 

@@ -10,7 +10,6 @@ use use3d_splat::{
 };
 use use3d_training::{Drain, EngineError, Profile};
 
-use super::state::zeros;
 use super::{Degrees, Diagnostics, Engine, Statistics, StepPlan, StepReport, TrainingState};
 use crate::density::{self, Draws, Origin, Survey};
 use crate::exposure::{expose, expose_backward};
@@ -308,9 +307,7 @@ impl Engine for CpuEngine {
         let same = |(i, row): (usize, &Origin)| *row == Origin::Kept(i);
         if rows.len() != n || !rows.iter().enumerate().all(same) {
             state.gaussians = density::rebuilt(&state.gaussians, rows, draws);
-            for moments in [&mut state.moments.first, &mut state.moments.second] {
-                *moments = moments_of(moments, rows);
-            }
+            state.moments = state.moments.rebuilt(rows);
         }
         state.statistics = Statistics::new(rows.len());
         self.profile.lap(StepPart::Density);
@@ -351,20 +348,6 @@ impl Engine for CpuEngine {
         out.clone_from(&b.rendered.image);
         Ok(())
     }
-}
-
-/// Moments of the rows of a refined scene: those of what is kept, zero for what is new.
-fn moments_of(moments: &Gaussians, rows: &[Origin]) -> Gaussians {
-    let mut of_rows = zeros(rows.len(), moments.sh_degree);
-    for (row, origin) in rows.iter().enumerate() {
-        let Origin::Kept(i) = *origin else { continue };
-        of_rows.means[row] = moments.means[i];
-        of_rows.log_scales[row] = moments.log_scales[i];
-        of_rows.quaternions[row] = moments.quaternions[i];
-        of_rows.opacity_logits[row] = moments.opacity_logits[i];
-        of_rows.sh[row] = moments.sh[i];
-    }
-    of_rows
 }
 
 impl Diagnostics for CpuEngine {

@@ -7,6 +7,7 @@ use use3d_medium::{MediumKind, MediumModel, MediumStart};
 use use3d_splat::{GaussianGradients, Gaussians};
 use use3d_training::EngineError;
 
+use crate::density::Origin;
 use crate::exposure::Exposures;
 
 /// Both moments of every parameter of the Gaussians, stored like the parameters.
@@ -25,6 +26,24 @@ impl Moments {
     pub fn new(gaussians: &Gaussians) -> Self {
         let zeros = zeros(gaussians.len(), gaussians.sh_degree);
         Self { first: zeros.clone(), second: zeros }
+    }
+
+    /// Those of the rows of a refined scene: what is kept keeps its own, what is new starts with zero. Rows come from Gaussians that
+    /// there are.
+    pub fn rebuilt(&self, rows: &[Origin]) -> Self {
+        let of = |from: &Gaussians| {
+            let mut to = zeros(rows.len(), from.sh_degree);
+            for (row, origin) in rows.iter().enumerate() {
+                let Origin::Kept(i) = *origin else { continue };
+                to.means[row] = from.means[i];
+                to.log_scales[row] = from.log_scales[i];
+                to.quaternions[row] = from.quaternions[i];
+                to.opacity_logits[row] = from.opacity_logits[i];
+                to.sh[row] = from.sh[i];
+            }
+            to
+        };
+        Self { first: of(&self.first), second: of(&self.second) }
     }
 }
 

@@ -1,0 +1,336 @@
+//! Stage 1 on a graphics card: [`Stage1`] is an engine of `use3d_reconstruct`, and `CpuEngine` is its twin.
+//!
+//! A step is one submit and is only asked for: its report waits on the device until somebody drains it, so that the card never waits for
+//! the processor. What goes wrong sets a word that stops every later update; the steps after it changed nothing. Where a view had more
+//! entries than there was room for, the room is made and the same steps are asked for again: a step is a function of its plan, so the
+//! run goes on as if there had been room from the start.
+
+mod step;
+mod targets;
+#[cfg(test)]
+mod tests;
+
+use std::borrow::Cow;
+use std::collections::VecDeque;
+
+use use3d_capture::{Camera, Image};
+use use3d_medium::MediumModel;
+use use3d_reconstruct::density::{self, Draws, Origin, Survey};
+use use3d_reconstruct::engine::{
+    Degrees, Diagnostics, Engine, Statistics, StepPlan, StepReport, TrainingState,
+};
+use use3d_reconstruct::{Exposures, TrainingView};
+use use3d_splat::Gaussians;
+use use3d_training::guard::first_non_finite;
+use use3d_training::{Drain, EngineError};
+
+use crate::buffer::Array;
+use crate::device::{Gpu, NAME};
+use crate::frame::{Frame, counts};
+use crate::kernel::submit;
+use crate::lists::{ListKernels, Lists};
+use crate::losses::{Gains, Losses};
+use crate::raster::{Planes, RasterKernels, WaterPlanes};
+use crate::scene::{DeviceScene, Row};
+use crate::update::UpdateKernels;
+use crate::water::Water;
+use targets::Targets;
+
+/// Reports there is room for on the device.
+const RING: usize = 256;
+/// Steps under way before their reports are waited for: the device has work for a while, and little is done twice after an overflow.
+const UNDER_WAY: usize = 50;
+/// Floats of a report.
+const REPORT: usize = 16;
+
+/// The kernels of a step that do not belong to losses or water.
+#[derive(Debug)]
+struct Kernels {
+    lists: ListKernels,
+    raster: RasterKernels,
+    update: UpdateKernels,
+}
+
+/// A step that was asked for and not reported yet.
+#[derive(Debug)]
+struct Asked {
+    view: usize,
+    plan: StepPlan,
+    /// Its place in the ring of reports.
+    slot: usize,
+}
+
+/// Stage 1's engine on a device.
+#[derive(Debug)]
+pub struct Stage1 {
+    gpu: Gpu,
+    kernels: Kernels,
+    targets: Targets,
+    scene: DeviceScene,
+    lists: Lists,
+    planes: Planes,
+    losses: Losses,
+    water: Option<Water>,
+    gains: Gains,
+    /// The photograph of a step that lies over the water.
+    over_water: Array<f32>,
+    image_slope: Array<f32>,
+    depth_slope: Array<f32>,
+    records: Array<Row>,
+    frame: Array<Frame>,
+    counts: Array<u32>,
+    /// The same for renders, which stop no training.
+    render_counts: Array<u32>,
+    reports: Array<f32>,
+    ends: Array<[u32; 4]>,
+    asked: VecDeque<Asked>,
+    slot: usize,
+    done: Vec<StepReport>,
+}
+
+impl Stage1 {
+    /// An engine without views and with an empty scene.
+    pub fn new(gpu: &Gpu) -> Result<Self, EngineError> {
+        Ok(Self {
+            kernels: Kernels {
+                lists: ListKernels::new(gpu)?,
+                raster: RasterKernels::new(gpu)?,
+                update: UpdateKernels::new(gpu)?,
+            },
+            targets: Targets::default(),
+            scene: DeviceScene::new(gpu)?,
+            lists: Lists::new(gpu)?,
+            planes: Planes::new(gpu)?,
+            losses: Losses::new(gpu)?,
+            water: None,
+            gains: Gains::new(gpu, &Exposures::default())?,
+            over_water: Array::new(gpu, "photograph over water", 1)?,
+            image_slope: Array::new(gpu, "slopes of the image", 1)?,
+            depth_slope: Array::new(gpu, "slopes of depth", 1)?,
+            records: Array::new(gpu, "records", 1)?,
+            frame: Array::uniform(gpu, "frame")?,
+            counts: Array::new(gpu, "counts", counts::WORDS)?,
+            render_counts: Array::new(gpu, "counts of a render", counts::WORDS)?,
+            reports: Array::new(gpu, "reports", REPORT * RING)?,
+            ends: Array::new(gpu, "ends of steps", RING)?,
+            asked: VecDeque::new(),
+            slot: 0,
+            done: Vec::new(),
+            gpu: gpu.clone(),
+        })
+    }
+
+    fn refused<T>(&self, what: String) -> Result<T, EngineError> {
+        Err(EngineError::Request { engine: NAME, what })
+    }
+
+    /// The water as the compositor reads it.
+    fn water_planes(&self) -> Option<WaterPlanes<'_>> {
+        self.water.as_ref().map(|water| WaterPlanes {
+            color: &water.color,
+            attenuation: &water.attenuation,
+            backscatter: &water.backscatter,
+        })
+    }
+
+    /// Makes room for the entries of a view that needs `most`, and half as many more.
+    fn make_room(&mut self, most: usize) -> Result<(), EngineError> {
+        let entries = most + most / 2;
+        self.lists.grow(&self.gpu, entries)?;
+        self.records.grow(&self.gpu, 3 * self.lists.capacity())?;
+        Ok(())
+    }
+
+    /// Waits for the steps that were asked for and takes their reports.
+    fn settle(&mut self) -> Result<(), EngineError> {
+        while !self.asked.is_empty() {
+            let ends = self.ends.read(&self.gpu, RING)?;
+            let reports = self.reports.read(&self.gpu, REPORT * RING)?;
+            while let Some(asked) = self.asked.front() {
+                let [stop, step, bad, _] = ends[asked.slot];
+                if stop == counts::OVERFLOW && step == asked.plan.step as u32 {
+                    // The steps after it, which did nothing else, tell what their views need.
+                    let most = self.counts.read(&self.gpu, counts::WORDS)?[counts::MOST];
+                    self.make_room(most as usize)?;
+                    self.again()?;
+                    break;
+                }
+                let numbers = &reports[REPORT * asked.slot..][..REPORT];
+                let mut report = step::report(asked, numbers, self.targets.views[asked.view].has_prior());
+                if stop != 0 {
+                    report.non_finite = Some(self.not_finite(bad)?);
+                    // What was asked for after it changed nothing.
+                    self.asked.clear();
+                } else {
+                    self.asked.pop_front();
+                }
+                self.done.push(report);
+            }
+        }
+        Ok(())
+    }
+
+    /// Asks once more for the steps that an overflow left undone.
+    fn again(&mut self) -> Result<(), EngineError> {
+        self.counts.write(&self.gpu, 0, &[0; counts::WORDS]);
+        let asked: Vec<Asked> = self.asked.drain(..).collect();
+        for Asked { view, plan, .. } in asked.iter().rev() {
+            if plan.exposure.is_some() {
+                self.gains.undo(*view);
+            }
+        }
+        for Asked { view, plan, .. } in asked {
+            self.ask(view, plan)?;
+        }
+        Ok(())
+    }
+
+    /// What the bits of a stop name, the first of it, and where.
+    fn not_finite(&self, bad: u32) -> Result<(&'static str, Option<usize>), EngineError> {
+        if bad & (1 << 7) != 0 {
+            return Ok(("the loss", None));
+        }
+        let Gaussians { means, log_scales, quaternions, opacity_logits, sh, .. } =
+            self.scene.gaussians(&self.gpu)?;
+        let arrays: [(&'static str, &[f32]); 5] = [
+            ("means", means.as_flattened()),
+            ("log scales", log_scales.as_flattened()),
+            ("quaternions", quaternions.as_flattened()),
+            ("opacity logits", &opacity_logits),
+            ("colour coefficients", sh.as_flattened().as_flattened()),
+        ];
+        if let Some((_, (name, values))) = arrays.iter().enumerate().find(|(at, _)| bad & (1 << at) != 0) {
+            return Ok((name, first_non_finite(values)));
+        }
+        match &self.water {
+            Some(water) if bad & (1 << 5) != 0 => {
+                let (model, _) = water.read(&self.gpu)?;
+                Ok(("the water's parameters", first_non_finite(&model.flat())))
+            }
+            _ => Ok(("the views' gains", None)),
+        }
+    }
+}
+
+impl Engine for Stage1 {
+    fn upload(&mut self, view: TrainingView) -> Result<usize, EngineError> {
+        self.gpu.check()?;
+        self.targets.views.push(view);
+        Ok(self.targets.views.len() - 1)
+    }
+
+    fn load(&mut self, state: TrainingState) -> Result<(), EngineError> {
+        state.check(self.targets.views.len())?;
+        self.asked.clear();
+        self.done.clear();
+        let TrainingState { gaussians, moments, statistics, medium, medium_moments, exposures, .. } = &state;
+        self.water = Water::new(&self.gpu, medium, [&medium_moments[0], &medium_moments[1]])?;
+        self.gains = Gains::new(&self.gpu, exposures)?;
+        self.gpu.forget_bindings();
+        self.scene.write(&self.gpu, gaussians, moments, statistics)?;
+        self.counts.write(&self.gpu, 0, &[0; counts::WORDS]);
+        self.make_room(0)?;
+        self.gpu.check()
+    }
+
+    fn save(&mut self) -> Result<Cow<'_, TrainingState>, EngineError> {
+        self.settle()?;
+        let gpu = &self.gpu;
+        let (medium, medium_moments) = match &self.water {
+            Some(water) => water.read(gpu)?,
+            None => (MediumModel::None, [Vec::new(), Vec::new()]),
+        };
+        Ok(Cow::Owned(TrainingState {
+            version: TrainingState::VERSION,
+            gaussians: self.scene.gaussians(gpu)?,
+            moments: self.scene.moments(gpu)?,
+            statistics: self.scene.statistics(gpu)?,
+            medium,
+            medium_moments,
+            exposures: self.gains.read(gpu)?,
+        }))
+    }
+
+    fn step(&mut self, view: usize, plan: &StepPlan) -> Result<(), EngineError> {
+        let views = self.targets.views.len();
+        if view >= views {
+            return self.refused(format!("view {view} was not uploaded; there are {views}"));
+        }
+        if self.asked.len() >= UNDER_WAY {
+            self.settle()?;
+        }
+        self.ask(view, plan.clone())
+    }
+
+    fn drain(&mut self, which: Drain) -> Result<Vec<StepReport>, EngineError> {
+        if which == Drain::All {
+            self.settle()?;
+        }
+        Ok(std::mem::take(&mut self.done))
+    }
+
+    fn survey(&mut self) -> Result<Survey, EngineError> {
+        self.settle()?;
+        Ok(Survey::of(&self.scene.gaussians(&self.gpu)?, &self.scene.statistics(&self.gpu)?))
+    }
+
+    fn forget_statistics(&mut self) -> Result<(), EngineError> {
+        self.settle()?;
+        self.scene.write_statistics(&self.gpu, &Statistics::new(self.scene.count));
+        self.gpu.check()
+    }
+
+    /// Through main memory: refinements are rare, and rows that are made there are the same for every engine.
+    fn rebuild(&mut self, rows: &[Origin], draws: &Draws) -> Result<(), EngineError> {
+        self.settle()?;
+        let n = self.scene.count;
+        if let Some(row) = rows.iter().position(|row| row.source() >= n) {
+            let from = rows[row].source();
+            return self.refused(format!("row {row} comes from Gaussian {from}; there are {n}"));
+        }
+        let statistics = Statistics::new(rows.len());
+        let same = |(i, row): (usize, &Origin)| *row == Origin::Kept(i);
+        if rows.len() == n && rows.iter().enumerate().all(same) {
+            self.scene.write_statistics(&self.gpu, &statistics);
+            return self.gpu.check();
+        }
+        let gaussians = density::rebuilt(&self.scene.gaussians(&self.gpu)?, rows, draws);
+        let moments = self.scene.moments(&self.gpu)?.rebuilt(rows);
+        self.scene.write(&self.gpu, &gaussians, &moments, &statistics)?;
+        self.gpu.check()
+    }
+
+    fn limit_opacity(&mut self, ceiling: f64) -> Result<(), EngineError> {
+        self.settle()?;
+        let (update, scene, gpu) = (&self.kernels.update, &self.scene, &self.gpu);
+        let logit = density::logit(ceiling);
+        submit(gpu, "opacity ceiling", |pass| update.record_limit(gpu, pass, scene, logit))
+    }
+
+    fn forget_water_moments(&mut self) -> Result<(), EngineError> {
+        self.settle()?;
+        if let Some(water) = &self.water {
+            water.forget_moments(&self.gpu);
+        }
+        self.gpu.check()
+    }
+
+    fn render(&mut self, camera: &Camera, degrees: Degrees, out: &mut Image) -> Result<(), EngineError> {
+        self.settle()?;
+        self.draw(camera, degrees)?;
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let planes = self.planes.image.read(&self.gpu, 3 * width * height)?;
+        out.resize(width, height);
+        out.data_mut().copy_from_slice(&planes);
+        Ok(())
+    }
+}
+
+impl Diagnostics for Stage1 {
+    fn memory(&self) -> usize {
+        let planes = self.planes.size() + self.image_slope.size() + self.depth_slope.size();
+        let water = self.water.as_ref().map_or(0, Water::memory);
+        let step = self.lists.size() + self.records.size() + self.losses.memory() + water + planes;
+        self.scene.size() + step + self.targets.size()
+    }
+}

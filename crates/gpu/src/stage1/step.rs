@@ -1,0 +1,191 @@
+//! One step, recorded into one pass; and a view drawn with the present state.
+
+use use3d_capture::Camera;
+use use3d_reconstruct::engine::{Degrees, StepPlan, StepReport};
+use use3d_training::EngineError;
+
+use super::{Asked, RING, Stage1};
+use crate::frame::{Frame, counts};
+use crate::kernel::submit;
+use crate::losses::{LossPlan, Seen, Told, VALUES};
+use crate::water::AlongRays;
+
+/// What the device wrote of a step.
+pub(super) fn report(asked: &Asked, numbers: &[f32], has_prior: bool) -> StepReport {
+    let Asked { view, plan, .. } = asked;
+    let told = |name: &str| VALUES.iter().position(|v| *v == name).map(|at| f64::from(numbers[1 + at]));
+    let weighs = |name: &str| {
+        use3d_reconstruct::losses::names().zip(&plan.weights).any(|(n, w)| n == name && *w != 0.0)
+    };
+    // Both values of the photometric term are told where one of them counts.
+    let photometric = weighs("reg_l1") || weighs("reg_ms_ssim");
+    let values = use3d_reconstruct::losses::names()
+        .map(|name| match name {
+            "reg_l1" | "reg_ms_ssim" => told(name).filter(|_| photometric),
+            _ => told(name).filter(|_| has_prior && weighs(name)),
+        })
+        .collect();
+    StepReport {
+        step: plan.step,
+        view: *view,
+        loss: numbers[0].into(),
+        values,
+        psnr: photometric.then(|| use3d_metrics::decibels(numbers[4].into()).ok()).flatten(),
+        non_finite: None,
+    }
+}
+
+impl Stage1 {
+    /// Makes everything ready for a view, and writes the frame.
+    fn prepare(&mut self, frame: Frame) -> Result<(), EngineError> {
+        let gpu = &self.gpu;
+        self.lists.prepare(gpu, &frame)?;
+        self.planes.grow(gpu, frame.pixels())?;
+        self.image_slope.grow(gpu, 3 * frame.pixels())?;
+        self.depth_slope.grow(gpu, frame.pixels())?;
+        self.frame.write(gpu, 0, &[frame]);
+        Ok(())
+    }
+
+    /// Submits a step.
+    pub(super) fn ask(&mut self, view: usize, plan: StepPlan) -> Result<(), EngineError> {
+        let weights = LossPlan::weights(&plan.weights)?;
+        let place = self.targets.place(&self.gpu, view, plan.divisor)?;
+        let camera = self.targets.at(place).camera;
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let degree = plan.degrees.colors.min(self.scene.sh_degree);
+        let mut frame = Frame::of(&camera, self.scene.count, degree, self.lists.capacity());
+        let slot = self.slot;
+        self.slot = (self.slot + 1) % RING;
+        frame.counts[3] = plan.step as u32;
+        frame.flags = [
+            u32::from(self.water.is_some()),
+            u32::from(plan.depth_gradient),
+            u32::from(plan.gather.is_some()),
+            slot as u32,
+        ];
+        frame.set_rates(plan.step, &plan.rates);
+        if let Some(reference) = plan.gather {
+            // As the processor scales them.
+            let pixels = (width * plan.divisor) as f64 * (height * plan.divisor) as f64;
+            let scale = if reference == 0 { 1.0 } else { (pixels / reference as f64).sqrt() as f32 };
+            frame.screen = [0.5 * scale * width as f32, 0.5 * scale * height as f32, 0.0, 0.0];
+        }
+        self.prepare(frame)?;
+        if let Some(water) = &mut self.water {
+            let rates = [plan.rates.medium_constant, plan.rates.medium_directional];
+            water.prepare(&self.gpu, &camera, plan.degrees.water, plan.step, rates)?;
+        }
+        self.losses.resize(&self.gpu, width, height)?;
+        let target = self.targets.at(place);
+        if target.alpha.is_some() {
+            self.over_water.grow(&self.gpu, 3 * width * height)?;
+        }
+        let photograph = if target.alpha.is_some() { &self.over_water } else { &target.photograph };
+        let (mask, prior) = (target.mask.as_ref(), target.prior.as_ref());
+        let (image, depth) = (&self.planes.image, &self.planes.depth);
+        let seen = Seen { image, depth, photograph, mask, prior };
+        let exposed = plan.exposure.is_some();
+        let loss = LossPlan {
+            step: plan.step,
+            report: slot as u32,
+            weights,
+            gains: plan.exposure.map(|exposure| (view, exposure)),
+        };
+        let gains = exposed.then_some(&mut self.gains);
+        self.losses.prepare(&self.gpu, &loss, &seen, gains, self.water.is_some());
+
+        let gains = exposed.then_some(&self.gains);
+        let label = Some("step");
+        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label });
+        if target.alpha.is_some() {
+            let (from, to) = (target.photograph.raw(), self.over_water.raw());
+            encoder.copy_buffer_to_buffer(from, 0, to, 0, from.size());
+        }
+        {
+            let descriptor = wgpu::ComputePassDescriptor { label, timestamp_writes: None };
+            let pass = &mut encoder.begin_compute_pass(&descriptor);
+            if let Some(water) = &self.water {
+                water.record_maps(pass);
+            }
+            if let Some(alpha) = &target.alpha {
+                let color = self.water.as_ref().map(|w| &w.color);
+                self.losses.over_water(pass, photograph, alpha, color, gains);
+            }
+            self.record_view(pass, &frame, true);
+            let told = Told {
+                image: &self.image_slope,
+                depth: &self.depth_slope,
+                reports: &self.reports,
+                counts: &self.counts,
+            };
+            self.losses.record(pass, &seen, gains, &told);
+            self.planes.record_backward(
+                &self.kernels.raster,
+                pass,
+                &self.frame,
+                frame.tiles(),
+                &self.lists,
+                self.water_planes(),
+                &self.image_slope,
+                &self.depth_slope,
+                &self.records,
+            );
+            let update = &self.kernels.update;
+            update.record(pass, &self.frame, &self.counts, &self.lists, &self.records, &self.scene);
+            if let Some(water) = &self.water {
+                let along = AlongRays {
+                    veil: &self.planes.veil,
+                    light_by_depth: &self.planes.object_moment,
+                    veil_by_depth: &self.planes.veil_moment,
+                };
+                water.record_backward(pass, &self.image_slope, &along);
+                water.record_update(pass, &self.counts);
+            }
+            if let Some(gains) = gains {
+                self.losses.learn_gains(pass, gains, &self.counts);
+            }
+            update.record_finish(pass, &self.frame, &self.counts, &self.ends);
+        }
+        self.gpu.queue.submit([encoder.finish()]);
+        self.asked.push_back(Asked { view, plan, slot });
+        self.gpu.check()
+    }
+
+    /// Records lists and the forward pass of the view that was prepared.
+    fn record_view(&self, pass: &mut wgpu::ComputePass<'_>, frame: &Frame, train: bool) {
+        let counts = if train { &self.counts } else { &self.render_counts };
+        let (n, tiles) = (frame.gaussians(), frame.tiles());
+        let records = train.then_some(&self.records);
+        let (lists, values) = (&self.kernels.lists, &self.scene.values);
+        self.lists.record(lists, pass, &self.frame, n, tiles, values, counts, records);
+        let water = self.water_planes();
+        let raster = &self.kernels.raster;
+        self.planes.record_forward(raster, pass, &self.frame, tiles, &self.lists, water, train);
+    }
+
+    /// Draws a camera into the planes, with as much room as it takes.
+    pub(super) fn draw(&mut self, camera: &Camera, degrees: Degrees) -> Result<(), EngineError> {
+        loop {
+            let degree = degrees.colors.min(self.scene.sh_degree);
+            let mut frame = Frame::of(camera, self.scene.count, degree, self.lists.capacity());
+            frame.flags[0] = u32::from(self.water.is_some());
+            self.prepare(frame)?;
+            if let Some(water) = &mut self.water {
+                water.prepare(&self.gpu, camera, degrees.water, 0, [0.0; 2])?;
+            }
+            self.render_counts.write(&self.gpu, 0, &[0; counts::WORDS]);
+            submit(&self.gpu, "render", |pass| {
+                if let Some(water) = &self.water {
+                    water.record_maps(pass);
+                }
+                self.record_view(pass, &frame, false);
+            })?;
+            let told = self.render_counts.read(&self.gpu, counts::WORDS)?;
+            if told[counts::STOP] == 0 {
+                return Ok(());
+            }
+            self.make_room(told[counts::MOST] as usize)?;
+        }
+    }
+}

@@ -1,0 +1,294 @@
+//! The engine beside the processor's: step by step from the same states, on its own over many steps, and what it does when something
+//! fails.
+
+use std::path::PathBuf;
+use std::process::Command;
+
+use use3d_capture::{FileName, Map, Pixels, Raster, View};
+use use3d_medium::{MediumKind, MediumModel, MediumStart};
+use use3d_numerics::random::{Purpose, Stream};
+use use3d_reconstruct::engine::{CpuEngine, StepRates};
+use use3d_reconstruct::{ExposureStep, LoadedView};
+
+use super::*;
+use crate::testing::{camera, cloud, relative, software};
+
+const RATES: StepRates = StepRates {
+    means: 1e-3,
+    sh_constant: 2e-3,
+    sh_directional: 2e-4,
+    opacity: 2e-2,
+    scales: 5e-3,
+    quaternions: 1e-3,
+    medium_constant: 2e-3,
+    medium_directional: 1e-3,
+    medium_network: 0.0,
+};
+
+const SIZE: [usize; 2] = [56, 44];
+
+/// Three views: with a prior, with a mask, and with transparent pixels. Photographs are smooth, so that there is something to learn.
+fn views() -> Vec<TrainingView> {
+    let [width, height] = SIZE;
+    let stream = Stream::new(3, Purpose::new("views for an engine"), 0);
+    (0..3u32)
+        .map(|i| {
+            let mut camera = camera(width, height);
+            camera.pose.translation.x += 0.1 * f64::from(i);
+            let pixel = |k: usize| {
+                let (x, y) = ((k % width) as f64, (k / width % height) as f64);
+                110.0
+                    + 60.0 * (0.2 * x + f64::from(i)).sin() * (0.15 * y).cos()
+                    + 8.0 * stream.uniform((k as u64) << 3)
+            };
+            let data = (0..3 * width * height).map(|k| pixel(k) as u8).collect();
+            let map = |f: &dyn Fn(usize) -> f32| {
+                Map::from_planes(width, height, (0..width * height).map(f).collect())
+            };
+            let loaded = LoadedView {
+                pixels: Pixels::Eight(Raster::from_planes(width, height, data).unwrap()),
+                alpha: if i == 2 { map(&|k| if k % width < 9 { 0.25 } else { 1.0 }) } else { None },
+                mask: if i == 1 { map(&|k| f32::from(k % width > 6)) } else { None },
+                depth_prior: if i == 0 { map(&|k| 0.3 + (k % 17) as f32 * 0.05) } else { None },
+            };
+            let view = View {
+                name: FileName::new(&format!("{i}.png")).unwrap(),
+                id: i,
+                image: PathBuf::new(),
+                mask: None,
+                depth_prior: None,
+                camera,
+            };
+            TrainingView::new(&view, loaded).unwrap().0
+        })
+        .collect()
+}
+
+fn state(n: usize, log_scale: f32) -> TrainingState {
+    let start = MediumStart { anchors: 5, top_k: 3, seed: 4 };
+    let mut water = MediumModel::start(MediumKind::Rbf, &start).unwrap();
+    let stream = Stream::new(9, Purpose::new("water for an engine"), 0);
+    let values: Vec<f32> = (0..).zip(water.flat()).map(|(i, v)| v + 0.05 * stream.normal(i) as f32).collect();
+    assert!(water.set_flat(&values));
+    TrainingState::new(cloud(n, log_scale, 0.5), water, &[[1.0; 3], [1.1, 0.9, 1.0], [0.8; 3]])
+}
+
+fn plan(step: u64) -> StepPlan {
+    StepPlan {
+        step,
+        divisor: if step % 5 == 4 { 2 } else { 1 },
+        degrees: Degrees { colors: (step as usize / 2).min(3), water: (step as usize / 3).min(3) },
+        rates: RATES,
+        weights: vec![0.8, 0.2, 0.1],
+        depth_gradient: step % 4 != 3,
+        exposure: Some(ExposureStep { rate: 1e-3, weight: 1e-2 }),
+        gather: (step % 3 != 2).then_some(1000),
+    }
+}
+
+fn with_views<E: Engine>(mut engine: E) -> E {
+    for view in views() {
+        engine.upload(view).unwrap();
+    }
+    engine
+}
+
+fn compare(step: u64, gpu: &TrainingState, cpu: &TrainingState, bar: f64) {
+    let (g, c) = (&gpu.moments.first, &cpu.moments.first);
+    let flat = |values: &[[f32; 3]]| values.as_flattened().to_vec();
+    for (what, ours, theirs) in [
+        ("means", flat(&g.means), flat(&c.means)),
+        ("log scales", flat(&g.log_scales), flat(&c.log_scales)),
+        ("quaternions", g.quaternions.as_flattened().to_vec(), c.quaternions.as_flattened().to_vec()),
+        ("opacities", g.opacity_logits.clone(), c.opacity_logits.clone()),
+        ("colours", flat(g.sh.as_flattened()), flat(c.sh.as_flattened())),
+        ("water", gpu.medium_moments[0].clone(), cpu.medium_moments[0].clone()),
+        ("gains", flat(&gpu.exposures.first), flat(&cpu.exposures.first)),
+        ("statistics", gpu.statistics.norms.clone(), cpu.statistics.norms.clone()),
+    ] {
+        let error = relative(&ours, &theirs);
+        assert!(error <= bar, "step {step}: {what} off by {error:.1e}");
+    }
+    assert_eq!(gpu.exposures.steps, cpu.exposures.steps);
+}
+
+#[test]
+fn every_step_from_the_same_state_is_the_processors() {
+    let Some(gpu) = software() else { return };
+    let (mut ours, mut cpu) = (with_views(Stage1::new(&gpu).unwrap()), with_views(CpuEngine::new()));
+    let mut state = state(300, -2.5);
+    for step in 0..10 {
+        let view = (step % 3) as usize;
+        cpu.load(state.clone()).unwrap();
+        ours.load(state).unwrap();
+        cpu.step(view, &plan(step)).unwrap();
+        ours.step(view, &plan(step)).unwrap();
+        let (found, expected) = (ours.drain(Drain::All).unwrap(), cpu.drain(Drain::All).unwrap());
+        let ([found], [expected]) = (&found[..], &expected[..]) else { panic!("one report each") };
+        assert_eq!((found.step, found.view, found.non_finite), (step, view, None));
+        assert!((found.loss - expected.loss).abs() <= 1e-5 * expected.loss, "{found:?} {expected:?}");
+        assert!((found.psnr.unwrap() - expected.psnr.unwrap()).abs() < 1e-4, "{found:?} {expected:?}");
+        for (a, b) in found.values.iter().zip(&expected.values) {
+            assert_eq!(a.is_some(), b.is_some(), "{found:?} {expected:?}");
+            let (a, b) = (a.unwrap_or(0.0), b.unwrap_or(0.0));
+            assert!((a - b).abs() < 2e-5 * b.abs().max(0.1), "{found:?} {expected:?}");
+        }
+        state = cpu.save().unwrap().into_owned();
+        compare(step, &ours.save().unwrap(), &state, 1e-5);
+    }
+}
+
+#[test]
+fn many_steps_on_its_own_go_where_the_processors_go_and_runs_change_engines() {
+    let Some(gpu) = software() else { return };
+    let (mut ours, mut cpu) = (with_views(Stage1::new(&gpu).unwrap()), with_views(CpuEngine::new()));
+    ours.load(state(200, -2.5)).unwrap();
+    cpu.load(state(200, -2.5)).unwrap();
+    let mean = |reports: &[StepReport]| reports.iter().map(|r| r.loss).sum::<f64>() / reports.len() as f64;
+    let run = |engine: &mut dyn Engine, steps: std::ops::Range<u64>| {
+        for step in steps {
+            engine.step((step % 3) as usize, &StepPlan { divisor: 1, ..plan(step) }).unwrap();
+        }
+        engine.drain(Drain::All).unwrap()
+    };
+    let (a, b) = (run(&mut ours, 0..200), run(&mut cpu, 0..200));
+    assert_eq!((a.len(), b.len()), (200, 200));
+    let (first, last, cpu_last) = (mean(&a[..20]), mean(&a[180..]), mean(&b[180..]));
+    println!("loss {first} to {last}, on the processor to {cpu_last}");
+    assert!(last < 0.8 * first && (last - cpu_last).abs() < 1e-2 * cpu_last, "{first} {last} {cpu_last}");
+    // From the card to the processor and back.
+    let (ours_state, cpu_state) = (ours.save().unwrap().into_owned(), cpu.save().unwrap().into_owned());
+    cpu.load(ours_state).unwrap();
+    ours.load(cpu_state).unwrap();
+    let (a, b) = (run(&mut ours, 200..206), run(&mut cpu, 200..206));
+    assert!((mean(&a) - mean(&b)).abs() < 2e-2 * mean(&b), "{} {}", mean(&a), mean(&b));
+}
+
+#[test]
+fn requests_between_steps_are_the_processors() {
+    let Some(gpu) = software() else { return };
+    let (mut ours, mut cpu) = (with_views(Stage1::new(&gpu).unwrap()), with_views(CpuEngine::new()));
+    cpu.load(state(150, -2.5)).unwrap();
+    for step in 0..3 {
+        cpu.step(step as usize, &plan(step)).unwrap();
+    }
+    let start = cpu.save().unwrap().into_owned();
+    ours.load(start).unwrap();
+    assert!(ours.survey().unwrap() == cpu.survey().unwrap());
+    let rows = [Origin::Kept(3), Origin::Kept(0), Origin::Twin(5), Origin::Child(7, 0), Origin::Child(7, 1)];
+    let draws = Draws { seed: 1, step: 2, shrink: 1.6 };
+    for engine in [&mut ours as &mut dyn Engine, &mut cpu] {
+        engine.rebuild(&rows, &draws).unwrap();
+        engine.limit_opacity(0.3).unwrap();
+        engine.forget_water_moments().unwrap();
+        let wrong = engine.rebuild(&[Origin::Kept(9)], &draws).unwrap_err().to_string();
+        assert!(wrong.contains("Gaussian 9; there are 5"), "{wrong}");
+        let wrong = engine.step(7, &plan(0)).unwrap_err().to_string();
+        assert!(wrong.contains("view 7") && wrong.contains("there are 3"), "{wrong}");
+    }
+    assert!(ours.save().unwrap() == cpu.save().unwrap());
+    let (mut a, mut b) = (Image::new(0, 0), Image::new(0, 0));
+    let camera = camera(33, 70);
+    let degrees = Degrees { colors: 2, water: 1 };
+    ours.render(&camera, degrees, &mut a).unwrap();
+    cpu.render(&camera, degrees, &mut b).unwrap();
+    assert!(relative(a.data(), b.data()) < 1e-5, "{:.1e}", relative(a.data(), b.data()));
+}
+
+/// More entries than there is room for at first: the steps are done again with more, and nothing else is different.
+#[test]
+fn steps_that_found_no_room_are_done_again() {
+    let Some(gpu) = software() else { return };
+    let (mut ours, mut cpu) = (with_views(Stage1::new(&gpu).unwrap()), with_views(CpuEngine::new()));
+    let state = state(2600, 0.5);
+    ours.load(state.clone()).unwrap();
+    cpu.load(state).unwrap();
+    let before = ours.lists.capacity();
+    for step in 0..3 {
+        ours.step(step as usize, &plan(step)).unwrap();
+        cpu.step(step as usize, &plan(step)).unwrap();
+    }
+    let (a, b) = (ours.drain(Drain::All).unwrap(), cpu.drain(Drain::All).unwrap());
+    assert!(ours.lists.capacity() > before, "there was room from the start");
+    assert_eq!(a.iter().map(|r| r.step).collect::<Vec<_>>(), [0, 1, 2]);
+    for (a, b) in a.iter().zip(&b) {
+        assert!((a.loss - b.loss).abs() < 1e-3 * b.loss, "{a:?} {b:?}");
+    }
+    assert_eq!(ours.save().unwrap().exposures.steps, cpu.save().unwrap().exposures.steps);
+}
+
+#[test]
+fn what_is_not_finite_is_named_and_stops_the_steps_after_it() {
+    let Some(gpu) = software() else { return };
+    let mut ours = with_views(Stage1::new(&gpu).unwrap());
+    let mut broken = state(50, -2.5);
+    broken.moments.first.quaternions[31][2] = f32::NAN;
+    ours.load(broken).unwrap();
+    for step in 0..3 {
+        ours.step(0, &plan(step)).unwrap();
+    }
+    let reports = ours.drain(Drain::All).unwrap();
+    assert_eq!(reports.len(), 1);
+    assert_eq!(reports[0].non_finite, Some(("quaternions", Some(4 * 31 + 2))));
+}
+
+#[test]
+fn a_lost_device_is_told_by_the_next_step() {
+    let Some(gpu) = software() else { return };
+    let mut ours = with_views(Stage1::new(&gpu).unwrap());
+    ours.load(state(50, -2.5)).unwrap();
+    ours.step(0, &plan(0)).unwrap();
+    gpu.lose();
+    let error = ours.step(1, &plan(1)).and_then(|()| ours.drain(Drain::All).map(|_| ())).unwrap_err();
+    assert!(matches!(error, EngineError::DeviceLost { .. }), "{error}");
+    let error = ours.save().unwrap_err();
+    assert!(matches!(error, EngineError::DeviceLost { .. }), "{error}");
+}
+
+/// The bits of a few steps, for [`bits_do_not_depend_on_threads_or_widths`] to read from another process.
+#[test]
+fn digest_of_a_few_steps() {
+    let Some(gpu) = software() else { return };
+    let digest = || {
+        let mut ours = with_views(Stage1::new(&gpu).unwrap());
+        ours.load(state(200, -2.5)).unwrap();
+        for step in 0..6 {
+            ours.step((step % 3) as usize, &plan(step)).unwrap();
+        }
+        let reports = format!("{:?}", ours.drain(Drain::All).unwrap());
+        // Every digit of every number.
+        let state = format!("{:?}", ours.save().unwrap());
+        let mut sum = 0xcbf2_9ce4_8422_2325u64;
+        for byte in reports.bytes().chain(state.bytes()) {
+            sum = (sum ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3);
+        }
+        sum
+    };
+    let first = digest();
+    assert_eq!(first, digest(), "two runs differ");
+    println!("\ndigest {first:016x}");
+}
+
+#[test]
+fn bits_do_not_depend_on_threads_or_widths() {
+    if software().is_none() {
+        return;
+    }
+    let digest = |threads: &str, width: &str| {
+        let output = Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "--nocapture", "stage1::tests::digest_of_a_few_steps"])
+            .env("LP_NUM_THREADS", threads)
+            .env("LP_NATIVE_VECTOR_WIDTH", width)
+            // Its keys leave the width out.
+            .env("MESA_SHADER_CACHE_DISABLE", "true")
+            .output()
+            .unwrap();
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        let line = text.lines().find(|line| line.starts_with("digest ")).map(str::to_string);
+        line.unwrap_or_else(|| panic!("{threads} threads, {width} bits: {text}"))
+    };
+    let expected = digest("1", "256");
+    for (threads, width) in [("2", "256"), ("1", "128"), ("2", "512")] {
+        assert_eq!(digest(threads, width), expected, "{threads} threads, {width} bits");
+    }
+}
