@@ -13,6 +13,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("capture", &["numerics"]),
     ("golden", &[]),
     ("build", &["capture"]),
+    ("cluster", &["build"]),
     ("io-image", &["capture"]),
     ("io-colmap", &["capture", "numerics", "io-image"]),
     ("import", &["capture", "numerics", "io-image", "io-colmap"]),

@@ -1,6 +1,6 @@
 //! What a person reads when something went wrong, and the exit code a script sees.
 //!
-//! 0 done; 1 a stage failed; 2 wrong usage or bad input; 130 interrupted.
+//! 0 done; 1 a stage failed; 2 wrong usage or bad input; 75 out of time, the same command goes on; 130 interrupted.
 
 use std::fmt::Display;
 use std::process::ExitCode;
@@ -16,6 +16,8 @@ pub(crate) enum CliError {
     Failed(String),
     /// Interrupted; what was done so far is kept.
     Interrupted,
+    /// Left for want of time; the same command goes on.
+    OutOfTime,
     /// Interrupted in work of which nothing is kept.
     Stopped,
 }
@@ -41,6 +43,9 @@ impl CliError {
             Self::Interrupted => {
                 "interrupted; what was done so far is kept, the same command continues from there"
             }
+            Self::OutOfTime => {
+                "out of time; what was done so far is kept, the same command continues from there"
+            }
             Self::Stopped => "interrupted; the same command starts anew",
         }
     }
@@ -50,6 +55,8 @@ impl CliError {
         match self {
             Self::Input(_) => 2,
             Self::Failed(_) => 1,
+            // What BSD's sysexits.h calls a temporary failure.
+            Self::OutOfTime => 75,
             Self::Interrupted | Self::Stopped => 130,
         }
     }

@@ -1,5 +1,5 @@
 //! Ctrl-C, SIGTERM and a closed terminal (SIGHUP): the first asks the running work to write a checkpoint and leave, the
-//! second leaves at once.
+//! second leaves at once. SIGUSR1 asks for the same as the first and says that time is over: another run will go on.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -11,22 +11,40 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use crate::error::CliError;
 
 static FLAG: OnceLock<Arc<AtomicBool>> = OnceLock::new();
+static LEAVE: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
 /// Installs the handlers and returns the flag that long work polls.
 pub(crate) fn install() -> Arc<AtomicBool> {
     FLAG.get_or_init(|| {
         let flag = Arc::new(AtomicBool::new(false));
+        // Raised by signals alone: a run that leaves by itself raises the other, and is not to be cut off for that.
+        let asked = Arc::new(AtomicBool::new(false));
         for signal in [SIGINT, SIGTERM].into_iter().chain(hang_up()) {
             // Order matters: the second signal finds the flag set and exits; the first only sets it.
-            let armed = signal_hook::flag::register_conditional_shutdown(signal, 130, flag.clone())
+            let armed = signal_hook::flag::register_conditional_shutdown(signal, 130, asked.clone())
+                .and_then(|_| signal_hook::flag::register(signal, asked.clone()))
                 .and_then(|_| signal_hook::flag::register(signal, flag.clone()));
             if let Err(error) = armed {
                 tracing::warn!("cannot handle signal {signal}: {error}; interrupting loses work since the last checkpoint");
             }
         }
+        #[cfg(unix)]
+        {
+            let signal = signal_hook::consts::SIGUSR1;
+            let armed = signal_hook::flag::register(signal, leave())
+                .and_then(|_| signal_hook::flag::register(signal, flag.clone()));
+            if let Err(error) = armed {
+                tracing::warn!("cannot handle signal {signal}: {error}");
+            }
+        }
         flag
     })
     .clone()
+}
+
+/// The flag that says that work is left for want of time.
+pub(crate) fn leave() -> Arc<AtomicBool> {
+    LEAVE.get_or_init(Arc::default).clone()
 }
 
 /// SIGHUP, unless whoever started us (`nohup`) had it ignored: a handler would undo that. Only Linux tells.

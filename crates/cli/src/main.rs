@@ -69,6 +69,7 @@ fn run(app: &App, verb: Verb) -> Done {
     match verb {
         Verb::Demo(args) => verbs::run::demo(app, &args),
         Verb::Run(args) => verbs::run::run(app, &args),
+        Verb::Submit { what } => verbs::submit::run(app, &what),
         Verb::Plan(args) => verbs::run::plan(&args),
         Verb::Status(args) => verbs::run::status(&args),
         Verb::Why(args) => verbs::run::why(&args),

@@ -2,6 +2,7 @@
 
 mod bench;
 mod captures;
+mod cluster;
 mod pictures;
 mod pipelines;
 mod shared;
@@ -13,6 +14,7 @@ use clap::{Parser, Subcommand};
 
 pub(crate) use bench::{Baselines, Bench, BenchTruthArgs};
 pub(crate) use captures::{Synth, SynthCaptureArgs, SynthPairsArgs, WaterArgs};
+pub(crate) use cluster::{Submit, SubmitArgs, SubmitLayout};
 pub(crate) use pictures::{CameraPath, ExportArgs, ExportFrame, ExportWhat, FrameFormat, RenderArgs};
 pub(crate) use pipelines::{DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, RunArgs, WhyArgs};
 pub(crate) use shared::{CacheArgs, CalibrationArgs, Settings};
@@ -38,7 +40,8 @@ use shared::count;
 )]
 #[command(
     after_help = "Start with `use3d demo`, then `use3d run CAPTURE_DIR` on your own COLMAP folder.\n\n\
-    Exit codes: 0 done; 1 a stage failed; 2 wrong usage or bad input; 130 interrupted."
+    Exit codes: 0 done; 1 a stage failed; 2 wrong usage or bad input; 75 out of time, the same command \
+    goes on; 130 interrupted."
 )]
 pub(crate) struct Cli {
     /// What to do.
@@ -74,10 +77,16 @@ pub(crate) enum Verb {
         use3d run my-reef/ --pairs uieb/raw-890 uieb/reference-890"
     )]
     Run(RunArgs),
+    /// Hand what is missing of a pipeline to a cluster's scheduler, and end.
+    Submit {
+        /// Which scheduler.
+        #[command(subcommand)]
+        what: Submit,
+    },
     /// What would run, what is cached, why, and the forecast cost.
     #[command(after_help = "Examples:\n  use3d plan pipelines/seathru4.toml\n  use3d plan my-reef/ --json")]
     Plan(PlanArgs),
-    /// Scene × stage table: cached, stale, missing or failed.
+    /// Scene × stage table: cached, stale, missing, failed, or running: where, how far, for how long.
     #[command(after_help = "Example:\n  use3d status pipelines/seathru4.toml")]
     Status(PlanArgs),
     /// Which ingredient of a stage's key changed, with its old and new value.

@@ -1,10 +1,11 @@
 //! Whole pipelines: run, plan, status, why, graph, and the demo.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 
-use super::shared::{CacheArgs, CalibrationArgs, Settings, count};
+use super::shared::{CacheArgs, CalibrationArgs, Settings, count, time};
 use super::view::WatchArgs;
 
 /// More stages side by side than any one machine has memory for.
@@ -52,6 +53,21 @@ pub(crate) struct RunArgs {
     /// Go on with the other scenes when one fails.
     #[arg(long)]
     pub(crate) keep_going: bool,
+    /// Only this scene in this variant and what it needs, where there are variants; may be repeated. Unlike `--scene`, it leaves the
+    /// batch as it is.
+    #[arg(long, value_name = "SCENE[@VARIANT]", conflicts_with = "scene")]
+    pub(crate) only: Vec<String>,
+    /// Leave before so much time has passed, e.g. `3h`, `90min` or `3:50:00`: trainings write checkpoints, and the exit code is 75
+    /// unless all is done. The same command goes on from there.
+    #[arg(long, value_name = "TIME", value_parser = time)]
+    pub(crate) max_time: Option<Duration>,
+    /// Leave what other processes on the same cache compute to them, once there was nothing else to do for a minute, instead of
+    /// waiting for it.
+    #[arg(long)]
+    pub(crate) until_empty: bool,
+    /// Fill the cache and put no results into a folder.
+    #[arg(long, conflicts_with = "out")]
+    pub(crate) cache_only: bool,
     /// Only say what would run (the same as `use3d plan`).
     #[arg(long)]
     pub(crate) dry_run: bool,

@@ -1,6 +1,7 @@
 //! What several verbs take.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::Args;
 use clap::builder::{RangedU64ValueParser, TypedValueParser};
@@ -69,4 +70,10 @@ pub(crate) struct Replace {
 pub(crate) fn count(most: u64) -> impl TypedValueParser<Value = usize> {
     // `most` fits wherever a `usize` has 32 bits.
     RangedU64ValueParser::<u64>::new().range(1..=most).map(|n| n as usize)
+}
+
+/// A time such as `90min`, `3h` or `3:50:00`, more than nothing.
+pub(crate) fn time(text: &str) -> Result<Duration, String> {
+    let time = use3d_cluster::time::parse(text)?;
+    if time.is_zero() { Err("no time at all: give more than 0".to_string()) } else { Ok(time) }
 }

@@ -13,6 +13,7 @@ pub(crate) mod render;
 pub(crate) mod run;
 pub(crate) mod speed;
 pub(crate) mod stages;
+pub(crate) mod submit;
 pub(crate) mod synth;
 pub(crate) mod view;
 pub(crate) mod water;

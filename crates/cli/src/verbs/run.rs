@@ -1,8 +1,9 @@
 //! Pipelines: run, plan, status, why, graph, and the demo.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use serde::Serialize;
 use use3d_build::machine::seconds;
@@ -155,38 +156,75 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     if args.dry_run {
         return show(&loaded.engine.plan(&loaded.graph, until.as_deref()), args.json);
     }
+    let only = only(&loaded.graph, &args.only)?;
     let out =
         args.out.clone().unwrap_or_else(|| PathBuf::from("use3d-out").join(&loaded.pipeline.batch.name));
-    results::check(&loaded.graph, until.as_deref(), &out)?;
+    let out = (!args.cache_only).then_some(out);
+    if let Some(out) = &out {
+        results::check(&loaded.graph, until.as_deref(), out)?;
+    }
     let watched = Watched::start(app, &args.watch, None)?;
     let app = watched.as_ref().map_or(app, Watched::app);
-    let done = execute(app, &loaded, until, args.jobs, args.keep_going, &out, args.json);
+    let options = RunOptions {
+        jobs: args.jobs,
+        keep_going: args.keep_going,
+        until,
+        only,
+        limit: args.max_time,
+        until_empty: args.until_empty.then_some(PATIENCE),
+        ..of_app(app)
+    };
+    let done = execute(app, &loaded, &options, out.as_deref(), args.json);
     if let Some(watched) = &watched {
         watched.end(&done);
     }
     done
 }
 
-fn execute(
-    app: &App,
-    loaded: &Loaded,
-    until: Option<Vec<String>>,
-    jobs: usize,
-    keep_going: bool,
-    out: &Path,
-    as_json: bool,
-) -> Done {
-    let options = RunOptions {
-        jobs,
+/// How long a run with nothing else to do waits for what others compute.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// How this process runs a pipeline, unless more is said.
+fn of_app(app: &App) -> RunOptions {
+    RunOptions {
         cores: app.threads,
-        keep_going,
-        until,
         stop: app.stop.clone(),
+        leave: crate::interrupt::leave(),
         ..RunOptions::default()
+    }
+}
+
+/// The scenes and variants of `--only`.
+fn only(graph: &Graph, named: &[String]) -> Result<Option<Vec<(String, String)>>, CliError> {
+    let cells: BTreeSet<(String, String)> = graph
+        .nodes
+        .iter()
+        .map(|n| (n.scene.clone(), n.variant.clone()))
+        .filter(|(s, _)| !s.is_empty())
+        .collect();
+    let find = |name: &String| {
+        let (scene, variant) = name.split_once('@').unwrap_or((name, ""));
+        let cell = (scene.to_string(), variant.to_string());
+        if cells.contains(&cell) {
+            return Ok(cell);
+        }
+        let known: Vec<String> =
+            cells.iter().map(|(s, v)| if v.is_empty() { s.clone() } else { format!("{s}@{v}") }).collect();
+        let known = known.iter().map(String::as_str);
+        Err(CliError::input(use3d_build::EngineError::unknown("scene and variant", name, known)))
     };
-    let summary = loaded.engine.run(&loaded.graph, &options, &delivering(app, out));
+    let found: Vec<(String, String)> = named.iter().map(find).collect::<Result<_, _>>()?;
+    Ok((!found.is_empty()).then_some(found))
+}
+
+fn execute(app: &App, loaded: &Loaded, options: &RunOptions, out: Option<&Path>, as_json: bool) -> Done {
+    let listener = out.map_or_else(|| app.listener.clone(), |out| delivering(app, out));
+    let summary = loaded.engine.run(&loaded.graph, options, &listener);
     // What an interrupted run has finished was delivered scene by scene.
-    let delivered = if summary.interrupted { Ok(Vec::new()) } else { results::deliver(&summary, out) };
+    let delivered = match out {
+        Some(out) if !summary.interrupted && !summary.left => results::deliver(&summary, out),
+        _ => Ok(Vec::new()),
+    };
     if as_json {
         json(&Outcome::new(&summary, &delivered))?;
     } else {
@@ -198,6 +236,7 @@ fn execute(
     }
     match summary.exit_code() {
         0 => Ok(()),
+        75 => Err(CliError::OutOfTime),
         130 => Err(CliError::Interrupted),
         _ => {
             let failed: Vec<&str> = summary.failed().map(|node| node.label.as_str()).collect();
@@ -255,7 +294,7 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     cache.cache.get_or_insert_with(|| args.out.join("cache"));
     let loaded = open(&capture, &[], &Settings { set: sets }, &CalibrationArgs::default(), &cache)?;
     results::check(&loaded.graph, None, &args.out)?;
-    execute(app, &loaded, None, 1, false, &args.out, false)?;
+    execute(app, &loaded, &of_app(app), Some(&args.out), false)?;
     if !app.quiet {
         println!(
             "the demo took {}; open {} in a browser",

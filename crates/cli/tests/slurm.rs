@@ -1,0 +1,255 @@
+//! A batch through a real Slurm: a controller and two nodes on this machine, workers killed, a node drained, the
+//! controller restarted, a time limit; the bytes are those of a run of one process.
+//!
+//! Needs Slurm and munge, root, and some minutes, so it is asked for:
+//!
+//! ```text
+//! apt-get install --no-install-recommends slurm-wlm munge
+//! USE3D_SLURM=1 USE3D_SCENES=26 cargo test -p use3d --test slurm -- --nocapture
+//! ```
+
+mod many;
+mod tiny;
+
+use std::fs;
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use many::Many;
+
+/// How long the queue may take to become empty, before the test gives up.
+const PATIENCE: Duration = Duration::from_secs(3600);
+
+/// A controller and two nodes. Everything they have started ends with them.
+struct Slurm {
+    folder: PathBuf,
+    running: Vec<(&'static str, Child)>,
+}
+
+/// Where a program is, also those for administrators.
+fn find(name: &str) -> Option<PathBuf> {
+    let path = std::env::var("PATH").unwrap_or_default() + ":/usr/sbin:/sbin";
+    path.split(':').map(|folder| PathBuf::from(folder).join(name)).find(|path| path.is_file())
+}
+
+fn port() -> u16 {
+    let socket = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    socket.local_addr().expect("an address").port()
+}
+
+impl Slurm {
+    fn start(folder: PathBuf) -> Self {
+        for name in ["state", "spool/n1", "spool/n2", "log", "munge"] {
+            fs::create_dir_all(folder.join(name)).expect("folder");
+        }
+        let here = folder.display();
+        let host = fs::read_to_string("/proc/sys/kernel/hostname").expect("a name");
+        let host = host.trim();
+        let (control, first, second) = (port(), port(), port());
+        let text = format!(
+            "ClusterName=onebox\nSlurmctldHost={host}(127.0.0.1)\nAuthType=auth/munge\nCryptoType=crypto/munge\n\
+             AuthInfo=socket={here}/munge/socket\nCommunicationParameters=NoCtldInAddrAny,NoInAddrAny\nSlurmUser=root\n\
+             SlurmdUser=root\nStateSaveLocation={here}/state\nSlurmdSpoolDir={here}/spool/%n\n\
+             SlurmctldPidFile={here}/slurmctld.pid\nSlurmdPidFile={here}/slurmd-%n.pid\n\
+             SlurmctldLogFile={here}/log/slurmctld.log\nSlurmdLogFile={here}/log/slurmd-%n.log\nSlurmctldPort={control}\n\
+             ProctrackType=proctrack/linuxproc\nTaskPlugin=task/none\nJobAcctGatherType=jobacct_gather/none\n\
+             AccountingStorageType=accounting_storage/none\nSwitchType=switch/none\nMpiDefault=none\nReturnToService=2\n\
+             SchedulerType=sched/backfill\nSchedulerParameters=sched_interval=2,bf_interval=2\nSelectType=select/cons_tres\n\
+             SelectTypeParameters=CR_Core\nOverTimeLimit=0\nKillWait=30\n\
+             NodeName=n1 NodeHostname={host} NodeAddr=127.0.0.1 Port={first} CPUs=1 RealMemory=2000\n\
+             NodeName=n2 NodeHostname={host} NodeAddr=127.0.0.1 Port={second} CPUs=1 RealMemory=2000\n\
+             PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP\n"
+        );
+        fs::write(folder.join("slurm.conf"), text).expect("written");
+        fs::write(folder.join("munge/key"), [7u8; 128]).expect("written");
+        let key = folder.join("munge/key");
+        use std::os::unix::fs::PermissionsExt;
+        fs::set_permissions(&key, fs::Permissions::from_mode(0o600)).expect("private");
+        let mut slurm = Self { folder, running: Vec::new() };
+        let munge = slurm.folder.join("munge");
+        let option = |name: &str, file: &str| format!("--{name}={}", munge.join(file).display());
+        slurm.spawn(
+            "munged",
+            &[
+                "--foreground",
+                "--force",
+                &option("socket", "socket"),
+                &option("key-file", "key"),
+                &option("pid-file", "pid"),
+                &option("log-file", "log"),
+                &option("seed-file", "seed"),
+            ],
+        );
+        slurm.control();
+        slurm.spawn("slurmd", &["-D", "-N", "n1"]);
+        slurm.spawn("slurmd", &["-D", "-N", "n2"]);
+        let start = Instant::now();
+        while slurm.ask("sinfo", &["--noheader", "--format=%T"]).trim() != "idle" {
+            assert!(start.elapsed() < Duration::from_secs(60), "no idle nodes: {}", slurm.logs());
+            std::thread::sleep(Duration::from_millis(200));
+        }
+        slurm
+    }
+
+    fn control(&mut self) {
+        self.spawn("slurmctld", &["-D"]);
+    }
+
+    fn spawn(&mut self, name: &'static str, arguments: &[&str]) {
+        let program = find(name).unwrap_or_else(|| panic!("{name} is not installed"));
+        let child = self
+            .with(Command::new(program))
+            .args(arguments)
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn();
+        self.running.push((name, child.unwrap_or_else(|e| panic!("{name}: {e}"))));
+    }
+
+    /// A command that sees this Slurm.
+    fn with(&self, mut command: Command) -> Command {
+        command.env("SLURM_CONF", self.folder.join("slurm.conf"));
+        command
+    }
+
+    fn ask(&self, name: &str, arguments: &[&str]) -> String {
+        let output = self.with(Command::new(name)).args(arguments).output().expect("the command starts");
+        String::from_utf8_lossy(&output.stdout).into_owned()
+    }
+
+    /// Ends those of a name as their service would.
+    fn end(&mut self, name: &str) {
+        for (_, mut child) in self.running.extract_if(.., |(n, _)| *n == name) {
+            let told = Command::new("kill").arg(child.id().to_string()).status();
+            assert!(told.expect("kill").success());
+            child.wait().expect("ends");
+        }
+    }
+
+    fn logs(&self) -> String {
+        let logs = tiny::files(&self.folder.join("log"));
+        logs.into_iter()
+            .map(|(path, bytes)| format!("{}:\n{}", path.display(), String::from_utf8_lossy(&bytes)))
+            .collect()
+    }
+
+    fn queue(&self) -> Vec<String> {
+        self.ask("squeue", &["--noheader", "--format=%i %j %T %r"]).lines().map(String::from).collect()
+    }
+
+    /// The processes of this cache's runs.
+    fn workers(cache: &str) -> Vec<u32> {
+        let mut found = Vec::new();
+        for entry in fs::read_dir("/proc").expect("processes").flatten() {
+            let Ok(pid) = entry.file_name().to_string_lossy().parse() else { continue };
+            let line = fs::read(entry.path().join("cmdline")).unwrap_or_default();
+            let line = String::from_utf8_lossy(&line).replace('\0', " ");
+            if line.starts_with(env!("CARGO_BIN_EXE_use3d")) && line.contains(cache) {
+                found.push(pid);
+            }
+        }
+        found
+    }
+}
+
+impl Drop for Slurm {
+    fn drop(&mut self) {
+        let _ = self.with(Command::new("scancel")).args(["--user", "root"]).status();
+        std::thread::sleep(Duration::from_secs(1));
+        for name in ["slurmd", "slurmctld", "munged"] {
+            self.end(name);
+        }
+    }
+}
+
+/// Why the test cannot run here, if it cannot.
+fn refused() -> Option<String> {
+    if std::env::var_os("USE3D_SLURM").is_none() {
+        return Some("set USE3D_SLURM=1 to run it".to_string());
+    }
+    let missing = ["munged", "slurmctld", "slurmd", "sbatch"].into_iter().find(|name| find(name).is_none());
+    missing.map(|name| {
+        format!("{name} is not installed: apt-get install --no-install-recommends slurm-wlm munge")
+    })
+}
+
+#[test]
+fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
+    if let Some(reason) = refused() {
+        println!("SKIPPED, nothing was tested with a real Slurm: {reason}");
+        return;
+    }
+    let count = std::env::var("USE3D_SCENES").map_or(4, |n| n.parse().expect("a number of scenes"));
+    let names: Vec<String> = (1..=count).map(|n| format!("s{n:02}")).collect();
+    let many = Many::new(&names);
+    let start = Instant::now();
+    let whole = many.alone();
+    println!("{count} scenes by one process: {:.0} s", start.elapsed().as_secs_f64());
+    // munged wants every folder above its socket to be its user's alone.
+    let root = PathBuf::from(format!("/run/use3d-slurm-{}", std::process::id()));
+    let mut slurm = Slurm::start(root.clone());
+    let site = format!(
+        "command = \"{}\"\ncpus = 1\nmemory = \"900MB\"\npartition = \"main\"\nat_once = 2\n[stage.run]\nmemory = \"900MB\"\n",
+        env!("CARGO_BIN_EXE_use3d")
+    );
+    fs::write(many.at("cluster.toml"), site).expect("written");
+    let mut kills = 0;
+    for layout in ["workers", "stages"] {
+        let start = Instant::now();
+        let mut rounds = 0;
+        // Again, until there is nothing to submit: what was killed is repaired by the same command.
+        loop {
+            rounds += 1;
+            let mut submit = slurm.with(many.command(&["submit", "slurm"], layout));
+            let output = submit
+                .args(["--cluster", "cluster.toml", "--layout", layout, "--out"])
+                .arg(format!("out-{layout}"))
+                .output();
+            let output = output.expect("the command starts");
+            let text = String::from_utf8_lossy(&output.stdout).into_owned();
+            assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
+            if text.contains("nothing to submit") {
+                break;
+            }
+            assert!(rounds < 20, "{text}");
+            let mut restarted = false;
+            let mut looks = 0;
+            while !slurm.queue().is_empty() {
+                looks += 1;
+                assert!(start.elapsed() < PATIENCE, "{:?}{}", slurm.queue(), slurm.logs());
+                std::thread::sleep(Duration::from_millis(500));
+                if rounds == 1 {
+                    let workers = Slurm::workers(&many.at(layout).to_string_lossy());
+                    if let Some(pid) = workers.get(looks % 2).filter(|_| looks % 8 == 0 && kills < 4) {
+                        kills += usize::from(
+                            Command::new("kill")
+                                .args(["-9", &pid.to_string()])
+                                .status()
+                                .expect("kill")
+                                .success(),
+                        );
+                    }
+                    if looks == 10 {
+                        slurm.ask("scontrol", &["update", "nodename=n2", "state=drain", "reason=test"]);
+                    } else if looks == 24 {
+                        slurm.ask("scontrol", &["update", "nodename=n2", "state=resume"]);
+                    }
+                }
+                if looks == 16 && !restarted {
+                    slurm.end("slurmctld");
+                    slurm.control();
+                    restarted = true;
+                }
+            }
+        }
+        assert!(many.artifacts(layout) == whole, "{layout}: the artifacts are not those of one process");
+        assert_eq!(many.scores(format!("out-{layout}").as_ref()).len(), count);
+        println!(
+            "{layout}: {rounds} submissions, {:.0} s, {kills} workers killed so far",
+            start.elapsed().as_secs_f64()
+        );
+    }
+    drop(slurm);
+    fs::remove_dir_all(root).expect("removed");
+}

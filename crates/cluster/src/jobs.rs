@@ -1,0 +1,247 @@
+//! Which jobs do what a plan says is missing: what each runs, on what it waits, what it asks for.
+//!
+//! Two layouts. *Workers*: one array of equal tasks that share the batch among themselves, whatever its graph;
+//! it is immune to limits of arrays and to accidents of dependencies, and every task asks for as much as the
+//! largest stage. *Stages*: an array over the scenes and variants for every stage, element after element, each
+//! asking for what its stage needs, such as a GPU. Both end with one task that waits for all others, whatever
+//! became of them, makes the report and fills the results folder.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use use3d_build::gc::parse_bytes;
+use use3d_build::plan::{PlannedNode, State};
+use use3d_build::{Plan, Registry, Scope, Source};
+
+use super::ClusterError;
+use super::site::{Needs, SHORTEST, Site, WORKERS};
+use super::time;
+
+/// How a batch is cut into tasks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Layout {
+    /// Equal tasks that share the work.
+    Workers,
+    /// An array for every stage.
+    Stages,
+}
+
+/// When a job may begin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum After {
+    /// When all tasks of that job are done.
+    Done(usize),
+    /// A task when the same task of that job is done.
+    Same(usize),
+    /// When that job is over, whatever became of it.
+    Over(usize),
+}
+
+/// What a task asks for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Asks {
+    /// How long it may take.
+    pub time: Duration,
+    /// Memory, bytes.
+    pub memory: u64,
+    /// Processors.
+    pub cpus: usize,
+    /// What the site says of its stage.
+    pub needs: Needs,
+}
+
+/// A job: one task, or an array of them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Job {
+    /// Its name: a stage, `workers`, or `finish`.
+    pub name: String,
+    /// In a sentence.
+    pub about: String,
+    /// How many tasks, where it is an array.
+    pub tasks: Option<usize>,
+    /// The scene and variant of every task, as `--only` takes them; empty where tasks are equal.
+    pub cells: Vec<String>,
+    /// When it may begin.
+    pub after: Vec<After>,
+    /// What `use3d run` is told besides what all jobs tell it.
+    pub words: Vec<String>,
+    /// Whether it fills the results folder.
+    pub delivers: bool,
+    /// What each task asks for.
+    pub asks: Asks,
+}
+
+/// The jobs that do what is missing, in an order in which each comes after those it waits for; none where
+/// nothing is missing.
+///
+/// # Errors
+/// A scene's or variant's name that a list of tasks cannot hold.
+pub fn of(
+    plan: &Plan,
+    registry: &Registry,
+    site: &Site,
+    layout: Layout,
+    workers: Option<usize>,
+) -> Result<Vec<Job>, ClusterError> {
+    let todo: Vec<&PlannedNode> = plan
+        .nodes
+        .iter()
+        .filter(|n| n.shared_with.is_none() && matches!(n.state, State::Run(_) | State::Waiting(_)))
+        .collect();
+    if todo.is_empty() {
+        return Ok(Vec::new());
+    }
+    let cells = cells(&todo)?;
+    let scope = |stage: &str| registry.stage(stage).map_or(Scope::Batch, |s| s.scope());
+    let mut jobs = match layout {
+        Layout::Workers => workers_of(&todo, site, &cells, workers.unwrap_or(site.at_once)),
+        Layout::Stages => stages_of(&todo, registry, site, &cells),
+    };
+    let last: Vec<&PlannedNode> =
+        todo.iter().copied().filter(|n| jobs.is_empty() || scope(n.stage) == Scope::Batch).collect();
+    jobs.push(Job {
+        name: "finish".to_string(),
+        about: "Does what is still missing, tries once more what failed, makes the report and fills the results folder."
+            .to_string(),
+        tasks: None,
+        cells: Vec::new(),
+        after: (0..jobs.len()).map(After::Over).collect(),
+        words: vec!["--keep-going".to_string()],
+        delivers: true,
+        asks: asks(&last, site, WORKERS, |nodes| nodes.iter().filter_map(|n| longest(n)).sum()),
+    });
+    Ok(jobs)
+}
+
+/// Scenes and variants with something to do, in the plan's order.
+fn cells(todo: &[&PlannedNode]) -> Result<Vec<String>, ClusterError> {
+    let mut cells: Vec<String> = Vec::new();
+    for node in todo.iter().filter(|n| !n.scene.is_empty()) {
+        for (what, name) in [("scene", &node.scene), ("variant", &node.variant)] {
+            let reason = if name.chars().any(char::is_control) {
+                "has a control character in it"
+            } else if name.contains('@') {
+                "has an @ in it, which stands between scene and variant"
+            } else {
+                continue;
+            };
+            return Err(ClusterError::Name { what, name: name.clone(), reason });
+        }
+        let cell = match node.variant.as_str() {
+            "" => node.scene.clone(),
+            variant => format!("{}@{variant}", node.scene),
+        };
+        if !cells.contains(&cell) {
+            cells.push(cell);
+        }
+    }
+    Ok(cells)
+}
+
+fn workers_of(todo: &[&PlannedNode], site: &Site, cells: &[String], most: usize) -> Vec<Job> {
+    let tasks = most.clamp(1, cells.len().max(1));
+    if cells.is_empty() {
+        return Vec::new();
+    }
+    // The longest chain is that of one scene; the rest is shared.
+    let time = |nodes: &[&PlannedNode]| {
+        let sum: f64 = nodes.iter().filter_map(|n| longest(n)).sum();
+        let mut chains: BTreeMap<(&str, &str), f64> = BTreeMap::new();
+        for node in nodes {
+            *chains.entry((&node.scene, &node.variant)).or_default() += longest(node).unwrap_or(0.0);
+        }
+        chains.into_values().fold(sum / tasks as f64, f64::max)
+    };
+    vec![Job {
+        name: "workers".to_string(),
+        about: format!("{tasks} equal tasks share what is missing of {} scenes and variants.", cells.len()),
+        tasks: Some(tasks),
+        cells: Vec::new(),
+        after: Vec::new(),
+        words: ["--keep-going", "--until-empty", "--cache-only"].map(String::from).to_vec(),
+        delivers: false,
+        asks: asks(todo, site, WORKERS, time),
+    }]
+}
+
+fn stages_of(todo: &[&PlannedNode], registry: &Registry, site: &Site, cells: &[String]) -> Vec<Job> {
+    let mut jobs: Vec<Job> = Vec::new();
+    let mut made: BTreeMap<&str, usize> = BTreeMap::new();
+    for stage in registry.stages().iter().filter(|s| s.scope() != Scope::Batch) {
+        let name = stage.name();
+        let nodes: Vec<&PlannedNode> = todo.iter().copied().filter(|n| n.stage == name).collect();
+        if nodes.is_empty() {
+            continue;
+        }
+        let each = stage.scope() == Scope::Scene;
+        let parents: BTreeSet<&str> = stage
+            .inputs()
+            .iter()
+            .filter_map(|input| match input.source {
+                Source::Stage(from) | Source::Reference(from) => Some(from),
+                Source::External(_) => None,
+            })
+            .collect();
+        let mut after: Vec<After> = parents
+            .iter()
+            .filter_map(|parent| made.get(parent))
+            .map(|&job| if jobs[job].tasks.is_some() { After::Same(job) } else { After::Done(job) })
+            .collect();
+        after.sort_by_key(|a| match a {
+            After::Done(job) | After::Same(job) | After::Over(job) => *job,
+        });
+        let mut words = vec!["--until".to_string(), name.to_string(), "--cache-only".to_string()];
+        words.extend(site.needs(name).arguments);
+        let about = if each {
+            format!("The stage `{name}`, a task for every scene and variant with something to do.")
+        } else {
+            format!("The stage `{name}`, which all scenes share.")
+        };
+        made.insert(name, jobs.len());
+        jobs.push(Job {
+            name: name.to_string(),
+            about,
+            tasks: each.then_some(cells.len()),
+            cells: if each { cells.to_vec() } else { Vec::new() },
+            after,
+            words,
+            delivers: false,
+            asks: asks(&nodes, site, name, |nodes| {
+                nodes.iter().filter_map(|n| longest(n)).fold(0.0, f64::max)
+            }),
+        });
+    }
+    jobs
+}
+
+/// The longest that a node took so far, seconds, scaled to what it is to do.
+fn longest(node: &PlannedNode) -> Option<f64> {
+    node.forecast.map(|f| f.most)
+}
+
+/// What tasks of these nodes ask for: half as much time again as the forecast, a quarter more memory.
+fn asks(nodes: &[&PlannedNode], site: &Site, stage: &str, seconds: impl Fn(&[&PlannedNode]) -> f64) -> Asks {
+    let needs = site.needs(stage);
+    // The site was checked when it was read.
+    let of_time = |text: &str| time::parse(text).unwrap_or(SHORTEST);
+    let of_bytes = |text: &str| parse_bytes(text).unwrap_or(0);
+    let known = !nodes.is_empty() && nodes.iter().all(|n| n.forecast.is_some());
+    let forecast = Duration::from_secs_f64((1.5 * seconds(nodes)).clamp(0.0, 1e8)) + SHORTEST;
+    let time = match &needs.time {
+        Some(time) => of_time(time),
+        None if known => forecast,
+        None => forecast.max(of_time(&site.time)),
+    };
+    let peak = nodes.iter().filter_map(|n| n.forecast.map(|f| f.peak_memory).max(n.memory)).max();
+    let memory = match (&needs.memory, peak) {
+        (Some(memory), _) => of_bytes(memory),
+        (None, Some(peak)) if known => peak.saturating_add(peak / 4).saturating_add(256_000_000),
+        (None, peak) => of_bytes(&site.memory).max(peak.unwrap_or(0)),
+    };
+    Asks {
+        time: time.clamp(SHORTEST, of_time(&site.longest)),
+        memory,
+        cpus: needs.cpus.unwrap_or(site.cpus),
+        needs,
+    }
+}

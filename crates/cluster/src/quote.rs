@@ -1,0 +1,35 @@
+//! Words that a shell reads as they are.
+
+/// A word for `bash`, quoted where it has to be.
+pub fn word(text: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,@%+".contains(c);
+    if !text.is_empty() && text.chars().all(plain) {
+        return text.to_string();
+    }
+    format!("'{}'", text.replace('\'', r"'\''"))
+}
+
+/// Words with spaces between.
+pub fn words<'w>(words: impl IntoIterator<Item = &'w String>) -> String {
+    words.into_iter().map(|w| word(w)).collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_shell_would_read_otherwise_is_quoted() {
+        for (text, quoted) in [
+            ("reef@full", "reef@full"),
+            ("a b", "'a b'"),
+            ("", "''"),
+            ("it's", r"'it'\''s'"),
+            ("$HOME;`x`", "'$HOME;`x`'"),
+            ("~/x", "'~/x'"),
+            ("Korallé", "'Korallé'"),
+        ] {
+            assert_eq!(word(text), quoted);
+        }
+    }
+}

@@ -1,0 +1,254 @@
+//! Slurm: a readable script for every job, and `sbatch` for each in turn.
+//!
+//! A task leaves before its limit with a checkpoint and the exit code 75, by itself (`--max-time`) or, where
+//! the node's clock or another queue cuts it shorter, at the signal that Slurm sends before; the script then
+//! has it queued again. A task that finds its work done ends at once, so that tasks may be queued again or
+//! submitted twice without harm.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use super::ClusterError;
+use super::jobs::{After, Job};
+use super::quote::{word, words};
+use super::site::Site;
+use super::time::clock;
+
+/// How long before the limit Slurm sends its signal.
+const SIGNAL: Duration = Duration::from_secs(120);
+/// How long before the limit a task is to be gone by itself.
+const SPARE: Duration = Duration::from_secs(60);
+
+/// The first line of a task's log.
+const ATTEMPT: &str = r#"echo "$(date -u +%FT%TZ) $(hostname), attempt $((${SLURM_RESTART_COUNT:-0} + 1))""#;
+
+/// What all jobs of a submission have in common.
+#[derive(Clone, Debug)]
+pub struct Submission {
+    /// The pipeline's name.
+    pub name: String,
+    /// The command line that wrote the scripts, for their readers.
+    pub by: String,
+    /// Where `use3d run` is to be started.
+    pub place: PathBuf,
+    /// The words after `use3d run`, the same for all jobs.
+    pub run: Vec<String>,
+    /// The words that say where results go.
+    pub results: Vec<String>,
+    /// The folder of the scripts, lists and logs.
+    pub folder: PathBuf,
+}
+
+/// The jobs of a submission that Slurm knows.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Submitted {
+    /// Name and Slurm's number of each.
+    pub jobs: Vec<(String, String)>,
+}
+
+impl Submission {
+    /// The script of a job.
+    pub fn script_path(&self, job: &Job) -> PathBuf {
+        self.folder.join(format!("{}.sbatch", job.name))
+    }
+
+    /// The list of a job's tasks.
+    pub fn list_path(&self, job: &Job) -> PathBuf {
+        self.folder.join(format!("{}.tasks", job.name))
+    }
+
+    fn submitted_path(&self) -> PathBuf {
+        self.folder.join("submitted.json")
+    }
+
+    /// The words of a task of a job after the command's name; the task's own scene and variant come last.
+    pub(crate) fn task(&self, job: &Job) -> Vec<String> {
+        let own = if job.delivers { &self.results } else { &Vec::new() };
+        [&["run".to_string()][..], &self.run, own, &job.words].concat()
+    }
+}
+
+/// A job as a script for `sbatch`.
+pub fn script(job: &Job, submission: &Submission, site: &Site) -> String {
+    let mut lines = vec![
+        "#!/bin/bash".to_string(),
+        format!("# {}", job.about),
+        format!(
+            "# Written by `{}`; to be read, edited, and submitted by hand with `sbatch` as well.",
+            submission.by
+        ),
+    ];
+    let mut option = |text: String| lines.push(format!("#SBATCH {text}"));
+    option(format!("--job-name={}", word(&format!("{}-{}", submission.name, job.name))));
+    let number = if job.tasks.is_some() { "%A_%a" } else { "%j" };
+    let log = submission.folder.join("logs").join(format!("{}-{number}.log", job.name));
+    option(format!("--output={}", word(&log.to_string_lossy())));
+    option("--open-mode=append".to_string());
+    if let Some(tasks) = job.tasks {
+        option(format!("--array=0-{}%{}", tasks.saturating_sub(1), site.at_once));
+    }
+    option(format!("--time={}", clock(job.asks.time)));
+    option(format!("--mem={}M", job.asks.memory.div_ceil(1_048_576)));
+    option(format!("--cpus-per-task={}", job.asks.cpus));
+    if let Some(partition) = job.asks.needs.partition.as_ref().or(site.partition.as_ref()) {
+        option(format!("--partition={partition}"));
+    }
+    if let Some(account) = &site.account {
+        option(format!("--account={account}"));
+    }
+    option(format!("--signal=B:USR1@{}", SIGNAL.as_secs()));
+    option("--requeue".to_string());
+    option("--kill-on-invalid-dep=yes".to_string());
+    site.options.iter().chain(&job.asks.needs.options).for_each(|o| option(o.clone()));
+    lines.push(String::new());
+    lines.push(format!("cd {} || exit 1", word(&submission.place.to_string_lossy())));
+    lines.extend(site.setup.iter().cloned());
+    if !job.cells.is_empty() {
+        let list = word(&submission.list_path(job).to_string_lossy());
+        lines.push("# The scene and variant of this task: a line of the list.".to_string());
+        lines.push(format!(r#"cell=$(sed -n "$((SLURM_ARRAY_TASK_ID + 1))p" {list})"#));
+        lines.push(r#"[ -n "$cell" ] || exit 0"#.to_string());
+    }
+    lines.push(String::new());
+    lines.push(ATTEMPT.to_string());
+    let threads = format!(r#"--threads "${{SLURM_CPUS_PER_TASK:-{}}}""#, job.asks.cpus);
+    let most = job.asks.time.saturating_sub(SPARE).as_secs();
+    let task = words(&submission.task(job));
+    let cell = if job.cells.is_empty() { "" } else { r#" --only "$cell""# };
+    lines.push(format!("{} {threads} {task} --max-time {most}s{cell} &", word(&site.command)));
+    lines.push("child=$!".to_string());
+    lines.push(
+        "# Shortly before the limit, and when it is cancelled: a checkpoint, then the end.".to_string(),
+    );
+    lines.push(r#"trap 'told=1; kill -USR1 "$child" 2>/dev/null' USR1"#.to_string());
+    lines.push(r#"trap 'told=1; kill -TERM "$child" 2>/dev/null' TERM"#.to_string());
+    lines.push(r#"told=0; wait "$child"; code=$?"#.to_string());
+    lines.push(r#"while [ "$told" = 1 ]; do told=0; wait "$child"; code=$?; done"#.to_string());
+    lines.push(format!(
+        r#"if [ "$code" = 75 ] && [ "${{SLURM_RESTART_COUNT:-0}}" -lt {} ]; then"#,
+        site.requeues
+    ));
+    lines.push("  # Out of time: into the queue again, to go on from the checkpoint.".to_string());
+    let own = if job.tasks.is_some() {
+        r#""${SLURM_ARRAY_JOB_ID}_${SLURM_ARRAY_TASK_ID}""#
+    } else {
+        r#""$SLURM_JOB_ID""#
+    };
+    lines.push(format!("  scontrol requeue {own} && sleep 60"));
+    lines.push("fi".to_string());
+    lines.push(r#"exit "$code""#.to_string());
+    lines.join("\n") + "\n"
+}
+
+/// What `sbatch` is told besides the script: on which jobs, by Slurm's numbers, this one waits.
+pub fn dependency(job: &Job, numbers: &[String]) -> Option<String> {
+    let part = |after: &After| match after {
+        After::Done(of) => Some(format!("afterok:{}", numbers.get(*of)?)),
+        After::Same(of) => Some(format!("aftercorr:{}", numbers.get(*of)?)),
+        After::Over(of) => Some(format!("afterany:{}", numbers.get(*of)?)),
+    };
+    let parts: Vec<String> = job.after.iter().filter_map(part).collect();
+    (!parts.is_empty()).then(|| format!("--dependency={}", parts.join(",")))
+}
+
+/// Writes scripts and lists into the submission's folder.
+///
+/// # Errors
+/// A file that cannot be written.
+pub fn write(jobs: &[Job], submission: &Submission, site: &Site) -> Result<(), ClusterError> {
+    create(&submission.folder.join("logs"))?;
+    for job in jobs {
+        put(&submission.script_path(job), &script(job, submission, site))?;
+        if !job.cells.is_empty() {
+            put(&submission.list_path(job), &(job.cells.join("\n") + "\n"))?;
+        }
+    }
+    Ok(())
+}
+
+/// Hands the written jobs to Slurm, one after the other; their numbers in the same order.
+///
+/// # Errors
+/// `sbatch` that is not there or refuses; what it had taken before is cancelled.
+pub fn submit(jobs: &[Job], submission: &Submission) -> Result<Submitted, ClusterError> {
+    let mut numbers: Vec<String> = Vec::new();
+    for job in jobs {
+        let script = submission.script_path(job).to_string_lossy().into_owned();
+        let arguments =
+            ["--parsable".to_string()].into_iter().chain(dependency(job, &numbers)).chain([script]);
+        match call("sbatch", &arguments.collect::<Vec<_>>()) {
+            // The number, and behind a semicolon the cluster where there are several.
+            Ok(text) => numbers.push(text.trim().split(';').next().unwrap_or_default().to_string()),
+            Err(error) => {
+                if !numbers.is_empty() {
+                    // Half a batch would only wait for the rest.
+                    let _ = call("scancel", &numbers);
+                }
+                return Err(error);
+            }
+        }
+    }
+    let jobs = jobs.iter().map(|job| job.name.clone()).zip(numbers).collect();
+    let submitted = Submitted { jobs };
+    let text = serde_json::to_string_pretty(&submitted).unwrap_or_default();
+    put(&submission.submitted_path(), &text)?;
+    Ok(submitted)
+}
+
+/// The jobs of the last submission from this folder that Slurm still has in its queue, by name and number. What
+/// Slurm does not know any more is over.
+///
+/// # Errors
+/// `squeue` that is not there.
+pub fn queued(submission: &Submission) -> Result<Vec<(String, String)>, ClusterError> {
+    let text = std::fs::read_to_string(submission.submitted_path()).unwrap_or_default();
+    let Ok(last) = serde_json::from_str::<Submitted>(&text) else { return Ok(Vec::new()) };
+    let mut found = Vec::new();
+    for (name, number) in last.jobs {
+        // Asked for one by one: a number that Slurm has forgotten is an error of the whole call.
+        let arguments = ["--noheader", "--format=%i", "--jobs", &number].map(String::from);
+        match call("squeue", &arguments) {
+            Ok(lines) if !lines.trim().is_empty() => found.push((name, number)),
+            Ok(_) => {}
+            Err(ClusterError::Command { reason, .. }) if reason.contains("Invalid job id") => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(found)
+}
+
+fn call(command: &str, arguments: &[String]) -> Result<String, ClusterError> {
+    let wrong = |reason: String| ClusterError::Command { command: command.to_string(), reason };
+    let output = Command::new(command).args(arguments).output().map_err(|e| {
+        wrong(format!(
+            "{e}; submit where Slurm's commands are, such as a login node, or write the scripts with --dry-run"
+        ))
+    })?;
+    if output.status.success() {
+        return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
+    }
+    let said = String::from_utf8_lossy(&output.stderr);
+    Err(wrong(format!("{}: {}", words(arguments), said.trim())))
+}
+
+fn create(folder: &Path) -> Result<(), ClusterError> {
+    std::fs::create_dir_all(folder).map_err(|source| ClusterError::File {
+        path: folder.to_path_buf(),
+        doing: "create",
+        source,
+    })
+}
+
+pub(crate) fn put(path: &Path, text: &str) -> Result<(), ClusterError> {
+    if let Some(folder) = path.parent() {
+        create(folder)?;
+    }
+    std::fs::write(path, text).map_err(|source| ClusterError::File {
+        path: path.to_path_buf(),
+        doing: "write",
+        source,
+    })
+}

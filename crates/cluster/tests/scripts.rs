@@ -1,0 +1,295 @@
+//! What is written for schedulers, word for word (`USE3D_UPDATE_SNAPSHOTS=1` writes `golden/` anew), and whether
+//! a shell does with it what it should.
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use use3d_build::code::CodeTable;
+use use3d_build::history::Forecast;
+use use3d_build::plan::{PlannedNode, State};
+use use3d_build::{Plan, Registry, Scope, Stage};
+use use3d_cluster::jobs::{self, After, Job, Layout};
+use use3d_cluster::site::Site;
+use use3d_cluster::slurm::{self, Submission};
+use use3d_cluster::{ClusterError, hyperqueue};
+
+#[derive(Default, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
+struct Nothing {}
+
+fn registry() -> Registry {
+    let stage = |name, scope| Stage::new(name, scope, |_, _: &Nothing| Ok(())).made_of(&[], &[]);
+    let stages = vec![
+        stage("import", Scope::Scene).external("capture", "capture"),
+        stage("pairs", Scope::Shared),
+        stage("calibrate", Scope::Shared).input("pairs", "pairs"),
+        stage("reconstruct", Scope::Scene).input("capture", "import"),
+        stage("enhance", Scope::Scene).input("scene", "reconstruct").input("calibrator", "calibrate"),
+        stage("evaluate", Scope::Scene).input("scene", "enhance").input("capture", "import"),
+        stage("report", Scope::Batch).input("scores", "evaluate"),
+    ];
+    Registry::new(stages, &CodeTable::default()).expect("a table")
+}
+
+fn node(stage: &'static str, scene: &str, variant: &str, state: State, minutes: f64) -> PlannedNode {
+    let forecast = Forecast {
+        seconds: 60.0 * minutes,
+        least: 50.0 * minutes,
+        most: 80.0 * minutes,
+        output: 1 << 20,
+        peak_memory: 3_000_000_000,
+        records: 3,
+        own: true,
+    };
+    PlannedNode {
+        stage,
+        scene: scene.to_string(),
+        variant: variant.to_string(),
+        state,
+        key: None,
+        artifact: None,
+        checkpoints: None,
+        changes: Vec::new(),
+        forecast: (minutes > 0.0).then_some(forecast),
+        memory: Some(2_000_000_000),
+        shared_with: None,
+        failed: None,
+        had: false,
+        working: None,
+    }
+}
+
+/// Three scenes, one of them done; the calibrator is done too, and one stage has never run.
+fn plan() -> Plan {
+    let run = || State::Run("never made".to_string());
+    let wait = || State::Waiting(vec!["import".to_string()]);
+    let mut nodes = vec![
+        node("pairs", "", "", State::Cached, 1.0),
+        node("calibrate", "", "", State::Run("never made".to_string()), 10.0),
+    ];
+    for scene in ["Panama", "Curaçao north", "done"] {
+        for variant in ["full", "mlp"] {
+            for (stage, minutes) in
+                [("import", 2.0), ("reconstruct", 100.0), ("enhance", 40.0), ("evaluate", 0.0)]
+            {
+                let state = match (scene, stage) {
+                    ("done", _) | ("Panama", "import") => State::Cached,
+                    (_, "import") => run(),
+                    _ => wait(),
+                };
+                let mut node = node(stage, scene, variant, state, minutes);
+                if stage == "import" && variant == "mlp" {
+                    node.shared_with = Some(format!("{scene} · full · import"));
+                }
+                nodes.push(node);
+            }
+        }
+    }
+    nodes.push(node("report", "", "", wait(), 0.0));
+    Plan { pipeline: "use26".to_string(), nodes, seconds: 0.0 }
+}
+
+fn site() -> Site {
+    let text = r#"
+        account = "reef"
+        partition = "cpu"
+        cpus = 8
+        longest = "12h"
+        setup = ["module load cuda/12.4", "export USE3D_MODELS=/proj/models"]
+        [stage.reconstruct]
+        partition = "gpu"
+        options = ["--gres=gpu:1"]
+        resources = { "gpus/nvidia" = 1 }
+        arguments = ["--set", "reconstruct.log_every=100"]
+        [stage.enhance]
+        memory = "32GB"
+        time = "2h"
+    "#;
+    Site::parse(text, &["reconstruct", "enhance"]).expect("a site")
+}
+
+fn submission() -> Submission {
+    Submission {
+        name: "use26".to_string(),
+        by: "use3d submit slurm pipelines/use26.toml".to_string(),
+        place: PathBuf::from("/proj/reef work"),
+        run: ["pipelines/use26.toml", "--cache", "/scratch/use3d", "--set", "enhance.rank=4"]
+            .map(String::from)
+            .to_vec(),
+        results: ["--out", "/proj/reef work/use3d-out/use26"].map(String::from).to_vec(),
+        folder: PathBuf::from("/proj/reef work/use3d-out/use26-submit"),
+    }
+}
+
+fn check(name: &str, text: &str) {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name);
+    if std::env::var_os("USE3D_UPDATE_SNAPSHOTS").is_some() {
+        fs::write(&file, text).expect("the golden can be written");
+    }
+    let written = fs::read_to_string(&file).unwrap_or_default();
+    assert!(
+        text == written,
+        "{} differs; read it, and write it anew with USE3D_UPDATE_SNAPSHOTS=1:\n{text}",
+        file.display()
+    );
+}
+
+fn of(layout: Layout) -> Vec<Job> {
+    jobs::of(&plan(), &registry(), &site(), layout, None).expect("jobs")
+}
+
+#[test]
+fn scripts_are_written_as_they_were_read() {
+    for (layout, name) in [(Layout::Workers, "workers"), (Layout::Stages, "stages")] {
+        let jobs = of(layout);
+        let mut all = String::new();
+        for (at, job) in jobs.iter().enumerate() {
+            let numbers: Vec<String> = (0..at).map(|n| (100 + n).to_string()).collect();
+            let dependency = slurm::dependency(job, &numbers).unwrap_or_default();
+            all += &format!("==> sbatch {dependency} {}.sbatch\n", job.name);
+            all += &slurm::script(job, &submission(), &site());
+            if !job.cells.is_empty() {
+                all += &format!("==> {}.tasks\n{}\n", job.name, job.cells.join("\n"));
+            }
+        }
+        check(&format!("slurm-{name}.txt"), &all);
+        let hq = format!(
+            "==> task.sh\n{}==> job.toml\n{}",
+            hyperqueue::script(&submission(), &site()),
+            hyperqueue::file(&jobs, &submission())
+        );
+        check(&format!("hyperqueue-{name}.txt"), &hq);
+    }
+}
+
+#[test]
+fn only_what_is_missing_is_submitted_and_each_waits_for_what_it_needs() {
+    let jobs = of(Layout::Stages);
+    let names: Vec<&str> = jobs.iter().map(|j| j.name.as_str()).collect();
+    assert_eq!(names, ["import", "calibrate", "reconstruct", "enhance", "evaluate", "finish"]);
+    // The scene that is done is in no list, and the lists are the same for all stages: task stands for task.
+    let cells = ["Panama@full", "Panama@mlp", "Curaçao north@full", "Curaçao north@mlp"];
+    for job in jobs.iter().filter(|j| j.tasks.is_some()) {
+        assert_eq!(
+            (job.cells.as_slice(), job.tasks),
+            (&cells.map(String::from)[..], Some(4)),
+            "{}",
+            job.name
+        );
+    }
+    assert_eq!(jobs[2].after, [After::Same(0)]);
+    assert_eq!(jobs[3].after, [After::Done(1), After::Same(2)]);
+    assert_eq!(jobs[5].after, [0, 1, 2, 3, 4].map(After::Over));
+    // Half as much again as the longest, and no more than the site allows.
+    assert_eq!(jobs[2].asks.time, Duration::from_secs(100 * 80 * 3 / 2 + 300));
+    assert_eq!(jobs[3].asks.time, Duration::from_secs(7200));
+    assert_eq!(jobs[3].asks.memory, 32_000_000_000);
+    // What never ran asks for what the site says.
+    assert_eq!(jobs[4].asks.time, Duration::from_secs(4 * 3600));
+
+    let workers = of(Layout::Workers);
+    assert_eq!(workers.iter().map(|j| j.tasks).collect::<Vec<_>>(), [Some(4), None]);
+    let one = jobs::of(&plan(), &registry(), &site(), Layout::Workers, Some(1)).expect("jobs");
+    assert_eq!((one[0].tasks, one[0].asks.time), (Some(1), Duration::from_secs(12 * 3600)));
+
+    let mut done = plan();
+    done.nodes.iter_mut().for_each(|n| n.state = State::Cached);
+    assert_eq!(jobs::of(&done, &registry(), &site(), Layout::Stages, None).expect("none"), []);
+    // Nothing but the report: one task.
+    done.nodes.last_mut().expect("the report").state = State::Run("changed".to_string());
+    let jobs = jobs::of(&done, &registry(), &site(), Layout::Workers, None).expect("one");
+    assert_eq!(jobs.iter().map(|j| j.name.as_str()).collect::<Vec<_>>(), ["finish"]);
+    let mut odd = plan();
+    odd.nodes[3].scene = "two\nlines".to_string();
+    let error = jobs::of(&odd, &registry(), &site(), Layout::Stages, None).expect_err("no line of a list");
+    assert!(matches!(error, ClusterError::Name { .. }), "{error}");
+}
+
+/// A folder with commands that stand in for `use3d` and Slurm's.
+struct StandIn {
+    dir: tempfile::TempDir,
+}
+
+impl StandIn {
+    fn new(use3d: &str) -> Self {
+        let stand_in = Self { dir: tempfile::tempdir().expect("folder") };
+        stand_in.command("use3d", use3d);
+        stand_in.command("scontrol", "echo \"$@\" >> scontrol.log; exit 1");
+        stand_in
+    }
+
+    fn command(&self, name: &str, body: &str) {
+        let path = self.dir.path().join(name);
+        fs::write(&path, format!("#!/bin/bash\ncd {}\n{body}\n", self.dir.path().display()))
+            .expect("written");
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).expect("executable");
+    }
+
+    /// The script of a job, for this folder.
+    fn script(&self, job: &Job) -> Command {
+        let mut own = submission();
+        own.place = self.dir.path().to_path_buf();
+        own.folder = self.dir.path().join("submit folder");
+        let site = Site { setup: Vec::new(), ..site() };
+        slurm::write(std::slice::from_ref(job), &own, &site).expect("written");
+        let path = format!("{}:{}", self.dir.path().display(), std::env::var("PATH").unwrap_or_default());
+        let mut command = Command::new("bash");
+        command.arg(own.script_path(job)).env("PATH", path);
+        command.envs([("SLURM_ARRAY_JOB_ID", "7"), ("SLURM_JOB_ID", "9"), ("SLURM_ARRAY_TASK_ID", "2")]);
+        command.env("SLURM_CPUS_PER_TASK", "3").stdout(Stdio::null());
+        command
+    }
+
+    fn read(&self, name: &str) -> String {
+        fs::read_to_string(self.dir.path().join(name)).unwrap_or_default()
+    }
+}
+
+#[test]
+fn a_task_runs_its_own_scene_and_tells_how_it_ended() {
+    let stages = of(Layout::Stages);
+    for code in [0, 1, 2, 130] {
+        let stand_in = StandIn::new(&format!("printf '%s\\n' \"$@\" > words; exit {code}"));
+        let status = stand_in.script(&stages[2]).status().expect("a shell");
+        assert_eq!(status.code(), Some(code));
+        let words = stand_in.read("words");
+        let words: Vec<&str> = words.lines().collect();
+        assert_eq!(words[..3], ["--threads", "3", "run"]);
+        assert_eq!(words[words.len() - 2..], ["--only", "Curaçao north@full"], "{words:?}");
+        assert_eq!(stand_in.read("scontrol.log"), "");
+    }
+}
+
+#[test]
+fn a_task_out_of_time_is_queued_again_but_not_for_ever() {
+    let stages = of(Layout::Stages);
+    let stand_in = StandIn::new("exit 75");
+    assert_eq!(stand_in.script(&stages[2]).status().expect("a shell").code(), Some(75));
+    assert_eq!(stand_in.script(&stages[5]).status().expect("a shell").code(), Some(75));
+    assert_eq!(stand_in.read("scontrol.log"), "requeue 7_2\nrequeue 9\n");
+    let often = stand_in.script(&stages[2]).env("SLURM_RESTART_COUNT", "50").status().expect("a shell");
+    assert_eq!((often.code(), stand_in.read("scontrol.log").lines().count()), (Some(75), 2));
+}
+
+#[test]
+fn the_signal_before_the_limit_reaches_the_run_and_its_exit_code_the_scheduler() {
+    let stages = of(Layout::Stages);
+    for (signal, code) in [("USR1", 75), ("TERM", 130)] {
+        let body = format!(
+            "trap 'echo {signal} > heard; exit {code}' {signal}; echo > ready; while :; do sleep 0.02; done"
+        );
+        let stand_in = StandIn::new(&body);
+        let mut child = stand_in.script(&stages[2]).spawn().expect("a shell");
+        while stand_in.read("ready").is_empty() {
+            assert!(child.try_wait().expect("a state").is_none(), "ended before it was told to");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        let kill = Command::new("kill").args([format!("-{signal}"), child.id().to_string()]).status();
+        assert!(kill.expect("kill").success());
+        let status = child.wait().expect("ends");
+        assert_eq!((status.code(), stand_in.read("heard").trim()), (Some(code), signal));
+        assert_eq!(stand_in.read("scontrol.log"), if code == 75 { "requeue 7_2\n" } else { "" });
+    }
+}
