@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand, ValueEnum};
 
 use super::pipelines::MAX_JOBS;
-use super::shared::{CacheArgs, CalibrationArgs, Settings, count};
+use super::shared::{CacheArgs, CalibrationArgs, Replace, Settings, count};
 
 /// More photographs than a capture of synthetic views ever needs.
 const MAX_VIEWS: u64 = 10_000;
@@ -19,6 +19,29 @@ pub(crate) enum Bench {
         Interrupted, the same command goes on from there; a second call computes nothing. docs/results.md explains the table."
     )]
     Truth(BenchTruthArgs),
+    /// A graphics card in one file: limits, agreement with the processor, same bits, times.
+    #[command(
+        after_help = "Examples:\n  use3d bench gpu --out card.json\n  use3d bench gpu --out software.json --device llvmpipe --sizes 96x64 --rounds 2"
+    )]
+    Gpu(BenchGpuArgs),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct BenchGpuArgs {
+    /// The file that is written.
+    #[arg(long, value_name = "FILE.json")]
+    pub(crate) out: PathBuf,
+    /// Any part of an adapter's name, in any case; software adapters are taken only so (default: the best card).
+    #[arg(long, value_name = "NAME")]
+    pub(crate) device: Option<String>,
+    /// Sizes of views that kernels are timed at.
+    #[arg(long, value_delimiter = ',', default_value = "640x360,1280x720,1400x933", value_name = "WxH,...")]
+    pub(crate) sizes: Vec<String>,
+    /// Times that each size is run; the first one warms up and is not counted.
+    #[arg(long, default_value_t = 5, value_name = "N", value_parser = count(10_000))]
+    pub(crate) rounds: usize,
+    #[command(flatten)]
+    pub(crate) replace: Replace,
 }
 
 /// Which of the things compared are run.

@@ -12,7 +12,7 @@ mod view;
 
 use clap::{Parser, Subcommand};
 
-pub(crate) use bench::{Baselines, Bench, BenchTruthArgs};
+pub(crate) use bench::{Baselines, Bench, BenchGpuArgs, BenchTruthArgs};
 pub(crate) use captures::{Synth, SynthCaptureArgs, SynthPairsArgs, WaterArgs};
 pub(crate) use cluster::{Submit, SubmitArgs, SubmitLayout};
 pub(crate) use pictures::{CameraPath, ExportArgs, ExportFrame, ExportWhat, FrameFormat, RenderArgs};
@@ -21,7 +21,7 @@ pub(crate) use shared::{CacheArgs, CalibrationArgs, Settings};
 pub(crate) use stages::{
     CalibrateArgs, EnhanceArgs, EvaluateArgs, ImportArgs, ReconstructArgs, TableFormat, TargetsArgs,
 };
-pub(crate) use upkeep::{CompletionsArgs, GcArgs, ManArgs, ModelsArgs, ParamsArgs, VerifyArgs};
+pub(crate) use upkeep::{CompletionsArgs, DevicesArgs, GcArgs, ManArgs, ModelsArgs, ParamsArgs, VerifyArgs};
 pub(crate) use view::{ViewArgs, ViewerArgs, WatchArgs};
 
 use shared::count;
@@ -151,7 +151,7 @@ pub(crate) enum Verb {
         #[command(subcommand)]
         what: Synth,
     },
-    /// Judge the program on captures whose truth is known.
+    /// Judge the program on captures whose truth is known, and graphics cards.
     Bench {
         /// By what.
         #[command(subcommand)]
@@ -165,6 +165,9 @@ pub(crate) enum Verb {
     /// Networks trained by others: which files are looked for, found or missing, licence, where to get them.
     #[command(after_help = "Example:\n  use3d models --dir ~/use3d-models")]
     Models(ModelsArgs),
+    /// Graphics cards: which there are, what they offer, and whether they compute rightly.
+    #[command(after_help = "Example:\n  use3d devices --json")]
+    Devices(DevicesArgs),
     /// Remove what is cheapest to make again from the cache.
     #[command(after_help = "Examples:\n  use3d gc --max-bytes 50GB --dry-run\n  use3d gc --older-than 30d")]
     Gc(GcArgs),
@@ -195,6 +198,7 @@ impl Verb {
             Self::Evaluate(args) => args.json || args.format == TableFormat::Json,
             Self::Render(args) => args.json,
             Self::Models(args) => args.json,
+            Self::Devices(args) => args.json,
             Self::Gc(args) => args.json,
             Self::Verify(args) => args.json,
             Self::Params(args) => args.json,

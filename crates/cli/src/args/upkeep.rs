@@ -17,6 +17,13 @@ pub(crate) struct ModelsArgs {
 }
 
 #[derive(Debug, Args)]
+pub(crate) struct DevicesArgs {
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
 pub(crate) struct GcArgs {
     /// Keep the cache below this size, e.g. 50GB.
     #[arg(long, value_name = "SIZE")]

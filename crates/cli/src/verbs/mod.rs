@@ -1,7 +1,9 @@
 //! One file per verb, or per family of verbs.
 
 pub(crate) mod bench;
+pub(crate) mod bench_gpu;
 pub(crate) mod cache;
+pub(crate) mod devices;
 pub(crate) mod evaluate;
 pub(crate) mod export;
 pub(crate) mod film_path;

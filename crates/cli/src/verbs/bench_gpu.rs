@@ -1,0 +1,60 @@
+//! `bench gpu`: everything there is to know of a graphics card, in one file.
+
+use crate::App;
+use crate::args::BenchGpuArgs;
+use crate::error::{CliError, Done};
+
+#[cfg(feature = "gpu")]
+pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
+    use std::io::Write;
+
+    use use3d_build::machine::seconds;
+    use use3d_gpu::Gpu;
+    use use3d_gpu::bench::{BenchPlan, bench};
+
+    use crate::destination::{check_file, path_text, write_file};
+    use crate::size::parse_size;
+
+    check_file("--out", &args.out, args.replace.force, &["json"])?;
+    let sizes = args.sizes.iter().map(|text| parse_size(text)).collect::<Result<Vec<_>, _>>()?;
+    let gpu = Gpu::open(args.device.as_deref()).map_err(CliError::input)?;
+    let say = |text: &str| {
+        if !app.quiet {
+            eprintln!("{text}");
+        }
+    };
+    say(&format!("{} ({})", gpu.adapter().name, gpu.adapter().driver));
+    let plan = BenchPlan { sizes, rounds: args.rounds };
+    let record = bench(&gpu, &plan, say).map_err(CliError::failed)?;
+    write_file("--out", &args.out, |writer| {
+        serde_json::to_writer_pretty(&mut *writer, &record)?;
+        writeln!(writer)
+    })?;
+    let wrong: Vec<String> = record
+        .twins
+        .iter()
+        .filter(|twin| !twin.holds)
+        .map(|twin| format!("{}: {}", twin.case, twin.what))
+        .collect();
+    say(&format!("written to {} in {}", path_text(&args.out), seconds(record.seconds)));
+    if let Some(refusal) = record.check.refusal {
+        return Err(CliError::Failed(refusal));
+    }
+    if !wrong.is_empty() {
+        let what = wrong.join("; ");
+        return Err(CliError::Failed(format!(
+            "these differ from the processor's by more than they may: {what}"
+        )));
+    }
+    if !record.determinism.same {
+        return Err(CliError::Failed("three runs of the same work gave different bits".into()));
+    }
+    Ok(())
+}
+
+#[cfg(not(feature = "gpu"))]
+pub(crate) fn gpu(_: &App, _: &BenchGpuArgs) -> Done {
+    Err(CliError::Input(
+        "this program was built without engines for graphics cards (cargo feature `gpu`)".into(),
+    ))
+}

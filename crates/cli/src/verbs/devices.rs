@@ -1,0 +1,74 @@
+//! Graphics cards: which adapters there are, what they offer, and whether they compute as the processor does.
+
+use crate::args::DevicesArgs;
+#[cfg(not(feature = "gpu"))]
+use crate::error::CliError;
+use crate::error::Done;
+
+#[cfg(feature = "gpu")]
+pub(crate) fn run(args: &DevicesArgs) -> Done {
+    use serde_json::json;
+    use use3d_build::machine::bytes;
+    use use3d_gpu::{AdapterReport, DeviceError, checked_adapters};
+
+    let all = checked_adapters();
+    if args.json {
+        let adapters: Vec<_> = all
+            .iter()
+            .map(|(report, said)| {
+                let AdapterReport {
+                    name,
+                    kind,
+                    backend,
+                    driver,
+                    binding,
+                    buffer,
+                    workgroup,
+                    buffers,
+                    subgroup,
+                    ..
+                } = report;
+                json!({
+                    "name": name, "kind": kind, "backend": backend, "driver": driver,
+                    "largest_binding_bytes": binding, "largest_buffer_bytes": buffer,
+                    "workgroup_memory_bytes": workgroup, "buffers_per_kernel": buffers,
+                    "subgroup_threads": subgroup,
+                    "passed": said.is_ok(), "refusal": said.as_ref().err().map(ToString::to_string),
+                })
+            })
+            .collect();
+        return crate::verbs::run::json(&json!({ "adapters": adapters }));
+    }
+    if all.is_empty() {
+        println!("{}", DeviceError::None);
+        return Ok(());
+    }
+    for (report, said) in &all {
+        let AdapterReport { name, kind, backend, driver, binding, buffer, workgroup, buffers, .. } = report;
+        let mark = if said.is_ok() { "passed " } else { "refused" };
+        println!("{mark}  {name} ({kind}, {backend})");
+        println!("         driver: {driver}");
+        println!(
+            "         largest binding {}, largest buffer {}, workgroup memory {}, {buffers} buffers per kernel",
+            bytes(*binding),
+            bytes(*buffer),
+            bytes((*workgroup).into())
+        );
+        match said {
+            Err(refusal) => println!("         {refusal}\n"),
+            Ok(()) if report.is_software() => println!(
+                "         its kernels agree with the processor's functions; as software it is taken only by name: --engine gpu:{}\n",
+                name.split_whitespace().next().unwrap_or("NAME")
+            ),
+            Ok(()) => println!("         its kernels agree with the processor's functions\n"),
+        }
+    }
+    Ok(())
+}
+
+#[cfg(not(feature = "gpu"))]
+pub(crate) fn run(_: &DevicesArgs) -> Done {
+    Err(CliError::Input(
+        "this program was built without engines for graphics cards (cargo feature `gpu`)".into(),
+    ))
+}
