@@ -154,8 +154,7 @@ fn many_steps_on_its_own_go_where_the_processors_go_and_runs_change_engines() {
     let (a, b) = (run(&mut ours, 0..200), run(&mut cpu, 0..200));
     assert_eq!((a.len(), b.len()), (200, 200));
     let (first, last, cpu_last) = (mean(&a[..20]), mean(&a[180..]), mean(&b[180..]));
-    println!("loss {first} to {last}, on the processor to {cpu_last}");
-    assert!(last < 0.8 * first && (last - cpu_last).abs() < 1e-2 * cpu_last, "{first} {last} {cpu_last}");
+    assert!(last < 0.9 * first && (last - cpu_last).abs() < 1e-3 * cpu_last, "{first} {last} {cpu_last}");
     // From the card to the processor and back.
     let (ours_state, cpu_state) = (ours.save().unwrap().into_owned(), cpu.save().unwrap().into_owned());
     cpu.load(ours_state).unwrap();
