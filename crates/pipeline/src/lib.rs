@@ -8,6 +8,7 @@
 pub mod bench;
 pub mod code;
 pub mod config;
+mod engines;
 pub mod judge;
 pub mod results;
 pub mod scene_page;

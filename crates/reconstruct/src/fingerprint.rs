@@ -1,6 +1,7 @@
 //! Whether a checkpoint belongs to this run: a digest of parameters, cameras, points and pixels.
 
 use use3d_capture::Capture;
+use use3d_training::EngineChoice;
 
 use crate::bounds::most_gaussians;
 use crate::load::Views;
@@ -15,12 +16,14 @@ pub(crate) fn fingerprint(
     views: &Views,
 ) -> [u8; 32] {
     let mut hasher = blake3::Hasher::new();
-    // How often checkpoints are written changes nothing, nor does the length beyond the schedules; the cap counts as what it comes to.
+    // How often checkpoints are written changes nothing, nor does the length beyond the schedules; the cap counts as what it comes to. A run
+    // begun on one engine may go on with another.
     let params = ReconstructParams {
         iterations: params.course(),
         max_gaussians: most_gaussians(capture, params),
         checkpoint_steps: 1,
         checkpoint_minutes: 1.0,
+        engine: EngineChoice::Cpu,
         ..params.clone()
     };
     hasher.update(format!("{params:?}").as_bytes());

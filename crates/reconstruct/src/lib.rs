@@ -36,6 +36,7 @@ pub use profile::{StepPart, Stretch, growth};
 pub use report::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
 pub use run::{Outcome, reconstruct, reconstruct_in};
 pub use use3d_medium::MediumKind as Medium;
+pub use use3d_training::EngineChoice;
 pub use views::{Dropped, LoadedView, Target, TrainingView, ViewLoader};
 
 #[cfg(test)]

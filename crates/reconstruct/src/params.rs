@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use use3d_medium::{MediumKind, MediumStart};
 use use3d_numerics::math;
 use use3d_numerics::range::{OutOfRange, at_least, not_negative, positive, within};
+use use3d_training::EngineChoice;
 
 /// The largest divisor of the image pyramid.
 pub(crate) const MOST_DIVISOR: usize = 1024;
@@ -254,6 +255,10 @@ pub struct ReconstructParams {
     pub checkpoint_steps: u64,
     /// Most minutes between checkpoints.
     pub checkpoint_minutes: f64,
+    /// What computes: `cpu`, `gpu` (the best graphics card), `gpu:NAME` (any part of an adapter's name), or `auto`: a graphics card that
+    /// passes its check and can do what is asked, else the processor. Results of different devices are kept apart.
+    #[schemars(with = "String")]
+    pub engine: EngineChoice,
 }
 
 impl Default for ReconstructParams {
@@ -287,6 +292,7 @@ impl Default for ReconstructParams {
             log_every: 100,
             checkpoint_steps: 1000,
             checkpoint_minutes: 3.0,
+            engine: EngineChoice::Cpu,
         }
     }
 }

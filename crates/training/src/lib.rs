@@ -9,6 +9,7 @@
 
 mod chain;
 pub mod checkpoint;
+mod choice;
 mod engine;
 pub mod guard;
 mod observer;
@@ -21,6 +22,7 @@ mod testing;
 
 pub use chain::{Checkpoints, Found, Resumable};
 pub use checkpoint::{CheckpointError, CheckpointFile};
+pub use choice::{EngineChoice, UnknownEngine};
 pub use engine::{Drain, EngineError};
 pub use guard::NonFinite;
 pub use observer::{Observer, Progress, Silent, StopFlag, View};

@@ -5,13 +5,25 @@ use std::time::Duration;
 
 use clap::Args;
 use clap::builder::{RangedU64ValueParser, TypedValueParser};
+use use3d_reconstruct::EngineChoice;
 
 /// `--set` of a whole pipeline.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct Settings {
+    /// What trains stage 1: auto, cpu, gpu or gpu:NAME (`use3d devices` lists them; default: the pipeline's, or cpu).
+    #[arg(long, value_name = "ENGINE")]
+    pub(crate) engine: Option<EngineChoice>,
     /// Set a parameter of a stage, e.g. `reconstruct.iterations=3000`; may be repeated. `use3d params` lists them.
     #[arg(long = "set", value_name = "STAGE.PARAMETER=VALUE")]
     pub(crate) set: Vec<String>,
+}
+
+impl Settings {
+    /// All settings as `--set` has them; the engine is a parameter like any other.
+    pub(crate) fn sets(&self) -> Vec<String> {
+        let engine = self.engine.iter().map(|engine| format!("reconstruct.engine={engine}"));
+        self.set.iter().cloned().chain(engine).collect()
+    }
 }
 
 /// `--set` of one stage.

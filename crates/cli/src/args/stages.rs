@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use use3d_reconstruct::EngineChoice;
 
 use super::shared::{Replace, StageSettings};
 use super::view::WatchArgs;
@@ -33,6 +34,9 @@ pub(crate) struct ReconstructArgs {
     /// Print where a step's time goes: milliseconds and share of each part. Never stored.
     #[arg(long)]
     pub(crate) profile: bool,
+    /// What trains: auto, cpu, gpu or gpu:NAME (`use3d devices` lists them).
+    #[arg(long, value_name = "ENGINE")]
+    pub(crate) engine: Option<EngineChoice>,
     #[command(flatten)]
     pub(crate) watch: WatchArgs,
     #[command(flatten)]

@@ -116,7 +116,7 @@ impl<'a> Bench<'a> {
             size: parse_size(&args.size)?,
             iterations: args.iterations as u64,
             baselines: args.baselines == Baselines::All,
-            sets: args.settings.set.clone(),
+            sets: args.settings.sets(),
             learnt_from: match (args.calibration.pairs(), &args.calibration.calibrator) {
                 (Some(_), _) => LearntFrom::Pairs,
                 (None, Some(_)) => LearntFrom::Calibrator,

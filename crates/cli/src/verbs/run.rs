@@ -40,7 +40,7 @@ pub(crate) fn open(
 ) -> Result<Loaded, CliError> {
     let registry = stages()?;
     let options = LoadOptions {
-        sets: settings.set.clone(),
+        sets: settings.sets(),
         cache: cache.cache.clone(),
         models: cache.models.clone(),
         scenes: scenes.to_vec(),
@@ -273,7 +273,7 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     let capture = args.out.join("captures").join(SCENE);
     let mut sets =
         vec![format!("reconstruct.iterations={iterations}"), format!("enhance.iterations={steps}")];
-    sets.extend(args.settings.set.iter().cloned());
+    sets.extend(args.settings.sets());
     // Settings and the places of all results are checked before anything is rendered: the pipeline of an empty folder of the capture's
     // name knows the same ones.
     let probe = scratch()?;
@@ -282,7 +282,7 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     let probed = open(
         &empty,
         &[],
-        &Settings { set: sets.clone() },
+        &Settings { set: sets.clone(), engine: None },
         &CalibrationArgs::default(),
         &CacheArgs { cache: Some(probe.path().join("cache")), ..args.cache.clone() },
     )?;
@@ -292,7 +292,8 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     keep_capture(app, &params, &capture)?;
     let mut cache = args.cache.clone();
     cache.cache.get_or_insert_with(|| args.out.join("cache"));
-    let loaded = open(&capture, &[], &Settings { set: sets }, &CalibrationArgs::default(), &cache)?;
+    let loaded =
+        open(&capture, &[], &Settings { set: sets, engine: None }, &CalibrationArgs::default(), &cache)?;
     results::check(&loaded.graph, None, &args.out)?;
     execute(app, &loaded, &of_app(app), Some(&args.out), false)?;
     if !app.quiet {

@@ -269,7 +269,9 @@ pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
     let mut names = vec!["reconstruct", "import", "propose"];
     // Absent where the program was built without networks.
     names.extend(registry.stage("depth").ok().map(|_| "depth"));
-    let parameters = parameters(&registry, &names, &args.settings.set)?;
+    let mut sets = args.settings.set.clone();
+    sets.extend(args.engine.iter().map(|engine| format!("engine={engine}")));
+    let parameters = parameters(&registry, &names, &sets)?;
     let scratch = scratch()?;
     let import = imported(app, &registry, &args.capture, &parameters[1], scratch.path())?;
     let mut inputs = vec![("import", import.clone())];

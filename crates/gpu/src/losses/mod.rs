@@ -25,7 +25,7 @@ use crate::kernel::{Access, Binding, Constant, Grid, Kernel, Spec, bound};
 use shape::{HALVING, Halving, LEVEL, LEVELS, Level, Shape, View};
 
 /// The values there are kernels for, in the order of the table of terms.
-pub const VALUES: [&str; 3] = ["reg_l1", "reg_ms_ssim", "depth_loss"];
+pub(crate) const VALUES: [&str; 3] = ["reg_l1", "reg_ms_ssim", "depth_loss"];
 
 /// Floats of a step's report that the losses write: total, the three [`VALUES`], mean squared error, pixels that count.
 pub(crate) const TOLD: usize = 6;

@@ -6,7 +6,6 @@ use use3d_capture::{Capture, View};
 use use3d_import::{load_depth_prior, load_mask, load_pixels};
 use use3d_io_image::write_png;
 use use3d_metrics::Score;
-use use3d_reconstruct::engine::CpuEngine;
 use use3d_reconstruct::{
     DepthPrior, Evaluation, Exposure, Images, Known, LoadedView, Medium, MediumPrior, ReconstructError,
     ReconstructParams, growth, memory_need, reconstruct_in,
@@ -20,6 +19,7 @@ use super::contact::sheet;
 use super::names::{CONTACT, EVALUATION};
 use super::proposals;
 use super::watch::Watch;
+use crate::engines;
 use crate::water::{WaterReport, found_water, from_tracks, lamps, no_water};
 
 /// What the capture's tracks told of its water.
@@ -47,13 +47,15 @@ pub(super) fn stage() -> Stage {
         .about("stage 1: reconstruct the scene with its water")
         .made_of(&[], &["src/stages/reconstruct.rs"])
         .check(|p: &ReconstructParams| p.validate().map_err(out_of_range))
+        .check(engines::check)
+        .computes_on(engines::class)
         .input("import", "import")
         .optional_input("proposals", "propose");
     let stage = if cfg!(feature = "nets") { stage.optional_input("depth", "depth") } else { stage };
     stage
         .seeded()
         .resumable(&["iterations"])
-        .without_effect(&["checkpoint_steps", "checkpoint_minutes"])
+        .without_effect(&["checkpoint_steps", "checkpoint_minutes", "engine"])
         .agrees_across_classes(&FIGURES)
         .cost(0, 4 << 30)
 }
@@ -169,8 +171,11 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     let watch = &mut Watch::new(context);
     let outcome = {
         // It goes with this block: what is drawn and written below needs no moments, views or buffers beside it.
-        let engine = &mut CpuEngine::new();
-        reconstruct_in(&capture, &known, &load, &params, engine, context.checkpoints(), watch)
+        let (mut engine, chosen) = engines::stage1(&params).map_err(StageError::failed)?;
+        if let Some(chosen) = chosen {
+            context.say(chosen);
+        }
+        reconstruct_in(&capture, &known, &load, &params, engine.as_mut(), context.checkpoints(), watch)
     };
     let outcome = match outcome {
         Ok(outcome) => outcome,

@@ -121,7 +121,7 @@ fn followed(args: &ViewArgs, target: &Path) -> Result<Followed, CliError> {
     if Scene::is_scene(target) || beside.is_dir() || !target.exists() {
         return Ok(Followed::Scene { folder: target.to_path_buf(), checkpoints: beside });
     }
-    let settings = Settings { set: args.set.clone() };
+    let settings = Settings { set: args.set.clone(), engine: None };
     let loaded = open(target, &[], &settings, &CalibrationArgs::default(), &args.cache)?;
     let plan = loaded.engine.plan(&loaded.graph, None);
     let mut scenes =

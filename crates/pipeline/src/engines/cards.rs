@@ -1,0 +1,50 @@
+//! Cards that were opened, each checked once.
+
+use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
+
+use use3d_build::{DeviceClass, Digest};
+use use3d_gpu::{Gpu, Stage1, kernel_sources, open_checked};
+use use3d_reconstruct::engine::Engine;
+use use3d_training::EngineError;
+
+use crate::code;
+
+/// An open card that passed its check.
+#[derive(Clone)]
+pub(super) struct Card(Gpu);
+
+/// The card whose name contains `name`, without a name the best that is no software; why there is none.
+pub(super) fn open(name: Option<&str>) -> Result<Card, String> {
+    static OPENED: Mutex<BTreeMap<Option<String>, Result<Gpu, String>>> = Mutex::new(BTreeMap::new());
+    let mut opened = OPENED.lock().unwrap_or_else(PoisonError::into_inner);
+    let found = opened
+        .entry(name.map(str::to_lowercase))
+        .or_insert_with(|| open_checked(name).map_err(|error| error.to_string()));
+    found.clone().map(Card)
+}
+
+impl Card {
+    /// What results depend on: the adapter, its driver, and the code of the crate with its kernels and all below it.
+    pub(super) fn class(&self) -> DeviceClass {
+        let adapter = self.0.adapter();
+        let host = code::built_in().stage(&["use3d-gpu"], &[]).map(|code| code.digest().to_string());
+        let kernels = kernel_sources().join("\n") + &host.unwrap_or_default();
+        DeviceClass {
+            engine: "gpu".into(),
+            adapter: adapter.name.clone(),
+            driver: format!("{} ({})", adapter.driver, adapter.backend),
+            kernels: Digest::of(kernels.as_bytes()),
+        }
+    }
+
+    /// The adapter's name.
+    pub(super) fn name(&self) -> String {
+        self.0.adapter().name.clone()
+    }
+
+    /// The engine of stage 1 on it.
+    pub(super) fn stage1(&self) -> Result<Box<dyn Engine>, EngineError> {
+        Ok(Box::new(Stage1::new(&self.0)?))
+    }
+}
