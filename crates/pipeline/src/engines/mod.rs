@@ -42,10 +42,19 @@ mod cards {
 
 use cards::{Card, open};
 
+/// Whether cards have kernels for a water: one made of spherical harmonics, or none.
+fn on_cards(medium: Medium) -> bool {
+    medium == Medium::None || medium.starts_from_harmonics()
+}
+
 /// Why no card can do such a training.
 fn beyond_cards(params: &ReconstructParams) -> Option<String> {
-    (params.medium == Medium::Mlp).then(|| {
-        "cpu for the water `mlp`, which is a network and runs on the processor alone (rbf, global and none run on graphics cards, too)".into()
+    (!on_cards(params.medium)).then(|| {
+        format!(
+            "cpu for the water `{}`, which runs on the processor alone; of {} graphics cards have kernels",
+            params.medium.name(),
+            Medium::names(on_cards)
+        )
     })
 }
 
