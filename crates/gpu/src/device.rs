@@ -110,7 +110,7 @@ impl AdapterReport {
             kind,
             backend: info.backend.to_string(),
             driver: format!("{} {}", info.driver, info.driver_info).trim().to_string(),
-            binding: limits.max_storage_buffer_binding_size.into(),
+            binding: limits.max_storage_buffer_binding_size,
             buffer: limits.max_buffer_size,
             workgroup: limits.max_compute_workgroup_storage_size,
             buffers: limits.max_storage_buffers_per_shader_stage,

@@ -42,8 +42,6 @@ pub(crate) type Binding = (Access, &'static str, &'static str);
 pub(crate) enum Constant {
     /// A whole number.
     Count(u32),
-    /// A float, written with all its digits.
-    Number(f32),
     /// A switch.
     Switch(bool),
 }
@@ -72,7 +70,6 @@ impl Spec {
         for (name, value) in &self.constants {
             let _ = match value {
                 Constant::Count(v) => writeln!(text, "const {name}: u32 = {v}u;"),
-                Constant::Number(v) => writeln!(text, "const {name}: f32 = {v:e}f;"),
                 Constant::Switch(v) => writeln!(text, "const {name}: bool = {v};"),
             };
         }
@@ -216,11 +213,6 @@ impl Kernel {
             bindings: Mutex::default(),
             threads: spec.threads,
         })
-    }
-
-    /// Its name.
-    pub(crate) fn name(&self) -> &'static str {
-        self.name
     }
 
     /// A grid of so many items.

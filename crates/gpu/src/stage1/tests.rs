@@ -6,6 +6,7 @@ use std::process::Command;
 
 use use3d_capture::{FileName, Map, Pixels, Raster, View};
 use use3d_medium::{MediumKind, MediumModel, MediumStart};
+use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_reconstruct::engine::{CpuEngine, StepRates};
 use use3d_reconstruct::{ExposureStep, LoadedView};
@@ -38,7 +39,7 @@ fn views() -> Vec<TrainingView> {
             let pixel = |k: usize| {
                 let (x, y) = ((k % width) as f64, (k / width % height) as f64);
                 110.0
-                    + 60.0 * (0.2 * x + f64::from(i)).sin() * (0.15 * y).cos()
+                    + 60.0 * math::sin(0.2 * x + f64::from(i)) * math::cos(0.15 * y)
                     + 8.0 * stream.uniform((k as u64) << 3)
             };
             let data = (0..3 * width * height).map(|k| pixel(k) as u8).collect();
