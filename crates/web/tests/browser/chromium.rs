@@ -46,7 +46,10 @@ impl Chromium {
             return None;
         };
         let profile = tempfile::tempdir().expect("a folder");
+        // Chromium brings its own software card; one that was chosen for other programs draws a little differently.
         let mut child = Command::new("sh")
+            .env_remove("VK_DRIVER_FILES")
+            .env_remove("VK_ICD_FILENAMES")
             .args(["-c", "exec \"$0\" \"$@\" 3<&0 4>&1 </dev/null >/dev/null", &program])
             .args(["--headless=new", "--remote-debugging-pipe", "--no-sandbox", "--disable-gpu-watchdog"])
             // Software drawing, the same on every machine; the network is off, but for this machine.
