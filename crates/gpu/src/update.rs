@@ -3,7 +3,6 @@
 
 use bytemuck::{Pod, Zeroable};
 use use3d_numerics::adam::Adam;
-use use3d_numerics::math;
 use use3d_reconstruct::engine::StepRates;
 use use3d_training::EngineError;
 
@@ -168,21 +167,13 @@ impl UpdateKernels {
     }
 }
 
-/// The corrections of step `step` (from 1): the first moment's `1 − β₁ᵗ` and the second's `1 / √(1 − β₂ᵗ)`.
-fn corrections(step: u64) -> (f64, f32) {
-    let Adam { beta1, beta2, .. } = Adam::SPLATTING;
-    let exponent = i32::try_from(step).unwrap_or(i32::MAX);
-    let (c1, c2) = (1.0 - math::powi(beta1, exponent), 1.0 - math::powi(beta2, exponent));
-    (c1, (1.0 / c2.sqrt()) as f32)
-}
-
 impl Frame {
     /// Sets Adam's scalars for step `step` (from 0).
     pub(crate) fn set_rates(&mut self, step: u64, rates: &StepRates) {
         let Adam { beta1, beta2, epsilon, .. } = Adam::SPLATTING;
-        let (c1, root) = corrections(step + 1);
-        let size = |rate: f64| (rate / c1) as f32;
-        self.adam = [beta1 as f32, beta2 as f32, root, epsilon as f32];
+        let scalars = |rate| Adam::SPLATTING.scalars(step + 1, rate);
+        let size = |rate| scalars(rate).step_size();
+        self.adam = [beta1 as f32, beta2 as f32, scalars(0.0).root(), epsilon as f32];
         self.rates = [rates.means, rates.scales, rates.quaternions, rates.opacity].map(size);
         self.color_rates = [size(rates.sh_constant), size(rates.sh_directional), 0.0, 0.0];
     }

@@ -81,6 +81,16 @@ pub struct AdamScalars {
 }
 
 impl AdamScalars {
+    /// The learning rate over the first moment's correction, `lr / (1-β₁ᵗ)`, for whoever updates elsewhere than in [`AdamScalars::apply`].
+    pub fn step_size(&self) -> f32 {
+        self.step_size
+    }
+
+    /// One over the root of the second moment's correction, `1 / √(1-β₂ᵗ)`.
+    pub fn root(&self) -> f32 {
+        self.root
+    }
+
     /// The updated parameter; moments are updated in place.
     #[inline(always)]
     pub fn apply(&self, parameter: f32, gradient: f32, m: &mut f32, v: &mut f32) -> f32 {
@@ -119,6 +129,15 @@ mod tests {
             rp -= 0.01 * mh / (vh.sqrt() + adam.epsilon);
         }
         assert!((f64::from(p[0]) - rp).abs() < 1e-5, "{} against {rp}", p[0]);
+    }
+
+    #[test]
+    fn scalars_are_the_corrections_of_their_step() {
+        for step in [1u64, 7, 15_000] {
+            let scalars = Adam::SPLATTING.scalars(step, 2e-3);
+            let (c1, c2) = (1.0 - math::powi(0.9f64, step as i32), 1.0 - math::powi(0.999f64, step as i32));
+            assert_eq!((scalars.step_size(), scalars.root()), ((2e-3 / c1) as f32, (1.0 / c2.sqrt()) as f32));
+        }
     }
 
     #[test]

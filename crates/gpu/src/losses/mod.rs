@@ -14,7 +14,6 @@ mod shape;
 mod tests;
 
 use use3d_numerics::adam::Adam;
-use use3d_numerics::math;
 use use3d_reconstruct::{ExposureStep, Exposures};
 use use3d_training::EngineError;
 
@@ -468,13 +467,10 @@ impl Losses {
             let count = &mut gains.steps[row];
             has |= WITH_GAINS;
             *count += 1;
-            let adam = Adam::SPLATTING;
-            let exponent = i32::try_from(*count).unwrap_or(i32::MAX);
+            let adam = Adam::SPLATTING.scalars(*count, step.rate);
             view.row = row as u32;
             view.views = gains.steps.len() as u32;
-            let step_size = step.rate / (1.0 - math::powi(adam.beta1, exponent));
-            let root = 1.0 / (1.0 - math::powi(adam.beta2, exponent)).sqrt();
-            view.gains = [step_size as f32, root as f32, step.weight as f32, 0.0];
+            view.gains = [adam.step_size(), adam.root(), step.weight as f32, 0.0];
         }
         view.has = has;
         let count = 3.0 * (shape.width * shape.height) as f64;

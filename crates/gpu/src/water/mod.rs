@@ -17,7 +17,6 @@ use bytemuck::{Pod, Zeroable};
 use use3d_capture::Camera;
 use use3d_medium::{MediumModel, Role};
 use use3d_numerics::adam::Adam;
-use use3d_numerics::math;
 use use3d_numerics::spherical_harmonics::bands;
 use use3d_training::EngineError;
 
@@ -256,10 +255,7 @@ impl Water {
             let r = to_world.row(axis);
             [r.x as f32, r.y as f32, r.z as f32, here[axis] as f32]
         };
-        let adam = Adam::SPLATTING;
-        let exponent = i32::try_from(step + 1).unwrap_or(i32::MAX);
-        let size = |rate: f64| (rate / (1.0 - math::powi(adam.beta1, exponent))) as f32;
-        let root = (1.0 / (1.0 - math::powi(adam.beta2, exponent)).sqrt()) as f32;
+        let [constant, directional] = rates.map(|rate| Adam::SPLATTING.scalars(step + 1, rate));
         self.constants = Uniform {
             width: k.width as u32,
             height: k.height as u32,
@@ -271,7 +267,7 @@ impl Water {
             parameters: self.model.parameter_count() as u32,
             to_world: [row(0), row(1), row(2)],
             lens: [(1.0 / k.fx) as f32, (1.0 / k.fy) as f32, k.cx as f32, k.cy as f32],
-            adam: [size(rates[0]), size(rates[1]), root, 0.0],
+            adam: [constant.step_size(), directional.step_size(), constant.root(), 0.0],
         };
         self.uniform.write(gpu, 0, &[self.constants]);
         Ok(())
