@@ -94,6 +94,9 @@ fn group_of(wid: vec3<u32>, nwg: vec3<u32>) -> u32 { return wid.y * nwg.x + wid.
 fn is_bad(x: f32) -> bool { return (bitcast<u32>(x) & 0x7f800000u) == 0x7f800000u; }
 ";
 
+/// `sum_of_group(value, lane)`: a sum over the workgroup in a fixed order.
+pub(crate) const SUM: &str = include_str!("sum.wgsl");
+
 /// Workgroups of a dispatch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Grid {

@@ -1,18 +1,10 @@
 // The correlation, the loss, and what every pixel's slope is made of. One workgroup.
 
-fn total_of(quantity: u32, lane: u32) -> f32 {
-    var own = 0.0;
-    for (var group = lane; group < view.groups; group = group + 256u) {
-        own = own + sums[quantity * view.groups + group];
-    }
-    return sum_of_group(own, lane);
-}
-
 @compute @workgroup_size(WG)
 fn main(@builtin(local_invocation_index) lane: u32) {
-    let dd = total_of(0u, lane);
-    let pp = total_of(1u, lane);
-    let dp = total_of(2u, lane);
+    let dd = total_of(0u, view.groups, lane);
+    let pp = total_of(view.groups, view.groups, lane);
+    let dp = total_of(2u * view.groups, view.groups, lane);
     if (lane == 0u) {
         let n = told[0];
         var own = 0.0;

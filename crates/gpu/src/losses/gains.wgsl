@@ -11,11 +11,7 @@ fn main(@builtin(local_invocation_index) lane: u32) {
     let going = atomicLoad(&counts[STOP]) == 0u;
     let all = 3u * view.views;
     for (var channel = 0u; channel < 3u; channel = channel + 1u) {
-        var own = 0.0;
-        for (var group = lane; group < view.groups; group = group + 256u) {
-            own = own + sums[run_of(3u) + channel * view.groups + group];
-        }
-        let pulled = sum_of_group(own, lane);
+        let pulled = total_of(run_of(3u) + channel * view.groups, view.groups, lane);
         let at = 3u * view.row + channel;
         if (lane == 0u && going) {
             let g = pulled + view.gains.z * gains[at];

@@ -20,7 +20,7 @@ use use3d_training::EngineError;
 use crate::buffer::Array;
 use crate::device::{Gpu, NAME};
 use crate::frame::counts;
-use crate::kernel::{Access, Binding, Constant, Grid, Kernel, Spec, bound};
+use crate::kernel::{Access, Binding, Constant, Grid, Kernel, SUM, Spec, bound};
 use shape::{HALVING, Halving, LEVEL, LEVELS, Level, Shape, View};
 
 /// The values there are kernels for, in the order of the table of terms.
@@ -198,7 +198,7 @@ const fn write(name: &'static str) -> Binding {
 const COUNTS: Binding = (Access::Write, "counts", "array<atomic<u32>>");
 
 fn spec(name: &'static str, bindings: &[Binding], parts: &[&'static str]) -> Spec {
-    let mut all = vec![include_str!("shared.wgsl")];
+    let mut all = vec![SUM, include_str!("shared.wgsl")];
     all.extend(parts);
     let constants = vec![
         ("STOP", Constant::Count(counts::STOP as u32)),
@@ -216,11 +216,15 @@ pub(crate) fn specs() -> [Spec; 14] {
     const STRUCTS: &str = include_str!("structs.wgsl");
     const LEVEL_TEXT: &str = include_str!("level.wgsl");
     const DEPTH: &str = include_str!("depth.wgsl");
+    const GAIN: &str = include_str!("gain.wgsl");
+    const MASK: &str = include_str!("mask.wgsl");
+    const TOTAL_OF: &str = include_str!("total_of.wgsl");
+    const WRITE_SUMS: &str = include_str!("write_sums.wgsl");
     [
         spec(
             "over_water",
             &[VIEW, read("alpha"), read("water"), read("gains"), write("photograph")],
-            &[include_str!("over_water.wgsl")],
+            &[GAIN, include_str!("over_water.wgsl")],
         ),
         spec(
             "weigh",
@@ -234,7 +238,7 @@ pub(crate) fn specs() -> [Spec; 14] {
                 write("weighed_target"),
                 write("sums"),
             ],
-            &[include_str!("weigh.wgsl")],
+            &[GAIN, MASK, include_str!("weigh.wgsl")],
         ),
         spec(
             "pool",
@@ -257,8 +261,8 @@ pub(crate) fn specs() -> [Spec; 14] {
         ),
         spec(
             "weigh_levels",
-            &[VIEW, read("level_sums"), write("factors")],
-            &[include_str!("weigh_levels.wgsl")],
+            &[VIEW, read("sums"), write("factors")],
+            &[TOTAL_OF, include_str!("weigh_levels.wgsl")],
         ),
         spec(
             "blur_back",
@@ -288,27 +292,27 @@ pub(crate) fn specs() -> [Spec; 14] {
                 write("sums"),
                 write("gradient"),
             ],
-            &[include_str!("pull.wgsl")],
+            &[GAIN, MASK, include_str!("pull.wgsl")],
         ),
         spec(
             "depth_means",
             &[VIEW, read("depth"), read("prior"), write("sums")],
-            &[DEPTH, include_str!("depth_means.wgsl")],
+            &[DEPTH, WRITE_SUMS, include_str!("depth_means.wgsl")],
         ),
         spec(
             "depth_take_means",
             &[VIEW, read("sums"), write("told")],
-            &[DEPTH, include_str!("depth_take_means.wgsl")],
+            &[DEPTH, TOTAL_OF, include_str!("depth_take_means.wgsl")],
         ),
         spec(
             "depth_deviations",
             &[VIEW, read("depth"), read("prior"), read("told"), write("sums")],
-            &[DEPTH, include_str!("depth_deviations.wgsl")],
+            &[DEPTH, WRITE_SUMS, include_str!("depth_deviations.wgsl")],
         ),
         spec(
             "depth_correlate",
             &[VIEW, read("sums"), write("told")],
-            &[DEPTH, include_str!("depth_correlate.wgsl")],
+            &[DEPTH, TOTAL_OF, include_str!("depth_correlate.wgsl")],
         ),
         spec(
             "depth_slopes",
@@ -318,9 +322,13 @@ pub(crate) fn specs() -> [Spec; 14] {
         spec(
             "tell",
             &[VIEW, read("sums"), read("factors"), read("depth_told"), write("told"), COUNTS],
-            &[include_str!("tell.wgsl")],
+            &[TOTAL_OF, include_str!("tell.wgsl")],
         ),
-        spec("gains", &[VIEW, read("sums"), write("gains"), COUNTS], &[include_str!("gains.wgsl")]),
+        spec(
+            "gains",
+            &[VIEW, read("sums"), write("gains"), COUNTS],
+            &[TOTAL_OF, include_str!("gains.wgsl")],
+        ),
     ]
 }
 

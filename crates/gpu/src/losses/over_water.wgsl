@@ -11,10 +11,7 @@ fn main(
     if (channel >= 3u) {
         return;
     }
-    var gain = 1.0;
-    if ((view.has & HAS_GAINS) != 0u) {
-        gain = exp(gains[3u * view.row + channel]);
-    }
+    let gain = gain_of(channel);
     for (var k = 0u; k < SPAN; k = k + 256u) {
         let pixel = place.group * SPAN + k + lane;
         if (pixel < view.pixels) {

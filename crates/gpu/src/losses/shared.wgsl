@@ -1,4 +1,4 @@
-// What all kernels of the losses share: the view's constants, and a sum over a workgroup in a fixed order.
+// What all kernels of the losses share: the view's constants.
 
 struct View {
     width: u32,
@@ -41,22 +41,6 @@ const HAS_PRIOR: u32 = 4u;
 const HAS_WATER: u32 = 8u;
 // Elements of a plane that one workgroup owns.
 const SPAN: u32 = 1024u;
-
-var<workgroup> cells: array<f32, 256>;
-
-fn sum_of_group(value: f32, lane: u32) -> f32 {
-    cells[lane] = value;
-    workgroupBarrier();
-    for (var reach = 128u; reach > 0u; reach = reach >> 1u) {
-        if (lane < reach) {
-            cells[lane] = cells[lane] + cells[lane + reach];
-        }
-        workgroupBarrier();
-    }
-    let total = cells[0];
-    workgroupBarrier();
-    return total;
-}
 
 // Which of a plane's workgroups this is, and the channel; past the last channel there is nothing to do.
 struct Place {

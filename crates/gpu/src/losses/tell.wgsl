@@ -1,23 +1,20 @@
 // What is told of a view, one workgroup: the loss, its values reg_l1, reg_ms_ssim and depth_loss, the squared error and the pixels that count. A
 // loss that is not finite stops the run before anything is updated.
 
-fn total_of(quantity: u32, lane: u32) -> f32 {
+// Of all channels.
+fn total_over(quantity: u32, lane: u32) -> f32 {
     var total = 0.0;
     for (var channel = 0u; channel < 3u; channel = channel + 1u) {
-        var own = 0.0;
-        for (var group = lane; group < view.groups; group = group + 256u) {
-            own = own + sums[(3u * quantity + channel) * view.groups + group];
-        }
-        total = total + sum_of_group(own, lane);
+        total = total + total_of(run_of(quantity) + channel * view.groups, view.groups, lane);
     }
     return total;
 }
 
 @compute @workgroup_size(WG)
 fn main(@builtin(local_invocation_index) lane: u32) {
-    let absolute = total_of(0u, lane);
-    let squared = total_of(1u, lane);
-    let counted = total_of(2u, lane);
+    let absolute = total_over(0u, lane);
+    let squared = total_over(1u, lane);
+    let counted = total_over(2u, lane);
     if (lane == 0u) {
         let at = 16u * view.report;
         let reg_l1 = absolute / (3.0 * f32(view.pixels));

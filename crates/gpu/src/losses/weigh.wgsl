@@ -2,20 +2,6 @@
 
 const EPSILON: f32 = 1e-3;
 
-fn gain_of(channel: u32) -> f32 {
-    if ((view.has & HAS_GAINS) != 0u) {
-        return exp(gains[3u * view.row + channel]);
-    }
-    return 1.0;
-}
-
-fn mask_at(pixel: u32) -> f32 {
-    if ((view.has & HAS_MASK) != 0u) {
-        return mask[pixel];
-    }
-    return 1.0;
-}
-
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,

@@ -8,11 +8,7 @@ fn main(@builtin(local_invocation_index) lane: u32) {
     for (var plane = 0u; plane < 3u * view.levels; plane = plane + 1u) {
         let level = plane / 3u;
         let first = view.level_first[level] + (plane % 3u) * view.level_groups[level];
-        var own = 0.0;
-        for (var group = lane; group < view.level_groups[level]; group = group + 256u) {
-            own = own + level_sums[first + group];
-        }
-        let total = sum_of_group(own, lane);
+        let total = total_of(first, view.level_groups[level], lane);
         if (lane == 0u) {
             level_means[plane] = total * view.level_mean[level];
         }

@@ -23,7 +23,7 @@ use use3d_training::EngineError;
 use crate::buffer::Array;
 use crate::device::{Gpu, NAME};
 use crate::frame::counts;
-use crate::kernel::{Access, Binding, Constant, Grid, Kernel, Spec, bound};
+use crate::kernel::{Access, Binding, Constant, Grid, Kernel, SUM, Spec, bound};
 
 /// Pixels that a workgroup sums.
 const SPAN: usize = 1024;
@@ -95,7 +95,13 @@ const fn write(name: &'static str) -> Binding {
 }
 const COUNTS: Binding = (Access::Write, "counts", "array<atomic<u32>>");
 
-fn spec(name: &'static str, threads: u32, bindings: &[Binding], text: &'static str) -> Spec {
+fn spec(
+    name: &'static str,
+    threads: u32,
+    bindings: &[Binding],
+    more: &[&'static str],
+    text: &'static str,
+) -> Spec {
     let constants = vec![
         ("STOP", Constant::Count(counts::STOP as u32)),
         ("BAD", Constant::Count(counts::BAD as u32)),
@@ -106,18 +112,19 @@ fn spec(name: &'static str, threads: u32, bindings: &[Binding], text: &'static s
         threads,
         bindings: bindings.to_vec(),
         constants,
-        parts: vec![include_str!("shared.wgsl"), text],
+        parts: [&[include_str!("shared.wgsl")], more, &[text]].concat(),
     }
 }
 
 /// All kernels of the water.
 pub(crate) fn specs() -> [Spec; 6] {
     [
-        spec("mix", 256, &[WATER, read("parameters"), write("mixed")], include_str!("mix.wgsl")),
+        spec("mix", 256, &[WATER, read("parameters"), write("mixed")], &[], include_str!("mix.wgsl")),
         spec(
             "look",
             256,
             &[WATER, read("mixed"), write("color"), write("attenuation"), write("backscatter")],
+            &[],
             include_str!("look.wgsl"),
         ),
         spec(
@@ -134,16 +141,30 @@ pub(crate) fn specs() -> [Spec; 6] {
                 read("veil_by_depth"),
                 write("partial"),
             ],
+            &[],
             include_str!("gather.wgsl"),
         ),
-        spec("total", 128, &[WATER, read("partial"), write("by_mixed")], include_str!("total.wgsl")),
+        spec(
+            "total",
+            128,
+            &[WATER, read("partial"), write("by_mixed")],
+            &[SUM],
+            include_str!("total.wgsl"),
+        ),
         spec(
             "spread",
             256,
             &[WATER, read("mixed"), read("by_mixed"), read("state"), write("slope")],
+            &[SUM],
             include_str!("spread.wgsl"),
         ),
-        spec("learn", 256, &[WATER, write("slope"), write("state"), COUNTS], include_str!("learn.wgsl")),
+        spec(
+            "learn",
+            256,
+            &[WATER, write("slope"), write("state"), COUNTS],
+            &[],
+            include_str!("learn.wgsl"),
+        ),
     ]
 }
 

@@ -2,22 +2,6 @@
 
 const WIDTH_FLOOR: f32 = 1e-4;
 
-var<workgroup> cells: array<f32, 256>;
-
-fn sum_of_group(value: f32, lane: u32) -> f32 {
-    cells[lane] = value;
-    workgroupBarrier();
-    for (var reach = 128u; reach > 0u; reach = reach >> 1u) {
-        if (lane < reach) {
-            cells[lane] = cells[lane] + cells[lane + reach];
-        }
-        workgroupBarrier();
-    }
-    let total = cells[0];
-    workgroupBarrier();
-    return total;
-}
-
 // How an anchor's share pulls the loss, less the mean of that over all shares: the mean is the pull of the mixed coefficients, which are
 // taken off before they are summed, not after.
 fn by_share(anchor: u32, lane: u32) -> f32 {
