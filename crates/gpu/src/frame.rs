@@ -4,11 +4,16 @@ use bytemuck::{Pod, Zeroable};
 use use3d_capture::Camera;
 use use3d_numerics::spherical_harmonics::bands;
 
+use crate::kernel::{Access, Binding};
+
 /// Pixels along a tile's side.
 pub(crate) const TILE: u32 = 16;
 
 /// The WGSL struct; [`Frame`] in its words.
 pub(crate) const FRAME: &str = include_str!("frame.wgsl");
+
+/// How kernels see it.
+pub(crate) const FRAME_BINDING: Binding = (Access::Uniform, "frame", "Frame");
 
 /// A step's constants. Rows of four words; the comments name them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
@@ -92,7 +97,14 @@ impl Frame {
 
 /// Words of the counts buffer.
 pub(crate) mod counts {
-    use crate::kernel::Constant;
+    use crate::kernel::{Access, Binding, Constant, U32S};
+
+    /// The counts as a kernel reads them.
+    pub(crate) const READ: Binding = (Access::Read, "counts", U32S);
+    /// As a kernel of one thread writes them.
+    pub(crate) const WRITE: Binding = (Access::Write, "counts", U32S);
+    /// As kernels of many threads write them.
+    pub(crate) const SHARED: Binding = (Access::Write, "counts", "array<atomic<u32>>");
 
     /// (tile, Gaussian) entries of the view.
     pub(crate) const ENTRIES: usize = 0;

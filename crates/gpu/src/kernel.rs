@@ -37,6 +37,23 @@ pub(crate) enum Access {
 /// A buffer that a kernel sees: how, its name, and its type in WGSL.
 pub(crate) type Binding = (Access, &'static str, &'static str);
 
+/// A type that many bindings have.
+pub(crate) const F32S: &str = "array<f32>";
+/// See [`F32S`].
+pub(crate) const U32S: &str = "array<u32>";
+/// Rows of four: see [`F32S`].
+pub(crate) const ROWS: &str = "array<vec4<f32>>";
+
+/// Floats that a kernel reads.
+pub(crate) const fn read(name: &'static str) -> Binding {
+    (Access::Read, name, F32S)
+}
+
+/// Floats that a kernel writes.
+pub(crate) const fn write(name: &'static str) -> Binding {
+    (Access::Write, name, F32S)
+}
+
 /// A constant above a kernel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Constant {

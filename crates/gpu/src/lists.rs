@@ -12,8 +12,8 @@ use use3d_training::EngineError;
 
 use crate::buffer::Array;
 use crate::device::Gpu;
-use crate::frame::{FRAME, Frame, TILE, counts};
-use crate::kernel::{Access, Binding, Constant, Grid, Kernel, Spec, bound};
+use crate::frame::{FRAME, FRAME_BINDING, Frame, TILE, counts};
+use crate::kernel::{Access, Binding, Constant, Grid, Kernel, ROWS, Spec, U32S, bound, read};
 use crate::scene::{Parameters, Row};
 use crate::sort::{Items, Sort, SortKernels};
 
@@ -28,11 +28,6 @@ pub(crate) const HARMONICS: &str = include_str!("view/harmonics.wgsl");
 pub(crate) const PROJECTION: &str = include_str!("view/projection.wgsl");
 const CONTOUR: &str = include_str!("view/contour.wgsl");
 const SCAN: &str = include_str!("scan.wgsl");
-
-const U32S: &str = "array<u32>";
-const ROWS: &str = "array<vec4<f32>>";
-const FRAME_BINDING: Binding = (Access::Uniform, "frame", "Frame");
-const COUNTS: Binding = (Access::Read, "counts", U32S);
 
 fn spec(name: &'static str, bindings: &[Binding], parts: &[&'static str], records: bool) -> Spec {
     let mut constants = counts::constants();
@@ -49,9 +44,9 @@ fn spec(name: &'static str, bindings: &[Binding], parts: &[&'static str], record
 
 fn project() -> Spec {
     let bindings = [
-        (Access::Read, "axes", "array<f32>"),
+        read("axes"),
         (Access::Read, "geometry", ROWS),
-        (Access::Read, "colors", "array<f32>"),
+        read("colors"),
         (Access::Write, "splats", ROWS),
         (Access::Write, "keys", U32S),
         (Access::Write, "tiles", U32S),
@@ -66,13 +61,13 @@ fn reduce() -> Spec {
 }
 
 fn total() -> Spec {
-    let bindings = [(Access::Write, "counts", U32S), (Access::Write, "partial", U32S)];
+    let bindings = [counts::WRITE, (Access::Write, "partial", U32S)];
     spec("total", &bindings, &[SCAN, include_str!("view/total.wgsl")], false)
 }
 
 fn offsets() -> Spec {
     let bindings = [
-        COUNTS,
+        counts::READ,
         (Access::Read, "order", U32S),
         (Access::Read, "tiles", U32S),
         (Access::Read, "partial", U32S),
@@ -84,8 +79,8 @@ fn offsets() -> Spec {
 
 fn emit(records: bool) -> Spec {
     let bindings = [
-        COUNTS,
-        (Access::Read, "axes", "array<f32>"),
+        counts::READ,
+        read("axes"),
         (Access::Read, "splats", ROWS),
         (Access::Read, "order", U32S),
         (Access::Read, "offsets", U32S),
@@ -98,7 +93,7 @@ fn emit(records: bool) -> Spec {
 }
 
 fn starts() -> Spec {
-    let bindings = [COUNTS, (Access::Read, "keys", U32S), (Access::Write, "starts", U32S)];
+    let bindings = [counts::READ, (Access::Read, "keys", U32S), (Access::Write, "starts", U32S)];
     spec("starts", &bindings, &[include_str!("view/starts.wgsl")], false)
 }
 

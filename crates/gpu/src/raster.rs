@@ -8,8 +8,10 @@ use use3d_training::EngineError;
 
 use crate::buffer::Array;
 use crate::device::Gpu;
-use crate::frame::{FRAME, Frame};
-use crate::kernel::{Access, Binding, Constant, Grid, Kernel, Spec, bound};
+use crate::frame::{FRAME, FRAME_BINDING, Frame};
+use crate::kernel::{
+    Access, Binding, Constant, Grid, Kernel, ROWS, Spec, U32S, bound, read, write,
+};
 use crate::lists::Lists;
 use crate::scene::Row;
 
@@ -18,14 +20,10 @@ const FORWARD: u32 = 256;
 /// Threads of the backward pass: Gaussians of a round.
 const BACKWARD: u32 = 64;
 
-const F32S: &str = "array<f32>";
-const U32S: &str = "array<u32>";
-const ROWS: &str = "array<vec4<f32>>";
-
 /// What both passes read of a tile.
 const TILE: [Binding; 6] = [
-    (Access::Uniform, "frame", "Frame"),
-    (Access::Read, "axes", F32S),
+    FRAME_BINDING,
+    read("axes"),
     (Access::Read, "starts", U32S),
     (Access::Read, "lists", U32S),
     (Access::Read, "owners", U32S),
@@ -33,9 +31,9 @@ const TILE: [Binding; 6] = [
 ];
 /// The water in front of every pixel.
 const WATER: [Binding; 3] = [
-    (Access::Read, "water_color", F32S),
-    (Access::Read, "k_attenuation", F32S),
-    (Access::Read, "k_backscatter", F32S),
+    read("water_color"),
+    read("k_attenuation"),
+    read("k_backscatter"),
 ];
 
 fn spec(
@@ -56,14 +54,14 @@ fn spec(
 
 fn forward(water: bool, train: bool) -> Spec {
     let more = [
-        (Access::Write, "image", F32S),
-        (Access::Write, "depths", F32S),
-        (Access::Write, "accumulations", F32S),
-        (Access::Write, "transmittances", F32S),
+        write("image"),
+        write("depths"),
+        write("accumulations"),
+        write("transmittances"),
         (Access::Write, "stops", U32S),
-        (Access::Write, "veils", F32S),
-        (Access::Write, "object_moments", F32S),
-        (Access::Write, "veil_moments", F32S),
+        write("veils"),
+        write("object_moments"),
+        write("veil_moments"),
     ];
     let switches = [("WATER", water), ("TRAIN", train)];
     spec("forward", FORWARD, &more, &switches, include_str!("raster/forward.wgsl"))
@@ -71,12 +69,12 @@ fn forward(water: bool, train: bool) -> Spec {
 
 fn backward(water: bool) -> Spec {
     let more = [
-        (Access::Read, "depths", F32S),
-        (Access::Read, "accumulations", F32S),
-        (Access::Read, "transmittances", F32S),
+        read("depths"),
+        read("accumulations"),
+        read("transmittances"),
         (Access::Read, "stops", U32S),
-        (Access::Read, "image_pull", F32S),
-        (Access::Read, "depth_pull", F32S),
+        read("image_pull"),
+        read("depth_pull"),
         (Access::Write, "records", ROWS),
     ];
     spec("backward", BACKWARD, &more, &[("WATER", water)], include_str!("raster/backward.wgsl"))

@@ -9,7 +9,8 @@ use use3d_training::EngineError;
 
 use crate::buffer::Array;
 use crate::device::Gpu;
-use crate::kernel::{Access, Binding, Constant, Grid, Kernel, Spec, bound};
+use crate::frame::counts;
+use crate::kernel::{Access, Binding, Constant, Grid, Kernel, Spec, U32S, bound};
 
 /// Threads of a workgroup.
 const THREADS: u32 = 256;
@@ -31,36 +32,35 @@ struct Pass {
 }
 
 const ORDER: Binding = (Access::Uniform, "order", "Pass");
-const COUNTS: Binding = (Access::Read, "counts", "array<u32>");
 
 fn spec(name: &'static str, body: &'static str, identity: bool, more: &[Binding]) -> Spec {
     Spec {
         name,
         threads: THREADS,
-        bindings: [&[ORDER, COUNTS], more].concat(),
+        bindings: [&[ORDER, counts::READ], more].concat(),
         constants: vec![("IDENTITY", Constant::Switch(identity))],
         parts: vec![include_str!("scan.wgsl"), include_str!("sort/shared.wgsl"), body],
     }
 }
 
 fn histogram() -> Spec {
-    let more = [(Access::Read, "keys", "array<u32>"), (Access::Write, "table", "array<u32>")];
+    let more = [(Access::Read, "keys", U32S), (Access::Write, "table", U32S)];
     spec("sort: histogram", include_str!("sort/histogram.wgsl"), false, &more)
 }
 
 fn spread() -> Spec {
-    let more = [(Access::Write, "table", "array<u32>"), (Access::Write, "totals", "array<u32>")];
+    let more = [(Access::Write, "table", U32S), (Access::Write, "totals", U32S)];
     spec("sort: spread", include_str!("sort/spread.wgsl"), false, &more)
 }
 
 fn scatter(identity: bool) -> Spec {
     let more = [
-        (Access::Read, "keys", "array<u32>"),
-        (Access::Read, "values", "array<u32>"),
-        (Access::Read, "table", "array<u32>"),
-        (Access::Read, "totals", "array<u32>"),
-        (Access::Write, "sorted_keys", "array<u32>"),
-        (Access::Write, "sorted_values", "array<u32>"),
+        (Access::Read, "keys", U32S),
+        (Access::Read, "values", U32S),
+        (Access::Read, "table", U32S),
+        (Access::Read, "totals", U32S),
+        (Access::Write, "sorted_keys", U32S),
+        (Access::Write, "sorted_values", U32S),
     ];
     spec("sort: scatter", include_str!("sort/scatter.wgsl"), identity, &more)
 }

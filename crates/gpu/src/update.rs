@@ -8,16 +8,13 @@ use use3d_training::EngineError;
 
 use crate::buffer::Array;
 use crate::device::Gpu;
-use crate::frame::{FRAME, Frame, counts};
-use crate::kernel::{Access, Binding, Grid, Kernel, Spec, bound};
+use crate::frame::{FRAME, FRAME_BINDING, Frame, counts};
+use crate::kernel::{Access, Grid, Kernel, ROWS, Spec, bound, write};
 use crate::lists::{HARMONICS, Lists, PROJECTION};
 use crate::scene::{DeviceScene, Row};
 
 /// Threads of a workgroup.
 const THREADS: u32 = 128;
-const F32S: &str = "array<f32>";
-const ROWS: &str = "array<vec4<f32>>";
-const FRAME_BINDING: Binding = (Access::Uniform, "frame", "Frame");
 
 fn update() -> Spec {
     Spec {
@@ -25,16 +22,16 @@ fn update() -> Spec {
         threads: THREADS,
         bindings: vec![
             FRAME_BINDING,
-            (Access::Write, "counts", "array<atomic<u32>>"),
+            counts::SHARED,
             (Access::Read, "runs", "array<vec2<u32>>"),
             (Access::Read, "records", ROWS),
             (Access::Read, "splats", ROWS),
             (Access::Write, "geometry", ROWS),
-            (Access::Write, "colors", F32S),
+            write("colors"),
             (Access::Write, "geometry_first", ROWS),
-            (Access::Write, "colors_first", F32S),
+            write("colors_first"),
             (Access::Write, "geometry_second", ROWS),
-            (Access::Write, "colors_second", F32S),
+            write("colors_second"),
             (Access::Write, "statistics", "array<vec2<u32>>"),
         ],
         constants: counts::constants(),
@@ -46,11 +43,7 @@ fn finish() -> Spec {
     Spec {
         name: "finish",
         threads: 1,
-        bindings: vec![
-            FRAME_BINDING,
-            (Access::Write, "counts", "array<u32>"),
-            (Access::Write, "ends", "array<vec4<u32>>"),
-        ],
+        bindings: vec![FRAME_BINDING, counts::WRITE, (Access::Write, "ends", "array<vec4<u32>>")],
         constants: counts::constants(),
         parts: vec![FRAME, include_str!("update/finish.wgsl")],
     }

@@ -20,7 +20,7 @@ use use3d_training::EngineError;
 use crate::buffer::Array;
 use crate::device::{Gpu, NAME};
 use crate::frame::counts;
-use crate::kernel::{Access, Binding, Constant, Grid, Kernel, SUM, Spec, bound};
+use crate::kernel::{Access, Binding, Constant, Grid, Kernel, SUM, Spec, bound, read, write};
 use shape::{HALVING, Halving, LEVEL, LEVELS, Level, Shape, View};
 
 /// The values there are kernels for, in the order of the table of terms.
@@ -189,25 +189,12 @@ pub(crate) struct Losses {
 }
 
 const VIEW: Binding = (Access::Uniform, "view", "View");
-const fn read(name: &'static str) -> Binding {
-    (Access::Read, name, "array<f32>")
-}
-const fn write(name: &'static str) -> Binding {
-    (Access::Write, name, "array<f32>")
-}
-const COUNTS: Binding = (Access::Write, "counts", "array<atomic<u32>>");
 
 fn spec(name: &'static str, bindings: &[Binding], parts: &[&'static str]) -> Spec {
     let mut all = vec![SUM, include_str!("shared.wgsl")];
     all.extend(parts);
-    let constants = vec![
-        ("STOP", Constant::Count(counts::STOP as u32)),
-        ("STOP_STEP", Constant::Count(counts::STOP_STEP as u32)),
-        ("BAD", Constant::Count(counts::BAD as u32)),
-        ("NON_FINITE", Constant::Count(counts::NON_FINITE)),
-        ("BAD_GAINS", Constant::Count(1 << 6)),
-        ("BAD_LOSS", Constant::Count(1 << 7)),
-    ];
+    let mut constants = counts::constants();
+    constants.extend([("BAD_GAINS", Constant::Count(1 << 6)), ("BAD_LOSS", Constant::Count(1 << 7))]);
     Spec { name, threads: 256, bindings: bindings.to_vec(), constants, parts: all }
 }
 
@@ -321,12 +308,12 @@ pub(crate) fn specs() -> [Spec; 14] {
         ),
         spec(
             "tell",
-            &[VIEW, read("sums"), read("factors"), read("depth_told"), write("told"), COUNTS],
+            &[VIEW, read("sums"), read("factors"), read("depth_told"), write("told"), counts::SHARED],
             &[TOTAL_OF, include_str!("tell.wgsl")],
         ),
         spec(
             "gains",
-            &[VIEW, read("sums"), write("gains"), COUNTS],
+            &[VIEW, read("sums"), write("gains"), counts::SHARED],
             &[TOTAL_OF, include_str!("gains.wgsl")],
         ),
     ]

@@ -23,7 +23,7 @@ use use3d_training::EngineError;
 use crate::buffer::Array;
 use crate::device::{Gpu, NAME};
 use crate::frame::counts;
-use crate::kernel::{Access, Binding, Constant, Grid, Kernel, SUM, Spec, bound};
+use crate::kernel::{Access, Binding, Constant, Grid, Kernel, SUM, Spec, bound, read, write};
 
 /// Pixels that a workgroup sums.
 const SPAN: usize = 1024;
@@ -87,13 +87,6 @@ pub(crate) struct Water {
 }
 
 const WATER: Binding = (Access::Uniform, "water", "Water");
-const fn read(name: &'static str) -> Binding {
-    (Access::Read, name, "array<f32>")
-}
-const fn write(name: &'static str) -> Binding {
-    (Access::Write, name, "array<f32>")
-}
-const COUNTS: Binding = (Access::Write, "counts", "array<atomic<u32>>");
 
 fn spec(
     name: &'static str,
@@ -102,11 +95,8 @@ fn spec(
     more: &[&'static str],
     text: &'static str,
 ) -> Spec {
-    let constants = vec![
-        ("STOP", Constant::Count(counts::STOP as u32)),
-        ("BAD", Constant::Count(counts::BAD as u32)),
-        ("BAD_WATER", Constant::Count(1 << 5)),
-    ];
+    let mut constants = counts::constants();
+    constants.push(("BAD_WATER", Constant::Count(1 << 5)));
     Spec {
         name,
         threads,
@@ -144,13 +134,7 @@ pub(crate) fn specs() -> [Spec; 6] {
             &[],
             include_str!("gather.wgsl"),
         ),
-        spec(
-            "total",
-            128,
-            &[WATER, read("partial"), write("by_mixed")],
-            &[SUM],
-            include_str!("total.wgsl"),
-        ),
+        spec("total", 128, &[WATER, read("partial"), write("by_mixed")], &[SUM], include_str!("total.wgsl")),
         spec(
             "spread",
             256,
@@ -161,7 +145,7 @@ pub(crate) fn specs() -> [Spec; 6] {
         spec(
             "learn",
             256,
-            &[WATER, write("slope"), write("state"), COUNTS],
+            &[WATER, write("slope"), write("state"), counts::SHARED],
             &[],
             include_str!("learn.wgsl"),
         ),
