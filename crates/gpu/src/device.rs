@@ -271,12 +271,6 @@ impl Gpu {
         self.clock.as_deref()
     }
 
-    /// What its arithmetic depends on besides the kernels: results of one class may be taken for each other's.
-    pub fn numeric_class(&self) -> String {
-        let AdapterReport { name, backend, driver, .. } = &self.report;
-        format!("gpu {name}, {backend}, {driver}")
-    }
-
     /// Whether nothing went wrong since the last call.
     pub(crate) fn check(&self) -> Result<(), EngineError> {
         if lock(&self.trouble).other.is_some() {

@@ -1,4 +1,4 @@
-//! What every kernel of a step may read: camera, sizes, the step's constants. One uniform of 512 bytes, written before each step.
+//! What every kernel of a step may read: camera, sizes, the step's constants. One uniform, written before each step.
 
 use bytemuck::{Pod, Zeroable};
 use use3d_capture::Camera;
@@ -45,8 +45,6 @@ pub(crate) struct Frame {
     pub(crate) color_rates: [f32; 4],
     /// Statistics: half width and half height times the scale, 0, 0.
     pub(crate) screen: [f32; 4],
-    /// Room for more.
-    pub(crate) spare: [[f32; 4]; 17],
 }
 
 impl Frame {
@@ -144,7 +142,6 @@ mod tests {
         let (_, found) = module.types.iter().find(|(_, t)| t.name.as_deref() == Some("Frame")).unwrap();
         let wgpu::naga::TypeInner::Struct { members, span } = &found.inner else { panic!("no struct") };
         assert_eq!(*span as usize, size_of::<Frame>());
-        assert_eq!(size_of::<Frame>(), 512);
         let ours = [
             ("rotation", std::mem::offset_of!(Frame, rotation)),
             ("center", std::mem::offset_of!(Frame, center)),
@@ -159,7 +156,6 @@ mod tests {
             ("rates", std::mem::offset_of!(Frame, rates)),
             ("color_rates", std::mem::offset_of!(Frame, color_rates)),
             ("screen", std::mem::offset_of!(Frame, screen)),
-            ("spare", std::mem::offset_of!(Frame, spare)),
         ];
         assert_eq!(members.len(), ours.len());
         for (member, (name, offset)) in members.iter().zip(ours) {

@@ -12,5 +12,4 @@ struct Frame {
     rates: vec4<f32>,
     color_rates: vec4<f32>,
     screen: vec4<f32>,
-    spare: array<vec4<f32>, 17>,
 }

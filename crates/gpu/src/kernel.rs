@@ -17,7 +17,6 @@ use std::sync::{Mutex, PoisonError};
 
 use use3d_training::EngineError;
 
-use crate::buffer::Array;
 use crate::device::Gpu;
 
 /// Most workgroups in one dimension of a grid.
@@ -137,31 +136,11 @@ impl Grid {
     }
 }
 
-/// Part of a buffer, or all of it, as a kernel binds it.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Bound {
-    buffer: wgpu::Buffer,
-    offset: u64,
-    size: Option<std::num::NonZeroU64>,
-}
-
-impl From<&wgpu::Buffer> for Bound {
-    fn from(buffer: &wgpu::Buffer) -> Self {
-        Self { buffer: buffer.clone(), offset: 0, size: None }
-    }
-}
-
-impl<T: bytemuck::Pod> From<&Array<T>> for Bound {
-    fn from(array: &Array<T>) -> Self {
-        array.raw().into()
-    }
-}
-
 /// Bind groups of a kernel, by what is bound, and the generation of buffers they are of.
 #[derive(Debug, Default)]
 struct Bindings {
     generation: u64,
-    groups: Vec<(Vec<Bound>, wgpu::BindGroup)>,
+    groups: Vec<(Vec<wgpu::Buffer>, wgpu::BindGroup)>,
 }
 
 /// Most bind groups that a kernel keeps.
@@ -241,7 +220,7 @@ impl Kernel {
     }
 
     /// Records a dispatch. The buffers stand in the order of the spec's bindings; an empty grid is nothing.
-    pub(crate) fn dispatch(&self, pass: &mut wgpu::ComputePass<'_>, grid: Grid, buffers: Vec<Bound>) {
+    pub(crate) fn dispatch(&self, pass: &mut wgpu::ComputePass<'_>, grid: Grid, buffers: Vec<wgpu::Buffer>) {
         if grid.x == 0 || grid.y == 0 {
             return;
         }
@@ -255,7 +234,7 @@ impl Kernel {
         }
     }
 
-    fn bind(&self, buffers: Vec<Bound>) -> wgpu::BindGroup {
+    fn bind(&self, buffers: Vec<wgpu::Buffer>) -> wgpu::BindGroup {
         let mut kept = self.bindings.lock().unwrap_or_else(PoisonError::into_inner);
         let generation = self.gpu.generation();
         if kept.generation != generation || kept.groups.len() >= KEPT {
@@ -266,14 +245,7 @@ impl Kernel {
         }
         let entries: Vec<wgpu::BindGroupEntry<'_>> = (0u32..)
             .zip(&buffers)
-            .map(|(binding, Bound { buffer, offset, size })| wgpu::BindGroupEntry {
-                binding,
-                resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
-                    buffer,
-                    offset: *offset,
-                    size: *size,
-                }),
-            })
+            .map(|(binding, buffer)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
             .collect();
         let group = self.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some(self.name),
@@ -285,10 +257,10 @@ impl Kernel {
     }
 }
 
-/// The buffers of a dispatch: `bound![frame, splats, out]`, each an [`Array`] or a buffer.
+/// The buffers of a dispatch: `bound![frame, splats, out]`, each an [`Array`](crate::buffer::Array).
 macro_rules! bound {
     ($($buffer:expr),* $(,)?) => {
-        vec![$($crate::kernel::Bound::from(&$buffer)),*]
+        vec![$($crate::buffer::Array::raw(&$buffer).clone()),*]
     };
 }
 pub(crate) use bound;
