@@ -9,9 +9,7 @@ use use3d_training::EngineError;
 use crate::buffer::Array;
 use crate::device::Gpu;
 use crate::frame::{FRAME, FRAME_BINDING, Frame};
-use crate::kernel::{
-    Access, Binding, Constant, Grid, Kernel, ROWS, Spec, U32S, bound, read, write,
-};
+use crate::kernel::{Access, Binding, Constant, Grid, Kernel, ROWS, Spec, U32S, bound, read, write};
 use crate::lists::Lists;
 use crate::scene::Row;
 
@@ -30,11 +28,7 @@ const TILE: [Binding; 6] = [
     (Access::Read, "splats", ROWS),
 ];
 /// The water in front of every pixel.
-const WATER: [Binding; 3] = [
-    read("water_color"),
-    read("k_attenuation"),
-    read("k_backscatter"),
-];
+const WATER: [Binding; 3] = [read("water_color"), read("k_attenuation"), read("k_backscatter")];
 
 fn spec(
     name: &'static str,
@@ -196,9 +190,23 @@ impl Planes {
         }
     }
 
-    fn water<'a>(&'a self, water: Option<WaterPlanes<'a>>) -> WaterPlanes<'a> {
+    /// What both passes bind first: [`TILE`], then [`WATER`].
+    fn tile(&self, frame: &Array<Frame>, lists: &Lists, water: Option<WaterPlanes<'_>>) -> Vec<wgpu::Buffer> {
         let none = &self.nothing;
-        water.unwrap_or(WaterPlanes { color: none, attenuation: none, backscatter: none })
+        let WaterPlanes { color, attenuation, backscatter } =
+            water.unwrap_or(WaterPlanes { color: none, attenuation: none, backscatter: none });
+        let entries = lists.entries();
+        bound![
+            *frame,
+            lists.axes,
+            lists.starts,
+            *entries,
+            lists.owners,
+            lists.splats,
+            *color,
+            *attenuation,
+            *backscatter,
+        ]
     }
 
     /// Records the forward pass of `tiles` tiles. Without `train` only image, depth and accumulation are written.
@@ -213,31 +221,18 @@ impl Planes {
         train: bool,
     ) {
         let kernel = &kernels.forward[usize::from(water.is_some())][usize::from(train)];
-        let WaterPlanes { color, attenuation, backscatter } = self.water(water);
-        let (axes, starts, entries) = (&lists.axes, &lists.starts, lists.entries());
-        kernel.dispatch(
-            pass,
-            Grid::groups(tiles),
-            bound![
-                *frame,
-                *axes,
-                *starts,
-                *entries,
-                lists.owners,
-                lists.splats,
-                *color,
-                *attenuation,
-                *backscatter,
-                self.image,
-                self.depth,
-                self.accumulation,
-                self.transmittance,
-                self.stop,
-                self.veil,
-                self.object_moment,
-                self.veil_moment,
-            ],
-        );
+        let mut buffers = self.tile(frame, lists, water);
+        buffers.extend(bound![
+            self.image,
+            self.depth,
+            self.accumulation,
+            self.transmittance,
+            self.stop,
+            self.veil,
+            self.object_moment,
+            self.veil_moment,
+        ]);
+        kernel.dispatch(pass, Grid::groups(tiles), buffers);
     }
 
     /// Records the backward pass from the loss's derivatives with respect to image and depth: every entry's record.
@@ -254,29 +249,16 @@ impl Planes {
         records: &Array<Row>,
     ) {
         let kernel = &kernels.backward[usize::from(water.is_some())];
-        let WaterPlanes { color, attenuation, backscatter } = self.water(water);
-        let (axes, starts, entries) = (&lists.axes, &lists.starts, lists.entries());
-        kernel.dispatch(
-            pass,
-            Grid::groups(tiles),
-            bound![
-                *frame,
-                *axes,
-                *starts,
-                *entries,
-                lists.owners,
-                lists.splats,
-                *color,
-                *attenuation,
-                *backscatter,
-                self.depth,
-                self.accumulation,
-                self.transmittance,
-                self.stop,
-                *image_pull,
-                *depth_pull,
-                *records,
-            ],
-        );
+        let mut buffers = self.tile(frame, lists, water);
+        buffers.extend(bound![
+            self.depth,
+            self.accumulation,
+            self.transmittance,
+            self.stop,
+            *image_pull,
+            *depth_pull,
+            *records,
+        ]);
+        kernel.dispatch(pass, Grid::groups(tiles), buffers);
     }
 }
