@@ -163,8 +163,9 @@ pub fn bench(gpu: &Gpu, plan: &BenchPlan, mut tell: impl FnMut(&str)) -> Result<
     tell("kernels beside the processor's functions");
     let mut twins = Vec::new();
     for size in [(61, 47), (96, 64), (257, 33)] {
-        for (case, Agreement { what, error, bar, .. }) in run_twins(gpu, size)? {
-            let holds = error <= bar;
+        for (case, agreement) in run_twins(gpu, size)? {
+            let holds = agreement.holds();
+            let Agreement { what, error, bar, .. } = agreement;
             twins.push(TwinRecord { case, what, error: error.is_finite().then_some(error), bar, holds });
         }
     }

@@ -9,32 +9,26 @@ use crate::error::Done;
 pub(crate) fn run(args: &DevicesArgs) -> Done {
     use serde_json::json;
     use use3d_build::machine::bytes;
+    use use3d_gpu::bench::AdapterRecord;
     use use3d_gpu::{AdapterReport, DeviceError, checked_adapters};
+
+    /// An adapter with what its check says.
+    #[derive(serde::Serialize)]
+    struct Checked {
+        #[serde(flatten)]
+        adapter: AdapterRecord,
+        passed: bool,
+        refusal: Option<String>,
+    }
 
     let all = checked_adapters();
     if args.json {
         let adapters: Vec<_> = all
             .iter()
-            .map(|(report, said)| {
-                let AdapterReport {
-                    name,
-                    kind,
-                    backend,
-                    driver,
-                    binding,
-                    buffer,
-                    workgroup,
-                    buffers,
-                    subgroup,
-                    ..
-                } = report;
-                json!({
-                    "name": name, "kind": kind, "backend": backend, "driver": driver,
-                    "largest_binding_bytes": binding, "largest_buffer_bytes": buffer,
-                    "workgroup_memory_bytes": workgroup, "buffers_per_kernel": buffers,
-                    "subgroup_threads": subgroup,
-                    "passed": said.is_ok(), "refusal": said.as_ref().err().map(ToString::to_string),
-                })
+            .map(|(report, said)| Checked {
+                adapter: report.into(),
+                passed: said.is_ok(),
+                refusal: said.as_ref().err().map(ToString::to_string),
             })
             .collect();
         return crate::verbs::run::json(&json!({ "adapters": adapters }));
