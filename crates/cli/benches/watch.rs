@@ -1,0 +1,209 @@
+//! What watching costs, on the built command: `cargo bench -p use3d --bench watch -- SCENE_DIR CAPTURE_DIR [STEPS]`.
+//!
+//! * pictures of a scene per second, drawn by the server, asked for by one page one after another;
+//! * a page that asks 100 times a second: how many are drawn, and how old a drawn one is;
+//! * eight pages at once, with one that reads nothing and one that says nothing beside them: pictures, and the most memory taken;
+//! * a training of STEPS steps (200 unless told) alone and with a page that moves all the time, in turns.
+
+#[path = "../tests/viewer/mod.rs"]
+mod viewer;
+
+use std::net::TcpStream;
+use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use viewer::{Ended, Viewer};
+
+const WIDTH: usize = 640;
+const HEIGHT: usize = 360;
+/// How long each row of the table is measured.
+const WHILE: Duration = Duration::from_secs(8);
+const ROUNDS: usize = 3;
+
+fn main() {
+    let words: Vec<String> = std::env::args().skip(1).filter(|word| word != "--bench").collect();
+    let [scene, capture, rest @ ..] = &words[..] else {
+        println!("left out: cargo bench -p use3d --bench watch -- SCENE_DIR CAPTURE_DIR [STEPS]");
+        return;
+    };
+    let steps: usize = rest.first().map_or(200, |steps| steps.parse().expect("STEPS is a whole number"));
+    println!("{} cores", std::thread::available_parallelism().map_or(1, usize::from));
+    pictures(scene, capture);
+    training(capture, steps);
+}
+
+fn command() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_use3d"))
+}
+
+/// What page `page` asks for the `i`th time: a swim around the first camera.
+fn look(header: &Value, page: &str, i: usize, mode: &str, moving: bool) -> Value {
+    let view = &header["cameras"][0];
+    let turn = i as f64 * 0.1;
+    let eye: Vec<f64> = [turn.sin(), 0.3 * turn.cos(), 0.0]
+        .iter()
+        .enumerate()
+        .map(|(k, by)| view["eye"][k].as_f64().unwrap_or(0.0) + 0.05 * by)
+        .collect();
+    let scale = WIDTH as f64 / view["width"].as_f64().unwrap_or(WIDTH as f64);
+    let focal = view["lens"][0].as_f64().unwrap_or(WIDTH as f64) * scale;
+    json!({
+        "page": page, "mode": mode, "left": null, "at": 0.5, "strength": 1, "water": 1, "moving": moving,
+        "camera": { "eye": eye, "rotation": view["rotation"], "lens": [focal, focal, WIDTH / 2, HEIGHT / 2], "width": WIDTH, "height": HEIGHT },
+    })
+}
+
+fn pictures(scene: &str, capture: &str) {
+    let mut child = command()
+        .args(["-q", "view", scene, "--cameras", capture, "--no-open"])
+        .stdout(Stdio::piped())
+        .spawn()
+        .map(Ended)
+        .expect("the command starts");
+    let viewer = Viewer::of(child.0.stdout.take().expect("a pipe"));
+    let header = viewer.header();
+    println!("\n{scene}: {} Gaussians, {WIDTH} × {HEIGHT}\n", header["count"]);
+    println!(
+        "| asked for | pictures per second | whole resolution | longest wait ms |\n|---|---:|---:|---:|"
+    );
+    for (mode, moving) in [
+        ("reconstruction", false),
+        ("reconstruction", true),
+        ("enhanced-clear", false),
+        ("enhanced-clear", true),
+    ] {
+        let (mut drawn, mut longest, mut i) = (0, Duration::ZERO, 0);
+        let ask = |i| viewer.ask("/frame", &look(&header, "one", i, mode, moving)).map(|(status, _)| status);
+        // The first makes the renderer.
+        assert_eq!(ask(0), Some(200));
+        let started = Instant::now();
+        while started.elapsed() < WHILE {
+            let asked = Instant::now();
+            i += 1;
+            drawn += usize::from(ask(i) == Some(200));
+            longest = longest.max(asked.elapsed());
+        }
+        let rate = drawn as f64 / started.elapsed().as_secs_f64();
+        let whole = if moving { "as time allows" } else { "yes" };
+        println!("| {mode}, one after another | {rate:.1} | {whole} | {} |", longest.as_millis());
+    }
+
+    // A page that asks faster than anything is drawn.
+    let (drawn, dropped, waited) = (AtomicUsize::new(0), AtomicUsize::new(0), AtomicUsize::new(0));
+    let started = Instant::now();
+    std::thread::scope(|threads| {
+        for i in 0..(WHILE.as_millis() / 10) as usize {
+            let (viewer, header, drawn, dropped, waited) = (&viewer, &header, &drawn, &dropped, &waited);
+            threads.spawn(move || {
+                let asked = Instant::now();
+                match viewer.ask("/frame", &look(header, "hasty", i, "reconstruction", true)) {
+                    Some((200, _)) => {
+                        drawn.fetch_add(1, Ordering::Relaxed);
+                        waited.fetch_max(asked.elapsed().as_millis() as usize, Ordering::Relaxed);
+                    }
+                    _ => {
+                        dropped.fetch_add(1, Ordering::Relaxed);
+                    }
+                }
+            });
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    });
+    let (drawn, dropped) = (drawn.into_inner(), dropped.into_inner());
+    println!(
+        "| 100 times a second by one page: {drawn} drawn, {dropped} overtaken | {:.1} | as time allows | {} |",
+        drawn as f64 / started.elapsed().as_secs_f64(),
+        waited.into_inner()
+    );
+
+    // Eight pages, and two that are no good.
+    let before = memory(child.0.id());
+    let silent: Vec<TcpStream> =
+        (0..2).filter_map(|_| TcpStream::connect(("127.0.0.1", viewer.port)).ok()).collect();
+    let deaf: Vec<TcpStream> = (0..4)
+        .filter_map(|i| viewer.send("/frame", &look(&header, "deaf", i, "reconstruction", false)))
+        .collect();
+    let drawn = AtomicUsize::new(0);
+    let started = Instant::now();
+    std::thread::scope(|threads| {
+        for page in 0..8 {
+            let (viewer, header, drawn) = (&viewer, &header, &drawn);
+            threads.spawn(move || {
+                let mut i = 0;
+                while started.elapsed() < WHILE {
+                    i += 1;
+                    let asked = look(header, &format!("page {page}"), i, "reconstruction", true);
+                    let answer = viewer.ask("/frame", &asked);
+                    drawn.fetch_add(
+                        usize::from(answer.is_some_and(|(status, _)| status == 200)),
+                        Ordering::Relaxed,
+                    );
+                }
+            });
+        }
+    });
+    let rate = drawn.into_inner() as f64 / started.elapsed().as_secs_f64();
+    println!(
+        "| eight pages beside {} that read nothing and {} that say nothing | {rate:.1} in all | as time allows | |",
+        deaf.len(),
+        silent.len()
+    );
+    println!("\nmost memory: {before} MiB with one page, {} MiB with all of them", memory(child.0.id()));
+}
+
+/// The most memory that a process has taken so far, in MiB; zero where that is not told.
+fn memory(process: u32) -> usize {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    line.and_then(|line| line.trim().trim_end_matches(" kB").trim().parse::<usize>().ok())
+        .map_or(0, |kib| kib / 1024)
+}
+
+fn training(capture: &str, steps: usize) {
+    let place = tempfile::tempdir().expect("a folder");
+    let train = |out: &str, watched: bool| {
+        let out = place.path().join(out);
+        let mut run = command();
+        run.args(["-q", "reconstruct", capture, "--set", &format!("iterations={steps}"), "--out"]).arg(&out);
+        if watched {
+            run.args(["--view", "--no-open"]).stderr(Stdio::piped());
+        }
+        let started = Instant::now();
+        let mut child = run.spawn().map(Ended).expect("the command starts");
+        let over = Arc::new(AtomicBool::new(false));
+        let page = child.0.stderr.take().map(|printed| {
+            let over = Arc::clone(&over);
+            std::thread::spawn(move || {
+                let viewer = Viewer::of(printed);
+                let header = viewer.header();
+                let mut drawn = 0;
+                while !over.load(Ordering::Relaxed) {
+                    let asked = look(&header, "page", drawn, "reconstruction", true);
+                    match viewer.ask("/frame", &asked) {
+                        Some(_) => drawn += 1,
+                        None => break,
+                    }
+                }
+                drawn
+            })
+        });
+        assert!(child.0.wait().expect("it ends").success());
+        let took = started.elapsed().as_secs_f64();
+        over.store(true, Ordering::Relaxed);
+        (took, page.map_or(0, |page| page.join().unwrap_or(0)))
+    };
+    println!(
+        "\n{capture}: {steps} steps\n\n| round | alone s | watched s | cost | pictures |\n|---|---:|---:|---:|---:|"
+    );
+    let mut costs = Vec::new();
+    for round in 1..=ROUNDS {
+        let (alone, _) = train(&format!("alone {round}"), false);
+        let (watched, drawn) = train(&format!("watched {round}"), true);
+        costs.push(100.0 * (watched / alone - 1.0));
+        println!("| {round} | {alone:.2} | {watched:.2} | {:.1} % | {drawn} |", costs[round - 1]);
+    }
+    println!("\nmean cost {:.1} %", costs.iter().sum::<f64>() / ROUNDS as f64);
+}
