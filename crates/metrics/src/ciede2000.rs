@@ -8,12 +8,11 @@
 //! ΔE₀₀² = (ΔL'/S_L)² + (ΔC'/S_C)² + (ΔH'/S_H)² + R_T (ΔC'/S_C)(ΔH'/S_H)
 //! ```
 
-use rayon::prelude::*;
 use use3d_capture::{Image, Map};
 use use3d_numerics::math;
 
-use crate::error::{MetricError, finite, large_enough, same_size};
-use crate::lab::lab_of_srgb;
+use crate::error::MetricError;
+use crate::lab::{difference_of_lab, mean};
 
 /// CIEDE2000 of two CIELAB colours.
 pub fn delta_e_of_lab(first: [f64; 3], second: [f64; 3]) -> f64 {
@@ -60,19 +59,7 @@ pub fn delta_e_of_lab(first: [f64; 3], second: [f64; 3]) -> f64 {
 /// # Errors
 /// Images of different sizes, without pixels, or with values that are not finite.
 pub fn ciede2000(x: &Image, y: &Image) -> Result<Map, MetricError> {
-    same_size("the second image", x, y)?;
-    large_enough("CIEDE2000", x, 1)?;
-    finite("the first image", x)?;
-    finite("the second image", y)?;
-    let width = x.width();
-    let mut map = Map::new(width, x.height());
-    map.data_mut().par_chunks_mut(width).enumerate().for_each(|(row, line)| {
-        for (column, out) in line.iter_mut().enumerate() {
-            let lab = |image: &Image| lab_of_srgb(image.pixel(column, row));
-            *out = delta_e_of_lab(lab(x), lab(y)) as f32;
-        }
-    });
-    Ok(map)
+    difference_of_lab("CIEDE2000", x, y, delta_e_of_lab)
 }
 
 /// The mean of [`ciede2000`] over all pixels.
@@ -80,9 +67,7 @@ pub fn ciede2000(x: &Image, y: &Image) -> Result<Map, MetricError> {
 /// # Errors
 /// As [`ciede2000`].
 pub fn mean_ciede2000(x: &Image, y: &Image) -> Result<f64, MetricError> {
-    let map = ciede2000(x, y)?;
-    let n = map.pixels();
-    Ok(use3d_numerics::sums::sum(n, |i| f64::from(map.data()[i])) / n as f64)
+    ciede2000(x, y).map(|map| mean(&map))
 }
 
 #[cfg(test)]

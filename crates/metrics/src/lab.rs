@@ -4,8 +4,11 @@
 //! 16`, `a = 500 (f(X/X_n) - f(Y/Y_n))`, `b = 200 (f(Y/Y_n) - f(Z/Z_n))`; g is sRGB's transfer function (IEC
 //! 61966-2-1). The white point is the matrix's own image of white, so that greys have exactly no chroma.
 
-use use3d_capture::Image8;
+use rayon::prelude::*;
+use use3d_capture::{Image, Image8, Map};
 use use3d_numerics::math;
+
+use crate::error::{MetricError, finite, large_enough, same_size};
 
 /// Linear sRGB to XYZ.
 const TO_XYZ: [[f64; 3]; 3] =
@@ -32,6 +35,48 @@ fn lab_of_linear(rgb: [f64; 3], cube_root: impl Fn(f64) -> f64) -> [f64; 3] {
 /// CIELAB of display values (clamped to `[0, 1]`): L in `[0, 100]`.
 pub fn lab_of_srgb(rgb: [f32; 3]) -> [f64; 3] {
     lab_of_linear(rgb.map(|v| decode(f64::from(v.clamp(0.0, 1.0)))), math::cbrt)
+}
+
+/// A difference of CIELAB colours per pixel of two display-range images (clamped to `[0, 1]`).
+///
+/// # Errors
+/// Images of different sizes, without pixels, or with values that are not finite.
+pub(crate) fn difference_of_lab(
+    metric: &'static str,
+    x: &Image,
+    y: &Image,
+    difference: impl Fn([f64; 3], [f64; 3]) -> f64 + Sync,
+) -> Result<Map, MetricError> {
+    same_size("the second image", x, y)?;
+    large_enough(metric, x, 1)?;
+    finite("the first image", x)?;
+    finite("the second image", y)?;
+    let width = x.width();
+    let mut map = Map::new(width, x.height());
+    map.data_mut().par_chunks_mut(width).enumerate().for_each(|(row, line)| {
+        for (column, out) in line.iter_mut().enumerate() {
+            let lab = |image: &Image| lab_of_srgb(image.pixel(column, row));
+            *out = difference(lab(x), lab(y)) as f32;
+        }
+    });
+    Ok(map)
+}
+
+/// The mean over all pixels.
+pub(crate) fn mean(map: &Map) -> f64 {
+    let n = map.pixels();
+    use3d_numerics::sums::sum(n, |i| f64::from(map.data()[i])) / n as f64
+}
+
+/// The mean over all pixels of the colour difference of 1976, `√(ΔL² + Δa² + Δb²)`, of two display-range images
+/// (clamped to `[0, 1]`). It weighs saturated colours far more than CIEDE2000 does; older work gives it.
+///
+/// # Errors
+/// Images of different sizes, without pixels, or with values that are not finite.
+pub fn mean_cie1976(x: &Image, y: &Image) -> Result<f64, MetricError> {
+    let distance =
+        |a: [f64; 3], b: [f64; 3]| (0..3).map(|i| (a[i] - b[i]) * (a[i] - b[i])).sum::<f64>().sqrt();
+    difference_of_lab("ΔE of 1976", x, y, distance).map(|map| mean(&map))
 }
 
 /// CIELAB of 8-bit pixels by tables: the decoded value of each code, and cube roots to start from.
@@ -103,6 +148,18 @@ mod tests {
         close([1.0; 3], [100.0, 0.0, 0.0]);
         close([1.0, 0.0, 0.0], [53.24, 80.09, 67.20]);
         close([0.0, 0.0, 1.0], [32.30, 79.19, -107.86]);
+    }
+
+    #[test]
+    fn the_difference_of_1976_is_the_distance() {
+        let white = Image::filled(2, 2, 1.0);
+        let mut red = Image::new(2, 2);
+        red.plane_mut(0).fill(1.0);
+        // From the colours above: L 46.76, a 80.09, b 67.20 apart.
+        let expected = (46.76_f64.powi(2) + 80.09_f64.powi(2) + 67.20_f64.powi(2)).sqrt();
+        assert!((mean_cie1976(&red, &white).unwrap() - expected).abs() < 0.03);
+        assert_eq!(mean_cie1976(&red, &red).unwrap(), 0.0);
+        assert!(mean_cie1976(&red, &Image::new(1, 2)).is_err());
     }
 
     #[test]

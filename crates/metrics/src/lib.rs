@@ -5,7 +5,7 @@
 //!
 //! | with a reference | without | between views |
 //! | --- | --- | --- |
-//! | [`psnr`], [`psnr_exposure_fitted`], [`affine_fit`], [`fitted_on_other_half`], [`ssim`], [`ms_ssim`], [`ciede2000`] | [`uciqe`], [`uiqm`] | [`warped_distance`] (flow), [`warped_delta_e`], [`warped_ssim`] (depth) |
+//! | [`psnr`], [`psnr_exposure_fitted`], [`affine_fit`], [`fitted_on_other_half`], [`ssim`], [`ms_ssim`], [`ciede2000`], [`mean_cie1976`] | [`uciqe`], [`uiqm`] | [`warped_distance`] (flow), [`warped_delta_e`], [`warped_ssim`] (depth) |
 //!
 //! Every measure of a photograph heeds a [`Mask`] of the pixels that count; every result becomes a [`Score`],
 //! which is finite or says why it is not there.
@@ -34,7 +34,7 @@ pub use consistency::{
 };
 pub use error::MetricError;
 pub use halves::fitted_on_other_half;
-pub use lab::{lab_of_srgb, lab8_of_srgb8};
+pub use lab::{lab_of_srgb, lab8_of_srgb8, mean_cie1976};
 pub use mask::{blacked_out, counted, mask_of, only_counted};
 pub use psnr::{ExposureFit, decibels, exposure_gain, mean_square_error, psnr, psnr_exposure_fitted};
 pub use score::{Finite, Score};

@@ -12,6 +12,7 @@
 //! * `truth_psnr`, `truth_delta_e`: PSNR and mean CIEDE2000 of `clip(g x)` against the true clean image, `g =
 //!   Σ x y / Σ x²`: one gain for the whole image, since the absolute brightness of a scene without its water
 //!   is not determined.
+//! * `truth_delta_e_1976`: likewise with the colour difference of 1976, which older work gives.
 //! * `truth_psnr_raw`, `truth_delta_e_raw`: the same of `clip(x)`, nothing fitted. `…_channel`: after one
 //!   such gain per channel, as a camera that balances its white differently would see it. `…_affine`: after
 //!   the affine map of colours (3×4) of least squares per image: what no adjustment of a whole picture mends
@@ -30,8 +31,8 @@ use serde::{Deserialize, Serialize};
 use use3d_capture::{Image, Map};
 use use3d_import::{ImageSize, ImportError, ImportParams, Imported, SplitParams, import, is_prepared};
 use use3d_metrics::{
-    ExposureFit, Mask, MetricError, affine_fit, exposure_gain, map_colours, mean_ciede2000, psnr,
-    psnr_exposure_fitted,
+    ExposureFit, Mask, MetricError, affine_fit, exposure_gain, map_colours, mean_cie1976, mean_ciede2000,
+    psnr, psnr_exposure_fitted,
 };
 use use3d_synth::CaptureTruth;
 
@@ -196,8 +197,8 @@ pub const FITS: [(&str, Fit); 4] = [
 ];
 
 impl Fit {
-    /// PSNR and mean CIEDE2000 of `x` against `y`, values in `[0, 1]`.
-    fn compare(self, x: &Image, y: &Image) -> (Score, Score) {
+    /// PSNR, mean CIEDE2000 and mean ΔE of 1976 of `x` against `y`, values in `[0, 1]`.
+    fn compare(self, x: &Image, y: &Image) -> [Score; 3] {
         let (psnr, fitted) = match self {
             Self::Raw => (psnr(x, y, None), Ok(x.clone())),
             Self::Gain(fit) => {
@@ -216,7 +217,10 @@ impl Fit {
                 (mapped.as_ref().map_err(MetricError::clone).and_then(against), mapped)
             }
         };
-        (Score::measured(psnr), Score::measured(fitted.and_then(|x| mean_ciede2000(&x, y))))
+        let delta_e = |of: fn(&Image, &Image) -> Result<f64, MetricError>| {
+            Score::measured(fitted.as_ref().map_err(MetricError::clone).and_then(|x| of(x, y)))
+        };
+        [Score::measured(psnr), delta_e(mean_ciede2000), delta_e(mean_cie1976)]
     }
 }
 
@@ -255,22 +259,22 @@ impl TrueView {
         &self.clean
     }
 
-    /// `truth_psnr` and `truth_delta_e` of an image after each of the [`FITS`], over the pixels of the mask.
+    /// `truth_psnr`, `truth_delta_e` and `truth_delta_e_1976` of an image after each of the [`FITS`], over the pixels of the mask.
     pub fn scores(&self, image: &Image, mask: Option<&Mask>) -> Scores {
         let sizes = [(image.width(), image.height()), (self.clean.width(), self.clean.height())];
         let surfaces =
             (sizes[0] == sizes[1]).then(|| (self.surface(image, mask), self.surface(&self.clean, mask)));
         let mut scores = Scores::new();
         for (suffix, fit) in FITS {
-            let (psnr, delta_e) = if let Some((x, y)) = &surfaces {
+            let compared = if let Some((x, y)) = &surfaces {
                 fit.compare(x, y)
             } else {
                 let [(w, h), (tw, th)] = sizes;
                 let reason = Score::NotAvailable(format!("the true image is {tw}x{th}, the view {w}x{h}"));
-                (reason.clone(), reason)
+                [reason.clone(), reason.clone(), reason]
             };
-            scores.insert(format!("truth_psnr{suffix}"), psnr);
-            scores.insert(format!("truth_delta_e{suffix}"), delta_e);
+            let names = ["truth_psnr", "truth_delta_e", "truth_delta_e_1976"];
+            scores.extend(names.iter().zip(compared).map(|(name, score)| (format!("{name}{suffix}"), score)));
         }
         scores
     }
@@ -422,6 +426,8 @@ mod tests {
                     (&scores[&format!("truth_psnr{suffix}")], &scores[&format!("truth_delta_e{suffix}")]);
                 let delta_e = delta_e.value().unwrap();
                 assert_eq!(equal(psnr), undone.contains(&suffix), "{suffix}: {scores:?}");
+                let older = scores[&format!("truth_delta_e_1976{suffix}")].value().unwrap();
+                assert_eq!(older < 0.04, undone.contains(&suffix), "{suffix}: {scores:?}");
                 assert_eq!(delta_e < 0.02, undone.contains(&suffix), "{suffix}: {scores:?}");
             }
         }
