@@ -29,7 +29,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("scene", &["capture", "numerics", "splat", "medium", "ubaf"]),
     ("render", &["capture", "numerics", "splat", "medium", "ubaf", "scene"]),
     ("reconstruct", &["capture", "numerics", "splat", "medium", "metrics", "training", "scene"]),
-    ("web", &["capture", "numerics", "splat", "medium", "ubaf", "scene"]),
+    ("web", &["capture", "numerics", "io-image", "splat", "medium", "ubaf", "scene"]),
     ("viewer", &["capture", "scene", "render", "web"]),
     ("enhance", &["capture", "numerics", "splat", "medium", "ubaf", "atc", "training", "scene"]),
     (
@@ -57,6 +57,7 @@ const RESERVED: &[(&str, &[&str])] = &[
     ("pytorch-reader", &["nets"]),
     ("bincode", &["training"]),
     ("wgpu", &["gpu"]),
+    ("jpeg-encoder", &["viewer"]),
     ("clap", &["use3d"]),
     ("indicatif", &["use3d"]),
 ];

@@ -1,7 +1,7 @@
 //! Image files in and out.
 //!
 //! Read: PNG (1 to 16 bits), JPEG, TIFF (8, 16 bits, float), EXR (half, float), NPY. Written: PNG (8, 16
-//! bits), EXR (float). Formats are told apart by their first bytes, not by the name. Values are
+//! bits), EXR (float), and JPEGs for pages. Formats are told apart by their first bytes, not by the name. Values are
 //! display-referred (a PNG value over 255) and never linearised; EXR files hold the same values unclamped.
 //!
 //! Every size is checked before memory is asked for (at most [`MAX_PIXELS`], and never more than the file's
@@ -19,6 +19,7 @@
 
 mod atomic;
 mod decoded;
+mod embed;
 mod error;
 mod exr_file;
 mod jpeg;
@@ -30,6 +31,7 @@ mod write;
 
 pub use atomic::write_atomically;
 pub use decoded::{Decoded, Samples};
+pub use embed::{JpegError, jpeg_address, shrunk};
 pub use error::{Format, ImageError};
 pub use exr_file::{write_exr, write_exr_channels, write_exr_map};
 pub use limits::MAX_PIXELS;

@@ -8,9 +8,9 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
+use jpeg_encoder::{ColorType, Encoder};
 use rayon::ThreadPool;
 use use3d_capture::{Camera, Image};
 use use3d_render::{Frame, Mode, SceneRenderer, picture};
@@ -243,7 +243,7 @@ impl Pace {
         let exact = divisor == 1 && !look.moving && !trains;
         match encoded(&image, exact) {
             Ok((bytes, kind)) => Drawn::Picture { bytes, kind, divisor, version },
-            Err(error) => Drawn::Failed(error.to_string()),
+            Err(error) => Drawn::Failed(error),
         }
     }
 }
@@ -264,25 +264,20 @@ fn joined(look: &Look, modes: &[Mode], frames: &[Frame]) -> Image {
 }
 
 /// A picture for a page: without loss if it is to stay.
-fn encoded(image: &Image, exact: bool) -> Result<(Vec<u8>, &'static str), image::ImageError> {
-    let (width, height) = (image.width() as u32, image.height() as u32);
+fn encoded(image: &Image, exact: bool) -> Result<(Vec<u8>, &'static str), String> {
+    // No side of a picture is longer than 4096 pixels.
+    let (width, height) = (image.width() as u16, image.height() as u16);
     let pixels = image.to_8bit().to_interleaved();
     let mut bytes = Vec::new();
     if exact {
-        PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub).write_image(
-            &pixels,
-            width,
-            height,
-            ExtendedColorType::Rgb8,
-        )?;
+        PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub)
+            .write_image(&pixels, width.into(), height.into(), ExtendedColorType::Rgb8)
+            .map_err(|e| e.to_string())?;
         return Ok((bytes, "image/png"));
     }
-    JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY).encode(
-        &pixels,
-        width,
-        height,
-        ExtendedColorType::Rgb8,
-    )?;
+    Encoder::new(&mut bytes, JPEG_QUALITY)
+        .encode(&pixels, width, height, ColorType::Rgb)
+        .map_err(|e| e.to_string())?;
     Ok((bytes, "image/jpeg"))
 }
 

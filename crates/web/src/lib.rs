@@ -34,7 +34,7 @@ pub enum WebError {
         /// Which one.
         name: String,
         /// Why.
-        source: image::ImageError,
+        source: use3d_io_image::JpegError,
     },
     /// Something could not be written down.
     #[error("the page's data could not be packed: {0}")]

@@ -1,8 +1,7 @@
 //! Photographs small enough to stand beside a picture: JPEG in a data address.
 
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
-use use3d_capture::{Image, Image8};
+use use3d_capture::Image;
+use use3d_io_image::{jpeg_address, shrunk};
 
 use crate::WebError;
 
@@ -23,45 +22,9 @@ impl Photograph {
     /// # Errors
     /// Pixels that JPEG cannot hold.
     pub fn new(name: &str, photograph: &Image) -> Result<Self, WebError> {
-        Ok(Self { address: address(name, photograph)? })
+        let address = jpeg_address(&shrunk(photograph, SIDE), QUALITY);
+        address
+            .map(|address| Self { address })
+            .map_err(|source| WebError::Photograph { name: name.into(), source })
     }
-}
-
-fn address(name: &str, photograph: &Image) -> Result<String, WebError> {
-    let small = shrunk(photograph);
-    let mut jpeg = Vec::new();
-    image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
-        .encode(
-            &small.to_interleaved(),
-            small.width() as u32,
-            small.height() as u32,
-            image::ExtendedColorType::Rgb8,
-        )
-        .map_err(|source| WebError::Photograph { name: name.into(), source })?;
-    Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg)))
-}
-
-fn shrunk(image: &Image) -> Image8 {
-    let (w, h) = (image.width(), image.height());
-    let factor = w.max(h).div_ceil(SIDE).max(1);
-    if factor == 1 {
-        return image.to_8bit();
-    }
-    let (sw, sh) = ((w / factor).max(1), (h / factor).max(1));
-    let mut small = Image::new(sw, sh);
-    for y in 0..sh {
-        for x in 0..sw {
-            let (ys, xs) = (y * factor..((y + 1) * factor).min(h), x * factor..((x + 1) * factor).min(w));
-            let share = 1.0 / (ys.len() * xs.len()).max(1) as f32;
-            let mut mean = [0.0; 3];
-            for v in ys {
-                for u in xs.clone() {
-                    let pixel = image.pixel(u, v);
-                    (0..3).for_each(|c| mean[c] += share * pixel[c].clamp(0.0, 1.0));
-                }
-            }
-            small.set_pixel(x, y, mean);
-        }
-    }
-    small.to_8bit()
 }

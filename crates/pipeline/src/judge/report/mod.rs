@@ -6,8 +6,8 @@
 pub mod plot;
 
 use askama::Template;
-use base64::Engine as _;
-use use3d_capture::{Image, Image8};
+use use3d_capture::Image;
+use use3d_io_image::{JpegError, jpeg_address, shrunk};
 
 use crate::judge::tables::{Cell, Rank, Table};
 use crate::judge::verdict::{Sentence, Tone};
@@ -133,7 +133,7 @@ pub enum ReportError {
         /// Which one.
         label: String,
         /// Why.
-        source: image::ImageError,
+        source: JpegError,
     },
     /// The template could not be filled.
     #[error("report page: {0}")]
@@ -148,42 +148,12 @@ impl Picture {
 
     /// As [`Picture::embed`] with another limit for the long side, for contact sheets.
     pub fn embed_wide(label: &str, caption: &str, image: &Image, side: usize) -> Result<Self, ReportError> {
-        let small = shrink(image, side);
+        let small = shrunk(image, side);
         let (width, height) = (small.width(), small.height());
-        let mut jpeg = Vec::new();
-        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, PICTURE_QUALITY)
-            .encode(&small.to_interleaved(), width as u32, height as u32, image::ExtendedColorType::Rgb8)
+        let source = jpeg_address(&small, PICTURE_QUALITY)
             .map_err(|source| ReportError::Picture { label: label.into(), source })?;
-        let source =
-            format!("data:image/jpeg;base64,{}", base64::engine::general_purpose::STANDARD.encode(jpeg));
         Ok(Self { label: label.into(), caption: caption.into(), source, width, height })
     }
-}
-
-/// Box-mean reduction by the smallest whole factor that brings the long side to at most `side`.
-fn shrink(image: &Image, side: usize) -> Image8 {
-    let (w, h) = (image.width(), image.height());
-    let factor = w.max(h).div_ceil(side.max(1)).max(1);
-    if factor == 1 {
-        return image.to_8bit();
-    }
-    let (sw, sh) = ((w / factor).max(1), (h / factor).max(1));
-    let mut small = Image::new(sw, sh);
-    for y in 0..sh {
-        for x in 0..sw {
-            let mut sum = [0.0; 3];
-            let (ys, xs) = (y * factor..((y + 1) * factor).min(h), x * factor..((x + 1) * factor).min(w));
-            let count = (ys.len() * xs.len()).max(1) as f32;
-            for v in ys {
-                for u in xs.clone() {
-                    let pixel = image.pixel(u, v);
-                    (0..3).for_each(|c| sum[c] += pixel[c].clamp(0.0, 1.0));
-                }
-            }
-            small.set_pixel(x, y, sum.map(|s| s / count));
-        }
-    }
-    small.to_8bit()
 }
 
 #[derive(Template)]
