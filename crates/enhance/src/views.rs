@@ -4,13 +4,14 @@ use std::sync::Arc;
 
 use use3d_atc::consensus::{Targets, ViewTarget};
 use use3d_atc::extractor::{ExtractorSettings, Geometry, Source};
-use use3d_capture::{Appearance, Camera, Lattice, MediumMaps, Raster, View};
+use use3d_capture::{Appearance, Camera, Image, Lattice, MediumMaps, Raster, View};
 use use3d_scene::Scene;
 use use3d_splat::{Options, Prepared, Rasterizer, Rendered};
 use use3d_ubaf::{Sites, Water};
 
-use crate::EnhanceError;
+use crate::engine::StepLosses;
 use crate::labels::PseudoLabels;
+use crate::{EnhanceError, ViewErrors};
 
 /// A training view: its name for messages, its camera in the scene's frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,12 +47,25 @@ impl Guidance<'_> {
     }
 }
 
-/// What a rendered view is compared with.
-pub(crate) enum Reference {
+/// What a rendered view is compared with; made by [`References`], read by [`Measure`](crate::engine::Measure).
+#[derive(Clone, Debug)]
+pub enum Reference {
     /// The stage-1 render as the extractor sees it, and the local target on its grid.
     Transition(Box<Source>, ViewTarget),
     /// The pseudo-label's pixels on the lattice, 16 bit.
     Label(Arc<Raster<u16, 3>>),
+}
+
+impl Reference {
+    /// A view's errors, of the losses of its render: operators only where there is a transition to compare with.
+    pub fn errors(&self, losses: &StepLosses) -> ViewErrors {
+        let measured = matches!(self, Self::Transition(..));
+        ViewErrors {
+            global: measured.then_some(losses.global),
+            local: measured.then_some(losses.local),
+            pixels: losses.pixels,
+        }
+    }
 }
 
 /// The small constants of a view, always kept.
@@ -60,6 +74,12 @@ pub(crate) struct ViewConstants {
     pub(crate) center: [f32; 3],
     pub(crate) lattice: Lattice,
     pub(crate) reference: Reference,
+}
+
+/// Which of `count` Gaussians define the field's constant mode: at most `sample`, every so many; `None`: all, also where `sample` is 0.
+pub fn centred(count: usize, sample: usize) -> Option<Vec<u32>> {
+    let some = sample > 0 && sample < count;
+    some.then(|| (0..count as u32).step_by(count.div_ceil(sample)).collect())
 }
 
 /// Where the scene's Gaussians look the field up, and which of them define its constant mode.
@@ -73,11 +93,7 @@ pub(crate) struct Lookups {
 impl Lookups {
     /// With the mean over at most `sample` Gaussians, every so many; over all if `sample` is 0.
     pub(crate) fn new(all: Arc<Sites>, sample: usize) -> Self {
-        let some = sample > 0 && sample < all.len();
-        let centred = some.then(|| {
-            let every = all.len().div_ceil(sample);
-            (0..all.len() as u32).step_by(every).collect()
-        });
+        let centred = centred(all.len(), sample);
         Self { all, centred }
     }
 
@@ -238,13 +254,65 @@ impl Samplings {
     }
 }
 
-/// Prepares views one after another; views of one size share what depends on the size alone.
-pub(crate) struct Preparer<'a> {
-    pub(crate) scene: &'a Scene,
-    pub(crate) guidance: Guidance<'a>,
-    lookups: Lookups,
+/// Makes what views are compared with, one after another; views of one size share what depends on the size alone.
+pub struct References<'a> {
+    scene: &'a Scene,
+    guidance: Guidance<'a>,
     samplings: Samplings,
     rasterizer: Rasterizer,
+}
+
+impl<'a> References<'a> {
+    /// On lattices of `sample_side` pixels on the long side; 0 for all that the extractor weighs.
+    pub fn new(scene: &'a Scene, guidance: Guidance<'a>, sample_side: usize) -> Self {
+        // Pseudo-labels are compared on the pixels that the default extractor would read.
+        let settings = match guidance {
+            Guidance::Targets(targets) => targets.extractor.clone(),
+            Guidance::Labels(_) => ExtractorSettings::default(),
+        };
+        let samplings = Samplings::new(settings, sample_side);
+        Self { scene, guidance, samplings, rasterizer: Rasterizer::new() }
+    }
+
+    fn sampled(&mut self, camera: &Camera) -> Result<Arc<Sampled>, EnhanceError> {
+        self.samplings.of((camera.intrinsics.width, camera.intrinsics.height))
+    }
+
+    /// The pixels of a view that are rendered.
+    pub fn lattice(&mut self, camera: &Camera) -> Result<Lattice, EnhanceError> {
+        Ok(self.sampled(camera)?.lattice.clone())
+    }
+
+    /// What view `index` is compared with. `stage1` is its stage-1 render on the [lattice](Self::lattice), which labels have no use for;
+    /// `known` is a reference of the same view on another lattice: its local target is the same.
+    pub fn of(
+        &mut self,
+        index: usize,
+        view: &EnhanceView,
+        stage1: impl FnOnce(&mut Rasterizer, &mut Image),
+        known: Option<&Reference>,
+    ) -> Result<Reference, EnhanceError> {
+        let sampled = self.sampled(&view.camera)?;
+        Ok(match self.guidance {
+            Guidance::Targets(targets) => {
+                let mut image = Image::new(0, 0);
+                stage1(&mut self.rasterizer, &mut image);
+                let source = Source::on_lattice(&sampled.geometry, &image)?;
+                let target = match known {
+                    Some(Reference::Transition(_, target)) => target.clone(),
+                    _ => targets.view_target(&self.scene.gaussians, &view.camera, &mut self.rasterizer)?,
+                };
+                Reference::Transition(Box::new(source), target)
+            }
+            Guidance::Labels(labels) => Reference::Label(labels.of(index, view, &sampled.lattice)?),
+        })
+    }
+}
+
+/// Prepares views for the processor's engine.
+pub(crate) struct Preparer<'a> {
+    lookups: Lookups,
+    references: References<'a>,
     rendered: Rendered,
 }
 
@@ -255,52 +323,32 @@ impl<'a> Preparer<'a> {
         lookups: Lookups,
         sample_side: usize,
     ) -> Self {
-        // Pseudo-labels are compared on the pixels that the default extractor would read.
-        let settings = match guidance {
-            Guidance::Targets(targets) => targets.extractor.clone(),
-            Guidance::Labels(_) => ExtractorSettings::default(),
-        };
-        Self {
-            scene,
-            guidance,
-            lookups,
-            samplings: Samplings::new(settings, sample_side),
-            rasterizer: Rasterizer::new(),
-            rendered: Rendered::new(),
-        }
+        let references = References::new(scene, guidance, sample_side);
+        Self { lookups, references, rendered: Rendered::new() }
     }
 
-    /// The constants of a view, trimmed if it is to be rendered again and again. `local` is its local target where that is known
-    /// already.
+    /// The constants of a view, trimmed if it is to be rendered again and again. `known` is what the view is compared with on another
+    /// lattice, where that is known already.
     pub(crate) fn view(
         &mut self,
         index: usize,
         view: &EnhanceView,
-        local: Option<&ViewTarget>,
+        known: Option<&Reference>,
         trim: bool,
     ) -> Result<(ViewConstants, Frozen), EnhanceError> {
+        let Self { lookups, references, rendered } = self;
         let camera = view.camera;
-        let size = (camera.intrinsics.width, camera.intrinsics.height);
-        let sampled = self.samplings.of(size)?;
-        let Sampled { geometry, lattice, .. } = &*sampled;
-        let trimmer = trim.then_some(&mut self.rasterizer);
-        let appearance = self.guidance.appearance();
-        let frozen = Frozen::new(self.scene, appearance, &self.lookups, &camera, lattice, trimmer);
-        let reference = match self.guidance {
-            Guidance::Targets(targets) => {
-                let maps = frozen.water.as_ref().map(|w| &w.maps);
-                let options = Options::default();
-                self.rasterizer.forward(&frozen.prepared, maps, &options, &mut self.rendered);
-                let source = Source::on_lattice(geometry, &self.rendered.image)?;
-                let target = match local {
-                    Some(known) => known.clone(),
-                    None => targets.view_target(&self.scene.gaussians, &camera, &mut self.rasterizer)?,
-                };
-                Reference::Transition(Box::new(source), target)
-            }
-            Guidance::Labels(labels) => Reference::Label(labels.of(index, view, lattice)?),
+        let lattice = references.lattice(&camera)?;
+        let (scene, appearance) = (references.scene, references.guidance.appearance());
+        let trimmer = trim.then_some(&mut references.rasterizer);
+        let frozen = Frozen::new(scene, appearance, lookups, &camera, &lattice, trimmer);
+        let draw = |rasterizer: &mut Rasterizer, image: &mut Image| {
+            let maps = frozen.water.as_ref().map(|w| &w.maps);
+            rasterizer.forward(&frozen.prepared, maps, &Options::default(), rendered);
+            std::mem::swap(image, &mut rendered.image);
         };
+        let reference = references.of(index, view, draw, known)?;
         let center = camera.pose.center().as_vec3().to_array();
-        Ok((ViewConstants { camera, center, lattice: lattice.clone(), reference }, frozen))
+        Ok((ViewConstants { camera, center, lattice, reference }, frozen))
     }
 }

@@ -98,6 +98,17 @@ impl Sites {
         self.centred
     }
 
+    /// Where site `i` looks: its lower nodes on the x, y, z grids, the fractions towards the next ones in `[0, 1]`, and the signed logs of
+    /// its guide colour. What an engine on another device copies.
+    ///
+    /// # Panics
+    ///
+    /// If `i` is not below [`Sites::len`].
+    pub fn site(&self, i: usize) -> ([u8; 3], [f32; 3], [f32; 3]) {
+        assert!(i < self.len, "site {i} of {}", self.len);
+        (self.nodes[i], self.fractions[i], std::array::from_fn(|c| self.signed_logs[c][i]))
+    }
+
     /// Bytes held.
     pub fn bytes(&self) -> usize {
         self.nodes.len() * (size_of::<[u8; 3]>() + size_of::<[f32; 3]>() + 3 * size_of::<f32>())

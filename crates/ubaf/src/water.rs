@@ -47,6 +47,11 @@ impl Water {
         Self { maps, signed_logs }
     }
 
+    /// `h(c_m)` of every pixel, what the guide reads.
+    pub fn signed_logs(&self) -> &Image {
+        &self.signed_logs
+    }
+
     /// Bytes held.
     pub fn bytes(&self) -> usize {
         12 * size_of::<f32>() * self.maps.color.pixels()
@@ -87,14 +92,20 @@ impl Default for WaterPass {
 }
 
 /// Guide values of the table's rows, `-1 + 2k/15`.
-fn rows() -> [f32; ROWS] {
+pub fn rows() -> [f32; ROWS] {
     std::array::from_fn(|k| (2.0 * k as f64 / (ROWS - 1) as f64 - 1.0) as f32)
 }
 
-/// The position part of the table's lookups: the camera, in every row.
-fn camera_sites(field: &Field, camera: [f32; 3]) -> ([[u8; 3]; ROWS], [[f32; 3]; ROWS]) {
+/// The position part of the table's lookups, the same in every row: lower nodes on x, y, z and fractions towards the next.
+pub fn camera_site(field: &Field, camera: [f32; 3]) -> ([u8; 3], [f32; 3]) {
     let at = field.bounds().normalise(camera).map(|u| locate(u, field.shape().resolution));
-    ([at.map(|(node, _)| node as u8); ROWS], [at.map(|(_, fraction)| fraction); ROWS])
+    (at.map(|(node, _)| node as u8), at.map(|(_, fraction)| fraction))
+}
+
+/// The same for every row.
+fn camera_sites(field: &Field, camera: [f32; 3]) -> ([[u8; 3]; ROWS], [[f32; 3]; ROWS]) {
+    let (nodes, fractions) = camera_site(field, camera);
+    ([nodes; ROWS], [fractions; ROWS])
 }
 
 impl WaterPass {

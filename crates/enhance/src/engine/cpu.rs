@@ -3,7 +3,6 @@
 //! Gradients reach the field's parameters only; Gaussians, medium, targets and the stage-1 render are constants. The engine owns
 //! every buffer, so that a step allocates nothing once the largest view was seen.
 
-use use3d_atc::extractor::{Affine, Workspace};
 use use3d_capture::{Appearance, Image, MediumMaps};
 use use3d_numerics::adam::Adam;
 use use3d_scene::Scene;
@@ -14,49 +13,16 @@ use use3d_ubaf::objects::guide_color;
 use use3d_ubaf::{Field, Gradient, OUTPUTS, ObjectPass, WaterPass, variation};
 
 use super::{
-    Coverage, FieldDiagnostics, FieldEngine, FieldPlan, FieldReport, FieldState, Reading, StepLosses,
-    check_inputs, initial_field,
+    Coverage, FieldDiagnostics, FieldEngine, FieldPlan, FieldReport, FieldState, Goals, Measure, Reading,
+    StepLosses, check_inputs, initial_field,
 };
-use crate::losses::{global_loss, local_loss};
-use crate::params::PixelLoss;
 use crate::profile::StepPart;
 use crate::report::ViewErrors;
-use crate::views::{EnhanceView, Frozen, Guidance, Lookups, Preparer, Reference, ViewConstants};
+use crate::views::{EnhanceView, Frozen, Guidance, Lookups, Preparer, ViewConstants};
 use crate::{EnhanceError, EnhanceParams};
 
 /// The engine's name in messages.
 const NAME: &str = "cpu";
-
-/// What a step aims at, apart from the view's own reference.
-#[derive(Clone, Debug)]
-pub(crate) struct Goals {
-    pub(crate) operator: Affine,
-    pub(crate) global_scales: [f64; 12],
-    pub(crate) local_scales: [f64; 6],
-    pub(crate) lambda_global: f64,
-    pub(crate) lambda_local: f64,
-    pub(crate) lambda_variation: f64,
-    pub(crate) pixel_loss: PixelLoss,
-}
-
-impl Goals {
-    fn new(guidance: Guidance<'_>, params: &EnhanceParams) -> Self {
-        let (lambda_global, lambda_local) = params.transition_weights();
-        let (operator, global_scales, local_scales) = match guidance {
-            Guidance::Targets(t) => (t.scene, t.global_scales, t.local_scales),
-            Guidance::Labels(_) => ([0.0; 12], [1.0; 12], [1.0; 6]),
-        };
-        Self {
-            operator,
-            global_scales,
-            local_scales,
-            lambda_global,
-            lambda_local,
-            lambda_variation: params.lambda_variation,
-            pixel_loss: params.pixel_loss,
-        }
-    }
-}
 
 /// The buffers of a step.
 pub(crate) struct Step {
@@ -71,9 +37,7 @@ pub(crate) struct Step {
     d_water: MediumMaps,
     rasterizer: Rasterizer,
     pub(crate) rendered: Rendered,
-    workspace: Workspace,
-    cells: Vec<[f64; 6]>,
-    d_cells: Vec<[f64; 6]>,
+    measure: Measure,
     d_image: Image,
     pub(crate) gradient: Gradient,
     pub(crate) profile: Profile<StepPart>,
@@ -91,9 +55,7 @@ impl Step {
             d_water: MediumMaps::zeros(0, 0),
             rasterizer: Rasterizer::new(),
             rendered: Rendered::new(),
-            workspace: Workspace::new(),
-            cells: Vec::new(),
-            d_cells: Vec::new(),
+            measure: Measure::default(),
             d_image: Image::new(0, 0),
             gradient: Gradient::new(field.shape()),
             profile: Profile::default(),
@@ -124,58 +86,8 @@ impl Step {
         goals: &Goals,
         differentiate: bool,
     ) -> Result<StepLosses, EnhanceError> {
-        let mut losses = StepLosses::default();
-        match &view.reference {
-            Reference::Transition(source, target) => {
-                let realised = source.forward_on_lattice(&self.rendered.image, &mut self.workspace)?;
-                let mut d_operator = [0.0; 12];
-                losses.global = global_loss(
-                    &realised.global,
-                    &goals.operator,
-                    &goals.global_scales,
-                    goals.lambda_global,
-                    &mut d_operator,
-                );
-                self.cells.clear();
-                self.cells.extend_from_slice(&realised.local);
-                losses.local = local_loss(
-                    &mut self.cells,
-                    &target.local,
-                    &target.weight,
-                    &goals.local_scales,
-                    goals.lambda_local,
-                    &mut self.d_cells,
-                );
-                if differentiate {
-                    self.d_image.resize(self.rendered.image.width(), self.rendered.image.height());
-                    source.backward_on_lattice(
-                        &d_operator,
-                        &self.d_cells,
-                        &mut self.workspace,
-                        &mut self.d_image,
-                    )?;
-                }
-            }
-            Reference::Label(label) => {
-                let image = &self.rendered.image;
-                self.d_image.resize(image.width(), image.height());
-                let scale = 1.0 / image.data().len().max(1) as f64;
-                let mut total = 0.0;
-                let pixels = image.data().iter().zip(label.data()).zip(self.d_image.data_mut());
-                for ((&value, &wanted), d) in pixels {
-                    let e = f64::from(value) - f64::from(wanted) / 65535.0;
-                    let (term, slope) = match goals.pixel_loss {
-                        PixelLoss::L1 => (e.abs(), if e == 0.0 { 0.0 } else { e.signum() }),
-                        PixelLoss::L2 => (e * e, 2.0 * e),
-                    };
-                    total += term;
-                    *d = (slope * scale) as f32;
-                }
-                losses.pixels = total * scale;
-            }
-        }
-        losses.total =
-            goals.lambda_global * losses.global.loss + goals.lambda_local * losses.local.loss + losses.pixels;
+        let d_image = differentiate.then_some(&mut self.d_image);
+        let losses = self.measure.losses(&view.reference, goals, &self.rendered.image, d_image)?;
         self.profile.lap(StepPart::Loss);
         Ok(losses)
     }
@@ -183,7 +95,7 @@ impl Step {
     /// The transition that the last `losses` read off the render.
     #[cfg(test)]
     pub(crate) fn transition(&self) -> &use3d_atc::extractor::Transition {
-        self.workspace.transition()
+        self.measure.transition()
     }
 
     /// The whole gradient, into `self.gradient`; needs `render` and `losses` of the same view just before.
@@ -349,23 +261,19 @@ impl<'a> CpuFieldEngine<'a> {
         let view = &self.views[index];
         let frozen = self.store.of(index, view, &mut self.step.rasterizer);
         self.step.render(&self.field, view, frozen);
-        let measured = matches!(&view.reference, Reference::Transition(..));
         let losses = self.step.losses(view, &self.goals, false)?;
-        Ok(errors(&losses, measured))
+        Ok(view.reference.errors(&losses))
     }
 
     /// How far view `index` is from its targets, on every pixel that the extractor weighs.
     fn evaluate_whole(&mut self, index: usize) -> Result<ViewErrors, EnhanceError> {
-        let local = match &self.views[index].reference {
-            Reference::Transition(_, target) => Some(target),
-            Reference::Label(_) => None,
-        };
+        let known = &self.views[index].reference;
         let (scene, guidance, lookups) = (self.store.scene, self.guidance, &self.store.lookups);
         let whole = self.whole.get_or_insert_with(|| Preparer::new(scene, guidance, lookups.clone(), 0));
-        let (constants, mut frozen) = whole.view(index, &self.list[index], local, false)?;
+        let (constants, mut frozen) = whole.view(index, &self.list[index], Some(known), false)?;
         self.step.render(&self.field, &constants, &mut frozen);
         let losses = self.step.losses(&constants, &self.goals, false)?;
-        Ok(errors(&losses, local.is_some()))
+        Ok(known.errors(&losses))
     }
 
     /// Refuses a view that there is not.
@@ -468,14 +376,5 @@ impl Store<'_> {
             }
         };
         &mut self.spare.insert((index, made)).1
-    }
-}
-
-/// A view's errors; `measured` where it has a transition to be compared with.
-fn errors(losses: &StepLosses, measured: bool) -> ViewErrors {
-    ViewErrors {
-        global: measured.then_some(losses.global),
-        local: measured.then_some(losses.local),
-        pixels: losses.pixels,
     }
 }

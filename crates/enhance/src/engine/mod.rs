@@ -11,6 +11,7 @@
 //! As in stage 1, a step may only be *asked for*; whatever else is asked comes after it.
 
 mod cpu;
+mod measure;
 mod state;
 
 use serde::{Deserialize, Serialize};
@@ -21,13 +22,15 @@ use use3d_ubaf::{Field, FieldBox, OUTPUTS};
 
 pub use cpu::CpuFieldEngine;
 #[cfg(test)]
-pub(crate) use cpu::{Goals, Step};
+pub(crate) use cpu::Step;
+pub use measure::{Goals, Measure};
 pub use state::FieldState;
 
 use crate::losses::Realised;
 use crate::profile::StepPart;
 use crate::report::ViewErrors;
 use crate::views::{EnhanceView, Guidance};
+pub use crate::views::{Reference, References, centred};
 use crate::{EnhanceError, EnhanceParams, Objective};
 
 /// What one step does.
