@@ -90,3 +90,15 @@ fn the_rooms_of_splat_stand_one_below_the_other() {
         assert_eq!(files_with(&files, above), BTreeSet::new(), "{room} looks up");
     }
 }
+
+#[test]
+fn a_tiles_list_is_walked_in_one_place() {
+    let place = "crates/splat/src/compose/lanes/";
+    let files: Vec<(String, String)> = sources().into_iter().filter(|(f, _)| f.starts_with(place)).collect();
+    let walker = format!("{place}entries.rs");
+    // What reaches into the list, and what looks a Gaussian up in it.
+    assert_eq!(files_with(&files, &["list", "rows_of"]), set(&[&walker]));
+    let kernels = ["forward", "backward", "colors", "linear"].map(|file| format!("{place}{file}.rs"));
+    let kernels: BTreeSet<String> = kernels.into_iter().collect();
+    assert_eq!(files_with(&files, &["walk"]), kernels.into_iter().chain([walker]).collect());
+}

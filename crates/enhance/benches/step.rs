@@ -15,7 +15,8 @@ use use3d_medium::{MediumModel, MediumRbf};
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_scene::Scene;
 use use3d_splat::{
-    Colors, Cotangents, GaussianGradients, Gaussians, Options, Prepared, Rasterizer, Rendered,
+    Colors, Cotangents, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, Rendered,
+    ViewOf,
 };
 use use3d_training::Silent;
 
@@ -90,13 +91,11 @@ fn steps(c: &mut Criterion) {
                 rasterizer.forward(&prepared, Some(&maps), &Options::default(), &mut out);
                 rasterizer.backward(
                     &prepared,
-                    &scene.gaussians,
-                    &camera,
+                    ViewOf { gaussians: &scene.gaussians, camera: &camera },
                     Some(&maps),
                     &Options::default(),
                     &cotangents,
-                    &mut gradients,
-                    Some(&mut medium_gradients),
+                    Gradients { gaussians: &mut gradients, medium: Some(&mut medium_gradients) },
                 );
                 black_box(gradients.means[0])
             });

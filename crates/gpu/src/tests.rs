@@ -3,7 +3,8 @@
 use use3d_capture::{Camera, Image, Lattice, Map, MediumMaps};
 use use3d_reconstruct::engine::{Moments, Statistics, StepRates};
 use use3d_splat::{
-    Colors, Cotangents, GaussianGradients, Gaussians, Options, Prepared, Rasterizer, Rendered,
+    Colors, Cotangents, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, Rendered,
+    ViewOf,
 };
 
 use crate::buffer::Array;
@@ -91,13 +92,11 @@ impl Case {
         let (mut gradients, mut maps) = (GaussianGradients::default(), MediumMaps::zeros(0, 0));
         rasterizer.backward(
             &prepared,
-            &self.gaussians,
-            &self.camera,
+            ViewOf { gaussians: &self.gaussians, camera: &self.camera },
             self.water.as_ref(),
             &options,
             &cotangents,
-            &mut gradients,
-            Some(&mut maps),
+            Gradients { gaussians: &mut gradients, medium: Some(&mut maps) },
         );
         (prepared, rendered, gradients, maps)
     }

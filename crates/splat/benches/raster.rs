@@ -17,7 +17,8 @@ use use3d_capture::{Camera, Image, Intrinsics, Lattice, MediumMaps, Pose, world_
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{
-    Colors, Cotangents, GaussianGradients, Gaussians, Options, Prepared, Rasterizer, Rendered,
+    Colors, Cotangents, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, Rendered,
+    ViewOf,
 };
 
 fn main() {
@@ -140,13 +141,11 @@ impl Case {
                 let medium_grads = water.then_some(&mut maps);
                 rasterizer.backward(
                     &view,
-                    &self.gaussians,
-                    camera,
+                    ViewOf { gaussians: &self.gaussians, camera },
                     medium,
                     &Options::default(),
                     &cotangents,
-                    &mut grads,
-                    medium_grads,
+                    Gradients { gaussians: &mut grads, medium: medium_grads },
                 );
                 let ms = |a: Instant, b: Instant| (b - a).as_secs_f64() * 1e3;
                 // The first run allocates.
@@ -247,13 +246,11 @@ fn dense(medium: Option<bool>) -> [f64; 2] {
         let options = Options::default();
         rasterizer.backward(
             &view,
-            &gaussians,
-            &camera,
+            ViewOf { gaussians: &gaussians, camera: &camera },
             medium,
             &options,
             &cotangents,
-            &mut grads,
-            medium_grads,
+            Gradients { gaussians: &mut grads, medium: medium_grads },
         );
         runs.push([forward, start.elapsed().as_secs_f64(), 0.0]);
     }

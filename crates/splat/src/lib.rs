@@ -16,6 +16,8 @@
 //!
 //! The same inputs give the same bits on any number of threads, and on AVX2, AVX-512 and the scalar twin.
 
+#![deny(clippy::too_many_arguments)]
+
 mod compose;
 mod gaussians;
 mod lists;
@@ -27,4 +29,4 @@ pub use compose::{Pairs, Rasterizer};
 pub use gaussians::{GaussianGradients, Gaussians, GaussiansError};
 pub use lists::Prepared;
 pub use project::{BLUR, FAR, NEAR, view_colors};
-pub use view::{Colors, Cotangents, Layers, Options, Rendered};
+pub use view::{Colors, Cotangents, Gradients, Layers, Options, Rendered, ViewOf};

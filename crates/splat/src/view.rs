@@ -1,6 +1,8 @@
 //! What goes into a rendered view and what comes out of it.
 
-use use3d_capture::{Image, Map};
+use use3d_capture::{Camera, Image, Map, MediumMaps};
+
+use crate::{GaussianGradients, Gaussians};
 
 /// Where colours come from when a view is prepared.
 #[derive(Clone, Copy, Debug)]
@@ -102,4 +104,22 @@ pub struct Cotangents<'a> {
     pub accumulation: Option<&'a Map>,
     /// With respect to the clear image.
     pub clear: Option<&'a Image>,
+}
+
+/// What a view was prepared from.
+#[derive(Clone, Copy, Debug)]
+pub struct ViewOf<'a> {
+    /// The Gaussians seen.
+    pub gaussians: &'a Gaussians,
+    /// The camera that sees them.
+    pub camera: &'a Camera,
+}
+
+/// Where [`Rasterizer::backward`](crate::Rasterizer::backward) writes its gradients.
+#[derive(Debug)]
+pub struct Gradients<'a> {
+    /// Of the Gaussians' parameters.
+    pub gaussians: &'a mut GaussianGradients,
+    /// Of the medium's maps, if they are wanted.
+    pub medium: Option<&'a mut MediumMaps>,
 }

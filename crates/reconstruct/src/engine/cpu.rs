@@ -6,7 +6,8 @@ use use3d_capture::{Camera, Image, Lattice, Map, MediumMaps};
 use use3d_medium::{MediumModel, Role};
 use use3d_numerics::adam::Adam;
 use use3d_splat::{
-    Colors, Cotangents, GaussianGradients, Gaussians, Options, Prepared, Rasterizer, Rendered,
+    Colors, Cotangents, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, Rendered,
+    ViewOf,
 };
 use use3d_training::{Drain, EngineError, Profile};
 
@@ -147,13 +148,11 @@ impl CpuEngine {
             Cotangents { image, depth: depth.get(), accumulation: accumulation.get(), clear: None };
         b.rasterizer.backward(
             &b.prepared,
-            &state.gaussians,
-            &camera,
+            ViewOf { gaussians: &state.gaussians, camera: &camera },
             maps,
             &options,
             &cotangents,
-            &mut b.gradients,
-            water.then_some(&mut b.map_gradients),
+            Gradients { gaussians: &mut b.gradients, medium: water.then_some(&mut b.map_gradients) },
         );
         profile.lap(StepPart::ComposeBackward);
         if water {

@@ -283,6 +283,13 @@ impl Strips for LayerPlanes<'_> {
     }
 }
 
+/// A tile after the forward pass, with what it was composed of.
+pub(crate) struct Composed<'a> {
+    pub(crate) input: &'a Input<'a>,
+    pub(crate) water: &'a Water,
+    pub(crate) tile: &'a ForwardTile,
+}
+
 /// Writes the layers of a tile. The interval medium is `c_m (1 − Σ w E) − far`: the telescoped sum without its last term.
 #[inline(always)]
 pub(crate) fn store_layers<const WATER: bool>(
@@ -290,11 +297,10 @@ pub(crate) fn store_layers<const WATER: bool>(
     medium: Option<&MediumMaps>,
     row: usize,
     column: usize,
-    input: &Input<'_>,
-    tile: &ForwardTile,
-    water: &Water,
+    composed: &Composed<'_>,
     out: &mut LayerPlanes<'_>,
 ) {
+    let Composed { input, water, tile } = composed;
     let columns = column * TILE..column * TILE + input.filled_columns;
     for (r, from) in tile.rows[..input.filled_rows].iter().enumerate() {
         let y = row * TILE + r;
@@ -319,17 +325,20 @@ pub(crate) fn store_layers<const WATER: bool>(
     }
 }
 
+/// What a backward pass reads of a view.
+#[derive(Clone, Copy)]
+pub(crate) struct BackwardRead<'a> {
+    pub(crate) prepared: &'a Prepared,
+    pub(crate) medium: Option<&'a MediumMaps>,
+    pub(crate) cotangents: &'a Cotangents<'a>,
+    /// What the forward pass left; `None` where the pass goes front to back itself.
+    pub(crate) saved: Option<&'a Saved>,
+}
+
 /// Sets a tile up for the backward pass.
 #[inline(always)]
-pub(crate) fn load_cotangents(
-    prepared: &Prepared,
-    saved: Option<&Saved>,
-    medium: Option<&MediumMaps>,
-    cotangents: &Cotangents<'_>,
-    row: usize,
-    column: usize,
-    tile: &mut BackwardTile,
-) {
+pub(crate) fn load_cotangents(read: &BackwardRead<'_>, row: usize, column: usize, tile: &mut BackwardTile) {
+    let BackwardRead { prepared, medium, cotangents, saved } = *read;
     let (rows, n) = (prepared.rows.filled(row), prepared.columns.filled(column));
     let x = column * TILE;
     let pixels = prepared.width * prepared.height;

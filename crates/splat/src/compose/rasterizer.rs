@@ -5,11 +5,11 @@
 //! buffer is bounded (see `gather`).
 
 use fearless_simd::{Level, dispatch};
-use use3d_capture::{Camera, Image, MediumMaps};
+use use3d_capture::{Image, MediumMaps};
 
 use super::pixels::{
-    ImagePlanes, LayerPlanes, MediumPlanes, Saved, SavedPlanes, input, load_cotangents, load_water,
-    row_splats, store_images, store_layers, store_medium_gradient,
+    BackwardRead, Composed, ImagePlanes, LayerPlanes, MediumPlanes, Saved, SavedPlanes, input,
+    load_cotangents, load_water, row_splats, store_images, store_layers, store_medium_gradient,
 };
 use super::strips::for_each;
 use super::sums::{in_groups, scatter};
@@ -17,8 +17,7 @@ use super::tile::{BackwardTile, ForwardTile, Input, Sink, Water};
 use super::{lanes, plain};
 use crate::lists::{Prepared, TILE};
 use crate::project::{Drawn, Record, SplatGradient, backward};
-use crate::view::{Cotangents, Options, Rendered};
-use crate::{GaussianGradients, Gaussians};
+use crate::view::{Cotangents, Gradients, Options, Rendered, ViewOf};
 
 /// Which code composes a tile. All give the same bits where multiply-add is fused.
 #[derive(Clone, Copy, Debug)]
@@ -128,21 +127,20 @@ impl Rasterizer {
         self.saved.stop()
     }
 
-    /// The gradient of a loss with respect to every parameter of the Gaussians and to the medium's maps. `prepared` must come from
-    /// `gaussians` and `camera`. `grads` and `medium_grads` are overwritten (and resized), not added to.
+    /// The gradient of a loss with respect to every parameter of the Gaussians and to the medium's maps. `prepared` must be a view
+    /// `of` these. `grads` are overwritten (and resized), not added to.
     pub fn backward(
         &mut self,
         prepared: &Prepared,
-        gaussians: &Gaussians,
-        camera: &Camera,
+        of: ViewOf<'_>,
         medium: Option<&MediumMaps>,
         options: &Options,
         cotangents: &Cotangents<'_>,
-        grads: &mut GaussianGradients,
-        medium_grads: Option<&mut MediumMaps>,
+        grads: Gradients<'_>,
     ) {
         check_medium(prepared, medium);
         check_size(prepared, "the image's cotangent", cotangents.image.width(), cotangents.image.height());
+        let ViewOf { gaussians, camera } = of;
         assert_eq!(gaussians.len(), prepared.gaussians, "the view was prepared from other Gaussians");
         if !self.saved.is_of(prepared) {
             self.forward_tiles::<false, false>(prepared, None, None);
@@ -156,44 +154,34 @@ impl Rasterizer {
             (true, false) => Self::backward_tiles::<true, false>,
             (true, true) => Self::backward_tiles::<true, true>,
         };
-        run(self, prepared, medium, s_gradient, cotangents, medium_grads);
+        let read = BackwardRead { prepared, medium, cotangents, saved: None };
+        run(self, read, s_gradient, grads.medium);
         let drawn = Drawn { splats: &prepared.splats, ranks: &prepared.ranks, source: prepared.color_source };
-        backward(&drawn, &self.sums, gaussians, camera, grads);
+        backward(&drawn, &self.sums, gaussians, camera, grads.gaussians);
     }
 
     fn backward_tiles<const WATER: bool, const EXTRAS: bool>(
         &mut self,
-        prepared: &Prepared,
-        medium: Option<&MediumMaps>,
+        read: BackwardRead<'_>,
         s_gradient: f32,
-        cotangents: &Cotangents<'_>,
         medium_grads: Option<&mut MediumMaps>,
     ) {
-        let (engine, saved) = (self.engine, &self.saved);
-        let planes = MediumPlanes::of(medium_grads, prepared);
+        let engine = self.engine;
+        let read = BackwardRead { saved: Some(&self.saved), ..read };
+        let planes = MediumPlanes::of(medium_grads, read.prepared);
         in_groups(
-            prepared,
+            read.prepared,
             &mut self.records,
             &mut self.sums,
             planes,
             &|row, records, strips: MediumPlanes<'_>| match engine {
-                Engine::Plain => backward_row::<WATER>(
-                    prepared,
-                    medium,
-                    Some(saved),
-                    cotangents,
-                    row,
-                    records,
-                    strips,
-                    |input, water, tile, sink| {
+                Engine::Plain => {
+                    backward_row::<WATER>(&read, row, records, strips, |input, water, tile, sink| {
                         plain::backward::<WATER, EXTRAS>(input, water, tile, s_gradient, sink);
-                    },
-                ),
+                    });
+                }
                 Engine::Lanes(level) => dispatch!(level, simd => backward_row::<WATER>(
-                    prepared,
-                    medium,
-                    Some(saved),
-                    cotangents,
+                    &read,
                     row,
                     records,
                     strips,
@@ -234,6 +222,7 @@ impl Rasterizer {
     ) {
         let engine = self.engine;
         let cotangents = Cotangents { image, depth: None, accumulation: None, clear: None };
+        let read = BackwardRead { prepared, medium, cotangents: &cotangents, saved: None };
         let planes = MediumPlanes::of(Some(medium_grads), prepared);
         in_groups(
             prepared,
@@ -241,23 +230,11 @@ impl Rasterizer {
             &mut self.sums,
             planes,
             &|row, records, strips: MediumPlanes<'_>| match engine {
-                Engine::Plain => backward_row::<WATER>(
-                    prepared,
-                    medium,
-                    None,
-                    &cotangents,
-                    row,
-                    records,
-                    strips,
-                    |input, water, tile, sink| {
-                        plain::backward_colors::<WATER>(input, water, tile, sink);
-                    },
-                ),
+                Engine::Plain => {
+                    backward_row::<WATER>(&read, row, records, strips, plain::backward_colors::<WATER>);
+                }
                 Engine::Lanes(level) => dispatch!(level, simd => backward_row::<WATER>(
-                    prepared,
-                    medium,
-                    None,
-                    &cotangents,
+                    &read,
                     row,
                     records,
                     strips,
@@ -298,7 +275,8 @@ fn forward_row<const WATER: bool>(
             store_images::<WATER>(medium, row, columns, &input, &tile, &mut images);
         }
         if layers.present() {
-            store_layers::<WATER>(prepared, medium, row, column, &input, &tile, &water, &mut layers);
+            let composed = Composed { input: &input, water: &water, tile: &tile };
+            store_layers::<WATER>(prepared, medium, row, column, &composed, &mut layers);
         }
     }
 }
@@ -306,10 +284,7 @@ fn forward_row<const WATER: bool>(
 /// Differentiates a tile row with `compose`, which hands its records to the closure it is given.
 #[inline(always)]
 fn backward_row<const WATER: bool>(
-    prepared: &Prepared,
-    medium: Option<&MediumMaps>,
-    saved: Option<&Saved>,
-    cotangents: &Cotangents<'_>,
+    read: &BackwardRead<'_>,
     row: usize,
     records: &mut [Record],
     mut grads: MediumPlanes<'_>,
@@ -317,13 +292,14 @@ fn backward_row<const WATER: bool>(
 ) {
     let mut water = Water::default();
     let mut tile = BackwardTile::ZERO;
+    let BackwardRead { prepared, medium, .. } = *read;
     let splats = row_splats(prepared, row);
     for column in 0..prepared.columns.tiles() {
         let input = input(prepared, &splats, row, column);
         if WATER && let Some(medium) = medium {
             load_water(prepared, medium, row, column, &mut water);
         }
-        load_cotangents(prepared, saved, medium, cotangents, row, column, &mut tile);
+        load_cotangents(read, row, column, &mut tile);
         compose(&input, &water, &mut tile, &mut Sink { records, column: column as u32 });
         if grads.present() {
             store_medium_gradient::<WATER>(prepared, &input, row, column, &tile, &mut grads);

@@ -424,7 +424,9 @@ pub(crate) mod tests {
                 let (mut out, mut grads) = (Rendered::new(), GaussianGradients::default());
                 let options = Options::default();
                 rasterizer.forward(view, None, &options, &mut out);
-                rasterizer.backward(view, &gaussians, &camera, None, &options, &cotangents, &mut grads, None);
+                let of = crate::ViewOf { gaussians: &gaussians, camera: &camera };
+                let into = crate::Gradients { gaussians: &mut grads, medium: None };
+                rasterizer.backward(view, of, None, &options, &cotangents, into);
                 (out, grads)
             };
             assert!(run(&view) == run(&uncut));

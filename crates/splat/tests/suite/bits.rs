@@ -3,7 +3,8 @@
 use use3d_capture::{Image, MediumMaps};
 use use3d_numerics::math;
 use use3d_splat::{
-    Colors, Cotangents, GaussianGradients, Gaussians, Options, Prepared, Rasterizer, Rendered,
+    Colors, Cotangents, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, Rendered,
+    ViewOf,
 };
 
 use crate::support::{
@@ -37,13 +38,11 @@ fn everything(rasterizer: &mut Rasterizer, gaussians: &Gaussians, medium: Option
     let (mut grads, mut maps) = (GaussianGradients::default(), MediumMaps::zeros(0, 0));
     rasterizer.backward(
         &view,
-        gaussians,
-        &camera,
+        ViewOf { gaussians, camera: &camera },
         medium,
         &options,
         &cotangents,
-        &mut grads,
-        Some(&mut maps),
+        Gradients { gaussians: &mut grads, medium: Some(&mut maps) },
     );
     let (mut colors, mut color_maps) = (vec![[0.0; 3]; gaussians.len()], MediumMaps::zeros(0, 0));
     rasterizer.backward_colors(&view, medium, &image, &mut colors, &mut color_maps);
@@ -138,13 +137,11 @@ fn the_backward_pass_does_not_depend_on_which_view_was_rendered_last() {
         let (mut grads, mut maps) = (GaussianGradients::default(), MediumMaps::zeros(0, 0));
         rasterizer.backward(
             &view,
-            &gaussians,
-            &camera,
+            ViewOf { gaussians: &gaussians, camera: &camera },
             medium.as_ref(),
             &options,
             &cotangents,
-            &mut grads,
-            Some(&mut maps),
+            Gradients { gaussians: &mut grads, medium: Some(&mut maps) },
         );
         (grads, maps)
     };

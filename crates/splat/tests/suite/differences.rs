@@ -2,7 +2,9 @@
 
 use use3d_capture::MediumMaps;
 use use3d_numerics::random::{Purpose, Stream};
-use use3d_splat::{Cotangents, GaussianGradients, Gaussians, Options, Rasterizer, Rendered, view_colors};
+use use3d_splat::{
+    Cotangents, GaussianGradients, Gaussians, Gradients, Options, Rasterizer, Rendered, ViewOf, view_colors,
+};
 
 use crate::support::{prepared, random_camera, random_gaussians, random_image, random_map, random_medium};
 
@@ -52,13 +54,11 @@ fn check(scene: &mut Scene, options: Options, seed: u64) {
     let view = prepared(&scene.gaussians, &scene.camera);
     rasterizer.backward(
         &view,
-        &scene.gaussians,
-        &scene.camera,
+        ViewOf { gaussians: &scene.gaussians, camera: &scene.camera },
         scene.medium.as_ref(),
         &options,
         &cotangents,
-        &mut grads,
-        Some(&mut maps),
+        Gradients { gaussians: &mut grads, medium: Some(&mut maps) },
     );
     // f32 images carry about this much rounding into the loss.
     let rounding = 1e-7

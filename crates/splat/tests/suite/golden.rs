@@ -3,7 +3,8 @@
 use use3d_capture::{Camera, Image, Map, MediumMaps};
 use use3d_golden::{Case, Part};
 use use3d_splat::{
-    Colors, Cotangents, GaussianGradients, Gaussians, Options, Prepared, Rasterizer, Rendered,
+    Colors, Cotangents, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, Rendered,
+    ViewOf,
 };
 
 use crate::support::{camera_of, engines, gaussians_of, image_of, lattice, map_of, medium_of};
@@ -60,13 +61,11 @@ fn check_case(case: &Case<'_>, rasterizer: &mut Rasterizer) {
         };
         rasterizer.backward(
             &prepared,
-            &gaussians,
-            &camera,
+            ViewOf { gaussians: &gaussians, camera: &camera },
             Some(&medium),
             &options,
             &cotangents,
-            &mut grads,
-            Some(&mut medium_grads),
+            Gradients { gaussians: &mut grads, medium: Some(&mut medium_grads) },
         );
         for input in case.grads() {
             let name = format!("grad.{pull}.{input}");
@@ -148,13 +147,11 @@ fn check_colors(
     let options = Options::default();
     rasterizer.backward(
         &prepared,
-        &lifted,
-        camera,
+        ViewOf { gaussians: &lifted, camera },
         Some(medium),
         &options,
         &cotangents,
-        &mut grads,
-        Some(&mut full),
+        Gradients { gaussians: &mut grads, medium: Some(&mut full) },
     );
     let (mut colors, mut maps) = (vec![[9.0; 3]; lifted.len()], MediumMaps::zeros(0, 0));
     rasterizer.backward_colors(&prepared, Some(medium), image, &mut colors, &mut maps);

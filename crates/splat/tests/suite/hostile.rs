@@ -2,7 +2,7 @@
 
 use use3d_capture::MediumMaps;
 use use3d_numerics::random::{Purpose, Stream};
-use use3d_splat::{Cotangents, GaussianGradients, Gaussians, Options, Rendered};
+use use3d_splat::{Cotangents, GaussianGradients, Gaussians, Gradients, Options, Rendered, ViewOf};
 
 use crate::support::{
     engines, prepared, random_camera, random_gaussians, random_image, random_map, random_medium,
@@ -29,13 +29,11 @@ fn run_all(gaussians: &Gaussians, width: usize, height: usize) {
             let (mut grads, mut maps) = (GaussianGradients::default(), MediumMaps::zeros(0, 0));
             rasterizer.backward(
                 &view,
-                gaussians,
-                &camera,
+                ViewOf { gaussians, camera: &camera },
                 medium,
                 &options,
                 &cotangents,
-                &mut grads,
-                Some(&mut maps),
+                Gradients { gaussians: &mut grads, medium: Some(&mut maps) },
             );
             for values in [
                 grads.means.as_flattened(),

@@ -4,7 +4,8 @@ use glam::{DMat3, DQuat, DVec3};
 use use3d_capture::{Image, Lattice, MediumMaps, Pose};
 use use3d_numerics::math;
 use use3d_splat::{
-    Colors, Cotangents, GaussianGradients, Options, Prepared, Rasterizer, Rendered, view_colors,
+    Colors, Cotangents, GaussianGradients, Gradients, Options, Prepared, Rasterizer, Rendered, ViewOf,
+    view_colors,
 };
 
 use crate::support::{lattice, prepared, random_camera, random_gaussians, random_image, random_medium};
@@ -150,7 +151,14 @@ fn permuting_gaussians_permutes_gradients_and_keeps_the_image() {
         let view = prepared(g, &camera);
         let mut grads = GaussianGradients::default();
         let options = Options::default();
-        Rasterizer::new().backward(&view, g, &camera, Some(&medium), &options, &cotangents, &mut grads, None);
+        Rasterizer::new().backward(
+            &view,
+            ViewOf { gaussians: g, camera: &camera },
+            Some(&medium),
+            &options,
+            &cotangents,
+            Gradients { gaussians: &mut grads, medium: None },
+        );
         (render(&view, Some(&medium)).image, grads)
     };
     let ((image_a, grads_a), (image_b, grads_b)) = (run(&gaussians), run(&shuffled));
@@ -217,7 +225,14 @@ fn the_screen_statistic_bounds_the_projected_gradient() {
         let mut grads = GaussianGradients::default();
         let cotangents = Cotangents { image, depth: None, accumulation: None, clear: None };
         let options = Options::default();
-        Rasterizer::new().backward(&view, &gaussians, &camera, None, &options, &cotangents, &mut grads, None);
+        Rasterizer::new().backward(
+            &view,
+            ViewOf { gaussians: &gaussians, camera: &camera },
+            None,
+            &options,
+            &cotangents,
+            Gradients { gaussians: &mut grads, medium: None },
+        );
         grads.screen
     };
     let whole = random_image(40, 30, 5);

@@ -1,0 +1,39 @@
+//! The compositor on 16 lanes: one row of a tile is one vector. Every function here is the lane form of its namesake in
+//! [`plain`](crate::compose::plain), with the same operations in the same order per pixel and per sum.
+//!
+//! The Gaussian is outermost inside a tile: the tile's pixel state stays in the first-level cache, the Gaussian's gradient sums in
+//! registers. `entries` walks a tile's list, once for all of them: each is a [`Pass`](entries::Pass), which says what an entry does.
+//! `decay` is the water between a Gaussian and the pixels, `front` what is left of the light on its way back, `sums` the ends of sums.
+
+mod backward;
+mod colors;
+mod decay;
+mod entries;
+mod forward;
+mod front;
+mod linear;
+mod sums;
+
+use fearless_simd::{Simd, SimdBase, SimdFloat, f32x16, mask32x16};
+
+pub(crate) use self::backward::backward;
+pub(crate) use self::colors::backward_colors;
+pub(crate) use self::forward::forward;
+pub(crate) use self::linear::{splat, splat_adjoint};
+use super::tile::Lanes;
+
+#[inline(always)]
+fn load<S: Simd>(simd: S, lanes: &Lanes) -> f32x16<S> {
+    f32x16::load_array_ref(simd, lanes)
+}
+
+/// `lanes += a b`.
+#[inline(always)]
+fn accumulate<S: Simd>(simd: S, lanes: &mut Lanes, a: f32x16<S>, b: f32x16<S>) {
+    a.mul_add(b, load(simd, lanes)).store_array(lanes);
+}
+
+#[inline(always)]
+fn select<S: Simd>(mask: mask32x16<S>, a: f32x16<S>, b: f32x16<S>) -> f32x16<S> {
+    fearless_simd::Select::select(mask, a, b)
+}

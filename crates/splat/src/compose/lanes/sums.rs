@@ -1,0 +1,43 @@
+//! Sums over the 16 lanes, in a fixed order.
+
+use fearless_simd::{Simd, SimdBase, f32x4, f32x16};
+
+use crate::compose::tile::moments;
+use crate::project::{Record, Splat, SplatGradient};
+
+/// Sums of lanes four apart, in the order of [`use3d_numerics::lanes::sum`].
+#[inline(always)]
+fn quarter<S: Simd>(simd: S, v: f32x16<S>) -> f32x4<S> {
+    let (low, high) = simd.split_f32x16(v);
+    let (a, b) = simd.split_f32x8(low + high);
+    a + b
+}
+
+/// Four sums at once, each in the order of [`use3d_numerics::lanes::sum`].
+#[inline(always)]
+pub(super) fn sums<S: Simd>(simd: S, [a, b, c, d]: [f32x16<S>; 4]) -> [f32; 4] {
+    // Named one by one: `array::map` is a call that the instruction set does not reach into.
+    let (a, b, c, d) = (quarter(simd, a), quarter(simd, b), quarter(simd, c), quarter(simd, d));
+    let ab = (a.zip_low(b) + a.zip_high(b)).to_array();
+    let cd = (c.zip_low(d) + c.zip_high(d)).to_array();
+    [ab[0] + ab[2], ab[1] + ab[3], cd[0] + cd[2], cd[1] + cd[3]]
+}
+
+/// The backward pass's sums over rows, summed over the columns too, as a record; `offset` is the columns' distance from `origin`.
+#[inline(always)]
+pub(super) fn finish<S: Simd>(
+    simd: S,
+    splat: &Splat,
+    origin: [f32; 2],
+    offset: f32x16<S>,
+    lanes: [f32x16<S>; 9],
+) -> Record {
+    let [p0, p1, p2, slope, r, g, b, ax, ay] = lanes;
+    let x0 = p0 * offset;
+    let [s0, sx, sxx, s1] = sums(simd, [p0, x0, x0 * offset, p1]);
+    let [sx1, s2, slope, r] = sums(simd, [p1 * offset, p2, slope, r]);
+    let [g, b, ax, ay] = sums(simd, [g, b, ax, ay]);
+    let [s0, t, y, tt, ty, yy] = moments(splat, origin, [s0, sx, sxx, s1, sx1, s2]);
+    let (color, screen) = ([r, g, b], [ax, ay]);
+    SplatGradient { weight: s0, t, dy: y, t_t: tt, t_dy: ty, dy_dy: yy, z: slope, color, screen }.record()
+}
