@@ -34,6 +34,55 @@ fn create(gpu: &Gpu, what: &'static str, bytes: u64, uniform: bool) -> Result<wg
     Ok(buffer)
 }
 
+/// Copies the beginnings of buffers to main memory, in one submit that is waited for once.
+fn fetch(gpu: &Gpu, wanted: &mut [(&wgpu::Buffer, &mut [u8])]) -> Result<(), EngineError> {
+    let padded = |bytes: &[u8]| bytes.len().next_multiple_of(16) as u64;
+    let size = wanted.iter().map(|(_, bytes)| padded(bytes)).sum();
+    if size == 0 {
+        return Ok(());
+    }
+    let staging = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("read-back"),
+        size,
+        usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    });
+    let mut encoder = gpu.device.create_command_encoder(&Default::default());
+    let mut at = 0;
+    for (buffer, bytes) in wanted.iter().filter(|(_, bytes)| !bytes.is_empty()) {
+        encoder.copy_buffer_to_buffer(buffer, 0, &staging, at, padded(bytes));
+        at += padded(bytes);
+    }
+    gpu.queue.submit([encoder.finish()]);
+    let slice = staging.slice(..);
+    // The result is found out by reading below.
+    slice.map_async(wgpu::MapMode::Read, |_| ());
+    gpu.wait()?;
+    let view = slice.get_mapped_range().map_err(|e| EngineError::Failed(Box::new(e)))?;
+    let mut at = 0;
+    for (_, bytes) in wanted.iter_mut().filter(|(_, bytes)| !bytes.is_empty()) {
+        bytes.copy_from_slice(&view[at..at + bytes.len()]);
+        at += padded(bytes) as usize;
+    }
+    Ok(())
+}
+
+/// The first words of some buffers, as many as asked for of each, waited for once.
+pub(crate) fn read_together<const N: usize>(
+    gpu: &Gpu,
+    wanted: [(&wgpu::Buffer, usize); N],
+) -> Result<[Vec<u32>; N], EngineError> {
+    let words = |(buffer, words): (&wgpu::Buffer, usize)| vec![0; words.min(buffer.size() as usize / 4)];
+    let mut out = wanted.map(words);
+    let mut each: Vec<_> = wanted
+        .iter()
+        .zip(&mut out)
+        .map(|((buffer, _), out)| (*buffer, bytemuck::cast_slice_mut(out)))
+        .collect();
+    fetch(gpu, &mut each)?;
+    Ok(out)
+}
+
 impl<T: Pod> Array<T> {
     /// Room for so many items, zero.
     pub(crate) fn new(gpu: &Gpu, what: &'static str, capacity: usize) -> Result<Self, EngineError> {
@@ -101,27 +150,8 @@ impl<T: Pod> Array<T> {
 
     /// The first items, waited for.
     pub(crate) fn read(&self, gpu: &Gpu, items: usize) -> Result<Vec<T>, EngineError> {
-        let items = items.min(self.capacity);
-        if items == 0 {
-            return Ok(Vec::new());
-        }
-        let bytes = Self::bytes(items);
-        let staging = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("read-back"),
-            size: bytes,
-            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        let mut encoder = gpu.device.create_command_encoder(&Default::default());
-        encoder.copy_buffer_to_buffer(&self.buffer, 0, &staging, 0, bytes);
-        gpu.queue.submit([encoder.finish()]);
-        let slice = staging.slice(..);
-        // The result is found out by reading below.
-        slice.map_async(wgpu::MapMode::Read, |_| ());
-        gpu.wait()?;
-        let view = slice.get_mapped_range().map_err(|e| EngineError::Failed(Box::new(e)))?;
-        let mut out = vec![T::zeroed(); items];
-        bytemuck::cast_slice_mut::<T, u8>(&mut out).copy_from_slice(&view[..items * size_of::<T>()]);
+        let mut out = vec![T::zeroed(); items.min(self.capacity)];
+        fetch(gpu, &mut [(&self.buffer, bytemuck::cast_slice_mut(&mut out))])?;
         Ok(out)
     }
 
@@ -146,6 +176,10 @@ mod tests {
         assert_eq!(array.read(&gpu, 5).unwrap(), [1, 2, 3, 7, 8]);
         array.poison(&gpu);
         assert_eq!(array.read(&gpu, 2).unwrap(), [0x7fc0_dead; 2]);
+        let other = Array::from(&gpu, "others", &[0.5f32, 0.25]).unwrap();
+        array.write(&gpu, 0, &[6]);
+        let together = read_together(&gpu, [(array.raw(), 1), (array.raw(), 0), (other.raw(), 900)]).unwrap();
+        assert_eq!(together, [vec![6], vec![], vec![0.5f32.to_bits(), 0.25f32.to_bits(), 0, 0]]);
         assert!(!array.grow(&gpu, 5).unwrap() && array.grow(&gpu, 700).unwrap());
         assert_eq!((array.capacity(), array.read(&gpu, 700).unwrap()), (700, vec![0; 700]));
     }

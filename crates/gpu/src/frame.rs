@@ -1,7 +1,7 @@
 //! What every kernel of a step may read: camera, sizes, the step's constants. One uniform, written before each step.
 
 use bytemuck::{Pod, Zeroable};
-use use3d_capture::Camera;
+use use3d_capture::{Camera, Lattice};
 use use3d_numerics::spherical_harmonics::bands;
 
 use crate::kernel::{Access, Binding};
@@ -31,7 +31,7 @@ pub(crate) struct Frame {
     pub(crate) limits: [f32; 4],
     /// First and last pixel centre: columns, rows.
     pub(crate) extent: [f32; 4],
-    /// Width, height, tiles across, tiles down.
+    /// Of the lattice: width, height, tiles across, tiles down.
     pub(crate) size: [u32; 4],
     /// Gaussians, bands of colour active (1, 4, 9 or 16), entries there is room for, the step modulo 2^32.
     pub(crate) counts: [u32; 4],
@@ -48,8 +48,14 @@ pub(crate) struct Frame {
 }
 
 impl Frame {
-    /// Every pixel of a camera looked at: geometry of the view and numbers of Gaussians; the rest is zero.
-    pub(crate) fn of(camera: &Camera, gaussians: usize, degree: usize, entries: usize) -> Self {
+    /// The pixels of a lattice, looked at by a camera: geometry of the view and numbers of Gaussians; the rest is zero.
+    pub(crate) fn on(
+        camera: &Camera,
+        lattice: &Lattice,
+        gaussians: usize,
+        degree: usize,
+        entries: usize,
+    ) -> Self {
         let (k, pose) = (&camera.intrinsics, &camera.pose);
         let single = |v: f64| v as f32;
         let center = pose.center().to_array();
@@ -61,7 +67,10 @@ impl Frame {
             [single(-(centre / focal + margin)), single((size - centre) / focal + margin)]
         };
         let ([x0, x1], [y0, y1]) = (limits(k.width, k.fx, k.cx), limits(k.height, k.fy, k.cy));
-        let (width, height) = (k.width as u32, k.height as u32);
+        let ends =
+            |centres: &[f32]| [centres.first(), centres.last()].map(|c| c.copied().unwrap_or_default());
+        let ([left, right], [top, bottom]) = (ends(lattice.columns()), ends(lattice.rows()));
+        let (width, height) = (lattice.width() as u32, lattice.height() as u32);
         Self {
             rotation: std::array::from_fn(|r| {
                 std::array::from_fn(|c| if c < 3 { single(pose.rotation.col(c)[r]) } else { 0.0 })
@@ -70,7 +79,7 @@ impl Frame {
             center_rest: [rest[0], rest[1], rest[2], 0.0],
             lens: [k.fx, k.fy, k.cx, k.cy].map(single),
             limits: [x0, x1, y0, y1],
-            extent: [0.5, k.width as f32 - 0.5, 0.5, k.height as f32 - 0.5],
+            extent: [left, right, top, bottom],
             size: [width, height, width.div_ceil(TILE), height.div_ceil(TILE)],
             counts: [gaussians as u32, bands(degree.min(3)) as u32, entries as u32, 0],
             ..Self::default()

@@ -8,6 +8,7 @@
 //! that a Gaussian finds its own side by side. The order by tile is stable and keeps depth within a tile. Hidden Gaussians go through
 //! the first order with the largest key instead of being left out before: a dispatch less against a little more to sort.
 
+use use3d_capture::Lattice;
 use use3d_training::EngineError;
 
 use crate::buffer::Array;
@@ -129,13 +130,32 @@ impl ListKernels {
     }
 }
 
+/// A view's lists as the compositor reads them, whoever made them.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Drawn<'a> {
+    /// See [`Lists::axes`].
+    pub(crate) axes: &'a Array<f32>,
+    pub(crate) starts: &'a Array<u32>,
+    /// Entries by tile, by depth within.
+    pub(crate) lists: &'a Array<u32>,
+    pub(crate) owners: &'a Array<u32>,
+    pub(crate) splats: &'a Array<Row>,
+}
+
+impl Drawn<'_> {
+    /// What a kernel binds of a view, the frame first.
+    pub(crate) fn buffers(&self, frame: &Array<Frame>) -> Vec<wgpu::Buffer> {
+        bound![*frame, *self.axes, *self.starts, *self.lists, *self.owners, *self.splats]
+    }
+}
+
 /// The buffers of a view's lists.
 #[derive(Debug)]
 pub(crate) struct Lists {
     /// Pixel centres of columns, then of rows, each padded to whole tiles with the last one.
     pub(crate) axes: Array<f32>,
-    /// Size that the axes are of.
-    size: [usize; 2],
+    /// What the axes are of.
+    lattice: Option<Lattice>,
     pub(crate) splats: Array<Row>,
     tiles: Array<u32>,
     by_depth: Sort,
@@ -156,7 +176,7 @@ impl Lists {
     pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
         Ok(Self {
             axes: Array::new(gpu, "pixel centres", 1)?,
-            size: [0; 2],
+            lattice: None,
             splats: Array::new(gpu, "splats", 1)?,
             tiles: Array::new(gpu, "tiles per Gaussian", 1)?,
             by_depth: Sort::new(gpu, 1)?,
@@ -182,8 +202,8 @@ impl Lists {
         self.by_tile.grow(gpu, entries)
     }
 
-    /// Makes ready for a view; before [`Lists::record`], and again when the frame's sizes change.
-    pub(crate) fn prepare(&mut self, gpu: &Gpu, frame: &Frame) -> Result<(), EngineError> {
+    /// Makes ready for a view of a lattice, of which the frame is; before [`Lists::record`], and again when one of them changes.
+    pub(crate) fn prepare(&mut self, gpu: &Gpu, frame: &Frame, lattice: &Lattice) -> Result<(), EngineError> {
         let n = frame.gaussians();
         self.splats.grow(gpu, 3 * n)?;
         self.tiles.grow(gpu, n)?;
@@ -192,15 +212,16 @@ impl Lists {
         self.offsets.grow(gpu, n)?;
         self.runs.grow(gpu, n)?;
         self.starts.grow(gpu, frame.tiles() + 1)?;
-        let size = [frame.size[0] as usize, frame.size[1] as usize];
-        if self.size != size {
-            let axes: Vec<f32> = size
-                .iter()
-                .flat_map(|&n| (0..n.next_multiple_of(TILE as usize)).map(move |i| i.min(n - 1) as f32 + 0.5))
-                .collect();
+        if self.lattice.as_ref() != Some(lattice) {
+            let padded = |centres: &'_ [f32]| {
+                let more = centres.len().next_multiple_of(TILE as usize) - centres.len();
+                let last = centres.last().copied().unwrap_or_default();
+                [centres, &vec![last; more]].concat()
+            };
+            let axes = [padded(lattice.columns()), padded(lattice.rows())].concat();
             self.axes.grow(gpu, axes.len())?;
             self.axes.write(gpu, 0, &axes);
-            self.size = size;
+            self.lattice = Some(lattice.clone());
         }
         // One tile more than there are: that of entries nobody draws.
         self.tile_bits = usize::BITS - frame.tiles().leading_zeros();
@@ -247,6 +268,12 @@ impl Lists {
         by_tile.record(&k.sort, pass, counts, self.tile_bits);
         let (keys, _) = by_tile.output(self.tile_bits);
         k.starts.dispatch(pass, k.starts.grid(tiles + 1), bound![*frame, *counts, *keys, self.starts]);
+    }
+
+    /// The lists as the compositor reads them, after [`Lists::record`].
+    pub(crate) fn drawn(&self) -> Drawn<'_> {
+        let Self { axes, starts, owners, splats, .. } = self;
+        Drawn { axes, starts, lists: self.entries(), owners, splats }
     }
 
     /// Entries by tile, by depth within.

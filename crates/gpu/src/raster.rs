@@ -10,7 +10,7 @@ use crate::buffer::Array;
 use crate::device::Gpu;
 use crate::frame::{FRAME, FRAME_BINDING, Frame};
 use crate::kernel::{Access, Binding, Constant, Grid, Kernel, ROWS, Spec, U32S, bound, read, write};
-use crate::lists::Lists;
+use crate::lists::Drawn;
 use crate::scene::Row;
 
 /// Threads of the forward pass: the pixels of a tile.
@@ -191,22 +191,18 @@ impl Planes {
     }
 
     /// What both passes bind first: [`TILE`], then [`WATER`].
-    fn tile(&self, frame: &Array<Frame>, lists: &Lists, water: Option<WaterPlanes<'_>>) -> Vec<wgpu::Buffer> {
+    fn tile(
+        &self,
+        frame: &Array<Frame>,
+        drawn: &Drawn<'_>,
+        water: Option<WaterPlanes<'_>>,
+    ) -> Vec<wgpu::Buffer> {
         let none = &self.nothing;
         let WaterPlanes { color, attenuation, backscatter } =
             water.unwrap_or(WaterPlanes { color: none, attenuation: none, backscatter: none });
-        let entries = lists.entries();
-        bound![
-            *frame,
-            lists.axes,
-            lists.starts,
-            *entries,
-            lists.owners,
-            lists.splats,
-            *color,
-            *attenuation,
-            *backscatter,
-        ]
+        let mut buffers = drawn.buffers(frame);
+        buffers.extend(bound![*color, *attenuation, *backscatter]);
+        buffers
     }
 
     /// Records the forward pass of `tiles` tiles. Without `train` only image, depth and accumulation are written.
@@ -216,12 +212,12 @@ impl Planes {
         pass: &mut wgpu::ComputePass<'_>,
         frame: &Array<Frame>,
         tiles: usize,
-        lists: &Lists,
+        drawn: &Drawn<'_>,
         water: Option<WaterPlanes<'_>>,
         train: bool,
     ) {
         let kernel = &kernels.forward[usize::from(water.is_some())][usize::from(train)];
-        let mut buffers = self.tile(frame, lists, water);
+        let mut buffers = self.tile(frame, drawn, water);
         buffers.extend(bound![
             self.image,
             self.depth,
@@ -242,14 +238,14 @@ impl Planes {
         pass: &mut wgpu::ComputePass<'_>,
         frame: &Array<Frame>,
         tiles: usize,
-        lists: &Lists,
+        drawn: &Drawn<'_>,
         water: Option<WaterPlanes<'_>>,
         image_pull: &Array<f32>,
         depth_pull: &Array<f32>,
         records: &Array<Row>,
     ) {
         let kernel = &kernels.backward[usize::from(water.is_some())];
-        let mut buffers = self.tile(frame, lists, water);
+        let mut buffers = self.tile(frame, drawn, water);
         buffers.extend(bound![
             self.depth,
             self.accumulation,

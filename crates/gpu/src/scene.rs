@@ -31,6 +31,13 @@ impl Parameters {
         })
     }
 
+    /// These Gaussians, to be drawn and not trained.
+    pub(crate) fn of(gpu: &Gpu, gaussians: &Gaussians) -> Result<Self, EngineError> {
+        let parameters = Self::new(gpu, "geometry", "colours", gaussians.len())?;
+        parameters.write(gpu, gaussians);
+        Ok(parameters)
+    }
+
     fn grow(&mut self, gpu: &Gpu, n: usize) -> Result<(), EngineError> {
         self.geometry.grow(gpu, GEOMETRY * n)?;
         self.colors.grow(gpu, COLORS * n)?;

@@ -56,6 +56,7 @@ struct Drawn {
 struct Case {
     gaussians: Gaussians,
     camera: Camera,
+    lattice: Lattice,
     degree: usize,
     water: Option<MediumMaps>,
     image: Image,
@@ -72,6 +73,7 @@ impl Case {
         Self {
             gaussians,
             camera: camera(width, height),
+            lattice: Lattice::size(width, height),
             degree: 3,
             water: wet.then(|| water(width, height)),
             image: Image::from_planes(width, height, image).unwrap(),
@@ -80,10 +82,17 @@ impl Case {
         }
     }
 
+    /// Length of a pixel's ray at z = 1; pixels count on over the channels.
+    fn ray(&self, i: usize) -> f64 {
+        let i = i % self.depth.pixels();
+        let (x, y) = (i % self.lattice.width(), i / self.lattice.width());
+        self.camera.ray(self.lattice.columns()[x].into(), self.lattice.rows()[y].into()).length()
+    }
+
     fn cpu(&self) -> (Prepared, Rendered, GaussianGradients, MediumMaps) {
         let mut prepared = Prepared::new();
-        let lattice = Lattice::full(&self.camera.intrinsics);
-        prepared.prepare(&self.gaussians, &self.camera, &lattice, Colors::Sh { degree: self.degree });
+        let colors = Colors::Sh { degree: self.degree };
+        prepared.prepare(&self.gaussians, &self.camera, &self.lattice, colors);
         let (mut rasterizer, mut rendered) = (Rasterizer::new(), Rendered::new());
         let options = Options { depth_gradient: self.depth_gradient, layers: false };
         rasterizer.forward(&prepared, self.water.as_ref(), &options, &mut rendered);
@@ -122,12 +131,12 @@ impl Bench {
         let (mut lists, mut planes) = (Lists::new(gpu).unwrap(), Planes::new(gpu).unwrap());
         lists.grow(gpu, room).unwrap();
         let degree = case.degree.min(case.gaussians.sh_degree);
-        let mut frame = Frame::of(&case.camera, n, degree, lists.capacity());
+        let mut frame = Frame::on(&case.camera, &case.lattice, n, degree, lists.capacity());
         let pixels = frame.pixels();
         frame.flags = [u32::from(case.water.is_some()), u32::from(case.depth_gradient), 1, 0];
         frame.set_rates(0, &RATES);
         frame.screen = [frame.size[0] as f32 * 0.5, frame.size[1] as f32 * 0.5, 0.0, 0.0];
-        lists.prepare(gpu, &frame).unwrap();
+        lists.prepare(gpu, &frame, &case.lattice).unwrap();
         planes.grow(gpu, pixels).unwrap();
         let records = Array::<Row>::new(gpu, "records", 3 * lists.capacity()).unwrap();
         lists.poison(gpu);
@@ -142,7 +151,7 @@ impl Bench {
         let maps = case
             .water
             .as_ref()
-            .map(|maps| exponents(maps, &case.camera))
+            .map(|maps| exponents(maps, case))
             .map(|planes| planes.map(|plane| Array::from(gpu, "water", &plane).unwrap()));
         let water = maps.as_ref().map(|[color, attenuation, backscatter]| WaterPlanes {
             color,
@@ -152,13 +161,13 @@ impl Bench {
         submit(gpu, "view", |pass| {
             let tiles = frame.tiles();
             lists.record(&self.lists, pass, &uniform, n, tiles, &scene.values, &counts, Some(&records));
-            planes.record_forward(&self.raster, pass, &uniform, tiles, &lists, water, true);
+            planes.record_forward(&self.raster, pass, &uniform, tiles, &lists.drawn(), water, true);
             planes.record_backward(
                 &self.raster,
                 pass,
                 &uniform,
                 tiles,
-                &lists,
+                &lists.drawn(),
                 water,
                 &image,
                 &depth,
@@ -192,12 +201,8 @@ impl Bench {
 }
 
 /// The water as the kernels read it.
-fn exponents(maps: &MediumMaps, camera: &Camera) -> [Vec<f32>; 3] {
-    let (w, h) = (maps.color.width(), maps.color.height());
-    let ray = |i: usize| {
-        let (x, y) = (i % (w * h) % w, i % (w * h) / w);
-        camera.ray(x as f64 + 0.5, y as f64 + 0.5).length()
-    };
+fn exponents(maps: &MediumMaps, case: &Case) -> [Vec<f32>; 3] {
+    let ray = |i: usize| case.ray(i);
     let k = |map: &Image| {
         let each = map.data().iter().enumerate();
         each.map(|(i, b)| (f64::from(*b) * ray(i) * std::f64::consts::LOG2_E) as f32).collect()
@@ -226,12 +231,8 @@ fn agree(bench: &Bench, case: &Case, room: usize, what: &str) -> Drawn {
     close("depth", &drawn.depth, rendered.depth.data(), 1e-5);
     close("accumulation", &drawn.accumulation, rendered.accumulation.data(), 1e-5);
     if let Some(water) = &case.water {
-        let pixels = case.depth.pixels();
         let g = case.image.data();
-        let ray = |i: usize| {
-            let (x, y) = (i % pixels % case.depth.width(), i % pixels / case.depth.width());
-            case.camera.ray(x as f64 + 0.5, y as f64 + 0.5).length() as f32
-        };
+        let ray = |i: usize| case.ray(i) as f32;
         let [veil, object, veiled] = &drawn.along;
         let of = |f: &dyn Fn(usize) -> f32| (0..g.len()).map(f).collect::<Vec<f32>>();
         close("slope of water's colour", &of(&|i| g[i] * (1.0 - veil[i])), maps.color.data(), 1e-5);
@@ -249,7 +250,7 @@ fn agree(bench: &Bench, case: &Case, room: usize, what: &str) -> Drawn {
     let colors = gradients.sh.as_flattened().as_flattened();
     close("colours", f.sh.as_flattened().as_flattened(), &tenth(colors), 1e-5);
     let mut statistics = Statistics::new(case.gaussians.len());
-    let (w, h) = (case.camera.intrinsics.width, case.camera.intrinsics.height);
+    let (w, h) = (case.lattice.width(), case.lattice.height());
     statistics.gather(&gradients, w, h, 1.0);
     close("statistics", &drawn.statistics.norms, &statistics.norms, 1e-5);
     let renders = drawn.statistics.renders.iter().zip(&statistics.renders).filter(|(a, b)| a != b).count();
@@ -270,6 +271,11 @@ fn a_view_is_drawn_and_differentiated_as_on_the_processor() {
     dry_distance.depth_gradient = false;
     dry_distance.degree = 1;
     agree(&bench, &dry_distance, 1, "no gradient through distances");
+    let mut sparse = Case::new(cloud(400, -2.0, 0.5), 33, 19, true);
+    sparse.camera = camera(90, 70);
+    let every = |n: usize, of: usize| (0..n).map(|i| 1 + i * of + i % 2).collect::<Vec<_>>();
+    sparse.lattice = Lattice::subset(&every(33, 2), &every(19, 3)).unwrap();
+    agree(&bench, &sparse, 1, "some columns and rows");
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! One step, recorded into one pass; and a view drawn with the present state.
 
-use use3d_capture::Camera;
+use use3d_capture::{Camera, Lattice};
 use use3d_reconstruct::engine::{Degrees, StepPlan, StepReport};
 use use3d_training::EngineError;
 
@@ -37,9 +37,9 @@ pub(super) fn report(asked: &Asked, numbers: &[f32], has_prior: bool) -> StepRep
 
 impl Stage1 {
     /// Makes everything ready for a view, and writes the frame.
-    fn prepare(&mut self, frame: Frame) -> Result<(), EngineError> {
+    fn prepare(&mut self, frame: Frame, lattice: &Lattice) -> Result<(), EngineError> {
         let gpu = &self.gpu;
-        self.lists.prepare(gpu, &frame)?;
+        self.lists.prepare(gpu, &frame, lattice)?;
         self.planes.grow(gpu, frame.pixels())?;
         self.image_slope.grow(gpu, 3 * frame.pixels())?;
         self.depth_slope.grow(gpu, frame.pixels())?;
@@ -54,7 +54,8 @@ impl Stage1 {
         let camera = self.targets.at(place).camera;
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let degree = plan.degrees.colors.min(self.scene.sh_degree);
-        let mut frame = Frame::of(&camera, self.scene.count, degree, self.lists.capacity());
+        let lattice = Lattice::full(&camera.intrinsics);
+        let mut frame = Frame::on(&camera, &lattice, self.scene.count, degree, self.lists.capacity());
         let slot = self.slot;
         self.slot = (self.slot + 1) % RING;
         frame.counts[3] = plan.step as u32;
@@ -71,7 +72,7 @@ impl Stage1 {
             let scale = if reference == 0 { 1.0 } else { (pixels / reference as f64).sqrt() as f32 };
             frame.screen = [0.5 * scale * width as f32, 0.5 * scale * height as f32, 0.0, 0.0];
         }
-        self.prepare(frame)?;
+        self.prepare(frame, &lattice)?;
         if let Some(water) = &mut self.water {
             let rates = [plan.rates.medium_constant, plan.rates.medium_directional];
             water.prepare(&self.gpu, &camera, plan.degrees.water, plan.step, rates)?;
@@ -125,7 +126,7 @@ impl Stage1 {
                 pass,
                 &self.frame,
                 frame.tiles(),
-                &self.lists,
+                &self.lists.drawn(),
                 self.water_planes(),
                 &self.image_slope,
                 &self.depth_slope,
@@ -160,17 +161,18 @@ impl Stage1 {
         let (lists, values) = (&self.kernels.lists, &self.scene.values);
         self.lists.record(lists, pass, &self.frame, n, tiles, values, counts, records);
         let water = self.water_planes();
-        let raster = &self.kernels.raster;
-        self.planes.record_forward(raster, pass, &self.frame, tiles, &self.lists, water, train);
+        let (raster, drawn) = (&self.kernels.raster, self.lists.drawn());
+        self.planes.record_forward(raster, pass, &self.frame, tiles, &drawn, water, train);
     }
 
     /// Draws a camera into the planes, with as much room as it takes.
     pub(super) fn draw(&mut self, camera: &Camera, degrees: Degrees) -> Result<(), EngineError> {
+        let lattice = Lattice::full(&camera.intrinsics);
         loop {
             let degree = degrees.colors.min(self.scene.sh_degree);
-            let mut frame = Frame::of(camera, self.scene.count, degree, self.lists.capacity());
+            let mut frame = Frame::on(camera, &lattice, self.scene.count, degree, self.lists.capacity());
             frame.flags[0] = u32::from(self.water.is_some());
-            self.prepare(frame)?;
+            self.prepare(frame, &lattice)?;
             if let Some(water) = &mut self.water {
                 water.prepare(&self.gpu, camera, degrees.water, 0, [0.0; 2])?;
             }
