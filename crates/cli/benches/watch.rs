@@ -3,7 +3,7 @@
 //! * pictures of a scene per second, drawn by the server, asked for by one page one after another;
 //! * a page that asks 100 times a second: how many are drawn, and how old a drawn one is;
 //! * eight pages at once, with one that reads nothing and one that says nothing beside them: pictures, and the most memory taken;
-//! * a training of STEPS steps (200 unless told) alone and with a page that moves all the time, in turns.
+//! * a training of STEPS steps (1500 unless told) alone and with a page that moves all the time, in turns.
 
 #[path = "../tests/viewer/mod.rs"]
 mod viewer;
@@ -29,7 +29,7 @@ fn main() {
         println!("left out: cargo bench -p use3d --bench watch -- SCENE_DIR CAPTURE_DIR [STEPS]");
         return;
     };
-    let steps: usize = rest.first().map_or(200, |steps| steps.parse().expect("STEPS is a whole number"));
+    let steps: usize = rest.first().map_or(1500, |steps| steps.parse().expect("STEPS is a whole number"));
     println!("{} cores", std::thread::available_parallelism().map_or(1, usize::from));
     pictures(scene, capture);
     training(capture, steps);

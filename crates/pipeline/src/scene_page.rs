@@ -65,5 +65,5 @@ pub(crate) fn write(
         Some(capture) => views(&scene, origin.as_ref(), &load_prepared(capture)?)?,
         None => Vec::new(),
     };
-    Ok(use3d_web::write(&Page { name, scene: &scene, views, metres_per_unit: None }, parts)?)
+    Ok(use3d_web::write(&Page { name, scene: &scene, views, metres_per_unit: None, saved: None }, parts)?)
 }

@@ -266,9 +266,14 @@ impl Steps for Run<'_> {
     }
 
     fn shown(&self) -> Progress {
+        let evaluated = |entry: &LogEntry| match entry {
+            LogEntry::Evaluation { psnr, .. } => *psnr,
+            _ => None,
+        };
         Progress {
             loss: self.window.smooth_loss,
             psnr: self.window.smooth_psnr,
+            held_out_psnr: self.log.iter().rev().find_map(evaluated),
             gaussians: Some(self.gaussians),
             ..Progress::default()
         }

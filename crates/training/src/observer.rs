@@ -15,6 +15,8 @@ pub struct Progress {
     pub loss: Option<f64>,
     /// Smoothed PSNR of the training views, dB.
     pub psnr: Option<f64>,
+    /// PSNR of the held-out views when they were last measured, dB.
+    pub held_out_psnr: Option<f64>,
     /// Gaussians in the scene.
     pub gaussians: Option<usize>,
     /// Steps per second over the last seconds.

@@ -36,6 +36,11 @@ impl Curve {
         }
     }
 
+    /// The last value that was kept.
+    pub(crate) fn last(&self) -> Option<f64> {
+        self.points.last().map(|point| point.1)
+    }
+
     pub(crate) fn json(&self) -> Value {
         self.points.iter().map(|(step, value)| json!([step, value])).collect()
     }

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 use use3d_scene::Scene;
-use use3d_web::{Page, PageData, PageView, WebError};
+use use3d_web::{Page, PageData, PageView, SavedViews, WebError};
 
 use crate::curve::Curve;
 
@@ -37,6 +37,8 @@ pub struct Shown {
     pub views: Arc<Vec<PageView>>,
     /// Metres per unit of the COLMAP model, if that is known.
     pub metres_per_unit: Option<f64>,
+    /// What somebody saved from an earlier page.
+    pub saved: Option<Arc<SavedViews>>,
     /// Steps of training behind it; none of a scene that is not trained here.
     pub step: Option<u64>,
 }
@@ -48,6 +50,7 @@ impl Shown {
             scene: &self.scene,
             views: self.views.to_vec(),
             metres_per_unit: self.metres_per_unit,
+            saved: self.saved.as_deref(),
         }
     }
 }
@@ -66,6 +69,7 @@ struct State {
     figures: Vec<(String, f64)>,
     loss: Curve,
     psnr: Curve,
+    held_out: Curve,
     shown: Option<Shown>,
     /// What the page must know of the scene, apart from its pictures.
     header: Value,
@@ -116,7 +120,8 @@ impl Live {
             return;
         }
         if state.label != label {
-            (state.loss, state.psnr, state.copied) = (Curve::default(), Curve::default(), None);
+            (state.loss, state.psnr, state.held_out) = Default::default();
+            state.copied = None;
             state.label = label.into();
         }
         (state.training, state.step, state.steps) = (true, step, steps);
@@ -125,6 +130,8 @@ impl Live {
             match *name {
                 "loss" => state.loss.add(step, *value),
                 "psnr" => state.psnr.add(step, *value),
+                // Told at every step, measured at few.
+                "held-out psnr" if state.held_out.last() != Some(*value) => state.held_out.add(step, *value),
                 _ => {}
             }
         }
@@ -319,9 +326,10 @@ impl Live {
             "steps": state.steps,
             "loss": figure("loss"),
             "psnr": figure("psnr"),
+            "heldOutPsnr": figure("held-out psnr"),
             "gaussians": figure("gaussians"),
             "secondsLeft": figure("seconds left"),
-            "curves": { "loss": state.loss.json(), "psnr": state.psnr.json() },
+            "curves": { "loss": state.loss.json(), "psnr": state.psnr.json(), "heldOut": state.held_out.json() },
             "controls": self.stop.is_some(),
             "paused": state.paused,
             "stopping": self.stop.as_ref().is_some_and(|stop| stop.load(Ordering::Relaxed)),

@@ -26,7 +26,14 @@ fn scene() -> Arc<Scene> {
 }
 
 fn shown() -> Shown {
-    Shown { name: "reef".into(), scene: scene(), views: Arc::default(), metres_per_unit: None, step: None }
+    Shown {
+        name: "reef".into(),
+        scene: scene(),
+        views: Arc::default(),
+        metres_per_unit: None,
+        saved: None,
+        step: None,
+    }
 }
 
 /// Sends bytes and reads all that comes back: status, head, body.

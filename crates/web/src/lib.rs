@@ -8,7 +8,7 @@
 //! alpha blending of the colours `f = c A + c_m (1 − E)` over open water, so a browser draws it with one blend function. What is left of a
 //! difference to the program's own renderer is that of half-float sums and of 8-bit harmonics.
 //!
-//! Reading order: `scene_file` (numbers → bytes) → `water` and `enhancement` (what the page must know of both) → `photographs` → [`page`]. [`path`] and [`foreign`] stand for themselves.
+//! Reading order: `scene_file` (numbers → bytes) → `water` and `enhancement` (what the page must know of both) → `photographs` → [`page`]. [`path`], `saved` and [`foreign`] stand for themselves.
 
 mod enhancement;
 pub mod foreign;
@@ -16,11 +16,15 @@ mod geometry;
 pub mod page;
 pub mod path;
 mod photographs;
+mod saved;
 mod scene_file;
+mod shot;
 mod water;
 
 pub use page::{Page, PageData, PageView, Served, Written, data, header, served, write};
 pub use photographs::Photograph;
+pub use saved::{SavedView, SavedViews};
+pub use shot::Shot;
 
 /// A page that cannot be made.
 #[derive(Debug, thiserror::Error)]

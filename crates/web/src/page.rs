@@ -13,7 +13,7 @@ use sha2::{Digest, Sha256};
 use use3d_capture::Camera;
 use use3d_scene::Scene;
 
-use crate::{Photograph, WebError, enhancement, geometry, scene_file, water};
+use crate::{Photograph, SavedViews, WebError, enhancement, geometry, scene_file, water};
 
 /// Most bytes of a page that is one file.
 pub const ONE_FILE: usize = 32_000_000;
@@ -38,12 +38,15 @@ const SCRIPTS: &[&str] = &[
     include_str!("../page/script/overlay.js"),
     include_str!("../page/script/split.js"),
     include_str!("../page/script/views.js"),
+    include_str!("../page/script/shot.js"),
     include_str!("../page/script/path.js"),
     include_str!("../page/script/recorder.js"),
     include_str!("../page/script/measure.js"),
+    include_str!("../page/script/saved.js"),
     include_str!("../page/script/panel.js"),
     include_str!("../page/script/keys.js"),
     include_str!("../page/script/training.js"),
+    include_str!("../page/script/reference.js"),
     include_str!("../page/script/main.js"),
 ];
 
@@ -71,8 +74,10 @@ pub struct Page<'a> {
     pub scene: &'a Scene,
     /// The places that one can fly to.
     pub views: Vec<PageView>,
-    /// Metres per unit of the COLMAP model, if that is known.
+    /// Metres per unit of the COLMAP model, if that is known; else those of the saved views.
     pub metres_per_unit: Option<f64>,
+    /// What somebody saved from an earlier page.
+    pub saved: Option<&'a SavedViews>,
 }
 
 /// A photograph's place.
@@ -269,7 +274,8 @@ fn entries(page: &Page<'_>) -> Value {
             "translation": frame.translation.to_array(),
         },
         "bounds": { "low": low, "high": high },
-        "metresPerUnit": page.metres_per_unit,
+        "metresPerUnit": page.metres_per_unit.or_else(|| page.saved?.metres_per_unit),
+        "saved": page.saved,
         "medium": water::entry(scene),
         "enhancement": enhancement::entry(scene),
         "cameras": views,
@@ -377,7 +383,13 @@ mod tests {
     #[test]
     fn a_large_scene_gives_up_harmonics_and_a_larger_one_gets_a_folder() {
         let scene = scene(3000);
-        let page = Page { name: "a <b> & \"c\"", scene: &scene, views: Vec::new(), metres_per_unit: None };
+        let page = Page {
+            name: "a <b> & \"c\"",
+            scene: &scene,
+            views: Vec::new(),
+            metres_per_unit: None,
+            saved: None,
+        };
         let whole = write(&page, "a b").unwrap();
         assert_eq!((whole.degree, whole.parts.len()), (3, 0));
         assert!(whole.html.contains("a &lt;b&gt; &amp; &quot;c&quot;") && !whole.html.contains("<b>"));
@@ -391,7 +403,8 @@ mod tests {
     #[test]
     fn nothing_is_left_to_fill_in_and_nothing_names_another_host() {
         let scene = scene(10);
-        let page = Page { name: "{{parts}}", scene: &scene, views: Vec::new(), metres_per_unit: None };
+        let page =
+            Page { name: "{{parts}}", scene: &scene, views: Vec::new(), metres_per_unit: None, saved: None };
         let html = write(&page, "x").unwrap().html;
         assert_eq!(html.matches("{{").count(), html.matches("{{parts}}").count());
         let named = html.matches("http").count() - html.matches("http-equiv").count();

@@ -149,6 +149,9 @@ pub(crate) struct ExportArgs {
     /// With --web: the capture whose photographs and places the page offers (or cameras alone, as `use3d render` reads them).
     #[arg(long, value_name = "CAPTURE", requires = "web")]
     pub(crate) cameras: Option<PathBuf>,
+    /// With --web: views that somebody saved from the page, with their names (the page's "Save file").
+    #[arg(long, value_name = "FILE.json", requires = "web")]
+    pub(crate) views: Option<PathBuf>,
     /// With --web: metres per unit of the COLMAP model, so that the page measures in metres.
     #[arg(long, value_name = "M", requires = "web")]
     pub(crate) metres_per_unit: Option<f64>,

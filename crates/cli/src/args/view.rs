@@ -53,6 +53,9 @@ pub(crate) struct ViewArgs {
     /// The capture whose photographs and places the page offers (or cameras alone, as `use3d render` reads them).
     #[arg(long, value_name = "CAPTURE")]
     pub(crate) cameras: Option<PathBuf>,
+    /// Views that somebody saved from the page, with their names (the page's "Save file").
+    #[arg(long, value_name = "FILE.json")]
+    pub(crate) views: Option<PathBuf>,
     /// Metres per unit of the COLMAP model, so that the page measures in metres.
     #[arg(long, value_name = "M")]
     pub(crate) metres_per_unit: Option<f64>,

@@ -6,7 +6,7 @@ use use3d_build::machine::bytes;
 use use3d_import::{ImportParams, capture_name, import, read_cameras};
 use use3d_pipeline::scene_page;
 use use3d_scene::{Origin, Scene};
-use use3d_web::{Page, PageView};
+use use3d_web::{Page, PageView, SavedViews};
 
 use crate::App;
 use crate::args::ExportArgs;
@@ -27,10 +27,12 @@ pub(crate) fn write(app: &App, args: &ExportArgs, path: &Path, scene: &Scene) ->
         Some(cameras) => views(cameras, &args.scene, scene)?,
         None => Vec::new(),
     };
+    let saved = saved_views(args.views.as_deref())?;
     let name = scene_name(&args.scene);
     let folder = parts_folder(path);
     let folder_name = folder.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-    let page = Page { name: &name, scene, views, metres_per_unit: args.metres_per_unit };
+    let page =
+        Page { name: &name, scene, views, metres_per_unit: args.metres_per_unit, saved: saved.as_ref() };
     let written = use3d_web::write(&page, &folder_name).map_err(CliError::input)?;
     for (file, text) in &written.parts {
         let part = folder.join(file);
@@ -58,6 +60,14 @@ pub(crate) fn write(app: &App, args: &ExportArgs, path: &Path, scene: &Scene) ->
         );
     }
     Ok(())
+}
+
+/// Views that somebody saved from a page, if a file of them is named.
+pub(crate) fn saved_views(file: Option<&Path>) -> Result<Option<SavedViews>, CliError> {
+    let Some(file) = file else { return Ok(None) };
+    let wrong = |what: String| CliError::Input(format!("--views {}: {what}", path_text(file)));
+    let text = std::fs::read_to_string(file).map_err(|e| wrong(e.to_string()))?;
+    SavedViews::read(&text).map(Some).map_err(wrong)
 }
 
 /// What a scene folder is called: `reef/enhanced-scene` is the reef.

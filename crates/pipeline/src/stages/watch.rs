@@ -33,6 +33,7 @@ impl Observer for Watch<'_> {
         let figures = [
             ("loss", progress.loss),
             ("psnr", progress.psnr),
+            ("held-out psnr", progress.held_out_psnr),
             ("gaussians", progress.gaussians.map(|n| n as f64)),
             ("seconds left", progress.seconds_left),
         ];

@@ -1,5 +1,5 @@
 // Where the visitor stands: eye, rotation, vertical field of view, and the point of interest in front, around which one orbits. World up is +z
-// unless it was levelled; ups and views belong to the page, never to the scene.
+// unless it was levelled, and `upright` is the up that one comes back to; ups and views belong to the page, never to the scene.
 
 const DEGREE = Math.PI / 180;
 
@@ -7,7 +7,7 @@ function makeCamera(header) {
   const { low, high } = header.bounds;
   const middle = scaled(add(low, high), 0.5), reach = Math.max(norm(subtract(high, low)) / 2, 1e-3);
   const first = header.cameras[0];
-  const camera = { eye: [0, 0, 0], rotation: looking([0, 1, 0], [0, 0, 1]), fov: 50, focus: reach, up: [0, 0, 1], reach };
+  const camera = { eye: [0, 0, 0], rotation: looking([0, 1, 0], [0, 0, 1]), fov: 50, focus: reach, up: [0, 0, 1], upright: [0, 0, 1], reach };
 
   camera.state = () => ({ eye: [...camera.eye], rotation: camera.rotation.map(row => [...row]), fov: camera.fov, focus: camera.focus });
   camera.set = ({ eye, rotation, fov, focus }) => {

@@ -30,6 +30,16 @@ function download(name, type, content) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
+// What an opened file holds is taken up by `read`, which says in words what it was.
+function opensFiles(id, read) {
+  element(id).onchange = async event => {
+    const [file] = event.target.files;
+    event.target.value = '';
+    if (!file) return;
+    try { say(`${file.name}: ${read(await readFile(file))}`); } catch (error) { say(`${file.name}: ${error.message}`); }
+  };
+}
+
 const readFile = file => new Promise((done, failed) => {
   const reader = new FileReader();
   reader.onload = () => done(reader.result);

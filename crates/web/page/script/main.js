@@ -10,7 +10,7 @@ async function start() {
   const viewer = makeViewer(canvas, scene), overlay = makeOverlay(element('overlay'), viewer);
   const navigation = makeNavigation(canvas, viewer), panel = makePanel(viewer, navigation);
   const views = makeViews(viewer, overlay), path = makePath(viewer, overlay), recorder = makeRecorder(viewer, path);
-  const measure = makeMeasure(viewer, overlay);
+  const measure = makeMeasure(viewer, overlay), saved = makeSaved(viewer, measure);
   makeSplit(viewer);
   makeKeys(viewer, navigation, panel, views, path, measure);
   navigation.click = (x, y) => measure.click(x, y) || views.pick(x, y, canvas.clientWidth, canvas.clientHeight);
@@ -32,20 +32,19 @@ async function start() {
       await new Promise(done => setTimeout(done, 5));
     }
   };
-  return {
-    viewer, training, navigation, views, path, recorder, measure, panel, scene: scene.header, settled,
-    // The float picture (RGBA, rows from the top) of a camera { eye, rotation, lens, width, height } and a look { mode, strength, water }.
-    async picture(view, look) {
-      const { held } = viewer;
-      viewer.held = true;
-      viewer.sorter.ask(view);
-      while (!viewer.sorter.settled()) await new Promise(done => setTimeout(done, 1));
-      const picture = viewer.renderer.picture(view, look);
-      viewer.held = held;
-      viewer.invalidate();
-      return picture;
-    },
-  };
+  // The float picture (RGBA, rows from the top) of a camera { eye, rotation, lens, width, height } and a look { mode, strength, water }.
+  async function picture(view, look) {
+    const { held } = viewer;
+    viewer.held = true;
+    viewer.sorter.ask(view);
+    while (!viewer.sorter.settled()) await new Promise(done => setTimeout(done, 1));
+    const picture = viewer.renderer.picture(view, look);
+    viewer.held = held;
+    viewer.invalidate();
+    return picture;
+  }
+  const reference = makeReference(viewer, server, picture);
+  return { viewer, training, navigation, views, saved, path, recorder, measure, panel, reference, scene: scene.header, settled, picture };
 }
 
 function problem(text) {

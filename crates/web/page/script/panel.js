@@ -80,7 +80,7 @@ function makePanel(viewer, navigation) {
   // The row of buttons.
   const actions = {
     frame: () => viewer.fly(camera.framing(viewer.renderer.gl.canvas.clientWidth / Math.max(1, viewer.renderer.gl.canvas.clientHeight))),
-    reset: () => { camera.up = [0, 0, 1]; viewer.fly(camera.home()); },
+    reset: () => { camera.up = [...camera.upright]; viewer.fly(camera.home()); },
     level: () => viewer.fly(camera.levelled()),
     picture: () => savePicture(viewer),
     full: () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen?.()),

@@ -1,8 +1,6 @@
 // Camera paths: keys with a time, a pose, a field of view and a look. Between two keys the eye follows a cubic through all keys (Hermite, with
 // the slope (p_{i+1} - p_{i-1}) / (t_{i+1} - t_{i-1}) at key i), the rotation turns at constant speed, field of view, strength and water change
 // linearly, and the mode is that of the key before. `use3d render --path` reads the same file and draws the same frames.
-//
-// Files are in the COLMAP frame, x_scene = scale (R x) + t, so that they outlive a scene that is trained again.
 
 const PATH_FORMAT = '3d-use camera path';
 
@@ -25,24 +23,10 @@ function betweenKeys(keys, time) {
   };
 }
 
-// Rotation rows and centre in the COLMAP frame, and back.
-function toColmap(frame, { eye, rotation }) {
-  const r = k => [frame.rotation[k], frame.rotation[3 + k], frame.rotation[6 + k]];
-  const moved = scaled(subtract(eye, frame.translation), 1 / frame.scale);
-  return { center: [0, 1, 2].map(k => dot(r(k), moved)), rotation: rotation.map(row => [0, 1, 2].map(k => dot(row, r(k)))) };
-}
-function fromColmap(frame, { center, rotation }) {
-  const r = k => frame.rotation.slice(3 * k, 3 * k + 3);
-  return {
-    eye: [0, 1, 2].map(k => frame.scale * dot(r(k), center) + frame.translation[k]),
-    rotation: orthonormal(rotation.map(row => [0, 1, 2].map(k => dot(row, r(k))))),
-  };
-}
-
 function pathFile(keys, frame, framesPerSecond) {
   return {
     format: PATH_FORMAT, version: 1, frame: 'colmap', interpolation: 'hermite', frames_per_second: framesPerSecond,
-    keys: keys.map(key => ({ time: key.time, ...toColmap(frame, key), vertical_fov_degrees: key.fov, focus: key.focus / frame.scale, mode: key.mode, strength: key.strength, water: key.water })),
+    keys: keys.map(key => ({ time: key.time, ...shotForFile(key, frame) })),
   };
 }
 
@@ -76,19 +60,11 @@ function colmapPath(keys, frame, framesPerSecond, width, height) {
 }
 
 function keysOfFile(file, frame) {
-  const numbers = (list, count) => Array.isArray(list) && list.length === count && list.every(Number.isFinite);
-  if (file?.format !== PATH_FORMAT) throw new Error(`this is no camera path: its "format" is not "${PATH_FORMAT}"`);
-  if (file.version !== 1) throw new Error(`version ${file.version} of a camera path; this page reads version 1`);
-  if (!Array.isArray(file.keys) || !file.keys.length) throw new Error('the camera path has no keys');
+  checkFile(file, PATH_FORMAT, 'camera path', 'keys');
+  if (!file.keys.length) throw new Error('the camera path has no keys');
   const keys = file.keys.map((key, i) => {
-    const good = numbers(key.center, 3) && Array.isArray(key.rotation) && key.rotation.length === 3 && key.rotation.every(row => numbers(row, 3))
-      && Number.isFinite(key.time) && key.vertical_fov_degrees > 0 && key.vertical_fov_degrees < 180;
-    if (!good) throw new Error(`key ${i + 1}: expected time, center, rotation (three rows) and vertical_fov_degrees`);
-    const share = value => (Number.isFinite(value) ? clamp(value, 0, 1) : 1);
-    return {
-      ...fromColmap(frame, key), time: key.time, fov: key.vertical_fov_degrees, focus: (key.focus > 0 ? key.focus : 1) * frame.scale,
-      mode: MODES[key.mode] ? key.mode : 'reconstruction', strength: share(key.strength), water: share(key.water),
-    };
+    if (!Number.isFinite(key.time)) throw new Error(`key ${i + 1}: expected a time`);
+    return { ...shotOfFile(key, frame, `key ${i + 1}`), time: key.time };
   });
   if (keys.some((key, i) => i && key.time < keys[i - 1].time)) throw new Error('the times of the keys do not rise');
   return keys;
@@ -157,12 +133,7 @@ function makePath(viewer, overlay) {
     for (const name in files) download(name, name.endsWith('.json') ? 'application/json' : 'text/plain', files[name]);
   };
   path.read = text => { path.keys = keysOfFile(JSON.parse(text), header.frame); path.changed(); };
-  element('open-path').onchange = async event => {
-    const [file] = event.target.files;
-    event.target.value = '';
-    if (!file) return;
-    try { path.read(await readFile(file)); say(`${file.name}: ${path.keys.length} keys`); } catch (error) { say(`${file.name}: ${error.message}`); }
-  };
+  opensFiles('open-path', text => { path.read(text); return `${path.keys.length} keys`; });
   overlay.add(canvas => {
     if (path.keys.length < 2 || path.playing || !element('panel-path').classList.contains('open')) return;
     const steps = 12 * path.keys.length, start = path.keys[0].time;

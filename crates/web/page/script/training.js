@@ -50,6 +50,9 @@ function makeTraining(viewer, server) {
     if (document.activeElement !== element('share')) element('share').value = [...element('share').options].reduce((best, option) => (Math.abs(option.value - status.share) < Math.abs(best - status.share) ? option.value : best), 1);
     chart('chart-loss', status.curves.loss, true);
     chart('chart-psnr', status.curves.psnr, false);
+    chart('chart-held-out', status.curves.heldOut, false);
+    element('held-out-row').hidden = !Number.isFinite(status.heldOutPsnr);
+    element('figure-held-out').textContent = `${number(status.heldOutPsnr, 2)} dB`;
   }
 
   // A curve as one line, with the least, the last and the greatest value; a loss over a logarithmic axis.

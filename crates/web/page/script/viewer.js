@@ -14,7 +14,7 @@ function makeViewer(canvas, scene) {
   const moved = () => { movedAt = performance.now(); invalidate(); };
   const flight = makeFlight(camera, moved);
   const viewer = {
-    camera, renderer, sorter, flight, header, invalidate, moved, ready: !!server,
+    drawsHere: !server, camera, renderer, sorter, flight, header, invalidate, moved, ready: !!server,
     held: false,              // somebody draws a picture of his own: no frames meanwhile
     look: { mode: modesOf(header).includes('enhanced-clear') ? 'enhanced-clear' : 'reconstruction', strength: 1, water: 1 },
     compare: null,            // the mode on the left, or null

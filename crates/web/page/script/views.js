@@ -1,8 +1,8 @@
-// The places the photographs were taken from, with the photograph beside the picture, and views of one's own under a name.
+// The places the photographs were taken from, with the photograph beside the picture.
 
 function makeViews(viewer, overlay) {
-  const { header, camera } = viewer, cameras = header.cameras, list = element('cameras'), saved = [];
-  const views = { current: -1, showPhoto: true, showFrusta: false, saved };
+  const { header, camera } = viewer, cameras = header.cameras, list = element('cameras');
+  const views = { current: -1, showPhoto: true, showFrusta: false };
   element('no-cameras').hidden = cameras.length > 0;
   element('camera-tools').hidden = cameras.length === 0;
   list.hidden = cameras.length === 0;
@@ -67,25 +67,5 @@ function makeViews(viewer, overlay) {
     return best[1] >= 0;
   };
 
-  views.list = () => {
-    const own = element('saved-views');
-    own.replaceChildren(...saved.map((view, i) => make('li', { class: 'row' },
-      make('button', { type: 'button', class: 'link', onclick: () => { viewer.setLook(view.look); viewer.setCompare(view.compare, view.at); viewer.fly(view.camera); say(view.name); } }, view.name),
-      make('button', { type: 'button', class: 'small', 'aria-label': `Delete the view ${view.name}`, onclick: () => { saved.splice(i, 1); views.list(); } }, '✕'))));
-    element('no-saved').hidden = saved.length > 0;
-  };
-  views.save = name => {
-    saved.push({ name, camera: camera.state(), look: { ...viewer.look }, compare: viewer.compare, at: viewer.at });
-    views.list();
-    say(`Saved the view ${name}`);
-  };
-  element('save-view').onsubmit = event => {
-    event.preventDefault();
-    const name = element('view-name').value.trim() || `View ${saved.length + 1}`;
-    views.save(name);
-    element('view-name').value = '';
-  };
-  for (const view of header.views || []) saved.push(view);
-  views.list();
   return views;
 }

@@ -11,6 +11,7 @@ use use3d_capture::Camera;
 use use3d_numerics::math;
 
 use super::{CameraPath, FORMAT, Key};
+use crate::shot::Shot;
 
 /// What nerfstudio's render panel saves, as far as it is needed.
 #[derive(Deserialize)]
@@ -110,15 +111,8 @@ impl CameraPath {
 }
 
 fn key(index: usize, rate: f64, center: DVec3, rotation: [[f64; 3]; 3], vertical_fov_degrees: f64) -> Key {
-    Key {
-        time: index as f64 / rate,
-        center: center.to_array(),
-        rotation,
-        vertical_fov_degrees,
-        mode: super::reconstruction(),
-        strength: 1.0,
-        water: 1.0,
-    }
+    let shot = Shot::plain(center, rotation, vertical_fov_degrees);
+    Key { time: index as f64 / rate, shot }
 }
 
 #[cfg(test)]

@@ -12,6 +12,8 @@ use serde::{Deserialize, Serialize};
 use use3d_capture::{Camera, Intrinsics, Pose};
 use use3d_numerics::math;
 
+use crate::shot::Shot;
+
 const FORMAT: &str = "3d-use camera path";
 /// Longest path, frames: eleven hours at 25 frames per second.
 const MOST_FRAMES: f64 = 1e6;
@@ -32,34 +34,14 @@ fn thirty() -> f64 {
     30.0
 }
 
-fn one() -> f32 {
-    1.0
-}
-
-fn reconstruction() -> String {
-    "reconstruction".into()
-}
-
 /// A key.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Key {
     /// Seconds.
     pub time: f64,
-    /// Where the camera is, in the COLMAP frame.
-    pub center: [f64; 3],
-    /// World to camera, rows right, down, forward.
-    pub rotation: [[f64; 3]; 3],
-    /// Of the picture's height, degrees.
-    pub vertical_fov_degrees: f64,
-    /// What is shown, in the words of `use3d render --modes`.
-    #[serde(default = "reconstruction")]
-    pub mode: String,
-    /// How much of the enhancement, in `[0, 1]`.
-    #[serde(default = "one")]
-    pub strength: f32,
-    /// How much of the water, in `[0, 1]`.
-    #[serde(default = "one")]
-    pub water: f32,
+    /// From where, and what is shown.
+    #[serde(flatten)]
+    pub shot: Shot,
 }
 
 /// One frame of a path.
@@ -113,19 +95,8 @@ impl CameraPath {
             if !key.time.is_finite() || i > 0 && key.time < path.keys[i - 1].time {
                 return wrong(format!("time is {}; expected times that rise", key.time));
             }
-            let fov = key.vertical_fov_degrees;
-            if !(fov > 0.0 && fov < 180.0) {
-                return wrong(format!(
-                    "vertical_fov_degrees is {fov}; expected more than 0 and less than 180"
-                ));
-            }
-            for (name, share) in [("strength", key.strength), ("water", key.water)] {
-                if !(0.0..=1.0).contains(&share) {
-                    return wrong(format!("{name} is {share}; expected 0 to 1"));
-                }
-            }
-            if let Err(e) = key.pose().validate() {
-                return wrong(e.to_string());
+            if let Err(what) = key.shot.check() {
+                return wrong(what);
             }
         }
         if (last.time - path.keys[0].time) * rate > MOST_FRAMES {
@@ -148,7 +119,7 @@ impl CameraPath {
         let (a, b) = (&keys[i], &keys[(i + 1).min(keys.len() - 1)]);
         let span = b.time - a.time;
         let u = if span > 0.0 { ((time - a.time) / span).clamp(0.0, 1.0) } else { 1.0 };
-        let place = |k: usize| DVec3::from_array(keys[k.min(keys.len() - 1)].center);
+        let place = |k: usize| DVec3::from_array(keys[k.min(keys.len() - 1)].shot.center);
         let slope = |k: usize| {
             let (before, after) = (k.saturating_sub(1), (k + 1).min(keys.len() - 1));
             let apart = keys[after].time - keys[before].time;
@@ -159,7 +130,8 @@ impl CameraPath {
             + (u3 - 2.0 * u2 + u) * span * slope(i)
             + (3.0 * u2 - 2.0 * u3) * place(i + 1)
             + (u3 - u2) * span * slope((i + 1).min(keys.len() - 1));
-        let turn = |key: &Key| DQuat::from_mat3(&key.pose().rotation);
+        let turn = |shot: &Shot| DQuat::from_mat3(&shot.pose().rotation);
+        let (a, b) = (&a.shot, &b.shot);
         let rotation = DMat3::from_quat(turn(a).slerp(turn(b), u).normalize());
         let mix = |x: f64, y: f64| x + u * (y - x);
         let half = mix(a.vertical_fov_degrees, b.vertical_fov_degrees).to_radians() / 2.0;
@@ -173,14 +145,6 @@ impl CameraPath {
             strength: share(a.strength, b.strength),
             water: share(a.water, b.water),
         }
-    }
-}
-
-impl Key {
-    fn pose(&self) -> Pose {
-        let [right, down, forward] = self.rotation.map(DVec3::from_array);
-        let rotation = DMat3::from_cols(right, down, forward).transpose();
-        Pose::from_center(rotation, DVec3::from_array(self.center))
     }
 }
 

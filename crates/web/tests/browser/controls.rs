@@ -3,8 +3,9 @@
 use serde_json::{Value, json};
 
 use use3d_web::path::CameraPath;
+use use3d_web::{Page, SavedViews};
 
-use crate::{opened, scenes};
+use crate::{opened, page_views, scenes};
 
 fn number(value: &Value) -> f64 {
     value.as_f64().expect("a number")
@@ -89,7 +90,8 @@ fn one_looks_around_by_mouse_keys_and_touch() {
 
 #[test]
 fn two_looks_are_compared_and_photographs_stand_beside() {
-    let Some((mut browser, _dir)) = opened(&scenes::scene("rbf", 3)) else { return };
+    let scene = scenes::scene("rbf", 3);
+    let Some((mut browser, _dir)) = opened(&scene) else { return };
     browser.evaluate("document.getElementById('compare').click()");
     assert_eq!(browser.evaluate("use3d.viewer.compare"), json!("reconstruction"));
     let width = number(&browser.evaluate("document.getElementById('view').clientWidth"));
@@ -119,8 +121,32 @@ fn two_looks_are_compared_and_photographs_stand_beside() {
     browser.evaluate("use3d.settled()");
     assert_eq!(browser.evaluate("document.getElementById('photo').hidden"), json!(false));
     assert_eq!(browser.evaluate("document.getElementById('photo-image').alt"), json!("Photograph photo_1"));
-    browser.evaluate("use3d.views.save('mine')");
+    // A view under a name is kept in a file that the program reads, and comes back from it.
+    browser.evaluate("use3d.viewer.setCompare('clear', 0.25), use3d.viewer.camera.up = [0, 0.6, 0.8], use3d.measure.metresPerUnit = 2, use3d.saved.add('mine')");
     assert_eq!(browser.evaluate("document.querySelectorAll('#saved-views li').length"), json!(1));
+    let text = browser.evaluate("use3d.saved.json()");
+    let saved = SavedViews::read(text.as_str().expect("text")).expect("views");
+    let page = Page {
+        name: "again",
+        scene: &scene,
+        views: page_views(),
+        metres_per_unit: None,
+        saved: Some(&saved),
+    };
+    let again = tempfile::tempdir().expect("a folder");
+    let path = again.path().join("again.html");
+    std::fs::write(&path, use3d_web::write(&page, "x").expect("a page").html).expect("written");
+    let place = "(({ eye, rotation, fov, focus }) => [...eye, ...rotation.flat(), fov, focus])(use3d.viewer.camera.state())";
+    let before = numbers(&browser.evaluate(place));
+    browser.open(&path);
+    browser.evaluate("document.querySelector('#saved-views button').click()");
+    browser.evaluate("use3d.settled()");
+    let after = numbers(&browser.evaluate(place));
+    assert!(before.iter().zip(&after).all(|(a, b)| (a - b).abs() < 1e-6), "{before:?} {after:?}");
+    let state = browser.evaluate("[use3d.viewer.compare, use3d.viewer.at, use3d.measure.metresPerUnit, use3d.viewer.camera.up.map(v => Math.round(1e6 * v) / 1e6)]");
+    assert_eq!(state, json!(["clear", 0.25, 2, [0, 0.6, 0.8]]));
+    let refused = browser.evaluate("(() => { try { use3d.saved.take({ format: '3d-use camera path' }); } catch (e) { return e.message; } })()");
+    assert!(refused.as_str().expect("text").contains("file of views"), "{refused}");
     assert_eq!(browser.complaints, Vec::<String>::new());
 }
 

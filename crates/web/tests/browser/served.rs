@@ -24,6 +24,7 @@ fn the_program_draws_for_the_page_and_a_training_is_watched() {
         scene: scene.clone(),
         views: views.clone(),
         metres_per_unit: None,
+        saved: None,
         step: Some(step),
     };
 
@@ -73,7 +74,12 @@ fn the_program_draws_for_the_page_and_a_training_is_watched() {
             "reef/reconstruct",
             step,
             100,
-            &[("loss", 1.0 / step as f64), ("psnr", 20.0 + step as f64 / 10.0), ("gaussians", 400.0)],
+            &[
+                ("loss", 1.0 / step as f64),
+                ("psnr", 20.0 + step as f64 / 10.0),
+                ("held-out psnr", 19.0 + (step / 20) as f64),
+                ("gaussians", 400.0),
+            ],
         );
     }
     live.show(shown(59));
@@ -87,6 +93,11 @@ fn the_program_draws_for_the_page_and_a_training_is_watched() {
     browser.until(
         "document.querySelector('#chart-loss polyline').getAttribute('points').split(' ').length === 59",
     );
+    // Measured three times, told at every step.
+    browser.until(
+        "document.querySelector('#chart-held-out polyline').getAttribute('points').split(' ').length === 3",
+    );
+    assert_eq!(text(&mut browser, "figure-held-out"), "21.00 dB");
     browser.evaluate("document.getElementById('pause').click()");
     browser
         .until("use3d.training.status.paused && document.getElementById('pause').textContent === 'Resume'");
@@ -121,8 +132,14 @@ fn a_finished_scene_is_drawn_by_the_browser_and_a_wrong_key_opens_nothing() {
     let live = Arc::new(Live::new("", None));
     let server = Server::start(None, &live).expect("a server");
     let scene = Arc::new(scenes::scene("mlp", 2));
-    let shown =
-        Shown { name: "reef".into(), scene, views: Arc::default(), metres_per_unit: Some(0.5), step: None };
+    let shown = Shown {
+        name: "reef".into(),
+        scene,
+        views: Arc::default(),
+        metres_per_unit: Some(0.5),
+        saved: None,
+        step: None,
+    };
     live.hand_over(shown).expect("data");
     browser.go(&format!("{},browser", server.address()));
     browser.ready();
@@ -130,6 +147,17 @@ fn a_finished_scene_is_drawn_by_the_browser_and_a_wrong_key_opens_nothing() {
     browser.evaluate("use3d.settled()");
     assert!(number(&browser.evaluate(colours)) > 50.0);
     assert_eq!(browser.evaluate("document.getElementById('tab-training').hidden"), json!(true));
+    // The program's own picture takes its place, as near as the renderers are to each other, until one moves.
+    browser.evaluate("use3d.viewer.setLook({ mode: 'reconstruction' }), use3d.settled()");
+    browser.evaluate("use3d.reference.show().then(() => true)");
+    assert_eq!(browser.evaluate("document.getElementById('reference-picture').hidden"), json!(false));
+    let difference = browser.evaluate("use3d.reference.difference");
+    let [mean, most] = ["mean", "most"].map(|name| number(&difference[name]));
+    assert!(mean < 2e-3 && most < 0.02, "{difference}");
+    let own = browser.evaluate("(() => { const c = document.getElementById('reference-picture'); return new Set(new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, c.height).data.buffer)).size; })()");
+    assert!(number(&own) > 50.0, "a picture, {own} colours");
+    browser.evaluate("use3d.viewer.camera.move(0.1, 0, 0), use3d.viewer.moved()");
+    browser.until("document.getElementById('reference-picture').hidden");
     assert_eq!(browser.complaints, Vec::<String>::new());
 
     let address = server.address();

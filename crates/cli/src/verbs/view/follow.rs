@@ -18,7 +18,7 @@ use crate::App;
 use crate::args::{CalibrationArgs, Settings, ViewArgs};
 use crate::error::{CliError, Done};
 use crate::verbs::run::{Loaded, open};
-use crate::verbs::web::scene_name;
+use crate::verbs::web::{saved_views, scene_name};
 
 /// How often files are looked at.
 const EVERY: Duration = Duration::from_secs(3);
@@ -57,6 +57,7 @@ pub(super) fn run(app: &App, args: &ViewArgs, target: &Path, live: &Arc<Live>) -
         Followed::Scene { folder, .. } => scene_name(folder),
         Followed::Checkpoints(path) => scene_name(path),
     };
+    let saved = saved_views(args.views.as_deref())?.map(Arc::new);
     live.wait_for(&format!("Waiting for the first checkpoint of {name}"));
     let _server = serve(app, &args.viewer, live, Told::Result)?;
     let every = if matches!(followed, Followed::Pipeline { .. }) { PLAN_EVERY } else { EVERY };
@@ -96,6 +97,7 @@ pub(super) fn run(app: &App, args: &ViewArgs, target: &Path, live: &Arc<Live>) -
             scene: Arc::new(scene),
             views: views.clone(),
             metres_per_unit: args.metres_per_unit,
+            saved: saved.clone(),
             step,
         };
         if !app.quiet {

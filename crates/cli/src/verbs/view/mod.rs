@@ -22,7 +22,7 @@ use use3d_web::PageView;
 use crate::App;
 use crate::args::{ViewArgs, ViewerArgs};
 use crate::error::{CliError, Done};
-use crate::verbs::web::{scene_name, views};
+use crate::verbs::web::{saved_views, scene_name, views};
 
 /// How often one who waits looks whether to end.
 const WAIT: Duration = Duration::from_millis(200);
@@ -51,6 +51,7 @@ pub(crate) fn run(app: &App, args: &ViewArgs) -> Done {
 /// What a folder shows.
 fn shown(target: &Path, args: &ViewArgs) -> Result<Shown, CliError> {
     let metres_per_unit = args.metres_per_unit;
+    let saved = saved_views(args.views.as_deref())?.map(Arc::new);
     if Scene::is_scene(target) {
         let scene = Scene::load(target).map_err(CliError::input)?;
         let views = match &args.cameras {
@@ -63,6 +64,7 @@ fn shown(target: &Path, args: &ViewArgs) -> Result<Shown, CliError> {
             scene: Arc::new(scene),
             views: Arc::new(views),
             metres_per_unit,
+            saved,
             step: None,
         });
     }
@@ -80,7 +82,7 @@ fn shown(target: &Path, args: &ViewArgs) -> Result<Shown, CliError> {
     let views: Vec<PageView> =
         scene_page::views(&scene, Some(&origin), &imported).map_err(CliError::input)?;
     let name = imported.capture.name;
-    Ok(Shown { name, scene: Arc::new(scene), views: Arc::new(views), metres_per_unit, step: None })
+    Ok(Shown { name, scene: Arc::new(scene), views: Arc::new(views), metres_per_unit, saved, step: None })
 }
 
 /// The places of an imported capture, held-out ones first: those are what one looks at to see how good a scene is.

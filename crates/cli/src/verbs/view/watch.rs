@@ -145,7 +145,14 @@ impl Watcher {
         if let (Some(views), Some((scene, step))) = (known.views.clone(), known.scene.clone()) {
             let name = self.name.clone().unwrap_or_else(|| known.label.clone());
             drop(known);
-            self.live.show(Shown { name, scene, views, metres_per_unit: None, step: Some(step) });
+            self.live.show(Shown {
+                name,
+                scene,
+                views,
+                metres_per_unit: None,
+                saved: None,
+                step: Some(step),
+            });
         }
     }
 }

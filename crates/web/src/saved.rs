@@ -1,0 +1,131 @@
+//! Views under a name, as the page saves them: places and their looks, which way is up, and how long a unit is. Put back into a page they are
+//! there for everybody who opens it.
+
+use serde::{Deserialize, Serialize};
+
+use crate::shot::Shot;
+
+const FORMAT: &str = "3d-use views";
+/// More than anybody picks from a list.
+const MOST: usize = 1000;
+
+/// What a page keeps beside its scene.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SavedViews {
+    format: String,
+    version: u32,
+    /// The direction that is up, in the COLMAP frame; none where nobody levelled the ground.
+    #[serde(default)]
+    pub up: Option<[f64; 3]>,
+    /// Metres per unit of the COLMAP model, if a length was given.
+    #[serde(default)]
+    pub metres_per_unit: Option<f64>,
+    /// The views, in their order.
+    pub views: Vec<SavedView>,
+}
+
+/// A view under a name.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SavedView {
+    /// What it is called.
+    pub name: String,
+    /// From where, and what is shown.
+    #[serde(flatten)]
+    pub shot: Shot,
+    /// The look left of the divider, if two are compared.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub compare: Option<String>,
+    /// Where the divider is, as a share of the width.
+    #[serde(default = "half")]
+    pub at: f64,
+}
+
+fn half() -> f64 {
+    0.5
+}
+
+impl SavedViews {
+    /// Reads the text of a file of views.
+    ///
+    /// # Errors
+    /// In words: what is wrong with which view.
+    pub fn read(text: &str) -> Result<Self, String> {
+        let saved: Self = serde_json::from_str(text).map_err(|e| format!("it is no file of views: {e}"))?;
+        if saved.format != FORMAT {
+            return Err(format!("its `format` is not `{FORMAT}`"));
+        }
+        if saved.version != 1 {
+            return Err(format!("version {}; this program reads version 1", saved.version));
+        }
+        if let Some(up) = saved.up {
+            let length = up.iter().map(|v| v * v).sum::<f64>();
+            if !(length.is_finite() && length > 0.0) {
+                return Err(format!("up is {up:?}; expected a direction"));
+            }
+        }
+        if let Some(metres) = saved.metres_per_unit.filter(|m| !(m.is_finite() && *m > 0.0)) {
+            return Err(format!("metres_per_unit is {metres}; expected a positive number"));
+        }
+        if saved.views.len() > MOST {
+            return Err(format!("it has {} views; at most {MOST} are read", saved.views.len()));
+        }
+        for (i, view) in saved.views.iter().enumerate() {
+            let wrong = |what: &str| Err(format!("view {} (`{}`): {what}", i + 1, view.name));
+            if view.name.trim().is_empty() {
+                return wrong("it has no name");
+            }
+            if !(0.0..=1.0).contains(&view.at) {
+                return wrong(&format!("at is {}; expected 0 to 1", view.at));
+            }
+            if let Err(what) = view.shot.check() {
+                return wrong(&what);
+            }
+        }
+        Ok(saved)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn text() -> String {
+        let view = json!({
+            "name": "the arch", "center": [1.0, 2.0, 3.0], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "vertical_fov_degrees": 50.0,
+            "focus": 2.0, "mode": "clear", "strength": 0.5, "water": 1.0, "compare": "reconstruction", "at": 0.25,
+        });
+        json!({ "format": FORMAT, "version": 1, "frame": "colmap", "up": [0.0, -1.0, 0.0], "metres_per_unit": 1.5, "views": [view] })
+            .to_string()
+    }
+
+    #[test]
+    fn what_was_written_is_read() {
+        let saved = SavedViews::read(&text()).unwrap();
+        assert_eq!((saved.up, saved.metres_per_unit), (Some([0.0, -1.0, 0.0]), Some(1.5)));
+        let view = &saved.views[0];
+        assert_eq!((view.name.as_str(), view.shot.mode.as_str(), view.at), ("the arch", "clear", 0.25));
+        assert_eq!(SavedViews::read(&serde_json::to_string(&saved).unwrap()).unwrap(), saved);
+    }
+
+    #[test]
+    fn what_is_wrong_is_said_with_the_view_that_it_is_in() {
+        let good = text();
+        for (from, to, said) in [
+            (FORMAT, "3d-use camera path", "format"),
+            ("\"version\":1", "\"version\":2", "version 2"),
+            ("[0.0,-1.0,0.0]", "[0.0,0.0,0.0]", "up is"),
+            ("1.5", "-1.5", "metres_per_unit"),
+            ("the arch", " ", "view 1"),
+            ("0.25", "1.25", "`the arch`"),
+            ("[1,0,0]", "[2,0,0]", "view 1"),
+            ("50.0", "0.0", "vertical_fov_degrees"),
+            ("\"focus\":2.0", "\"focus\":0.0", "focus"),
+            ("\"views\"", "\"keys\"", "no file of views"),
+        ] {
+            assert!(good.contains(from), "{from} in {good}");
+            let error = SavedViews::read(&good.replacen(from, to, 1)).unwrap_err();
+            assert!(error.contains(said), "{from}: {error}");
+        }
+    }
+}
