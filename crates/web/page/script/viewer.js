@@ -10,7 +10,7 @@ function makeViewer(canvas, scene) {
   const camera = makeCamera(header), { server } = scene;
   const renderer = server ? makeServerRenderer(canvas, server, () => viewer.tell('frame')) : makeRenderer(canvas, scene);
   const invalidate = () => { dirty = true; };
-  const sorter = server ? { ask() {}, settled: () => true } : makeSorter(scene.centres, sorted => { renderer.setOrder(sorted); invalidate(); viewer.ready = true; });
+  const sorter = server ? { ask() {}, settled: () => true } : makeSorter(scene.centres, sorted => { if (!viewer.ready) performance.mark('use3d ordered'); renderer.setOrder(sorted); invalidate(); viewer.ready = true; });
   const moved = () => { movedAt = performance.now(); invalidate(); };
   const flight = makeFlight(camera, moved);
   const viewer = {
