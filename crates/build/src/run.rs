@@ -9,6 +9,9 @@
 //! another one computes is put back and something else is taken; its artifact is found when it is there. So
 //! they share the work without knowing of each other, and all end with the same results.
 
+mod need;
+mod others;
+
 use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
@@ -24,11 +27,13 @@ use super::graph::Graph;
 use super::history::{Failure, Made, Record, Timings};
 use super::job::{Ended, Job};
 use super::key::{Ingredients, Key};
-use super::lease::{self, HEARTBEAT, RunLease};
+use super::lease::RunLease;
 use super::machine;
 use super::resolve::{self, Outcome, Unresolved};
 use super::stage::Scope;
 pub use super::summary::{Became, RanNode, Summary};
+use need::Need;
+use others::{Held, LEAVING};
 
 /// How to run.
 #[derive(Clone, Debug)]
@@ -58,11 +63,6 @@ pub struct RunOptions {
     /// Where jobs are done.
     pub executor: Arc<dyn Executor>,
 }
-
-/// The last part of a run's limit is for writing checkpoints: a tenth, at most so much.
-const LEAVING: Duration = Duration::from_secs(120);
-/// How long a run that waits for others goes without a look at whether it is to stop.
-const SLICE: Duration = Duration::from_millis(50);
 
 impl Default for RunOptions {
     fn default() -> Self {
@@ -117,48 +117,6 @@ enum Phase {
     Pending,
     Running,
     Over,
-}
-
-/// Who waits for what a shared node makes.
-#[derive(Clone)]
-enum Need {
-    /// No scene was asked for that reads it: it was asked for itself.
-    Unasked,
-    /// A scene that can be computed.
-    Live,
-    /// Scenes of which that is not known yet.
-    Unknown,
-    /// No scene any more; what failed.
-    Nobody(String),
-}
-
-impl Need {
-    /// Of one reader: all that it reads must be there.
-    fn and(self, other: Self) -> Self {
-        match (self, other) {
-            (Self::Nobody(by), _) | (_, Self::Nobody(by)) => Self::Nobody(by),
-            (Self::Unknown, _) | (_, Self::Unknown) => Self::Unknown,
-            (one, _) => one,
-        }
-    }
-
-    /// Of several readers: one is enough.
-    fn or(self, other: Self) -> Self {
-        match (self, other) {
-            (Self::Unasked, one) | (one, Self::Unasked) => one,
-            (Self::Live, _) | (_, Self::Live) => Self::Live,
-            (Self::Unknown, _) | (_, Self::Unknown) => Self::Unknown,
-            (one, _) => one,
-        }
-    }
-}
-
-/// A node that another process computes.
-struct Held {
-    holder: String,
-    times: u32,
-    /// When to ask again.
-    again: Duration,
 }
 
 struct Running {
@@ -289,86 +247,6 @@ impl<'r> Runner<'r> {
         }
     }
 
-    fn now(&self) -> Duration {
-        self.engine.cache.node().clock.now()
-    }
-
-    /// Ends the run when its time is over.
-    fn watch_time(&mut self) {
-        if !self.left && self.leave_at.is_some_and(|at| self.now() >= at) {
-            self.left = true;
-            let text = "its time is over: saving checkpoints and leaving; the same command goes on from here";
-            self.listener.event(&Event::Note { label: &self.graph.name, text });
-            self.options.stop.store(true, Ordering::Relaxed);
-        }
-    }
-
-    /// Whether another process computes a node and it is not yet time to ask again.
-    fn is_held(&self, i: usize) -> bool {
-        self.held.get(&i).is_some_and(|held| held.again > self.now())
-    }
-
-    /// With nothing to do here: whether to go on until others are done. If not, what is left is theirs.
-    fn waits_for_others(&mut self) -> bool {
-        // One that something else has ended is nobody's any more.
-        let phase = &self.phase;
-        self.held.retain(|i, _| phase[*i] == Phase::Pending);
-        if self.held.is_empty() {
-            return false;
-        }
-        let now = self.now();
-        let since = *self.idle.get_or_insert(now);
-        if self.options.until_empty.is_none_or(|patience| now.saturating_sub(since) < patience) {
-            return true;
-        }
-        for i in 0..self.phase.len() {
-            if self.phase[i] == Phase::Pending {
-                let holder = self.held.get(&i).map(|held| held.holder.clone());
-                let holder = holder.unwrap_or_else(|| "who computes what it needs".to_string());
-                self.nodes[i].result = Became::Elsewhere(holder);
-            }
-        }
-        false
-    }
-
-    /// Waits until a job ends, a lease is to be asked for again, or it is time to show that this run lives.
-    fn wait(&mut self) {
-        let (clock, now) = (self.engine.cache.node().clock, self.now());
-        let asks = self.held.values().map(|held| held.again).filter(|_| self.has_room());
-        let next = asks.chain(self.leave_at.filter(|_| !self.left)).min();
-        let until = next.map_or(HEARTBEAT, |at| at.saturating_sub(now).min(HEARTBEAT));
-        let mut left = clock.wait_for(until).max(Duration::from_millis(1));
-        // Where nothing runs, nothing but this loop hears that it is to stop.
-        while self.running.is_empty() && left > SLICE && !self.stopped() {
-            std::thread::sleep(SLICE);
-            left -= SLICE;
-        }
-        if let Ok((i, ended, ingredients)) = self.receiver.recv_timeout(left) {
-            self.finish(i, ended, ingredients);
-        }
-    }
-
-    /// Whether another job may be started.
-    fn has_room(&self) -> bool {
-        self.running.len() < self.options.jobs.max(1)
-    }
-
-    /// From now on scenes are tried in an order of this process's own: others work on the same batch, and not
-    /// all should ask for the same things.
-    fn spread(&mut self) {
-        if std::mem::replace(&mut self.spread, true) {
-            return;
-        }
-        let number = self.engine.cache.node().number();
-        let nodes = &self.graph.nodes;
-        let place = |i: &usize| {
-            let scene = &nodes[*i].scene;
-            let place = Digest::of(format!("{number} {scene}").as_bytes());
-            if scene.is_empty() { (None, *i) } else { (Some(place), *i) }
-        };
-        self.order.sort_by_cached_key(place);
-    }
-
     /// Tells every scene whose last node is over.
     fn tell_scenes(&mut self) {
         let (phase, nodes, listener) = (&self.phase, &self.nodes, self.listener);
@@ -485,50 +363,6 @@ impl<'r> Runner<'r> {
         if suspect { cache.lookup_again(node.stage_name, key) } else { Ok(found) }
     }
 
-    /// Whether a stage that leaves no checkpoints would be cut off by the limit, and would not be in a run that
-    /// has its whole time before it.
-    fn comes_too_late(&self, i: usize) -> bool {
-        let node = &self.graph.nodes[i];
-        let stage = &self.engine.registry.stages()[node.stage];
-        let (Some(at), Some(timings)) = (self.leave_at, &self.timings) else { return false };
-        let forecast = timings.forecast(stage.name, &node.scene, resolve::length(stage, node));
-        let Some(forecast) = forecast.filter(|_| stage.length_like.is_empty()) else { return false };
-        let (left, whole) = (at.saturating_sub(self.now()), at.saturating_sub(self.start));
-        forecast.seconds > left.as_secs_f64() && forecast.seconds < whole.as_secs_f64()
-    }
-
-    /// Whether some scene that reads a shared node can still be computed: [`Need::Unknown`] until the first
-    /// of them has been read in, which is quick beside a calibrator that nobody would use.
-    fn need(&self, shared: usize) -> Need {
-        let nodes = &self.graph.nodes;
-        let scope = |i: usize| self.engine.registry.stages()[nodes[i].stage].scope;
-        // Inputs come before what reads them: one pass finds all that follows from this node, and how the
-        // rest stands.
-        let mut follows = vec![false; nodes.len()];
-        let mut stands: Vec<Need> = Vec::with_capacity(nodes.len());
-        let mut need = Need::Unasked;
-        for i in 0..nodes.len() {
-            let parents = || nodes[i].inputs.iter().filter_map(|input| input.node());
-            follows[i] = i == shared || parents().any(|p| follows[p]);
-            let others = parents().filter(|p| !follows[*p]);
-            let standing = match &self.outcomes[i] {
-                Outcome::Unavailable(by) => Need::Nobody(by.clone()),
-                Outcome::Ready(_) => Need::Live,
-                Outcome::Open if follows[i] || parents().next().is_some() => {
-                    others.fold(Need::Live, |all, p| all.and(stands[p].clone()))
-                }
-                // Two shared nodes must not wait for each other.
-                Outcome::Open if scope(i) == Scope::Shared => Need::Live,
-                Outcome::Open => Need::Unknown,
-            };
-            if follows[i] && scope(i) == Scope::Scene && self.nodes[i].result != Became::Unwanted {
-                need = need.or(standing.clone());
-            }
-            stands.push(standing);
-        }
-        need
-    }
-
     /// Starts a node if there is room for it and nobody here computes the same key.
     fn start(&mut self, i: usize, resolved: resolve::Resolved, starter: &dyn Starter<'r>) -> bool {
         let stage = &self.engine.registry.stages()[self.graph.nodes[i].stage];
@@ -608,18 +442,7 @@ impl<'r> Runner<'r> {
                 self.phase[i] = Phase::Over;
                 self.outcomes[i] = Outcome::Unavailable("the interruption".to_string());
             }
-            Ended::Held(holder) => {
-                let (now, node) = (self.now(), self.engine.cache.node());
-                let times = self.held.get(&i).map_or(0, |held| held.times);
-                if times == 0 {
-                    let label = &self.nodes[i].label;
-                    self.listener.event(&Event::Waiting { node: i, label, holder: &holder });
-                }
-                let again = now + lease::back_off(times, node.number());
-                self.held.insert(i, Held { holder, times: times + 1, again });
-                self.phase[i] = Phase::Pending;
-                self.spread();
-            }
+            Ended::Held(holder) => self.put_back(i, holder),
             Ended::DamagedInput(parent) => {
                 // What shares another node's work is made again by that one.
                 let maker = self.graph.nodes[parent].same_as.unwrap_or(parent);

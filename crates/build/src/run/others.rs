@@ -1,0 +1,134 @@
+//! A run's time, and what other processes do: when to leave, what they compute and when to ask for it again, how
+//! long to wait where there is nothing else to do.
+
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use super::super::digest::Digest;
+use super::super::events::Event;
+use super::super::lease::{self, HEARTBEAT};
+use super::super::resolve;
+use super::super::summary::Became;
+use super::{Phase, Runner};
+
+/// The last part of a run's limit is for writing checkpoints: a tenth, at most so much.
+pub(super) const LEAVING: Duration = Duration::from_secs(120);
+/// How long a run that waits for others goes without a look at whether it is to stop.
+const SLICE: Duration = Duration::from_millis(50);
+
+/// A node that another process computes.
+pub(super) struct Held {
+    holder: String,
+    times: u32,
+    /// When to ask again.
+    again: Duration,
+}
+
+impl Runner<'_> {
+    pub(super) fn now(&self) -> Duration {
+        self.engine.cache.node().clock.now()
+    }
+
+    /// Ends the run when its time is over.
+    pub(super) fn watch_time(&mut self) {
+        if !self.left && self.leave_at.is_some_and(|at| self.now() >= at) {
+            self.left = true;
+            let text = "its time is over: saving checkpoints and leaving; the same command goes on from here";
+            self.listener.event(&Event::Note { label: &self.graph.name, text });
+            self.options.stop.store(true, Ordering::Relaxed);
+        }
+    }
+
+    /// Whether another process computes a node and it is not yet time to ask again.
+    pub(super) fn is_held(&self, i: usize) -> bool {
+        self.held.get(&i).is_some_and(|held| held.again > self.now())
+    }
+
+    /// With nothing to do here: whether to go on until others are done. If not, what is left is theirs.
+    pub(super) fn waits_for_others(&mut self) -> bool {
+        // One that something else has ended is nobody's any more.
+        let phase = &self.phase;
+        self.held.retain(|i, _| phase[*i] == Phase::Pending);
+        if self.held.is_empty() {
+            return false;
+        }
+        let now = self.now();
+        let since = *self.idle.get_or_insert(now);
+        if self.options.until_empty.is_none_or(|patience| now.saturating_sub(since) < patience) {
+            return true;
+        }
+        for i in 0..self.phase.len() {
+            if self.phase[i] == Phase::Pending {
+                let holder = self.held.get(&i).map(|held| held.holder.clone());
+                let holder = holder.unwrap_or_else(|| "who computes what it needs".to_string());
+                self.nodes[i].result = Became::Elsewhere(holder);
+            }
+        }
+        false
+    }
+
+    /// Waits until a job ends, a lease is to be asked for again, or it is time to show that this run lives.
+    pub(super) fn wait(&mut self) {
+        let (clock, now) = (self.engine.cache.node().clock, self.now());
+        let asks = self.held.values().map(|held| held.again).filter(|_| self.has_room());
+        let next = asks.chain(self.leave_at.filter(|_| !self.left)).min();
+        let until = next.map_or(HEARTBEAT, |at| at.saturating_sub(now).min(HEARTBEAT));
+        let mut left = clock.wait_for(until).max(Duration::from_millis(1));
+        // Where nothing runs, nothing but this loop hears that it is to stop.
+        while self.running.is_empty() && left > SLICE && !self.stopped() {
+            std::thread::sleep(SLICE);
+            left -= SLICE;
+        }
+        if let Ok((i, ended, ingredients)) = self.receiver.recv_timeout(left) {
+            self.finish(i, ended, ingredients);
+        }
+    }
+
+    /// Whether another job may be started.
+    pub(super) fn has_room(&self) -> bool {
+        self.running.len() < self.options.jobs.max(1)
+    }
+
+    /// A node turned out to be computed by another process: it is asked for again later, and meanwhile something
+    /// else is done.
+    pub(super) fn put_back(&mut self, i: usize, holder: String) {
+        let (now, node) = (self.now(), self.engine.cache.node());
+        let times = self.held.get(&i).map_or(0, |held| held.times);
+        if times == 0 {
+            let label = &self.nodes[i].label;
+            self.listener.event(&Event::Waiting { node: i, label, holder: &holder });
+        }
+        let again = now + lease::back_off(times, node.number());
+        self.held.insert(i, Held { holder, times: times + 1, again });
+        self.phase[i] = Phase::Pending;
+        self.spread();
+    }
+
+    /// From now on scenes are tried in an order of this process's own: others work on the same batch, and not
+    /// all should ask for the same things.
+    fn spread(&mut self) {
+        if std::mem::replace(&mut self.spread, true) {
+            return;
+        }
+        let number = self.engine.cache.node().number();
+        let nodes = &self.graph.nodes;
+        let place = |i: &usize| {
+            let scene = &nodes[*i].scene;
+            let place = Digest::of(format!("{number} {scene}").as_bytes());
+            if scene.is_empty() { (None, *i) } else { (Some(place), *i) }
+        };
+        self.order.sort_by_cached_key(place);
+    }
+
+    /// Whether a stage that leaves no checkpoints would be cut off by the limit, and would not be in a run that
+    /// has its whole time before it.
+    pub(super) fn comes_too_late(&self, i: usize) -> bool {
+        let node = &self.graph.nodes[i];
+        let stage = &self.engine.registry.stages()[node.stage];
+        let (Some(at), Some(timings)) = (self.leave_at, &self.timings) else { return false };
+        let forecast = timings.forecast(stage.name, &node.scene, resolve::length(stage, node));
+        let Some(forecast) = forecast.filter(|_| stage.length_like.is_empty()) else { return false };
+        let (left, whole) = (at.saturating_sub(self.now()), at.saturating_sub(self.start));
+        forecast.seconds > left.as_secs_f64() && forecast.seconds < whole.as_secs_f64()
+    }
+}
