@@ -112,8 +112,11 @@ pub(crate) fn at<T>(path: &Path, doing: &'static str, result: io::Result<T>) -> 
     result.map_err(|source| FileError { path: path.to_path_buf(), doing, source })
 }
 
-/// Writes a small file whole or not at all: a synced sibling, renamed.
-pub(crate) fn write_atomic(files: &dyn Files, path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+/// Writes a small file whole or not at all: a synced sibling, renamed. Folders above it are created.
+///
+/// # Errors
+/// A folder that cannot be created, a file that cannot be written; what was there before is still there.
+pub fn write_atomic(files: &dyn Files, path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     let parent = path.parent().unwrap_or(Path::new("."));
     at(parent, "create", files.create_dir_all(parent))?;
     let mut name = path.file_name().unwrap_or_default().to_os_string();

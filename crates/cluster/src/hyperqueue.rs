@@ -13,7 +13,7 @@ use super::ClusterError;
 use super::jobs::{After, Job};
 use super::quote::{word, words};
 use super::site::Site;
-use super::slurm::{Submission, put};
+use super::slurm::{Submission, create_logs, put};
 
 /// How often a task is started again whose worker was lost.
 const CRASHES: u32 = 50;
@@ -89,15 +89,14 @@ pub fn file(jobs: &[Job], submission: &Submission) -> String {
                 .extend(job.cells.get(at).into_iter().flat_map(|cell| ["--only".to_string(), cell.clone()]));
             let number = if job.tasks.is_some() { format!("-{at}") } else { String::new() };
             let log = submission.folder.join("logs").join(format!("{}{number}.log", job.name));
-            let log = log.to_string_lossy().into_owned();
             let mut resources = job.asks.needs.resources.clone();
             resources.insert("cpus".to_string(), job.asks.cpus as u64);
             let request = Request { time_request: format!("{}s", job.asks.time.as_secs()), resources };
             tasks.push(Task {
                 id,
                 command,
-                stdout: log.clone(),
-                stderr: log.replace(".log", ".err"),
+                stdout: log.to_string_lossy().into_owned(),
+                stderr: log.with_extension("err").to_string_lossy().into_owned(),
                 cwd: submission.place.to_string_lossy().into_owned(),
                 crash_limit: CRASHES,
                 deps,
@@ -118,12 +117,7 @@ pub fn file(jobs: &[Job], submission: &Submission) -> String {
 /// # Errors
 /// A file that cannot be written.
 pub fn write(jobs: &[Job], submission: &Submission, site: &Site) -> Result<(), ClusterError> {
-    let logs = submission.folder.join("logs");
-    std::fs::create_dir_all(&logs).map_err(|source| ClusterError::File {
-        path: logs.clone(),
-        doing: "create",
-        source,
-    })?;
+    create_logs(submission)?;
     put(&script_path(submission), &script(submission, site))?;
     put(&file_path(submission), &file(jobs, submission))
 }

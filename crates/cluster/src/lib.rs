@@ -36,15 +36,8 @@ pub enum ClusterError {
         reason: &'static str,
     },
     /// A file that cannot be written or read.
-    #[error("cannot {doing} {}: {source}", path.display())]
-    File {
-        /// The file.
-        path: std::path::PathBuf,
-        /// What was tried.
-        doing: &'static str,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    #[error(transparent)]
+    File(#[from] use3d_build::FileError),
     /// The scheduler's command.
     #[error("{command}: {reason}")]
     Command {

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use use3d_build::FileError;
 use use3d_build::gc::parse_bytes;
 
 use super::ClusterError;
@@ -87,8 +88,7 @@ impl Site {
     /// What is wrong with it: file, field, expectation.
     pub fn read(path: &Path, stages: &[&str]) -> Result<Self, ClusterError> {
         let text = std::fs::read_to_string(path);
-        let text =
-            text.map_err(|source| ClusterError::File { path: path.to_path_buf(), doing: "read", source })?;
+        let text = text.map_err(|source| FileError { path: path.to_path_buf(), doing: "read", source })?;
         Self::parse(&text, stages)
             .map_err(|reason| ClusterError::Site { file: path.display().to_string(), reason })
     }

@@ -10,6 +10,8 @@ use std::process::Command;
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
+use use3d_build::FileError;
+use use3d_build::files::{Disk, write_atomic};
 
 use super::ClusterError;
 use super::jobs::{After, Job};
@@ -159,7 +161,7 @@ pub fn dependency(job: &Job, numbers: &[String]) -> Option<String> {
 /// # Errors
 /// A file that cannot be written.
 pub fn write(jobs: &[Job], submission: &Submission, site: &Site) -> Result<(), ClusterError> {
-    create(&submission.folder.join("logs"))?;
+    create_logs(submission)?;
     for job in jobs {
         put(&submission.script_path(job), &script(job, submission, site))?;
         if !job.cells.is_empty() {
@@ -234,21 +236,14 @@ fn call(command: &str, arguments: &[String]) -> Result<String, ClusterError> {
     Err(wrong(format!("{}: {}", words(arguments), said.trim())))
 }
 
-fn create(folder: &Path) -> Result<(), ClusterError> {
-    std::fs::create_dir_all(folder).map_err(|source| ClusterError::File {
-        path: folder.to_path_buf(),
-        doing: "create",
-        source,
-    })
+/// Creates the folder for the logs of a submission's tasks.
+pub(crate) fn create_logs(submission: &Submission) -> Result<(), ClusterError> {
+    let path = submission.folder.join("logs");
+    let created = std::fs::create_dir_all(&path);
+    Ok(created.map_err(|source| FileError { path, doing: "create", source })?)
 }
 
+/// Puts a file in place of another one. A shell that is in the middle of the one before reads on in that one.
 pub(crate) fn put(path: &Path, text: &str) -> Result<(), ClusterError> {
-    if let Some(folder) = path.parent() {
-        create(folder)?;
-    }
-    std::fs::write(path, text).map_err(|source| ClusterError::File {
-        path: path.to_path_buf(),
-        doing: "write",
-        source,
-    })
+    Ok(write_atomic(&Disk, path, text.as_bytes())?)
 }

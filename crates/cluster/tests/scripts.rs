@@ -165,6 +165,32 @@ fn scripts_are_written_as_they_were_read() {
 }
 
 #[test]
+fn what_a_task_says_goes_into_the_folder_of_logs_whatever_the_folder_is_called() {
+    let folder = PathBuf::from("/proj/my.log.dir");
+    let file = hyperqueue::file(&of(Layout::Workers), &Submission { folder, ..submission() });
+    for name in ["workers-0.log", "workers-0.err", "finish.log", "finish.err"] {
+        assert!(file.contains(&format!("\"/proj/my.log.dir/logs/{name}\"")), "{name}: {file}");
+    }
+}
+
+#[test]
+fn a_script_that_is_being_read_is_not_written_into() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut submission = Submission { folder: folder.path().join("submit"), ..submission() };
+    let jobs = of(Layout::Workers);
+    hyperqueue::write(&jobs, &submission, &site()).expect("written");
+    let script = hyperqueue::script_path(&submission);
+    // A second name of the file stands for a shell that has it open: it reads a script bit by bit.
+    let read = folder.path().join("read");
+    fs::hard_link(&script, &read).expect("linked");
+    let before = fs::read_to_string(&read).expect("text");
+    submission.by = "another command".to_string();
+    hyperqueue::write(&jobs, &submission, &site()).expect("written");
+    assert_eq!(fs::read_to_string(&read).expect("text"), before);
+    assert!(fs::read_to_string(&script).expect("text").contains("another command"));
+}
+
+#[test]
 fn only_what_is_missing_is_submitted_and_each_waits_for_what_it_needs() {
     let jobs = of(Layout::Stages);
     let names: Vec<&str> = jobs.iter().map(|j| j.name.as_str()).collect();

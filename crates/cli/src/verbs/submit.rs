@@ -107,9 +107,8 @@ fn prepare(app: &App, scheduler: &str, args: &SubmitArgs) -> Result<Option<Ready
         None => Site::default(),
     };
     let plan = engine.plan(graph, None);
-    let missing = plan.nodes.iter().filter(|n| n.shared_with.is_none());
-    for node in missing.filter(|n| matches!(n.state, State::Unavailable(_))) {
-        if let (State::Unavailable(reason), false) = (&node.state, app.quiet) {
+    for node in plan.nodes.iter().filter(|n| n.shared_with.is_none() && !app.quiet) {
+        if let State::Unavailable(reason) = &node.state {
             eprintln!("warning: {} {}: {reason}; it is not submitted", node.scene, node.stage);
         }
     }
