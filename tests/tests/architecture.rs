@@ -14,6 +14,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("golden", &[]),
     ("build", &["capture"]),
     ("cluster", &["build"]),
+    ("store", &["build"]),
     ("io-image", &["capture"]),
     ("io-colmap", &["capture", "numerics", "io-image"]),
     ("import", &["capture", "numerics", "io-image", "io-colmap"]),
@@ -58,6 +59,8 @@ const RESERVED: &[(&str, &[&str])] = &[
     ("bincode", &["training"]),
     ("wgpu", &["gpu"]),
     ("jpeg-encoder", &["viewer"]),
+    ("object_store", &["store"]),
+    ("tokio", &["store"]),
     ("clap", &["use3d"]),
     ("indicatif", &["use3d"]),
 ];

@@ -287,7 +287,23 @@ impl Cache {
         how: Circumstances,
     ) -> Result<Published, FileError> {
         let sealed = self.seal(folder)?;
-        let manifest = Manifest::new(ingredients, sealed, how);
+        self.put_in_place(folder, Manifest::new(ingredients, sealed, how))
+    }
+
+    /// Makes the `folder` (in `tmp`) with the files of a manifest its artifact.
+    pub(crate) fn adopt(&self, folder: &Path, manifest: Manifest) -> Result<Published, FileError> {
+        let mut named = manifest.files.clone();
+        named.sort_by(|a, b| a.path.cmp(&b.path));
+        let sealed = self.seal(folder)?;
+        if sealed != named {
+            let what = first_difference(&sealed, &named);
+            let source = std::io::Error::other(format!("{what} is not what was written; check the disk"));
+            return Err(FileError { path: folder.to_path_buf(), doing: "publish", source });
+        }
+        self.put_in_place(folder, manifest)
+    }
+
+    fn put_in_place(&self, folder: &Path, manifest: Manifest) -> Result<Published, FileError> {
         let bytes = serde_json::to_vec_pretty(&manifest).map_err(|e| FileError {
             path: folder.join(MANIFEST),
             doing: "write",

@@ -21,6 +21,7 @@ use super::machine;
 use super::manifest::{Circumstances, MANIFEST, MadeFor};
 use super::node::Clock;
 use super::pulse::Progress;
+use super::remote::{Fetched, RemoteError, RemoteStore, Sent};
 use super::resolve::{self, Resolved};
 
 /// How a job ended.
@@ -61,6 +62,16 @@ impl Job<'_> {
             Ok(Turn::Held(holder)) => return Ended::Held(holder),
             Err(error) => return Ended::Failed(error.to_string()),
         };
+        let damaged_there = match self.fetch(&label, lease.as_ref()) {
+            Brought::Artifact(artifact) => {
+                if let Some(lease) = lease {
+                    lease.finish();
+                }
+                return Ended::Ready { artifact, computed: false, seconds: 0.0 };
+            }
+            Brought::Cancelled => return Ended::Cancelled,
+            Brought::Nothing { damaged } => damaged,
+        };
         let start = Instant::now();
         match self.compute(&label, lease.as_ref()) {
             Ok(artifact) => {
@@ -68,6 +79,7 @@ impl Job<'_> {
                     lease.finish();
                 }
                 let seconds = start.elapsed().as_secs_f64();
+                self.send(&label, &artifact, damaged_there);
                 Ended::Ready { artifact: Box::new(artifact), computed: true, seconds }
             }
             Err(StageError::Cancelled) => Ended::Cancelled,
@@ -134,6 +146,61 @@ impl Job<'_> {
             (_, Asked::Granted(lease)) => Turn::Ours(lease),
             (_, Asked::Held(holder)) => Turn::Held(holder),
         })
+    }
+
+    /// Asks the store, where there is one. What it cannot give is computed.
+    fn fetch(&self, label: &str, lease: Option<&Lease>) -> Brought {
+        let nothing = Brought::Nothing { damaged: false };
+        let Some(store) = self.engine.remote.as_ref().filter(|s| s.is_worth_asking()) else { return nothing };
+        let (cache, key) = (&self.engine.cache, &self.resolved.key);
+        let fetch = || store.fetch(cache, self.node.stage_name, key, &self.stop);
+        match watched(lease, &cache.node().clock, &Progress::default(), fetch).0 {
+            Ok(Fetched::Missing) => {
+                store.worked();
+                nothing
+            }
+            Ok(Fetched::Now(artifact)) => {
+                store.worked();
+                let text = format!("fetched, {}", machine::bytes(artifact.manifest.bytes()));
+                self.listener.event(&Event::Note { label, text: &text });
+                Brought::Artifact(artifact)
+            }
+            Ok(Fetched::Differs(artifact, file)) => {
+                self.alarm(label, &format!("the store has other bytes of {file}"));
+                Brought::Artifact(artifact)
+            }
+            Err(RemoteError::Stopped) => Brought::Cancelled,
+            Err(error) => {
+                self.without_store(label, store, &format!("cannot be fetched: {error}; computing it"));
+                Brought::Nothing { damaged: matches!(error, RemoteError::Wrong { .. }) }
+            }
+        }
+    }
+
+    /// Sends what was computed to the store, where there is one. `check` where it had something damaged.
+    fn send(&self, label: &str, artifact: &Artifact, check: bool) {
+        let Some(store) = self.engine.remote.as_ref().filter(|s| s.is_worth_asking()) else { return };
+        match store.send(&self.engine.cache, artifact, check, &self.stop) {
+            Ok(Sent::Now | Sent::Already) => store.worked(),
+            Ok(Sent::Differs(file)) => self.alarm(label, &format!("the store has other bytes of {file}")),
+            // `use3d push` sends it.
+            Err(RemoteError::Stopped) => {}
+            Err(error) => {
+                self.without_store(
+                    label,
+                    store,
+                    &format!("cannot be sent: {error}; `use3d push` sends it later"),
+                );
+            }
+        }
+    }
+
+    fn without_store(&self, label: &str, store: &RemoteStore, text: &str) {
+        self.listener.event(&Event::Warning { label, text });
+        if store.failed() {
+            let text = format!("{} fails again and again: going on without it", store.place());
+            self.listener.event(&Event::Warning { label, text: &text });
+        }
     }
 
     fn compute(&self, label: &str, lease: Option<&Lease>) -> Result<Artifact, StageError> {
@@ -241,6 +308,13 @@ enum Turn {
     Ours(Option<Lease>),
     Made(Box<Artifact>),
     Held(String),
+    Cancelled,
+}
+
+/// What a store gave.
+enum Brought {
+    Artifact(Box<Artifact>),
+    Nothing { damaged: bool },
     Cancelled,
 }
 

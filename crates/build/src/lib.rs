@@ -71,7 +71,7 @@
 //! [`cache`]: the folder layout, publishing, verification. [`code`]: token-level code digests. [`content`]: digests of
 //! inputs that are not read twice. [`graph`]: scenes × stages × variants. [`plan`], [`run`]: what would
 //! happen, making it happen. [`executor`]: where its jobs run. [`history`]: what happened, forecasts.
-//! [`place`]: results outside the cache, and what of them may be replaced.
+//! [`place`]: results outside the cache, and what of them may be replaced. [`remote`]: a store beside the cache.
 
 mod agree;
 mod alone;
@@ -101,6 +101,7 @@ pub mod place;
 pub mod plan;
 mod pulse;
 mod registry;
+pub mod remote;
 mod resolve;
 pub mod run;
 mod stage;
@@ -133,12 +134,20 @@ pub struct Engine {
     /// The cache.
     pub cache: Cache,
     numeric_class: String,
+    remote: Option<std::sync::Arc<remote::RemoteStore>>,
 }
 
 impl Engine {
     /// An engine on this machine.
     pub fn new(registry: Registry, cache: Cache) -> Self {
-        Self { registry, cache, numeric_class: key::numeric_class() }
+        Self { registry, cache, numeric_class: key::numeric_class(), remote: None }
+    }
+
+    /// The same engine, which asks a store for what the cache does not have before it computes it, and sends it
+    /// what it has computed.
+    #[must_use]
+    pub fn with_remote(self, remote: std::sync::Arc<remote::RemoteStore>) -> Self {
+        Self { remote: Some(remote), ..self }
     }
 
     /// The same engine as if on a machine with another class of arithmetic.

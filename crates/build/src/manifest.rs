@@ -120,11 +120,16 @@ impl Manifest {
         }
         if manifest.key != key
             || manifest.ingredients.key() != key
-            || manifest.content != content_digest(&manifest.files)
+            || manifest.content != manifest.content_of_files()
         {
             return Err(format!("{MANIFEST} does not fit its own digests"));
         }
         Ok(manifest)
+    }
+
+    /// The digest of all files together as this manifest lists them; [`content`](Self::content) unless it lies.
+    pub fn content_of_files(&self) -> Digest {
+        content_digest(&self.files)
     }
 
     /// Bytes in all files together.

@@ -70,6 +70,8 @@ fn run(app: &App, verb: Verb) -> Done {
         Verb::Demo(args) => verbs::run::demo(app, &args),
         Verb::Run(args) => verbs::run::run(app, &args),
         Verb::Submit { what } => verbs::submit::run(app, &what),
+        Verb::Push(args) => verbs::remote::push(app, &args),
+        Verb::Pull(args) => verbs::remote::pull(app, &args),
         Verb::Plan(args) => verbs::run::plan(&args),
         Verb::Status(args) => verbs::run::status(&args),
         Verb::Why(args) => verbs::run::why(&args),

@@ -8,5 +8,6 @@ mod executors;
 mod faults;
 mod nodes;
 mod reference;
+mod remote;
 mod sharing;
 mod stages;

@@ -5,6 +5,7 @@ mod captures;
 mod cluster;
 mod pictures;
 mod pipelines;
+mod remote;
 mod shared;
 mod stages;
 mod upkeep;
@@ -17,6 +18,7 @@ pub(crate) use captures::{Synth, SynthCaptureArgs, SynthPairsArgs, WaterArgs};
 pub(crate) use cluster::{Submit, SubmitArgs, SubmitLayout};
 pub(crate) use pictures::{CameraPath, ExportArgs, ExportFrame, ExportWhat, FrameFormat, RenderArgs};
 pub(crate) use pipelines::{DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, RunArgs, WhyArgs};
+pub(crate) use remote::{PushArgs, TransferArgs};
 pub(crate) use shared::{CacheArgs, CalibrationArgs, Settings};
 pub(crate) use stages::{
     CalibrateArgs, EnhanceArgs, EvaluateArgs, ImportArgs, ReconstructArgs, TableFormat, TargetsArgs,
@@ -83,6 +85,14 @@ pub(crate) enum Verb {
         #[command(subcommand)]
         what: Submit,
     },
+    /// Send what the cache has of a pipeline to a store that other machines reach: a folder or a bucket.
+    #[command(
+        after_help = "Examples:\n  use3d push my-reef/ --remote /mnt/share/use3d\n  use3d push pipelines/use26.toml --remote s3://lab/use3d --check"
+    )]
+    Push(PushArgs),
+    /// Fetch what a store has of a pipeline into the cache. Every byte is checked.
+    #[command(after_help = "Example:\n  use3d pull pipelines/use26.toml --remote s3://lab/use3d")]
+    Pull(TransferArgs),
     /// What would run, what is cached, why, and the forecast cost.
     #[command(after_help = "Examples:\n  use3d plan pipelines/seathru4.toml\n  use3d plan my-reef/ --json")]
     Plan(PlanArgs),
@@ -192,6 +202,8 @@ impl Verb {
     pub(crate) fn wants_json(&self) -> bool {
         match self {
             Self::Run(args) => args.json,
+            Self::Push(args) => args.what.json,
+            Self::Pull(args) => args.json,
             Self::Plan(args) | Self::Status(args) => args.json,
             Self::Why(args) => args.json,
             Self::Bench { what: Bench::Truth(args) } => args.json,

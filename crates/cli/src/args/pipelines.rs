@@ -68,6 +68,10 @@ pub(crate) struct RunArgs {
     /// Fill the cache and put no results into a folder.
     #[arg(long, conflicts_with = "out")]
     pub(crate) cache_only: bool,
+    /// A store beside the cache (a folder, or s3://BUCKET/PREFIX): what it has is fetched instead of computed, what is computed is sent
+    /// to it. It may fail: the run goes on without it.
+    #[arg(long, env = "USE3D_REMOTE", value_name = "URL", hide_env_values = true)]
+    pub(crate) remote: Option<String>,
     /// Only say what would run (the same as `use3d plan`).
     #[arg(long)]
     pub(crate) dry_run: bool,

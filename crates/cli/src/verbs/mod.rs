@@ -11,6 +11,7 @@ pub(crate) mod generate;
 pub(crate) mod models;
 pub(crate) mod outcome;
 pub(crate) mod params;
+pub(crate) mod remote;
 pub(crate) mod render;
 pub(crate) mod run;
 pub(crate) mod speed;

@@ -19,6 +19,7 @@ use crate::args::{
 };
 use crate::error::{CliError, Done};
 use crate::verbs::outcome::{self, Outcome};
+use crate::verbs::remote::probed;
 use crate::verbs::stages::{scratch, stages};
 use crate::verbs::synth::keep_capture;
 use crate::verbs::view::Watched;
@@ -163,6 +164,13 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     if let Some(out) = &out {
         results::check(&loaded.graph, until.as_deref(), out)?;
     }
+    let loaded = match &args.remote {
+        Some(address) => {
+            let store = probed(app, address)?;
+            Loaded { engine: loaded.engine.with_remote(store), ..loaded }
+        }
+        None => loaded,
+    };
     let watched = Watched::start(app, &args.watch, None)?;
     let app = watched.as_ref().map_or(app, Watched::app);
     let options = RunOptions {

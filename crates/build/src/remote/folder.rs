@@ -1,0 +1,116 @@
+//! A folder as a store: a disk that is carried about, or a mounted share that is too slow or too loose to hold a
+//! cache.
+
+use std::fs::{self, File};
+use std::io::{self, ErrorKind, Read, Write};
+use std::path::{Path, PathBuf};
+
+use super::super::files;
+use super::{Remote, RemoteError};
+
+/// A folder; what is being written has names below `v1/tmp` until it is whole.
+#[derive(Clone, Debug)]
+pub struct Folder {
+    root: PathBuf,
+}
+
+impl Folder {
+    /// The store in a folder, which is created where it is missing when something is put into it.
+    pub fn new(root: &Path) -> Self {
+        Self { root: root.to_path_buf() }
+    }
+
+    fn refused(&self, doing: &'static str, name: &str, error: &io::Error) -> RemoteError {
+        let passing = matches!(
+            error.kind(),
+            ErrorKind::Interrupted | ErrorKind::TimedOut | ErrorKind::StaleNetworkFileHandle
+        );
+        let (place, name) = (self.place(), name.to_string());
+        RemoteError::Refused { place, doing, name, reason: error.to_string(), passing }
+    }
+
+    /// Writes a file of a name that nobody else uses, and gives it to `finish`. It is gone afterwards.
+    fn written<T>(
+        &self,
+        name: &str,
+        from: &mut dyn Read,
+        finish: impl FnOnce(&Path, &Path) -> io::Result<T>,
+    ) -> Result<T, RemoteError> {
+        let (target, folder) = (self.root.join(name), self.root.join("v1/tmp"));
+        let sibling = folder.join(files::unique());
+        let made =
+            [Some(folder.as_path()), target.parent()].into_iter().flatten().try_for_each(fs::create_dir_all);
+        let file = made.and_then(|()| File::create(&sibling));
+        let mut file = file.map_err(|e| self.refused("write", name, &e))?;
+        let done =
+            copy(from, &mut file, RemoteError::Local, |e| self.refused("write", name, &e)).and_then(|()| {
+                let done = file.sync_all().and_then(|()| finish(&sibling, &target));
+                done.map_err(|e| self.refused("write", name, &e))
+            });
+        // Where it became the target there is nothing left to remove.
+        let _ = fs::remove_file(&sibling);
+        done
+    }
+}
+
+/// Copies, and tells whose errors are whose.
+fn copy(
+    from: &mut dyn Read,
+    to: &mut dyn Write,
+    of_reader: impl Fn(io::Error) -> RemoteError,
+    of_writer: impl Fn(io::Error) -> RemoteError,
+) -> Result<(), RemoteError> {
+    let mut buffer = vec![0; 1 << 18];
+    loop {
+        match from.read(&mut buffer) {
+            Ok(0) => return Ok(()),
+            Ok(n) => to.write_all(&buffer[..n]).map_err(&of_writer)?,
+            Err(e) if e.kind() == ErrorKind::Interrupted => {}
+            Err(e) => return Err(of_reader(e)),
+        }
+    }
+}
+
+impl Remote for Folder {
+    fn place(&self) -> String {
+        self.root.display().to_string()
+    }
+
+    fn get(&self, name: &str, to: &mut (dyn Write + Send)) -> Result<bool, RemoteError> {
+        let mut file = match File::open(self.root.join(name)) {
+            Ok(file) => file,
+            Err(e) if e.kind() == ErrorKind::NotFound => return Ok(false),
+            Err(e) => return Err(self.refused("read", name, &e)),
+        };
+        copy(&mut file, to, |e| self.refused("read", name, &e), RemoteError::Local)?;
+        Ok(true)
+    }
+
+    fn size(&self, name: &str) -> Result<Option<u64>, RemoteError> {
+        match fs::metadata(self.root.join(name)) {
+            Ok(found) => Ok(Some(found.len())),
+            Err(e) if e.kind() == ErrorKind::NotFound => Ok(None),
+            Err(e) => Err(self.refused("look at", name, &e)),
+        }
+    }
+
+    fn put(&self, name: &str, from: &mut (dyn Read + Send), _: u64) -> Result<(), RemoteError> {
+        self.written(name, from, |sibling, target| fs::rename(sibling, target))
+    }
+
+    fn create(&self, name: &str, mut bytes: &[u8]) -> Result<bool, RemoteError> {
+        // A second name of a whole file: unlike a rename it is refused where there is one already.
+        self.written(name, &mut bytes, |sibling, target| match fs::hard_link(sibling, target) {
+            Ok(()) => Ok(true),
+            Err(e) if e.kind() == ErrorKind::AlreadyExists => Ok(false),
+            Err(e) => Err(e),
+        })
+    }
+
+    fn remove(&self, name: &str) -> Result<(), RemoteError> {
+        match fs::remove_file(self.root.join(name)) {
+            Err(e) if e.kind() != ErrorKind::NotFound => Err(self.refused("remove", name, &e)),
+            _ => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,56 @@
+//! A store in memory: what the others are compared with, for tests.
+
+use std::collections::BTreeMap;
+use std::io::{Read, Write};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use super::{Remote, RemoteError};
+
+/// Objects in memory.
+#[derive(Debug, Default)]
+pub struct Memory {
+    objects: Mutex<BTreeMap<String, Vec<u8>>>,
+}
+
+impl Memory {
+    /// What is there, by name.
+    pub fn objects(&self) -> MutexGuard<'_, BTreeMap<String, Vec<u8>>> {
+        self.objects.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Remote for Memory {
+    fn place(&self) -> String {
+        "memory".to_string()
+    }
+
+    fn get(&self, name: &str, to: &mut (dyn Write + Send)) -> Result<bool, RemoteError> {
+        let bytes = self.objects().get(name).cloned();
+        bytes.map_or(Ok(false), |bytes| to.write_all(&bytes).map(|()| true).map_err(RemoteError::Local))
+    }
+
+    fn size(&self, name: &str) -> Result<Option<u64>, RemoteError> {
+        Ok(self.objects().get(name).map(|bytes| bytes.len() as u64))
+    }
+
+    fn put(&self, name: &str, from: &mut (dyn Read + Send), _: u64) -> Result<(), RemoteError> {
+        let mut bytes = Vec::new();
+        from.read_to_end(&mut bytes).map_err(RemoteError::Local)?;
+        self.objects().insert(name.to_string(), bytes);
+        Ok(())
+    }
+
+    fn create(&self, name: &str, bytes: &[u8]) -> Result<bool, RemoteError> {
+        let mut objects = self.objects();
+        let is_new = !objects.contains_key(name);
+        if is_new {
+            objects.insert(name.to_string(), bytes.to_vec());
+        }
+        Ok(is_new)
+    }
+
+    fn remove(&self, name: &str) -> Result<(), RemoteError> {
+        self.objects().remove(name);
+        Ok(())
+    }
+}

@@ -1,0 +1,122 @@
+//! A store beside the cache that other machines reach as well: a folder, a bucket, whatever keeps bytes under names.
+//!
+//! ```text
+//! v1/blobs/<digest>                   a file of an artifact, by what is in it
+//! v1/artifacts/<stage>/<key>.json     its manifest, written last and only once: an artifact is there whole or not at all
+//! v1/probe/…                          written and removed when a store is opened
+//! ```
+//!
+//! A store only saves time, and nothing that comes from one is believed: a manifest has to fit the key that was
+//! asked for, every file its digest, and what does not is asked for again and then counts as not there. What
+//! comes in is built in `tmp` and published like the work of a stage, so that a cache holds the same bytes
+//! whether they were computed or fetched.
+
+mod folder;
+mod memory;
+mod receive;
+mod sync;
+mod transfer;
+
+use std::io::{self, Read, Write};
+
+use super::digest::Digest;
+use super::error::FileError;
+use super::key::Key;
+
+pub use folder::Folder;
+pub use memory::Memory;
+pub use sync::Transferred;
+pub use transfer::{Fetched, RemoteStore, Sent};
+
+/// What keeps bytes under names (parts of letters, digits, `-`, `_` and `.`, with `/` between them).
+pub trait Remote: Send + Sync {
+    /// Where it is, for people. No credentials.
+    fn place(&self) -> String;
+
+    /// Passes the bytes of an object on, in order; `false` where there is none of that name.
+    ///
+    /// # Errors
+    /// [`RemoteError::Local`] with the error of `to`; else what the store said.
+    fn get(&self, name: &str, to: &mut (dyn Write + Send)) -> Result<bool, RemoteError>;
+
+    /// How large an object is, bytes; nothing where there is none of that name.
+    ///
+    /// # Errors
+    /// What the store said.
+    fn size(&self, name: &str) -> Result<Option<u64>, RemoteError>;
+
+    /// Creates or replaces an object, whole or not at all. `from` has `size` bytes.
+    ///
+    /// # Errors
+    /// [`RemoteError::Local`] with the error of `from`; else what the store said.
+    fn put(&self, name: &str, from: &mut (dyn Read + Send), size: u64) -> Result<(), RemoteError>;
+
+    /// Creates a small object unless there is one of that name; whether it did. Of all that try at once it says
+    /// so to exactly one.
+    ///
+    /// # Errors
+    /// What the store said.
+    fn create(&self, name: &str, bytes: &[u8]) -> Result<bool, RemoteError>;
+
+    /// Removes an object. One that is not there is no error.
+    ///
+    /// # Errors
+    /// What the store said.
+    fn remove(&self, name: &str) -> Result<(), RemoteError>;
+}
+
+/// Why something could not be fetched or sent.
+#[derive(Debug, thiserror::Error)]
+pub enum RemoteError {
+    /// The store did not do what it was asked.
+    #[error("{place}: cannot {doing} {name}: {reason}")]
+    Refused {
+        /// The store.
+        place: String,
+        /// What it was asked.
+        doing: &'static str,
+        /// The object.
+        name: String,
+        /// What it said, and what to do.
+        reason: String,
+        /// Whether it may do it when it is asked again.
+        passing: bool,
+    },
+    /// What it holds is not what its name says.
+    #[error("{place}: {name} {reason}")]
+    Wrong {
+        /// The store.
+        place: String,
+        /// The object.
+        name: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// The artifact that was to be sent is damaged.
+    #[error("it is damaged: {0}; `use3d verify` moves it aside")]
+    Damaged(String),
+    /// Who takes the bytes, or gives them, failed.
+    #[error("{0}")]
+    Local(io::Error),
+    /// A file here.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// It was asked to stop.
+    #[error("interrupted")]
+    Stopped,
+}
+
+impl RemoteError {
+    /// Whether the same may work when it is tried again.
+    fn passes(&self) -> bool {
+        matches!(self, Self::Refused { passing: true, .. } | Self::Wrong { .. })
+    }
+}
+
+fn blob(digest: &Digest) -> String {
+    format!("v1/blobs/{digest}")
+}
+
+fn manifest(stage: &str, key: &Key) -> String {
+    format!("v1/artifacts/{stage}/{key}.json")
+}

@@ -1,0 +1,112 @@
+//! What is done to bytes on their way: counted, digested, compared.
+
+use std::io::{self, Read, Write};
+use std::path::{Component, Path};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::super::digest::Digest;
+use super::super::manifest::{FileRecord, MANIFEST, Manifest};
+
+/// Takes the bytes of a file and knows what they should be. More than that are refused as they come.
+pub(super) struct Receiver<'a, W> {
+    to: W,
+    hasher: blake3::Hasher,
+    count: u64,
+    most: u64,
+    stop: &'a AtomicBool,
+    /// Whether there were more bytes than expected.
+    pub(super) overfull: bool,
+}
+
+impl<'a, W: Write> Receiver<'a, W> {
+    pub(super) fn new(to: W, most: u64, stop: &'a AtomicBool) -> Self {
+        Self { to, hasher: blake3::Hasher::new(), count: 0, most, stop, overfull: false }
+    }
+
+    /// What is wrong with what came, if anything is.
+    pub(super) fn wrong(&self, file: &FileRecord) -> Option<String> {
+        if self.overfull || self.count != file.size {
+            let came = if self.overfull { "more".to_string() } else { self.count.to_string() };
+            return Some(format!("came as {came} bytes, {} are expected", file.size));
+        }
+        let digest = Digest::from(self.hasher.finalize());
+        (digest != file.digest).then(|| "came with other bytes than its digest says".to_string())
+    }
+
+    pub(super) fn into_inner(self) -> W {
+        self.to
+    }
+}
+
+impl<W: Write> Write for Receiver<'_, W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if self.stop.load(Ordering::Relaxed) {
+            return Err(io::Error::other("interrupted"));
+        }
+        if bytes.len() as u64 > self.most - self.count {
+            self.overfull = true;
+            return Err(io::Error::other("more bytes than expected"));
+        }
+        let written = self.to.write(bytes)?;
+        self.hasher.update(&bytes[..written]);
+        self.count += written as u64;
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.to.flush()
+    }
+}
+
+/// Gives the bytes of a file, and fails at their end unless they are what its digest says, so that what has
+/// changed meanwhile is never sent under the old name.
+pub(super) struct Sender<'a, R> {
+    from: R,
+    hasher: blake3::Hasher,
+    count: u64,
+    file: &'a FileRecord,
+    stop: &'a AtomicBool,
+}
+
+impl<'a, R: Read> Sender<'a, R> {
+    pub(super) fn new(from: R, file: &'a FileRecord, stop: &'a AtomicBool) -> Self {
+        Self { from, hasher: blake3::Hasher::new(), count: 0, file, stop }
+    }
+}
+
+impl<R: Read> Read for Sender<'_, R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if self.stop.load(Ordering::Relaxed) {
+            return Err(io::Error::other("interrupted"));
+        }
+        let read = self.from.read(buffer)?;
+        self.hasher.update(&buffer[..read]);
+        self.count += read as u64;
+        let ended = read == 0 && !buffer.is_empty();
+        let same =
+            || self.count == self.file.size && Digest::from(self.hasher.finalize()) == self.file.digest;
+        if self.count > self.file.size || (ended && !same()) {
+            return Err(io::Error::other(format!("{} has changed since it was written", self.file.path)));
+        }
+        Ok(read)
+    }
+}
+
+/// What is wrong with the files that a manifest from elsewhere names, if anything is: they go into one folder and
+/// nowhere else.
+pub(super) fn wrong_names(manifest: &Manifest) -> Option<String> {
+    for (i, file) in manifest.files.iter().enumerate() {
+        let path = Path::new(&file.path);
+        let plain = path.components().all(|part| matches!(part, Component::Normal(_)));
+        let as_written =
+            path.components().map(|c| c.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/");
+        let odd = file.path.is_empty() || file.path.contains(['\0', '\\']) || as_written != file.path;
+        let taken = manifest.files[..i].iter().any(|other| {
+            Path::new(&other.path).starts_with(path) || path.starts_with(Path::new(&other.path))
+        });
+        if !plain || odd || taken || file.path == MANIFEST {
+            return Some(format!("names a file {:?}, which no artifact has", file.path));
+        }
+    }
+    None
+}

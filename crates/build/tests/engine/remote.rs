@@ -1,0 +1,463 @@
+//! A store beside the cache: what one machine computed another one fetches to the byte; what a store gives wrong,
+//! in part, late or not at all never becomes an artifact, and ends no run.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::{self, Read, Write};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use use3d_build::cache::Lookup;
+use use3d_build::remote::{Folder, Memory, Remote, RemoteError, RemoteStore, Sent, Transferred};
+use use3d_build::{Batch, Engine, Graph, Listener, Silent};
+
+use super::stages::{batch, engine, payload, run};
+
+/// What a store does instead of what it was asked.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Fault {
+    /// Says 503.
+    Unavailable,
+    /// Does it, and says 503.
+    AnswerLost,
+    /// Says 403.
+    Forbidden,
+    /// Gives only the first half, as if that were all.
+    Truncated,
+    /// Gives the first half and breaks off.
+    BrokenOff,
+    /// Gives other bytes.
+    Wrong,
+    /// Gives more than there is.
+    More,
+    /// Gives a byte at a time.
+    Slow,
+    /// Says that it is not there.
+    Missing,
+    /// Creates what is there already.
+    Careless,
+}
+
+/// Which fault an operation on a name has.
+type Faults = Box<dyn Fn(&str, &str) -> Option<Fault> + Send + Sync>;
+
+/// A store in memory with faults.
+struct Faulty {
+    inner: Memory,
+    fault: Faults,
+}
+
+impl Faulty {
+    fn new(fault: impl Fn(&str, &str) -> Option<Fault> + Send + Sync + 'static) -> Self {
+        Self { inner: Memory::default(), fault: Box::new(fault) }
+    }
+
+    fn refused(&self, doing: &'static str, name: &str, passing: bool) -> RemoteError {
+        let reason = if passing { "503 Slow Down" } else { "403 Forbidden" }.to_string();
+        RemoteError::Refused { place: self.place(), doing, name: name.to_string(), reason, passing }
+    }
+
+    fn asked(&self, doing: &'static str, name: &str) -> Result<Option<Fault>, RemoteError> {
+        match (self.fault)(doing, name) {
+            Some(Fault::Unavailable) => Err(self.refused(doing, name, true)),
+            Some(Fault::Forbidden) => Err(self.refused(doing, name, false)),
+            fault => Ok(fault),
+        }
+    }
+
+    fn answer<T>(&self, fault: Option<Fault>, name: &str, done: T) -> Result<T, RemoteError> {
+        if fault == Some(Fault::AnswerLost) { Err(self.refused("hear of", name, true)) } else { Ok(done) }
+    }
+}
+
+impl Remote for Faulty {
+    fn place(&self) -> String {
+        "faulty".to_string()
+    }
+
+    fn get(&self, name: &str, to: &mut (dyn Write + Send)) -> Result<bool, RemoteError> {
+        let fault = self.asked("get", name)?;
+        let Some(mut bytes) = self.inner.objects().get(name).cloned() else { return Ok(false) };
+        let half = bytes.len() / 2;
+        match fault {
+            Some(Fault::Missing) => return Ok(false),
+            Some(Fault::Truncated | Fault::BrokenOff) => bytes.truncate(half),
+            Some(Fault::Wrong) => bytes[half] ^= 1,
+            Some(Fault::More) => bytes.push(0),
+            _ => {}
+        }
+        let size = if fault == Some(Fault::Slow) { 1 } else { bytes.len().max(1) };
+        for piece in bytes.chunks(size) {
+            to.write_all(piece).map_err(RemoteError::Local)?;
+        }
+        if fault == Some(Fault::BrokenOff) {
+            Err(self.refused("get", name, true))
+        } else {
+            self.answer(fault, name, true)
+        }
+    }
+
+    fn size(&self, name: &str) -> Result<Option<u64>, RemoteError> {
+        let fault = self.asked("size", name)?;
+        let size = self.inner.size(name)?;
+        self.answer(fault, name, size)
+    }
+
+    fn put(&self, name: &str, from: &mut (dyn Read + Send), size: u64) -> Result<(), RemoteError> {
+        let fault = self.asked("put", name)?;
+        self.inner.put(name, from, size)?;
+        self.answer(fault, name, ())
+    }
+
+    fn create(&self, name: &str, bytes: &[u8]) -> Result<bool, RemoteError> {
+        let fault = self.asked("create", name)?;
+        if fault == Some(Fault::Careless) {
+            self.inner.objects().insert(name.to_string(), bytes.to_vec());
+            return Ok(true);
+        }
+        let created = self.inner.create(name, bytes)?;
+        self.answer(fault, name, created)
+    }
+
+    fn remove(&self, name: &str) -> Result<(), RemoteError> {
+        self.inner.remove(name)
+    }
+}
+
+fn store(remote: impl Remote + 'static) -> Arc<RemoteStore> {
+    Arc::new(RemoteStore::new(Arc::new(remote)).with_pause(Duration::from_millis(1)))
+}
+
+fn shared(remote: &Arc<impl Remote + 'static>) -> Arc<RemoteStore> {
+    Arc::new(RemoteStore::new(remote.clone()).with_pause(Duration::from_millis(1)))
+}
+
+/// A folder with captures, and what a run of one machine makes of them.
+struct World {
+    dir: tempfile::TempDir,
+    batch: Batch,
+    whole: BTreeMap<String, Vec<u8>>,
+}
+
+impl World {
+    fn new() -> Self {
+        let dir = tempfile::tempdir().expect("a folder");
+        let batch = batch(dir.path(), &["reef", "wreck"]);
+        let alone = engine(&dir.path().join("alone"));
+        assert_eq!(run(&alone, &batch).0.exit_code(), 0);
+        let whole = payload(&alone.cache);
+        Self { dir, batch, whole }
+    }
+
+    fn engine(&self, name: &str) -> Engine {
+        engine(&self.dir.path().join(name))
+    }
+
+    fn pull(&self, engine: &Engine, store: &RemoteStore) -> Result<Transferred, RemoteError> {
+        let listener: Arc<dyn Listener> = Arc::new(Silent);
+        let graph = Graph::new(&engine.registry, &self.batch).expect("graph");
+        engine.pull(&graph, store, &AtomicBool::new(false), &listener)
+    }
+
+    fn push(&self, engine: &Engine, store: &RemoteStore, check: bool) -> Result<Transferred, RemoteError> {
+        let listener: Arc<dyn Listener> = Arc::new(Silent);
+        let graph = Graph::new(&engine.registry, &self.batch).expect("graph");
+        engine.push(&graph, store, check, &AtomicBool::new(false), &listener)
+    }
+
+    /// Nothing half is left in a cache.
+    fn assert_tidy(engine: &Engine) {
+        let tmp = fs::read_dir(engine.cache.root().join("tmp")).expect("folder").count();
+        assert!(tmp == 0 && !engine.cache.root().join("damaged").exists(), "{tmp}");
+    }
+}
+
+fn manifests(engine: &Engine) -> BTreeMap<String, Vec<u8>> {
+    let read = |path: &Path| fs::read(path.join("manifest.json")).expect("a manifest");
+    engine.cache.artifacts().iter().map(|(stage, key, path)| (format!("{stage} {key}"), read(path))).collect()
+}
+
+#[test]
+fn what_one_machine_computed_another_one_fetches_to_the_byte() {
+    let world = World::new();
+    let folder = world.dir.path().join("store");
+    for remote in [Arc::new(Memory::default()) as Arc<dyn Remote>, Arc::new(Folder::new(&folder))] {
+        let place = remote.place();
+        let name = |name: &str| format!("{name}-{}", place.len());
+        let store = Arc::new(RemoteStore::new(remote));
+        store.probe(&AtomicBool::new(false)).expect("a good store");
+        let first = world.engine(&name("first")).with_remote(store.clone());
+        let (summary, started, warnings) = run(&first, &world.batch);
+        assert!(summary.exit_code() == 0 && warnings.is_empty(), "{place}: {warnings:?}");
+        assert!(started.len() == summary.done() && payload(&first.cache) == world.whole, "{place}");
+        // Another machine computes nothing, and has the same bytes, manifests too.
+        let second = world.engine(&name("second")).with_remote(store.clone());
+        let (summary, started, warnings) = run(&second, &world.batch);
+        assert!(
+            summary.exit_code() == 0 && warnings.is_empty() && started.is_empty(),
+            "{place}: {started:?}"
+        );
+        assert!(payload(&second.cache) == world.whole && manifests(&second) == manifests(&first), "{place}");
+        // A third one fetches everything at once, and sends back nothing.
+        let third = world.engine(&name("third"));
+        let pulled = world.pull(&third, &store).expect("pulled");
+        let count = world.push(&first, &store, false).expect("pushed").already;
+        let moved = (pulled.moved, pulled.already, pulled.missing, pulled.problems.len());
+        assert_eq!(moved, (count, 0, 0, 0), "{place}");
+        assert!(payload(&third.cache) == world.whole && run(&third, &world.batch).1.is_empty(), "{place}");
+        let again = world.pull(&third, &store).expect("pulled");
+        assert_eq!((again.moved, again.already), (0, count), "{place}");
+        assert_eq!(world.push(&third, &store, true).expect("pushed").already, count, "{place}");
+        World::assert_tidy(&third);
+    }
+    let tmp = fs::read_dir(folder.join("v1/tmp")).expect("folder").count()
+        + fs::read_dir(folder.join("v1/probe")).expect("folder").count();
+    assert_eq!(tmp, 0, "nothing half stays in the store");
+    // What a run without a store computed is sent afterwards.
+    let late = store(Memory::default());
+    let alone = world.engine("alone");
+    let pushed = world.push(&alone, &late, false).expect("pushed");
+    assert!(pushed.moved > 0 && pushed.already == 0 && pushed.missing == 0, "{pushed:?}");
+}
+
+#[test]
+fn bytes_that_came_wrong_never_become_an_artifact() {
+    let world = World::new();
+    let faults = [
+        Fault::Truncated,
+        Fault::BrokenOff,
+        Fault::Wrong,
+        Fault::More,
+        Fault::Missing,
+        Fault::Unavailable,
+        Fault::Forbidden,
+    ];
+    for fault in faults {
+        for part in ["v1/blobs/", "v1/artifacts/"] {
+            let faulty: Arc<AtomicBool> = Arc::default();
+            let on = faulty.clone();
+            let remote = Arc::new(Faulty::new(move |doing, name| {
+                (on.load(Ordering::Relaxed) && doing == "get" && name.starts_with(part)).then_some(fault)
+            }));
+            assert!(world.push(&world.engine("alone"), &shared(&remote), false).is_ok());
+            faulty.store(true, Ordering::Relaxed);
+            let what = format!("{fault:?} {part}");
+            let name = what.replace('/', "-");
+            // Fetched alone: nothing comes of it, and it is said.
+            let pulling = world.engine(&format!("pull {name}"));
+            let gone = fault == Fault::Missing && part == "v1/artifacts/";
+            match world.pull(&pulling, &shared(&remote)) {
+                Ok(done) => {
+                    assert!(
+                        done.moved == 0 && done.missing > 0 && done.problems.is_empty() == gone,
+                        "{what}: {done:?}"
+                    );
+                }
+                Err(error) => assert!(
+                    error.to_string().contains("50") || error.to_string().contains("403"),
+                    "{what}: {error}"
+                ),
+            }
+            assert!(payload(&pulling.cache).is_empty(), "{what}");
+            World::assert_tidy(&pulling);
+            // In a run, all is computed.
+            let running = world.engine(&format!("run {name}")).with_remote(shared(&remote));
+            let (summary, _, warnings) = run(&running, &world.batch);
+            assert!(
+                summary.exit_code() == 0 && payload(&running.cache) == world.whole,
+                "{what}: {warnings:?}"
+            );
+            assert!(warnings.is_empty() == gone, "{what}: {warnings:?}");
+            World::assert_tidy(&running);
+        }
+    }
+}
+
+#[test]
+fn a_store_that_fails_now_and_then_and_is_slow_gives_and_takes_everything() {
+    let world = World::new();
+    let count = AtomicUsize::new(0);
+    let remote = Arc::new(Faulty::new(move |doing, _| {
+        let fault =
+            [Fault::Unavailable, Fault::Slow, Fault::AnswerLost, Fault::Slow, Fault::BrokenOff, Fault::Slow];
+        let fault = fault[count.fetch_add(1, Ordering::Relaxed) % fault.len()];
+        (doing == "get" || fault != Fault::BrokenOff).then_some(fault)
+    }));
+    let first = world.engine("first").with_remote(shared(&remote));
+    let (summary, _, warnings) = run(&first, &world.batch);
+    assert!(summary.exit_code() == 0, "{warnings:?}");
+    let check = Arc::new(Memory::default());
+    check.objects().extend(remote.inner.objects().clone());
+    let pushed = world.push(&first, &shared(&check), true).expect("a store without faults");
+    assert!(warnings.is_empty() && pushed.moved == 0, "{warnings:?} {pushed:?}");
+    let second = world.engine("second").with_remote(shared(&remote));
+    let (_, started, warnings) = run(&second, &world.batch);
+    assert!(started.is_empty() && payload(&second.cache) == world.whole, "{started:?} {warnings:?}");
+}
+
+#[test]
+fn a_store_that_is_gone_is_given_up_and_the_run_goes_on() {
+    let world = World::new();
+    let asked = Arc::new(AtomicUsize::new(0));
+    let counted = asked.clone();
+    let remote = Faulty::new(move |_, _| {
+        counted.fetch_add(1, Ordering::Relaxed);
+        Some(Fault::Unavailable)
+    });
+    let engine = world.engine("cache").with_remote(store(remote));
+    let (summary, _, warnings) = run(&engine, &world.batch);
+    assert!(summary.exit_code() == 0 && payload(&engine.cache) == world.whole);
+    assert_eq!(warnings.len(), 4, "three times, and that it is enough: {warnings:?}");
+    assert!(warnings[3].contains("going on without it"), "{warnings:?}");
+    assert!(asked.load(Ordering::Relaxed) <= 12, "a few tries each");
+}
+
+#[test]
+fn a_store_that_cannot_be_relied_on_is_refused_when_it_is_opened() {
+    for (fault, words) in [
+        (Some(Fault::Careless), "lets a name be created twice"),
+        (Some(Fault::Forbidden), "403"),
+        (Some(Fault::Unavailable), "503"),
+        (Some(Fault::Missing), "not there"),
+        (None, ""),
+    ] {
+        let remote = Arc::new(Faulty::new(move |_, _| fault));
+        match shared(&remote).probe(&AtomicBool::new(false)) {
+            Ok(()) => assert_eq!(fault, None),
+            Err(error) => {
+                assert!(fault.is_some() && error.to_string().contains(words), "{fault:?}: {error}");
+            }
+        }
+        assert!(remote.inner.objects().is_empty(), "{fault:?}: what it was tried with is gone");
+    }
+    // An answer that is lost once is no reason.
+    let count = AtomicUsize::new(0);
+    let remote =
+        Faulty::new(move |_, _| (count.fetch_add(1, Ordering::Relaxed) == 0).then_some(Fault::AnswerLost));
+    store(remote).probe(&AtomicBool::new(false)).expect("a good store");
+}
+
+#[test]
+fn a_manifest_from_elsewhere_cannot_write_outside_its_artifact_or_stand_for_another() {
+    let world = World::new();
+    let alone = world.engine("alone");
+    let remote = Arc::new(Memory::default());
+    assert!(world.push(&alone, &shared(&remote), false).is_ok());
+    let good = remote.objects().clone();
+    let names: Vec<String> = good.keys().filter(|n| n.starts_with("v1/artifacts/import/")).cloned().collect();
+    // Another key's manifest.
+    remote.objects().insert(names[0].clone(), good[&names[1]].clone());
+    // Its digests are right, and the file it names lies outside.
+    let text = String::from_utf8(good[&names[1]].clone()).expect("text");
+    let mut evil: use3d_build::manifest::Manifest = serde_json::from_str(&text).expect("a manifest");
+    for path in ["../../escaped", "/escaped", "a/../../escaped", "words.txt/", "manifest.json", "", "a\\b"] {
+        evil.files[0].path = path.to_string();
+        evil.content = evil.content_of_files();
+        remote.objects().insert(names[1].clone(), serde_json::to_vec(&evil).expect("json"));
+        let engine = world.engine("cache");
+        let pulled = world.pull(&engine, &shared(&remote)).expect("the store answers");
+        assert_eq!(pulled.problems.len(), 2, "{path}: {pulled:?}");
+        assert!(pulled.problems.iter().any(|p| p.what.contains("names a file")), "{path}: {pulled:?}");
+        let artifacts = engine.cache.artifacts();
+        assert!(artifacts.iter().all(|(stage, _, _)| stage != "import"), "{path}: {artifacts:?}");
+    }
+    let escaped =
+        walkdir::WalkDir::new(world.dir.path()).into_iter().flatten().any(|e| e.file_name() == "escaped");
+    assert!(!escaped);
+}
+
+#[test]
+fn what_is_damaged_on_either_side_is_not_sent_and_a_check_repairs_the_store() {
+    let world = World::new();
+    let engine = world.engine("alone");
+    let remote = Arc::new(Memory::default());
+    let (stage, key, path) = engine.cache.artifacts().into_iter().next().expect("an artifact");
+    let Ok(Lookup::Whole(artifact)) = engine.cache.lookup(&stage, &key) else { panic!("it is there") };
+    let (stop, store) = (AtomicBool::new(false), shared(&remote));
+    // Changed after it was last looked at, to bytes of the same number.
+    engine.cache.verify(&artifact, true).expect("whole");
+    let file = path.join(&artifact.manifest.files[0].path);
+    let right = fs::read(&file).expect("read");
+    fs::write(&file, vec![b'x'; right.len()]).expect("written");
+    let error = store.send(&engine.cache, &artifact, false, &stop).expect_err("damaged");
+    assert!(error.to_string().contains("damaged") && remote.objects().is_empty(), "{error}");
+    fs::write(&file, &right).expect("written");
+    assert_eq!(store.send(&engine.cache, &artifact, false, &stop).expect("sent"), Sent::Now);
+    // The store's disk rots; only a check sees it, and mends it.
+    let whole = remote.objects().clone();
+    let name = format!("v1/blobs/{}", artifact.manifest.files[0].digest);
+    remote.objects().insert(name, vec![b'y'; right.len()]);
+    assert_eq!(store.send(&engine.cache, &artifact, false, &stop).expect("sent"), Sent::Already);
+    assert_eq!(store.send(&engine.cache, &artifact, true, &stop).expect("sent"), Sent::Now);
+    assert!(*remote.objects() == whole);
+    // A run that was given damaged bytes mends the store as well.
+    let name = remote.objects().keys().find(|n| n.starts_with("v1/artifacts")).cloned().expect("a manifest");
+    remote.objects().insert(name, b"{".to_vec());
+    let running = world.engine("cache").with_remote(store.clone());
+    let (_, _, warnings) = run(&running, &world.batch);
+    assert_eq!(warnings.len(), 1, "{warnings:?}");
+    let third = world.engine("third").with_remote(store);
+    let (_, started, warnings) = run(&third, &world.batch);
+    assert!(started.is_empty() && warnings.is_empty(), "{started:?} {warnings:?}");
+}
+
+#[test]
+fn one_that_is_asked_to_stop_leaves_in_the_middle_of_a_file() {
+    let world = World::new();
+    let stop = Arc::new(AtomicBool::new(false));
+    let raise = stop.clone();
+    let remote = Arc::new(Faulty::new(move |doing, name| {
+        let is_file = doing == "get" && name.starts_with("v1/blobs/");
+        if is_file {
+            raise.store(true, Ordering::Relaxed);
+        }
+        is_file.then_some(Fault::Slow)
+    }));
+    assert!(world.push(&world.engine("alone"), &shared(&remote), false).is_ok());
+    let engine = world.engine("cache");
+    let graph = Graph::new(&engine.registry, &world.batch).expect("graph");
+    let listener: Arc<dyn Listener> = Arc::new(Silent);
+    let done = engine.pull(&graph, &shared(&remote), &stop, &listener).expect("no error");
+    assert!(done.interrupted && done.moved == 0 && payload(&engine.cache).is_empty(), "{done:?}");
+    World::assert_tidy(&engine);
+}
+
+#[test]
+fn of_all_that_create_a_name_at_once_one_does() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let remotes: [Arc<dyn Remote>; 2] = [Arc::new(Memory::default()), Arc::new(Folder::new(dir.path()))];
+    for (remote, round) in remotes.iter().flat_map(|remote| (0..20).map(move |round| (remote, round))) {
+        let won: Mutex<Vec<Vec<u8>>> = Mutex::default();
+        std::thread::scope(|scope| {
+            for who in 0..8_u8 {
+                let won = &won;
+                scope.spawn(move || {
+                    if remote.create(&format!("v1/race-{round}"), &[who]).expect("an answer") {
+                        won.lock().expect("lock").push(vec![who]);
+                    }
+                });
+            }
+        });
+        let mut found = Vec::new();
+        assert!(remote.get(&format!("v1/race-{round}"), &mut found).expect("an answer"));
+        assert_eq!(*won.lock().expect("lock"), [found], "{}", remote.place());
+    }
+    // What fails while it is read leaves what was there.
+    struct Fails;
+    impl Read for Fails {
+        fn read(&mut self, _: &mut [u8]) -> io::Result<usize> {
+            Err(io::Error::other("taken away"))
+        }
+    }
+    for remote in remotes {
+        remote.put("v1/file", &mut &b"whole"[..], 5).expect("put");
+        assert!(matches!(remote.put("v1/file", &mut Fails, 5), Err(RemoteError::Local(_))));
+        let mut found = Vec::new();
+        assert!(remote.get("v1/file", &mut found).expect("an answer") && found == b"whole");
+        assert_eq!(remote.size("v1/nothing").expect("an answer"), None);
+        assert!(!remote.get("v1/nothing", &mut Vec::new()).expect("an answer"));
+        remote.remove("v1/nothing").expect("no error");
+    }
+}

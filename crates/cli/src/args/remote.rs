@@ -1,0 +1,36 @@
+//! `push` and `pull`: a pipeline's artifacts to a store and from it.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::shared::{CacheArgs, CalibrationArgs, Settings};
+
+#[derive(Debug, Args)]
+pub(crate) struct PushArgs {
+    #[command(flatten)]
+    pub(crate) what: TransferArgs,
+    /// Read back what the store has already, and replace what is not as it should be.
+    #[arg(long)]
+    pub(crate) check: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct TransferArgs {
+    /// A pipeline file (.toml) or a capture folder.
+    #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
+    pub(crate) target: PathBuf,
+    /// The store: a folder, or s3://BUCKET/PREFIX where this program was built with S3. Keys and server come from the usual AWS_…
+    /// variables.
+    #[arg(long, env = "USE3D_REMOTE", value_name = "URL", hide_env_values = true)]
+    pub(crate) remote: String,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+    #[command(flatten)]
+    pub(crate) calibration: CalibrationArgs,
+    #[command(flatten)]
+    pub(crate) cache: CacheArgs,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}

@@ -1,0 +1,55 @@
+//! A store beside the cache: `push`, `pull`, and the one that `run` asks.
+
+use std::sync::Arc;
+
+use use3d_build::remote::{RemoteStore, Transferred};
+
+use crate::App;
+use crate::args::{PushArgs, TransferArgs};
+use crate::error::{CliError, Done};
+use crate::verbs::run::{Loaded, json, open};
+
+/// The store at an address.
+fn store(address: &str) -> Result<RemoteStore, CliError> {
+    let remote = use3d_store::open(address).map_err(|e| CliError::Input(format!("--remote: {e}")))?;
+    Ok(RemoteStore::new(remote))
+}
+
+/// The store at an address, which can be relied on.
+pub(crate) fn probed(app: &App, address: &str) -> Result<Arc<RemoteStore>, CliError> {
+    let store = store(address)?;
+    store.probe(&app.stop).map_err(|e| CliError::Failed(format!("--remote: {e}")))?;
+    Ok(Arc::new(store))
+}
+
+fn loaded(args: &TransferArgs) -> Result<Loaded, CliError> {
+    open(&args.target, &[], &args.settings, &args.calibration, &args.cache)
+}
+
+pub(crate) fn push(app: &App, args: &PushArgs) -> Done {
+    let Loaded { engine, graph, .. } = loaded(&args.what)?;
+    let store = probed(app, &args.what.remote)?;
+    let sent = engine.push(&graph, &store, args.check, &app.stop, &app.listener);
+    tell(&sent.map_err(CliError::failed)?, &args.what)
+}
+
+pub(crate) fn pull(app: &App, args: &TransferArgs) -> Done {
+    let Loaded { engine, graph, .. } = loaded(args)?;
+    // Whoever only fetches may have no right to write.
+    let store = store(&args.remote)?;
+    let fetched = engine.pull(&graph, &store, &app.stop, &app.listener);
+    tell(&fetched.map_err(CliError::failed)?, args)
+}
+
+fn tell(done: &Transferred, args: &TransferArgs) -> Done {
+    if args.json {
+        json(done)?;
+    } else {
+        print!("{done}");
+    }
+    match (done.interrupted, done.problems.len()) {
+        (true, _) => Err(CliError::Interrupted),
+        (false, 0) => Ok(()),
+        (false, n) => Err(CliError::Failed(format!("{n} artifacts are not as they should be, see above"))),
+    }
+}

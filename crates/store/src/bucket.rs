@@ -1,0 +1,182 @@
+//! S3 and what speaks its language, through `object_store`. Keys, region and server come from the usual `AWS_…`
+//! variables; none of them is ever written anywhere.
+
+use std::io::{Read, Write};
+use std::time::Duration;
+
+use futures_util::StreamExt;
+use object_store::aws::{AmazonS3, AmazonS3Builder, AmazonS3ConfigKey};
+use object_store::path::Path;
+use object_store::{
+    BackoffConfig, ClientConfigKey, Error, MultipartUpload, ObjectStore, ObjectStoreExt, PutMode, PutOptions,
+    PutPayload, RetryConfig,
+};
+use tokio::runtime::Runtime;
+use use3d_build::remote::{Remote, RemoteError};
+
+/// Larger objects go in parts of this size, bytes.
+const PART: u64 = 16 << 20;
+/// How often a request is made again at once where the server is busy; whoever asked tries again later.
+const RETRIES: usize = 3;
+
+/// A bucket, or what of it lies below a prefix.
+pub(crate) struct Bucket {
+    place: String,
+    prefix: Path,
+    store: AmazonS3,
+    runtime: Runtime,
+}
+
+impl Bucket {
+    pub(crate) fn open(bucket: &str, prefix: &str) -> Result<Self, String> {
+        let retry = RetryConfig {
+            backoff: BackoffConfig {
+                init_backoff: Duration::from_millis(200),
+                max_backoff: Duration::from_secs(5),
+                base: 2.0,
+            },
+            max_retries: RETRIES,
+            retry_timeout: Duration::from_secs(60),
+        };
+        // A large object may take long; what counts is that its bytes go on coming.
+        let client = |key| AmazonS3ConfigKey::Client(key);
+        let mut builder = AmazonS3Builder::new()
+            .with_config(client(ClientConfigKey::Timeout), "1 day")
+            .with_config(client(ClientConfigKey::ReadTimeout), "60 seconds")
+            .with_config(client(ClientConfigKey::ConnectTimeout), "10 seconds");
+        for (name, value) in std::env::vars().filter(|(name, _)| name.starts_with("AWS_")) {
+            let Ok(key) = name.to_ascii_lowercase().parse::<AmazonS3ConfigKey>() else { continue };
+            // A server on this machine, or in a lab, is often without TLS; its address says so.
+            if matches!(key, AmazonS3ConfigKey::Endpoint | AmazonS3ConfigKey::S3Endpoint)
+                && value.starts_with("http://")
+            {
+                builder = builder.with_allow_http(true);
+            }
+            builder = builder.with_config(key, value);
+        }
+        let store = builder.with_bucket_name(bucket).with_retry(retry).build().map_err(|e| e.to_string())?;
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build();
+        let runtime = runtime.map_err(|e| e.to_string())?;
+        let place =
+            if prefix.is_empty() { format!("s3://{bucket}") } else { format!("s3://{bucket}/{prefix}") };
+        let prefix = Path::parse(prefix).map_err(|e| e.to_string())?;
+        Ok(Self { place, prefix, store, runtime })
+    }
+
+    fn at(&self, name: &str) -> Path {
+        self.prefix.parts().chain(Path::from(name).parts()).collect()
+    }
+
+    fn refused(&self, doing: &'static str, name: &str, error: &Error) -> RemoteError {
+        let passing = matches!(error, Error::Generic { .. } | Error::JoinError { .. });
+        let advice = match error {
+            Error::Unauthenticated { .. } | Error::PermissionDenied { .. } => {
+                "; check AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY and what they may do in this bucket"
+            }
+            _ => "",
+        };
+        RemoteError::Refused {
+            place: self.place.clone(),
+            doing,
+            name: name.to_string(),
+            reason: format!("{error}{advice}"),
+            passing,
+        }
+    }
+
+    async fn upload(
+        &self,
+        upload: &mut Box<dyn MultipartUpload>,
+        from: &mut (dyn Read + Send),
+        mut first: Vec<u8>,
+        name: &str,
+    ) -> Result<(), RemoteError> {
+        while !first.is_empty() {
+            let sent = upload.put_part(PutPayload::from(first)).await;
+            sent.map_err(|e| self.refused("write", name, &e))?;
+            first = part(from)?;
+        }
+        upload.complete().await.map(drop).map_err(|e| self.refused("write", name, &e))
+    }
+}
+
+/// The next bytes of an object, as many as a part has; fewer at its end.
+fn part(from: &mut (dyn Read + Send)) -> Result<Vec<u8>, RemoteError> {
+    let mut bytes = Vec::new();
+    from.take(PART).read_to_end(&mut bytes).map_err(RemoteError::Local)?;
+    Ok(bytes)
+}
+
+impl Remote for Bucket {
+    fn place(&self) -> String {
+        self.place.clone()
+    }
+
+    fn get(&self, name: &str, to: &mut (dyn Write + Send)) -> Result<bool, RemoteError> {
+        let path = self.at(name);
+        self.runtime.block_on(async {
+            let found = match self.store.get(&path).await {
+                Ok(found) => found,
+                Err(Error::NotFound { .. }) => return Ok(false),
+                Err(e) => return Err(self.refused("read", name, &e)),
+            };
+            let mut pieces = found.into_stream();
+            while let Some(piece) = pieces.next().await {
+                let piece = piece.map_err(|e| self.refused("read", name, &e))?;
+                to.write_all(&piece).map_err(RemoteError::Local)?;
+            }
+            Ok(true)
+        })
+    }
+
+    fn size(&self, name: &str) -> Result<Option<u64>, RemoteError> {
+        match self.runtime.block_on(self.store.head(&self.at(name))) {
+            Ok(found) => Ok(Some(found.size)),
+            Err(Error::NotFound { .. }) => Ok(None),
+            Err(e) => Err(self.refused("look at", name, &e)),
+        }
+    }
+
+    fn put(&self, name: &str, from: &mut (dyn Read + Send), size: u64) -> Result<(), RemoteError> {
+        let path = self.at(name);
+        let first = part(from)?;
+        self.runtime.block_on(async {
+            if size <= PART {
+                // Its end is where it is found out whether it is what it should be.
+                let rest = part(from)?;
+                let payload = PutPayload::from([first, rest].concat());
+                return self
+                    .store
+                    .put(&path, payload)
+                    .await
+                    .map(drop)
+                    .map_err(|e| self.refused("write", name, &e));
+            }
+            let upload = self.store.put_multipart(&path).await;
+            let mut upload = upload.map_err(|e| self.refused("write", name, &e))?;
+            let done = self.upload(&mut upload, from, first, name).await;
+            if done.is_err() {
+                // What cannot be taken back now is for the bucket's own rule for unfinished uploads.
+                let _ = upload.abort().await;
+            }
+            done
+        })
+    }
+
+    fn create(&self, name: &str, bytes: &[u8]) -> Result<bool, RemoteError> {
+        let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
+        let payload = PutPayload::from(bytes.to_vec());
+        match self.runtime.block_on(self.store.put_opts(&self.at(name), payload, options)) {
+            Ok(_) => Ok(true),
+            Err(Error::AlreadyExists { .. } | Error::Precondition { .. }) => Ok(false),
+            Err(e) => Err(self.refused("create", name, &e)),
+        }
+    }
+
+    fn remove(&self, name: &str) -> Result<(), RemoteError> {
+        match self.runtime.block_on(self.store.delete(&self.at(name))) {
+            Ok(()) | Err(Error::NotFound { .. }) => Ok(()),
+            Err(e) => Err(self.refused("remove", name, &e)),
+        }
+    }
+}

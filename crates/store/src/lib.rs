@@ -1,0 +1,107 @@
+//! A store beside the cache by its address: a folder's path, `file:///…`, or `s3://BUCKET/PREFIX`.
+//!
+//! What a store has to do is said by [`Remote`]; how artifacts go to and from one is in `use3d_build::remote`. Only
+//! here, and only with the feature `s3`, the program talks to a network, and only to the address it was given.
+
+#[cfg(feature = "s3")]
+mod bucket;
+
+use std::path::{Component, Path};
+use std::sync::Arc;
+
+use use3d_build::remote::{Folder, Remote};
+
+/// The store at an address.
+///
+/// # Errors
+/// An address that cannot be understood, or one that this program was built without, in words that say what to
+/// do.
+pub fn open(address: &str) -> Result<Arc<dyn Remote>, String> {
+    let shown = without_credentials(address);
+    let Some((scheme, rest)) = address.split_once("://") else {
+        if address.is_empty() {
+            return Err("an empty address: a folder or s3://BUCKET/PREFIX is expected".to_string());
+        }
+        let path = std::path::absolute(address).map_err(|e| format!("{address}: {e}"))?;
+        return Ok(Arc::new(Folder::new(&path)));
+    };
+    match scheme {
+        "file" => match Path::new(rest) {
+            path if path.components().next() == Some(Component::RootDir) => Ok(Arc::new(Folder::new(path))),
+            _ => Err(format!("{shown}: write file:///ABSOLUTE/PATH")),
+        },
+        "s3" => {
+            let (bucket, prefix) = rest.split_once('/').unwrap_or((rest, ""));
+            if bucket.contains(['@', ':', '?']) || prefix.contains('?') {
+                return Err(format!(
+                    "{shown}: s3://BUCKET/PREFIX is expected, nothing more; keys come from AWS_ACCESS_KEY_ID and \
+                     AWS_SECRET_ACCESS_KEY, another server's address from AWS_ENDPOINT_URL"
+                ));
+            }
+            if bucket.is_empty() {
+                return Err(format!("{shown}: s3://BUCKET/PREFIX is expected"));
+            }
+            open_bucket(&shown, bucket, prefix.trim_matches('/'))
+        }
+        _ => Err(format!(
+            "{shown}: no such kind of store; there are folders, file:///PATH and s3://BUCKET/PREFIX"
+        )),
+    }
+}
+
+#[cfg(feature = "s3")]
+fn open_bucket(shown: &str, bucket: &str, prefix: &str) -> Result<Arc<dyn Remote>, String> {
+    let opened = bucket::Bucket::open(bucket, prefix).map_err(|e| format!("{shown}: {e}"))?;
+    Ok(Arc::new(opened))
+}
+
+#[cfg(not(feature = "s3"))]
+fn open_bucket(shown: &str, _: &str, _: &str) -> Result<Arc<dyn Remote>, String> {
+    Err(format!(
+        "{shown}: this program was built without S3; build it with `cargo install --path crates/cli --features s3`, or give a \
+         folder"
+    ))
+}
+
+/// An address with what may be a password left out, for messages.
+fn without_credentials(address: &str) -> String {
+    let (scheme, rest) = address.split_once("://").unwrap_or(("", address));
+    let rest = rest.split('?').next().unwrap_or_default();
+    let rest = rest.rsplit_once('@').map_or(rest, |(_, after)| after);
+    if scheme.is_empty() { rest.to_string() } else { format!("{scheme}://{rest}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_says_which_store_and_no_message_says_a_password() {
+        assert_eq!(open("/somewhere/store").expect("a folder").place(), "/somewhere/store");
+        assert_eq!(open("file:///somewhere/store").expect("a folder").place(), "/somewhere/store");
+        assert!(Path::new(&open("store").expect("a folder").place()).is_absolute());
+        for (wrong, words) in [
+            ("", "empty"),
+            ("file://store", "file:///ABSOLUTE/PATH"),
+            ("ftp://host/store", "no such kind"),
+            ("s3://", "s3://BUCKET/PREFIX"),
+            ("s3://AKIA:secret@bucket/prefix", "AWS_SECRET_ACCESS_KEY"),
+            ("s3://bucket/prefix?secret=secret", "AWS_SECRET_ACCESS_KEY"),
+            ("https://AKIA:secret@host/bucket", "no such kind"),
+        ] {
+            let error = open(wrong).err().expect(wrong);
+            assert!(error.contains(words), "{wrong}: {error}");
+            assert!(
+                !error.contains("secret@") && !error.contains("=secret") && !error.contains("AKIA"),
+                "{error}"
+            );
+        }
+    }
+
+    #[cfg(not(feature = "s3"))]
+    #[test]
+    fn without_s3_it_is_said_how_to_get_it() {
+        let error = open("s3://bucket/prefix").err().expect("not there");
+        assert!(error.contains("--features s3"), "{error}");
+    }
+}

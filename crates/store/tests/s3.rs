@@ -1,0 +1,75 @@
+//! A bucket of a real server that speaks S3, where one is named; moto's is enough:
+//!
+//! ```text
+//! pip install 'moto[server]' && moto_server -p 5555 & curl -X PUT http://127.0.0.1:5555/use3d-test
+//! AWS_ENDPOINT_URL=http://127.0.0.1:5555 AWS_ACCESS_KEY_ID=any AWS_SECRET_ACCESS_KEY=any AWS_REGION=us-east-1 \
+//!     USE3D_S3=s3://use3d-test/here cargo test -p use3d-store --features s3 --test s3 -- --nocapture
+//! ```
+#![cfg(feature = "s3")]
+
+use std::io::{self, Read};
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex};
+
+use use3d_build::remote::{Remote, RemoteError, RemoteStore};
+
+fn remote() -> Option<Arc<dyn Remote>> {
+    let Ok(address) = std::env::var("USE3D_S3") else {
+        println!("SKIPPED, nothing was tested with a real S3: set USE3D_S3=s3://BUCKET/PREFIX and AWS_…");
+        return None;
+    };
+    Some(use3d_store::open(&address).expect("an address"))
+}
+
+fn read(remote: &dyn Remote, name: &str) -> Option<Vec<u8>> {
+    let mut found = Vec::new();
+    remote.get(name, &mut found).expect("an answer").then_some(found)
+}
+
+#[test]
+fn a_bucket_does_what_a_store_must() {
+    let Some(remote) = remote() else { return };
+    RemoteStore::new(remote.clone()).probe(&AtomicBool::new(false)).expect("one that can be relied on");
+    let own = format!("v1/test-{}", std::process::id());
+    // Nothing, something, more than a part has, exactly two parts.
+    for size in [0, 5, (16 << 20) + 1, 32 << 20] {
+        let bytes: Vec<u8> = (0..size).map(|i: usize| (i % 251) as u8).collect();
+        let name = format!("{own}/{size}");
+        assert_eq!(remote.size(&name).expect("an answer"), None);
+        remote.put(&name, &mut &bytes[..], size as u64).expect("put");
+        assert_eq!(remote.size(&name).expect("an answer"), Some(size as u64));
+        assert!(read(remote.as_ref(), &name).is_some_and(|found| found == bytes), "{size}");
+        // What fails on its way leaves what was there.
+        struct Fails(usize);
+        impl Read for Fails {
+            fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+                let n = self.0.min(buffer.len());
+                self.0 -= n;
+                if n == 0 { Err(io::Error::other("taken away")) } else { Ok(n) }
+            }
+        }
+        let failed = remote.put(&name, &mut Fails(size), size as u64);
+        assert!(matches!(failed, Err(RemoteError::Local(_))), "{size}: {failed:?}");
+        assert!(read(remote.as_ref(), &name).is_some_and(|found| found == bytes), "{size}");
+        remote.remove(&name).expect("removed");
+        assert_eq!(read(remote.as_ref(), &name), None);
+        remote.remove(&name).expect("nothing to remove is no error");
+    }
+    for round in 0..5 {
+        let name = format!("{own}/race-{round}");
+        let won: Mutex<Vec<Vec<u8>>> = Mutex::default();
+        std::thread::scope(|scope| {
+            for who in 0..8_u8 {
+                let (won, name, remote) = (&won, &name, &remote);
+                scope.spawn(move || {
+                    if remote.create(name, &[who]).expect("an answer") {
+                        won.lock().expect("lock").push(vec![who]);
+                    }
+                });
+            }
+        });
+        let found = read(remote.as_ref(), &name).expect("created");
+        assert_eq!(*won.lock().expect("lock"), [found]);
+        remote.remove(&name).expect("removed");
+    }
+}
