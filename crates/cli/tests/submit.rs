@@ -1,0 +1,163 @@
+//! `use3d submit` with commands that stand in for Slurm's: what they are told is done at once, by real processes
+//! that share a cache.
+
+mod many;
+mod tiny;
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+use std::process::Output;
+
+use many::Many;
+
+/// Runs the tasks of what it is handed side by side, then prints its number.
+const SBATCH: &str = r#"
+echo "$*" >> "$here/sbatch.log"
+script="${!#}"
+number=$(( $(cat "$here/number" 2>/dev/null || echo 100) + 1 )); echo "$number" > "$here/number"
+last=$(sed -n 's/^#SBATCH --array=0-\([0-9]*\)%.*/\1/p' "$script")
+export SLURM_JOB_ID=$number SLURM_CPUS_PER_TASK=1 SLURM_ARRAY_JOB_ID=$number
+if [ -n "$last" ]; then
+  for task in $(seq 0 "$last"); do SLURM_ARRAY_TASK_ID=$task bash "$script" >> "$here/tasks.log" 2>&1 & done
+  wait
+else
+  bash "$script" >> "$here/tasks.log" 2>&1
+fi
+echo "$number;cluster"
+"#;
+
+fn stand_ins(many: &Many) -> String {
+    let folder = many.at("bin");
+    fs::create_dir_all(&folder).expect("folder");
+    let write = |name: &str, body: &str| {
+        let path = folder.join(name);
+        fs::write(&path, format!("#!/bin/bash\nhere={}\n{body}", folder.display())).expect("written");
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).expect("executable");
+    };
+    write("sbatch", SBATCH);
+    write("squeue", "cat \"$here/queue\" 2>/dev/null; exit 0\n");
+    write("scancel", "echo \"$*\" >> \"$here/scancel.log\"\n");
+    write("scontrol", "exit 1\n");
+    format!("{}:{}", folder.display(), std::env::var("PATH").unwrap_or_default())
+}
+
+fn said(output: &Output) -> String {
+    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+}
+
+fn read(path: &Path) -> String {
+    fs::read_to_string(path).unwrap_or_default()
+}
+
+#[test]
+fn what_is_handed_over_ends_like_a_run_of_one_process_and_again_means_only_what_is_missing() {
+    let many = Many::new(&["s1".to_string(), "s2".to_string()]);
+    let whole = many.alone();
+    let path = stand_ins(&many);
+    let site = format!("command = \"{}\"\ncpus = 1\nat_once = 3\n", env!("CARGO_BIN_EXE_use3d"));
+    fs::write(many.at("cluster.toml"), site).expect("written");
+    let submit = |cache: &str, extra: &[&str]| {
+        let mut command = many.command(&["submit", "slurm"], cache);
+        command.args(["--cluster", "cluster.toml", "--out"]).arg(format!("out-{cache}")).args(extra);
+        let output = command.env("PATH", &path).output().expect("the command starts");
+        (output.status.code(), said(&output))
+    };
+    for layout in ["workers", "stages"] {
+        let (code, text) = submit(layout, &["--layout", layout, "--dry-run"]);
+        assert_eq!(code, Some(0), "{text}");
+        assert!(
+            text.contains("#SBATCH --time=") && !many.at(&format!("out-{layout}-submit")).exists(),
+            "{text}"
+        );
+        let (code, text) = submit(layout, &["--layout", layout]);
+        let log = read(&many.at("bin/tasks.log"));
+        assert_eq!(code, Some(0), "{text}{log}");
+        assert!(text.contains("submitted finish as job") && text.contains("use3d status"), "{text}");
+        assert!(many.artifacts(layout) == whole, "{layout}: {text}{log}");
+        let delivered = many.scores(format!("out-{layout}").as_ref());
+        assert!(delivered.len() == 2 && delivered == many.scores("out-alone".as_ref()), "{log}");
+        assert_eq!(fs::read_dir(many.at(layout).join("v1/leases")).expect("leases").count(), 0, "{log}");
+
+        let (code, text) = submit(layout, &["--layout", layout]);
+        assert!(code == Some(0) && text.contains("nothing to submit"), "{text}");
+    }
+    // What is lost of one scene is all that is handed over again.
+    let lost =
+        fs::read_dir(many.at("stages/v1/artifacts/evaluate")).expect("two").flatten().next().expect("one");
+    fs::remove_dir_all(lost.path()).expect("removed");
+    let (code, text) = submit("stages", &["--layout", "stages"]);
+    assert_eq!(code, Some(0), "{text}");
+    assert_eq!(read(&many.at("out-stages-submit/evaluate.tasks")).lines().count(), 1);
+    assert!(!text.contains("submitted reconstruct"), "{text}");
+    assert!(many.artifacts("stages") == whole);
+
+    // While something is in the queue, nothing is handed over twice by accident.
+    fs::remove_dir_all(many.at("stages/v1/artifacts/evaluate")).expect("removed");
+    fs::write(many.at("bin/queue"), "101\n").expect("written");
+    let (code, text) = submit("stages", &["--layout", "stages"]);
+    assert!(code == Some(2) && text.contains("still in the queue") && text.contains("--again"), "{text}");
+    // A scheduler that refuses halfway is left with nothing of it.
+    fs::write(
+        many.at("bin/sbatch"),
+        "#!/bin/bash\n[ -e once ] && { echo 'QOSMaxSubmitJob' >&2; exit 1; }; touch once; echo 7\n",
+    )
+    .expect("written");
+    let (code, text) = submit("stages", &["--layout", "stages", "--again"]);
+    assert!(code == Some(1) && text.contains("QOSMaxSubmitJob"), "{text}");
+    assert_eq!(read(&many.at("bin/scancel.log")), "7\n");
+}
+
+#[test]
+fn a_wrong_site_file_is_said_before_anything_is_written() {
+    let many = Many::new(&["s1".to_string()]);
+    for (text, words) in
+        [("cpus = 0", "`cpus` is 0"), ("[stage.fly]", "no such stage"), ("nodes = 3", "nodes")]
+    {
+        fs::write(many.at("cluster.toml"), text).expect("written");
+        let mut command = many.command(&["submit", "hq"], "cache");
+        let output = command.args(["--cluster", "cluster.toml"]).output().expect("the command starts");
+        let said = said(&output);
+        assert!(
+            output.status.code() == Some(2) && said.contains("cluster.toml: ") && said.contains(words),
+            "{said}"
+        );
+    }
+    assert!(!many.at("use3d-out").exists());
+}
+
+#[test]
+fn a_run_leaves_when_its_time_is_over_or_slurm_says_so_and_the_next_goes_on() {
+    let many = Many::new(&["s1".to_string()]);
+    let whole = many.alone();
+    let run = |extra: &[&str]| {
+        let mut command = many.command(&["-q", "run", "--cache-only"], "cache");
+        command.args(extra);
+        command
+    };
+    // However quick the machine is, this is no time.
+    let output = run(&["--max-time", "0.05s"]).output().expect("the command starts");
+    assert_eq!(output.status.code(), Some(75), "{}", said(&output));
+    assert!(said(&output).contains("out of time"), "{}", said(&output));
+    // Signalled in a training: its checkpoint is there, and is gone on from.
+    let long = ["--set", "reconstruct.iterations=4000"];
+    let mut child =
+        run(&long).stderr(std::process::Stdio::null()).stdout(std::process::Stdio::null()).spawn();
+    let child = child.as_mut().expect("the command starts");
+    let log = many.at("cache/v1/logs/many/s1/_/reconstruct.log");
+    while !log.exists() {
+        assert!(child.try_wait().expect("a state").is_none(), "ended before it was told to");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    let told = std::process::Command::new("kill").args(["-USR1", &child.id().to_string()]).status();
+    assert!(told.expect("kill").success());
+    assert_eq!(child.wait().expect("ends").code(), Some(75));
+    let output = run(&[]).output().expect("the command starts");
+    assert!(output.status.success(), "{}", said(&output));
+    assert!(many.artifacts("cache") == whole);
+    let output = run(&["--only", "s1", "--until-empty"]).output().expect("the command starts");
+    assert!(output.status.success(), "{}", said(&output));
+    let output = run(&["--only", "s2"]).output().expect("the command starts");
+    assert!(output.status.code() == Some(2) && said(&output).contains("there are: s1"), "{}", said(&output));
+    assert!(!many.at("use3d-out").exists(), "nothing was delivered");
+}
