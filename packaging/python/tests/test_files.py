@@ -1,0 +1,121 @@
+"""The module's own tests: python3 -m unittest discover packaging/python/tests (needs NumPy).
+
+With USE3D_COMMAND set to a `use3d`, a tiny capture goes through the whole pipeline and is read back.
+"""
+
+import json
+import os
+import struct
+import sys
+import tempfile
+import unittest
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import numpy as np  # noqa: E402
+import use3d  # noqa: E402
+
+
+def safetensors(header, data=b""):
+    text = json.dumps(header).encode()
+    return struct.pack("<Q", len(text)) + text + data
+
+
+class Files(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.path = Path(folder.name) / "file"
+
+    def test_tensors_come_back_as_they_were(self):
+        a = np.arange(6, dtype="<f4").reshape(2, 3)
+        header = {
+            "a": {"dtype": "F32", "shape": [2, 3], "data_offsets": [0, 24]},
+            "none": {"dtype": "U8", "shape": [0, 4], "data_offsets": [24, 24]},
+            "one": {"dtype": "I64", "shape": [], "data_offsets": [24, 32]},
+            "__metadata__": {"by": "test"},
+        }
+        self.path.write_bytes(safetensors(header, a.tobytes() + struct.pack("<q", -7)))
+        read = use3d.read_safetensors(self.path)
+        self.assertEqual(sorted(read), ["a", "none", "one"])
+        np.testing.assert_array_equal(read["a"], a)
+        self.assertEqual((read["none"].shape, int(read["one"])), ((0, 4), -7))
+
+    def test_what_is_no_safetensors_file_is_said(self):
+        good = {"dtype": "F32", "shape": [2], "data_offsets": [0, 8]}
+        wrong = [
+            b"",
+            b"\xff" * 20,
+            struct.pack("<Q", 2) + b"xx",
+            struct.pack("<Q", 2) + b"[]",
+            safetensors({"a": good}),
+            safetensors({"a": {**good, "shape": [3]}}, bytes(8)),
+            safetensors({"a": {**good, "shape": [-1, -2]}}, bytes(8)),
+            safetensors({"a": {**good, "dtype": "F31"}}, bytes(8)),
+            safetensors({"a": {**good, "data_offsets": [4, 12]}}, bytes(8)),
+            safetensors({"a": {**good, "data_offsets": [-8, 0]}}, bytes(8)),
+            safetensors({"a": 1}, bytes(8)),
+        ]
+        for data in wrong:
+            self.path.write_bytes(data)
+            with self.assertRaises(use3d.FormatError, msg=repr(data)) as caught:
+                use3d.read_safetensors(self.path)
+            self.assertIn(str(self.path), str(caught.exception))
+
+    def test_gaussians_come_back_as_they_were(self):
+        head = b"ply\nformat binary_little_endian 1.0\ncomment by\nelement vertex 2\nproperty float x\nproperty uchar r\nend_header\n"
+        self.path.write_bytes(head + struct.pack("<fBfB", 1.5, 2, -3.0, 4))
+        read = use3d.read_ply(self.path)
+        np.testing.assert_array_equal(read["x"], np.array([1.5, -3.0], "f4"))
+        np.testing.assert_array_equal(read["r"], [2, 4])
+        for old, new in [
+            (b"ply", b"PLY"),
+            (b"binary_little_endian", b"ascii"),
+            (b"vertex 2", b"vertex 3"),
+            (b"element vertex", b"element face"),
+            (b"property float x", b"property list uchar int x"),
+            (b"end_header\n", b""),
+        ]:
+            self.path.write_bytes((head + struct.pack("<fBfB", 1.5, 2, -3.0, 4)).replace(old, new))
+            with self.assertRaises(use3d.FormatError, msg=repr(new)):
+                use3d.read_ply(self.path)
+
+    def test_folders_that_are_none_are_said(self):
+        with self.assertRaises(use3d.FormatError):
+            use3d.Scene(self.path.parent)
+        (self.path.parent / "scene.json").write_text('{"format": "other"}')
+        with self.assertRaises(use3d.FormatError):
+            use3d.Scene(self.path.parent)
+        with self.assertRaises(FileNotFoundError):
+            use3d.Results(self.path)
+
+
+@unittest.skipUnless(os.environ.get("USE3D_COMMAND"), "SKIPPED: set USE3D_COMMAND to a `use3d` to test with it")
+class Command(unittest.TestCase):
+    def test_a_capture_goes_through_and_is_read_back(self):
+        with tempfile.TemporaryDirectory() as folder:
+            folder = Path(folder)
+            use3d.run("synth", "capture", "--out", folder / "reef", "--views", "9", "--size", "64x48")
+            sets = ["reconstruct.iterations=12", "enhance.iterations=6"]
+            words = [word for one in sets for word in ("--set", one)]
+            use3d.run("run", folder / "reef", "--cache", folder / "cache", "--out", folder / "out", *words)
+            results = use3d.Results(folder / "out")
+            self.assertEqual(results.scenes, ["reef"])
+            scene = results.scene("reef")
+            self.assertTrue(len(scene.gaussians) > 0 and np.isfinite(scene.gaussians["x"]).all())
+            self.assertEqual(scene.medium["coefficients"].shape[1:], (3, 16, 3))
+            self.assertEqual(scene.enhancement["factors"].shape[:2], (4, 16))
+            self.assertEqual(results.scores("reef")["format"], "3d-use scores")
+            self.assertIn("<iframe srcdoc=", scene.show()._repr_html_())
+            plan = use3d.run("plan", folder / "reef", "--cache", folder / "cache", "--json", *words)
+            self.assertTrue(all(node["state"] == "cached" for node in plan["nodes"]))
+            with self.assertRaises(use3d.CommandFailed) as caught:
+                use3d.run("run", folder / "nothing")
+            self.assertEqual(caught.exception.code, 2)
+            with self.assertRaises(KeyError):
+                results.scene("wreck")
+
+
+if __name__ == "__main__":
+    unittest.main()

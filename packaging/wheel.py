@@ -1,0 +1,94 @@
+#!/usr/bin/env python3
+"""A wheel that carries the `use3d` program and the Python module beside this file.
+
+    packaging/wheel.py BINARY --out dist/ [--platform TAG[.TAG…]]
+
+Of a static Linux binary (the default tags) it installs on every Linux of that processor; of any other binary say which platform
+it runs on, e.g. `--platform linux_x86_64` for this machine, `macosx_11_0_arm64`, `win_amd64`. The same inputs give the same bytes.
+Only the standard library is needed.
+"""
+
+import argparse
+import base64
+import hashlib
+import re
+import sys
+import zipfile
+from pathlib import Path
+
+HERE = Path(__file__).parent
+STATIC = "manylinux_2_5_x86_64.manylinux1_x86_64.musllinux_1_1_x86_64"
+
+
+def version():
+    text = (HERE.parent / "Cargo.toml").read_text(encoding="utf-8")
+    return re.search(r'\[workspace\.package\]\nversion = "([^"]+)"', text).group(1)
+
+
+def is_static(binary):
+    """Whether an ELF file asks for no interpreter, so that it needs no C library of the system."""
+    data = binary.read_bytes()
+    if data[:5] != b"\x7fELF\x02":
+        return False
+    offset = int.from_bytes(data[32:40], "little")
+    size, count = int.from_bytes(data[54:56], "little"), int.from_bytes(data[56:58], "little")
+    kinds = [int.from_bytes(data[offset + i * size :][:4], "little") for i in range(count)]
+    return 3 not in kinds
+
+
+def wheel(binary, out, platform):
+    number = version()
+    name = f"use3d-{number}"
+    tags = [f"py3-none-{tag}" for tag in platform.split(".")]
+    program = "use3d.exe" if binary.suffix == ".exe" else "use3d"
+    readme = (HERE / "python" / "README.md").read_text(encoding="utf-8")
+    metadata = (
+        f"Metadata-Version: 2.1\nName: use3d\nVersion: {number}\n"
+        "Summary: Underwater 3D scenes that look clear, from any viewpoint, reproducibly\n"
+        "License: MIT OR Apache-2.0\nRequires-Python: >=3.9\nRequires-Dist: numpy\n"
+        f"Description-Content-Type: text/markdown\n\n{readme}"
+    )
+    tags_text = "".join(f"Tag: {tag}\n" for tag in tags)
+    files = {}
+    for path in sorted((HERE / "python" / "use3d").glob("*.py")):
+        files[f"use3d/{path.name}"] = path.read_bytes()
+    files[f"{name}.data/scripts/{program}"] = binary.read_bytes()
+    for licence in ("LICENSE-MIT", "LICENSE-APACHE"):
+        files[f"{name}.dist-info/{licence}"] = (HERE.parent / licence).read_bytes()
+    files[f"{name}.dist-info/METADATA"] = metadata.encode()
+    files[f"{name}.dist-info/WHEEL"] = (
+        f"Wheel-Version: 1.0\nGenerator: packaging/wheel.py\nRoot-Is-Purelib: false\n{tags_text}".encode()
+    )
+    record = f"{name}.dist-info/RECORD"
+    lines = []
+    for path, data in files.items():
+        digest = base64.urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b"=").decode()
+        lines.append(f"{path},sha256={digest},{len(data)}")
+    files[record] = ("\n".join([*lines, f"{record},,"]) + "\n").encode()
+    out.mkdir(parents=True, exist_ok=True)
+    target = out / f"{name}-py3-none-{platform}.whl"
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for path, data in files.items():
+            entry = zipfile.ZipInfo(path, (1980, 1, 1, 0, 0, 0))
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            # A regular file: pip looks at the kind before it looks at who may run it.
+            entry.external_attr = (0o100755 if "/scripts/" in path else 0o100644) << 16
+            archive.writestr(entry, data)
+    return target
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("binary", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("dist"))
+    parser.add_argument("--platform")
+    words = parser.parse_args()
+    if not words.binary.is_file():
+        sys.exit(f"{words.binary}: there is no such program; build it first")
+    if words.platform is None and not is_static(words.binary):
+        sys.exit(f"{words.binary}: not a static Linux binary; say with --platform where it runs")
+    print(wheel(words.binary, words.out, words.platform or STATIC))
+
+
+if __name__ == "__main__":
+    main()
