@@ -16,7 +16,7 @@ use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use many::Many;
+use many::{Many, workers};
 
 /// How long the queue may take to become empty, before the test gives up.
 const PATIENCE: Duration = Duration::from_secs(3600);
@@ -137,20 +137,6 @@ impl Slurm {
     fn queue(&self) -> Vec<String> {
         self.ask("squeue", &["--noheader", "--format=%i %j %T %r"]).lines().map(String::from).collect()
     }
-
-    /// The processes of this cache's runs.
-    fn workers(cache: &str) -> Vec<u32> {
-        let mut found = Vec::new();
-        for entry in fs::read_dir("/proc").expect("processes").flatten() {
-            let Ok(pid) = entry.file_name().to_string_lossy().parse() else { continue };
-            let line = fs::read(entry.path().join("cmdline")).unwrap_or_default();
-            let line = String::from_utf8_lossy(&line).replace('\0', " ");
-            if line.starts_with(env!("CARGO_BIN_EXE_use3d")) && line.contains(cache) {
-                found.push(pid);
-            }
-        }
-        found
-    }
 }
 
 impl Drop for Slurm {
@@ -220,7 +206,7 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
                 assert!(start.elapsed() < PATIENCE, "{:?}{}", slurm.queue(), slurm.logs());
                 std::thread::sleep(Duration::from_millis(500));
                 if rounds == 1 {
-                    let workers = Slurm::workers(&many.at(layout).to_string_lossy());
+                    let workers = workers(&many.at(layout).to_string_lossy());
                     if let Some(pid) = workers.get(looks % 2).filter(|_| looks % 8 == 0 && kills < 4) {
                         kills += usize::from(
                             Command::new("kill")

@@ -1,0 +1,63 @@
+"""What the test needs of the command `hq`, on top of HyperQueue's Python package, for machines that have the package and not the command:
+the server, its scheduler and its workers are the real ones.
+
+    hq.py server start          a server with two workers of one processor each; ends when its stdin does
+    hq.py job submit-file FILE
+    hq.py job wait ID
+
+The folder of the server is in HQ_SERVER_DIR, as for `hq`.
+"""
+
+import os
+import re
+import sys
+import tomllib
+from datetime import timedelta
+
+from hyperqueue import Client, Job
+from hyperqueue.cluster import LocalCluster, WorkerConfig
+from hyperqueue.ffi.protocol import ResourceRequest
+
+
+def serve(folder):
+    with LocalCluster(folder) as cluster:
+        for _ in range(2):
+            cluster.start_worker(WorkerConfig(cores=1))
+        print("ready", flush=True)
+        sys.stdin.read()
+
+
+def submit(client, path):
+    with open(path, "rb") as file:
+        described = tomllib.load(file)
+    job, made = Job(), {}
+    for task in described["task"]:
+        (request,) = task["request"]
+        seconds = int(re.fullmatch(r"(\d+)s", request["time_request"]).group(1))
+        resources = dict(request["resources"])
+        cpus = resources.pop("cpus")
+        made[task["id"]] = job.program(
+            task["command"],
+            cwd=task["cwd"],
+            stdout=task["stdout"],
+            stderr=task["stderr"],
+            deps=[made[number] for number in task.get("deps", [])],
+            resources=ResourceRequest(cpus=cpus, resources=resources, min_time=timedelta(seconds=seconds)),
+            crash_limit=task["crash_limit"],
+        )
+    print(f"Job submitted successfully, job ID: {client.submit(job).id}")
+
+
+def main():
+    folder, words = os.environ["HQ_SERVER_DIR"], sys.argv[1:]
+    if words == ["server", "start"]:
+        serve(folder)
+    elif words[:2] == ["job", "submit-file"]:
+        submit(Client(folder), words[2])
+    elif words[:2] == ["job", "wait"]:
+        Client(folder).connection.wait_for_jobs([int(words[2])], lambda _: None)
+    else:
+        sys.exit(f"hq.py: no such command: {words}")
+
+
+main()
