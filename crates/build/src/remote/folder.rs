@@ -99,11 +99,22 @@ impl Remote for Folder {
     }
 
     fn create(&self, name: &str, mut bytes: &[u8]) -> Result<bool, RemoteError> {
-        // A second name of a whole file: unlike a rename it is refused where there is one already.
-        self.written(name, &mut bytes, |sibling, target| match fs::hard_link(sibling, target) {
-            Ok(()) => Ok(true),
-            Err(e) if e.kind() == ErrorKind::AlreadyExists => Ok(false),
-            Err(e) => Err(e),
+        // A second name of a whole file: unlike a rename it is refused where there is one already. Disks that are
+        // carried about often know no second names; there it is written in place, and a half is found out as such.
+        let whole = bytes;
+        self.written(name, &mut bytes, |sibling, target| {
+            let made = fs::hard_link(sibling, target).or_else(|e| match e.kind() {
+                ErrorKind::AlreadyExists => Err(e),
+                _ => {
+                    let mut file = File::options().write(true).create_new(true).open(target)?;
+                    file.write_all(whole).and_then(|()| file.sync_all())
+                }
+            });
+            match made {
+                Ok(()) => Ok(true),
+                Err(e) if e.kind() == ErrorKind::AlreadyExists => Ok(false),
+                Err(e) => Err(e),
+            }
         })
     }
 
