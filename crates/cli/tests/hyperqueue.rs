@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! pip install hyperqueue
-//! USE3D_HQ=1 USE3D_SCENES=26 cargo test -p use3d --test hyperqueue -- --nocapture
+//! USE3D_HQ=1 USE3D_SCENES=use26 cargo test -p use3d --test hyperqueue -- --nocapture
 //! ```
 
 mod many;
@@ -116,9 +116,8 @@ fn a_batch_through_a_real_hyperqueue_ends_like_a_run_of_one_process() {
             return;
         }
     };
-    let count = std::env::var("USE3D_SCENES").map_or(3, |n| n.parse().expect("a number of scenes"));
-    let names: Vec<String> = (1..=count).map(|n| format!("s{n:02}")).collect();
-    let many = Many::new(&names);
+    let many = Many::asked(3);
+    let count = many.count;
     let whole = many.alone();
     let site = format!("command = \"{}\"\ncpus = 1\nat_once = 2\n", env!("CARGO_BIN_EXE_use3d"));
     fs::write(many.at("cluster.toml"), site).expect("written");

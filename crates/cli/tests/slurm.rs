@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! apt-get install --no-install-recommends slurm-wlm munge
-//! USE3D_SLURM=1 USE3D_SCENES=26 cargo test -p use3d --test slurm -- --nocapture
+//! USE3D_SLURM=1 USE3D_SCENES=use26 cargo test -p use3d --test slurm -- --nocapture
 //! ```
 
 mod many;
@@ -166,9 +166,8 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
         println!("SKIPPED, nothing was tested with a real Slurm: {reason}");
         return;
     }
-    let count = std::env::var("USE3D_SCENES").map_or(4, |n| n.parse().expect("a number of scenes"));
-    let names: Vec<String> = (1..=count).map(|n| format!("s{n:02}")).collect();
-    let many = Many::new(&names);
+    let many = Many::asked(4);
+    let count = many.count;
     let start = Instant::now();
     let whole = many.alone();
     println!("{count} scenes by one process: {:.0} s", start.elapsed().as_secs_f64());
@@ -183,7 +182,7 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
     let mut kills = 0;
     for layout in ["workers", "stages"] {
         let start = Instant::now();
-        let mut rounds = 0;
+        let (mut rounds, mut signals) = (0, 0);
         // Again, until there is nothing to submit: what was killed is repaired by the same command.
         loop {
             rounds += 1;
@@ -216,6 +215,16 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
                                 .success(),
                         );
                     }
+                    // As Slurm does shortly before a time limit: a checkpoint, and into the queue again.
+                    let running = || slurm.queue().into_iter().find(|line| line.contains(" RUNNING "));
+                    if looks >= 4
+                        && signals == 0
+                        && let Some(job) = running()
+                    {
+                        let id = job.split(' ').next().unwrap_or_default().to_string();
+                        slurm.ask("scancel", &["--batch", "--signal=USR1", &id]);
+                        signals += 1;
+                    }
                     if looks == 10 {
                         slurm.ask("scontrol", &["update", "nodename=n2", "state=drain", "reason=test"]);
                     } else if looks == 24 {
@@ -232,7 +241,7 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
         assert!(many.artifacts(layout) == whole, "{layout}: the artifacts are not those of one process");
         assert_eq!(many.scores(format!("out-{layout}").as_ref()).len(), count);
         println!(
-            "{layout}: {rounds} submissions, {:.0} s, {kills} workers killed so far",
+            "{layout}: {rounds} submissions, {:.0} s, {kills} workers killed so far, {signals} told that its time is over",
             start.elapsed().as_secs_f64()
         );
     }

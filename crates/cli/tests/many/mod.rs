@@ -9,6 +9,8 @@ use crate::tiny::{TINY, command, files};
 
 pub(crate) struct Many {
     pub(crate) dir: tempfile::TempDir,
+    /// How many captures there are.
+    pub(crate) count: usize,
 }
 
 /// What makes a run of them take seconds, as words of `use3d run` and `use3d submit`.
@@ -19,18 +21,59 @@ pub(crate) fn settings() -> Vec<String> {
 
 impl Many {
     pub(crate) fn new(names: &[String]) -> Self {
-        let many = Self { dir: tempfile::tempdir().expect("a folder") };
+        let many = Self { dir: tempfile::tempdir().expect("a folder"), count: names.len() };
         let mut text = "name = \"many\"\nseed = 42\n".to_string();
         for (seed, name) in names.iter().enumerate() {
-            let mut synth = command();
-            synth.args(["-q", "synth", "capture", "--out"]).arg(many.at(name));
-            synth.args(["--views", "9", "--size", "64x48", "--seed", &(seed + 1).to_string()]);
-            let output = synth.output().expect("the command starts");
-            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+            many.synth("capture", name, 9, "64x48", seed + 1);
             text += &format!("[[scene]]\nname = \"{name}\"\ncapture = \"{name}\"\ngroup = \"Tiny\"\n");
         }
         std::fs::write(many.at("many.toml"), text).expect("written");
         many
+    }
+
+    /// As many scenes as `USE3D_SCENES` says, or `usual`; where it says `use26`, those of that pipeline file.
+    pub(crate) fn asked(usual: usize) -> Self {
+        let asked = std::env::var("USE3D_SCENES").unwrap_or_else(|_| usual.to_string());
+        if asked == "use26" {
+            return Self::use26();
+        }
+        let count = asked.parse().expect("a number of scenes, or use26");
+        Self::new(&(1..=count).map(|n: usize| format!("s{n:02}")).collect::<Vec<_>>())
+    }
+
+    /// `pipelines/use26.toml` as it is, but for its sizes, which are scaled down, and its data, for which synthetic captures
+    /// and pairs of the same names and shapes stand.
+    fn use26() -> Self {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../pipelines/use26.toml");
+        let mut text = std::fs::read_to_string(file).expect("the pipeline file");
+        for (large, small) in [("1400x933", "72x48"), ("1920x1080", "80x45")] {
+            text = text.replace(large, small);
+        }
+        // Folders beside the file in the places of what people name by variables.
+        for name in ["SEATHRU", "SEATHRU_D", "DRUVA", "UIEB"] {
+            text = text.replace(&format!("${{{name}}}"), name);
+        }
+        let mut many = Self { dir: tempfile::tempdir().expect("a folder"), count: 0 };
+        let value = |line: &str| line.split('"').nth(1).map(String::from).expect("a value in quotes");
+        let of = |key: &str| text.lines().filter(|l| l.starts_with(key)).map(value).collect::<Vec<_>>();
+        for (capture, size) in of("capture =").iter().zip(of("size =")) {
+            many.count += 1;
+            many.synth("capture", capture, 9, &size, many.count);
+        }
+        many.synth("pairs", "UIEB", 8, "64x48", 1);
+        for (made, named) in [("input", "raw-890"), ("reference", "reference-890")] {
+            std::fs::rename(many.at("UIEB").join(made), many.at("UIEB").join(named)).expect("renamed");
+        }
+        std::fs::write(many.at("many.toml"), text).expect("written");
+        many
+    }
+
+    fn synth(&self, what: &str, name: &str, views: usize, size: &str, seed: usize) {
+        let mut synth = command();
+        synth.args(["-q", "synth", what, "--out"]).arg(self.at(name)).args(["--size", size]);
+        synth.args(["--views", &views.to_string(), "--seed", &seed.to_string()]);
+        let output = synth.output().expect("the command starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     }
 
     pub(crate) fn at(&self, name: &str) -> PathBuf {
