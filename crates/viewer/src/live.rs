@@ -20,7 +20,7 @@ const COPYING: f64 = 0.01;
 /// A page that asked nothing for so long has gone.
 const LOOKING: Duration = Duration::from_secs(10);
 /// The share of the machine's cores that drawing takes beside a training, unless somebody asks for more.
-const SHARE: f64 = 0.04;
+const SHARE: f64 = 0.03;
 /// The most that can be asked for.
 const MOST_SHARE: f64 = 0.5;
 /// How often one who waits looks whether to stop.
@@ -360,11 +360,11 @@ mod tests {
     #[test]
     fn drawing_beside_a_training_keeps_to_its_share() {
         let live = Live { cores: 2, ..Live::new("", Some(Arc::default())) };
-        let took = Duration::from_millis(40);
+        let took = Duration::from_millis(30);
         assert_eq!(live.rest(took), None);
         live.figures("reef", 1, 10, &[]);
-        // One thread of two cores: 40 ms in half a second are 4 % of the machine.
-        assert_eq!(live.rest(took), Some(Duration::from_millis(460)));
+        // One thread of two cores: 30 ms in half a second are 3 % of the machine.
+        assert_eq!(live.rest(took), Some(Duration::from_millis(470)));
         assert!(live.command("share", Some(0.5)) && live.rest(took) == Some(Duration::ZERO));
         live.over("reef");
         assert_eq!(live.rest(took), None);
