@@ -102,3 +102,27 @@ fn a_tiles_list_is_walked_in_one_place() {
     let kernels: BTreeSet<String> = kernels.into_iter().collect();
     assert_eq!(files_with(&files, &["walk"]), kernels.into_iter().chain([walker]).collect());
 }
+
+#[test]
+fn a_term_of_stage_twos_loss_is_one_file_and_one_row() {
+    let sources = sources();
+    let table = "crates/enhance/src/losses/mod.rs";
+    for row in use3d_enhance::losses::TERMS {
+        // Its row, and by it its weight, value, line of the log, place in the report and curve.
+        let file = format!("crates/enhance/src/losses/{}.rs", row.name);
+        let entry = format!("{}::TERM", row.name);
+        assert_eq!(files_with(&sources, &[&entry]), set(&[table]), "{entry}");
+        // What it is called is said by its own file; the stage names the figures by which classes of arithmetic are compared.
+        let quoted = format!("\"{}\"", row.name);
+        let named: BTreeSet<String> = sources
+            .iter()
+            .filter(|(path, text)| path.starts_with("crates/enhance/") && text.contains(&quoted))
+            .map(|(path, _)| path.clone())
+            .collect();
+        assert_eq!(named, set(&[&file]), "{}", row.name);
+    }
+    // The total variation, by all of its words: the formula, its term and the parameter of its weight.
+    let files = files_with(&sources, &["lambda_variation", "variation::forward", "variation::backward"]);
+    let expected = set(&["crates/enhance/src/losses/variation.rs", "crates/enhance/src/params.rs"]);
+    assert_eq!(files, expected);
+}

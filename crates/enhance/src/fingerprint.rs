@@ -2,6 +2,7 @@
 
 use use3d_scene::Scene;
 
+use crate::losses::TERMS;
 use crate::views::{EnhanceView, Guidance};
 use crate::{EnhanceError, EnhanceParams};
 
@@ -22,6 +23,11 @@ pub(crate) fn fingerprint(
         ..params.clone()
     };
     hash.update(format!("{shaping:?}").as_bytes());
+    // A state has an entry per term of the loss.
+    for row in TERMS {
+        hash.update(row.name.as_bytes());
+        hash.update(&[0]);
+    }
     let g = &scene.gaussians;
     hash.update(&(g.len() as u64).to_le_bytes());
     hash.update(&[g.sh_degree as u8, scene.medium_degree as u8, scene.medium.kind() as u8]);

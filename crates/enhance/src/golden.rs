@@ -12,9 +12,10 @@ use use3d_golden::{Case, Part};
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Colors, Gaussians, Options, Prepared, Rasterizer, Rendered, view_colors};
 use use3d_ubaf::objects::guide_color;
-use use3d_ubaf::{Field, FieldBox, Level, ObjectPass, Shape, Water, variation};
+use use3d_ubaf::{Field, FieldBox, Level, ObjectPass, Shape, Water};
 
 use crate::engine::{Goals, Step};
+use crate::losses::{TERMS, named};
 use crate::params::PixelLoss;
 use crate::views::{Frozen, Listed, Lookups, Reference, ViewConstants};
 
@@ -98,10 +99,13 @@ impl Example {
             operator: array(case, "in.t_target"),
             global_scales: array(case, "in.s_g"),
             local_scales: array(case, "in.s_l"),
-            lambda_global: lambda(0),
-            lambda_local: lambda(1),
-            lambda_variation: lambda(2),
             pixel_loss: PixelLoss::L1,
+            weights: TERMS.map(|row| match row.name {
+                "global" => lambda(0),
+                "local" => lambda(1),
+                "variation" => lambda(2),
+                _ => 1.0,
+            }),
         };
         let view = ViewConstants {
             camera,
@@ -126,8 +130,9 @@ impl Example {
 
     fn total(&mut self) -> f64 {
         self.step.render(&self.field, &self.view, &mut self.frozen);
-        let losses = self.step.losses(&self.view, &self.goals, false).unwrap();
-        losses.total + self.goals.lambda_variation * variation::forward(&self.field)
+        let mut losses = self.step.losses(&self.view, &self.goals, false).unwrap();
+        self.goals.of_field(&self.field, &mut losses);
+        losses.total
     }
 }
 
@@ -154,27 +159,30 @@ fn golden_whole_steps() {
         e.step.render(&e.field, &e.view, &mut e.frozen);
         case.check("out.colors_plus", e.step.colors.as_flattened());
         case.check_planes("out.plus", e.step.rendered.image.data());
-        let losses = e.step.losses(&e.view, &e.goals, true).unwrap();
+        let mut losses = e.step.losses(&e.view, &e.goals, true).unwrap();
+        e.goals.of_field(&e.field, &mut losses);
         let realised = e.step.transition().clone();
         case.check_f64("out.t", &realised.global);
         case.check_f64("out.delta", realised.local.as_flattened());
-        case.check_f64("out.l_global", &[losses.global.loss]);
-        case.check_f64("out.l_local", &[losses.local.loss]);
-        let variation = variation::forward(&e.field);
-        case.check_f64("out.l_tv", &[variation]);
-        let lambdas = (e.goals.lambda_global, e.goals.lambda_local, e.goals.lambda_variation);
-        case.check_f64("out.total", &[losses.total + lambdas.2 * variation]);
+        let oracle = [("global", "l_global"), ("local", "l_local"), ("variation", "l_tv")];
+        for (name, output) in oracle {
+            case.check_f64(&format!("out.{output}"), &[named(&losses.values, name).unwrap().loss]);
+        }
+        case.check_f64("out.total", &[losses.total]);
+        let weights = e.goals.weights;
         for (pull, outputs) in case.pulls() {
             let cotangent = |name: &str| {
                 if outputs.iter().any(|o| o == name) { case.f64(&format!("cot.{name}"))[0] } else { 0.0 }
             };
             let total = cotangent("total");
-            e.goals.lambda_global = cotangent("l_global") + total * lambdas.0;
-            e.goals.lambda_local = cotangent("l_local") + total * lambdas.1;
-            e.goals.lambda_variation = total * lambdas.2;
+            for ((row, weight), own) in TERMS.iter().zip(&mut e.goals.weights).zip(weights) {
+                let output =
+                    oracle.iter().find(|(name, _)| *name == row.name).map_or("", |(_, output)| output);
+                *weight = cotangent(output) + total * own;
+            }
             e.step.render(&e.field, &e.view, &mut e.frozen);
             e.step.losses(&e.view, &e.goals, true).unwrap();
-            e.step.backward(&e.field, &e.view, &e.frozen, e.goals.lambda_variation);
+            e.step.backward(&e.field, &e.view, &e.frozen, &e.goals);
             let s = e.field.shape();
             for (name, range) in [
                 ("factors", s.factors()),
@@ -306,7 +314,7 @@ fn whole_steps_agree_with_their_differences() {
             }
             e.total();
             e.step.losses(&e.view, &e.goals, true).unwrap();
-            e.step.backward(&e.field, &e.view, &e.frozen, e.goals.lambda_variation);
+            e.step.backward(&e.field, &e.view, &e.frozen, &e.goals);
             let gradient = e.step.gradient.values.clone();
             for (group, range) in [
                 ("factors", s.factors()),

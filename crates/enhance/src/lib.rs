@@ -29,7 +29,7 @@ mod fingerprint;
 #[cfg(test)]
 mod golden;
 mod labels;
-mod losses;
+pub mod losses;
 mod params;
 mod profile;
 mod report;

@@ -1,11 +1,12 @@
 //! What stage 2 says about itself: a log line per window of steps, and per view how near the targets were reached.
 
-use serde::{Deserialize, Serialize};
+use serde::ser::SerializeMap;
+use serde::{Deserialize, Serialize, Serializer};
 use use3d_numerics::math;
 use use3d_scene::Scene;
 use use3d_training::Profile;
 
-use crate::losses::Realised;
+use crate::losses::{COUNT, Realised, TERMS, Values, named};
 use crate::profile::StepPart;
 
 /// Means over a window of steps.
@@ -15,33 +16,53 @@ pub struct LogEntry {
     pub step: u64,
     /// Weighted total loss.
     pub loss: f64,
-    /// Global term, before its weight.
-    pub global: f64,
-    /// Local term, before its weight.
-    pub local: f64,
-    /// Pseudo-label term.
-    pub pixels: f64,
-    /// Total variation of the factors, before its weight.
-    pub variation: f64,
-    /// Realised normalised global error, root mean square.
-    pub global_error: f64,
-    /// Realised normalised local error, root mean square.
-    pub local_error: f64,
+    /// Of each row of [`TERMS`] its value before its weight, and its error; 0 where it had nothing to say.
+    pub terms: [Realised; COUNT],
 }
 
-/// How far a view is from its target.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct ViewErrors {
-    /// Global operator; not measured with pseudo-labels.
-    pub global: Option<Realised>,
-    /// Local operators; not measured with pseudo-labels.
-    pub local: Option<Realised>,
-    /// Mean absolute or squared difference to the pseudo-label (zero with targets).
-    pub pixels: f64,
+impl LogEntry {
+    /// The line of the log: step and loss, the terms by name, then the errors of those that measure one.
+    pub fn to_json(&self) -> String {
+        // A number that is not finite, which stopped the run long before, becomes null.
+        let number = |value: f64| serde_json::Value::from(value);
+        let terms = || TERMS.iter().zip(&self.terms);
+        let values = terms().map(|(row, mean)| (row.name.to_string(), mean.loss));
+        let measuring = terms().filter(|(row, _)| row.measures_errors());
+        let errors = measuring.map(|(row, mean)| (format!("{}_error", row.name), mean.error));
+        let fields = values.chain(errors).map(|(name, value)| format!(",\"{name}\":{}", number(value)));
+        let fields: String = fields.collect();
+        format!("{{\"step\":{},\"loss\":{}{fields}}}", self.step, number(self.loss))
+    }
+}
+
+/// How far a view is from what was aimed at: the values of the terms of views, `None` where a term was not measured.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ViewErrors(pub Values);
+
+impl ViewErrors {
+    /// The value of the term of that name.
+    pub fn of(&self, term: &str) -> Option<Realised> {
+        named(&self.0, term)
+    }
+}
+
+/// By name: value and error of a term that measures one, null where it was not measured; of another its value, 0 where it has none.
+impl Serialize for ViewErrors {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(None)?;
+        for (row, value) in TERMS.iter().zip(&self.0).filter(|(row, _)| row.is_of_views()) {
+            if row.measures_errors() {
+                map.serialize_entry(row.name, value)?;
+            } else {
+                map.serialize_entry(row.name, &value.map_or(0.0, |v| v.loss))?;
+            }
+        }
+        map.end()
+    }
 }
 
 /// One view before and after.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ViewReport {
     /// Its name.
     pub name: String,
@@ -52,7 +73,7 @@ pub struct ViewReport {
 }
 
 /// What stage 2 reached.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// View by view, in the given order.
     pub views: Vec<ViewReport>,
@@ -67,23 +88,16 @@ pub struct Report {
 }
 
 impl Report {
-    /// Root-mean-square over views of the normalised global error, before and after; `None` where it was not measured.
-    pub fn global_errors(&self) -> Option<(f64, f64)> {
-        self.over(|v| v.global)
-    }
-
-    /// Root-mean-square over views of the normalised local error, before and after; `None` where it was not measured.
-    pub fn local_errors(&self) -> Option<(f64, f64)> {
-        self.over(|v| v.local)
-    }
-
-    fn over(&self, of: impl Fn(&ViewErrors) -> Option<Realised>) -> Option<(f64, f64)> {
-        let rms = |pick: &dyn Fn(&ViewReport) -> Option<Realised>| {
-            let errors: Option<Vec<f64>> = self.views.iter().map(|v| pick(v).map(|r| r.error)).collect();
+    /// Root-mean-square over views of the normalised error of the term of that name, before and after; `None` where it was not
+    /// measured.
+    pub fn errors(&self, term: &str) -> Option<(f64, f64)> {
+        let rms = |pick: &dyn Fn(&ViewReport) -> ViewErrors| {
+            let errors: Option<Vec<f64>> =
+                self.views.iter().map(|v| pick(v).of(term).map(|r| r.error)).collect();
             let errors = errors.filter(|e| !e.is_empty())?;
             Some((errors.iter().map(|e| math::powi(*e, 2)).sum::<f64>() / errors.len() as f64).sqrt())
         };
-        rms(&|v| of(&v.before)).zip(rms(&|v| of(&v.after)))
+        rms(&|v| v.before).zip(rms(&|v| v.after))
     }
 }
 
@@ -103,14 +117,6 @@ pub struct Outcome {
 impl Outcome {
     /// The log as JSON lines. The same run gives the same bytes.
     pub fn log_lines(&self) -> String {
-        let mut lines = String::new();
-        for entry in &self.log {
-            // Plain numbers always serialise; a non-finite one stopped the run long before.
-            if let Ok(line) = serde_json::to_string(entry) {
-                lines.push_str(&line);
-                lines.push('\n');
-            }
-        }
-        lines
+        self.log.iter().map(|entry| entry.to_json() + "\n").collect()
     }
 }

@@ -15,6 +15,7 @@ use use3d_ubaf::{Enhancement, ObjectPass};
 
 use crate::engine::{Coverage, FieldEngine, FieldPlan, FieldState, Reading, check_inputs, initial_field};
 use crate::fingerprint::fingerprint;
+use crate::losses::Values;
 use crate::report::{LogEntry, Outcome, Report, ViewReport};
 use crate::views::{EnhanceView, Guidance};
 use crate::window::Window;
@@ -33,7 +34,7 @@ struct State {
     engine: FieldState,
     log: Vec<LogEntry>,
     window: Window,
-    before: Vec<ViewErrors>,
+    before: Vec<Values>,
 }
 
 impl Resumable for State {
@@ -133,7 +134,7 @@ impl Steps for Run<'_> {
             engine: self.engine.save()?,
             log: self.log.clone(),
             window: self.window.clone(),
-            before: self.before.clone(),
+            before: self.before.iter().map(|errors| errors.0).collect(),
         };
         Ok(checkpoints.save(done, &state)?)
     }
@@ -174,7 +175,8 @@ impl Run<'_> {
             other => other?,
         }
         session.tell_resumed(state.step, observer);
-        (self.step, self.log, self.window, self.before) = (state.step, state.log, state.window, state.before);
+        (self.step, self.log, self.window) = (state.step, state.log, state.window);
+        self.before = state.before.into_iter().map(ViewErrors).collect();
         Ok(true)
     }
 

@@ -9,9 +9,8 @@ use use3d_scene::Scene;
 use use3d_splat::{Options, Prepared, Rasterizer, Rendered};
 use use3d_ubaf::{Sites, Water};
 
-use crate::engine::StepLosses;
+use crate::EnhanceError;
 use crate::labels::PseudoLabels;
-use crate::{EnhanceError, ViewErrors};
 
 /// A training view: its name for messages, its camera in the scene's frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -54,18 +53,6 @@ pub enum Reference {
     Transition(Box<Source>, ViewTarget),
     /// The pseudo-label's pixels on the lattice, 16 bit.
     Label(Arc<Raster<u16, 3>>),
-}
-
-impl Reference {
-    /// A view's errors, of the losses of its render: operators only where there is a transition to compare with.
-    pub fn errors(&self, losses: &StepLosses) -> ViewErrors {
-        let measured = matches!(self, Self::Transition(..));
-        ViewErrors {
-            global: measured.then_some(losses.global),
-            local: measured.then_some(losses.local),
-            pixels: losses.pixels,
-        }
-    }
 }
 
 /// The small constants of a view, always kept.

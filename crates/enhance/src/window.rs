@@ -2,38 +2,34 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::engine::StepLosses;
+use crate::losses::{COUNT, Realised, StepLosses};
 use crate::report::LogEntry;
 
 /// Sums since the last line of the log.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Window {
-    sums: [f64; 7],
+    loss: f64,
+    /// One per row of the table.
+    terms: [Realised; COUNT],
     pub(crate) steps: u64,
 }
 
 impl Window {
     pub(crate) fn add(&mut self, losses: &StepLosses) {
-        let values = [
-            losses.total,
-            losses.global.loss,
-            losses.local.loss,
-            losses.pixels,
-            losses.variation,
-            losses.global.error,
-            losses.local.error,
-        ];
-        for (sum, v) in self.sums.iter_mut().zip(values) {
-            *sum += v;
+        self.loss += losses.total;
+        for (sum, value) in self.terms.iter_mut().zip(losses.values) {
+            let value = value.unwrap_or_default();
+            sum.loss += value.loss;
+            sum.error += value.error;
         }
         self.steps += 1;
     }
 
     /// The line of the steps up to `step`; the window starts anew.
     pub(crate) fn flush(&mut self, step: u64) -> LogEntry {
-        let Self { sums, steps } = std::mem::take(self);
-        let [loss, global, local, pixels, variation, global_error, local_error] =
-            sums.map(|sum| sum / steps as f64);
-        LogEntry { step, loss, global, local, pixels, variation, global_error, local_error }
+        let Self { loss, terms, steps } = std::mem::take(self);
+        let n = steps as f64;
+        let terms = terms.map(|sum| Realised { loss: sum.loss / n, error: sum.error / n });
+        LogEntry { step, loss: loss / n, terms }
     }
 }

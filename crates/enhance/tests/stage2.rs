@@ -6,8 +6,10 @@ use common::{Labels, draw, mini, quick, targets, taught};
 use use3d_atc::consensus::Targets;
 use use3d_capture::{Appearance, Lattice};
 use use3d_enhance::engine::{CpuFieldEngine, FieldEngine, Reading};
+use use3d_enhance::losses::TERMS;
 use use3d_enhance::{
-    EnhanceError, EnhanceParams, EnhanceView, Guidance, Objective, Outcome, PixelLoss, PseudoLabels, Start,
+    EnhanceError, EnhanceParams, EnhanceView, Guidance, LogEntry, Objective, Outcome, PixelLoss,
+    PseudoLabels, Start,
 };
 use use3d_medium::MediumModel;
 use use3d_numerics::math;
@@ -68,7 +70,8 @@ fn it_starts_at_the_identity() {
     for (index, view) in views.iter().enumerate() {
         let errors = engine.evaluate(index, Reading::Sampled).unwrap();
         // The realised operator is zero, so all that remains is the target.
-        assert!((errors.global.unwrap().error - rms).abs() < 1e-6, "{} {rms}", errors.global.unwrap().error);
+        let error = errors.of("global").unwrap().error;
+        assert!((error - rms).abs() < 1e-6, "{error} {rms}");
         let stage1 = draw(&scene, Look::Reconstruction, &view.camera);
         let plus = &engine.rendered().image;
         for (a, b) in plus.data().iter().zip(stage1.data()) {
@@ -90,11 +93,13 @@ fn losses_fall_and_the_realised_operators_reach_the_targets() {
     };
     let full = run(Objective::Full, 300);
     let (first, last) = (&full.log[0], &full.log[full.log.len() - 1]);
+    let at = TERMS.iter().position(|row| row.name == "global").unwrap();
+    let global = |line: &LogEntry| line.terms[at].loss;
     // The teacher's local part is finer than the field's 16 nodes can follow in so few steps; its global part is not.
-    assert!(last.loss < 0.5 * first.loss && last.global < 0.1 * first.global, "{first:?} {last:?}");
-    let (before, after) = full.report.global_errors().unwrap();
+    assert!(last.loss < 0.5 * first.loss && global(last) < 0.1 * global(first), "{first:?} {last:?}");
+    let (before, after) = full.report.errors("global").unwrap();
     assert!(after < 0.3 * before, "global {before} -> {after}");
-    let (local_before, local_after) = full.report.local_errors().unwrap();
+    let (local_before, local_after) = full.report.errors("local").unwrap();
     assert!(local_after < 0.9 * local_before, "local {local_before} -> {local_after}");
     // Geometry, radiance and water are untouched.
     assert_eq!(full.scene.gaussians, scene.gaussians);
@@ -113,13 +118,13 @@ fn losses_fall_and_the_realised_operators_reach_the_targets() {
     // The ablations leave the other term alone.
     let global_only = run(Objective::GlobalOnly, 120);
     let local_only = run(Objective::LocalOnly, 120);
-    assert!(global_only.report.global_errors().unwrap().1 < 0.3 * before);
+    assert!(global_only.report.errors("global").unwrap().1 < 0.3 * before);
     assert!(
-        local_only.report.global_errors().unwrap().1 > 0.5 * before,
+        local_only.report.errors("global").unwrap().1 > 0.5 * before,
         "no global pull: {:?}",
-        local_only.report.global_errors().unwrap()
+        local_only.report.errors("global").unwrap()
     );
-    assert!(global_only.report.local_errors().unwrap().1 > local_only.report.local_errors().unwrap().1);
+    assert!(global_only.report.errors("local").unwrap().1 > local_only.report.errors("local").unwrap().1);
 }
 
 /// A composite is linear in its colours, so an affine of the colours is one of the picture: what is left of the global error is where
@@ -136,17 +141,17 @@ fn the_scene_s_affine_at_the_global_target_nearly_meets_it() {
         };
         let (identity, operator) = (Start::Identity, Start::Operator);
         let begun = run(operator, Objective::Full, 0);
-        let (before, after) = begun.global_errors().unwrap();
+        let (before, after) = begun.errors("global").unwrap();
         assert!(after < 0.3 * before, "{appearance:?}: global {before} -> {after}");
         assert_eq!(
-            begun.global_errors().unwrap().0,
-            run(identity, Objective::Full, 0).global_errors().unwrap().0
+            begun.errors("global").unwrap().0,
+            run(identity, Objective::Full, 0).errors("global").unwrap().0
         );
         // Nothing is left for the field's local part to learn and unlearn: the local targets are nearer after as many steps.
-        let local = |start| run(start, Objective::Full, 60).local_errors().unwrap().1;
+        let local = |start| run(start, Objective::Full, 60).errors("local").unwrap().1;
         assert!(local(operator) < local(identity), "{appearance:?}: {} {}", local(operator), local(identity));
         // An objective without a global term starts at the identity.
-        let alone = run(operator, Objective::LocalOnly, 0).global_errors().unwrap();
+        let alone = run(operator, Objective::LocalOnly, 0).errors("global").unwrap();
         assert!((alone.0 - alone.1).abs() < 1e-6, "{alone:?}");
     }
 }
@@ -162,9 +167,10 @@ fn a_sample_of_the_pixels_teaches_the_same() {
     };
     let (all, some) = (run(0), run(views[0].camera.intrinsics.width / 2));
     assert!(some.rendered_share < 0.3 && all.rendered_share == 1.0, "{}", some.rendered_share);
-    let ((before, with_all), (_, with_some)) = (all.global_errors().unwrap(), some.global_errors().unwrap());
+    let ((before, with_all), (_, with_some)) =
+        (all.errors("global").unwrap(), some.errors("global").unwrap());
     assert!(with_all < 0.3 * before && (with_some - with_all).abs() < 0.1 * before, "{with_all} {with_some}");
-    let ((before, with_all), (_, with_some)) = (all.local_errors().unwrap(), some.local_errors().unwrap());
+    let ((before, with_all), (_, with_some)) = (all.errors("local").unwrap(), some.errors("local").unwrap());
     assert!((with_some - with_all).abs() < 0.1 * before, "{before} {with_all} {with_some}");
     let params = EnhanceParams { sample_side: 3, ..quick(1) };
     let wrong = enhance(&scene, &views, Guidance::Targets(&wanted), &params, None, &mut Silent).unwrap_err();
@@ -183,10 +189,10 @@ fn a_mean_over_some_gaussians_teaches_the_same() {
     let (all, some) = (run(0), run(scene.gaussians.len() / 3));
     assert_ne!(all.scene.enhancement, some.scene.enhancement);
     let ((before, with_all), (_, with_some)) =
-        (all.report.global_errors().unwrap(), some.report.global_errors().unwrap());
+        (all.report.errors("global").unwrap(), some.report.errors("global").unwrap());
     assert!((with_some - with_all).abs() < 0.05 * before, "{before} {with_all} {with_some}");
     let ((before, with_all), (_, with_some)) =
-        (all.report.local_errors().unwrap(), some.report.local_errors().unwrap());
+        (all.report.errors("local").unwrap(), some.report.errors("local").unwrap());
     assert!((with_some - with_all).abs() < 0.05 * before, "{before} {with_all} {with_some}");
     // What was trained is what is drawn: the stored centre is that of the steps.
     let params = EnhanceParams { sample_side: 0, centre_sample: scene.gaussians.len() / 3, ..quick(1) };
@@ -211,7 +217,8 @@ fn pseudo_labels_are_reproduced() {
         let out = enhance(&scene, &views, Guidance::Labels(&labels), &params, None, &mut Silent).unwrap();
         let sum =
             |pick: &dyn Fn(&use3d_enhance::ViewReport) -> f64| out.report.views.iter().map(pick).sum::<f64>();
-        let (before, after) = (sum(&|v| v.before.pixels), sum(&|v| v.after.pixels));
+        let (before, after) =
+            (sum(&|v| v.before.of("pixels").unwrap().loss), sum(&|v| v.after.of("pixels").unwrap().loss));
         assert!(after < 0.4 * before, "{pixel_loss:?}: {before} -> {after}");
     }
 }
@@ -232,7 +239,7 @@ fn clear_radiance_is_learnt_without_the_water_and_leaves_it_alone() {
     assert_eq!(learnt.field, alone.scene.enhancement.as_ref().unwrap().field);
     assert_eq!(wet.report.views, alone.report.views);
     assert_eq!(wet.report.transport_ratios, [1.0; 2]);
-    let (before, after) = wet.report.global_errors().unwrap();
+    let (before, after) = wet.report.errors("global").unwrap();
     assert!(after < 0.4 * before, "global {before} -> {after}");
     // Full composites: enhanced objects behind the very water of stage 1.
     let lattice = Lattice::full(&views[0].camera.intrinsics);

@@ -10,7 +10,7 @@ use use3d_splat::{Options, Rasterizer, Rendered};
 use use3d_training::guard::first_non_finite;
 use use3d_training::{Drain, EngineError, Observer, Profile};
 use use3d_ubaf::objects::guide_color;
-use use3d_ubaf::{Field, Gradient, OUTPUTS, ObjectPass, WaterPass, variation};
+use use3d_ubaf::{Field, Gradient, OUTPUTS, ObjectPass, WaterPass};
 
 use super::{
     Coverage, FieldDiagnostics, FieldEngine, FieldPlan, FieldReport, FieldState, Goals, Measure, Reading,
@@ -99,13 +99,7 @@ impl Step {
     }
 
     /// The whole gradient, into `self.gradient`; needs `render` and `losses` of the same view just before.
-    pub(crate) fn backward(
-        &mut self,
-        field: &Field,
-        view: &ViewConstants,
-        frozen: &Frozen,
-        lambda_variation: f64,
-    ) {
+    pub(crate) fn backward(&mut self, field: &Field, view: &ViewConstants, frozen: &Frozen, goals: &Goals) {
         self.gradient.clear();
         self.d_colors.resize(frozen.prepared.gaussians(), [0.0; 3]);
         let image = &self.rendered.image;
@@ -120,7 +114,7 @@ impl Step {
         self.profile.lap(StepPart::ComposeBackward);
         let d_colors = frozen.listed.gather(&self.d_colors, &mut self.colors);
         self.objects.backward(field, &frozen.base, d_colors, &mut self.gradient);
-        variation::backward(field, lambda_variation, &mut self.gradient);
+        goals.field_backward(field, &mut self.gradient);
         self.profile.lap(StepPart::FieldBackward);
         if let Some(water) = &frozen.water {
             self.water.backward(field, view.center, water, &self.d_water, &mut self.gradient);
@@ -222,9 +216,8 @@ impl<'a> CpuFieldEngine<'a> {
         self.step.profile.lap(StepPart::Prepare);
         self.step.render(&self.field, view, frozen);
         let mut losses = self.step.losses(view, &self.goals, true)?;
-        self.step.backward(&self.field, view, frozen, self.goals.lambda_variation);
-        losses.variation = variation::forward(&self.field);
-        losses.total += self.goals.lambda_variation * losses.variation;
+        self.step.backward(&self.field, view, frozen, &self.goals);
+        self.goals.of_field(&self.field, &mut losses);
         self.step.profile.lap(StepPart::FieldBackward);
         Ok(losses)
     }
@@ -262,7 +255,7 @@ impl<'a> CpuFieldEngine<'a> {
         let frozen = self.store.of(index, view, &mut self.step.rasterizer);
         self.step.render(&self.field, view, frozen);
         let losses = self.step.losses(view, &self.goals, false)?;
-        Ok(view.reference.errors(&losses))
+        Ok(ViewErrors(losses.values))
     }
 
     /// How far view `index` is from its targets, on every pixel that the extractor weighs.
@@ -273,7 +266,7 @@ impl<'a> CpuFieldEngine<'a> {
         let (constants, mut frozen) = whole.view(index, &self.list[index], Some(known), false)?;
         self.step.render(&self.field, &constants, &mut frozen);
         let losses = self.step.losses(&constants, &self.goals, false)?;
-        Ok(known.errors(&losses))
+        Ok(ViewErrors(losses.values))
     }
 
     /// Refuses a view that there is not.

@@ -26,7 +26,7 @@ pub(crate) use cpu::Step;
 pub use measure::{Goals, Measure};
 pub use state::FieldState;
 
-use crate::losses::Realised;
+pub use crate::losses::StepLosses;
 use crate::profile::StepPart;
 use crate::report::ViewErrors;
 use crate::views::{EnhanceView, Guidance};
@@ -42,21 +42,6 @@ pub struct FieldPlan {
     pub rate: f64,
     /// Learning rate of the two transport ratios.
     pub transport_rate: f64,
-}
-
-/// The losses of one step.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct StepLosses {
-    /// Weighted total.
-    pub total: f64,
-    /// Global term.
-    pub global: Realised,
-    /// Local term.
-    pub local: Realised,
-    /// Pseudo-label term.
-    pub pixels: f64,
-    /// Total variation of the factors.
-    pub variation: f64,
 }
 
 /// What came of a step.

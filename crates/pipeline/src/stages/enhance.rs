@@ -6,8 +6,10 @@ use use3d_atc::consensus::Targets;
 use use3d_build::{Figure, Scope, Stage, StageContext, StageError};
 use use3d_capture::{Appearance, Image, View};
 use use3d_enhance::engine::CpuFieldEngine;
+use use3d_enhance::losses::TERMS;
 use use3d_enhance::{
-    EnhanceError, EnhanceParams, EnhanceView, Guidance, LabelSource, Objective, PseudoLabels, Report, enhance,
+    EnhanceError, EnhanceParams, EnhanceView, Guidance, LabelSource, LogEntry, Objective, PseudoLabels,
+    Report, enhance,
 };
 use use3d_import::load_pixels;
 use use3d_scene::Origin;
@@ -70,28 +72,44 @@ impl LabelSource for Proposals<'_> {
 }
 
 /// What stage 2 reached, for a person to read; an error that grew although it was to shrink is a warning.
-fn reached(report: &Report, objective: Objective) -> Vec<String> {
-    let (Some(global), Some(local)) = (report.global_errors(), report.local_errors()) else {
+fn reached(report: &Report, params: &EnhanceParams) -> Vec<String> {
+    let measuring = TERMS.iter().filter(|row| row.measures_errors());
+    let errors: Option<Vec<_>> = measuring.map(|row| Some((row, report.errors(row.name)?))).collect();
+    let Some(errors) = errors else {
         return vec![
             "realised transition: not measured (the scene was fitted to the 2D enhancer's images, not to transitions)".into(),
         ];
     };
-    let text = |(before, after): (f64, f64)| format!("{before:.3} → {after:.3}");
-    let mut lines = vec![format!(
-        "realised transition, normalised error before → after: global {}, local {}",
-        text(global),
-        text(local)
-    )];
-    let wanted = [
-        ("global", global, objective != Objective::LocalOnly),
-        ("local", local, objective != Objective::GlobalOnly),
-    ];
-    for (name, (before, after), _) in wanted.into_iter().filter(|(_, (b, a), asked)| *asked && a > b) {
-        lines.push(format!(
-            "warning: the {name} error grew in stage 2, from {before:.3} to {after:.3}: the scene is farther from its {name} targets than it was without enhancement; try more `iterations`, or leave this term out with `objective`"
-        ));
+    let each = errors.iter().map(|(row, (before, after))| format!("{} {before:.3} → {after:.3}", row.name));
+    let each: Vec<String> = each.collect();
+    let mut lines =
+        vec![format!("realised transition, normalised error before → after: {}", each.join(", "))];
+    for (row, (before, after)) in errors {
+        let name = row.name;
+        if (row.weight)(params) > 0.0 && after > before {
+            lines.push(format!(
+                "warning: the {name} error grew in stage 2, from {before:.3} to {after:.3}: the scene is farther from its {name} targets than it was without enhancement; try more `iterations`, or leave this term out with `objective`"
+            ));
+        }
     }
     lines
+}
+
+/// Colours of the curves of a plot, in the order of terms.
+const CURVES: [&str; 4] = ["#0b7285", "#e8590c", "#845ef7", "#2b8a3e"];
+
+/// The curves of the terms that say how far views are from what was aimed at.
+fn curves(log: &[LogEntry]) -> Vec<Series> {
+    let terms = TERMS.iter().enumerate().filter(|(_, row)| row.is_of_views());
+    terms
+        .zip(CURVES.iter().cycle())
+        .map(|((at, row), &color)| Series {
+            label: row.title.into(),
+            color,
+            points: log.iter().map(|e| (e.step as f64, e.terms[at].loss)).collect(),
+            dots: false,
+        })
+        .collect()
 }
 
 fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError> {
@@ -132,7 +150,7 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
             "learnt in clear radiance: `enhanced` shows the enhanced objects behind the water of stage 1",
         );
     }
-    for line in reached(&outcome.report, params.objective) {
+    for line in reached(&outcome.report, &params) {
         context.say(line);
     }
     let out = context.output();
@@ -142,21 +160,11 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
     }
     write_text(&out.join("training.jsonl"), &outcome.log_lines())?;
     write_json(&out.join(REPORT), &outcome.report)?;
-    let line = |label: &str, color, pick: fn(&use3d_enhance::LogEntry) -> f64| Series {
-        label: label.into(),
-        color,
-        points: outcome.log.iter().map(|e| (e.step as f64, pick(e))).collect(),
-        dots: false,
-    };
     let plot = Plot {
         title: "Stage 2: losses".into(),
         x_label: "step".into(),
         log_y: true,
-        series: vec![
-            line("global", "#0b7285", |e| e.global),
-            line("local", "#e8590c", |e| e.local),
-            line("pseudo-label", "#845ef7", |e| e.pixels),
-        ],
+        series: curves(&outcome.log),
     };
     write_text(&out.join("training.svg"), &plot.svg())
 }
@@ -168,7 +176,13 @@ mod tests {
 
     fn report(errors: Option<[f64; 4]>) -> Report {
         let of = |k: usize| errors.map(|e| Realised { loss: 0.0, error: e[k] });
-        let at = |k: usize| ViewErrors { global: of(k), local: of(k + 1), pixels: 0.1 };
+        let at = |k: usize| {
+            ViewErrors(TERMS.map(|row| match row.name {
+                "global" => of(k),
+                "local" => of(k + 1),
+                _ => None,
+            }))
+        };
         Report {
             views: vec![ViewReport { name: "a".into(), before: at(0), after: at(2) }],
             views_in_memory: 1,
@@ -180,16 +194,21 @@ mod tests {
 
     #[test]
     fn what_was_not_measured_has_no_figure_and_what_grew_is_a_warning() {
-        let labels = reached(&report(None), Objective::PseudoLabels);
+        let asked = |objective| EnhanceParams { objective, ..EnhanceParams::default() };
+        let labels = reached(&report(None), &asked(Objective::PseudoLabels));
         assert!(labels.len() == 1 && labels[0].contains("not measured") && !labels[0].contains("0.000"));
         let grew = report(Some([0.6, 0.185, 0.08, 0.253]));
-        let lines = reached(&grew, Objective::Full);
+        let lines = reached(&grew, &asked(Objective::Full));
         assert!(lines[0].contains("global 0.600 → 0.080, local 0.185 → 0.253"), "{lines:?}");
         assert!(
             lines[1].starts_with("warning: the local error grew") && lines[1].contains("0.253"),
             "{lines:?}"
         );
-        assert_eq!(reached(&grew, Objective::GlobalOnly).len(), 1, "that objective does not ask for it");
-        assert_eq!(reached(&report(Some([0.6, 0.3, 0.08, 0.2])), Objective::Full).len(), 1);
+        assert_eq!(
+            reached(&grew, &asked(Objective::GlobalOnly)).len(),
+            1,
+            "that objective does not ask for it"
+        );
+        assert_eq!(reached(&report(Some([0.6, 0.3, 0.08, 0.2])), &asked(Objective::Full)).len(), 1);
     }
 }

@@ -1,0 +1,41 @@
+//! The global term: the scene's operator. Mean over its 12 parameters of `φ((t - t̄)/s_g)`, with `φ` the Smooth-L1. In f64.
+
+use use3d_atc::extractor::{Affine, Transition};
+
+use super::{LossTerm, Operators, Reads, Realised, SCALE_FLOOR, smooth_l1};
+
+/// Its row of the table.
+pub(super) const TERM: LossTerm = LossTerm {
+    name: "global",
+    title: "global",
+    weight: |params| params.transition_weights().0,
+    reads: Reads::Operators(term),
+};
+
+fn term(seen: &Operators<'_>, weight: f64, gradient: &mut Transition) -> Realised {
+    let mut pull = [0.0; 12];
+    let Operators { realised, goals, .. } = seen;
+    let value = global_loss(&realised.global, &goals.operator, &goals.global_scales, weight, &mut pull);
+    gradient.global.iter_mut().zip(pull).for_each(|(sum, g)| *sum += g);
+    value
+}
+
+/// The global term; `cotangent` receives `weight · ∂L/∂t`.
+pub fn global_loss(
+    realised: &Affine,
+    target: &Affine,
+    scales: &[f64; 12],
+    weight: f64,
+    cotangent: &mut Affine,
+) -> Realised {
+    let (mut loss, mut square) = (0.0, 0.0);
+    for q in 0..12 {
+        let scale = scales[q].max(SCALE_FLOOR);
+        let e = (realised[q] - target[q]) / scale;
+        let (value, slope) = smooth_l1(e);
+        loss += value;
+        square += e * e;
+        cotangent[q] = weight * slope / scale / 12.0;
+    }
+    Realised { loss: loss / 12.0, error: (square / 12.0).sqrt() }
+}

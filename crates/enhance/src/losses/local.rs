@@ -1,0 +1,58 @@
+//! The local term: what the operators of cells are beside the scene's. With `Δ̃ = Δ -` its plain mean over all cells,
+//! `Σ_p W_p mean_q φ((Δ̃_pq - Δ̄_pq)/s_q) / max(Σ_p W_p, 1e-6)`, `φ` the Smooth-L1; the target is not centred again. Without
+//! support the loss is 0. In f64.
+
+use use3d_atc::extractor::{Transition, center};
+
+use super::{LossTerm, Operators, Reads, Realised, SCALE_FLOOR, smooth_l1};
+
+/// Smallest divisor of the loss.
+const SUPPORT_FLOOR: f64 = 1e-6;
+
+/// Its row of the table.
+pub(super) const TERM: LossTerm = LossTerm {
+    name: "local",
+    title: "local",
+    weight: |params| params.transition_weights().1,
+    reads: Reads::Operators(term),
+};
+
+fn term(seen: &Operators<'_>, weight: f64, gradient: &mut Transition) -> Realised {
+    let Operators { realised, target, goals } = seen;
+    let (mut cells, mut pull) = (realised.local.clone(), Vec::new());
+    let value = local_loss(&mut cells, &target.local, &target.weight, &goals.local_scales, weight, &mut pull);
+    for (sum, cell) in gradient.local.iter_mut().zip(&pull) {
+        sum.iter_mut().zip(cell).for_each(|(sum, g)| *sum += g);
+    }
+    value
+}
+
+/// The local term. `cells` are the realised operators, not centred, and are centred in place; `cotangent` receives `weight · ∂L/∂Δ` of
+/// the operators before centring. All three lists have one entry per cell.
+pub fn local_loss(
+    cells: &mut [[f64; 6]],
+    target: &[[f64; 6]],
+    support: &[f64],
+    scales: &[f64; 6],
+    weight: f64,
+    cotangent: &mut Vec<[f64; 6]>,
+) -> Realised {
+    center(cells);
+    let total: f64 = support.iter().sum();
+    let divisor = total.max(SUPPORT_FLOOR);
+    let (mut loss, mut square) = (0.0, 0.0);
+    cotangent.clear();
+    cotangent.resize(cells.len(), [0.0; 6]);
+    for (p, bar) in cotangent.iter_mut().enumerate() {
+        for q in 0..6 {
+            let scale = scales[q].max(SCALE_FLOOR);
+            let e = (cells[p][q] - target[p][q]) / scale;
+            let (value, slope) = smooth_l1(e);
+            loss += support[p] * value / 6.0;
+            square += support[p] * e * e / 6.0;
+            bar[q] = weight * support[p] / divisor * slope / scale / 6.0;
+        }
+    }
+    center(cotangent);
+    Realised { loss: loss / divisor, error: (square / divisor).sqrt() }
+}
