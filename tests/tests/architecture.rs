@@ -11,7 +11,7 @@ use serde_json::Value;
 const ALLOWED: &[(&str, &[&str])] = &[
     ("numerics", &[]),
     ("capture", &["numerics"]),
-    ("golden", &[]),
+    ("golden", &["capture"]),
     ("build", &["capture"]),
     ("cluster", &["build"]),
     ("store", &["build"]),

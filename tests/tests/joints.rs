@@ -126,3 +126,25 @@ fn a_term_of_stage_twos_loss_is_one_file_and_one_row() {
     let expected = set(&["crates/enhance/src/losses/variation.rs", "crates/enhance/src/params.rs"]);
     assert_eq!(files, expected);
 }
+
+#[test]
+fn what_golden_cases_share_is_read_in_one_place() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the workspace").join("crates");
+    let (mut open, mut found) = (vec![root.clone()], BTreeSet::new());
+    while let Some(path) = open.pop() {
+        if path.is_dir() {
+            open.extend(std::fs::read_dir(&path).expect("a folder").map(|e| e.expect("an entry").path()));
+        } else if path.extension().is_some_and(|e| e == "rs") {
+            let text = std::fs::read_to_string(&path).expect("a source");
+            if ["in.R_cw", "in.opacity_logits"].iter().any(|name| text.contains(name)) {
+                let below = path.strip_prefix(&root).expect("below the crates").to_string_lossy();
+                found.insert(below.replace('\\', "/"));
+            }
+        }
+    }
+    assert_eq!(
+        found,
+        set(&["golden/src/fixtures.rs"]),
+        "`Case::camera` and `Case::gaussians` are there for it"
+    );
+}

@@ -1,6 +1,6 @@
 //! The consensus against the golden cases, and by its exact properties.
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use use3d_atc::calibrator::Calibrator;
 use use3d_atc::consensus::{
     Lift, LocalConsensus, Proposals, Targets, TargetsParams, ViewInput, build_targets, fuse_views,
@@ -11,7 +11,7 @@ use use3d_atc::progress::unwatched;
 use use3d_atc::proposers::{Fusion, Proposer, ProposerId};
 use use3d_atc::{AtcError, consensus};
 use use3d_capture::{Camera, Image, Intrinsics, Pose};
-use use3d_golden::{Case, Part};
+use use3d_golden::{Case, CaseGaussians, Part};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Gaussians, Rasterizer};
@@ -39,33 +39,10 @@ fn golden_scene_operator() {
 }
 
 fn golden_scene(case: &Case<'_>) -> (Gaussians, Vec<Camera>) {
-    let means = case.rows::<3>("in.means");
-    let gaussians = Gaussians {
-        sh_degree: 0,
-        log_scales: case.rows::<3>("in.log_scales"),
-        quaternions: case.rows::<4>("in.quats"),
-        opacity_logits: case.f32("in.opacity_logits"),
-        sh: vec![[[0.0; 3]; 16]; means.len()],
-        means,
-    };
-    let intrinsics = Intrinsics {
-        width: case.count("width"),
-        height: case.count("height"),
-        fx: case.number("fx"),
-        fy: case.number("fy"),
-        cx: case.number("cx"),
-        cy: case.number("cy"),
-    };
-    let rotations = case.f64("in.R_cw");
-    let translations = case.f64("in.t_cw");
-    let cameras = rotations
-        .chunks_exact(9)
-        .zip(translations.chunks_exact(3))
-        .map(|(r, t)| Camera {
-            intrinsics,
-            pose: Pose { rotation: DMat3::from_cols_slice(r).transpose(), translation: DVec3::from_slice(t) },
-        })
-        .collect();
+    let CaseGaussians { means, log_scales, quaternions, opacity_logits, .. } = case.gaussians();
+    let sh = vec![[[0.0; 3]; 16]; means.len()];
+    let gaussians = Gaussians { sh_degree: 0, means, log_scales, quaternions, opacity_logits, sh };
+    let cameras = case.cameras();
     (gaussians, cameras)
 }
 

@@ -4,11 +4,10 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
-use glam::{DMat3, DVec3};
 use use3d_atc::consensus::ViewTarget;
 use use3d_atc::extractor::{ExtractorSettings, Form, Geometry, Source};
-use use3d_capture::{Appearance, Camera, Image, Intrinsics, MediumMaps, Pose};
-use use3d_golden::{Case, Part};
+use use3d_capture::{Appearance, Image, MediumMaps};
+use use3d_golden::{Case, CaseGaussians, Part};
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Colors, Gaussians, Options, Prepared, Rasterizer, Rendered, view_colors};
 use use3d_ubaf::objects::guide_color;
@@ -39,26 +38,11 @@ fn image(case: &Case<'_>, name: &str) -> Image {
 
 impl Example {
     fn new(case: &Case<'_>, appearance: Appearance) -> Self {
-        let sh = case.rows::<48>("in.sh");
-        let gaussians = Gaussians {
-            sh_degree: case.count("sh_degree"),
-            means: case.rows("in.means"),
-            log_scales: case.rows("in.log_scales"),
-            quaternions: case.rows("in.quats"),
-            opacity_logits: case.f32("in.opacity_logits"),
-            sh: sh.iter().map(|r| std::array::from_fn(|k| std::array::from_fn(|c| r[3 * k + c]))).collect(),
-        };
-        let intrinsics = Intrinsics {
-            width: case.count("width"),
-            height: case.count("height"),
-            fx: case.number("fx"),
-            fy: case.number("fy"),
-            cx: case.number("cx"),
-            cy: case.number("cy"),
-        };
-        let rotation = DMat3::from_cols_array(&array(case, "in.R_cw")).transpose();
-        let camera =
-            Camera { intrinsics, pose: Pose { rotation, translation: DVec3::from(array(case, "in.t_cw")) } };
+        let CaseGaussians { means, log_scales, quaternions, opacity_logits, sh } = case.gaussians();
+        let sh_degree = case.count("sh_degree");
+        let gaussians = Gaussians { sh_degree, means, log_scales, quaternions, opacity_logits, sh };
+        let camera = case.camera();
+        let intrinsics = camera.intrinsics;
         let form = if case.config()["form"] == "log" { Form::Log } else { Form::Linear };
         let settings = ExtractorSettings { form, ..ExtractorSettings::default() };
         let geometry = Arc::new(Geometry::new(intrinsics.width, intrinsics.height, &settings).unwrap());

@@ -10,6 +10,7 @@
 //! The root is the folder that `USE3D_GOLDEN` names, else the copy in the project. Everything here panics
 //! with a message on a missing file or tensor: golden tests never skip.
 
+mod fixtures;
 pub mod torch;
 
 use std::collections::BTreeMap;
@@ -17,6 +18,8 @@ use std::path::{Path, PathBuf};
 
 use safetensors::{Dtype, SafeTensors};
 use serde_json::Value;
+
+pub use fixtures::CaseGaussians;
 
 /// The folder with `math/`, `networks/` and `scene-mini/`.
 pub fn root() -> PathBuf {

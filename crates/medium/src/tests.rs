@@ -1,6 +1,6 @@
 //! Goldens, finite differences, and the vector code against its plain form.
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use use3d_capture::{Camera, Image, Intrinsics, Lattice, MediumMaps, Pose};
 use use3d_golden::{Case, Part};
 use use3d_numerics::random::{Purpose, Stream};
@@ -8,18 +8,10 @@ use use3d_numerics::random::{Purpose, Stream};
 use crate::{MediumGlobal, MediumKind, MediumMlp, MediumModel, MediumRbf, directional};
 
 fn case_camera(case: &Case<'_>) -> Camera {
-    let r = case.f64("in.R_cw");
-    let rotation = DMat3::from_cols_slice(&r).transpose();
+    let rotation = case.rotations()[0];
     let o = case.f64("in.o");
     Camera {
-        intrinsics: Intrinsics {
-            width: case.count("width"),
-            height: case.count("height"),
-            fx: case.number("fx"),
-            fy: case.number("fy"),
-            cx: case.number("cx"),
-            cy: case.number("cy"),
-        },
+        intrinsics: case.intrinsics(),
         // The stored rotation is orthonormal to f32 only; this puts the centre exactly at `o`.
         pose: Pose { rotation, translation: -(rotation.transpose().inverse() * DVec3::from_slice(&o)) },
     }

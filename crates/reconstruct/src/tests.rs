@@ -6,11 +6,11 @@ mod water;
 
 use std::path::{Path, PathBuf};
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use use3d_capture::{
     Camera, Capture, Frame, Intrinsics, Lattice, Map, MediumMaps, Pixels, Pose, SparsePoint, Split, View,
 };
-use use3d_golden::Part;
+use use3d_golden::{CaseGaussians, Part};
 use use3d_medium::{MediumModel, MediumRbf};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
@@ -73,27 +73,10 @@ fn golden_stage1_step() {
             continue;
         }
         seen += 1;
-        let rotation = DMat3::from_cols_slice(&case.f64("in.R_cw")).transpose();
-        let camera = Camera {
-            intrinsics: Intrinsics {
-                width: case.count("width"),
-                height: case.count("height"),
-                fx: case.number("fx"),
-                fy: case.number("fy"),
-                cx: case.number("cx"),
-                cy: case.number("cy"),
-            },
-            pose: Pose { rotation, translation: DVec3::from_slice(&case.f64("in.t_cw")) },
-        };
-        let sh = case.f32("in.sh");
-        let gaussians = Gaussians {
-            sh_degree: case.count("sh_degree"),
-            means: case.rows("in.means"),
-            log_scales: case.rows("in.log_scales"),
-            quaternions: case.rows("in.quats"),
-            opacity_logits: case.f32("in.opacity_logits"),
-            sh: bytemuck::cast_slice(&sh).to_vec(),
-        };
+        let camera = case.camera();
+        let CaseGaussians { means, log_scales, quaternions, opacity_logits, sh } = case.gaussians();
+        let sh_degree = case.count("sh_degree");
+        let gaussians = Gaussians { sh_degree, means, log_scales, quaternions, opacity_logits, sh };
         let coefficients = case.f32("in.coeffs");
         let water = MediumRbf {
             centers: case.rows("in.centers"),

@@ -7,7 +7,7 @@ use use3d_splat::{
     ViewOf,
 };
 
-use crate::support::{camera_of, engines, gaussians_of, image_of, lattice, map_of, medium_of};
+use crate::support::{engines, gaussians_of, image_of, lattice, map_of, medium_of};
 
 fn is_linear(case: &Case<'_>) -> bool {
     case.has("in.attr")
@@ -25,7 +25,7 @@ fn golden_compositor_forward_and_every_gradient() {
 }
 
 fn check_case(case: &Case<'_>, rasterizer: &mut Rasterizer) {
-    let (camera, gaussians, medium) = (camera_of(case), gaussians_of(case), medium_of(case));
+    let (camera, gaussians, medium) = (case.camera(), gaussians_of(case), medium_of(case));
     let options =
         Options { depth_gradient: case.config()["s_gradient"].as_bool().unwrap_or(true), layers: true };
     let mut prepared = Prepared::new();
@@ -92,7 +92,7 @@ fn golden_splat_and_adjoint() {
         for case in part.cases().iter().filter(|c| is_linear(c)) {
             eprintln!("{name}: {}", case.name());
             cases += 1;
-            let (camera, gaussians) = (camera_of(case), gaussians_of(case));
+            let (camera, gaussians) = (case.camera(), gaussians_of(case));
             let mut prepared = Prepared::new();
             prepared.prepare(&gaussians, &camera, &lattice(&camera), Colors::Sh { degree: 0 });
             let channels = case.shape("in.attr")[1];
@@ -120,7 +120,7 @@ fn golden_cases_give_the_same_colour_and_medium_gradients_without_geometry() {
     let part = Part::math("compositor");
     for (name, mut rasterizer) in engines() {
         for case in part.cases().iter().filter(|c| !is_linear(c) && c.pulls().contains_key("rgb")) {
-            let (camera, gaussians, medium) = (camera_of(case), gaussians_of(case), medium_of(case));
+            let (camera, gaussians, medium) = (case.camera(), gaussians_of(case), medium_of(case));
             check_colors(name, &camera, &gaussians, &medium, &image_of(case, "cot.rgb"), &mut rasterizer);
         }
     }

@@ -1,8 +1,8 @@
 //! What several tests need: engines, scenes, cases.
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use use3d_capture::{Camera, Image, Intrinsics, Lattice, Map, MediumMaps, Pose};
-use use3d_golden::Case;
+use use3d_golden::{Case, CaseGaussians};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Colors, Gaussians, Prepared, Rasterizer};
@@ -32,44 +32,10 @@ pub(crate) fn fused_engines() -> Vec<(&'static str, Rasterizer)> {
     engines().into_iter().filter(|(name, _)| matches!(*name, "plain" | "avx2" | "avx512")).collect()
 }
 
-/// The camera of a golden case.
-pub(crate) fn camera_of(case: &Case<'_>) -> Camera {
-    let rotation: [f64; 9] = case.f64("in.R_cw").try_into().expect("nine entries");
-    Camera {
-        intrinsics: Intrinsics {
-            width: case.count("width"),
-            height: case.count("height"),
-            fx: case.number("fx"),
-            fy: case.number("fy"),
-            cx: case.number("cx"),
-            cy: case.number("cy"),
-        },
-        pose: Pose {
-            rotation: DMat3::from_cols_array(&rotation).transpose(),
-            translation: DVec3::from_slice(&case.f64("in.t_cw")),
-        },
-    }
-}
-
 /// The Gaussians of a golden case; without colours if it has none.
 pub(crate) fn gaussians_of(case: &Case<'_>) -> Gaussians {
-    let means = case.rows::<3>("in.means");
-    let sh = match case.has("in.sh") {
-        true => case
-            .rows::<48>("in.sh")
-            .iter()
-            .map(|row| std::array::from_fn(|k| std::array::from_fn(|c| row[3 * k + c])))
-            .collect(),
-        false => vec![[[0.0; 3]; 16]; means.len()],
-    };
-    Gaussians {
-        sh_degree: 3,
-        means,
-        log_scales: case.rows("in.log_scales"),
-        quaternions: case.rows("in.quats"),
-        opacity_logits: case.f32("in.opacity_logits"),
-        sh,
-    }
+    let CaseGaussians { means, log_scales, quaternions, opacity_logits, sh } = case.gaussians();
+    Gaussians { sh_degree: 3, means, log_scales, quaternions, opacity_logits, sh }
 }
 
 /// An `[H, W, 3]` tensor.

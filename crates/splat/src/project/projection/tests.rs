@@ -1,27 +1,8 @@
 use super::*;
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use use3d_capture::{Intrinsics, Pose};
-use use3d_golden::{Case, Part};
+use use3d_golden::Part;
 use use3d_numerics::random::{Purpose, Stream};
-
-fn camera_of(case: &Case<'_>) -> Camera {
-    let r = case.f64("in.R_cw");
-    let t = case.f64("in.t_cw");
-    Camera {
-        intrinsics: Intrinsics {
-            width: case.count("width"),
-            height: case.count("height"),
-            fx: case.number("fx"),
-            fy: case.number("fy"),
-            cx: case.number("cx"),
-            cy: case.number("cy"),
-        },
-        pose: Pose {
-            rotation: DMat3::from_cols_array(&r.try_into().unwrap()).transpose(),
-            translation: DVec3::from_slice(&t),
-        },
-    }
-}
 
 /// From the cotangent of the conic (`xy` counted once) to that of the covariance: `−C G C`.
 fn conic_backward(c: [f64; 3], g: [f64; 3]) -> [f64; 3] {
@@ -42,7 +23,7 @@ fn conic_backward(c: [f64; 3], g: [f64; 3]) -> [f64; 3] {
 fn golden_projection_and_its_gradients() {
     let part = Part::math("projection");
     for case in part.cases() {
-        let projector = Projector::new(&camera_of(&case));
+        let projector = Projector::new(&case.camera());
         let (means, scales, quats) =
             (case.rows::<3>("in.means"), case.rows::<3>("in.log_scales"), case.rows::<4>("in.quats"));
         let n = means.len();
