@@ -10,6 +10,7 @@ use serde_json::Value;
 /// Who may depend on whom, directly. ARCHITECTURE.md draws the same picture.
 const ALLOWED: &[(&str, &[&str])] = &[
     ("numerics", &[]),
+    ("tensors", &[]),
     ("capture", &["numerics"]),
     ("golden", &["capture"]),
     ("build", &["capture"]),
@@ -24,10 +25,10 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("splat", &["capture", "numerics"]),
     ("medium", &["capture", "numerics"]),
     ("water", &["capture", "numerics"]),
-    ("ubaf", &["capture", "numerics"]),
-    ("atc", &["capture", "numerics", "splat"]),
+    ("ubaf", &["capture", "numerics", "tensors"]),
+    ("atc", &["capture", "numerics", "tensors", "splat"]),
     ("training", &["numerics"]),
-    ("scene", &["capture", "numerics", "splat", "medium", "ubaf"]),
+    ("scene", &["capture", "numerics", "tensors", "splat", "medium", "ubaf"]),
     ("render", &["capture", "numerics", "splat", "medium", "ubaf", "scene"]),
     ("reconstruct", &["capture", "numerics", "splat", "medium", "metrics", "training", "scene"]),
     ("web", &["capture", "numerics", "io-image", "splat", "medium", "ubaf", "scene"]),

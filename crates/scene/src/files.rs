@@ -4,10 +4,10 @@ use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Write};
 use std::path::Path;
 
-use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use use3d_capture::shown;
 use use3d_medium::{MediumKind, MediumModel, Tensor, Tensors};
 use use3d_splat::{Gaussians, ply};
+use use3d_tensors::{TensorError, TensorFile, TensorWriter};
 use use3d_ubaf::Enhancement;
 
 use crate::SceneError;
@@ -106,38 +106,23 @@ pub(crate) fn write_medium(dir: &Path, medium: &MediumModel) -> Result<(), Scene
     if tensors.is_empty() {
         return remove(&path);
     }
-    let bytes: Vec<(&String, &Tensor, Vec<u8>)> = tensors
-        .iter()
-        .map(|(n, t)| (n, t, t.values.iter().flat_map(|v| v.to_le_bytes()).collect()))
-        .collect();
-    let wrong =
-        |e: safetensors::SafeTensorError| SceneError::Tensors { path: path.clone(), message: e.to_string() };
-    let views = bytes
-        .iter()
-        .map(|(name, tensor, data)| {
-            Ok((name.as_str(), TensorView::new(Dtype::F32, tensor.shape.clone(), data)?))
-        })
-        .collect::<Result<Vec<_>, _>>()
-        .map_err(wrong)?;
-    write_atomic(&path, &safetensors::serialize(views, None).map_err(wrong)?)
+    let mut writer = TensorWriter::new();
+    tensors.iter().for_each(|(name, tensor)| writer.f32(name, &tensor.shape, &tensor.values));
+    write_atomic(&path, &writer.finish().map_err(wrong(&path))?)
 }
 
+fn wrong(path: &Path) -> impl Fn(TensorError) -> SceneError + '_ {
+    move |error| SceneError::Tensors { path: path.into(), message: error.to_string() }
+}
+
+/// Every tensor of a file; what they have to be, the medium's kind knows.
 fn read_tensors(path: &Path) -> Result<Tensors, SceneError> {
     let bytes = read_bounded(path, MOST_TENSOR_BYTES)?;
-    let wrong = |message: String| SceneError::Tensors { path: path.into(), message };
-    let file = SafeTensors::deserialize(&bytes).map_err(|e| wrong(e.to_string()))?;
+    let file = TensorFile::read(&bytes).map_err(wrong(path))?;
     let mut tensors = Tensors::new();
-    for (name, view) in file.iter() {
-        let values: Vec<f32> = match view.dtype() {
-            Dtype::F32 => {
-                view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
-            }
-            Dtype::F64 => (view.data().chunks_exact(8))
-                .map(|b| f64::from_le_bytes([b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]]) as f32)
-                .collect(),
-            other => return Err(wrong(format!("tensor `{name}` holds {other:?}; expected F32"))),
-        };
-        tensors.insert(name.to_string(), Tensor { shape: view.shape().to_vec(), values });
+    for name in file.names() {
+        let (shape, values) = file.narrowed(&name).map_err(wrong(path))?;
+        tensors.insert(name, Tensor { shape, values });
     }
     Ok(tensors)
 }

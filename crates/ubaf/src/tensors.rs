@@ -17,8 +17,8 @@
 
 use std::ops::Range;
 
-use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use use3d_capture::Appearance;
+use use3d_tensors::{TensorFile, TensorWriter};
 
 use crate::OUTPUTS;
 use crate::enhancement::Enhancement;
@@ -28,43 +28,9 @@ use crate::field_box::FieldBox;
 /// What is wrong with a `ubaf.safetensors`.
 #[derive(Debug, thiserror::Error)]
 pub enum TensorError {
-    /// Not a safetensors file, or a truncated one.
-    #[error("not a readable safetensors file: {0}")]
-    Container(#[from] safetensors::SafeTensorError),
-    /// A tensor is not there.
-    #[error("tensor `{0}` is missing")]
-    Missing(&'static str),
-    /// A tensor nobody asked for.
-    #[error("tensor `{0}` is not part of a U-BAF; the file may be of a newer version")]
-    Unknown(String),
-    /// Another element type than f32.
-    #[error("tensor `{name}` holds {dtype:?}; expected F32")]
-    Type {
-        /// Its name.
-        name: &'static str,
-        /// Its type.
-        dtype: Dtype,
-    },
-    /// A shape that does not fit the others.
-    #[error("tensor `{name}` has shape {found:?}; expected {expected}")]
-    Dimensions {
-        /// Its name.
-        name: &'static str,
-        /// Its shape.
-        found: Vec<usize>,
-        /// What it should be.
-        expected: String,
-    },
-    /// A NaN or an infinity.
-    #[error("tensor `{name}` is {value} at flat index {index}; expected finite numbers")]
-    NotFinite {
-        /// Its name.
-        name: &'static str,
-        /// Where.
-        index: usize,
-        /// What.
-        value: f32,
-    },
+    /// Its tensors are not those of a U-BAF.
+    #[error(transparent)]
+    Tensors(#[from] use3d_tensors::TensorError),
     /// Corners that do not span a box.
     #[error("tensor `box` has corners {low:?} and {high:?}; expected low < high on every axis")]
     Box {
@@ -99,39 +65,33 @@ impl Enhancement {
     /// The file's bytes.
     pub fn to_safetensors(&self) -> Result<Vec<u8>, TensorError> {
         let corners = [self.field.bounds().low, self.field.bounds().high];
-        let mut tensors: Vec<(&str, Vec<usize>, Vec<u8>)> = groups(self.field.shape())
-            .into_iter()
-            .map(|(name, range, shape)| (name, shape, bytes(&self.field.parameters[range])))
-            .collect();
-        tensors.push(("box", vec![2, 3], bytes(corners.as_flattened())));
-        tensors.push(("centre", vec![OUTPUTS], bytes(&self.centre)));
-        let views = tensors
-            .iter()
-            .map(|(name, shape, data)| Ok((*name, TensorView::new(Dtype::F32, shape.clone(), data)?)))
-            .collect::<Result<Vec<_>, TensorError>>()?;
-        Ok(safetensors::serialize(views, None)?)
+        let mut writer = TensorWriter::new();
+        for (name, range, shape) in groups(self.field.shape()) {
+            writer.f32(name, &shape, &self.field.parameters[range]);
+        }
+        writer.f32("box", &[2, 3], corners.as_flattened());
+        writer.f32("centre", &[OUTPUTS], &self.centre);
+        Ok(writer.finish()?)
     }
 
     /// Reads the file's bytes.
     pub fn from_safetensors(data: &[u8]) -> Result<Self, TensorError> {
-        let file = SafeTensors::deserialize(data)?;
-        let [four, resolution, rank] = dimensions(&file, "factors", "[4, nodes, rank]")?;
+        let file = TensorFile::read(data)?;
+        let grids = "[4, nodes, rank]";
+        let [four, resolution, rank] = file.sides("factors", grids)?;
         if four != 4 {
-            return Err(TensorError::Dimensions {
-                name: "factors",
-                found: vec![four, resolution, rank],
-                expected: "[4, nodes, rank]".into(),
-            });
+            let (name, found) = ("factors".into(), vec![four, resolution, rank]);
+            return Err(use3d_tensors::TensorError::Shape { name, found, expected: grids.into() }.into());
         }
-        let [width] = dimensions(&file, "decoder.hidden.bias", "[width]")?;
+        let [width] = file.sides("decoder.hidden.bias", "[width]")?;
         let shape = Shape { resolution, rank, width };
         shape.validate()?;
         let mut parameters = Vec::with_capacity(shape.parameters());
         let known = groups(shape);
         for (name, _, dimensions) in &known {
-            parameters.extend(floats(&file, name, dimensions)?);
+            parameters.extend(file.f32(name, dimensions)?);
         }
-        let corners = floats(&file, "box", &[2, 3])?;
+        let corners = file.f32("box", &[2, 3])?;
         let bounds = FieldBox {
             low: std::array::from_fn(|a| corners[a]),
             high: std::array::from_fn(|a| corners[3 + a]),
@@ -139,57 +99,14 @@ impl Enhancement {
         if !bounds.is_valid() {
             return Err(TensorError::Box { low: bounds.low, high: bounds.high });
         }
-        let centre = floats(&file, "centre", &[OUTPUTS])?;
+        let centre = file.f32("centre", &[OUTPUTS])?;
         let is_known = |name: &str| name == "box" || name == "centre" || known.iter().any(|g| g.0 == name);
-        if let Some(name) = file.names().into_iter().filter(|n| !is_known(n)).min() {
-            return Err(TensorError::Unknown(name.to_string()));
-        }
+        file.only(is_known)?;
         Ok(Self {
             field: Field::from_parameters(shape, bounds, parameters)?,
             centre: std::array::from_fn(|o| centre[o]),
             appearance: Appearance::default(),
         })
-    }
-}
-
-fn bytes(values: &[f32]) -> Vec<u8> {
-    values.iter().flat_map(|v| v.to_le_bytes()).collect()
-}
-
-fn tensor<'a>(file: &SafeTensors<'a>, name: &'static str) -> Result<TensorView<'a>, TensorError> {
-    file.tensor(name).map_err(|_| TensorError::Missing(name))
-}
-
-fn dimensions<const N: usize>(
-    file: &SafeTensors<'_>,
-    name: &'static str,
-    expected: &str,
-) -> Result<[usize; N], TensorError> {
-    let view = tensor(file, name)?;
-    view.shape().try_into().map_err(|_| TensorError::Dimensions {
-        name,
-        found: view.shape().to_vec(),
-        expected: expected.into(),
-    })
-}
-
-fn floats(file: &SafeTensors<'_>, name: &'static str, shape: &[usize]) -> Result<Vec<f32>, TensorError> {
-    let view = tensor(file, name)?;
-    if view.dtype() != Dtype::F32 {
-        return Err(TensorError::Type { name, dtype: view.dtype() });
-    }
-    if view.shape() != shape {
-        return Err(TensorError::Dimensions {
-            name,
-            found: view.shape().to_vec(),
-            expected: format!("{shape:?}"),
-        });
-    }
-    let values: Vec<f32> =
-        view.data().as_chunks::<4>().0.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect();
-    match values.iter().position(|v| !v.is_finite()) {
-        Some(index) => Err(TensorError::NotFinite { name, index, value: values[index] }),
-        None => Ok(values),
     }
 }
 
@@ -226,9 +143,9 @@ mod tests {
     #[test]
     fn wrong_contents_are_named() {
         let write = |tensors: Vec<(&str, Vec<usize>, Vec<f32>)>| {
-            let data: Vec<_> = tensors.iter().map(|(n, s, v)| (*n, s.clone(), bytes(v))).collect();
-            let views = data.iter().map(|(n, s, b)| (*n, TensorView::new(Dtype::F32, s.clone(), b).unwrap()));
-            safetensors::serialize(views, None).unwrap()
+            let mut writer = TensorWriter::new();
+            tensors.iter().for_each(|(name, shape, values)| writer.f32(name, shape, values));
+            writer.finish().unwrap()
         };
         let e = example();
         let all = || -> Vec<(&str, Vec<usize>, Vec<f32>)> {

@@ -5,12 +5,13 @@
 //! records the extractor's settings, the proposer, and where the calibrator comes from.
 
 use serde::{Deserialize, Serialize};
+use use3d_tensors::{TensorFile, TensorWriter};
 
 use super::{Calibrator, GLOBAL_CONDITION, Head, LOCAL_CONDITION, Linear, Mlp, Provenance, Statistics};
 use crate::error::AtcError;
 use crate::extractor::ExtractorSettings;
 use crate::proposers::ProposerId;
-use crate::tensors::{Reader, Writer};
+use crate::tensors::{Reader, finish};
 
 const WHAT: &str = "calibrator";
 const FORMAT: &str = "3d-use calibrator";
@@ -28,7 +29,7 @@ struct Header {
 impl Calibrator {
     /// The calibrator as the bytes of a safetensors file; the same calibrator gives the same bytes.
     pub fn to_bytes(&self) -> Result<Vec<u8>, AtcError> {
-        let mut writer = Writer::default();
+        let mut writer = TensorWriter::new();
         for (name, head) in [("global", &self.global), ("local", &self.local)] {
             for (i, layer) in head.mlp.layers.iter().enumerate() {
                 let shape = [layer.outputs(), layer.inputs()];
@@ -48,13 +49,13 @@ impl Calibrator {
             proposer: self.proposer.clone(),
             provenance: self.provenance.clone(),
         };
-        writer.finish(WHAT, &header)
+        finish(&writer, WHAT, &header)
     }
 
     /// Whether these are the bytes of a file that this program wrote, whole or not; a calibrator of the
     /// authors' is not.
     pub fn is_own_file(bytes: &[u8]) -> bool {
-        Reader::has_header(bytes)
+        TensorFile::has_document(bytes)
     }
 
     /// Reads a calibrator from the bytes of a safetensors file.
@@ -73,10 +74,10 @@ impl Calibrator {
 }
 
 fn read_head(reader: &Reader<'_>, name: &str, inputs: usize, outputs: usize) -> Result<Head, AtcError> {
-    let hidden = match reader.shape(&format!("{name}.0.bias"))?.as_slice() {
-        [hidden] if *hidden > 0 => *hidden,
-        other => return Err(reader.error(format!("the tensor `{name}.0.bias` has shape {other:?}"))),
-    };
+    let [hidden] = reader.sides(&format!("{name}.0.bias"), "one side")?;
+    if hidden == 0 {
+        return Err(reader.error(format!("the tensor `{name}.0.bias` has no values")));
+    }
     let layer = |i: usize, inputs: usize, outputs: usize| -> Result<Linear, AtcError> {
         Ok(Linear {
             weight: reader.f32(&format!("{name}.{i}.weight"), &[outputs, inputs])?,

@@ -8,12 +8,13 @@
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Appearance, Camera};
 use use3d_splat::{Gaussians, Rasterizer};
+use use3d_tensors::TensorWriter;
 
 use super::{LocalConsensus, ViewTarget, view_target};
 use crate::error::AtcError;
 use crate::extractor::{Affine, ExtractorSettings};
 use crate::proposers::ProposerId;
-use crate::tensors::{Reader, Writer};
+use crate::tensors::{Reader, finish};
 
 const WHAT: &str = "targets";
 const FORMAT: &str = "3d-use targets";
@@ -86,7 +87,7 @@ impl Targets {
     /// The bytes of the file; the same targets give the same bytes.
     pub fn to_bytes(&self) -> Result<Vec<u8>, AtcError> {
         let n = self.gaussians();
-        let mut writer = Writer::default();
+        let mut writer = TensorWriter::new();
         writer.f64("scene", &[3, 4], &self.scene);
         writer.f64("global_scales", &[12], &self.global_scales);
         writer.f64("local_scales", &[6], &self.local_scales);
@@ -104,7 +105,7 @@ impl Targets {
             dispersion: self.dispersion,
             views: self.views.iter().map(|(name, _)| name.clone()).collect(),
         };
-        writer.finish(WHAT, &header)
+        finish(&writer, WHAT, &header)
     }
 
     /// Reads the bytes of the file.
@@ -112,14 +113,7 @@ impl Targets {
         let reader = Reader::new(WHAT, bytes)?;
         let header: Header = reader.header(FORMAT, VERSION)?;
         header.extractor.validate()?;
-        let n = match reader.shape("count")?.as_slice() {
-            [n] => *n,
-            other => {
-                return Err(
-                    reader.error(format!("the tensor `count` has shape {other:?}, expected one side"))
-                );
-            }
-        };
+        let [n] = reader.sides("count", "one side")?;
         let candidates = reader.f64("candidates", &[header.views.len(), 3, 4])?;
         let array = |name: &str, shape: &[usize]| reader.f64(name, shape);
         let global_scales = array("global_scales", &[12])?;
