@@ -6,10 +6,10 @@
 //! v1/probe/…                          written and removed when a store is opened
 //! ```
 //!
-//! A store only saves time, and nothing that comes from one is believed: a manifest has to fit the key that was
-//! asked for, every file its digest, and what does not is asked for again and then counts as not there. What
-//! comes in is built in `tmp` and published like the work of a stage, so that a cache holds the same bytes
-//! whether they were computed or fetched.
+//! A store only saves time, and every byte from one is checked: a manifest has to fit the key that was asked for,
+//! every file its digest, and what does not is asked for again and then counts as not there. That guards against
+//! everything but results that somebody replaced on purpose, manifest and all. What comes in is built in `tmp` and
+//! published like the work of a stage, so that a cache holds the same bytes whether they were computed or fetched.
 
 mod folder;
 mod memory;
