@@ -1,0 +1,63 @@
+"""What pip has to find in a wheel."""
+
+import base64
+import hashlib
+import importlib.util
+import stat
+import tempfile
+import unittest
+import zipfile
+from pathlib import Path
+
+PACKAGING = Path(__file__).parents[2]
+spec = importlib.util.spec_from_file_location("wheel", PACKAGING / "wheel.py")
+wheel = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(wheel)
+
+
+def elf(*kinds):
+    """The head of a program with program headers of these kinds; 3 names an interpreter."""
+    head = bytearray(64)
+    head[:5] = b"\x7fELF\x02"
+    head[32:40] = (64).to_bytes(8, "little")
+    head[54:56], head[56:58] = (56).to_bytes(2, "little"), len(kinds).to_bytes(2, "little")
+    return bytes(head) + b"".join(kind.to_bytes(4, "little") + bytes(52) for kind in kinds)
+
+
+class Wheel(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.folder = Path(folder.name)
+        self.binary = self.folder / "use3d"
+
+    def test_it_carries_the_program_and_the_module_and_lists_every_file(self):
+        self.binary.write_bytes(b"a program")
+        made = wheel.wheel(self.binary, self.folder / "dist", "linux_x86_64")
+        self.assertEqual(made.name, f"use3d-{wheel.version()}-py3-none-linux_x86_64.whl")
+        with zipfile.ZipFile(made) as archive:
+            names = {entry.filename: entry for entry in archive.infolist()}
+            (program,) = (name for name in names if name.endswith("/scripts/use3d"))
+            # pip makes a file executable only where it is a regular one and says so.
+            mode = names[program].external_attr >> 16
+            self.assertTrue(stat.S_ISREG(mode) and mode & 0o111)
+            self.assertIn("use3d/__init__.py", names)
+            (record,) = (name for name in names if name.endswith("/RECORD"))
+            listed = [line.split(",") for line in archive.read(record).decode().splitlines()]
+            self.assertEqual(sorted(path for path, _, _ in listed), sorted(names))
+            for path, digest, size in listed:
+                if path != record:
+                    data = archive.read(path)
+                    found = base64.urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b"=").decode()
+                    self.assertEqual((digest, size), (f"sha256={found}", str(len(data))), path)
+        again = wheel.wheel(self.binary, self.folder / "again", "linux_x86_64")
+        self.assertEqual(made.read_bytes(), again.read_bytes())
+
+    def test_only_what_needs_nothing_of_the_system_counts_as_static(self):
+        for data, static in [(elf(1, 2), True), (elf(1, 3), False), (b"#!/bin/sh\n", False), (b"", False)]:
+            self.binary.write_bytes(data)
+            self.assertEqual(wheel.is_static(self.binary), static, data[:5])
+
+
+if __name__ == "__main__":
+    unittest.main()
