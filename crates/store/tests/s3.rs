@@ -7,11 +7,16 @@
 //! ```
 #![cfg(feature = "s3")]
 
+use std::collections::BTreeMap;
+use std::fs;
 use std::io::{self, Read};
+use std::path::Path;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 
+use use3d_build::code::CodeTable;
 use use3d_build::remote::{Remote, RemoteError, RemoteStore};
+use use3d_build::{Batch, Cache, Engine, Graph, Listener, Registry, RunOptions, Scene, Scope, Silent, Stage};
 
 fn remote() -> Option<Arc<dyn Remote>> {
     let Ok(address) = std::env::var("USE3D_S3") else {
@@ -24,6 +29,48 @@ fn remote() -> Option<Arc<dyn Remote>> {
 fn read(remote: &dyn Remote, name: &str) -> Option<Vec<u8>> {
     let mut found = Vec::new();
     remote.get(name, &mut found).expect("an answer").then_some(found)
+}
+
+/// Two stages whose artifacts have a small file and one that goes in parts; their key is this process's own.
+fn engine(folder: &Path) -> Engine {
+    type Nothing = BTreeMap<String, u8>;
+    let number = std::process::id().to_string();
+    let make = Stage::new("make", Scope::Scene, move |context, _: &Nothing| {
+        fs::create_dir(context.output().join("deep"))?;
+        fs::write(context.output().join("deep/number"), &number)?;
+        Ok(fs::write(context.output().join("large"), number.repeat(17 << 20).split_at(17 << 20).0)?)
+    });
+    let copy = Stage::new("copy", Scope::Scene, |context, _: &Nothing| {
+        let from = context.input("made")?.join("large");
+        Ok(fs::write(context.output().join("copy"), fs::read(from)?)?)
+    });
+    let stages = vec![make.made_of(&[], &[]), copy.input("made", "make").made_of(&[], &[])];
+    let registry = Registry::new(stages, &CodeTable::default()).expect("a table");
+    Engine::new(registry, Cache::open(folder, false).expect("a cache"))
+        .with_numeric_class(&format!("test {}", std::process::id()))
+}
+
+#[test]
+fn what_is_computed_here_is_fetched_there() {
+    let Some(remote) = remote() else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let store = Arc::new(RemoteStore::new(remote));
+    let listener: Arc<dyn Listener> = Arc::new(Silent);
+    let mut batch = Batch { name: "words".to_string(), ..Batch::default() };
+    batch.scenes.push(Scene { name: "reef".to_string(), ..Scene::default() });
+    let mut bytes = Vec::new();
+    for (name, computed) in [("here", 2), ("there", 0)] {
+        let engine = engine(&folder.path().join(name)).with_remote(store.clone());
+        let graph = Graph::new(&engine.registry, &batch).expect("a graph");
+        let summary = engine.run(&graph, &RunOptions::default(), &listener);
+        assert_eq!((summary.exit_code(), summary.done()), (0, computed), "{name}");
+        let read = |(_, _, path): (String, _, std::path::PathBuf)| {
+            ["manifest.json", "deep/number", "large", "copy"]
+                .map(|file| fs::read(path.join(file)).unwrap_or_default())
+        };
+        bytes.push(engine.cache.artifacts().into_iter().map(read).collect::<Vec<_>>());
+    }
+    assert!(bytes[0].len() == 2 && bytes[0] == bytes[1], "every byte, those of the manifests too");
 }
 
 #[test]
