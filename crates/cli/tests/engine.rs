@@ -54,6 +54,18 @@ fn an_engine_that_cannot_be_had_is_refused_and_nothing_is_written() {
     assert!(text.contains("engine: cpu") && text.contains("no graphics card was found"), "{text}");
 }
 
+/// Whether a run was refused since this machine has no software card: the test is left out then, aloud; an error where one is required.
+fn no_card(output: &Output) -> bool {
+    let text = said(output);
+    let missing = text.contains("no graphics card was found") || text.contains("no adapter's name has");
+    let refused = output.status.code() == Some(2) && missing;
+    if refused {
+        assert!(std::env::var("USE3D_REQUIRE_GPU").as_deref() != Ok("1"), "{text}");
+        eprintln!("SKIPPED: no software card on this machine (package mesa-vulkan-drivers)");
+    }
+    refused
+}
+
 /// On a software card, if this machine has one: the scene is that of the processor to a twentieth of a decibel, and not one that hardly
 /// anything was done to.
 #[test]
@@ -61,11 +73,7 @@ fn a_training_runs_on_a_software_card_by_its_name() {
     let place = Place::new();
     let output = reconstruct(&place, "card", "gpu:llvmpipe", &[]);
     let text = said(&output);
-    if output.status.code() == Some(2)
-        && (text.contains("no graphics card was found") || text.contains("no adapter's name has"))
-    {
-        assert!(std::env::var("USE3D_REQUIRE_GPU").as_deref() != Ok("1"), "{text}");
-        eprintln!("SKIPPED: no software card on this machine (package mesa-vulkan-drivers)");
+    if no_card(&output) {
         return;
     }
     assert_eq!(output.status.code(), Some(0), "{text}");
@@ -83,4 +91,40 @@ fn a_training_runs_on_a_software_card_by_its_name() {
     let (card, cpu, least) = (psnr("card"), psnr("processor"), psnr("hardly"));
     assert!((card - cpu).abs() < 0.05, "{card} dB on the card, {cpu} dB on the processor");
     assert!(card > least + 0.3, "{card} dB on the card, {least} dB after a single step");
+}
+
+/// A whole run takes the card for both stages, and stage 2 ends where the processor's does.
+#[test]
+fn a_whole_run_on_a_software_card_trains_both_stages_there() {
+    let place = Place::new();
+    let run = |out: &str, more: &[&str]| {
+        let mut command = tiny::command();
+        command.args(["run", &place.at("tiny"), "--cache", &place.at("cache"), "--out", &place.at(out)]);
+        command.args(["--until", "enhance"]);
+        tiny::TINY.iter().for_each(|set| {
+            command.args(["--set", set]);
+        });
+        command.args(more).output().expect("the command starts")
+    };
+    let card = run("card", &["--engine", "gpu:llvmpipe"]);
+    let text = said(&card);
+    if no_card(&card) {
+        return;
+    }
+    assert_eq!(card.status.code(), Some(0), "{text}");
+    assert_eq!(text.matches("engine: gpu, llvmpipe").count(), 2, "{text}");
+    // The same scene and targets, so that stage 2 alone differs.
+    let processor =
+        run("processor", &["--set", "reconstruct.engine=gpu:llvmpipe", "--set", "enhance.engine=cpu"]);
+    assert_eq!(processor.status.code(), Some(0), "{}", said(&processor));
+    let errors = |out: &str| {
+        let path = format!("{}/tiny/enhanced-scene/report.json", place.at(out));
+        let file = std::fs::read_to_string(path).expect("a report");
+        let read: serde_json::Value = serde_json::from_str(&file).expect("JSON");
+        let of = |view: &serde_json::Value| view["after"]["global"]["error"].as_f64().expect("a figure");
+        read["views"].as_array().expect("views").iter().map(of).collect::<Vec<f64>>()
+    };
+    for (card, cpu) in errors("card").iter().zip(errors("processor")) {
+        assert!((card - cpu).abs() < 1e-3 * cpu, "{card} on the card, {cpu} on the processor");
+    }
 }

@@ -6,8 +6,8 @@ use crate::losses::TERMS;
 use crate::views::{EnhanceView, Guidance};
 use crate::{EnhanceError, EnhanceParams};
 
-/// The digest. How long to train, how often to save and how much to keep in memory are left out: they may change between two
-/// sessions of one run. How often to log is in: the log is part of the result.
+/// The digest. How long to train, how often to save, how much to keep in memory and what computes are left out: they may change between
+/// two sessions of one run. How often to log is in: the log is part of the result.
 pub(crate) fn fingerprint(
     scene: &Scene,
     views: &[EnhanceView],
@@ -20,6 +20,7 @@ pub(crate) fn fingerprint(
         iterations: defaults.iterations,
         checkpoint_every: defaults.checkpoint_every,
         cache_mib: defaults.cache_mib,
+        engine: defaults.engine,
         ..params.clone()
     };
     hash.update(format!("{shaping:?}").as_bytes());

@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_numerics::range::{OutOfRange, at_least, not_negative, within};
+use use3d_training::EngineChoice;
 use use3d_ubaf::{FieldError, Shape};
 
 /// What stage 2 learns from.
@@ -86,6 +87,10 @@ pub struct EnhanceParams {
     pub log_every: u64,
     /// Memory for what is constant per view, MiB. Views beyond it are prepared anew in every step that uses them.
     pub cache_mib: usize,
+    /// What computes: `cpu`, `gpu` (the best graphics card), `gpu:NAME` (any part of an adapter's name), or `auto`: a graphics card that
+    /// passes its check, else the processor. Results of different devices are kept apart.
+    #[schemars(with = "String")]
+    pub engine: EngineChoice,
 }
 
 impl Default for EnhanceParams {
@@ -110,6 +115,7 @@ impl Default for EnhanceParams {
             checkpoint_every: 500,
             log_every: 50,
             cache_mib: 2048,
+            engine: EngineChoice::Cpu,
         }
     }
 }

@@ -360,7 +360,7 @@ fn wrong_input_is_named() {
     let params = EnhanceParams { objective: Objective::PseudoLabels, ..quick(1) };
     assert!(message(&scene, &views, guidance, &params).contains("enhanced images"));
     // Labels of other pixels, and of fewer views.
-    let other = EnhanceParams { sample_side: 16, ..params };
+    let other = EnhanceParams { sample_side: 16, ..params.clone() };
     assert!(message(&scene, &views, Guidance::Labels(&labels), &other).contains("another `sample_side`"));
     let one = PseudoLabels::new(&Labels { taught: &teacher, views: &views }, &views[..1], &params).unwrap();
     assert!(message(&scene, &views, Guidance::Labels(&one), &params).contains("there is none"));

@@ -22,6 +22,17 @@
 //! | colour planes | 3 P `f32` | `c·P + y·W + x`: image, its gradient, `Σ w e_b`, `Σ w z c e_a`, `Σ w z e_b`, the water's `c_m`, `k_a`, `k_b` |
 //! | planes | P `f32` or `u32` | depth, accumulation, final transmittance, the entry of its list at which a pixel stopped |
 //!
+//! Of stage 2, for L lookups of the field (listed Gaussians, and with water the 16 rows of its table), rank R, n parameters:
+//!
+//! | buffer | items | what |
+//! |---|---|---|
+//! | state | 3 n `f32` | the field's parameters, Adam's first and second moments |
+//! | sites | L × 2 `vec4<u32>` | bits of three fractions, and nodes; bits of three signed logs and 0, or of a fixed guide and 1 |
+//! | raw, slopes | 6 L `f32` | log-gain and bias, and the loss's derivatives by them |
+//! | codes | 2 R L `f32` | a lookup's code, and the derivatives by it |
+//! | grade | 108 `f32` | the mean that is removed, the water's table of 16 × 6, two ratios |
+//! | records | E `vec4<f32>` | the derivative of an entry's colour |
+//!
 //! The water in front of a pixel enters as `e = 2^(−k z)` with `k = β |d| log₂e`.
 //!
 //! # Determinism
@@ -42,6 +53,7 @@ mod raster;
 mod scene;
 mod sort;
 mod stage1;
+mod stage2;
 #[cfg(test)]
 mod testing;
 #[cfg(test)]
@@ -54,6 +66,7 @@ pub use check::{CheckError, check, checked_adapters, open_checked};
 pub use device::{AdapterReport, DeviceError, Gpu, adapters};
 pub use profile::KernelTime;
 pub use stage1::Stage1;
+pub use stage2::Stage2;
 
 /// The text of every kernel in every variant, as drivers are given it: what results depend on besides adapter and driver.
 pub fn kernel_sources() -> Vec<String> {
@@ -63,5 +76,5 @@ pub fn kernel_sources() -> Vec<String> {
 /// Every kernel in every variant.
 fn specs() -> Vec<kernel::Spec> {
     let own = [sort::specs(), lists::specs(), raster::specs(), update::specs()].concat();
-    own.into_iter().chain(losses::specs()).chain(water::specs()).collect()
+    own.into_iter().chain(losses::specs()).chain(water::specs()).chain(stage2::specs()).collect()
 }

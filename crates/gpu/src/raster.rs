@@ -18,8 +18,11 @@ const FORWARD: u32 = 256;
 /// Threads of the backward pass: Gaussians of a round.
 const BACKWARD: u32 = 64;
 
-/// What both passes read of a tile.
-const TILE: [Binding; 6] = [
+/// What WGSL text both passes share.
+pub(crate) const SHARED: &str = include_str!("raster/shared.wgsl");
+
+/// What passes over a view read of its tiles; [`Drawn`] in that order.
+pub(crate) const TILE: [Binding; 6] = [
     FRAME_BINDING,
     read("axes"),
     (Access::Read, "starts", U32S),
@@ -42,7 +45,7 @@ fn spec(
         threads,
         bindings: [&TILE[..], &WATER[..], more].concat(),
         constants: switches.iter().map(|(name, on)| (*name, Constant::Switch(*on))).collect(),
-        parts: vec![FRAME, include_str!("raster/shared.wgsl"), body],
+        parts: vec![FRAME, SHARED, body],
     }
 }
 

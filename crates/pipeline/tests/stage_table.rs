@@ -254,6 +254,9 @@ fn parameters_without_effect_are_in_no_key_and_the_log_is() {
     for (stage, changed, counts) in [
         ("reconstruct", json!({"checkpoint_minutes": 0.5}), false),
         ("reconstruct", json!({"checkpoint_steps": 7}), false),
+        // What it comes to is in the numeric class.
+        ("reconstruct", json!({"engine": "auto"}), false),
+        ("enhance", json!({"engine": "auto"}), false),
         ("enhance", json!({"checkpoint_every": 7}), false),
         ("enhance", json!({"cache_mib": 7}), false),
         ("calibrate", json!({"extractor": {"cells": 8}}), false),

@@ -10,7 +10,7 @@ use use3d_reconstruct::EngineChoice;
 /// `--set` of a whole pipeline.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct Settings {
-    /// What trains stage 1: auto, cpu, gpu or gpu:NAME (`use3d devices` lists them; default: the pipeline's, or cpu).
+    /// What trains both stages: auto, cpu, gpu or gpu:NAME (`use3d devices` lists them; default: the pipeline's, or cpu).
     #[arg(long, value_name = "ENGINE")]
     pub(crate) engine: Option<EngineChoice>,
     /// Set a parameter of a stage, e.g. `reconstruct.iterations=3000`; may be repeated. `use3d params` lists them.
@@ -21,8 +21,9 @@ pub(crate) struct Settings {
 impl Settings {
     /// All settings as `--set` has them; the engine is a parameter like any other.
     pub(crate) fn sets(&self) -> Vec<String> {
-        let engine = self.engine.iter().map(|engine| format!("reconstruct.engine={engine}"));
-        self.set.iter().cloned().chain(engine).collect()
+        let of =
+            |stage: &'static str| self.engine.iter().map(move |engine| format!("{stage}.engine={engine}"));
+        self.set.iter().cloned().chain(of("reconstruct")).chain(of("enhance")).collect()
     }
 }
 

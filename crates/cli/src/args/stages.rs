@@ -112,6 +112,9 @@ pub(crate) struct EnhanceArgs {
     /// Print where a step's time goes: milliseconds and share of each part. Never stored.
     #[arg(long)]
     pub(crate) profile: bool,
+    /// What trains: auto, cpu, gpu or gpu:NAME (`use3d devices` lists them).
+    #[arg(long, value_name = "ENGINE")]
+    pub(crate) engine: Option<EngineChoice>,
     #[command(flatten)]
     pub(crate) settings: StageSettings,
     #[command(flatten)]

@@ -386,7 +386,9 @@ pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
     let force = args.replace.force;
     check_folder(&args.out, force)?;
     let registry = stages()?;
-    let parameters = parameters(&registry, &["enhance", "import"], &args.settings.set)?;
+    let mut sets = args.settings.set.clone();
+    sets.extend(args.engine.iter().map(|engine| format!("engine={engine}")));
+    let parameters = parameters(&registry, &["enhance", "import"], &sets)?;
     let scratch = scratch()?;
     let import = imported(app, &registry, &args.capture, &parameters[1], scratch.path())?;
     check_origin(&args.scene, &import, false)?;

@@ -4,9 +4,12 @@ use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
 use use3d_build::{DeviceClass, Digest};
-use use3d_gpu::{Gpu, Stage1, kernel_sources, open_checked};
+use use3d_enhance::engine::FieldEngine;
+use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance};
+use use3d_gpu::{Gpu, Stage1, Stage2, kernel_sources, open_checked};
 use use3d_reconstruct::engine::Engine;
-use use3d_training::EngineError;
+use use3d_scene::Scene;
+use use3d_training::{EngineError, Observer};
 
 use crate::code;
 
@@ -46,5 +49,17 @@ impl Card {
     /// The engine of stage 1 on it.
     pub(super) fn stage1(&self) -> Result<Box<dyn Engine>, EngineError> {
         Ok(Box::new(Stage1::new(&self.0)?))
+    }
+
+    /// The engine of stage 2 on it.
+    pub(super) fn stage2<'a>(
+        &self,
+        scene: &'a Scene,
+        views: &[EnhanceView],
+        guidance: Guidance<'a>,
+        params: &EnhanceParams,
+        observer: &mut dyn Observer,
+    ) -> Result<Box<dyn FieldEngine + 'a>, EnhanceError> {
+        Ok(Box::new(Stage2::new(&self.0, scene, views, guidance, params, observer)?))
     }
 }

@@ -9,13 +9,19 @@
 mod cards;
 
 use use3d_build::DeviceClass;
+use use3d_enhance::engine::{CpuFieldEngine, FieldEngine};
+use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance};
 use use3d_reconstruct::engine::{CpuEngine, Engine};
-use use3d_reconstruct::{EngineChoice, Medium, ReconstructParams};
-use use3d_training::EngineError;
+use use3d_reconstruct::{Medium, ReconstructParams};
+use use3d_scene::Scene;
+use use3d_training::{EngineChoice, EngineError, Observer};
 
 #[cfg(not(feature = "gpu"))]
 mod cards {
-    use super::{DeviceClass, Engine, EngineError};
+    use super::{
+        DeviceClass, Engine, EngineError, EnhanceError, EnhanceParams, EnhanceView, FieldEngine, Guidance,
+        Observer, Scene,
+    };
 
     /// None is ever made.
     pub(super) enum Card {}
@@ -37,6 +43,17 @@ mod cards {
         pub(super) fn stage1(&self) -> Result<Box<dyn Engine>, EngineError> {
             match *self {}
         }
+
+        pub(super) fn stage2<'a>(
+            &self,
+            _scene: &'a Scene,
+            _views: &[EnhanceView],
+            _guidance: Guidance<'a>,
+            _params: &EnhanceParams,
+            _observer: &mut dyn Observer,
+        ) -> Result<Box<dyn FieldEngine + 'a>, EnhanceError> {
+            match *self {}
+        }
     }
 }
 
@@ -47,53 +64,103 @@ fn on_cards(medium: Medium) -> bool {
     medium == Medium::None || medium.starts_from_harmonics()
 }
 
-/// Why no card can do such a training.
-fn beyond_cards(params: &ReconstructParams) -> Option<String> {
-    (!on_cards(params.medium)).then(|| {
-        format!(
-            "cpu for the water `{}`, which runs on the processor alone; of {} graphics cards have kernels",
-            params.medium.name(),
-            Medium::names(on_cards)
-        )
-    })
+/// The parameters of a training that an engine does.
+pub(crate) trait Training {
+    /// What is to do it.
+    fn engine(&self) -> &EngineChoice;
+
+    /// What is expected instead, where no card can do it.
+    fn beyond_cards(&self) -> Option<String>;
+}
+
+impl Training for ReconstructParams {
+    fn engine(&self) -> &EngineChoice {
+        &self.engine
+    }
+
+    fn beyond_cards(&self) -> Option<String> {
+        (!on_cards(self.medium)).then(|| {
+            format!(
+                "expected cpu for the water `{}`, which runs on the processor alone; of {} graphics cards have kernels",
+                self.medium.name(),
+                Medium::names(on_cards)
+            )
+        })
+    }
+}
+
+impl Training for EnhanceParams {
+    fn engine(&self) -> &EngineChoice {
+        &self.engine
+    }
+
+    /// Its water is frozen, so any will do.
+    fn beyond_cards(&self) -> Option<String> {
+        None
+    }
 }
 
 /// The card that a training takes; `None`: the processor.
-fn card(params: &ReconstructParams) -> Result<Option<Card>, String> {
-    match &params.engine {
+fn card(params: &impl Training) -> Result<Option<Card>, String> {
+    match params.engine() {
         EngineChoice::Cpu => Ok(None),
-        EngineChoice::Auto if beyond_cards(params).is_some() => Ok(None),
+        EngineChoice::Auto if params.beyond_cards().is_some() => Ok(None),
         EngineChoice::Auto => Ok(open(None).ok()),
-        EngineChoice::Gpu(name) => match beyond_cards(params) {
-            Some(expected) => Err(format!("expected {expected}")),
+        EngineChoice::Gpu(name) => match params.beyond_cards() {
+            Some(expected) => Err(expected),
             None => open(name.as_deref()).map(Some),
         },
     }
 }
 
+/// The same when a training starts, and what a person is told of the choice, if there was one.
+fn chosen(params: &impl Training) -> Result<(Option<Card>, Option<String>), EngineError> {
+    let card = card(params).map_err(|what| EngineError::Request { engine: "gpu", what })?;
+    let said = match &card {
+        Some(card) => Some(format!("engine: gpu, {}", card.name())),
+        None if *params.engine() == EngineChoice::Cpu => None,
+        None => {
+            let why = params.beyond_cards().or_else(|| open(None).err()).unwrap_or_default();
+            Some(format!("engine: cpu ({why})"))
+        }
+    };
+    Ok((card, said))
+}
+
 /// Refuses a choice of engine that cannot be kept on this machine: the parameter, and what is wrong.
-pub(crate) fn check(params: &ReconstructParams) -> Result<(), (String, String)> {
+pub(crate) fn check<T: Training>(params: &T) -> Result<(), (String, String)> {
     card(params).map(|_| ()).map_err(|what| ("engine".to_string(), what))
 }
 
 /// The device that a training computes on; `None`: the processor alone.
-pub(crate) fn class(params: &ReconstructParams) -> Option<DeviceClass> {
+pub(crate) fn class<T: Training>(params: &T) -> Option<DeviceClass> {
     card(params).ok().flatten().map(|card| card.class())
 }
 
-/// The engine of stage 1, and what a person is told of the choice, if there was one.
+/// The engine of stage 1, and what a person is told of the choice.
 pub(crate) fn stage1(params: &ReconstructParams) -> Result<(Box<dyn Engine>, Option<String>), EngineError> {
-    let chosen = card(params).map_err(|what| EngineError::Request { engine: "gpu", what })?;
-    let processor = || -> Box<dyn Engine> { Box::new(CpuEngine::new()) };
-    Ok(match chosen {
-        Some(card) => (card.stage1()?, Some(format!("engine: gpu, {}", card.name()))),
-        None if params.engine == EngineChoice::Cpu => (processor(), None),
-        None => {
-            let why = beyond_cards(params).map(|expected| format!("expected {expected}"));
-            let why = why.or_else(|| open(None).err()).unwrap_or_default();
-            (processor(), Some(format!("engine: cpu ({why})")))
-        }
-    })
+    let (card, said) = chosen(params)?;
+    let engine = match card {
+        Some(card) => card.stage1()?,
+        None => Box::new(CpuEngine::new()),
+    };
+    Ok((engine, said))
+}
+
+/// The engine of stage 2, and what a person is told of the choice.
+pub(crate) fn stage2<'a>(
+    scene: &'a Scene,
+    views: &[EnhanceView],
+    guidance: Guidance<'a>,
+    params: &EnhanceParams,
+    observer: &mut dyn Observer,
+) -> Result<(Box<dyn FieldEngine + 'a>, Option<String>), EnhanceError> {
+    let (card, said) = chosen(params)?;
+    let engine: Box<dyn FieldEngine + 'a> = match card {
+        Some(card) => card.stage2(scene, views, guidance, params, observer)?,
+        None => Box::new(CpuFieldEngine::new(scene, views, guidance, params, observer)?),
+    };
+    Ok((engine, said))
 }
 
 #[cfg(test)]
@@ -123,8 +190,14 @@ mod tests {
 
     #[test]
     fn a_name_that_no_adapter_has_is_refused_with_those_there_are() {
-        let (at, what) = check(&asking("gpu:no such card", Medium::Rbf)).unwrap_err();
-        assert_eq!(at, "engine");
-        assert!(what.contains("no such card") || what.contains("cargo feature `gpu`"), "{what}");
+        let stage2 =
+            EnhanceParams { engine: "gpu:no such card".parse().unwrap(), ..EnhanceParams::default() };
+        for (at, what) in
+            [check(&asking("gpu:no such card", Medium::Rbf)).unwrap_err(), check(&stage2).unwrap_err()]
+        {
+            assert_eq!(at, "engine");
+            assert!(what.contains("no such card") || what.contains("cargo feature `gpu`"), "{what}");
+        }
+        assert_eq!((check(&EnhanceParams::default()), class(&EnhanceParams::default())), (Ok(()), None));
     }
 }

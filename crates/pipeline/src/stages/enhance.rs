@@ -5,7 +5,6 @@ use std::path::Path;
 use use3d_atc::consensus::Targets;
 use use3d_build::{Figure, Scope, Stage, StageContext, StageError};
 use use3d_capture::{Appearance, Image, View};
-use use3d_enhance::engine::CpuFieldEngine;
 use use3d_enhance::losses::TERMS;
 use use3d_enhance::{
     EnhanceError, EnhanceParams, EnhanceView, Guidance, LabelSource, LogEntry, Objective, PseudoLabels,
@@ -21,6 +20,7 @@ use super::proposals::asked_for;
 use super::proposer::by_name;
 use super::scenes::scene;
 use super::watch::Watch;
+use crate::engines;
 use crate::judge::report::plot::{Plot, Series};
 
 /// What a scene says of its training, beside its log.
@@ -38,6 +38,8 @@ pub(super) fn stage() -> Stage {
         .about("stage 2: store the enhancement in the scene")
         .made_of(&[], &["src/stages/enhance.rs"])
         .check(|p: &EnhanceParams| p.validate().map_err(out_of_range))
+        .check(engines::check::<EnhanceParams>)
+        .computes_on(engines::class::<EnhanceParams>)
         .when(|all| !asked_for(all))
         .input("import", "import")
         .input("scene", "reconstruct")
@@ -46,7 +48,7 @@ pub(super) fn stage() -> Stage {
         .select(|_, models| Ok(super::weights::proposer_files(models)))
         .seeded()
         .resumable(&["iterations"])
-        .without_effect(&["checkpoint_every", "cache_mib"])
+        .without_effect(&["checkpoint_every", "cache_mib", "engine"])
         .agrees_across_classes(&FIGURES)
         .cost(0, 4 << 30)
 }
@@ -137,8 +139,11 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
     let watch = &mut Watch::new(context);
     let outcome = {
         // It goes with this block, and the views' constants with it.
-        let engine = &mut CpuFieldEngine::new(&scene, &views, guidance, &params, watch)?;
-        enhance(&scene, &views, guidance, &params, engine, context.checkpoints(), watch)
+        let (mut engine, chosen) = engines::stage2(&scene, &views, guidance, &params, watch)?;
+        if let Some(chosen) = chosen {
+            context.say(chosen);
+        }
+        enhance(&scene, &views, guidance, &params, engine.as_mut(), context.checkpoints(), watch)
     };
     let outcome = match outcome {
         Err(EnhanceError::Interrupted { .. }) => return Err(StageError::Cancelled),

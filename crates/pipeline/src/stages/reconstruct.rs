@@ -47,8 +47,8 @@ pub(super) fn stage() -> Stage {
         .about("stage 1: reconstruct the scene with its water")
         .made_of(&[], &["src/stages/reconstruct.rs"])
         .check(|p: &ReconstructParams| p.validate().map_err(out_of_range))
-        .check(engines::check)
-        .computes_on(engines::class)
+        .check(engines::check::<ReconstructParams>)
+        .computes_on(engines::class::<ReconstructParams>)
         .input("import", "import")
         .optional_input("proposals", "propose");
     let stage = if cfg!(feature = "nets") { stage.optional_input("depth", "depth") } else { stage };

@@ -1,0 +1,390 @@
+//! The field on the device: parameters with Adam's moments, a view's colours and water under them, and the way back.
+//!
+//! ```text
+//! lookup ─▶ grade ─▶ recolor, water ─▶ (the view is drawn, compared, and the image's derivative given) ─▶ colours, recolor backward,
+//!      water backward ─▶ totals ─▶ table ─▶ lookup backward ─▶ units, nodes ─▶ totals ─▶ gradient ─▶ Adam
+//! ```
+//!
+//! A lookup is a row of `sites`: a listed Gaussian, or one of the sixteen rows of the water's table, which are looked up at the camera
+//! with fixed guides; so water and objects share the field's kernels. The derivatives by the decoder's weights are summed by one thread per
+//! hidden unit over a block of lookups, those by the factors by one thread per node; blocks are at most 256, and follow from the number of
+//! lookups alone.
+
+use bytemuck::{Pod, Zeroable};
+use use3d_enhance::engine::{FieldPlan, FieldState};
+use use3d_numerics::adam::Adam;
+use use3d_training::EngineError;
+use use3d_ubaf::{OUTPUTS, Shape, water};
+
+use super::frozen::{FrozenView, FrozenWater};
+use super::kernels::{
+    COLOR_SUMS, FieldKernels, GRADE, GUIDE_SUMS, LOOKUPS, NONE, Of, WATER_SPAN, WATER_SUMS,
+};
+use crate::buffer::Array;
+use crate::device::Gpu;
+use crate::kernel::{Grid, bound};
+use crate::raster::{Planes, WaterPlanes};
+use crate::scene::Row;
+
+/// Most blocks that the sums over lookups are cut into.
+const BLOCKS: usize = 256;
+
+/// The struct of `field.wgsl`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+struct Constants {
+    resolution: u32,
+    width: u32,
+    listed: u32,
+    centred: u32,
+    lookups: u32,
+    pixels: u32,
+    per_block: u32,
+    blocks: u32,
+    hidden_weight: u32,
+    hidden_bias: u32,
+    output_weight: u32,
+    output_bias: u32,
+    guide: u32,
+    affine: u32,
+    transport: u32,
+    parameters: u32,
+    unit_groups: u32,
+    node_groups: u32,
+    lookup_groups: u32,
+    water_groups: u32,
+    adam: [f32; 4],
+}
+
+impl Constants {
+    /// Of a view, for a step or without one.
+    fn new(shape: Shape, view: &FrozenView, plan: Option<&FieldPlan>) -> Self {
+        let rows = if view.water.is_some() { water::ROWS } else { 0 };
+        let lookups = view.listed + rows;
+        let per_block = lookups.div_ceil(BLOCKS).next_multiple_of(LOOKUPS).max(LOOKUPS);
+        let word = |n: usize| n as u32;
+        let adam = plan.map_or([0.0; 4], |plan| {
+            let scalars = |rate| Adam::SPLATTING.scalars(plan.step + 1, rate);
+            let (field, ratios) = (scalars(plan.rate), scalars(plan.transport_rate));
+            [field.step_size(), ratios.step_size(), field.root(), 0.0]
+        });
+        Self {
+            resolution: word(shape.resolution),
+            width: word(shape.width),
+            listed: word(view.listed),
+            centred: word(view.centred),
+            lookups: word(lookups),
+            pixels: word(view.pixels()),
+            per_block: word(per_block),
+            blocks: word(lookups.div_ceil(per_block)),
+            hidden_weight: word(shape.hidden_weight().start),
+            hidden_bias: word(shape.hidden_bias().start),
+            output_weight: word(shape.output_weight().start),
+            output_bias: word(shape.output_bias().start),
+            guide: word(shape.guide().start),
+            affine: word(shape.affine().start),
+            transport: word(shape.transport().start),
+            parameters: word(shape.parameters()),
+            unit_groups: word(shape.width.div_ceil(LOOKUPS)),
+            node_groups: word((4 * shape.resolution).div_ceil(LOOKUPS)),
+            lookup_groups: word(lookups.div_ceil(LOOKUPS)),
+            water_groups: word(if rows == 0 { 0 } else { view.pixels().div_ceil(WATER_SPAN) }),
+            adam,
+        }
+    }
+}
+
+/// A field of one shape on the device.
+#[derive(Debug)]
+pub(super) struct DeviceField {
+    shape: Shape,
+    kernels: FieldKernels,
+    constants: Array<Constants>,
+    /// Of the view that was prepared.
+    now: Constants,
+    /// Parameters, first and second moments.
+    pub(super) state: Array<f32>,
+    pub(super) gradient: Array<f32>,
+    /// What the terms of the loss that read the field itself add to it.
+    pub(super) of_field: Array<f32>,
+    pub(super) status: Array<u32>,
+    pub(super) raw: Array<f32>,
+    pub(super) grade: Array<f32>,
+    slopes: Array<f32>,
+    codes: Array<f32>,
+    records: Array<Row>,
+    totals: Array<f32>,
+    of_mean: Array<Row>,
+    of_colors: Array<f32>,
+    of_water: Array<f32>,
+    of_guide: Array<f32>,
+    of_parameters: Array<f32>,
+    pub(super) color: Array<f32>,
+    attenuation: Array<f32>,
+    backscatter: Array<f32>,
+}
+
+impl DeviceField {
+    pub(super) fn new(gpu: &Gpu, shape: Shape) -> Result<Self, EngineError> {
+        let n = shape.parameters();
+        let floats = |what, items| Array::new(gpu, what, items);
+        Ok(Self {
+            shape,
+            kernels: FieldKernels::new(gpu, shape.rank)?,
+            constants: Array::uniform(gpu, "the field's constants")?,
+            now: Constants::default(),
+            state: floats("the field", 3 * n)?,
+            gradient: floats("the field's gradient", n)?,
+            of_field: floats("slopes of the field's own terms", n)?,
+            status: Array::from(gpu, "status", &[NONE; 2])?,
+            raw: floats("outputs", 1)?,
+            grade: floats("mean, table and ratios", GRADE)?,
+            slopes: floats("slopes of outputs", 1)?,
+            codes: floats("codes", 1)?,
+            records: Array::new(gpu, "records of colours", 1)?,
+            totals: floats("totals", COLOR_SUMS + WATER_SUMS + GUIDE_SUMS)?,
+            of_mean: Array::new(gpu, "sums of outputs", 1)?,
+            of_colors: floats("sums of colours", 1)?,
+            of_water: floats("sums of the water", 1)?,
+            of_guide: floats("sums of the guide", 1)?,
+            of_parameters: floats("sums of parameters", 1)?,
+            color: floats("the enhanced water's colour", 1)?,
+            attenuation: floats("enhanced attenuation", 1)?,
+            backscatter: floats("enhanced backscatter", 1)?,
+        })
+    }
+
+    /// Takes parameters and moments, whose number was checked.
+    pub(super) fn write(&self, gpu: &Gpu, state: &FieldState) {
+        let n = self.shape.parameters();
+        for (k, values) in [&state.parameters, &state.first, &state.second].into_iter().enumerate() {
+            self.state.write(gpu, k * n, values);
+        }
+        self.status.write(gpu, 0, &[NONE; 2]);
+    }
+
+    /// Parameters and moments, waited for.
+    pub(super) fn read(&self, gpu: &Gpu) -> Result<FieldState, EngineError> {
+        let n = self.shape.parameters();
+        let values = self.state.read(gpu, 3 * n)?;
+        Ok(FieldState {
+            version: FieldState::VERSION,
+            parameters: values[..n].to_vec(),
+            first: values[n..2 * n].to_vec(),
+            second: values[2 * n..].to_vec(),
+        })
+    }
+
+    /// Makes ready for a view; for a step with its plan.
+    pub(super) fn prepare(
+        &mut self,
+        gpu: &Gpu,
+        view: &FrozenView,
+        plan: Option<&FieldPlan>,
+    ) -> Result<(), EngineError> {
+        self.now = Constants::new(self.shape, view, plan);
+        let Constants { lookups, blocks, lookup_groups, water_groups, output_bias, .. } = self.now;
+        let [lookups, blocks, groups, water_groups, width] =
+            [lookups, blocks, lookup_groups, water_groups, output_bias].map(|n| n as usize);
+        let pixels = view.pixels();
+        for (array, items) in [
+            (&mut self.raw, OUTPUTS * lookups),
+            (&mut self.slopes, OUTPUTS * lookups),
+            (&mut self.codes, 2 * self.shape.rank * lookups),
+            (&mut self.of_colors, COLOR_SUMS * groups),
+            (&mut self.of_water, WATER_SUMS * water_groups),
+            (&mut self.of_guide, GUIDE_SUMS * groups),
+            (&mut self.of_parameters, width * blocks),
+            (&mut self.color, 3 * pixels),
+            (&mut self.attenuation, 3 * pixels),
+            (&mut self.backscatter, 3 * pixels),
+        ] {
+            array.grow(gpu, items)?;
+        }
+        self.of_mean.grow(gpu, 2 * groups)?;
+        self.records.grow(gpu, view.entries)?;
+        self.constants.write(gpu, 0, &[self.now]);
+        Ok(())
+    }
+
+    /// The enhanced water of the view that was prepared, as the compositor reads it.
+    pub(super) fn water(&self, view: &FrozenView) -> Option<WaterPlanes<'_>> {
+        let Self { color, attenuation, backscatter, .. } = self;
+        view.water.is_some().then_some(WaterPlanes { color, attenuation, backscatter })
+    }
+
+    /// Records the field at every lookup of a view, and the mean that is removed from it.
+    pub(super) fn record_lookup(&self, pass: &mut wgpu::ComputePass<'_>, view: &FrozenView) {
+        let (k, constants) = (&self.kernels, &self.constants);
+        k.lookup.dispatch(
+            pass,
+            Grid::groups(self.now.lookup_groups as usize),
+            bound![*constants, self.state, view.sites, self.raw, self.of_mean],
+        );
+        k.grade.dispatch(
+            pass,
+            Grid::groups(1),
+            bound![*constants, self.state, self.raw, self.of_mean, self.grade],
+        );
+    }
+
+    /// Records the colours and the water of a view under the present field.
+    pub(super) fn record_forward(&self, pass: &mut wgpu::ComputePass<'_>, view: &FrozenView) {
+        self.record_lookup(pass, view);
+        let (k, constants) = (&self.kernels, &self.constants);
+        k.recolor.dispatch(
+            pass,
+            k.recolor.grid(view.listed),
+            bound![*constants, self.state, self.raw, self.grade, view.base, view.splats],
+        );
+        if let Some(FrozenWater { color, logs, attenuation, backscatter }) = &view.water {
+            k.water.dispatch(
+                pass,
+                k.water.grid(view.pixels()),
+                bound![
+                    *constants,
+                    self.state,
+                    self.grade,
+                    *color,
+                    *logs,
+                    *attenuation,
+                    *backscatter,
+                    self.color,
+                    self.attenuation,
+                    self.backscatter,
+                ],
+            );
+        }
+    }
+
+    /// Records the gradient, from the image's derivative and what the forward pass of the view left in `planes`.
+    pub(super) fn record_backward(
+        &self,
+        pass: &mut wgpu::ComputePass<'_>,
+        view: &FrozenView,
+        planes: &Planes,
+        image_pull: &Array<f32>,
+    ) {
+        let mut buffers = view.drawn().buffers(&view.frame);
+        buffers.extend(bound![self.attenuation, planes.stop, *image_pull, self.records]);
+        let colors = &self.kernels.colors[usize::from(view.water.is_some())];
+        colors.dispatch(pass, Grid::groups(view.tiles), buffers);
+        self.record_from_records(pass, view, planes, image_pull);
+    }
+
+    /// The same from the colours' records on.
+    fn record_from_records(
+        &self,
+        pass: &mut wgpu::ComputePass<'_>,
+        view: &FrozenView,
+        planes: &Planes,
+        image_pull: &Array<f32>,
+    ) {
+        let (k, constants) = (&self.kernels, &self.constants);
+        k.recolor_back.dispatch(
+            pass,
+            k.recolor_back.grid(view.listed),
+            bound![
+                *constants,
+                self.state,
+                self.raw,
+                self.grade,
+                view.base,
+                view.runs,
+                self.records,
+                self.slopes,
+                self.of_colors,
+            ],
+        );
+        let total = |pass: &mut wgpu::ComputePass<'_>, of, sums: &Array<f32>, to: &Array<f32>, width| {
+            k.total(of).dispatch(pass, Grid::groups(width), bound![*constants, *sums, *to]);
+        };
+        total(pass, Of::Colors, &self.of_colors, &self.totals, COLOR_SUMS);
+        if let Some(FrozenWater { color, logs, attenuation, backscatter }) = &view.water {
+            k.water_back.dispatch(
+                pass,
+                Grid::groups(self.now.water_groups as usize),
+                bound![
+                    *constants,
+                    self.state,
+                    self.grade,
+                    *color,
+                    *logs,
+                    *attenuation,
+                    *backscatter,
+                    *image_pull,
+                    planes.veil,
+                    planes.object_moment,
+                    planes.veil_moment,
+                    self.of_water,
+                ],
+            );
+            total(pass, Of::Water, &self.of_water, &self.totals, WATER_SUMS);
+            let buffers = bound![*constants, self.totals, self.grade, self.slopes];
+            k.table_back.dispatch(pass, Grid::groups(1), buffers);
+        }
+        k.lookup_back.dispatch(
+            pass,
+            Grid::groups(self.now.lookup_groups as usize),
+            bound![*constants, self.state, view.sites, self.totals, self.slopes, self.codes, self.of_guide,],
+        );
+        total(pass, Of::Guide, &self.of_guide, &self.totals, GUIDE_SUMS);
+        let Constants { blocks, unit_groups, node_groups, output_bias, parameters, .. } = self.now;
+        k.units.dispatch(
+            pass,
+            Grid::groups((blocks * unit_groups) as usize),
+            bound![*constants, self.state, self.slopes, self.codes, self.of_parameters],
+        );
+        k.nodes.dispatch(
+            pass,
+            Grid::groups((blocks * node_groups) as usize),
+            bound![*constants, self.state, view.sites, self.codes, self.of_parameters],
+        );
+        total(pass, Of::Parameters, &self.of_parameters, &self.gradient, output_bias as usize);
+        let gradient = &k.gradient[usize::from(view.water.is_some())];
+        gradient.dispatch(
+            pass,
+            gradient.grid(parameters as usize),
+            bound![
+                *constants,
+                self.state,
+                self.totals,
+                self.grade,
+                self.of_field,
+                self.gradient,
+                self.status,
+            ],
+        );
+    }
+
+    /// Fills what a step writes with what is no number.
+    #[cfg(test)]
+    pub(super) fn poison(&self, gpu: &Gpu) {
+        for array in [
+            &self.gradient,
+            &self.raw,
+            &self.grade,
+            &self.slopes,
+            &self.codes,
+            &self.totals,
+            &self.of_colors,
+            &self.of_water,
+            &self.of_guide,
+            &self.of_parameters,
+            &self.color,
+            &self.attenuation,
+            &self.backscatter,
+        ] {
+            array.poison(gpu);
+        }
+        self.of_mean.poison(gpu);
+        self.records.poison(gpu);
+    }
+
+    /// Records Adam's step with the gradient.
+    pub(super) fn record_update(&self, pass: &mut wgpu::ComputePass<'_>) {
+        let learn = &self.kernels.learn;
+        let grid = learn.grid(self.shape.parameters());
+        learn.dispatch(pass, grid, bound![self.constants, self.gradient, self.state, self.status]);
+    }
+}

@@ -1,0 +1,371 @@
+//! What is constant of a view on the device: splats, lists without what no pixel sees, stage-1 colours, where the field is looked up,
+//! the frozen water.
+//!
+//! The kernels of stage 1 project and list the scene for the view's lattice and draw it once. On a sparse lattice most small Gaussians fall
+//! between the pixels, so what some pixel sees is found out, and what remains is numbered anew, in main memory: once per view, not per step.
+
+use use3d_capture::{Camera, Lattice, MediumMaps};
+use use3d_scene::Scene;
+use use3d_training::EngineError;
+use use3d_ubaf::{Field, Sites, water};
+
+use super::kernels::seen_kernel;
+use crate::buffer::{Array, read_together};
+use crate::device::Gpu;
+use crate::frame::{Frame, TILE, counts};
+use crate::kernel::{Grid, Kernel, bound, submit};
+use crate::lists::{Drawn, ListKernels, Lists};
+use crate::raster::{Planes, RasterKernels, WaterPlanes};
+use crate::scene::{Parameters, Row};
+
+/// The frozen water of a view, planes: what the field recolours.
+#[derive(Debug)]
+pub(super) struct FrozenWater {
+    /// `c_m` and its signed logs.
+    pub(super) color: Array<f32>,
+    pub(super) logs: Array<f32>,
+    /// `k` with `e = 2^(−k z)`.
+    pub(super) attenuation: Array<f32>,
+    pub(super) backscatter: Array<f32>,
+}
+
+impl FrozenWater {
+    fn new(gpu: &Gpu, camera: &Camera, lattice: &Lattice, maps: MediumMaps) -> Result<Self, EngineError> {
+        let lens = &camera.intrinsics;
+        let away = |at: &f32, centre: f64, focal: f64| {
+            let slope = (f64::from(*at) - centre) / focal;
+            slope * slope
+        };
+        let across: Vec<f64> = lattice.columns().iter().map(|x| away(x, lens.cx, lens.fx)).collect();
+        let lengths: Vec<f32> = lattice
+            .rows()
+            .iter()
+            .map(|y| away(y, lens.cy, lens.fy))
+            .flat_map(|down| across.iter().map(move |across| (1.0 + across + down).sqrt() as f32))
+            .collect();
+        let k = |betas: &[f32]| -> Vec<f32> {
+            let each = betas.iter().zip(lengths.iter().cycle());
+            each.map(|(beta, length)| beta * length * std::f32::consts::LOG2_E).collect()
+        };
+        let water = water::Water::new(maps);
+        Ok(Self {
+            color: Array::from(gpu, "the water's colour", water.maps.color.data())?,
+            logs: Array::from(gpu, "the guide of the water's colour", water.signed_logs().data())?,
+            attenuation: Array::from(gpu, "attenuation", &k(water.maps.attenuation.data()))?,
+            backscatter: Array::from(gpu, "backscatter", &k(water.maps.backscatter.data()))?,
+        })
+    }
+
+    /// As the compositor reads it.
+    fn planes(&self) -> WaterPlanes<'_> {
+        let Self { color, attenuation, backscatter, .. } = self;
+        WaterPlanes { color, attenuation, backscatter }
+    }
+
+    fn size(&self) -> usize {
+        [&self.color, &self.logs, &self.attenuation, &self.backscatter].map(Array::size).iter().sum()
+    }
+}
+
+/// A view's constants on the device.
+#[derive(Debug)]
+pub(super) struct FrozenView {
+    pub(super) frame: Array<Frame>,
+    pub(super) size: (usize, usize),
+    pub(super) tiles: usize,
+    /// Gaussians listed: those that define the mean, then what else the view sees.
+    pub(super) listed: usize,
+    /// Of these, how many define the mean.
+    pub(super) centred: usize,
+    /// (tile, Gaussian) entries.
+    pub(super) entries: usize,
+    axes: Array<f32>,
+    starts: Array<u32>,
+    lists: Array<u32>,
+    owners: Array<u32>,
+    /// Their colours change with every step.
+    pub(super) splats: Array<Row>,
+    /// First entry and number of entries of each.
+    pub(super) runs: Array<[u32; 2]>,
+    /// Stage-1 colours.
+    pub(super) base: Array<Row>,
+    /// Where they look the field up; with water the rows of its table come after them.
+    pub(super) sites: Array<[u32; 4]>,
+    pub(super) water: Option<FrozenWater>,
+}
+
+impl FrozenView {
+    /// As the compositor reads it.
+    pub(super) fn drawn(&self) -> Drawn<'_> {
+        let Self { axes, starts, lists, owners, splats, .. } = self;
+        Drawn { axes, starts, lists, owners, splats }
+    }
+
+    /// Pixels of its lattice.
+    pub(super) fn pixels(&self) -> usize {
+        self.size.0 * self.size.1
+    }
+
+    /// Bytes on the device.
+    pub(super) fn bytes(&self) -> usize {
+        let lists = self.starts.size() + self.lists.size() + self.owners.size() + self.runs.size();
+        let rows = self.splats.size() + self.base.size() + self.sites.size();
+        lists + rows + self.axes.size() + self.water.as_ref().map_or(0, FrozenWater::size)
+    }
+}
+
+/// Lists of a view as the device made them.
+struct Found<'a> {
+    /// The Gaussian of each entry.
+    owners: &'a [u32],
+    /// Entries by tile, by depth within, and whether a pixel sees them.
+    lists: &'a [u32],
+    seen: &'a [u32],
+    /// Where a tile's list begins; one more than there are tiles.
+    starts: &'a [u32],
+}
+
+/// The same without what no pixel sees, numbered anew: Gaussians by their place among those listed, entries one Gaussian after another.
+#[derive(Debug, PartialEq)]
+struct Trimmed {
+    listed: Vec<u32>,
+    owners: Vec<u32>,
+    lists: Vec<u32>,
+    starts: Vec<u32>,
+    runs: Vec<[u32; 2]>,
+}
+
+impl Found<'_> {
+    /// `centred` are the Gaussians that define the mean; `None`: all of `gaussians`.
+    fn trimmed(&self, gaussians: usize, centred: Option<&[u32]>) -> Trimmed {
+        let every = |from: u32, to: u32| (from as usize..to as usize).filter(|&at| self.seen[at] != 0);
+        let owner = |at: usize| self.owners[self.lists[at] as usize];
+        let mut listed: Vec<u32> = match centred {
+            Some(centred) => centred.to_vec(),
+            None => (0..gaussians as u32).collect(),
+        };
+        let mut place = vec![u32::MAX; gaussians];
+        (0..).zip(&listed).for_each(|(at, &i)| place[i as usize] = at);
+        let mut others: Vec<u32> = Vec::new();
+        let end = self.starts.last().copied().unwrap_or(0);
+        for i in every(0, end).map(owner) {
+            if place[i as usize] == u32::MAX {
+                place[i as usize] = 0;
+                others.push(i);
+            }
+        }
+        others.sort_unstable();
+        (listed.len() as u32..).zip(&others).for_each(|(at, &i)| place[i as usize] = at);
+        listed.extend(others);
+        let mut runs = vec![[0u32; 2]; listed.len()];
+        every(0, end).for_each(|at| runs[place[owner(at) as usize] as usize][1] += 1);
+        let mut entries = 0;
+        for run in &mut runs {
+            run[0] = entries;
+            entries += run[1];
+        }
+        let mut next: Vec<u32> = runs.iter().map(|run| run[0]).collect();
+        let (mut owners, mut lists) = (vec![0; entries as usize], Vec::with_capacity(entries as usize));
+        let mut starts = vec![0];
+        for tile in self.starts.windows(2) {
+            for at in every(tile[0], tile[1]) {
+                let i = place[owner(at) as usize];
+                let entry = next[i as usize];
+                next[i as usize] += 1;
+                owners[entry as usize] = i;
+                lists.push(entry);
+            }
+            starts.push(lists.len() as u32);
+        }
+        Trimmed { listed, owners, lists, starts, runs }
+    }
+}
+
+/// The scene on the device, and what makes views of it.
+#[derive(Debug)]
+pub(super) struct Freezer<'a> {
+    scene: &'a Scene,
+    parameters: Parameters,
+    /// Where its Gaussians look the field up.
+    sites: std::sync::Arc<Sites>,
+    centred: Option<Vec<u32>>,
+    kernels: ListKernels,
+    seen_kernel: Kernel,
+    lists: Lists,
+    seen: Array<u32>,
+    counts: Array<u32>,
+}
+
+impl<'a> Freezer<'a> {
+    pub(super) fn new(
+        gpu: &Gpu,
+        scene: &'a Scene,
+        sites: std::sync::Arc<Sites>,
+        centred: Option<Vec<u32>>,
+    ) -> Result<Self, EngineError> {
+        Ok(Self {
+            scene,
+            parameters: Parameters::of(gpu, &scene.gaussians)?,
+            sites,
+            centred,
+            kernels: ListKernels::new(gpu)?,
+            seen_kernel: seen_kernel(gpu)?,
+            lists: Lists::new(gpu)?,
+            seen: Array::new(gpu, "seen entries", 1)?,
+            counts: Array::new(gpu, "counts of a view", counts::WORDS)?,
+        })
+    }
+
+    /// Makes a view's constants; `planes` hold its stage-1 render afterwards. In water where `water` and the scene has some; `field` says
+    /// where the water's table is looked up.
+    pub(super) fn freeze(
+        &mut self,
+        gpu: &Gpu,
+        raster: &RasterKernels,
+        planes: &mut Planes,
+        field: &Field,
+        camera: &Camera,
+        lattice: &Lattice,
+        water: bool,
+    ) -> Result<FrozenView, EngineError> {
+        let mut maps = MediumMaps::zeros(0, 0);
+        let water = if water && self.scene.look_through(camera, lattice, &mut maps) {
+            Some(FrozenWater::new(gpu, camera, lattice, maps)?)
+        } else {
+            None
+        };
+        let frame = self.draw(gpu, raster, planes, camera, lattice, water.as_ref())?;
+        let (n, tiles) = (self.scene.gaussians.len(), frame.tiles());
+        let starts = self.lists.starts.read(gpu, tiles + 1)?;
+        let entries = starts.last().map_or(0, |&end| end as usize);
+        let told = self.counts.read(gpu, counts::WORDS)?[counts::ENTRIES] as usize;
+        let [splats, owners, lists, seen] = read_together(
+            gpu,
+            [
+                (self.lists.splats.raw(), 12 * n),
+                (self.lists.owners.raw(), told),
+                (self.lists.entries().raw(), entries),
+                (self.seen.raw(), entries),
+            ],
+        )?;
+        let found = Found { owners: &owners, lists: &lists, seen: &seen, starts: &starts };
+        let trimmed = found.trimmed(n, self.centred.as_deref());
+        let rows: &[[u32; 4]] = splats.as_chunks().0;
+        let row = |words: [u32; 4]| words.map(f32::from_bits);
+        let own = |i: u32| &rows[3 * i as usize..3 * i as usize + 3];
+        let of_listed = trimmed.listed.iter().flat_map(|&i| own(i).iter().map(|words| row(*words)));
+        let splats: Vec<Row> = of_listed.collect();
+        let base: Vec<Row> = trimmed.listed.iter().map(|&i| row(own(i)[2])).collect();
+        let mut sites: Vec<[u32; 4]> = Vec::with_capacity(2 * (trimmed.listed.len() + water::ROWS));
+        for &i in &trimmed.listed {
+            let (nodes, fractions, logs) = self.sites.site(i as usize);
+            sites.extend([position(nodes, fractions), with(logs, 0)]);
+        }
+        if water.is_some() {
+            let center = camera.pose.center().as_vec3().to_array();
+            let (nodes, fractions) = water::camera_site(field, center);
+            for gamma in water::rows() {
+                sites.extend([position(nodes, fractions), with([gamma, 0.0, 0.0], 1)]);
+            }
+        }
+        let axes = self.lists.axes.read(gpu, (TILE * (frame.size[2] + frame.size[3])) as usize)?;
+        let view = FrozenView {
+            frame: Array::uniform(gpu, "frame of a view")?,
+            size: (lattice.width(), lattice.height()),
+            tiles,
+            listed: trimmed.listed.len(),
+            centred: self.centred.as_ref().map_or(n, Vec::len),
+            entries: trimmed.lists.len(),
+            axes: Array::from(gpu, "pixel centres", &axes)?,
+            starts: Array::from(gpu, "list starts", &trimmed.starts)?,
+            lists: Array::from(gpu, "lists", &trimmed.lists)?,
+            owners: Array::from(gpu, "owners", &trimmed.owners)?,
+            splats: Array::from(gpu, "splats", &splats)?,
+            runs: Array::from(gpu, "runs", &trimmed.runs)?,
+            base: Array::from(gpu, "stage-1 colours", &base)?,
+            sites: Array::from(gpu, "lookups", &sites)?,
+            water,
+        };
+        view.frame.write(gpu, 0, &[frame]);
+        Ok(view)
+    }
+
+    /// Draws the scene as stage 1 left it, with as much room as it takes, and finds what is seen of it.
+    fn draw(
+        &mut self,
+        gpu: &Gpu,
+        raster: &RasterKernels,
+        planes: &mut Planes,
+        camera: &Camera,
+        lattice: &Lattice,
+        water: Option<&FrozenWater>,
+    ) -> Result<Frame, EngineError> {
+        let (n, degree) = (self.scene.gaussians.len(), self.scene.gaussians.sh_degree);
+        let frame_array = Array::uniform(gpu, "frame")?;
+        planes.grow(gpu, lattice.width() * lattice.height())?;
+        loop {
+            let frame = Frame::on(camera, lattice, n, degree, self.lists.capacity());
+            self.lists.prepare(gpu, &frame, lattice)?;
+            self.seen.grow(gpu, self.lists.capacity())?;
+            frame_array.write(gpu, 0, &[frame]);
+            self.counts.write(gpu, 0, &[0; counts::WORDS]);
+            let tiles = frame.tiles();
+            submit(gpu, "a view", |pass| {
+                let (kernels, scene) = (&self.kernels, &self.parameters);
+                self.lists.record(kernels, pass, &frame_array, n, tiles, scene, &self.counts, None);
+                let drawn = self.lists.drawn();
+                let water = water.map(FrozenWater::planes);
+                planes.record_forward(raster, pass, &frame_array, tiles, &drawn, water, true);
+                let mut buffers = drawn.buffers(&frame_array);
+                buffers.extend(bound![planes.stop, self.seen]);
+                self.seen_kernel.dispatch(pass, Grid::groups(tiles), buffers);
+            })?;
+            let told = self.counts.read(gpu, counts::WORDS)?;
+            if told[counts::STOP] == 0 {
+                return Ok(frame);
+            }
+            let most = told[counts::MOST] as usize;
+            self.lists.grow(gpu, most + most / 2)?;
+        }
+    }
+}
+
+/// A lookup's first row: bits of its fractions, and its nodes.
+fn position(nodes: [u8; 3], fractions: [f32; 3]) -> [u32; 4] {
+    with(fractions, u32::from_le_bytes([nodes[0], nodes[1], nodes[2], 0]))
+}
+
+/// Bits of three numbers, and a word.
+fn with(values: [f32; 3], word: u32) -> [u32; 4] {
+    let [x, y, z] = values.map(f32::to_bits);
+    [x, y, z, word]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_seen_is_numbered_anew_one_gaussian_after_another() {
+        // Two tiles; Gaussian 4 is in both, Gaussian 1 in the first where no pixel sees it, Gaussian 2 in the second.
+        let found = Found {
+            owners: &[4, 4, 1, 2, 2],
+            lists: &[2, 0, 4, 1, 3],
+            seen: &[0, 1, 1, 1, 0],
+            starts: &[0, 3, 5],
+        };
+        let some = found.trimmed(6, Some(&[0, 2]));
+        let expected = Trimmed {
+            listed: vec![0, 2, 4],
+            owners: vec![1, 2, 2],
+            lists: vec![1, 0, 2],
+            starts: vec![0, 2, 3],
+            runs: vec![[0, 0], [0, 1], [1, 2]],
+        };
+        assert_eq!(some, expected);
+        let all = found.trimmed(6, None);
+        assert_eq!((all.listed.len(), &all.owners[..]), (6, &[2, 4, 4][..]));
+        let nothing = Found { owners: &[], lists: &[], seen: &[], starts: &[0, 0] }.trimmed(3, Some(&[1]));
+        assert_eq!((nothing.listed, nothing.starts, nothing.lists.len()), (vec![1], vec![0, 0], 0));
+    }
+}

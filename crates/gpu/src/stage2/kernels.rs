@@ -1,0 +1,319 @@
+//! The kernels of stage 2: what each sees, and its text.
+
+use use3d_training::EngineError;
+
+use crate::device::Gpu;
+use crate::frame::FRAME;
+use crate::kernel::{Access, Binding, Constant, Kernel, ROWS, SUM, Spec, U32S, read, write};
+use crate::raster;
+
+/// Lookups of a workgroup, and of a tile of the kernels that add up parameters.
+pub(super) const LOOKUPS: usize = 64;
+/// Pixels of a workgroup of the water's derivatives.
+pub(super) const WATER_SPAN: usize = 256;
+/// Sums of the colours' derivatives: six outputs, twelve numbers of the affine.
+pub(super) const COLOR_SUMS: usize = 18;
+/// Sums of the water's: the table, the affine, the guide, the ratios.
+pub(super) const WATER_SUMS: usize = 114;
+/// Sums of the guide's.
+pub(super) const GUIDE_SUMS: usize = 4;
+/// Floats of the mean, the table and the ratios together.
+pub(super) const GRADE: usize = 108;
+/// What a word of the status says while nothing is wrong.
+pub(super) const NONE: u32 = u32::MAX;
+/// The first derivative, and the first parameter, that is not finite.
+pub(super) const BAD_GRADIENT: usize = 0;
+/// See [`BAD_GRADIENT`].
+pub(super) const BAD_PARAMETER: usize = 1;
+
+const FIELD: &str = include_str!("field.wgsl");
+const GUIDE: &str = include_str!("guide.wgsl");
+const AFFINE: &str = include_str!("affine.wgsl");
+const SITES: &str = include_str!("sites.wgsl");
+const DECODER: &str = include_str!("decoder.wgsl");
+const TABLE: &str = include_str!("table.wgsl");
+const SUM_ROWS: &str = include_str!("sum_rows.wgsl");
+
+const CONSTANTS: Binding = (Access::Uniform, "field", "Field");
+const SITE_ROWS: Binding = (Access::Read, "sites", "array<vec4<u32>>");
+const STATUS: Binding = (Access::Write, "status", "array<atomic<u32>>");
+const BASE: Binding = (Access::Read, "base", ROWS);
+
+/// Which sums a total is of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Of {
+    Parameters,
+    Colors,
+    Water,
+    Guide,
+}
+
+impl Of {
+    const ALL: [Self; 4] = [Self::Parameters, Self::Colors, Self::Water, Self::Guide];
+
+    /// Where its totals begin among all; parameters have an array of their own.
+    fn first(self) -> usize {
+        match self {
+            Self::Parameters | Self::Colors => 0,
+            Self::Water => COLOR_SUMS,
+            Self::Guide => COLOR_SUMS + WATER_SUMS,
+        }
+    }
+}
+
+/// A field of one rank; the other sizes are no constants.
+struct Variant(usize);
+
+impl Variant {
+    fn spec(&self, name: &'static str, threads: u32, bindings: &[Binding], parts: &[&'static str]) -> Spec {
+        let count = |value: usize| Constant::Count(value as u32);
+        Spec {
+            name,
+            threads,
+            bindings: bindings.to_vec(),
+            constants: vec![
+                ("RANK", count(self.0)),
+                ("NONE", Constant::Count(NONE)),
+                ("BAD_GRADIENT", count(BAD_GRADIENT)),
+                ("BAD_PARAMETER", count(BAD_PARAMETER)),
+            ],
+            parts: parts.to_vec(),
+        }
+    }
+
+    fn lookup(&self) -> Spec {
+        let partial = (Access::Write, "partial", ROWS);
+        let bindings = [CONSTANTS, read("state"), SITE_ROWS, write("raw"), partial];
+        let parts = [FIELD, GUIDE, SITES, DECODER, SUM_ROWS, include_str!("lookup.wgsl")];
+        self.spec("lookup", LOOKUPS as u32, &bindings, &parts)
+    }
+
+    fn grade(&self) -> Spec {
+        let partial = (Access::Read, "partial", ROWS);
+        let bindings = [CONSTANTS, read("state"), read("raw"), partial, write("grade")];
+        self.spec("grade", 64, &bindings, &[FIELD, SUM_ROWS, include_str!("grade.wgsl")])
+    }
+
+    fn recolor(&self) -> Spec {
+        let splats = (Access::Write, "splats", ROWS);
+        let bindings = [CONSTANTS, read("state"), read("raw"), read("grade"), BASE, splats];
+        self.spec("recolor", 64, &bindings, &[FIELD, AFFINE, include_str!("recolor.wgsl")])
+    }
+
+    fn water(&self) -> Spec {
+        let bindings = [
+            CONSTANTS,
+            read("state"),
+            read("grade"),
+            read("color"),
+            read("logs"),
+            read("attenuation"),
+            read("backscatter"),
+            write("new_color"),
+            write("new_attenuation"),
+            write("new_backscatter"),
+        ];
+        let parts = [FIELD, GUIDE, AFFINE, TABLE, include_str!("water.wgsl")];
+        self.spec("enhanced water", 64, &bindings, &parts)
+    }
+
+    fn recolor_back(&self) -> Spec {
+        let bindings = [
+            CONSTANTS,
+            read("state"),
+            read("raw"),
+            read("grade"),
+            BASE,
+            (Access::Read, "runs", "array<vec2<u32>>"),
+            (Access::Read, "records", ROWS),
+            write("slopes"),
+            write("partial"),
+        ];
+        let parts = [FIELD, AFFINE, SUM_ROWS, include_str!("recolor_back.wgsl")];
+        self.spec("recolor backward", LOOKUPS as u32, &bindings, &parts)
+    }
+
+    fn water_back(&self) -> Spec {
+        let bindings = [
+            CONSTANTS,
+            read("state"),
+            read("grade"),
+            read("color"),
+            read("logs"),
+            read("attenuation"),
+            read("backscatter"),
+            read("image_pull"),
+            read("veil"),
+            read("light_by_depth"),
+            read("veil_by_depth"),
+            write("partial"),
+        ];
+        let parts = [FIELD, GUIDE, AFFINE, TABLE, include_str!("water_back.wgsl")];
+        self.spec("enhanced water backward", 128, &bindings, &parts)
+    }
+
+    fn total(&self, of: Of) -> Spec {
+        let bindings = [CONSTANTS, read("partial"), write("totals")];
+        let mut spec = self.spec("total of sums", 64, &bindings, &[FIELD, SUM, include_str!("total.wgsl")]);
+        spec.constants.push(("OF", Constant::Count(of as u32)));
+        spec.constants.push(("FIRST", Constant::Count(of.first() as u32)));
+        spec
+    }
+
+    fn table_back(&self) -> Spec {
+        let bindings = [CONSTANTS, read("totals"), read("grade"), write("slopes")];
+        self.spec("water table backward", 64, &bindings, &[FIELD, include_str!("table_back.wgsl")])
+    }
+
+    fn lookup_back(&self) -> Spec {
+        let bindings = [
+            CONSTANTS,
+            read("state"),
+            SITE_ROWS,
+            read("totals"),
+            write("slopes"),
+            write("codes"),
+            write("partial"),
+        ];
+        let parts = [FIELD, GUIDE, SITES, DECODER, SUM_ROWS, include_str!("lookup_back.wgsl")];
+        self.spec("lookup backward", LOOKUPS as u32, &bindings, &parts)
+    }
+
+    fn units(&self) -> Spec {
+        let bindings = [CONSTANTS, read("state"), read("slopes"), read("codes"), write("partial")];
+        self.spec("hidden units", LOOKUPS as u32, &bindings, &[FIELD, DECODER, include_str!("units.wgsl")])
+    }
+
+    fn nodes(&self) -> Spec {
+        let bindings = [CONSTANTS, read("state"), SITE_ROWS, read("codes"), write("partial")];
+        let parts = [FIELD, GUIDE, SITES, include_str!("nodes.wgsl")];
+        self.spec("factor nodes", LOOKUPS as u32, &bindings, &parts)
+    }
+
+    fn gradient(&self, water: bool) -> Spec {
+        let bindings = [
+            CONSTANTS,
+            read("state"),
+            read("totals"),
+            read("grade"),
+            read("of_field"),
+            write("gradient"),
+            STATUS,
+        ];
+        let mut spec = self.spec("gradient", 64, &bindings, &[FIELD, include_str!("gradient.wgsl")]);
+        spec.constants.push(("WATER", Constant::Switch(water)));
+        spec
+    }
+
+    fn learn(&self) -> Spec {
+        let bindings = [CONSTANTS, read("gradient"), write("state"), STATUS];
+        self.spec("field update", 64, &bindings, &[FIELD, include_str!("learn.wgsl")])
+    }
+}
+
+fn seen() -> Spec {
+    let more = [(Access::Read, "stops", U32S), (Access::Write, "seen", U32S)];
+    Spec {
+        name: "seen entries",
+        threads: 64,
+        bindings: [&raster::TILE[..], &more[..]].concat(),
+        constants: vec![],
+        parts: vec![FRAME, raster::SHARED, include_str!("seen.wgsl")],
+    }
+}
+
+fn colors(water: bool) -> Spec {
+    let more = [
+        read("k_attenuation"),
+        (Access::Read, "stops", U32S),
+        read("image_pull"),
+        (Access::Write, "records", ROWS),
+    ];
+    Spec {
+        name: "colours backward",
+        threads: 64,
+        bindings: [&raster::TILE[..], &more[..]].concat(),
+        constants: vec![("WATER", Constant::Switch(water))],
+        parts: vec![FRAME, raster::SHARED, include_str!("colors.wgsl")],
+    }
+}
+
+/// All kernels of this room, for fields of the smallest, the method's and the largest rank.
+pub(crate) fn specs() -> Vec<Spec> {
+    let of_rank = |rank| {
+        let v = Variant(rank);
+        let mut all = vec![
+            v.lookup(),
+            v.grade(),
+            v.recolor(),
+            v.water(),
+            v.recolor_back(),
+            v.water_back(),
+            v.table_back(),
+            v.lookup_back(),
+            v.units(),
+            v.nodes(),
+            v.gradient(false),
+            v.gradient(true),
+            v.learn(),
+        ];
+        all.extend(Of::ALL.map(|of| v.total(of)));
+        all
+    };
+    let mut specs: Vec<Spec> = [1, 8, 16].into_iter().flat_map(of_rank).collect();
+    specs.extend([seen(), colors(false), colors(true)]);
+    specs
+}
+
+/// The kernels for a field of one rank.
+#[derive(Debug)]
+pub(super) struct FieldKernels {
+    pub(super) lookup: Kernel,
+    pub(super) grade: Kernel,
+    pub(super) recolor: Kernel,
+    pub(super) water: Kernel,
+    pub(super) recolor_back: Kernel,
+    pub(super) water_back: Kernel,
+    totals: [Kernel; 4],
+    pub(super) table_back: Kernel,
+    pub(super) lookup_back: Kernel,
+    pub(super) units: Kernel,
+    pub(super) nodes: Kernel,
+    /// Without water, and with.
+    pub(super) gradient: [Kernel; 2],
+    pub(super) learn: Kernel,
+    pub(super) colors: [Kernel; 2],
+}
+
+impl FieldKernels {
+    pub(super) fn new(gpu: &Gpu, rank: usize) -> Result<Self, EngineError> {
+        let v = Variant(rank);
+        let kernel = |spec: Spec| Kernel::new(gpu, &spec);
+        let total = |of| kernel(v.total(of));
+        Ok(Self {
+            lookup: kernel(v.lookup())?,
+            grade: kernel(v.grade())?,
+            recolor: kernel(v.recolor())?,
+            water: kernel(v.water())?,
+            recolor_back: kernel(v.recolor_back())?,
+            water_back: kernel(v.water_back())?,
+            totals: [total(Of::Parameters)?, total(Of::Colors)?, total(Of::Water)?, total(Of::Guide)?],
+            table_back: kernel(v.table_back())?,
+            lookup_back: kernel(v.lookup_back())?,
+            units: kernel(v.units())?,
+            nodes: kernel(v.nodes())?,
+            gradient: [kernel(v.gradient(false))?, kernel(v.gradient(true))?],
+            learn: kernel(v.learn())?,
+            colors: [kernel(colors(false))?, kernel(colors(true))?],
+        })
+    }
+
+    pub(super) fn total(&self, of: Of) -> &Kernel {
+        &self.totals[of as usize]
+    }
+}
+
+/// The kernel that finds the entries that some pixel sees.
+pub(super) fn seen_kernel(gpu: &Gpu) -> Result<Kernel, EngineError> {
+    Kernel::new(gpu, &seen())
+}

@@ -1,0 +1,45 @@
+// One workgroup per tile, one thread per entry: whether some pixel that is still being composed when its turn comes lies within its
+// contour. What no pixel sees is skipped by the compositor anyway; a little is added to the contour, so that what its test rounds
+// otherwise is kept.
+const MARGIN: f32 = 1e-3f;
+
+var<workgroup> ends: array<u32, 256>;
+
+@compute @workgroup_size(WG)
+fn main(
+    @builtin(workgroup_id) wid: vec3<u32>,
+    @builtin(num_workgroups) nwg: vec3<u32>,
+    @builtin(local_invocation_index) lid: u32,
+) {
+    let tile = group_of(wid, nwg);
+    if (tile >= frame.size.z * frame.size.w) { return; }
+    let left = (tile % frame.size.z) * TILE;
+    let top = (tile / frame.size.z) * TILE;
+    let columns = min(TILE, frame.size.x - left);
+    let rows = min(TILE, frame.size.y - top);
+    for (var p = lid; p < PIXELS; p += WG) {
+        let column = p % TILE;
+        let row = p / TILE;
+        if (column < columns && row < rows) { ends[p] = stops[(top + row) * frame.size.x + left + column]; }
+    }
+    workgroupBarrier();
+    let first = starts[tile];
+    let count = starts[tile + 1u] - first;
+    for (var k = lid; k < count; k += WG) {
+        let i = owners[lists[first + k]];
+        let a = splats[3u * i];
+        let b = splats[3u * i + 1u];
+        var sees = 0u;
+        for (var row = 0u; row < rows && sees == 0u; row++) {
+            let dy = axes[frame.size.z * TILE + top + row] - a.y;
+            let peak = fma(b.x, -(dy * dy), b.y);
+            if (peak < -LOG2_255 - MARGIN) { continue; }
+            for (var column = 0u; column < columns; column++) {
+                let t = axes[left + column] - fma(a.z, -dy, a.x);
+                // The Gaussian that ends a pixel is one that it sees.
+                if (fma(t * a.w, -t, peak) >= -LOG2_255 - MARGIN && ends[row * TILE + column] >= k) { sees = 1u; }
+            }
+        }
+        seen[first + k] = sees;
+    }
+}

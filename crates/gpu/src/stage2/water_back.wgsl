@@ -1,0 +1,97 @@
+// Derivatives by what the enhanced water depends on, from what the forward pass summed along every ray:
+//
+//   by c    = g (1 - V)      by k_bs = g c MB ln 2      by k_attn = -g MA ln 2
+//
+// with V = sum w e_bs (`veil`), MB = sum w z e_bs (`veil_by_depth`), MA = sum w z c e_attn (`light_by_depth`). A workgroup takes 256
+// pixels, 64 at a time; each of its threads owns one sum: 16 x 6 of the table, 12 of the affine, 4 of the guide, 2 of the ratios.
+const LN_2: f32 = 0.69314718f;
+const SPAN: u32 = 256u;
+const AT_ONCE: u32 = 64u;
+
+struct Pixel {
+    row: u32,
+    t: f32,
+    by_guide: f32,
+    by_gain: vec3<f32>,
+    by_bias: vec3<f32>,
+    through: vec3<f32>,
+    color: vec3<f32>,
+    logs: vec3<f32>,
+    by_ratios: vec2<f32>,
+}
+
+var<workgroup> pixels: array<Pixel, 64>;
+
+fn pixel_at(p: u32) -> Pixel {
+    let n = field.pixels;
+    var out = Pixel();
+    out.color = vec3<f32>(color[p], color[n + p], color[2u * n + p]);
+    out.logs = vec3<f32>(logs[p], logs[n + p], logs[2u * n + p]);
+    let gamma = guide_of(out.logs);
+    let seen = table_at(gamma);
+    let graded = graded_of(out.color);
+    out.row = seen.place.node;
+    out.t = seen.place.t;
+    var rise = 0.0f;
+    for (var c = 0u; c < 3u; c++) {
+        let at = c * n + p;
+        let g = image_pull[at];
+        let d = g * (1.0f - veil[at]);
+        let now = fma(seen.gain[c], graded[c], seen.bias[c]);
+        out.by_bias[c] = d;
+        out.by_gain[c] = d * graded[c];
+        out.through[c] = d * seen.gain[c];
+        rise += out.by_gain[c] * seen.gain_rise[c] + d * seen.bias_rise[c];
+        out.by_ratios.x += g * now * veil_by_depth[at] * backscatter[at];
+        out.by_ratios.y -= g * light_by_depth[at] * attenuation[at];
+    }
+    out.by_ratios *= LN_2;
+    out.by_guide = rise * (0.5f * f32(TABLE - 1u)) * (1.0f - gamma * gamma);
+    return out;
+}
+
+@compute @workgroup_size(WG)
+fn main(
+    @builtin(workgroup_id) wid: vec3<u32>,
+    @builtin(num_workgroups) nwg: vec3<u32>,
+    @builtin(local_invocation_index) lid: u32,
+) {
+    let group = group_of(wid, nwg);
+    if (group >= field.water_groups) { return; }
+    let end = min((group + 1u) * SPAN, field.pixels);
+    var sum = 0.0f;
+    for (var first = group * SPAN; first < end; first += AT_ONCE) {
+        workgroupBarrier();
+        if (lid < AT_ONCE && first + lid < end) { pixels[lid] = pixel_at(first + lid); }
+        workgroupBarrier();
+        let count = min(AT_ONCE, end - first);
+        var own = 0.0f;
+        for (var k = 0u; k < count; k++) {
+            if (lid < WATER_AFFINE) {
+                let row = lid / OUTPUTS;
+                let o = lid % OUTPUTS;
+                var weight = 0.0f;
+                if (pixels[k].row == row) { weight = 1.0f - pixels[k].t; }
+                if (pixels[k].row + 1u == row) { weight = pixels[k].t; }
+                var value = pixels[k].by_gain[o % 3u];
+                if (o >= 3u) { value = pixels[k].by_bias[o % 3u]; }
+                own += weight * value;
+            } else if (lid < WATER_GUIDE) {
+                let o = (lid - WATER_AFFINE) / 4u;
+                let x = lid % 4u;
+                var factor = 1.0f;
+                if (x < 3u) { factor = pixels[k].color[x]; }
+                own += pixels[k].through[o] * factor;
+            } else if (lid < WATER_RATIOS) {
+                let x = lid - WATER_GUIDE;
+                var factor = 1.0f;
+                if (x < 3u) { factor = pixels[k].logs[x]; }
+                own += pixels[k].by_guide * factor;
+            } else if (lid < WATER_SUMS) {
+                own += pixels[k].by_ratios[lid - WATER_RATIOS];
+            }
+        }
+        sum += own;
+    }
+    if (lid < WATER_SUMS) { partial[WATER_SUMS * group + lid] = sum; }
+}
