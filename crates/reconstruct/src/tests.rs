@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use use3d_capture::{
-    Camera, Capture, Frame, Intrinsics, Lattice, Map, MediumMaps, Pixels, Pose, SparsePoint, Split, View,
+    Camera, Capture, Frame, Image, Intrinsics, Lattice, Map, MediumMaps, Pixels, Pose, SparsePoint, Split,
+    View,
 };
 use use3d_golden::{CaseGaussians, Part};
 use use3d_medium::{MediumModel, MediumRbf};

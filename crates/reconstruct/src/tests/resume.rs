@@ -1,6 +1,85 @@
 //! Interrupted runs, longer ones and several at once come to the same bytes.
 
+use std::borrow::Cow;
+
+use use3d_training::{Drain, EngineError};
+
 use super::*;
+use crate::density::{Draws, Origin, Survey};
+use crate::engine::{Diagnostics, StepReport};
+
+/// An engine that does some steps and then loses its device: it answers nothing any more.
+struct Mortal {
+    engine: CpuEngine,
+    steps: u64,
+}
+
+impl Mortal {
+    fn alive(&mut self) -> Result<&mut CpuEngine, EngineError> {
+        if self.steps > 0 {
+            return Ok(&mut self.engine);
+        }
+        Err(EngineError::DeviceLost { engine: "mortal", reason: "it was pulled out".into() })
+    }
+}
+
+impl Diagnostics for Mortal {}
+
+impl Engine for Mortal {
+    fn upload(&mut self, view: TrainingView) -> Result<usize, EngineError> {
+        self.alive()?.upload(view)
+    }
+    fn load(&mut self, state: TrainingState) -> Result<(), EngineError> {
+        self.alive()?.load(state)
+    }
+    fn save(&mut self) -> Result<Cow<'_, TrainingState>, EngineError> {
+        self.alive()?.save()
+    }
+    fn step(&mut self, view: usize, plan: &StepPlan) -> Result<(), EngineError> {
+        self.alive()?.step(view, plan)?;
+        self.steps -= 1;
+        Ok(())
+    }
+    fn drain(&mut self, which: Drain) -> Result<Vec<StepReport>, EngineError> {
+        self.alive()?.drain(which)
+    }
+    fn survey(&mut self) -> Result<Survey, EngineError> {
+        self.alive()?.survey()
+    }
+    fn forget_statistics(&mut self) -> Result<(), EngineError> {
+        self.alive()?.forget_statistics()
+    }
+    fn rebuild(&mut self, rows: &[Origin], draws: &Draws) -> Result<(), EngineError> {
+        self.alive()?.rebuild(rows, draws)
+    }
+    fn limit_opacity(&mut self, ceiling: f64) -> Result<(), EngineError> {
+        self.alive()?.limit_opacity(ceiling)
+    }
+    fn forget_water_moments(&mut self) -> Result<(), EngineError> {
+        self.alive()?.forget_water_moments()
+    }
+    fn render(&mut self, camera: &Camera, degrees: Degrees, out: &mut Image) -> Result<(), EngineError> {
+        self.alive()?.render(camera, degrees, out)
+    }
+}
+
+#[test]
+fn a_lost_device_ends_the_run_with_a_word_and_its_checkpoints_are_gone_on_from() {
+    let (capture, loaded) = tiny_capture(6);
+    let params = ReconstructParams { checkpoint_steps: 8, ..tiny_params(40) };
+    let dir = tempfile::tempdir().unwrap();
+    let mut mortal = Mortal { engine: CpuEngine::new(), steps: 27 };
+    let known = Known::default();
+    let (place, loader) = (Some(dir.path()), loader(&loaded));
+    let lost = crate::reconstruct_in(&capture, &known, &loader, &params, &mut mortal, place, &mut Silent);
+    let said = lost.map(|_| ()).unwrap_err().to_string();
+    assert!(said.contains("lost its device (it was pulled out)") && said.contains("run again"), "{said}");
+    let mut watcher = Watcher::default();
+    let resumed = reconstruct(&capture, &loader, &params, place, &mut watcher).unwrap();
+    let from = watcher.notices.iter().find(|notice| notice.contains("going on from step"));
+    assert!(from.is_some_and(|notice| notice.contains("step 2") || notice.contains("step 1")), "{from:?}");
+    assert!(same(&reconstruct(&capture, &loader, &params, None, &mut Watcher::default()).unwrap(), &resumed));
+}
 
 #[test]
 fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
