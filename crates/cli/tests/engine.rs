@@ -91,6 +91,30 @@ fn a_training_runs_on_a_software_card_by_its_name() {
     let (card, cpu, least) = (psnr("card"), psnr("processor"), psnr("hardly"));
     assert!((card - cpu).abs() < 0.05, "{card} dB on the card, {cpu} dB on the processor");
     assert!(card > least + 0.3, "{card} dB on the card, {least} dB after a single step");
+
+    // The same scene drawn by both: pictures of 8 bits differ by a level at most.
+    let draw = |engine: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_use3d"));
+        command.args(["render", &place.at("card"), "--cameras", &place.at("tiny"), "--held-out"]);
+        command.args(["--modes", "reconstruction,clear", "--out", &place.at(engine), "--engine", engine]);
+        let output = command.output().expect("the command starts");
+        assert_eq!(output.status.code(), Some(0), "{}", said(&output));
+        said(&output)
+    };
+    assert!(draw("gpu:llvmpipe").contains("engine: gpu, llvmpipe"));
+    draw("cpu");
+    let files = |engine: &str| tiny::files(std::path::Path::new(&place.at(engine)));
+    let (card, cpu) = (files("gpu:llvmpipe"), files("cpu"));
+    assert!(!card.is_empty() && card.keys().eq(cpu.keys()), "{:?}", card.keys());
+    for file in card.keys() {
+        let read = |engine: &str| {
+            let path = std::path::Path::new(&place.at(engine)).join(file);
+            use3d_io_image::read_image(&path).expect("a picture")
+        };
+        let (card, cpu) = (read("gpu:llvmpipe"), read("cpu"));
+        let off = card.data().iter().zip(cpu.data()).map(|(a, b)| (a - b).abs()).fold(0.0f32, f32::max);
+        assert!(off < 1.5 / 255.0, "{}: {off}", file.display());
+    }
 }
 
 /// A whole run takes the card for both stages, and stage 2 ends where the processor's does.

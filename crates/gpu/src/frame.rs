@@ -33,7 +33,7 @@ pub(crate) struct Frame {
     pub(crate) extent: [f32; 4],
     /// Of the lattice: width, height, tiles across, tiles down.
     pub(crate) size: [u32; 4],
-    /// Gaussians, bands of colour active (1, 4, 9 or 16), entries there is room for, the step modulo 2^32.
+    /// Gaussians, bands of colour active (1, 4, 9 or 16; 0: colours are given as they are, three numbers each), entries there is room for, the step modulo 2^32.
     pub(crate) counts: [u32; 4],
     /// Water (0 or 1), gradients through distances (0 or 1), statistics gathered (0 or 1), place of the step's report.
     pub(crate) flags: [u32; 4],

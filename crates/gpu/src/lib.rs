@@ -44,6 +44,7 @@ pub mod bench;
 mod buffer;
 mod check;
 mod device;
+mod drawing;
 mod frame;
 mod kernel;
 mod lists;
@@ -64,6 +65,7 @@ mod water;
 
 pub use check::{CheckError, check, checked_adapters, open_checked};
 pub use device::{AdapterReport, DeviceError, Gpu, adapters};
+pub use drawing::{Drawing, DrawnView};
 pub use profile::KernelTime;
 pub use stage1::Stage1;
 pub use stage2::Stage2;

@@ -49,18 +49,30 @@ fn spec(
     }
 }
 
-fn forward(water: bool, train: bool) -> Spec {
+/// What the forward pass leaves beside image, depth and accumulation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kept {
+    Nothing,
+    /// What the backward passes need.
+    Training,
+    /// The image's parts, in the places of the sums along rays: object, clear, and the water behind the last Gaussian.
+    Layers,
+}
+
+const KEPT: [Kept; 3] = [Kept::Nothing, Kept::Training, Kept::Layers];
+
+fn forward(water: bool, kept: Kept) -> Spec {
     let more = [
         write("image"),
         write("depths"),
         write("accumulations"),
         write("transmittances"),
         (Access::Write, "stops", U32S),
-        write("veils"),
-        write("object_moments"),
-        write("veil_moments"),
+        write("first_kept"),
+        write("second_kept"),
+        write("third_kept"),
     ];
-    let switches = [("WATER", water), ("TRAIN", train)];
+    let switches = [("WATER", water), ("TRAIN", kept == Kept::Training), ("LAYERS", kept == Kept::Layers)];
     spec("forward", FORWARD, &more, &switches, include_str!("raster/forward.wgsl"))
 }
 
@@ -80,7 +92,7 @@ fn backward(water: bool) -> Spec {
 /// All kernels of this room.
 pub(crate) fn specs() -> Vec<Spec> {
     let both = [false, true];
-    let mut specs: Vec<Spec> = both.iter().flat_map(|w| both.map(|t| forward(*w, t))).collect();
+    let mut specs: Vec<Spec> = both.iter().flat_map(|w| KEPT.map(|k| forward(*w, k))).collect();
     specs.extend(both.map(backward));
     specs
 }
@@ -88,22 +100,20 @@ pub(crate) fn specs() -> Vec<Spec> {
 /// The kernels.
 #[derive(Debug)]
 pub(crate) struct RasterKernels {
-    /// By water, by training.
-    forward: [[Kernel; 2]; 2],
+    /// By water, by what is [`Kept`].
+    forward: [[Kernel; 3]; 2],
     /// By water.
     backward: [Kernel; 2],
 }
 
 impl RasterKernels {
     pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
-        let pair = |water| {
-            Ok::<_, EngineError>([
-                Kernel::new(gpu, &forward(water, false))?,
-                Kernel::new(gpu, &forward(water, true))?,
-            ])
+        let each = |water| {
+            let [a, b, c] = KEPT.map(|kept| Kernel::new(gpu, &forward(water, kept)));
+            Ok::<_, EngineError>([a?, b?, c?])
         };
         Ok(Self {
-            forward: [pair(false)?, pair(true)?],
+            forward: [each(false)?, each(true)?],
             backward: [Kernel::new(gpu, &backward(false))?, Kernel::new(gpu, &backward(true))?],
         })
     }
@@ -219,7 +229,34 @@ impl Planes {
         water: Option<WaterPlanes<'_>>,
         train: bool,
     ) {
-        let kernel = &kernels.forward[usize::from(water.is_some())][usize::from(train)];
+        let kept = if train { Kept::Training } else { Kept::Nothing };
+        self.record(kernels, pass, frame, tiles, drawn, water, kept);
+    }
+
+    /// Records the forward pass with the image's parts: object, clear and far in `veil`, `object_moment` and `veil_moment`.
+    pub(crate) fn record_layers(
+        &self,
+        kernels: &RasterKernels,
+        pass: &mut wgpu::ComputePass<'_>,
+        frame: &Array<Frame>,
+        tiles: usize,
+        drawn: &Drawn<'_>,
+        water: Option<WaterPlanes<'_>>,
+    ) {
+        self.record(kernels, pass, frame, tiles, drawn, water, Kept::Layers);
+    }
+
+    fn record(
+        &self,
+        kernels: &RasterKernels,
+        pass: &mut wgpu::ComputePass<'_>,
+        frame: &Array<Frame>,
+        tiles: usize,
+        drawn: &Drawn<'_>,
+        water: Option<WaterPlanes<'_>>,
+        kept: Kept,
+    ) {
+        let kernel = &kernels.forward[usize::from(water.is_some())][kept as usize];
         let mut buffers = self.tile(frame, drawn, water);
         buffers.extend(bound![
             self.image,

@@ -14,3 +14,5 @@ pub mod results;
 pub mod scene_page;
 pub mod stages;
 pub mod water;
+
+pub use engines::Drawn;

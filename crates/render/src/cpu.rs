@@ -1,5 +1,6 @@
-//! The backend that defines what is right: the compositor on the processor, the same bytes on any number of
-//! threads.
+//! Looks at a scene: its colours graded, its water thinned, and the rest left to a [`Composer`].
+//!
+//! [`Cpu`] composes on the processor and defines what is right: the same bytes on any number of threads.
 
 use use3d_capture::{Camera, Image, Lattice, MediumMaps};
 use use3d_scene::{Compositor, Scene};
@@ -7,15 +8,37 @@ use use3d_splat::{Options, Rendered};
 use use3d_ubaf::enhancement::ObjectGrades;
 
 use crate::RenderError;
-use crate::backend::{Backend, Request};
+use crate::backend::{Backend, Composer, Composition, Request};
 use crate::renderer::Look;
 
+/// Composes on the processor.
+pub struct Processor<'s> {
+    scene: &'s Scene,
+    compositor: Compositor,
+}
+
+impl Composer for Processor<'_> {
+    fn compose(&mut self, view: &Composition<'_>, out: &mut Rendered) -> Result<(), RenderError> {
+        let Composition { camera, lattice, recolor, medium, layers } = *view;
+        self.compositor.prepare(self.scene, camera, lattice, |colors| {
+            if let Some(recolor) = recolor {
+                recolor(colors);
+            }
+        });
+        self.compositor.draw(medium, &Options { layers, ..Options::default() }, out);
+        Ok(())
+    }
+}
+
 /// Draws on the processor.
-pub struct Cpu<'s> {
+pub type Cpu<'s> = Looking<'s, Processor<'s>>;
+
+/// One look at a scene, composed wherever `C` composes.
+pub struct Looking<'s, C> {
     scene: &'s Scene,
     /// Per-Gaussian grades and the strength, if enhanced.
     grades: Option<(ObjectGrades, f32)>,
-    compositor: Compositor,
+    composer: C,
     /// The water in front of the last camera, as the look has it.
     maps: MediumMaps,
     /// `maps` with the coefficients of the water that is left.
@@ -23,18 +46,28 @@ pub struct Cpu<'s> {
 }
 
 impl<'s> Cpu<'s> {
-    /// For one look. The field is evaluated here, once; a view then costs one affine per Gaussian more than
-    /// the reconstruction.
+    /// For one look, on the processor.
+    ///
+    /// # Errors
+    /// See [`Looking::on`].
+    pub fn new(scene: &'s Scene, look: Look) -> Result<Self, RenderError> {
+        Self::on(Processor { scene, compositor: Compositor::new() }, scene, look)
+    }
+}
+
+impl<'s, C: Composer> Looking<'s, C> {
+    /// For one look, by a composer of the same scene. The field is evaluated here, once; a view then costs one
+    /// affine per Gaussian more than the reconstruction.
     ///
     /// # Errors
     /// A strength outside `[0, 1]`, or a scene that is not enhanced.
-    pub fn new(scene: &'s Scene, look: Look) -> Result<Self, RenderError> {
+    pub fn on(composer: C, scene: &'s Scene, look: Look) -> Result<Self, RenderError> {
         let grades = match look {
             Look::Reconstruction => None,
             Look::Enhanced { strength } => Some((grades(scene, strength)?, strength)),
         };
         let (maps, thinned) = (MediumMaps::zeros(0, 0), MediumMaps::zeros(0, 0));
-        Ok(Self { scene, grades, compositor: Compositor::new(), maps, thinned })
+        Ok(Self { scene, grades, composer, maps, thinned })
     }
 
     /// The water in front of a camera, as this look has it, all of it.
@@ -50,19 +83,16 @@ impl<'s> Cpu<'s> {
     }
 }
 
-impl Backend for Cpu<'_> {
+impl<C: Composer> Backend for Looking<'_, C> {
     fn draw(&mut self, request: &Request<'_>, out: &mut Rendered) -> Result<(), RenderError> {
         let Request { camera, lattice, water, layers } = *request;
         if water.is_some() {
             self.look_through(camera, lattice);
         }
         let water = water.unwrap_or(0.0);
-        let grades = &self.grades;
-        self.compositor.prepare(self.scene, camera, lattice, |colors| {
-            if let Some((grades, _)) = grades {
-                grades.apply(colors);
-            }
-        });
+        let graded =
+            self.grades.as_ref().map(|(grades, _)| move |colors: &mut [[f32; 3]]| grades.apply(colors));
+        let recolor = graded.as_ref().map(|graded| graded as &dyn Fn(&mut [[f32; 3]]));
         let dry = self.scene.medium.is_none() || water == 0.0;
         let thinned = !dry && water < 1.0;
         let medium = if dry {
@@ -73,7 +103,7 @@ impl Backend for Cpu<'_> {
         } else {
             Some(&self.maps)
         };
-        self.compositor.draw(medium, &Options { layers, ..Options::default() }, out);
+        self.composer.compose(&Composition { camera, lattice, recolor, medium, layers }, out)?;
         if thinned {
             dim_open_water(&self.maps.color, water, out);
         }

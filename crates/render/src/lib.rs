@@ -5,8 +5,8 @@
 //!          draws      a look      modes            colours for people
 //! ```
 //!
-//! A [`Backend`] holds a scene and draws it from any camera; [`Cpu`] is the one that defines what is right. A
-//! [`Renderer`] draws one [`Look`] with a share of the water, a [`SceneRenderer`] every [`Mode`] from one
+//! A [`Backend`] holds a scene and draws it from any camera; [`Cpu`] is the one that defines what is right, and
+//! [`Looking`] makes one of any device that can compose Gaussians ([`Composer`]). A [`Renderer`] draws one [`Look`] with a share of the water, a [`SceneRenderer`] every [`Mode`] from one
 //! camera at a time. [`picture`] turns a mode's numbers into colours, [`cover`] and [`focus`] frame cameras,
 //! [`Film`] writes frames one after another. [`bake`] writes the enhancement into spherical harmonics for
 //! viewers that know nothing of it, [`medium_profile`] and [`medium_along`] read the water alone.
@@ -25,9 +25,9 @@ mod pictures;
 mod profile;
 mod renderer;
 
-pub use backend::{Backend, Request};
+pub use backend::{Backend, Composer, Composition, Request};
 pub use bake::{BakeReport, bake};
-pub use cpu::Cpu;
+pub use cpu::{Cpu, Looking, Processor};
 pub use error::RenderError;
 pub use film::{Film, FilmError};
 pub use framing::{cover, focus};

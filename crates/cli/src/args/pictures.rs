@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use clap::{Args, ValueEnum};
+use use3d_reconstruct::EngineChoice;
 
 use super::shared::{Replace, count};
 
@@ -89,6 +90,9 @@ pub(crate) struct RenderArgs {
     /// With --fps: one JSON document on stdout.
     #[arg(long, requires = "fps")]
     pub(crate) json: bool,
+    /// What draws: auto, cpu, gpu or gpu:NAME (`use3d devices` lists them). A card shows what the processor shows, to 1e-5.
+    #[arg(long, default_value_t, value_name = "ENGINE")]
+    pub(crate) engine: EngineChoice,
     /// How much of the enhancement to apply, 0 (reconstruction) to 1.
     #[arg(long, default_value_t = 1.0, value_name = "0..1")]
     pub(crate) strength: f32,

@@ -6,6 +6,7 @@ use use3d_build::machine::bytes;
 use use3d_build::{Event, place};
 use use3d_capture::FileName;
 use use3d_import::read_images_txt;
+use use3d_pipeline::Drawn;
 use use3d_render::{Mode, SceneRenderer, picture};
 use use3d_scene::Scene;
 use use3d_web::path::CameraPath;
@@ -50,7 +51,7 @@ fn read(args: &RenderArgs, file: &Path, quiet: bool) -> Result<CameraPath, Strin
 }
 
 /// `use3d render SCENE --path FILE`.
-pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene, file: &Path) -> Done {
+pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene, drawn: &Drawn<'_>, file: &Path) -> Done {
     let wrong = |what: &str| CliError::Input(format!("--path {}: {what}", path_text(file)));
     let path = read(args, file, app.quiet).map_err(|what| wrong(&what))?;
     let (width, height) = args.size.as_deref().map(parse_size).transpose()?.unwrap_or(SIZE);
@@ -112,7 +113,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene, file: &Path) -> D
         let (_, drawing) = match ready {
             Some(ready) => renderer.insert(ready),
             None => {
-                let made = SceneRenderer::new(scene, look.0).and_then(|r| r.with_water(look.1));
+                let made = drawn.renderer(look.0).and_then(|r| r.with_water(look.1));
                 renderer.insert((look, made.map_err(CliError::input)?))
             }
         };

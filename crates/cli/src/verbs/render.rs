@@ -8,6 +8,8 @@ use use3d_build::{Event, place};
 use use3d_capture::{Camera, FileName, path, stem};
 use use3d_import::read_cameras;
 use use3d_io_image::{write_exr, write_exr_map, write_png, write_png_map};
+use use3d_pipeline::Drawn;
+use use3d_reconstruct::EngineChoice;
 use use3d_render::{Film, FilmError, Frame, Mode, SceneRenderer, cover, focus, picture};
 use use3d_scene::{Origin, Scene};
 
@@ -39,16 +41,21 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
         let unchanged: Vec<&str> = modes.iter().map(|mode| mode.name()).collect();
         eprintln!("--water {} changes nothing in {}", args.water, unchanged.join(", "));
     }
+    let drawn = Drawn::new(&scene, &args.engine)
+        .map_err(|what| CliError::Input(format!("--engine {}: {what}", args.engine)))?;
+    if args.engine != EngineChoice::Cpu && !app.quiet {
+        eprintln!("engine: {}", drawn.told());
+    }
     if let Some(CameraPath::File(path)) = &args.path {
-        return super::film_path::run(app, args, &scene, path);
+        return super::film_path::run(app, args, &scene, &drawn, path);
     }
     if args.fps {
-        return super::speed::run(app, args, &scene);
+        return super::speed::run(app, args, &scene, &drawn);
     }
     let cameras = cameras(args, &scene)?;
     let files = files(&cameras, args.format)?;
     check_places(args, &modes, &files)?;
-    let mut renderer = renderer(args, &scene)?;
+    let mut renderer = renderer(args, &drawn)?;
     let mut film = args.video.as_deref().map(|path| film(path, args.frame_rate)).transpose()?;
     let total = cameras.len() as u64;
     for (i, ((name, camera), file)) in cameras.iter().zip(&files).enumerate() {
@@ -98,8 +105,8 @@ pub(crate) fn modes(names: &[String]) -> Result<Vec<Mode>, CliError> {
 }
 
 /// The scene, ready to be drawn as asked for.
-pub(crate) fn renderer<'s>(args: &RenderArgs, scene: &'s Scene) -> Result<SceneRenderer<'s>, CliError> {
-    let renderer = SceneRenderer::new(scene, args.strength).map_err(CliError::input)?;
+pub(crate) fn renderer<'s>(args: &RenderArgs, drawn: &Drawn<'s>) -> Result<SceneRenderer<'s>, CliError> {
+    let renderer = drawn.renderer(args.strength).map_err(CliError::input)?;
     renderer.with_water(args.water).map_err(CliError::input)
 }
 

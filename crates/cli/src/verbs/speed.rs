@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 use use3d_capture::{Camera, FileName};
+use use3d_pipeline::Drawn;
 use use3d_pipeline::judge::speed::{Speed, measure};
 use use3d_render::Mode;
 use use3d_scene::Scene;
@@ -15,7 +16,9 @@ use crate::verbs::run::json;
 
 /// The figures and what they were measured on.
 #[derive(Serialize)]
-struct Measured {
+struct Measured<'a> {
+    /// What drew.
+    engine: &'a str,
     width: usize,
     height: usize,
     /// Whether all views have that size.
@@ -33,14 +36,14 @@ const PROTOCOL: &str = "median over all timed views; 2 warm-up passes, then whol
     camera to image in memory, no files";
 
 /// `use3d render --fps`.
-pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene) -> Done {
+pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene, drawn: &Drawn<'_>) -> Done {
     let given = cameras(args, scene)?;
     let held_out = args.cameras.as_deref().map_or_else(Vec::new, held_out);
     let is_held_out = |name: &FileName| held_out.iter().any(|held| name == held);
     let any = given.iter().any(|(name, _)| is_held_out(name));
     let chosen: Vec<Camera> =
         given.iter().filter(|(name, _)| !any || is_held_out(name)).map(|(_, camera)| *camera).collect();
-    let mut renderer = renderer(args, scene)?;
+    let mut renderer = renderer(args, drawn)?;
     let mut modes = vec![Mode::Reconstruction];
     if renderer.is_enhanced() {
         modes.extend([Mode::Enhanced, Mode::EnhancedClear]);
@@ -55,6 +58,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene) -> Done {
     }
     let size = chosen.first().map_or((0, 0), |c| (c.intrinsics.width, c.intrinsics.height));
     let measured = Measured {
+        engine: drawn.told(),
         width: size.0,
         height: size.1,
         one_size: chosen.iter().all(|c| (c.intrinsics.width, c.intrinsics.height) == size),
@@ -72,7 +76,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene) -> Done {
     Ok(())
 }
 
-fn print(measured: &Measured) {
+fn print(measured: &Measured<'_>) {
     println!("{:<16} {:>8} {:>10} {:>10} {:>10}", "mode", "FPS", "median ms", "fastest", "slowest");
     for s in &measured.modes {
         println!(
@@ -80,11 +84,11 @@ fn print(measured: &Measured) {
             s.mode, s.fps, s.milliseconds, s.fastest, s.slowest
         );
     }
-    let Measured { width, height, views, which, gaussians, threads, .. } = measured;
+    let Measured { engine, width, height, views, which, gaussians, threads, .. } = measured;
     let others = if measured.one_size { "" } else { " (the first; others differ)" };
     let passes = measured.modes.iter().map(|s| s.passes).min().unwrap_or(0);
     println!(
-        "{width}x{height}{others}, {views} {which} views, {gaussians} Gaussians, {threads} threads, {passes} passes"
+        "{width}x{height}{others}, {views} {which} views, {gaussians} Gaussians, {engine}, {threads} threads, {passes} passes"
     );
     println!("{}", measured.protocol);
 }

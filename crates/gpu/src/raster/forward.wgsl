@@ -31,6 +31,8 @@ fn main(
     var veil = vec3<f32>();
     var object_moment = vec3<f32>();
     var veil_moment = vec3<f32>();
+    var clear = vec3<f32>();
+    var last = 0.0f;
     var depth = 0.0f;
     var weight = 0.0f;
     var stop = NEVER;
@@ -75,6 +77,10 @@ fn main(
             depth = fma(w, z, depth);
             weight += w;
             let color = tint[j].xyz;
+            if (LAYERS) {
+                clear = fma(vec3<f32>(w), color, clear);
+                last = z;
+            }
             if (WATER) {
                 let seen = exp2(-(ka * z)) * color;
                 let veiled = exp2(-(kb * z));
@@ -96,12 +102,18 @@ fn main(
         if (WATER) {
             image[at] = fma(water_color[at], 1.0f - veil[c], object[c]);
             if (TRAIN) {
-                veils[at] = veil[c];
-                object_moments[at] = object_moment[c];
-                veil_moments[at] = veil_moment[c];
+                first_kept[at] = veil[c];
+                second_kept[at] = object_moment[c];
+                third_kept[at] = veil_moment[c];
             }
+            if (LAYERS) { third_kept[at] = transmittance * water_color[at] * exp2(-(kb[c] * last)); }
         } else {
             image[at] = object[c];
+            if (LAYERS) { third_kept[at] = 0.0f; }
+        }
+        if (LAYERS) {
+            first_kept[at] = object[c];
+            second_kept[at] = clear[c];
         }
     }
     depths[pixel] = depth / max(weight, 1e-6f);

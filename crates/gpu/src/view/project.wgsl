@@ -57,15 +57,21 @@ fn main(
     if (!finite || !meets) { hide(i); return; }
 
     let bands = frame.counts.y;
-    var y = harmonics(bands, direction_to(g0.xyz));
-    var color = vec3<f32>(0.5f);
-    for (var k = 0u; k < bands; k++) {
-        let at = 48u * i + 3u * k;
-        color = fma(vec3<f32>(y[k]), vec3<f32>(colors[at], colors[at + 1u], colors[at + 2u]), color);
+    var color: vec3<f32>;
+    if (bands == 0u) {
+        color = vec3<f32>(colors[3u * i], colors[3u * i + 1u], colors[3u * i + 2u]);
+    } else {
+        var y = harmonics(bands, direction_to(g0.xyz));
+        color = vec3<f32>(0.5f);
+        for (var k = 0u; k < bands; k++) {
+            let at = 48u * i + 3u * k;
+            color = fma(vec3<f32>(y[k]), vec3<f32>(colors[at], colors[at + 1u], colors[at + 2u]), color);
+        }
+        color = max(color, vec3<f32>(0.0f));
     }
     splats[3u * i] = vec4<f32>(mean, shear, steepness);
     splats[3u * i + 1u] = vec4<f32>(steepness_y, log2_opacity, x.z, reach.y);
-    splats[3u * i + 2u] = vec4<f32>(max(color, vec3<f32>(0.0f)), 1.0f);
+    splats[3u * i + 2u] = vec4<f32>(color, 1.0f);
     keys[i] = min(bitcast<u32>(x.z) - bitcast<u32>(NEAR), HIDDEN - 1u);
     let contour = Contour(mean.x, mean.y, shear, steepness, steepness_y, level, reach.y);
     let rows = rows_meeting(mean.y - reach.y, mean.y + reach.y);

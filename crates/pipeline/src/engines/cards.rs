@@ -1,14 +1,16 @@
 //! Cards that were opened, each checked once.
 
 use std::collections::BTreeMap;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use use3d_build::{DeviceClass, Digest};
 use use3d_enhance::engine::FieldEngine;
 use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance};
-use use3d_gpu::{Gpu, Stage1, Stage2, kernel_sources, open_checked};
+use use3d_gpu::{Drawing, DrawnView, Gpu, Stage1, Stage2, kernel_sources, open_checked};
 use use3d_reconstruct::engine::Engine;
+use use3d_render::{Composer, Composition, RenderError};
 use use3d_scene::Scene;
+use use3d_splat::{Gaussians, Rendered, view_colors};
 use use3d_training::{EngineError, Observer};
 
 use crate::code;
@@ -61,5 +63,35 @@ impl Card {
         observer: &mut dyn Observer,
     ) -> Result<Box<dyn FieldEngine + 'a>, EnhanceError> {
         Ok(Box::new(Stage2::new(&self.0, scene, views, guidance, params, observer)?))
+    }
+
+    /// A scene's Gaussians on it, to be drawn.
+    pub(super) fn painter<'s>(&self, gaussians: &'s Gaussians) -> Result<Painter<'s>, EngineError> {
+        let drawing = Arc::new(Mutex::new(Drawing::new(&self.0, gaussians)?));
+        Ok(Painter { device: self.name(), gaussians, drawing, colors: Vec::new() })
+    }
+}
+
+/// Draws Gaussians that lie on a card. Clones share them.
+#[derive(Clone)]
+pub(super) struct Painter<'s> {
+    device: String,
+    gaussians: &'s Gaussians,
+    drawing: Arc<Mutex<Drawing>>,
+    colors: Vec<[f32; 3]>,
+}
+
+impl Composer for Painter<'_> {
+    /// Colours that go through a look are the processor's, one per Gaussian; the rest is the card's.
+    fn compose(&mut self, view: &Composition<'_>, out: &mut Rendered) -> Result<(), RenderError> {
+        let Composition { camera, lattice, recolor, medium, layers } = *view;
+        let colors = recolor.map(|recolor| {
+            view_colors(self.gaussians, camera, self.gaussians.sh_degree, &mut self.colors);
+            recolor(&mut self.colors);
+            &self.colors[..]
+        });
+        let mut drawing = self.drawing.lock().unwrap_or_else(PoisonError::into_inner);
+        let drawn = drawing.draw(&DrawnView { camera, lattice, colors, medium, layers }, out);
+        drawn.map_err(|error| RenderError::Device { device: self.device.clone(), problem: error.to_string() })
     }
 }

@@ -1,4 +1,4 @@
-//! Which engine does a training's steps: the processor's, or a graphics card's.
+//! Which engine does a training's steps: the processor's, or a graphics card's; and which one draws a finished scene ([`Drawn`]).
 //!
 //! A card is opened and checked once in a process, when its name first matters: where a key is made of it, or a training starts. A
 //! choice that names a card which is not there, fails its check or cannot do what is asked is refused with the parameters, before anything
@@ -7,6 +7,9 @@
 
 #[cfg(feature = "gpu")]
 mod cards;
+mod drawing;
+
+pub use drawing::Drawn;
 
 use use3d_build::DeviceClass;
 use use3d_enhance::engine::{CpuFieldEngine, FieldEngine};
@@ -18,6 +21,12 @@ use use3d_training::{EngineChoice, EngineError, Observer};
 
 #[cfg(not(feature = "gpu"))]
 mod cards {
+    use std::convert::Infallible;
+    use std::marker::PhantomData;
+
+    use use3d_render::{Composer, Composition, RenderError};
+    use use3d_splat::{Gaussians, Rendered};
+
     use super::{
         DeviceClass, Engine, EngineError, EnhanceError, EnhanceParams, EnhanceView, FieldEngine, Guidance,
         Observer, Scene,
@@ -53,6 +62,20 @@ mod cards {
             _observer: &mut dyn Observer,
         ) -> Result<Box<dyn FieldEngine + 'a>, EnhanceError> {
             match *self {}
+        }
+
+        pub(super) fn painter<'s>(&self, _gaussians: &'s Gaussians) -> Result<Painter<'s>, EngineError> {
+            match *self {}
+        }
+    }
+
+    /// None is ever made.
+    #[derive(Clone)]
+    pub(super) struct Painter<'s>(Infallible, PhantomData<&'s Gaussians>);
+
+    impl Composer for Painter<'_> {
+        fn compose(&mut self, _view: &Composition<'_>, _out: &mut Rendered) -> Result<(), RenderError> {
+            match self.0 {}
         }
     }
 }

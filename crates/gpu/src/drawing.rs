@@ -1,0 +1,300 @@
+//! Pictures of a scene: the kernels of stage 1 without training.
+//!
+//! A [`Drawing`] holds a scene's Gaussians on the device. Colours are the scene's harmonics, or one of the caller's per Gaussian and view;
+//! the water comes as maps, as the processor's compositor takes it. What is drawn is what `use3d_splat::Rasterizer` draws.
+
+use use3d_capture::{Camera, Image, Lattice, Map, MediumMaps};
+use use3d_splat::{Gaussians, Layers, Rendered};
+use use3d_training::EngineError;
+
+use crate::buffer::{Array, read_together};
+use crate::device::{Gpu, NAME};
+use crate::frame::{Frame, counts};
+use crate::kernel::submit;
+use crate::lists::{ListKernels, Lists};
+use crate::raster::{Planes, RasterKernels, WaterPlanes};
+use crate::scene::Parameters;
+
+/// A view to draw.
+#[derive(Clone, Copy, Debug)]
+pub struct DrawnView<'a> {
+    /// The camera, in the Gaussians' frame.
+    pub camera: &'a Camera,
+    /// Which of its pixels.
+    pub lattice: &'a Lattice,
+    /// One colour per Gaussian, used as it is; `None`: their own harmonics.
+    pub colors: Option<&'a [[f32; 3]]>,
+    /// The water on the lattice; `None`: there is none.
+    pub medium: Option<&'a MediumMaps>,
+    /// Whether the image's parts are wanted.
+    pub layers: bool,
+}
+
+/// Gaussians on a device, ready to be drawn.
+#[derive(Debug)]
+pub struct Drawing {
+    gpu: Gpu,
+    lists_kernels: ListKernels,
+    raster_kernels: RasterKernels,
+    parameters: Parameters,
+    count: usize,
+    sh_degree: usize,
+    /// Colours of a view that come from the caller.
+    given: Array<f32>,
+    lists: Lists,
+    planes: Planes,
+    /// `c_m`, and `k` of attenuation and backscatter.
+    water: [Array<f32>; 3],
+    frame: Array<Frame>,
+    counts: Array<u32>,
+}
+
+impl Drawing {
+    /// Takes the Gaussians to a device.
+    ///
+    /// # Errors
+    /// More of them than it holds, and what its driver says.
+    pub fn new(gpu: &Gpu, gaussians: &Gaussians) -> Result<Self, EngineError> {
+        let plane = |what| Array::new(gpu, what, 1);
+        Ok(Self {
+            lists_kernels: ListKernels::new(gpu)?,
+            raster_kernels: RasterKernels::new(gpu)?,
+            parameters: Parameters::of(gpu, gaussians)?,
+            count: gaussians.len(),
+            sh_degree: gaussians.sh_degree,
+            given: Array::new(gpu, "colours of a view", 1)?,
+            lists: Lists::new(gpu)?,
+            planes: Planes::new(gpu)?,
+            water: [plane("the water's colour")?, plane("attenuation")?, plane("backscatter")?],
+            frame: Array::uniform(gpu, "frame")?,
+            counts: Array::new(gpu, "counts of a picture", counts::WORDS)?,
+            gpu: gpu.clone(),
+        })
+    }
+
+    /// Draws a view into `out`, whose former contents count for nothing.
+    ///
+    /// # Errors
+    /// Colours or maps of another number than Gaussians or pixels, and what the driver says.
+    pub fn draw(&mut self, view: &DrawnView<'_>, out: &mut Rendered) -> Result<(), EngineError> {
+        let pixels = view.lattice.width() * view.lattice.height();
+        let refused = |what: String| Err(EngineError::Request { engine: NAME, what });
+        if let Some(colors) = view.colors
+            && colors.len() != self.count
+        {
+            return refused(format!("{} colours of {} Gaussians", colors.len(), self.count));
+        }
+        if let Some(maps) = view.medium
+            && maps.color.pixels() != pixels
+        {
+            return refused(format!("water of {} pixels for a view of {pixels}", maps.color.pixels()));
+        }
+        if let Some(maps) = view.medium {
+            self.write_water(view.camera, view.lattice, maps)?;
+        }
+        if let Some(colors) = view.colors {
+            self.given.grow(&self.gpu, 3 * self.count)?;
+            self.given.write(&self.gpu, 0, colors.as_flattened());
+            std::mem::swap(&mut self.given, &mut self.parameters.colors);
+        }
+        let drawn = self.compose(view);
+        if view.colors.is_some() {
+            std::mem::swap(&mut self.given, &mut self.parameters.colors);
+        }
+        drawn?;
+        self.read(view, out)
+    }
+
+    /// The water as the kernels read it: `e = 2^(−k z)`.
+    fn write_water(
+        &mut self,
+        camera: &Camera,
+        lattice: &Lattice,
+        maps: &MediumMaps,
+    ) -> Result<(), EngineError> {
+        let lengths = ray_lengths(camera, lattice);
+        let k = |map: &Image| -> Vec<f32> {
+            let each = map.data().iter().zip(lengths.iter().cycle());
+            each.map(|(beta, length)| beta * (length * std::f32::consts::LOG2_E)).collect()
+        };
+        let [color, attenuation, backscatter] = &mut self.water;
+        for (to, from) in [(attenuation, k(&maps.attenuation)), (backscatter, k(&maps.backscatter))] {
+            to.grow(&self.gpu, from.len())?;
+            to.write(&self.gpu, 0, &from);
+        }
+        color.grow(&self.gpu, maps.color.data().len())?;
+        color.write(&self.gpu, 0, maps.color.data());
+        Ok(())
+    }
+
+    /// Draws into the planes, with as much room as it takes.
+    fn compose(&mut self, view: &DrawnView<'_>) -> Result<(), EngineError> {
+        let gpu = &self.gpu;
+        self.planes.grow(gpu, view.lattice.width() * view.lattice.height())?;
+        loop {
+            let mut frame =
+                Frame::on(view.camera, view.lattice, self.count, self.sh_degree, self.lists.capacity());
+            if view.colors.is_some() {
+                frame.counts[1] = 0;
+            }
+            self.lists.prepare(gpu, &frame, view.lattice)?;
+            self.frame.write(gpu, 0, &[frame]);
+            self.counts.write(gpu, 0, &[0; counts::WORDS]);
+            let (lists, frame_array, tiles) = (&self.lists, &self.frame, frame.tiles());
+            let [color, attenuation, backscatter] = &self.water;
+            let water = view.medium.map(|_| WaterPlanes { color, attenuation, backscatter });
+            submit(gpu, "picture", |pass| {
+                let kernels = &self.lists_kernels;
+                let (n, scene) = (self.count, &self.parameters);
+                lists.record(kernels, pass, frame_array, n, tiles, scene, &self.counts, None);
+                let (raster, drawn) = (&self.raster_kernels, lists.drawn());
+                if view.layers {
+                    self.planes.record_layers(raster, pass, frame_array, tiles, &drawn, water);
+                } else {
+                    self.planes.record_forward(raster, pass, frame_array, tiles, &drawn, water, false);
+                }
+            })?;
+            let told = self.counts.read(gpu, counts::WORDS)?;
+            if told[counts::STOP] == 0 {
+                return Ok(());
+            }
+            let most = told[counts::MOST] as usize;
+            self.lists.grow(gpu, most + most / 2)?;
+        }
+    }
+
+    /// Takes what was drawn to main memory.
+    fn read(&self, view: &DrawnView<'_>, out: &mut Rendered) -> Result<(), EngineError> {
+        let (width, height) = (view.lattice.width(), view.lattice.height());
+        let n = width * height;
+        let Planes { image, depth, accumulation, veil, object_moment, veil_moment, .. } = &self.planes;
+        let parts = if view.layers { 3 * n } else { 0 };
+        let [image, depth, accumulation, object, clear, far] = read_together(
+            &self.gpu,
+            [
+                (image.raw(), 3 * n),
+                (depth.raw(), n),
+                (accumulation.raw(), n),
+                (veil.raw(), parts),
+                (object_moment.raw(), parts),
+                (veil_moment.raw(), parts),
+            ],
+        )?;
+        let floats = |words: Vec<u32>| bytemuck::cast_vec::<u32, f32>(words);
+        let picture =
+            |words| Image::from_planes(width, height, floats(words)).unwrap_or_else(|| Image::new(0, 0));
+        let map = |words| Map::from_planes(width, height, floats(words)).unwrap_or_else(|| Map::new(0, 0));
+        out.image = picture(image);
+        out.depth = map(depth);
+        out.accumulation = map(accumulation);
+        out.layers = view.layers.then(|| {
+            let (object, far) = (picture(object), picture(far));
+            // `image = object + medium + far`; none where there is no water.
+            let mut medium = Image::new(width, height);
+            if view.medium.is_some() {
+                let parts = object.data().iter().zip(far.data());
+                let each = medium.data_mut().iter_mut().zip(out.image.data()).zip(parts);
+                each.for_each(|((medium, image), (object, far))| *medium = (image - object) - far);
+            }
+            let lengths = ray_lengths(view.camera, view.lattice);
+            let away = out.depth.data().iter().zip(&lengths).map(|(depth, length)| depth * length);
+            let distance = Map::from_planes(width, height, away.collect()).unwrap_or_else(|| Map::new(0, 0));
+            Layers { object, medium, far, clear: picture(clear), distance }
+        });
+        Ok(())
+    }
+}
+
+/// Lengths of the rays at z = 1 through a lattice's pixels.
+fn ray_lengths(camera: &Camera, lattice: &Lattice) -> Vec<f32> {
+    let lens = &camera.intrinsics;
+    let squared = |at: &f32, centre: f64, focal: f64| {
+        let slope = (f64::from(*at) - centre) / focal;
+        slope * slope
+    };
+    let across: Vec<f64> = lattice.columns().iter().map(|x| squared(x, lens.cx, lens.fx)).collect();
+    let down = lattice.rows().iter().map(|y| squared(y, lens.cy, lens.fy));
+    down.flat_map(|down| across.iter().map(move |across| (1.0 + across + down).sqrt() as f32)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use use3d_splat::{Colors, Options, Prepared, Rasterizer};
+
+    use super::*;
+    use crate::testing::{camera, cloud, relative, software, water};
+
+    /// Every array of both drawings.
+    fn agree(what: &str, found: &Rendered, expected: &Rendered) {
+        let layers = |r: &Rendered| {
+            let of = |l: &Layers| {
+                let images = [&l.object, &l.medium, &l.far, &l.clear].map(|image| image.data().to_vec());
+                (images, l.distance.data().to_vec())
+            };
+            r.layers.as_ref().map(of)
+        };
+        let close = |name: &str, a: &[f32], b: &[f32]| {
+            let error = relative(a, b);
+            assert!(error <= 1e-5, "{what}: {name} off by {error:.1e}");
+        };
+        close("image", found.image.data(), expected.image.data());
+        close("depth", found.depth.data(), expected.depth.data());
+        close("accumulation", found.accumulation.data(), expected.accumulation.data());
+        let (found, expected) = (layers(found), layers(expected));
+        assert_eq!(found.is_some(), expected.is_some(), "{what}");
+        if let (Some((a, away)), Some((b, expected))) = (found, expected) {
+            for (name, (a, b)) in ["object", "medium", "far", "clear"].iter().zip(a.iter().zip(&b)) {
+                close(name, a, b);
+            }
+            close("distance", &away, &expected);
+        }
+    }
+
+    #[test]
+    fn pictures_are_those_of_the_processor() {
+        let Some(gpu) = software() else { return };
+        for n in [0usize, 1, 900] {
+            let gaussians = cloud(n, -2.5, 0.5);
+            let given: Vec<[f32; 3]> =
+                (0..n).map(|i| [0.01 * (i % 90) as f32, 0.4, 0.3 - 0.005 * (i % 70) as f32]).collect();
+            let mut drawing = Drawing::new(&gpu, &gaussians).unwrap();
+            drawing.planes.grow(&gpu, 61 * 47).unwrap();
+            drawing.planes.poison(&gpu);
+            let some = Lattice::subset(&[0, 3, 4, 17, 40], &[2, 5, 31]).unwrap();
+            let (mut found, mut expected) = (Rendered::new(), Rendered::new());
+            let (mut prepared, mut rasterizer) = (Prepared::new(), Rasterizer::new());
+            for (lattice, colors, wet, layers) in [
+                (Lattice::size(61, 47), None, true, true),
+                (Lattice::size(61, 47), Some(&given[..]), true, false),
+                (some, Some(&given[..]), false, true),
+                (Lattice::size(33, 70), None, false, false),
+            ] {
+                let camera = camera(61, 47);
+                let maps = wet.then(|| water(lattice.width(), lattice.height()));
+                let own = colors.map_or(Colors::Sh { degree: 3 }, Colors::Given);
+                prepared.prepare(&gaussians, &camera, &lattice, own);
+                let options = Options { layers, ..Options::default() };
+                rasterizer.forward(&prepared, maps.as_ref(), &options, &mut expected);
+                let view =
+                    DrawnView { camera: &camera, lattice: &lattice, colors, medium: maps.as_ref(), layers };
+                drawing.draw(&view, &mut found).unwrap();
+                agree(&format!("{n}, given {}, water {wet}", colors.is_some()), &found, &expected);
+            }
+            let lattice = Lattice::size(4, 4);
+            let camera = camera(4, 4);
+            let maps = water(5, 4);
+            let mut wrong = DrawnView {
+                camera: &camera,
+                lattice: &lattice,
+                colors: None,
+                medium: Some(&maps),
+                layers: false,
+            };
+            let said = drawing.draw(&wrong, &mut found).unwrap_err().to_string();
+            assert!(said.contains("20 pixels") && said.contains("16"), "{said}");
+            (wrong.medium, wrong.colors) = (None, Some(&[[0.0; 3]; 2][..]));
+            let said = drawing.draw(&wrong, &mut found).unwrap_err().to_string();
+            assert!(said.contains("2 colours"), "{said}");
+        }
+    }
+}
