@@ -1,16 +1,19 @@
 //! One run that says what there is to know of an adapter: its limits, whether its kernels agree with the processor, whether they give the
-//! same bits each time, and how long they take. No network, minutes at most; the record is one document.
+//! same bits each time, how long they take, and how many steps of a training it does in a second. No network, minutes at most; the record is one document.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::time::Instant;
 
 use serde::Serialize;
-use use3d_training::EngineError;
+use use3d_reconstruct::engine::{Diagnostics, Engine, TrainingState};
+use use3d_training::{Drain, EngineError};
 
 use crate::check::check;
 use crate::device::{AdapterReport, Gpu};
 use crate::profile::KernelTime;
-use crate::twins::{self, Agreement, LossCase, WaterCase};
+use crate::stage1::Stage1;
+use crate::twins::{self, Agreement, LossCase, Packed, WaterCase};
 
 /// What is run.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -19,6 +22,10 @@ pub struct BenchPlan {
     pub sizes: Vec<(usize, usize)>,
     /// Times that each size is run; the first one warms up.
     pub rounds: usize,
+    /// Numbers of Gaussians that trainings have at each size.
+    pub gaussians: Vec<usize>,
+    /// Steps of each training that are timed; as many as there are views warm up.
+    pub steps: u64,
 }
 
 /// The record.
@@ -38,8 +45,35 @@ pub struct BenchRecord {
     pub determinism: DeterminismRecord,
     /// Kernels' times by the device's clock, where it has one that can be read between dispatches.
     pub times: Vec<TimesRecord>,
+    /// Trainings of stage 1 on packed scenes: every size with every number of Gaussians.
+    pub trainings: Vec<TrainingRecord>,
     /// Seconds that all of it took.
     pub seconds: f64,
+}
+
+/// A training of stage 1, everything switched on.
+#[derive(Clone, Debug, Serialize)]
+pub struct TrainingRecord {
+    /// Pixels across and down.
+    pub size: [usize; 2],
+    /// Gaussians.
+    pub gaussians: usize,
+    /// Steps that were timed.
+    pub steps: u64,
+    /// Of them in a second, by the processor's clock, reports waited for; without the device's own clock.
+    pub steps_per_second: f64,
+    /// Mean loss of the first steps that were timed, one of each view, and of the last.
+    pub loss: [f64; 2],
+    /// Bytes on the device.
+    pub bytes: usize,
+    /// What is handed to the device in a step.
+    pub submits_per_step: f64,
+    /// Dispatches of a step; `None` where the device has no clock to count them by.
+    pub dispatches_per_step: Option<f64>,
+    /// Per kernel, over a few steps more.
+    pub kernels: BTreeMap<&'static str, KernelRecord>,
+    /// Why there are no figures: the device has too little memory, say.
+    pub refusal: Option<String>,
 }
 
 /// An adapter and its limits.
@@ -149,6 +183,107 @@ fn run_twins(gpu: &Gpu, size: (usize, usize)) -> Result<Vec<(String, Agreement)>
     Ok(all)
 }
 
+/// Views of a training here.
+const VIEWS: usize = 4;
+/// Steps whose kernels are timed by the device's clock.
+const PROFILED: u64 = 20;
+
+/// Stage 1 on a packed scene, a step of each view done.
+fn begun(gpu: &Gpu, scene: &Packed) -> Result<Stage1, EngineError> {
+    let mut engine = Stage1::new(gpu)?;
+    for view in scene.training_views()? {
+        engine.upload(view)?;
+    }
+    engine.load(scene.state())?;
+    go_on(&mut engine, scene, 0..scene.views as u64)?;
+    Ok(engine)
+}
+
+/// Losses of some steps, waited for.
+fn go_on(engine: &mut Stage1, scene: &Packed, steps: Range<u64>) -> Result<Vec<f64>, EngineError> {
+    for step in steps {
+        engine.step((step % scene.views.max(1) as u64) as usize, &Packed::plan(step))?;
+    }
+    let reports = engine.drain(Drain::All)?;
+    match reports.iter().find_map(|report| report.non_finite) {
+        Some((what, _)) => {
+            Err(EngineError::Failed(format!("{what} of a packed scene are not finite").into()))
+        }
+        None => Ok(reports.into_iter().map(|report| report.loss).collect()),
+    }
+}
+
+/// Everything that a training has, as bits.
+fn digest(state: &TrainingState) -> String {
+    let mut hasher = blake3::Hasher::new();
+    for g in [&state.gaussians, &state.moments.first, &state.moments.second] {
+        let arrays: [&[f32]; 5] = [
+            g.means.as_flattened(),
+            g.log_scales.as_flattened(),
+            g.quaternions.as_flattened(),
+            &g.opacity_logits,
+            g.sh.as_flattened().as_flattened(),
+        ];
+        for values in arrays {
+            hasher.update(bytemuck::cast_slice(values));
+        }
+    }
+    let water = [&state.medium.flat(), &state.medium_moments[0], &state.medium_moments[1]];
+    for values in water.into_iter().chain([&state.statistics.norms]) {
+        hasher.update(bytemuck::cast_slice(values));
+    }
+    hasher.finalize().to_hex().to_string()
+}
+
+/// Means over the kernels' dispatches.
+fn kernel_records(times: BTreeMap<&'static str, KernelTime>) -> BTreeMap<&'static str, KernelRecord> {
+    let record = |time: KernelTime| KernelRecord {
+        dispatches: time.dispatches,
+        milliseconds: 1e3 * time.seconds / time.dispatches.max(1) as f64,
+    };
+    times.into_iter().map(|(name, time)| (name, record(time))).collect()
+}
+
+/// Trains on a packed scene: first against the processor's clock, then with the device's.
+fn train(gpu: &Gpu, scene: &Packed, steps: u64) -> Result<TrainingRecord, EngineError> {
+    let views = scene.views as u64;
+    let mut engine = begun(gpu, scene)?;
+    let (started, submits) = (Instant::now(), gpu.submits());
+    for step in views..views + steps {
+        engine.step((step % views.max(1)) as usize, &Packed::plan(step))?;
+    }
+    let submits = gpu.submits() - submits;
+    let losses = go_on(&mut engine, scene, 0..0)?;
+    let seconds = started.elapsed().as_secs_f64();
+    let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len().max(1) as f64;
+    let few = scene.views.min(losses.len());
+    let bytes = engine.memory();
+    drop(engine);
+
+    let timed = gpu.clone().timed();
+    let mut engine = begun(&timed, scene)?;
+    timed.read_times(&mut BTreeMap::new())?;
+    let mut times = BTreeMap::new();
+    let profiled = steps.min(PROFILED);
+    for step in views..views + profiled {
+        go_on(&mut engine, scene, step..step + 1)?;
+        timed.read_times(&mut times)?;
+    }
+    let dispatches: u64 = times.values().map(|time| time.dispatches).sum();
+    Ok(TrainingRecord {
+        size: [scene.width, scene.height],
+        gaussians: scene.gaussians,
+        steps,
+        steps_per_second: steps as f64 / seconds,
+        loss: [mean(&losses[..few]), mean(&losses[losses.len() - few..])],
+        bytes,
+        submits_per_step: submits as f64 / steps.max(1) as f64,
+        dispatches_per_step: (dispatches > 0).then(|| dispatches as f64 / profiled.max(1) as f64),
+        kernels: kernel_records(times),
+        refusal: None,
+    })
+}
+
 /// Runs all of it; `tell` hears what is under way.
 pub fn bench(gpu: &Gpu, plan: &BenchPlan, mut tell: impl FnMut(&str)) -> Result<BenchRecord, EngineError> {
     let started = Instant::now();
@@ -178,6 +313,10 @@ pub fn bench(gpu: &Gpu, plan: &BenchPlan, mut tell: impl FnMut(&str)) -> Result<
             hasher.update(case.as_bytes());
             hasher.update(&agreement.digest);
         }
+        let scene = Packed { width: 96, height: 64, gaussians: 2000, views: 3, seed: 5 };
+        let mut engine = begun(gpu, &scene)?;
+        go_on(&mut engine, &scene, 3..12)?;
+        hasher.update(digest(engine.save()?.as_ref()).as_bytes());
         digests.push(hasher.finalize().to_hex().to_string());
     }
     let same = digests.iter().all(|digest| *digest == digests[0]);
@@ -199,21 +338,41 @@ pub fn bench(gpu: &Gpu, plan: &BenchPlan, mut tell: impl FnMut(&str)) -> Result<
                 }
             }
         }
-        let record = |time: KernelTime| KernelRecord {
-            dispatches: time.dispatches,
-            milliseconds: 1e3 * time.seconds / time.dispatches.max(1) as f64,
-        };
-        let kernels = kernels.into_iter().map(|(name, time)| (name, record(time))).collect();
-        times.push(TimesRecord { size: [width, height], kernels });
+        times.push(TimesRecord { size: [width, height], kernels: kernel_records(kernels) });
+    }
+
+    let mut trainings = Vec::new();
+    for &(width, height) in &plan.sizes {
+        for &gaussians in &plan.gaussians {
+            tell(&format!("{} steps at {width} x {height} with {gaussians} Gaussians", plan.steps));
+            let scene = Packed { width, height, gaussians, views: VIEWS, seed: 7 };
+            trainings.push(match train(gpu, &scene, plan.steps) {
+                // The others may fit.
+                Err(error @ EngineError::OutOfMemory { .. }) => TrainingRecord {
+                    size: [width, height],
+                    gaussians,
+                    steps: 0,
+                    steps_per_second: 0.0,
+                    loss: [0.0; 2],
+                    bytes: 0,
+                    submits_per_step: 0.0,
+                    dispatches_per_step: None,
+                    kernels: BTreeMap::new(),
+                    refusal: Some(error.to_string()),
+                },
+                trained => trained?,
+            });
+        }
     }
     Ok(BenchRecord {
         format: "3d-use gpu bench",
-        version: 1,
+        version: 2,
         adapter: gpu.adapter().into(),
         check,
         twins,
         determinism: DeterminismRecord { digests, same },
         times,
+        trainings,
         seconds: started.elapsed().as_secs_f64(),
     })
 }
@@ -226,13 +385,20 @@ mod tests {
     #[test]
     fn a_record_has_all_its_parts() {
         let Some(gpu) = software() else { return };
-        let plan = BenchPlan { sizes: vec![(33, 20)], rounds: 2 };
+        let plan = BenchPlan { sizes: vec![(33, 20)], rounds: 2, gaussians: vec![60], steps: 5 };
         let mut told = Vec::new();
         let record = bench(&gpu, &plan, |what| told.push(what.to_string())).unwrap();
         assert!(record.check.passed && record.determinism.same, "{record:?}");
         assert!(record.twins.iter().all(|twin| twin.holds), "{record:?}");
         let kernels = &record.times[0].kernels;
         assert!(kernels.contains_key("gather") && kernels["weigh"].dispatches == 1, "{kernels:?}");
-        assert!(told.len() == 4 && serde_json::to_string(&record).unwrap().contains("llvmpipe"));
+        let [training] = &record.trainings[..] else { panic!("one training") };
+        assert!(
+            training.steps_per_second > 0.0 && training.loss.iter().all(|loss| *loss > 0.0),
+            "{record:?}"
+        );
+        assert_eq!((training.submits_per_step, training.kernels["update"].dispatches), (1.0, 5));
+        assert!(training.dispatches_per_step.is_some_and(|n| n <= 60.0), "{training:?}");
+        assert!(told.len() == 5 && serde_json::to_string(&record).unwrap().contains("llvmpipe"));
     }
 }

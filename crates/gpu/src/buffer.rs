@@ -53,7 +53,7 @@ fn fetch(gpu: &Gpu, wanted: &mut [(&wgpu::Buffer, &mut [u8])]) -> Result<(), Eng
         encoder.copy_buffer_to_buffer(buffer, 0, &staging, at, padded(bytes));
         at += padded(bytes);
     }
-    gpu.queue.submit([encoder.finish()]);
+    gpu.submit(encoder);
     let slice = staging.slice(..);
     // The result is found out by reading below.
     slice.map_async(wgpu::MapMode::Read, |_| ());
@@ -190,5 +190,8 @@ mod tests {
         let most = gpu.adapter().binding;
         let error = Array::<u32>::new(&gpu, "records", (most / 4 + 4) as usize).unwrap_err().to_string();
         assert!(error.contains("records") && error.contains(&most.to_string()), "{error}");
+        gpu.run_out_of_memory();
+        let error = Array::<u32>::new(&gpu, "records", 1000).unwrap_err().to_string();
+        assert!(error.contains("out of memory: 4000 bytes for records"), "{error}");
     }
 }

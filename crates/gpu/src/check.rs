@@ -1,4 +1,4 @@
-//! The check before an adapter is used: kernels on a small scene beside the processor's functions, a fraction of a second.
+//! The check before an adapter is used: kernels and a whole step of stage 1 on a small scene beside the processor's, in a moment.
 //!
 //! Drivers have bugs that corrupt numbers without an error; a training of hours is no place to find them. What is wrong is told with the
 //! adapter's name and its driver, since another driver may be the remedy.

@@ -206,6 +206,8 @@ pub struct Gpu {
     generation: Arc<AtomicU64>,
     /// Times every dispatch, where that was asked for.
     clock: Option<Arc<Clock>>,
+    /// Counts what was submitted.
+    submits: Arc<AtomicU64>,
 }
 
 fn lock(trouble: &Mutex<Trouble>) -> MutexGuard<'_, Trouble> {
@@ -251,7 +253,15 @@ impl Gpu {
             };
             place.get_or_insert(error.to_string());
         }));
-        Ok(Self { device, queue, report, trouble, generation: Arc::default(), clock: None })
+        Ok(Self {
+            device,
+            queue,
+            report,
+            trouble,
+            generation: Arc::default(),
+            clock: None,
+            submits: Arc::default(),
+        })
     }
 
     /// The adapter.
@@ -290,6 +300,17 @@ impl Gpu {
         }
     }
 
+    /// Hands over what was recorded.
+    pub(crate) fn submit(&self, encoder: wgpu::CommandEncoder) {
+        self.submits.fetch_add(1, Ordering::Relaxed);
+        self.queue.submit([encoder.finish()]);
+    }
+
+    /// How often something was submitted.
+    pub(crate) fn submits(&self) -> u64 {
+        self.submits.load(Ordering::Relaxed)
+    }
+
     /// Waits until everything that was submitted is done.
     pub(crate) fn wait(&self) -> Result<(), EngineError> {
         let polled = self.device.poll(wgpu::PollType::wait_indefinitely());
@@ -315,6 +336,19 @@ impl Gpu {
 
     pub(crate) fn generation(&self) -> u64 {
         self.generation.load(Ordering::Relaxed)
+    }
+
+    /// The same device as if it bound no more than so many bytes.
+    #[cfg(test)]
+    pub(crate) fn binding(mut self, bytes: u64) -> Self {
+        self.report.binding = bytes;
+        self
+    }
+
+    /// As if the driver had had no memory for what it was asked last.
+    #[cfg(test)]
+    pub(crate) fn run_out_of_memory(&self) {
+        lock(&self.trouble).memory = Some("out of memory".into());
     }
 
     /// As if the driver had given up.

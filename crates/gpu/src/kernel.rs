@@ -278,7 +278,7 @@ pub(crate) fn submit(
             encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label, timestamp_writes: None });
         record(&mut pass);
     }
-    gpu.queue.submit([encoder.finish()]);
+    gpu.submit(encoder);
     gpu.check()
 }
 

@@ -84,7 +84,7 @@ impl Clock {
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         encoder.resolve_query_set(&self.set, 0..count, &self.resolved, 0);
         encoder.copy_buffer_to_buffer(&self.resolved, 0, &self.staging, 0, 8 * u64::from(count));
-        gpu.queue.submit([encoder.finish()]);
+        gpu.submit(encoder);
         let slice = self.staging.slice(..8 * u64::from(count));
         // The result is found out by reading below.
         slice.map_async(wgpu::MapMode::Read, |_| ());
@@ -122,13 +122,15 @@ impl Gpu {
 mod tests {
     use super::*;
     use crate::testing::software;
+    use crate::twins::LossCase;
 
     #[test]
     fn every_dispatch_is_timed_once() {
         let Some(gpu) = software() else { return };
         let gpu = gpu.timed();
         assert!(gpu.clock().is_some(), "the software adapter has a clock");
-        crate::twins::small(&gpu).unwrap();
+        let case = LossCase { width: 61, height: 47, seed: 1, mask: true, prior: true, gains: true };
+        crate::twins::losses(&gpu, &case).unwrap();
         let mut times = BTreeMap::new();
         gpu.read_times(&mut times).unwrap();
         assert_eq!(times["weigh"].dispatches, 1);

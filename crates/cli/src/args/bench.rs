@@ -21,7 +21,7 @@ pub(crate) enum Bench {
     Truth(BenchTruthArgs),
     /// A graphics card in one file: limits, agreement with the processor, same bits, times.
     #[command(
-        after_help = "Examples:\n  use3d bench gpu --out card.json\n  use3d bench gpu --out software.json --device llvmpipe --sizes 96x64 --rounds 2"
+        after_help = "Examples:\n  use3d bench gpu --out card.json\n  use3d bench gpu --out software.json --device llvmpipe --sizes 96x64 --rounds 2 --gaussians 2000 --steps 20"
     )]
     Gpu(BenchGpuArgs),
 }
@@ -40,6 +40,12 @@ pub(crate) struct BenchGpuArgs {
     /// Times that each size is run; the first one warms up and is not counted.
     #[arg(long, default_value_t = 5, value_name = "N", value_parser = count(10_000))]
     pub(crate) rounds: usize,
+    /// Numbers of Gaussians that trainings have at each size; each is timed.
+    #[arg(long, value_delimiter = ',', default_value = "50000,200000,500000", value_name = "N,...", value_parser = count(100_000_000))]
+    pub(crate) gaussians: Vec<usize>,
+    /// Steps of each training that are timed.
+    #[arg(long, default_value_t = 200, value_name = "N", value_parser = count(1_000_000))]
+    pub(crate) steps: usize,
     #[command(flatten)]
     pub(crate) replace: Replace,
 }

@@ -24,7 +24,8 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
         }
     };
     say(&format!("{} ({})", gpu.adapter().name, gpu.adapter().driver));
-    let plan = BenchPlan { sizes, rounds: args.rounds };
+    let plan =
+        BenchPlan { sizes, rounds: args.rounds, gaussians: args.gaussians.clone(), steps: args.steps as u64 };
     let record = bench(&gpu, &plan, say).map_err(CliError::failed)?;
     write_file("--out", &args.out, |writer| {
         serde_json::to_writer_pretty(&mut *writer, &record)?;
@@ -36,6 +37,10 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
         .filter(|twin| !twin.holds)
         .map(|twin| format!("{}: {}", twin.case, twin.what))
         .collect();
+    for training in record.trainings.iter().filter(|training| training.refusal.is_none()) {
+        let ([width, height], n, rate) = (training.size, training.gaussians, training.steps_per_second);
+        say(&format!("{width} x {height}, {n} Gaussians: {rate:.1} steps a second"));
+    }
     say(&format!("written to {} in {}", path_text(&args.out), seconds(record.seconds)));
     if let Some(refusal) = record.check.refusal {
         return Err(CliError::Failed(refusal));

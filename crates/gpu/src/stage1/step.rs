@@ -148,7 +148,7 @@ impl Stage1 {
             }
             update.record_finish(pass, &self.frame, &self.counts, &self.ends);
         }
-        self.gpu.queue.submit([encoder.finish()]);
+        self.gpu.submit(encoder);
         self.asked.push_back(Asked { view, plan, slot });
         self.gpu.check()
     }

@@ -217,6 +217,26 @@ fn steps_that_found_no_room_are_done_again() {
     assert_eq!(ours.save().unwrap().exposures.steps, cpu.save().unwrap().exposures.steps);
 }
 
+/// Everything a step can have is on: a mask, a prior or transparent pixels, gains, water, statistics.
+#[test]
+fn a_step_is_one_submit_of_at_most_sixty_dispatches() {
+    let Some(gpu) = software() else { return };
+    let gpu = gpu.timed();
+    let mut ours = with_views(Stage1::new(&gpu).unwrap());
+    ours.load(state(60, -2.5)).unwrap();
+    for (step, view) in [0, 1, 2, 0, 1, 2].into_iter().enumerate() {
+        let before = gpu.submits();
+        ours.step(view, &StepPlan { divisor: 1, ..plan(step as u64) }).unwrap();
+        assert_eq!(gpu.submits() - before, 1);
+        ours.drain(Drain::All).unwrap();
+        let mut times = std::collections::BTreeMap::new();
+        gpu.read_times(&mut times).unwrap();
+        let dispatches: u64 = times.values().map(|time| time.dispatches).sum();
+        // Views of more than 255 tiles are sorted by one more digit, three dispatches.
+        assert!((30..=60 - 3).contains(&dispatches), "{dispatches}: {times:?}");
+    }
+}
+
 #[test]
 fn what_is_not_finite_is_named_and_stops_the_steps_after_it() {
     let Some(gpu) = software() else { return };
@@ -230,6 +250,22 @@ fn what_is_not_finite_is_named_and_stops_the_steps_after_it() {
     let reports = ours.drain(Drain::All).unwrap();
     assert_eq!(reports.len(), 1);
     assert_eq!(reports[0].non_finite, Some(("quaternions", Some(4 * 31 + 2))));
+}
+
+/// Too many Gaussians, and too many entries of a view: what is too long, how long it would be, and what there is.
+#[test]
+fn what_no_binding_holds_is_refused_with_its_size() {
+    let Some(gpu) = software() else { return };
+    let tight = gpu.clone().binding(300_000);
+    let mut ours = with_views(Stage1::new(&tight).unwrap());
+    let refused = ours.load(state(2600, 0.5)).unwrap_err().to_string();
+    assert!(refused.contains("499200 bytes") && refused.contains("at most 300000"), "{refused}");
+    let tight = gpu.binding(900_000);
+    let mut ours = with_views(Stage1::new(&tight).unwrap());
+    ours.load(state(2600, 0.5)).unwrap();
+    ours.step(0, &StepPlan { divisor: 1, ..plan(0) }).unwrap();
+    let refused = ours.drain(Drain::All).unwrap_err().to_string();
+    assert!(refused.contains("records would take") && refused.contains("at most 900000"), "{refused}");
 }
 
 #[test]

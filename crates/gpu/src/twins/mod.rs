@@ -12,6 +12,7 @@ use use3d_numerics::random::{Purpose, Stream};
 use use3d_training::EngineError;
 
 use crate::device::Gpu;
+use crate::stage1::Stage1;
 
 pub use losses::{LossCase, losses};
 pub use scene::Packed;
@@ -66,11 +67,13 @@ impl Agreement {
     }
 }
 
-/// Every twin at a small size: what the check at the start runs.
+/// Every twin at a small size, and a whole step of stage 1: what the check at the start runs.
 pub fn small(gpu: &Gpu) -> Result<Vec<Agreement>, EngineError> {
     let mut all =
         losses(gpu, &LossCase { width: 61, height: 47, seed: 1, mask: true, prior: true, gains: true })?;
     all.extend(water(gpu, &WaterCase { width: 61, height: 47, seed: 1, anchors: 8, top_k: 4, degree: 3 })?);
+    let scene = Packed { width: 48, height: 32, gaussians: 150, views: 1, seed: 1 };
+    all.extend(step(&mut Stage1::new(gpu)?, &scene)?);
     Ok(all)
 }
 
