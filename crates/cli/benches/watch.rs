@@ -16,6 +16,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
+use use3d_numerics::math;
 use viewer::{Ended, Viewer};
 
 const WIDTH: usize = 640;
@@ -44,7 +45,7 @@ fn command() -> Command {
 fn look(header: &Value, page: &str, i: usize, mode: &str, moving: bool) -> Value {
     let view = &header["cameras"][0];
     let turn = i as f64 * 0.1;
-    let eye: Vec<f64> = [turn.sin(), 0.3 * turn.cos(), 0.0]
+    let eye: Vec<f64> = [math::sin(turn), 0.3 * math::cos(turn), 0.0]
         .iter()
         .enumerate()
         .map(|(k, by)| view["eye"][k].as_f64().unwrap_or(0.0) + 0.05 * by)
