@@ -20,9 +20,9 @@ pub mod calibrator;
 pub mod consensus;
 mod error;
 pub mod extractor;
-mod lanes;
 pub mod progress;
 pub mod proposers;
 mod tensors;
+mod vectorized;
 
 pub use error::AtcError;

@@ -89,7 +89,7 @@ impl Head {
         let total_weight = (0..rows).map(weight).sum::<f64>().max(1e-6);
         let mut loss = 0.0;
         let output = std::mem::take(&mut trace.output);
-        let mut output_bar = vec![0.0f32; output.len()];
+        let mut d_output = vec![0.0f32; output.len()];
         for row in 0..rows {
             let share = weight(row) / (total_weight * k as f64);
             for j in 0..k {
@@ -100,11 +100,11 @@ impl Head {
                     / scale;
                 let (value, slope) = smooth_l1(error);
                 loss += share * value;
-                output_bar[i] = (share * slope * f64::from(self.residual.range[j]) / scale) as f32;
+                d_output[i] = (share * slope * f64::from(self.residual.range[j]) / scale) as f32;
             }
         }
         trace.output = output;
-        self.mlp.backward(batch.conditions, &output_bar, trace, gradients);
+        self.mlp.backward(batch.conditions, &d_output, trace, gradients);
         loss
     }
 }

@@ -7,8 +7,8 @@
 use rayon::prelude::*;
 use use3d_numerics::random::{Purpose, Stream};
 
-use super::product::{View, accumulate};
-use crate::lanes::vectorized;
+use super::product::{Matrix, accumulate};
+use crate::vectorized::vectorized;
 
 /// A linear layer, `y = W x + b`.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,29 +43,34 @@ impl Linear {
             out.extend_from_slice(&self.bias);
         }
         accumulate(
-            View::new(x, self.inputs()),
-            View::new(&self.weight, self.inputs()).transposed(),
+            Matrix::new(x, self.inputs()),
+            Matrix::new(&self.weight, self.inputs()).transposed(),
             out,
             packed,
         );
     }
 
-    /// Adds the parameter gradients of a batch with inputs `x` and output cotangents `out_bar`.
-    fn add_gradient(&mut self, x: &[f32], out_bar: &[f32], packed: &mut Vec<f32>) {
+    /// Adds the parameter gradients of a batch with inputs `x` and output cotangents `d_out`.
+    fn add_gradient(&mut self, x: &[f32], d_out: &[f32], packed: &mut Vec<f32>) {
         let (inputs, outputs) = (self.inputs(), self.outputs());
-        accumulate(View::new(out_bar, outputs).transposed(), View::new(x, inputs), &mut self.weight, packed);
-        for row in out_bar.chunks_exact(outputs) {
+        accumulate(
+            Matrix::new(d_out, outputs).transposed(),
+            Matrix::new(x, inputs),
+            &mut self.weight,
+            packed,
+        );
+        for row in d_out.chunks_exact(outputs) {
             for (g, &o) in self.bias.iter_mut().zip(row) {
                 *g += o;
             }
         }
     }
 
-    /// `out_bar W`: the cotangent of the inputs.
-    fn pull_back(&self, out_bar: &[f32], x_bar: &mut Vec<f32>, packed: &mut Vec<f32>) {
-        x_bar.clear();
-        x_bar.resize(out_bar.len() / self.outputs() * self.inputs(), 0.0);
-        accumulate(View::new(out_bar, self.outputs()), View::new(&self.weight, self.inputs()), x_bar, packed);
+    /// `d_out W`: the cotangent of the inputs.
+    fn pull_back(&self, d_out: &[f32], d_x: &mut Vec<f32>, packed: &mut Vec<f32>) {
+        d_x.clear();
+        d_x.resize(d_out.len() / self.outputs() * self.inputs(), 0.0);
+        accumulate(Matrix::new(d_out, self.outputs()), Matrix::new(&self.weight, self.inputs()), d_x, packed);
     }
 }
 
@@ -82,7 +87,7 @@ pub(super) struct Trace {
     hidden: [Vec<f32>; 2],
     slope: [Vec<f32>; 2],
     pub(super) output: Vec<f32>,
-    bar: [Vec<f32>; 2],
+    d_hidden: [Vec<f32>; 2],
     packed: Vec<f32>,
 }
 
@@ -144,11 +149,11 @@ impl Mlp {
 
     /// Adds to `gradients` those of a batch whose forward pass left `trace`, given the cotangents of its
     /// outputs.
-    pub(super) fn backward(&self, x: &[f32], output_bar: &[f32], trace: &mut Trace, gradients: &mut Mlp) {
-        let Trace { hidden, slope, bar, packed, .. } = trace;
-        let [one, two] = bar;
-        gradients.layers[2].add_gradient(&hidden[1], output_bar, packed);
-        self.layers[2].pull_back(output_bar, two, packed);
+    pub(super) fn backward(&self, x: &[f32], d_output: &[f32], trace: &mut Trace, gradients: &mut Mlp) {
+        let Trace { hidden, slope, d_hidden, packed, .. } = trace;
+        let [one, two] = d_hidden;
+        gradients.layers[2].add_gradient(&hidden[1], d_output, packed);
+        self.layers[2].pull_back(d_output, two, packed);
         multiply(two, &slope[1]);
         gradients.layers[1].add_gradient(&hidden[0], two, packed);
         self.layers[1].pull_back(two, one, packed);
@@ -223,14 +228,14 @@ mod tests {
         let stream = Stream::new(1, Purpose::new("inputs"), 0);
         let rows = 9;
         let x: Vec<f32> = (0..7 * rows).map(|i| stream.normal(i as u64) as f32).collect();
-        let bar: Vec<f32> = (0..5 * rows).map(|i| stream.normal(1000 + i as u64) as f32).collect();
+        let d_output: Vec<f32> = (0..5 * rows).map(|i| stream.normal(1000 + i as u64) as f32).collect();
         let mut trace = Trace::default();
         mlp.forward(&x, &mut trace);
         let mut gradients = Mlp::zeros(7, 11, 5);
-        mlp.backward(&x, &bar, &mut trace, &mut gradients);
+        mlp.backward(&x, &d_output, &mut trace, &mut gradients);
         let mut value = |mlp: &Mlp| -> f64 {
             mlp.forward(&x, &mut trace);
-            trace.output.iter().zip(&bar).map(|(&o, &b)| f64::from(o) * f64::from(b)).sum()
+            trace.output.iter().zip(&d_output).map(|(&o, &d)| f64::from(o) * f64::from(d)).sum()
         };
         for which in 0..6 {
             for index in 0..3 {

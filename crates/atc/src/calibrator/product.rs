@@ -7,7 +7,7 @@
 
 use rayon::prelude::*;
 
-use crate::lanes::vectorized;
+use crate::vectorized::vectorized;
 
 /// Rows of a tile: with 16 columns, six 512-bit or twelve 256-bit accumulators.
 const TILE_ROWS: usize = 6;
@@ -17,7 +17,7 @@ const INNER: usize = 512;
 
 /// A matrix read through strides: element `(i, j)` is `data[i * row_stride + j * column_stride]`.
 #[derive(Clone, Copy)]
-pub(super) struct View<'a> {
+pub(super) struct Matrix<'a> {
     data: &'a [f32],
     rows: usize,
     columns: usize,
@@ -25,7 +25,7 @@ pub(super) struct View<'a> {
     column_stride: usize,
 }
 
-impl<'a> View<'a> {
+impl<'a> Matrix<'a> {
     /// A row-major matrix with `columns` columns.
     pub(super) fn new(data: &'a [f32], columns: usize) -> Self {
         Self { data, rows: data.len() / columns, columns, row_stride: columns, column_stride: 1 }
@@ -49,7 +49,7 @@ impl<'a> View<'a> {
 }
 
 /// `c += a b`. `packed` is working memory.
-pub(super) fn accumulate(a: View<'_>, b: View<'_>, c: &mut [f32], packed: &mut Vec<f32>) {
+pub(super) fn accumulate(a: Matrix<'_>, b: Matrix<'_>, c: &mut [f32], packed: &mut Vec<f32>) {
     let (inner, columns) = (a.columns, b.columns);
     assert_eq!(inner, b.rows, "inner sizes differ");
     assert_eq!(c.len(), a.rows * columns, "wrong output size");
@@ -107,7 +107,7 @@ mod tests {
     use use3d_numerics::math;
 
     /// The scalar twin: the same chain per element.
-    fn plain(a: View<'_>, b: View<'_>, c: &mut [f32]) {
+    fn plain(a: Matrix<'_>, b: Matrix<'_>, c: &mut [f32]) {
         for i in 0..a.rows {
             for j in 0..b.columns {
                 for k in 0..a.columns {
@@ -124,14 +124,14 @@ mod tests {
             let (a, b) = (noise(m * k, 7), noise(k * n, 13));
             let start = noise(m * n, 3);
             let (mut fast, mut slow, mut packed) = (start.clone(), start, Vec::new());
-            let (view_a, view_b) = (View::new(&a, k), View::new(&b, n));
-            accumulate(view_a, view_b, &mut fast, &mut packed);
-            plain(view_a, view_b, &mut slow);
+            let (matrix_a, matrix_b) = (Matrix::new(&a, k), Matrix::new(&b, n));
+            accumulate(matrix_a, matrix_b, &mut fast, &mut packed);
+            plain(matrix_a, matrix_b, &mut slow);
             assert_eq!(fast, slow, "{m}x{k} times {k}x{n}");
             // And through a transpose: bᵀ aᵀ = (a b)ᵀ.
             let (mut fast, mut slow) = (vec![0.0; m * n], vec![0.0; m * n]);
-            accumulate(view_b.transposed(), view_a.transposed(), &mut fast, &mut packed);
-            plain(view_b.transposed(), view_a.transposed(), &mut slow);
+            accumulate(matrix_b.transposed(), matrix_a.transposed(), &mut fast, &mut packed);
+            plain(matrix_b.transposed(), matrix_a.transposed(), &mut slow);
             assert_eq!(fast, slow);
         }
     }

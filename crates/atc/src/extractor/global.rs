@@ -20,7 +20,7 @@ use use3d_capture::{Image, Map};
 use use3d_numerics::math;
 
 use super::Affine;
-use crate::lanes::{LANES, total, vectorized};
+use crate::vectorized::{LANES, total, vectorized};
 
 /// Relative ridge.
 const RIDGE: f64 = 1e-3;

@@ -79,30 +79,30 @@ impl Fit {
 
     /// Cotangents of `(g − 1, b)` to those of the samples of `x'` (with `y` fixed) and of `y`.
     #[inline(always)]
-    fn backward(&self, excess_bar: f64, bias_bar: f64) -> ([f64; SAMPLES], [f64; SAMPLES]) {
+    fn backward(&self, d_excess: f64, d_bias: f64) -> ([f64; SAMPLES], [f64; SAMPLES]) {
         let n = SAMPLES as f64;
-        let (p, q) = (excess_bar / self.denominator, bias_bar / self.denominator);
-        let denominator_bar = -(p * self.excess + q * self.bias);
-        let covariance_bar = (1.0 + RIDGE) * p - self.mean_x * q;
-        let mean_r_bar = RIDGE * self.mean_x * p + (self.variance + RIDGE * self.energy) * q;
-        let mut variance_bar = self.mean_r * q + (1.0 + RIDGE) * denominator_bar;
-        let mut mean_x_bar =
-            RIDGE * self.mean_r * p - self.covariance * q + 2.0 * RIDGE * self.mean_x * denominator_bar;
+        let (p, q) = (d_excess / self.denominator, d_bias / self.denominator);
+        let d_denominator = -(p * self.excess + q * self.bias);
+        let d_covariance = (1.0 + RIDGE) * p - self.mean_x * q;
+        let d_mean_r = RIDGE * self.mean_x * p + (self.variance + RIDGE * self.energy) * q;
+        let mut d_variance = self.mean_r * q + (1.0 + RIDGE) * d_denominator;
+        let mut d_mean_x =
+            RIDGE * self.mean_r * p - self.covariance * q + 2.0 * RIDGE * self.mean_x * d_denominator;
         if self.energy_active {
-            let energy_bar = RIDGE * self.mean_r * q + RIDGE * (1.0 + RIDGE) * denominator_bar;
-            variance_bar += energy_bar;
-            mean_x_bar += 2.0 * self.mean_x * energy_bar;
+            let d_energy = RIDGE * self.mean_r * q + RIDGE * (1.0 + RIDGE) * d_denominator;
+            d_variance += d_energy;
+            d_mean_x += 2.0 * self.mean_x * d_energy;
         }
-        let mut x_bar = [0.0; SAMPLES];
-        let mut y_bar = [0.0; SAMPLES];
+        let mut d_x = [0.0; SAMPLES];
+        let mut d_y = [0.0; SAMPLES];
         for i in 0..SAMPLES {
             let d = self.x[i] - self.mean_x;
-            y_bar[i] = (mean_r_bar + covariance_bar * d) / n;
+            d_y[i] = (d_mean_r + d_covariance * d) / n;
             // r = y − x', hence the last term.
-            x_bar[i] = (mean_x_bar + 2.0 * variance_bar * d + covariance_bar * (self.r[i] - self.mean_r)) / n
-                - y_bar[i];
+            d_x[i] =
+                (d_mean_x + 2.0 * d_variance * d + d_covariance * (self.r[i] - self.mean_r)) / n - d_y[i];
         }
-        (x_bar, y_bar)
+        (d_x, d_y)
     }
 }
 
@@ -162,32 +162,32 @@ impl Band<'_> {
         global: &Affine,
         form: Form,
         cotangents: &[[f64; 6]],
-        target_bar: &mut [f64],
+        d_target: &mut [f64],
     ) -> Affine {
-        let mut global_bar = [0.0; 12];
-        for (cell, bar) in cotangents.iter().enumerate() {
+        let mut d_global = [0.0; 12];
+        for (cell, d_cell) in cotangents.iter().enumerate() {
             let (source, fits) = self.fits(global, cell);
             for c in 0..3 {
-                let excess_bar = match form {
-                    Form::Log if fits[c].excess > GAIN_FLOOR - 1.0 => bar[c] / (1.0 + fits[c].excess),
+                let d_excess = match form {
+                    Form::Log if fits[c].excess > GAIN_FLOOR - 1.0 => d_cell[c] / (1.0 + fits[c].excess),
                     Form::Log => 0.0,
-                    Form::Linear => bar[c],
+                    Form::Linear => d_cell[c],
                 };
-                let (x_bar, y_bar) = fits[c].backward(excess_bar, bar[3 + c]);
+                let (d_x, d_y) = fits[c].backward(d_excess, d_cell[3 + c]);
                 for i in 0..SAMPLES {
-                    target_bar[((i / SIDE) * 3 + c) * self.columns + cell * SIDE + i % SIDE] = y_bar[i];
+                    d_target[((i / SIDE) * 3 + c) * self.columns + cell * SIDE + i % SIDE] = d_y[i];
                 }
                 for j in 0..3 {
                     let mut sum = 0.0;
                     for i in 0..SAMPLES {
-                        sum += x_bar[i] * source[j][i];
+                        sum += d_x[i] * source[j][i];
                     }
-                    global_bar[4 * c + j] += sum;
+                    d_global[4 * c + j] += sum;
                 }
-                global_bar[4 * c + 3] += x_bar.iter().sum::<f64>();
+                d_global[4 * c + 3] += d_x.iter().sum::<f64>();
             }
         }
-        global_bar
+        d_global
     }
 
     /// The calibration weight of the band's cells: `v / (v + 10⁻³) · exp(−mse / 0.02)`, clamped to `[0, 1]`;

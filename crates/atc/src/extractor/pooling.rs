@@ -78,7 +78,7 @@ impl Pooling {
                 sums.fill(0.0);
                 for y in self.y.start[k]..self.y.end[k] {
                     let row = &image[(plane * h + y) * w..][..w];
-                    crate::lanes::vectorized!(add_row(sums, row));
+                    crate::vectorized::vectorized!(add_row(sums, row));
                 }
                 for (c, o) in out.iter_mut().enumerate() {
                     let sum: f64 = sums[self.x.start[c]..self.x.end[c]].iter().sum();

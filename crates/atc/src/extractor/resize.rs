@@ -9,7 +9,7 @@
 use rayon::prelude::*;
 use use3d_capture::Image;
 
-use crate::lanes::vectorized;
+use crate::vectorized::vectorized;
 
 /// Where one axis of the resize reads: `value = low + (high − low) · fraction`.
 #[derive(Clone, Debug, PartialEq)]

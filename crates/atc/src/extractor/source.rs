@@ -11,7 +11,7 @@ use super::local::{Band, SIDE};
 use super::resize::Resize;
 use super::{Affine, Descriptors, ExtractorSettings, Geometry, Transition};
 use crate::error::AtcError;
-use crate::lanes::vectorized;
+use crate::vectorized::vectorized;
 
 /// A source image as the extractor sees it: resized, weighted, with its inverted moments and pooled samples.
 ///
@@ -33,12 +33,12 @@ pub struct Workspace {
     transition: Transition,
     target: Image,
     samples: Vec<f64>,
-    samples_bar: Vec<f64>,
+    d_samples: Vec<f64>,
     column_sums: Vec<f64>,
     row_sums: Vec<Affine>,
     band_sums: Vec<Affine>,
     wide: Vec<f32>,
-    target_bar: Image,
+    d_target: Image,
     resize_scratch: Vec<f32>,
 }
 
@@ -55,12 +55,12 @@ impl Workspace {
             transition: Transition { global: [0.0; 12], local: Vec::new() },
             target: Image::new(0, 0),
             samples: Vec::new(),
-            samples_bar: Vec::new(),
+            d_samples: Vec::new(),
             column_sums: Vec::new(),
             row_sums: Vec::new(),
             band_sums: Vec::new(),
             wide: Vec::new(),
-            target_bar: Image::new(0, 0),
+            d_target: Image::new(0, 0),
             resize_scratch: Vec::new(),
         }
     }
@@ -203,7 +203,7 @@ impl Source {
         gradient: &mut Image,
     ) -> Result<(), AtcError> {
         self.working_gradient(global, local, workspace)?;
-        self.geometry.resize.backward(&workspace.target_bar, gradient, &mut workspace.resize_scratch);
+        self.geometry.resize.backward(&workspace.d_target, gradient, &mut workspace.resize_scratch);
         Ok(())
     }
 
@@ -216,11 +216,11 @@ impl Source {
         gradient: &mut Image,
     ) -> Result<(), AtcError> {
         self.working_gradient(global, local, workspace)?;
-        self.geometry.lattice_resize.backward(&workspace.target_bar, gradient, &mut workspace.resize_scratch);
+        self.geometry.lattice_resize.backward(&workspace.d_target, gradient, &mut workspace.resize_scratch);
         Ok(())
     }
 
-    /// The gradient at the working resolution, into `ws.target_bar`.
+    /// The gradient at the working resolution, into `ws.d_target`.
     fn working_gradient(
         &self,
         global: &Affine,
@@ -240,9 +240,9 @@ impl Source {
         let form = self.geometry.settings.form;
         let sample_columns = SIDE * columns;
 
-        ws.samples_bar.resize(self.samples.len(), 0.0);
+        ws.d_samples.resize(self.samples.len(), 0.0);
         ws.band_sums.resize(rows, [0.0; 12]);
-        ws.samples_bar
+        ws.d_samples
             .par_chunks_mut(3 * SIDE * sample_columns)
             .zip(&mut ws.band_sums)
             .zip(local.par_chunks(columns))
@@ -250,20 +250,20 @@ impl Source {
             .for_each(|(((out, sum), cotangents), band)| {
                 *sum = vectorized!(band.backward(&operator, form, cotangents, out));
             });
-        let mut operator_bar = *global;
+        let mut d_operator = *global;
         for sum in &ws.band_sums {
-            for (o, s) in operator_bar.iter_mut().zip(sum) {
+            for (o, s) in d_operator.iter_mut().zip(sum) {
                 *o += s;
             }
         }
-        let k = self.ridge.backward(&operator_bar).map(|v| v as f32);
+        let k = self.ridge.backward(&d_operator).map(|v| v as f32);
 
         let pooling = &self.geometry.samples;
         ws.wide.resize(3 * SIDE * rows * w, 0.0);
-        pooling.spread(3, &ws.samples_bar, &mut ws.wide);
-        ws.target_bar.resize(w, h);
+        pooling.spread(3, &ws.d_samples, &mut ws.wide);
+        ws.d_target.resize(w, h);
         let wide = &ws.wide;
-        ws.target_bar.data_mut().par_chunks_mut(w).enumerate().for_each(|(row, out)| {
+        ws.d_target.data_mut().par_chunks_mut(w).enumerate().for_each(|(row, out)| {
             let (c, y) = (row / h, row % h);
             let x: [&[f32]; 3] = std::array::from_fn(|j| self.image.row(j, y));
             let k = [k[4 * c], k[4 * c + 1], k[4 * c + 2], k[4 * c + 3]];

@@ -43,14 +43,14 @@ pub fn local_loss(
     let (mut loss, mut square) = (0.0, 0.0);
     cotangent.clear();
     cotangent.resize(cells.len(), [0.0; 6]);
-    for (p, bar) in cotangent.iter_mut().enumerate() {
+    for (p, d) in cotangent.iter_mut().enumerate() {
         for q in 0..6 {
             let scale = scales[q].max(SCALE_FLOOR);
             let e = (cells[p][q] - target[p][q]) / scale;
             let (value, slope) = smooth_l1(e);
             loss += support[p] * value / 6.0;
             square += support[p] * e * e / 6.0;
-            bar[q] = weight * support[p] / divisor * slope / scale / 6.0;
+            d[q] = weight * support[p] / divisor * slope / scale / 6.0;
         }
     }
     center(cotangent);

@@ -14,8 +14,8 @@ proptest! {
         let t: Affine = std::array::from_fn(n);
         let target: Affine = std::array::from_fn(|i| n(100 + i));
         let scales: [f64; 12] = std::array::from_fn(|i| 0.2 + n(200 + i).abs());
-        let mut bar = [0.0; 12];
-        global_loss(&t, &target, &scales, 1.7, &mut bar);
+        let mut gradient = [0.0; 12];
+        global_loss(&t, &target, &scales, 1.7, &mut gradient);
         let h = 1e-6;
         for q in 0..12 {
             let at = |d: f64| {
@@ -23,7 +23,7 @@ proptest! {
                 moved[q] += d;
                 1.7 * global_loss(&moved, &target, &scales, 1.7, &mut [0.0; 12]).loss
             };
-            prop_assert!(((at(h) - at(-h)) / (2.0 * h) - bar[q]).abs() < 1e-5);
+            prop_assert!(((at(h) - at(-h)) / (2.0 * h) - gradient[q]).abs() < 1e-5);
         }
         let rows = |at: usize| -> Vec<[f64; 6]> {
             (0..cells).map(|p| std::array::from_fn(|q| n(at + 6 * p + q))).collect()
@@ -31,8 +31,8 @@ proptest! {
         let (delta, wanted) = (rows(1000), rows(2000));
         let support: Vec<f64> = (0..cells).map(|p| draw.uniform(5000 + p as u64)).collect();
         let scales: [f64; 6] = std::array::from_fn(|i| 0.2 + n(300 + i).abs());
-        let mut bar = Vec::new();
-        local_loss(&mut delta.clone(), &wanted, &support, &scales, 0.6, &mut bar);
+        let mut gradient = Vec::new();
+        local_loss(&mut delta.clone(), &wanted, &support, &scales, 0.6, &mut gradient);
         for p in 0..cells {
             for q in 0..6 {
                 let at = |d: f64| {
@@ -40,7 +40,7 @@ proptest! {
                     moved[p][q] += d;
                     0.6 * local_loss(&mut moved, &wanted, &support, &scales, 0.6, &mut Vec::new()).loss
                 };
-                prop_assert!(((at(h) - at(-h)) / (2.0 * h) - bar[p][q]).abs() < 1e-5);
+                prop_assert!(((at(h) - at(-h)) / (2.0 * h) - gradient[p][q]).abs() < 1e-5);
             }
         }
     }
@@ -48,11 +48,11 @@ proptest! {
 
 #[test]
 fn nothing_seen_is_no_loss_and_no_gradient() {
-    let mut bar = Vec::new();
+    let mut gradient = Vec::new();
     let mut cells = vec![[1.0; 6], [3.0; 6]];
-    let r = local_loss(&mut cells, &[[9.0; 6]; 2], &[0.0; 2], &[1.0; 6], 1.0, &mut bar);
+    let r = local_loss(&mut cells, &[[9.0; 6]; 2], &[0.0; 2], &[1.0; 6], 1.0, &mut gradient);
     assert_eq!((r.loss, r.error), (0.0, 0.0));
-    assert!(bar.iter().flatten().all(|&b| b == 0.0));
+    assert!(gradient.iter().flatten().all(|&b| b == 0.0));
 }
 
 /// What the log says of a step, and the report of a view, is as it was before there was a table: name by name, in this order.
