@@ -10,9 +10,9 @@
 use use3d_capture::{Image, Map};
 
 use crate::dpt::DptHead;
+use crate::engine::activation::Activation;
 use crate::engine::attention::attention;
 use crate::engine::convolution::{Convolution, Padding};
-use crate::engine::lanes::Activation;
 use crate::engine::normalise::{self, Affine};
 use crate::engine::planes::Planes;
 use crate::engine::resample::{Axis, Rule, resize, resize_by};

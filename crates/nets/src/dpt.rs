@@ -5,8 +5,8 @@
 //! conv(ReLU(conv(ReLU(x)))) + x; every resize is bilinear with the corners aligned. Ranftl, Bochkovskiy,
 //! Koltun, "Vision transformers for dense prediction", ICCV 2021.
 
+use crate::engine::activation::{self, Activation};
 use crate::engine::convolution::{BlockUpsampling, Convolution, Padding};
-use crate::engine::lanes::{self, Activation};
 use crate::engine::planes::Planes;
 use crate::engine::resample::{Rule, resize};
 use crate::error::NetError;
@@ -169,7 +169,7 @@ impl Fusion {
 impl Residual {
     fn forward(&self, x: Planes) -> Planes {
         let mut positive = x.clone();
-        lanes::apply(Activation::Relu, &mut positive.data);
+        activation::apply(Activation::Relu, &mut positive.data);
         let inner = self.0[0].forward(&positive, Activation::Relu);
         drop(positive);
         let mut x = x;

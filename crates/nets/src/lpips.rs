@@ -9,8 +9,8 @@
 use rayon::prelude::*;
 use use3d_capture::{Image, Map};
 
+use crate::engine::activation::Activation;
 use crate::engine::convolution::{Convolution, Padding};
-use crate::engine::lanes::Activation;
 use crate::engine::planes::Planes;
 use crate::engine::pool;
 use crate::engine::resample::{Rule, resize};

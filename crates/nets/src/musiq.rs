@@ -12,9 +12,9 @@ use rayon::prelude::*;
 use use3d_capture::Image;
 use use3d_numerics::math;
 
+use crate::engine::activation::{self, Activation};
 use crate::engine::attention::attention;
 use crate::engine::convolution::{Convolution, Padding};
-use crate::engine::lanes::{self, Activation};
 use crate::engine::normalise::{self, Affine};
 use crate::engine::planes::Planes;
 use crate::engine::pool;
@@ -186,7 +186,7 @@ impl PatchNet {
         let y = layer(1, &layer(0, &x, Activation::Relu), Activation::Relu);
         let mut y = layer(2, &y, Activation::Identity);
         y.add(&layer(3, &x, Activation::Identity));
-        lanes::apply(Activation::Relu, &mut y.data);
+        activation::apply(Activation::Relu, &mut y.data);
         probe("block1", &y);
         y
     }

@@ -16,8 +16,8 @@
 
 use use3d_capture::{Image, Image8};
 
+use crate::engine::activation::Activation;
 use crate::engine::convolution::{Convolution, Padding};
-use crate::engine::lanes::Activation;
 use crate::engine::normalise;
 use crate::engine::planes::Planes;
 use crate::engine::pool;

@@ -7,7 +7,7 @@
 use fearless_simd::Level;
 use rayon::prelude::*;
 
-use super::lanes;
+use super::activation;
 use super::planes::Planes;
 use super::product::{LANES, Packed, fill_from_rows, multiply_panel};
 
@@ -56,7 +56,7 @@ pub(crate) fn attention(
                 if let Some(valid) = valid {
                     mask(scores, valid, block * LANES);
                 }
-                let reciprocals = lanes::softmax_columns(level, scores);
+                let reciprocals = activation::softmax_columns(level, scores);
                 sums.fill(0.0);
                 multiply_panel(level, &packed_values, scores.as_flattened(), sums);
                 for (row, sums) in rows.iter_mut().zip(sums.chunks_exact(LANES)) {

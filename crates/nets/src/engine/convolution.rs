@@ -8,7 +8,7 @@
 
 use rayon::prelude::*;
 
-use super::lanes::Activation;
+use super::activation::Activation;
 use super::planes::Planes;
 use super::product::{Finish, LANES, Packed, fill_from_rows, product};
 

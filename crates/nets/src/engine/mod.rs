@@ -1,8 +1,8 @@
 //! The few kernels that all networks are made of, on plain slices.
 
+pub(crate) mod activation;
 pub(crate) mod attention;
 pub(crate) mod convolution;
-pub(crate) mod lanes;
 pub(crate) mod normalise;
 pub(crate) mod planes;
 pub(crate) mod pool;

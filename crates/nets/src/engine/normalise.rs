@@ -6,7 +6,7 @@
 use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
 
-use super::lanes::{self, Activation};
+use super::activation::{self, Activation};
 use super::planes::Planes;
 
 /// Mean and 1/√(variance + ε) of a slice.
@@ -37,7 +37,7 @@ pub(crate) fn instance(planes: &mut Planes, epsilon: f64, activation: Activation
     let (level, area) = (Level::new(), planes.area());
     planes.data.par_chunks_mut(area).for_each(|plane| {
         let (mean, scale) = moments(level, plane, epsilon);
-        lanes::normalise(level, activation, mean, scale, 0.0, plane);
+        activation::normalise(level, activation, mean, scale, 0.0, plane);
     });
 }
 
@@ -55,7 +55,7 @@ pub(crate) fn group(
         let (mean, scale) = moments(level, values, epsilon);
         for (i, plane) in values.chunks_exact_mut(area).enumerate() {
             let c = g * channels + i;
-            lanes::normalise(level, activation, mean, scale * affine.scale[c], affine.shift[c], plane);
+            activation::normalise(level, activation, mean, scale * affine.scale[c], affine.shift[c], plane);
         }
     }
 }

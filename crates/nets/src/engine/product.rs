@@ -12,7 +12,7 @@
 use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 use rayon::prelude::*;
 
-use super::lanes::{self, Activation};
+use super::activation::{self, Activation};
 
 /// Rows of a panel of `a`.
 pub(crate) const ROWS: usize = 8;
@@ -198,7 +198,7 @@ pub(crate) fn product(
                         let addend = &addend[r * columns + first + t * LANES..][..piece.len()];
                         sums.iter_mut().zip(addend).for_each(|(s, a)| *s += a);
                     }
-                    lanes::finish(level, finish.activation, bias, sums);
+                    activation::finish(level, finish.activation, bias, sums);
                     if finish.accumulate {
                         piece.iter_mut().zip(sums).for_each(|(o, s)| *o += *s);
                     } else {

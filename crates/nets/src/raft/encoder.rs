@@ -5,8 +5,8 @@
 //! ReLU(norm(conv(ReLU(norm(conv(x)))))))`. The feature encoder normalises each picture and channel on its
 //! own; the context encoder has batch norms with fixed statistics, folded into the convolutions.
 
+use crate::engine::activation::{self, Activation};
 use crate::engine::convolution::{Convolution, Padding};
-use crate::engine::lanes::{self, Activation};
 use crate::engine::normalise;
 use crate::engine::planes::Planes;
 use crate::error::NetError;
@@ -85,7 +85,7 @@ impl Encoder {
                 None => y.add(&x),
                 Some(shortcut) => y.add(&shortcut.forward(&x, Activation::Identity)),
             }
-            lanes::apply(Activation::Relu, &mut y.data);
+            activation::apply(Activation::Relu, &mut y.data);
             x = y;
         }
         self.last.forward(&x, Activation::Identity)

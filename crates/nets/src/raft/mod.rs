@@ -12,7 +12,7 @@ mod update;
 
 use use3d_capture::{Image, Raster};
 
-use crate::engine::lanes::{self, Activation};
+use crate::engine::activation::{self, Activation};
 use crate::engine::planes::Planes;
 use crate::error::NetError;
 use crate::images;
@@ -93,9 +93,9 @@ impl Raft {
         let context = self.context.forward(a);
         probe("context", &context);
         let mut hidden = context.slice(0..HIDDEN);
-        lanes::apply(Activation::Tanh, &mut hidden.data);
+        activation::apply(Activation::Tanh, &mut hidden.data);
         let mut inputs = context.slice(HIDDEN..2 * HIDDEN);
-        lanes::apply(Activation::Relu, &mut inputs.data);
+        activation::apply(Activation::Relu, &mut inputs.data);
         drop(context);
         let inputs = self.update.context_part(&inputs);
         let mut flow = Planes::new(2, height, width);

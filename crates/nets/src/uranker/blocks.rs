@@ -8,8 +8,8 @@
 use rayon::prelude::*;
 
 use super::{EPSILON, EXTRA, Tokens, patches_of};
+use crate::engine::activation::{self, Activation};
 use crate::engine::convolution::{Convolution, Depthwise};
-use crate::engine::lanes::{self, Activation};
 use crate::engine::normalise::{self, Affine};
 use crate::engine::planes::Planes;
 use crate::engine::product::{Finish, Packed, fill_from_rows, product};
@@ -120,7 +120,7 @@ fn softmax(row: &mut [f32]) {
     let largest = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     let mut sum = 0.0f64;
     for v in row.iter_mut() {
-        *v = lanes::exp(*v - largest);
+        *v = activation::exp(*v - largest);
         sum += f64::from(*v);
     }
     let scale = (1.0 / sum) as f32;

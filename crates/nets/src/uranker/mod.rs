@@ -11,8 +11,8 @@ mod blocks;
 
 use use3d_capture::Image;
 
+use crate::engine::activation::Activation;
 use crate::engine::convolution::{Convolution, Padding};
-use crate::engine::lanes::Activation;
 use crate::engine::normalise::{self, Affine};
 use crate::engine::planes::Planes;
 use crate::engine::resample::{Rule, pillow_bilinear, resize};
