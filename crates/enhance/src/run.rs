@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use use3d_numerics::random::Purpose;
 use use3d_scene::Scene;
 use use3d_training::{
-    Checkpoints, Drain, Ended, EngineError, NonFinite, Observer, Progress, Resumable, Session, Steps, View,
-    ViewOrder,
+    Checkpoints, Drain, Ended, EngineError, NonFinite, Observer, Progress, Resumable, Session, Snapshot,
+    Steps, ViewOrder,
 };
 use use3d_ubaf::water::ratios;
 use use3d_ubaf::{Enhancement, ObjectPass};
@@ -141,7 +141,7 @@ impl Steps for Run<'_> {
 
     /// The [`Scene`] with its enhancement so far. The centre is the mean over all Gaussians, not that over the ones that define it, which the
     /// engine knows: asking it would cost it what it holds for the next step.
-    fn view(&mut self) -> Result<Option<View>, EnhanceError> {
+    fn view(&mut self) -> Result<Option<Snapshot>, EnhanceError> {
         let mut field = initial_field(self.scene, self.guidance, self.params)?;
         let state = self.engine.save()?;
         state.check(field.parameters.len())?;

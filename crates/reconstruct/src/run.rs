@@ -15,7 +15,7 @@ use use3d_numerics::range::OutOfRange;
 use use3d_scene::Scene;
 use use3d_training::{
     Checkpoints, Drain, Ended, EngineError, NonFinite, Observer, Profile, Progress, Resumable, Session,
-    Steps, View, ViewOrder,
+    Snapshot, Steps, ViewOrder,
 };
 
 use crate::bounds::most_gaussians;
@@ -257,7 +257,7 @@ impl Steps for Run<'_> {
     }
 
     /// The [`Scene`] as it would be if this were the last step.
-    fn view(&mut self) -> Result<Option<View>, ReconstructError> {
+    fn view(&mut self) -> Result<Option<Snapshot>, ReconstructError> {
         let medium_degree = self.degrees(self.step.saturating_sub(1)).water;
         let state = self.engine.save()?;
         let (gaussians, medium) = (state.gaussians.clone(), state.medium.clone());

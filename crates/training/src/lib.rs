@@ -25,7 +25,7 @@ pub use checkpoint::{CheckpointError, CheckpointFile};
 pub use choice::{EngineChoice, UnknownEngine};
 pub use engine::{Drain, EngineError};
 pub use guard::NonFinite;
-pub use observer::{Observer, Progress, Silent, StopFlag, View};
+pub use observer::{Observer, Progress, Silent, Snapshot, StopFlag};
 pub use order::ViewOrder;
 pub use pace::Pace;
 pub use profile::{Part, Profile};

@@ -27,7 +27,7 @@ pub struct Progress {
 
 /// What is being trained as it stands after a step, copied so that it may be looked at in another thread while training goes on. Which
 /// type it is, the loop's crate says: this one knows no scenes.
-pub type View = Arc<dyn Any + Send + Sync>;
+pub type Snapshot = Arc<dyn Any + Send + Sync>;
 
 /// Watches a loop. Every method has a default that does nothing, so a test may pass [`Silent`].
 pub trait Observer {
@@ -48,7 +48,7 @@ pub trait Observer {
     }
 
     /// What is being trained, for who wanted it.
-    fn view(&mut self, _view: View) {}
+    fn view(&mut self, _view: Snapshot) {}
 }
 
 /// Watches nothing and never stops anything.

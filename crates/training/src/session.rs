@@ -16,7 +16,7 @@ use std::time::Instant;
 
 use crate::chain::{Checkpoints, Resumable};
 use crate::checkpoint::CheckpointError;
-use crate::observer::{Observer, Progress, View};
+use crate::observer::{Observer, Progress, Snapshot};
 use crate::pace::Pace;
 
 /// What a loop does, one step after another.
@@ -37,7 +37,7 @@ pub trait Steps {
 
     /// A copy of what is trained as it stands, for somebody who looks on; `None` where there is nothing to look at. It must leave the
     /// steps to come as they are.
-    fn view(&mut self) -> Result<Option<View>, Self::Error> {
+    fn view(&mut self) -> Result<Option<Snapshot>, Self::Error> {
         Ok(None)
     }
 
@@ -162,7 +162,7 @@ mod tests {
             self.saved.push(done);
             checkpoints.save(done, &State { fingerprint: [1; 32], step: done })
         }
-        fn view(&mut self) -> Result<Option<View>, CheckpointError> {
+        fn view(&mut self) -> Result<Option<Snapshot>, CheckpointError> {
             Ok(Some(std::sync::Arc::new(self.steps.clone())))
         }
         fn shown(&self) -> Progress {
@@ -175,7 +175,7 @@ mod tests {
         stop_at: Option<u64>,
         seen: Vec<Progress>,
         notices: Vec<String>,
-        views: Vec<View>,
+        views: Vec<Snapshot>,
     }
 
     impl Observer for Watcher {
@@ -191,7 +191,7 @@ mod tests {
         fn wants_view(&self) -> bool {
             self.seen.last().is_some_and(|p| p.step.is_multiple_of(3))
         }
-        fn view(&mut self, view: View) {
+        fn view(&mut self, view: Snapshot) {
             self.views.push(view);
         }
     }

@@ -171,7 +171,8 @@ impl WaterPass {
             .for_each(|(block, ((red, green), blue))| {
                 let first = block * BLOCK;
                 let pixels = first..first + red.len();
-                let view = View { guide: &guide, affine: &affine, table: &table, logs: &logs, color: &color };
+                let view =
+                    Recolouring { guide: &guide, affine: &affine, table: &table, logs: &logs, color: &color };
                 dispatch!(level, simd => view.recolor(simd, pixels, [red, green, blue]));
             });
         let [bs, attn] = ratios(field, strength);
@@ -205,7 +206,7 @@ impl WaterPass {
         self.partials.par_iter_mut().enumerate().for_each(|(block, sums)| {
             let first = block * BLOCK;
             let count = BLOCK.min(n - first);
-            let view = View { guide: &guide, affine: &affine, table, logs: &logs, color: &color };
+            let view = Recolouring { guide: &guide, affine: &affine, table, logs: &logs, color: &color };
             dispatch!(level, simd => view.differentiate(simd, first..first + count, &d_color, sums));
             let pairs = [
                 (&water.maps.backscatter, &d_maps.backscatter),
@@ -262,7 +263,7 @@ pub fn ratios(field: &Field, strength: f32) -> [f32; 2] {
 }
 
 /// What the colour of a view's pixels depends on.
-struct View<'a> {
+struct Recolouring<'a> {
     guide: &'a [f32; 4],
     affine: &'a [[f32; 4]; 3],
     table: &'a Table,
@@ -270,7 +271,7 @@ struct View<'a> {
     color: &'a [&'a [f32]; 3],
 }
 
-impl View<'_> {
+impl Recolouring<'_> {
     /// `γ` of up to sixteen pixels from `at` on.
     #[inline(always)]
     fn gammas<S: Simd>(&self, simd: S, at: usize, count: usize) -> [f32; LANES] {

@@ -1,6 +1,6 @@
 //! A training loop heard by the engine.
 
-use use3d_training::{Observer, Progress, View};
+use use3d_training::{Observer, Progress, Snapshot};
 
 use use3d_build::StageContext;
 
@@ -55,7 +55,7 @@ impl Observer for Watch<'_> {
         self.context.wants_view()
     }
 
-    fn view(&mut self, view: View) {
+    fn view(&mut self, view: Snapshot) {
         self.context.view(&view);
     }
 }

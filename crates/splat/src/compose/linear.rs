@@ -5,7 +5,7 @@
 use fearless_simd::dispatch;
 
 use super::pixels::{input, row_splats};
-use super::rasterizer::{Engine, Rasterizer};
+use super::rasterizer::{Kernels, Rasterizer};
 use super::strips::{Strips, for_each};
 use super::sums::{in_groups, scatter};
 use super::tile::{CHANNELS, ForwardTile, Lanes, Sink};
@@ -38,7 +38,7 @@ impl Rasterizer {
         let pixels = prepared.width * prepared.height;
         assert_eq!(values.len(), prepared.gaussians * channels, "one value per Gaussian and channel");
         assert_eq!(out.len(), pixels * channels, "one plane per channel");
-        let engine = self.engine;
+        let kernels = self.kernels;
         if pixels == 0 {
             return;
         }
@@ -59,9 +59,9 @@ impl Rasterizer {
                     let input = input(prepared, &splats, row, column);
                     let mut state = ForwardTile::new(input.filled_rows, input.filled_columns);
                     let mut tile = [[[0.0; TILE]; CHANNELS]; TILE];
-                    match engine {
-                        Engine::Plain => plain::splat(&input, of, &mut state, &mut tile),
-                        Engine::Lanes(level) => {
+                    match kernels {
+                        Kernels::Plain => plain::splat(&input, of, &mut state, &mut tile),
+                        Kernels::Lanes(level) => {
                             dispatch!(level, simd => match count {
                                 1 => lanes::splat::<_, 1>(simd, &input, of, &mut state, &mut tile),
                                 2..=4 => lanes::splat::<_, 4>(simd, &input, of, &mut state, &mut tile),
@@ -87,7 +87,7 @@ impl Rasterizer {
         let pixels = prepared.width * prepared.height;
         assert_eq!(out.len(), prepared.gaussians * channels, "one value per Gaussian and channel");
         assert_eq!(maps.len(), pixels * channels, "one plane per channel");
-        let engine = self.engine;
+        let kernels = self.kernels;
         for first in (0..channels).step_by(CHANNELS) {
             let count = (channels - first).min(CHANNELS);
             let planes = &maps[first * pixels..(first + count) * pixels];
@@ -99,9 +99,9 @@ impl Rasterizer {
                     let mut tile = [[[0.0; TILE]; CHANNELS]; TILE];
                     load(prepared, planes, row, column, input.filled_rows, input.filled_columns, &mut tile);
                     let mut sink = Sink { records: &mut *records, column: column as u32 };
-                    match engine {
-                        Engine::Plain => plain::splat_adjoint(&input, &tile, &mut state, &mut sink),
-                        Engine::Lanes(level) => {
+                    match kernels {
+                        Kernels::Plain => plain::splat_adjoint(&input, &tile, &mut state, &mut sink),
+                        Kernels::Lanes(level) => {
                             dispatch!(level, simd => match count {
                                 1 => lanes::splat_adjoint::<_, 1>(simd, &input, &tile, &mut state, &mut sink),
                                 2..=4 => lanes::splat_adjoint::<_, 4>(simd, &input, &tile, &mut state, &mut sink),

@@ -39,7 +39,7 @@ impl Prepared {
         let input = input(self, splats, row, column);
         let (rows, columns) = (input.filled_rows, input.filled_columns);
         let mut state = ForwardTile::new(rows, columns);
-        let nothing = crate::compose::tile::Water::default();
+        let nothing = crate::compose::tile::TileWater::default();
         crate::compose::plain::forward::<false, false>(&input, &nothing, &mut state);
         let mut pairs = Pairs { entries: input.list.len() as u64, ..Pairs::default() };
         for k in 0..input.list.len() {

@@ -9,7 +9,7 @@ use use3d_capture::{Image, Map, MediumMaps};
 use use3d_numerics::lanes::exp2;
 
 use super::strips::{Planes, Strips};
-use super::tile::{BackwardTile, ForwardTile, Input, Lanes, Water};
+use super::tile::{BackwardTile, ForwardTile, Input, Lanes, TileWater};
 use crate::lists::{Prepared, TILE};
 use crate::project::Splat;
 use crate::view::{Cotangents, Layers};
@@ -105,7 +105,7 @@ pub(crate) fn load_water(
     medium: &MediumMaps,
     row: usize,
     column: usize,
-    water: &mut Water,
+    water: &mut TileWater,
 ) {
     let (rows, n) = (prepared.rows.filled(row), prepared.columns.filled(column));
     for r in 0..rows {
@@ -286,7 +286,7 @@ impl Strips for LayerPlanes<'_> {
 /// A tile after the forward pass, with what it was composed of.
 pub(crate) struct Composed<'a> {
     pub(crate) input: &'a Input<'a>,
-    pub(crate) water: &'a Water,
+    pub(crate) water: &'a TileWater,
     pub(crate) tile: &'a ForwardTile,
 }
 

@@ -25,7 +25,9 @@
 
 use use3d_numerics::lanes::{SMALL_COEFFICIENTS, exp2, exp2_unclamped, sum};
 
-use super::tile::{ALPHA_MAX, BackwardTile, CHANNELS, ForwardTile, Input, Lanes, STOP, Sink, Water, moments};
+use super::tile::{
+    ALPHA_MAX, BackwardTile, CHANNELS, ForwardTile, Input, Lanes, STOP, Sink, TileWater, moments,
+};
 use crate::lists::TILE;
 use crate::project::{LOG2_255, Record, Splat, SplatGradient};
 
@@ -39,7 +41,7 @@ struct Decay {
 }
 
 impl Decay {
-    fn new(water: &Water, z: f32) -> Self {
+    fn new(water: &TileWater, z: f32) -> Self {
         let exponent = std::array::from_fn(|q| water.centre[q] * z);
         let factor = (z <= water.near).then(|| exponent.map(exp2));
         Self { z, factor, exponent }
@@ -69,7 +71,7 @@ fn log2_alpha(splat: &Splat, row: crate::compose::tile::RowTerms, x: f32) -> (f3
 /// Composes a tile. `water` is read only if `WATER`.
 pub(crate) fn forward<const WATER: bool, const LAYERS: bool>(
     input: &Input<'_>,
-    water: &Water,
+    water: &TileWater,
     tile: &mut ForwardTile,
 ) {
     for k in 0..input.list.len() {
@@ -119,7 +121,7 @@ pub(crate) fn forward<const WATER: bool, const LAYERS: bool>(
 /// are constants in the medium's terms (R2).
 pub(crate) fn backward<const WATER: bool, const EXTRAS: bool>(
     input: &Input<'_>,
-    water: &Water,
+    water: &TileWater,
     tile: &mut BackwardTile,
     s_gradient: f32,
     sink: &mut Sink<'_>,
@@ -220,7 +222,7 @@ pub(crate) fn finish(splat: &Splat, origin: [f32; 2], offset: &Lanes, lanes: &[L
 /// Stage 2: the gradient with respect to colours and the medium, front to back, no geometry.
 pub(crate) fn backward_colors<const WATER: bool>(
     input: &Input<'_>,
-    water: &Water,
+    water: &TileWater,
     tile: &mut BackwardTile,
     sink: &mut Sink<'_>,
 ) {

@@ -13,7 +13,7 @@ use super::pixels::{
 };
 use super::strips::for_each;
 use super::sums::{in_groups, scatter};
-use super::tile::{BackwardTile, ForwardTile, Input, Sink, Water};
+use super::tile::{BackwardTile, ForwardTile, Input, Sink, TileWater};
 use super::{lanes, plain};
 use crate::lists::{Prepared, TILE};
 use crate::project::{Drawn, Record, SplatGradient, backward};
@@ -21,7 +21,7 @@ use crate::view::{Cotangents, Gradients, Options, Rendered, ViewOf};
 
 /// Which code composes a tile. All give the same bits where multiply-add is fused.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Engine {
+pub(crate) enum Kernels {
     /// Scalar code, the definition of correct.
     Plain,
     /// Vector code at an instruction-set level.
@@ -31,7 +31,7 @@ pub(crate) enum Engine {
 /// Composes [`Prepared`] Gaussians; owns the scratch memory, which grows to what the largest view needs and is then reused.
 #[derive(Clone, Debug)]
 pub struct Rasterizer {
-    pub(crate) engine: Engine,
+    pub(crate) kernels: Kernels,
     saved: Saved,
     pub(crate) records: Vec<Record>,
     pub(crate) sums: Vec<Record>,
@@ -51,16 +51,16 @@ impl Rasterizer {
 
     /// With a given instruction set.
     pub fn with_level(level: Level) -> Self {
-        Self::with_engine(Engine::Lanes(level))
+        Self::with_kernels(Kernels::Lanes(level))
     }
 
     /// With plain scalar code: the definition of correct, slow.
     pub fn plain() -> Self {
-        Self::with_engine(Engine::Plain)
+        Self::with_kernels(Kernels::Plain)
     }
 
-    fn with_engine(engine: Engine) -> Self {
-        Self { engine, saved: Saved::default(), records: Vec::new(), sums: Vec::new() }
+    fn with_kernels(kernels: Kernels) -> Self {
+        Self { kernels, saved: Saved::default(), records: Vec::new(), sums: Vec::new() }
     }
 
     /// Bytes of scratch memory held.
@@ -93,7 +93,7 @@ impl Rasterizer {
         medium: Option<&MediumMaps>,
         out: Option<&mut Rendered>,
     ) {
-        let (engine, w) = (self.engine, prepared.width);
+        let (kernels, w) = (self.kernels, prepared.width);
         let saved = self.saved.planes(prepared);
         let (images, layers) = match out {
             Some(Rendered { image, depth, accumulation, layers }) => {
@@ -103,11 +103,11 @@ impl Rasterizer {
             None => (ImagePlanes::absent(w), LayerPlanes::absent(w)),
         };
         for_each(0..prepared.rows.tiles(), (saved, images, layers), &|row, strips: ForwardStrips<'_>| {
-            match engine {
-                Engine::Plain => {
+            match kernels {
+                Kernels::Plain => {
                     forward_row::<WATER>(prepared, medium, row, strips, plain::forward::<WATER, LAYERS>);
                 }
-                Engine::Lanes(level) => dispatch!(level, simd => forward_row::<WATER>(
+                Kernels::Lanes(level) => dispatch!(level, simd => forward_row::<WATER>(
                     prepared,
                     medium,
                     row,
@@ -166,7 +166,7 @@ impl Rasterizer {
         s_gradient: f32,
         medium_grads: Option<&mut MediumMaps>,
     ) {
-        let engine = self.engine;
+        let kernels = self.kernels;
         let read = BackwardRead { saved: Some(&self.saved), ..read };
         let planes = MediumPlanes::of(medium_grads, read.prepared);
         in_groups(
@@ -174,13 +174,13 @@ impl Rasterizer {
             &mut self.records,
             &mut self.sums,
             planes,
-            &|row, records, strips: MediumPlanes<'_>| match engine {
-                Engine::Plain => {
+            &|row, records, strips: MediumPlanes<'_>| match kernels {
+                Kernels::Plain => {
                     backward_row::<WATER>(&read, row, records, strips, |input, water, tile, sink| {
                         plain::backward::<WATER, EXTRAS>(input, water, tile, s_gradient, sink);
                     });
                 }
-                Engine::Lanes(level) => dispatch!(level, simd => backward_row::<WATER>(
+                Kernels::Lanes(level) => dispatch!(level, simd => backward_row::<WATER>(
                     &read,
                     row,
                     records,
@@ -220,7 +220,7 @@ impl Rasterizer {
         image: &Image,
         medium_grads: &mut MediumMaps,
     ) {
-        let engine = self.engine;
+        let kernels = self.kernels;
         let cotangents = Cotangents { image, depth: None, accumulation: None, clear: None };
         let read = BackwardRead { prepared, medium, cotangents: &cotangents, saved: None };
         let planes = MediumPlanes::of(Some(medium_grads), prepared);
@@ -229,11 +229,11 @@ impl Rasterizer {
             &mut self.records,
             &mut self.sums,
             planes,
-            &|row, records, strips: MediumPlanes<'_>| match engine {
-                Engine::Plain => {
+            &|row, records, strips: MediumPlanes<'_>| match kernels {
+                Kernels::Plain => {
                     backward_row::<WATER>(&read, row, records, strips, plain::backward_colors::<WATER>);
                 }
-                Engine::Lanes(level) => dispatch!(level, simd => backward_row::<WATER>(
+                Kernels::Lanes(level) => dispatch!(level, simd => backward_row::<WATER>(
                     &read,
                     row,
                     records,
@@ -258,9 +258,9 @@ fn forward_row<const WATER: bool>(
     medium: Option<&MediumMaps>,
     row: usize,
     (mut saved, mut images, mut layers): ForwardStrips<'_>,
-    compose: impl Fn(&Input<'_>, &Water, &mut ForwardTile),
+    compose: impl Fn(&Input<'_>, &TileWater, &mut ForwardTile),
 ) {
-    let mut water = Water::default();
+    let mut water = TileWater::default();
     let splats = row_splats(prepared, row);
     for column in 0..prepared.columns.tiles() {
         let input = input(prepared, &splats, row, column);
@@ -288,9 +288,9 @@ fn backward_row<const WATER: bool>(
     row: usize,
     records: &mut [Record],
     mut grads: MediumPlanes<'_>,
-    compose: impl Fn(&Input<'_>, &Water, &mut BackwardTile, &mut Sink<'_>),
+    compose: impl Fn(&Input<'_>, &TileWater, &mut BackwardTile, &mut Sink<'_>),
 ) {
-    let mut water = Water::default();
+    let mut water = TileWater::default();
     let mut tile = BackwardTile::ZERO;
     let BackwardRead { prepared, medium, .. } = *read;
     let splats = row_splats(prepared, row);

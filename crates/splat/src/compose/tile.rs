@@ -62,7 +62,7 @@ impl WaterRow {
 /// are exact to rounding.
 #[derive(Clone, Copy, Default)]
 #[repr(C, align(64))]
-pub(crate) struct Water {
+pub(crate) struct TileWater {
     pub(crate) rows: [WaterRow; TILE],
     /// Attenuation rgb, backscatter rgb, padding.
     pub(crate) centre: Lanes,
@@ -70,7 +70,7 @@ pub(crate) struct Water {
     pub(crate) near: f32,
 }
 
-impl Water {
+impl TileWater {
     /// Centres the exponents, which on entry are absolute, in the first `rows` rows. Padding columns repeat a pixel.
     #[inline(always)]
     pub(crate) fn centre(&mut self, rows: usize) {

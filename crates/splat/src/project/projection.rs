@@ -58,7 +58,7 @@ pub(crate) struct GeometryGradient {
 }
 
 /// Intermediate values that forward and backward share.
-struct Frame {
+struct Shared {
     x: [f64; 3],
     /// `tx/z`, `ty/z` and whether each clamp is inactive.
     slope: [f64; 2],
@@ -115,7 +115,7 @@ impl Projector {
     }
 
     #[inline(always)]
-    fn frame(&self, x: [f64; 3], log_scale: [f32; 3], quaternion: [f32; 4]) -> Frame {
+    fn frame(&self, x: [f64; 3], log_scale: [f32; 3], quaternion: [f32; 4]) -> Shared {
         let z = x[2];
         let clamp = |v: f64, [low, high]: [f64; 2]| (v.max(low).min(high), v > low && v < high);
         let (sx, free_x) = clamp(x[0] / z, self.limit_x);
@@ -134,7 +134,7 @@ impl Projector {
             std::array::from_fn(|c| row[0] * turn[0][c] + row[1] * turn[1][c] + row[2] * turn[2][c])
         });
         let scale = log_scale.map(|v| math::exp(f64::from(v)));
-        Frame { x, slope: [sx, sy], free: [free_x, free_y], unit, norm, scale, turn, axes, jr }
+        Shared { x, slope: [sx, sy], free: [free_x, free_y], unit, norm, scale, turn, axes, jr }
     }
 
     /// Projects one Gaussian; `None` if it is outside the depth range or its projection is not a finite Gaussian.
@@ -217,7 +217,7 @@ impl Projector {
 
 /// From the gradient of the rotation matrix to that of the raw quaternion, through the normalisation.
 #[inline(always)]
-fn unit_quaternion_backward(f: &Frame, d: &[[f64; 3]; 3]) -> [f64; 4] {
+fn unit_quaternion_backward(f: &Shared, d: &[[f64; 3]; 3]) -> [f64; 4] {
     let [w, x, y, z] = f.unit;
     let g = [
         2.0 * (x * (d[2][1] - d[1][2]) + y * (d[0][2] - d[2][0]) + z * (d[1][0] - d[0][1])),

@@ -207,7 +207,7 @@ pub(crate) fn backward(
 ) {
     grads.resize(gaussians.len());
     let (projector, center) = (Projector::new(camera), color::center(camera));
-    let view = View { drawn, sums, gaussians, projector, center };
+    let input = BackwardInput { drawn, sums, gaussians, projector, center };
     let level = Level::new();
     let GaussianGradients { means, log_scales, quaternions, opacity_logits, sh, screen, visible } = grads;
     (
@@ -224,7 +224,7 @@ pub(crate) fn backward(
         .enumerate()
         .for_each(|(chunk, (means, scales, quats, logits, sh, screen, visible, ranks))| {
             let out = Chunk { means, scales, quats, logits, sh, screen, visible };
-            dispatch!(level, _simd => backward_chunk(&view, chunk * CHUNK, ranks, out));
+            dispatch!(level, _simd => backward_chunk(&input, chunk * CHUNK, ranks, out));
         });
 }
 
@@ -238,7 +238,7 @@ pub(crate) struct Drawn<'a> {
 }
 
 /// What the gradients of a view's Gaussians are made from.
-struct View<'a> {
+struct BackwardInput<'a> {
     drawn: &'a Drawn<'a>,
     sums: &'a [Record],
     gaussians: &'a Gaussians,
@@ -260,8 +260,8 @@ struct Chunk<'a> {
 /// The gradients of the Gaussians from `first` on. Always inlined, so that the instruction set reaches it: multiply-add is a call
 /// without.
 #[inline(always)]
-fn backward_chunk(view: &View<'_>, first: usize, ranks: &[u32], out: Chunk<'_>) {
-    let View { drawn, sums, gaussians, projector, center } = view;
+fn backward_chunk(input: &BackwardInput<'_>, first: usize, ranks: &[u32], out: Chunk<'_>) {
+    let BackwardInput { drawn, sums, gaussians, projector, center } = input;
     let Chunk { means, scales, quats, logits, sh, screen, visible } = out;
     // Ranks are scattered over the view: fetched together, the waits for memory overlap.
     let mut fetched = [(Splat::default(), [0.0; 12]); CHUNK];

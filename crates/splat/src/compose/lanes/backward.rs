@@ -7,7 +7,7 @@ use super::decay::{Attenuate, ThroughWater, through};
 use super::entries::{Entry, Pass, walk};
 use super::sums::finish;
 use super::{accumulate, load, select};
-use crate::compose::tile::{ALPHA_MAX, BackwardTile, Input, Lanes, NEVER, Sink, Water};
+use crate::compose::tile::{ALPHA_MAX, BackwardTile, Input, Lanes, NEVER, Sink, TileWater};
 use crate::lists::{Span, TILE};
 use crate::project::LOG2_255;
 
@@ -16,7 +16,7 @@ use crate::project::LOG2_255;
 pub(crate) fn backward<S: Simd, const WATER: bool, const EXTRAS: bool>(
     simd: S,
     input: &Input<'_>,
-    water: &Water,
+    water: &TileWater,
     tile: &mut BackwardTile,
     s_gradient: f32,
     sink: &mut Sink<'_>,
@@ -38,7 +38,7 @@ pub(crate) fn backward<S: Simd, const WATER: bool, const EXTRAS: bool>(
 }
 
 struct Backward<'a, 'b, S: Simd, const WATER: bool, const EXTRAS: bool> {
-    water: &'a Water,
+    water: &'a TileWater,
     tile: &'a mut BackwardTile,
     s_gradient: f32,
     sink: &'a mut Sink<'b>,

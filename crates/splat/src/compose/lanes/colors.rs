@@ -7,7 +7,7 @@ use super::entries::{Entry, Pass, walk};
 use super::front::Front;
 use super::sums::sums;
 use super::{accumulate, load};
-use crate::compose::tile::{BackwardTile, ForwardTile, Input, Sink, Water};
+use crate::compose::tile::{BackwardTile, ForwardTile, Input, Sink, TileWater};
 use crate::lists::Span;
 use crate::project::SplatGradient;
 
@@ -16,7 +16,7 @@ use crate::project::SplatGradient;
 pub(crate) fn backward_colors<S: Simd, const WATER: bool>(
     simd: S,
     input: &Input<'_>,
-    water: &Water,
+    water: &TileWater,
     tile: &mut BackwardTile,
     sink: &mut Sink<'_>,
 ) {
@@ -26,7 +26,7 @@ pub(crate) fn backward_colors<S: Simd, const WATER: bool>(
 }
 
 struct ColorsBackward<'a, 'b, const WATER: bool> {
-    water: &'a Water,
+    water: &'a TileWater,
     front: Front<'a>,
     tile: &'a mut BackwardTile,
     sink: &'a mut Sink<'b>,

@@ -8,7 +8,7 @@ use use3d_numerics::lanes::{SMALL_COEFFICIENTS, exp2_lanes};
 
 use super::entries::Entry;
 use super::load;
-use crate::compose::tile::{Lanes, Water};
+use crate::compose::tile::{Lanes, TileWater};
 use crate::lists::TILE;
 
 /// A way through the water.
@@ -32,7 +32,7 @@ pub(super) trait ThroughWater<S: Simd> {
 #[inline(always)]
 pub(super) fn through<S: Simd, const WATER: bool, P: ThroughWater<S>>(
     simd: S,
-    water: &Water,
+    water: &TileWater,
     scale: [f32; 3],
     entry: &Entry<'_, S>,
     pass: &mut P,
@@ -97,7 +97,7 @@ struct Decay<S: Simd> {
 
 impl<S: Simd> Decay<S> {
     #[inline(always)]
-    fn new(simd: S, water: &Water, z: f32, color: [f32; 3]) -> Self {
+    fn new(simd: S, water: &TileWater, z: f32, color: [f32; 3]) -> Self {
         let mut scale = [1.0; TILE];
         scale[..3].copy_from_slice(&color);
         let depth = f32x16::splat(simd, z);

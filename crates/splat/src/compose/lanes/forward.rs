@@ -6,14 +6,14 @@ use super::decay::{Attenuate, ThroughWater, through};
 use super::entries::{Entry, Pass, walk};
 use super::front::Front;
 use super::{accumulate, load, select};
-use crate::compose::tile::{ForwardTile, Input, Water};
+use crate::compose::tile::{ForwardTile, Input, TileWater};
 
 /// See [`plain::forward`](crate::compose::plain::forward).
 #[inline(always)]
 pub(crate) fn forward<S: Simd, const WATER: bool, const LAYERS: bool>(
     simd: S,
     input: &Input<'_>,
-    water: &Water,
+    water: &TileWater,
     tile: &mut ForwardTile,
 ) {
     let mut pass = Forward::<WATER, LAYERS> { water, front: Front::new(input, tile) };
@@ -21,7 +21,7 @@ pub(crate) fn forward<S: Simd, const WATER: bool, const LAYERS: bool>(
 }
 
 struct Forward<'a, const WATER: bool, const LAYERS: bool> {
-    water: &'a Water,
+    water: &'a TileWater,
     front: Front<'a>,
 }
 
