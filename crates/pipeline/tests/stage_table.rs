@@ -199,7 +199,7 @@ fn a_token_in_any_file_makes_every_stage_stale_that_reaches_it() {
         let (krate, file) = path.split_once('/').expect("a crate");
         match krate {
             // What a graphics card computes is told by the numeric class, which has its kernels' digest.
-            "cli" | "cluster" | "golden" | "build" | "web" | "viewer" | "gpu" => true,
+            "cli" | "cluster" | "golden" | "build" | "store" | "web" | "viewer" | "gpu" => true,
             "pipeline" => WITHOUT_ARTIFACTS.iter().any(|known| file.starts_with(known)),
             _ => false,
         }
