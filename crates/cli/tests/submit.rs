@@ -109,6 +109,24 @@ fn what_is_handed_over_ends_like_a_run_of_one_process_and_again_means_only_what_
 }
 
 #[test]
+fn tasks_get_every_setting_the_engine_too_and_status_is_asked_with_the_same() {
+    let many = Many::new(&["s1".to_string()]);
+    let path = stand_ins(&many);
+    fs::write(many.at("bin/sbatch"), "#!/bin/bash\necho 7\n").expect("written");
+    let submit = |extra: &[&str]| {
+        let mut command = many.command(&["submit", "slurm"], "told");
+        let output = command.args(["--engine", "auto"]).args(extra).env("PATH", &path).output();
+        said(&output.expect("the command starts"))
+    };
+    let engines = "--set reconstruct.engine=auto --set enhance.engine=auto";
+    let text = submit(&["--dry-run"]);
+    assert!(text.lines().any(|line| line.contains(" run ") && line.contains(engines)), "{text}");
+    let text = submit(&[]);
+    let status = text.lines().find(|line| line.starts_with("how far they are")).unwrap_or_default();
+    assert!(status.contains("use3d status") && status.contains(engines), "{text}");
+}
+
+#[test]
 fn a_wrong_site_file_is_said_before_anything_is_written() {
     let many = Many::new(&["s1".to_string()]);
     for (text, words) in

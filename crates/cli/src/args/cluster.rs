@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand, ValueEnum};
 
 use super::pipelines::MAX_JOBS;
-use super::shared::{CacheArgs, CalibrationArgs, Settings, count};
+use super::shared::{PipelineArgs, count};
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Submit {
@@ -33,9 +33,8 @@ pub(crate) enum SubmitLayout {
 
 #[derive(Debug, Args)]
 pub(crate) struct SubmitArgs {
-    /// A pipeline file (.toml) or a capture folder.
-    #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
-    pub(crate) target: PathBuf,
+    #[command(flatten)]
+    pub(crate) pipeline: PipelineArgs,
     /// The facts of the site: account, partition, what stages need (docs/cluster.md).
     #[arg(long, value_name = "FILE")]
     pub(crate) cluster: Option<PathBuf>,
@@ -54,10 +53,4 @@ pub(crate) struct SubmitArgs {
     /// Where results go (default: ./use3d-out/NAME); scripts and logs go into DIR-submit beside it.
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
-    #[command(flatten)]
-    pub(crate) settings: Settings,
-    #[command(flatten)]
-    pub(crate) calibration: CalibrationArgs,
-    #[command(flatten)]
-    pub(crate) cache: CacheArgs,
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 
-use super::shared::{CacheArgs, CalibrationArgs, Settings, count, time};
+use super::shared::{CacheArgs, PipelineArgs, Settings, count, time};
 use super::view::WatchArgs;
 
 /// More stages side by side than any one machine has memory for.
@@ -36,17 +36,14 @@ pub(crate) struct DemoArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct RunArgs {
-    /// A pipeline file (.toml) or a capture folder.
-    #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
-    pub(crate) target: PathBuf,
+    #[command(flatten)]
+    pub(crate) pipeline: PipelineArgs,
     /// Only this scene; may be repeated.
     #[arg(long, value_name = "NAME")]
     pub(crate) scene: Vec<String>,
     /// Stop after this stage.
     #[arg(long, value_name = "STAGE")]
     pub(crate) until: Option<String>,
-    #[command(flatten)]
-    pub(crate) settings: Settings,
     /// Stages to run side by side, within the cores and memory there are.
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = count(MAX_JOBS))]
     pub(crate) jobs: usize,
@@ -81,10 +78,6 @@ pub(crate) struct RunArgs {
     pub(crate) out: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) watch: WatchArgs,
-    #[command(flatten)]
-    pub(crate) calibration: CalibrationArgs,
-    #[command(flatten)]
-    pub(crate) cache: CacheArgs,
     /// One JSON document on stdout.
     #[arg(long)]
     pub(crate) json: bool,
@@ -92,15 +85,8 @@ pub(crate) struct RunArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct PlanArgs {
-    /// A pipeline file (.toml) or a capture folder.
-    #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
-    pub(crate) target: PathBuf,
     #[command(flatten)]
-    pub(crate) settings: Settings,
-    #[command(flatten)]
-    pub(crate) calibration: CalibrationArgs,
-    #[command(flatten)]
-    pub(crate) cache: CacheArgs,
+    pub(crate) pipeline: PipelineArgs,
     /// One JSON document on stdout.
     #[arg(long)]
     pub(crate) json: bool,
@@ -108,19 +94,12 @@ pub(crate) struct PlanArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct WhyArgs {
-    /// A pipeline file (.toml) or a capture folder.
-    #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
-    pub(crate) target: PathBuf,
+    #[command(flatten)]
+    pub(crate) pipeline: PipelineArgs,
     /// The scene's name.
     pub(crate) scene: String,
     /// The stage's name.
     pub(crate) stage: String,
-    #[command(flatten)]
-    pub(crate) settings: Settings,
-    #[command(flatten)]
-    pub(crate) calibration: CalibrationArgs,
-    #[command(flatten)]
-    pub(crate) cache: CacheArgs,
     /// One JSON document on stdout.
     #[arg(long)]
     pub(crate) json: bool,
@@ -137,16 +116,9 @@ pub(crate) enum GraphFormat {
 
 #[derive(Debug, Args)]
 pub(crate) struct GraphArgs {
-    /// A pipeline file (.toml) or a capture folder.
-    #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
-    pub(crate) target: PathBuf,
+    #[command(flatten)]
+    pub(crate) pipeline: PipelineArgs,
     /// How to draw it.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) format: GraphFormat,
-    #[command(flatten)]
-    pub(crate) settings: Settings,
-    #[command(flatten)]
-    pub(crate) calibration: CalibrationArgs,
-    #[command(flatten)]
-    pub(crate) cache: CacheArgs,
 }

@@ -1,10 +1,8 @@
 //! `push` and `pull`: a pipeline's artifacts to a store and from it.
 
-use std::path::PathBuf;
-
 use clap::Args;
 
-use super::shared::{CacheArgs, CalibrationArgs, Settings};
+use super::shared::PipelineArgs;
 
 #[derive(Debug, Args)]
 pub(crate) struct PushArgs {
@@ -17,19 +15,12 @@ pub(crate) struct PushArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct TransferArgs {
-    /// A pipeline file (.toml) or a capture folder.
-    #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
-    pub(crate) target: PathBuf,
+    #[command(flatten)]
+    pub(crate) pipeline: PipelineArgs,
     /// The store: a folder, or s3://BUCKET/PREFIX where this program was built with S3. Keys and server come from the usual AWS_…
     /// variables.
     #[arg(long, env = "USE3D_REMOTE", value_name = "URL", hide_env_values = true)]
     pub(crate) remote: String,
-    #[command(flatten)]
-    pub(crate) settings: Settings,
-    #[command(flatten)]
-    pub(crate) calibration: CalibrationArgs,
-    #[command(flatten)]
-    pub(crate) cache: CacheArgs,
     /// One JSON document on stdout.
     #[arg(long)]
     pub(crate) json: bool,

@@ -1,6 +1,6 @@
 //! What several verbs take.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::Args;
@@ -69,6 +69,32 @@ pub(crate) struct CacheArgs {
     /// Read every input again instead of trusting unchanged sizes and times.
     #[arg(long)]
     pub(crate) rehash: bool,
+}
+
+/// A pipeline, and what it is read with.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct PipelineArgs {
+    /// A pipeline file (.toml) or a capture folder.
+    #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
+    pub(crate) target: PathBuf,
+    #[command(flatten)]
+    pub(crate) settings: Settings,
+    #[command(flatten)]
+    pub(crate) calibration: CalibrationArgs,
+    #[command(flatten)]
+    pub(crate) cache: CacheArgs,
+}
+
+impl PipelineArgs {
+    /// A pipeline as its file has it, in a cache.
+    pub(crate) fn of(target: &Path, cache: &CacheArgs) -> Self {
+        Self {
+            target: target.to_path_buf(),
+            settings: Settings::default(),
+            calibration: CalibrationArgs::default(),
+            cache: cache.clone(),
+        }
+    }
 }
 
 /// What may be replaced.

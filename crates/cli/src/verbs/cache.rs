@@ -7,7 +7,7 @@ use use3d_build::{Cache, RunOptions};
 use use3d_pipeline::config::default_cache;
 
 use crate::App;
-use crate::args::{CacheArgs, CalibrationArgs, GcArgs, Settings, VerifyArgs};
+use crate::args::{CacheArgs, GcArgs, PipelineArgs, VerifyArgs};
 use crate::error::{CliError, Done};
 use crate::verbs::run::{json, open};
 
@@ -27,7 +27,7 @@ pub(crate) fn gc(args: &GcArgs) -> Done {
         args.older_than.as_deref().map(parse_age).transpose().map_err(|e| flag("--older-than", e))?;
     let mut keep = BTreeSet::new();
     for pipeline in &args.keep {
-        let loaded = open(pipeline, &[], &Settings::default(), &CalibrationArgs::default(), &args.cache)?;
+        let loaded = open(&PipelineArgs::of(pipeline, &args.cache), &[])?;
         keep.extend(loaded.engine.plan(&loaded.graph, None).keys());
     }
     let options = CleanOptions { max_bytes, older_than, keep, dry_run: args.dry_run };
@@ -59,7 +59,8 @@ pub(crate) fn verify(app: &App, args: &VerifyArgs) -> Done {
             let what = "recomputing needs the pipeline file or capture whose stages may be computed again";
             return Err(CliError::Input(format!("--sample {sample}: {what}")));
         };
-        let loaded = open(target, &[], &Settings::default(), &args.calibration, &args.cache)?;
+        let calibration = args.calibration.clone();
+        let loaded = open(&PipelineArgs { calibration, ..PipelineArgs::of(target, &args.cache) }, &[])?;
         let options = RunOptions { cores: app.threads, stop: app.stop.clone(), ..RunOptions::default() };
         let again = loaded.engine.verify_sample(&loaded.graph, share, &options, &app.listener);
         let again = again.map_err(CliError::failed)?;

@@ -23,7 +23,7 @@ pub(crate) fn probed(app: &App, address: &str) -> Result<Arc<RemoteStore>, CliEr
 }
 
 fn loaded(args: &TransferArgs) -> Result<Loaded, CliError> {
-    open(&args.target, &[], &args.settings, &args.calibration, &args.cache)
+    open(&args.pipeline, &[])
 }
 
 pub(crate) fn push(app: &App, args: &PushArgs) -> Done {

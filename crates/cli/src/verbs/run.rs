@@ -14,8 +14,7 @@ use use3d_pipeline::results;
 
 use crate::App;
 use crate::args::{
-    CacheArgs, CalibrationArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, RunArgs, Settings,
-    WhyArgs,
+    CacheArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PipelineArgs, PlanArgs, RunArgs, Settings, WhyArgs,
 };
 use crate::error::{CliError, Done};
 use crate::verbs::outcome::{self, Outcome};
@@ -33,11 +32,8 @@ pub(crate) struct Loaded {
 
 /// Loads a pipeline file, or makes one of a capture folder.
 pub(crate) fn open(
-    target: &Path,
+    PipelineArgs { target, settings, calibration, cache }: &PipelineArgs,
     scenes: &[String],
-    settings: &Settings,
-    calibration: &CalibrationArgs,
-    cache: &CacheArgs,
 ) -> Result<Loaded, CliError> {
     let registry = stages()?;
     let options = LoadOptions {
@@ -91,7 +87,7 @@ pub(crate) fn json(value: &impl Serialize) -> Done {
 }
 
 fn planned(args: &PlanArgs) -> Result<(Loaded, Plan), CliError> {
-    let loaded = open(&args.target, &[], &args.settings, &args.calibration, &args.cache)?;
+    let loaded = open(&args.pipeline, &[])?;
     let plan = loaded.engine.plan(&loaded.graph, None);
     Ok((loaded, plan))
 }
@@ -127,7 +123,7 @@ pub(crate) fn status(args: &PlanArgs) -> Done {
 }
 
 pub(crate) fn why(args: &WhyArgs) -> Done {
-    let loaded = open(&args.target, &[], &args.settings, &args.calibration, &args.cache)?;
+    let loaded = open(&args.pipeline, &[])?;
     // `SCENE` or `SCENE@VARIANT`.
     let (scene, variant) = args.scene.split_once('@').unwrap_or((&args.scene, ""));
     let why = loaded.engine.why(&loaded.graph, scene, variant, &args.stage).map_err(CliError::input)?;
@@ -139,7 +135,7 @@ pub(crate) fn why(args: &WhyArgs) -> Done {
 }
 
 pub(crate) fn graph(args: &GraphArgs) -> Done {
-    let loaded = open(&args.target, &[], &args.settings, &args.calibration, &args.cache)?;
+    let loaded = open(&args.pipeline, &[])?;
     let plan = loaded.engine.plan(&loaded.graph, None);
     match args.format {
         GraphFormat::Mermaid => print!("{}", picture::mermaid(&loaded.graph, &plan)),
@@ -149,7 +145,7 @@ pub(crate) fn graph(args: &GraphArgs) -> Done {
 }
 
 pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
-    let loaded = open(&args.target, &args.scene, &args.settings, &args.calibration, &args.cache)?;
+    let loaded = open(&args.pipeline, &args.scene)?;
     let until = args.until.clone().map(|stage| vec![stage]);
     if let Some(stage) = &args.until {
         loaded.engine.registry.stage(stage).map_err(CliError::input)?;
@@ -287,21 +283,17 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     let probe = scratch()?;
     let empty = probe.path().join(SCENE);
     std::fs::create_dir(&empty).map_err(CliError::failed)?;
-    let probed = open(
-        &empty,
-        &[],
-        &Settings { set: sets.clone(), engine: None },
-        &CalibrationArgs::default(),
-        &CacheArgs { cache: Some(probe.path().join("cache")), ..args.cache.clone() },
-    )?;
+    let settings = Settings { set: sets, engine: None };
+    let throwaway = CacheArgs { cache: Some(probe.path().join("cache")), ..args.cache.clone() };
+    let probed =
+        open(&PipelineArgs { settings: settings.clone(), ..PipelineArgs::of(&empty, &throwaway) }, &[])?;
     results::check(&probed.graph, None, &args.out)?;
     place::check(&capture, true)?;
     place::check_writable(&args.out)?;
     keep_capture(app, &params, &capture)?;
     let mut cache = args.cache.clone();
     cache.cache.get_or_insert_with(|| args.out.join("cache"));
-    let loaded =
-        open(&capture, &[], &Settings { set: sets, engine: None }, &CalibrationArgs::default(), &cache)?;
+    let loaded = open(&PipelineArgs { settings, ..PipelineArgs::of(&capture, &cache) }, &[])?;
     results::check(&loaded.graph, None, &args.out)?;
     execute(app, &loaded, &of_app(app), Some(&args.out), false)?;
     if !app.quiet {

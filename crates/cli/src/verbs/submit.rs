@@ -86,20 +86,14 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
         }
     }
     println!("logs: {}", submission.folder.join("logs").display());
-    let settings: Vec<String> =
-        args.settings.set.iter().flat_map(|s| ["--set".to_string(), s.clone()]).collect();
-    let told = [
-        &["use3d".to_string(), "status".to_string()][..],
-        &submission.run[..1],
-        &cache_words(args),
-        &settings,
-    ];
+    // With all that makes keys what they are: other words would tell of other work.
+    let told = [&["use3d".to_string(), "status".to_string()][..], &submission.run[..]];
     println!("how far they are: {}", quote::words(&told.concat()));
     Ok(())
 }
 
 fn prepare(app: &App, scheduler: &str, args: &SubmitArgs) -> Result<Option<Ready>, CliError> {
-    let loaded = open(&args.target, &[], &args.settings, &args.calibration, &args.cache)?;
+    let loaded = open(&args.pipeline, &[])?;
     let Loaded { pipeline, engine, graph } = &loaded;
     let stages: Vec<&str> = engine.registry.stages().iter().map(|s| s.name()).collect();
     let site = match &args.cluster {
@@ -136,15 +130,16 @@ fn prepare(app: &App, scheduler: &str, args: &SubmitArgs) -> Result<Option<Ready
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("use3d-out").join(&pipeline.batch.name));
     results::check(graph, None, &out)?;
     let out = place.join(out);
-    let mut run = vec![text(&args.target)?, "--cache".to_string(), text(&absolute(&pipeline.cache)?)?];
-    if let Some(models) = &args.cache.models {
+    let mut run =
+        vec![text(&args.pipeline.target)?, "--cache".to_string(), text(&absolute(&pipeline.cache)?)?];
+    if let Some(models) = &args.pipeline.cache.models {
         run.extend(["--models".to_string(), text(models)?]);
     }
-    run.extend(args.settings.set.iter().flat_map(|set| ["--set".to_string(), set.clone()]));
-    if let Some((input, target)) = args.calibration.pairs() {
+    run.extend(args.pipeline.settings.sets().into_iter().flat_map(|set| ["--set".to_string(), set]));
+    if let Some((input, target)) = args.pipeline.calibration.pairs() {
         run.extend(["--pairs".to_string(), text(&input)?, text(&target)?]);
     }
-    if let Some(calibrator) = &args.calibration.calibrator {
+    if let Some(calibrator) = &args.pipeline.calibration.calibrator {
         run.extend(["--calibrator".to_string(), text(calibrator)?]);
     }
     // Into comments and lines of a script: one line, whatever the names.
@@ -170,12 +165,6 @@ fn prepare(app: &App, scheduler: &str, args: &SubmitArgs) -> Result<Option<Ready
         folder,
     };
     Ok(Some(Ready { jobs, submission, site }))
-}
-
-/// The words that name the cache, where it was named.
-fn cache_words(args: &SubmitArgs) -> Vec<String> {
-    let cache = args.cache.cache.as_ref().map(|c| c.to_string_lossy().into_owned());
-    cache.into_iter().flat_map(|c| ["--cache".to_string(), c]).collect()
 }
 
 fn absolute(path: &Path) -> Result<PathBuf, CliError> {

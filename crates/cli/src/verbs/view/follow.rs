@@ -15,7 +15,7 @@ use use3d_web::PageView;
 
 use super::{Told, WAIT, serve};
 use crate::App;
-use crate::args::{CalibrationArgs, Settings, ViewArgs};
+use crate::args::{PipelineArgs, Settings, ViewArgs};
 use crate::error::{CliError, Done};
 use crate::verbs::run::{Loaded, open};
 use crate::verbs::web::{saved_views, scene_name};
@@ -124,7 +124,7 @@ fn followed(args: &ViewArgs, target: &Path) -> Result<Followed, CliError> {
         return Ok(Followed::Scene { folder: target.to_path_buf(), checkpoints: beside });
     }
     let settings = Settings { set: args.set.clone(), engine: None };
-    let loaded = open(target, &[], &settings, &CalibrationArgs::default(), &args.cache)?;
+    let loaded = open(&PipelineArgs { settings, ..PipelineArgs::of(target, &args.cache) }, &[])?;
     let plan = loaded.engine.plan(&loaded.graph, None);
     let mut scenes =
         plan.nodes.iter().filter(|node| node.stage == "reconstruct").map(|node| node.scene.clone());
