@@ -3,7 +3,7 @@
 //! Heads are read by `httparse`. Everything is bounded: a head, a body, the number of fields, and the time that a request may take.
 
 use std::io::{ErrorKind, Read, Write};
-use std::net::TcpStream;
+use std::net::{Shutdown, TcpStream};
 use std::time::{Duration, Instant};
 
 /// Most bytes of a request's head.
@@ -185,6 +185,28 @@ pub(crate) fn write(stream: &mut TcpStream, response: &Response, stays: bool) ->
     stream.write_all(head.as_bytes())?;
     stream.write_all(&response.body)?;
     stream.flush()
+}
+
+/// Sends the last answer of a connection whose requests are not read to their end.
+///
+/// What was sent and not read would make the system drop the answer with the connection, so it is read and forgotten, for a while.
+pub(crate) fn refuse(stream: &mut TcpStream, response: &Response) {
+    if write(stream, response, false).is_err() || stream.shutdown(Shutdown::Write).is_err() {
+        return;
+    }
+    let begun = Instant::now();
+    let mut block = [0; 4096];
+    loop {
+        let left = PATIENCE.saturating_sub(begun.elapsed());
+        if left.is_zero() || stream.set_read_timeout(Some(left)).is_err() {
+            return;
+        }
+        match stream.read(&mut block) {
+            Ok(0) => return,
+            Err(e) if e.kind() != ErrorKind::Interrupted => return,
+            _ => {}
+        }
+    }
 }
 
 #[cfg(test)]

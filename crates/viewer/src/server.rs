@@ -11,7 +11,8 @@ use crate::http::{self, NoRequest, Pending, Response};
 use crate::live::Live;
 use crate::site::Site;
 
-/// Most connections at a time: a browser holds up to six per page.
+/// Most connections at a time: a browser holds up to six per page. As many again are told that they are too many; further ones are
+/// closed without a word.
 const CONNECTIONS: usize = 56;
 
 /// A server that cannot be started.
@@ -120,15 +121,19 @@ impl Accepting {
                 return;
             }
             let Ok(mut stream) = stream else { continue };
-            if self.open.fetch_add(1, Ordering::Relaxed) >= CONNECTIONS {
+            let before = self.open.fetch_add(1, Ordering::Relaxed);
+            if before >= 2 * CONNECTIONS {
                 self.open.fetch_sub(1, Ordering::Relaxed);
-                let full = Response::text(503, "too many connections; close other pages of this viewer");
-                let _ = http::write(&mut stream, &full, false);
                 continue;
             }
             let this = self.clone();
             let served = thread::Builder::new().name("viewer page".into()).spawn(move || {
-                this.serve(&mut stream);
+                if before < CONNECTIONS {
+                    this.serve(&mut stream);
+                } else {
+                    let why = "too many connections; close other pages of this viewer";
+                    http::refuse(&mut stream, &Response::text(503, why));
+                }
                 this.open.fetch_sub(1, Ordering::Relaxed);
             });
             if served.is_err() {
@@ -146,11 +151,7 @@ impl Accepting {
                 Ok(request) => request,
                 Err(NoRequest::Gone) => return,
                 Err(NoRequest::Refused(status, why)) => {
-                    let _ = http::write(stream, &Response::text(status, why), false);
-                    // What was sent and not read would make the system drop the answer with the connection.
-                    let _ = stream.shutdown(std::net::Shutdown::Write);
-                    let _ =
-                        std::io::copy(&mut std::io::Read::take(&mut *stream, 1 << 20), &mut std::io::sink());
+                    http::refuse(stream, &Response::text(status, why));
                     return;
                 }
             };

@@ -249,6 +249,19 @@ fn a_page_that_asks_a_hundred_times_gets_its_newest_and_many_pages_share() {
 }
 
 #[test]
+fn one_page_too_many_is_told_so_whatever_it_sends() {
+    let server = Server::start(None, &Arc::new(Live::new("", None))).unwrap();
+    let silent: Vec<TcpStream> =
+        (0..56).map(|_| TcpStream::connect(("127.0.0.1", server.port())).unwrap()).collect();
+    let long = json!({ "name": "x".repeat(60_000) });
+    for _ in 0..10 {
+        let (status, _, body) = ask(&server, "/state", &long);
+        assert!(status == 503 && String::from_utf8_lossy(&body).contains("too many"), "{status}");
+    }
+    drop(silent);
+}
+
+#[test]
 fn a_taken_port_is_said() {
     let taken = TcpListener::bind(("127.0.0.1", 0)).unwrap();
     let port = taken.local_addr().unwrap().port();
