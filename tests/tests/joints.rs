@@ -15,7 +15,9 @@ fn sources() -> Vec<(String, String)> {
             open.extend(std::fs::read_dir(&path).expect("a folder").map(|e| e.expect("an entry").path()));
         } else if name.ends_with(".rs") && name != "tests.rs" && name != "golden.rs" {
             let text = std::fs::read_to_string(&path).expect("a source");
-            let text = text.split("#[cfg(test)]\nmod ").next().unwrap_or_default();
+            let tests = ["#[cfg(test)]\nmod ", "#[cfg(all(test, feature = \"gpu\"))]\nmod "];
+            let end = tests.iter().filter_map(|begin| text.find(begin)).min().unwrap_or(text.len());
+            let text = &text[..end];
             let code: Vec<&str> = text.lines().filter(|line| !line.trim_start().starts_with("//")).collect();
             let below = path.strip_prefix(root).expect("below the workspace").to_string_lossy();
             // Another engine has kernels of its own, and refuses by name what it has none for.
