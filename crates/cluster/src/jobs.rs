@@ -139,7 +139,7 @@ fn cells(todo: &[&PlannedNode]) -> Result<Vec<String>, ClusterError> {
 }
 
 fn workers_of(todo: &[&PlannedNode], site: &Site, cells: &[String], most: usize) -> Vec<Job> {
-    let tasks = most.clamp(1, cells.len().max(1));
+    let tasks = most.clamp(1, cells.len().clamp(1, site.largest_array));
     if cells.is_empty() {
         return Vec::new();
     }
@@ -164,16 +164,18 @@ fn workers_of(todo: &[&PlannedNode], site: &Site, cells: &[String], most: usize)
     }]
 }
 
+/// The tasks of every stage, in arrays no larger than the site allows. All stages are cut at the same places, so that a task's
+/// predecessor has its number in the array of the same number.
 fn stages_of(todo: &[&PlannedNode], registry: &Registry, site: &Site, cells: &[String]) -> Vec<Job> {
     let mut jobs: Vec<Job> = Vec::new();
-    let mut made: BTreeMap<&str, usize> = BTreeMap::new();
+    let mut made: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+    let parts: Vec<&[String]> = cells.chunks(site.largest_array).collect();
     for stage in registry.stages().iter().filter(|s| s.scope() != Scope::Batch) {
         let name = stage.name();
         let nodes: Vec<&PlannedNode> = todo.iter().copied().filter(|n| n.stage == name).collect();
         if nodes.is_empty() {
             continue;
         }
-        let each = stage.scope() == Scope::Scene;
         let parents: BTreeSet<&str> = stage
             .inputs()
             .iter()
@@ -182,34 +184,60 @@ fn stages_of(todo: &[&PlannedNode], registry: &Registry, site: &Site, cells: &[S
                 Source::External(_) => None,
             })
             .collect();
-        let mut after: Vec<After> = parents
-            .iter()
-            .filter_map(|parent| made.get(parent))
-            .map(|&job| if jobs[job].tasks.is_some() { After::Same(job) } else { After::Done(job) })
-            .collect();
-        after.sort_by_key(|a| match a {
-            After::Done(job) | After::Same(job) | After::Over(job) => *job,
-        });
         let mut words = vec!["--until".to_string(), name.to_string(), "--cache-only".to_string()];
         words.extend(site.needs(name).arguments);
-        let about = if each {
-            format!("The stage `{name}`, a task for every scene and variant with something to do.")
-        } else {
-            format!("The stage `{name}`, which all scenes share.")
-        };
-        made.insert(name, jobs.len());
-        jobs.push(Job {
+        let asks =
+            asks(&nodes, site, name, |nodes| nodes.iter().filter_map(|n| longest(n)).fold(0.0, f64::max));
+        let job = Job {
             name: name.to_string(),
-            about,
-            tasks: each.then_some(cells.len()),
-            cells: if each { cells.to_vec() } else { Vec::new() },
-            after,
+            about: format!("The stage `{name}`, which all scenes share."),
+            tasks: None,
+            cells: Vec::new(),
+            after: Vec::new(),
             words,
             delivers: false,
-            asks: asks(&nodes, site, name, |nodes| {
-                nodes.iter().filter_map(|n| longest(n)).fold(0.0, f64::max)
-            }),
-        });
+            asks,
+        };
+        // The jobs of a stage before: of an array of this one, the array of the same scenes alone.
+        let after = |part: Option<usize>, jobs: &[Job]| {
+            let before = parents.iter().filter_map(|parent| made.get(parent));
+            let mut waits: Vec<usize> = before
+                .flat_map(|own| match part {
+                    Some(part) if jobs[own[0]].tasks.is_some() => vec![own[part]],
+                    _ => own.clone(),
+                })
+                .collect();
+            waits.sort_unstable();
+            let one = |of: usize| match part {
+                Some(_) if jobs[of].tasks.is_some() => After::Same(of),
+                _ => After::Done(of),
+            };
+            waits.into_iter().map(one).collect()
+        };
+        let own = if stage.scope() == Scope::Scene {
+            let one = |(part, cells): (usize, &&[String])| {
+                let which = if parts.len() > 1 {
+                    format!(", part {} of {}", part + 1, parts.len())
+                } else {
+                    String::new()
+                };
+                Job {
+                    name: if parts.len() > 1 { format!("{name}-{}", part + 1) } else { name.to_string() },
+                    about: format!(
+                        "The stage `{name}`, a task for every scene and variant with something to do{which}."
+                    ),
+                    tasks: Some(cells.len()),
+                    cells: cells.to_vec(),
+                    after: after(Some(part), &jobs),
+                    ..job.clone()
+                }
+            };
+            parts.iter().enumerate().map(one).collect()
+        } else {
+            vec![Job { after: after(None, &jobs), ..job }]
+        };
+        made.insert(name, (jobs.len()..jobs.len() + own.len()).collect());
+        jobs.extend(own);
     }
     jobs
 }

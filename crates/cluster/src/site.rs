@@ -30,6 +30,8 @@ pub struct Site {
     pub longest: String,
     /// Tasks of an array that run at once, at the most.
     pub at_once: usize,
+    /// Tasks of an array, at the most: Slurm's `MaxArraySize` less one. What has more is cut into several arrays.
+    pub largest_array: usize,
     /// How often a task that ran out of time is put into the queue again.
     pub requeues: usize,
     /// Lines of shell before the command: modules, variables.
@@ -72,6 +74,7 @@ impl Default for Site {
             time: "4h".to_string(),
             longest: "24h".to_string(),
             at_once: 8,
+            largest_array: 1000,
             requeues: 50,
             setup: Vec::new(),
             options: Vec::new(),
@@ -113,6 +116,7 @@ impl Site {
         };
         positive("cpus", self.cpus)?;
         positive("at_once", self.at_once)?;
+        positive("largest_array", self.largest_array)?;
         let bytes = |field: &str, text: &str| match parse_bytes(text) {
             Ok(0) => Err(format!("`{field}` is nothing; expected a size such as 8GB")),
             Ok(_) => Ok(()),
@@ -180,6 +184,7 @@ mod tests {
         for (text, words) in [
             ("cpu = 3", "cpu"),
             ("cpus = 0", "`cpus` is 0"),
+            ("largest_array = 0", "`largest_array` is 0"),
             ("cpus = \"many\"", "`cpus`"),
             ("memory = \"much\"", "`memory`: `much` is not a size"),
             ("time = \"soon\"", "`time`: `soon` is not a time"),

@@ -233,6 +233,39 @@ fn only_what_is_missing_is_submitted_and_each_waits_for_what_it_needs() {
     assert!(matches!(error, ClusterError::Name { .. }), "{error}");
 }
 
+#[test]
+fn what_is_more_than_an_array_may_hold_is_cut_alike_for_all_stages() {
+    let site = Site { largest_array: 3, ..site() };
+    let jobs = jobs::of(&plan(), &registry(), &site, Layout::Stages, None).expect("jobs");
+    let named: Vec<(&str, Option<usize>)> = jobs.iter().map(|j| (j.name.as_str(), j.tasks)).collect();
+    let [import, reconstruct, enhance, evaluate] = [
+        ["import-1", "import-2"],
+        ["reconstruct-1", "reconstruct-2"],
+        ["enhance-1", "enhance-2"],
+        ["evaluate-1", "evaluate-2"],
+    ]
+    .map(|[one, two]| [(one, Some(3)), (two, Some(1))]);
+    let expected =
+        [&import[..], &[("calibrate", None)], &reconstruct, &enhance, &evaluate, &[("finish", None)]]
+            .concat();
+    assert_eq!(named, expected);
+    // Task stands for task in the arrays of one part, and nobody is left out.
+    for job in &jobs[..jobs.len() - 1] {
+        let cells: &[&str] = match job.tasks {
+            Some(3) => &["Panama@full", "Panama@mlp", "Curaçao north@full"],
+            Some(_) => &["Curaçao north@mlp"],
+            None => &[],
+        };
+        assert_eq!(job.cells, cells, "{}", job.name);
+    }
+    assert_eq!(jobs[3].after, [After::Same(0)]);
+    assert_eq!(jobs[4].after, [After::Same(1)]);
+    assert_eq!(jobs[6].after, [After::Done(2), After::Same(4)]);
+    assert_eq!(jobs[9].after, (0..9).map(After::Over).collect::<Vec<_>>());
+    let workers = jobs::of(&plan(), &registry(), &site, Layout::Workers, Some(9)).expect("jobs");
+    assert_eq!(workers[0].tasks, Some(3));
+}
+
 /// A folder with commands that stand in for `use3d` and Slurm's.
 struct StandIn {
     dir: tempfile::TempDir,
