@@ -11,6 +11,7 @@
 
 mod need;
 mod others;
+mod records;
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -19,12 +20,11 @@ use std::time::{Duration, Instant};
 
 use super::Engine;
 use super::cache::{Artifact, Lookup};
-use super::digest::Digest;
 use super::error::FileError;
 use super::events::{Event, Listener};
 use super::executor::{Executor, Starter, Task, Threads};
 use super::graph::Graph;
-use super::history::{Failure, Made, Record, Timings};
+use super::history::Timings;
 use super::job::{Ended, Job};
 use super::key::{Ingredients, Key};
 use super::lease::RunLease;
@@ -482,55 +482,5 @@ impl<'r> Runner<'r> {
         self.nodes[i].seconds += seconds;
         self.outcomes[i] = Outcome::Ready(artifact);
         self.phase[i] = Phase::Over;
-    }
-
-    fn fail(&mut self, i: usize, key: Option<Key>, reason: String) {
-        self.held.remove(&i);
-        let node = &self.graph.nodes[i];
-        let log = self.engine.cache.log_path(&self.graph.name, node);
-        let label = self.nodes[i].label.clone();
-        self.listener.event(&Event::Failed { node: i, label: &label, reason: &reason, log: &log });
-        let mut record = self.engine.cache.record(&self.graph.name, node);
-        let at = machine::utc(machine::now());
-        record.failure = Some(Failure { key, reason: reason.clone(), log: log.clone(), at });
-        self.write_record(i, &record);
-        self.nodes[i].result = Became::Failed { reason, log };
-        self.outcomes[i] = Outcome::Unavailable(label);
-        self.phase[i] = Phase::Over;
-        self.halted |= !self.options.keep_going;
-    }
-
-    fn record_made(&self, i: usize, ingredients: Ingredients, content: Digest) {
-        let mut record = self.engine.cache.record(&self.graph.name, &self.graph.nodes[i]);
-        let key = ingredients.key();
-        let same = record.last.as_ref().is_some_and(|last| last.key == key && last.content == content);
-        if same && record.failure.is_none() {
-            return;
-        }
-        record.failure = None;
-        if !same {
-            let made = Made { key, ingredients, content, at: machine::utc(machine::now()) };
-            let old = record.last.replace(made);
-            record.before = old.filter(|o| o.key != key).or(record.before);
-        }
-        self.write_record(i, &record);
-    }
-
-    fn write_record(&self, i: usize, record: &Record) {
-        // The artifact counts, not what is remembered about it.
-        if let Err(error) = self.engine.cache.write_record(&self.graph.name, &self.graph.nodes[i], record) {
-            self.listener.event(&Event::Warning { label: &self.nodes[i].label, text: &error.to_string() });
-        }
-    }
-
-    /// A key whose artifact was lost and came out different when it was made again.
-    fn warn_if_changed(&self, i: usize, artifact: &Artifact) {
-        let record = self.engine.cache.record(&self.graph.name, &self.graph.nodes[i]);
-        let other =
-            |made: &Made| made.key == artifact.manifest.key && made.content != artifact.manifest.content;
-        if record.last.as_ref().is_some_and(other) {
-            let text = "determinism alarm: made again for the same key, it came out with other bytes";
-            self.listener.event(&Event::Warning { label: &self.nodes[i].label, text });
-        }
     }
 }

@@ -1,0 +1,66 @@
+//! What is remembered of a node from run to run: what its last result follows from, and why it failed.
+
+use super::super::cache::Artifact;
+use super::super::digest::Digest;
+use super::super::events::Event;
+use super::super::history::{Failure, Made, Record};
+use super::super::key::{Ingredients, Key};
+use super::super::machine;
+use super::super::resolve::Outcome;
+use super::super::summary::Became;
+use super::{Phase, Runner};
+
+impl Runner<'_> {
+    /// Ends a node without a result; what it was is kept with its log for `status`, and the batch halts unless it is to
+    /// go on.
+    pub(super) fn fail(&mut self, i: usize, key: Option<Key>, reason: String) {
+        self.held.remove(&i);
+        let node = &self.graph.nodes[i];
+        let log = self.engine.cache.log_path(&self.graph.name, node);
+        let label = self.nodes[i].label.clone();
+        self.listener.event(&Event::Failed { node: i, label: &label, reason: &reason, log: &log });
+        let mut record = self.engine.cache.record(&self.graph.name, node);
+        let at = machine::utc(machine::now());
+        record.failure = Some(Failure { key, reason: reason.clone(), log: log.clone(), at });
+        self.write_record(i, &record);
+        self.nodes[i].result = Became::Failed { reason, log };
+        self.outcomes[i] = Outcome::Unavailable(label);
+        self.phase[i] = Phase::Over;
+        self.halted |= !self.options.keep_going;
+    }
+
+    /// Remembers what a node's result follows from; what it followed from before is kept, to tell what changed.
+    pub(super) fn record_made(&self, i: usize, ingredients: Ingredients, content: Digest) {
+        let mut record = self.engine.cache.record(&self.graph.name, &self.graph.nodes[i]);
+        let key = ingredients.key();
+        let same = record.last.as_ref().is_some_and(|last| last.key == key && last.content == content);
+        if same && record.failure.is_none() {
+            return;
+        }
+        record.failure = None;
+        if !same {
+            let made = Made { key, ingredients, content, at: machine::utc(machine::now()) };
+            let old = record.last.replace(made);
+            record.before = old.filter(|o| o.key != key).or(record.before);
+        }
+        self.write_record(i, &record);
+    }
+
+    fn write_record(&self, i: usize, record: &Record) {
+        // The artifact counts, not what is remembered about it.
+        if let Err(error) = self.engine.cache.write_record(&self.graph.name, &self.graph.nodes[i], record) {
+            self.listener.event(&Event::Warning { label: &self.nodes[i].label, text: &error.to_string() });
+        }
+    }
+
+    /// A key whose artifact was lost and came out different when it was made again.
+    pub(super) fn warn_if_changed(&self, i: usize, artifact: &Artifact) {
+        let record = self.engine.cache.record(&self.graph.name, &self.graph.nodes[i]);
+        let other =
+            |made: &Made| made.key == artifact.manifest.key && made.content != artifact.manifest.content;
+        if record.last.as_ref().is_some_and(other) {
+            let text = "determinism alarm: made again for the same key, it came out with other bytes";
+            self.listener.event(&Event::Warning { label: &self.nodes[i].label, text });
+        }
+    }
+}
