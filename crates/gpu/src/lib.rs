@@ -47,6 +47,7 @@ mod device;
 mod drawing;
 mod frame;
 mod kernel;
+mod linear;
 mod lists;
 mod losses;
 mod profile;
@@ -66,6 +67,7 @@ mod water;
 pub use check::{CheckError, check, checked_adapters, open_checked};
 pub use device::{AdapterReport, DeviceError, Gpu, adapters};
 pub use drawing::{Drawing, DrawnView};
+pub use linear::LinearSplat;
 pub use profile::KernelTime;
 pub use stage1::Stage1;
 pub use stage2::Stage2;
@@ -78,5 +80,6 @@ pub fn kernel_sources() -> Vec<String> {
 /// Every kernel in every variant.
 fn specs() -> Vec<kernel::Spec> {
     let own = [sort::specs(), lists::specs(), raster::specs(), update::specs()].concat();
-    own.into_iter().chain(losses::specs()).chain(water::specs()).chain(stage2::specs()).collect()
+    let further = own.into_iter().chain(losses::specs()).chain(water::specs());
+    further.chain(stage2::specs()).chain(linear::specs()).collect()
 }

@@ -222,7 +222,8 @@ fn seen() -> Spec {
     }
 }
 
-fn colors(water: bool) -> Spec {
+/// The derivative by the colours of a tile's Gaussians: a record per entry.
+pub(crate) fn colors(water: bool) -> Spec {
     let more = [
         read("k_attenuation"),
         (Access::Read, "stops", U32S),

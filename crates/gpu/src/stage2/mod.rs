@@ -30,7 +30,7 @@ use field::DeviceField;
 use frozen::{Freezer, FrozenView};
 use kernels::{BAD_GRADIENT, BAD_PARAMETER, NONE};
 
-pub(crate) use kernels::specs;
+pub(crate) use kernels::{colors as colors_backward, specs};
 
 /// The small constants of a view.
 #[derive(Debug)]

@@ -1,0 +1,290 @@
+//! The linear attribute splat `S_v` and its adjoint: `(S_v x)(p) = Σ_i w_i(p) x_i`, `(S_vᵀ y)_i = Σ_p w_i(p) y(p)`.
+//!
+//! The weights are the compositor's, `w = T α`, without water. `S_v` is the forward pass with values in the place of colours, `S_vᵀ` the
+//! derivative by colours of that pass: three channels at a time, any number of them. The processor's are
+//! `use3d_splat::Rasterizer::{splat, splat_adjoint}`.
+
+use use3d_capture::{Camera, Lattice};
+use use3d_splat::Gaussians;
+use use3d_training::EngineError;
+
+use crate::buffer::Array;
+use crate::device::{Gpu, NAME};
+use crate::frame::{FRAME, FRAME_BINDING, Frame, counts};
+use crate::kernel::{Access, Binding, Grid, Kernel, ROWS, Spec, bound, read, submit, write};
+use crate::lists::{ListKernels, Lists};
+use crate::raster::{Planes, RasterKernels};
+use crate::scene::{Parameters, Row};
+use crate::stage2::colors_backward;
+
+/// Threads of the kernels over Gaussians.
+const THREADS: u32 = 256;
+/// Channels that go through the passes together.
+const TOGETHER: usize = 3;
+/// First channel of a pass, how many, and how many there are in all.
+const PART: Binding = (Access::Uniform, "part", "vec4<u32>");
+
+fn spec(name: &'static str, bindings: &[Binding], body: &'static str) -> Spec {
+    Spec {
+        name,
+        threads: THREADS,
+        bindings: [&[FRAME_BINDING, PART], bindings].concat(),
+        constants: vec![],
+        parts: vec![FRAME, body],
+    }
+}
+
+fn tint() -> Spec {
+    let bindings = [read("values"), (Access::Write, "splats", ROWS)];
+    spec("values as colours", &bindings, include_str!("linear/tint.wgsl"))
+}
+
+fn gather() -> Spec {
+    let bindings =
+        [(Access::Read, "runs", "array<vec2<u32>>"), (Access::Read, "records", ROWS), write("sums")];
+    spec("sums of records", &bindings, include_str!("linear/gather.wgsl"))
+}
+
+/// All kernels of this room.
+pub(crate) fn specs() -> Vec<Spec> {
+    vec![tint(), gather()]
+}
+
+/// Three channels, or fewer at the end.
+#[derive(Debug)]
+struct Part {
+    at: Array<[u32; 4]>,
+    /// `[3][height][width]`.
+    planes: Array<f32>,
+}
+
+/// Gaussians on a device, and one view of them at a time.
+#[derive(Debug)]
+pub struct LinearSplat {
+    gpu: Gpu,
+    lists_kernels: ListKernels,
+    raster_kernels: RasterKernels,
+    tint: Kernel,
+    adjoint: Kernel,
+    gather: Kernel,
+    parameters: Parameters,
+    count: usize,
+    lists: Lists,
+    planes: Planes,
+    frame: Array<Frame>,
+    counts: Array<u32>,
+    tiles: usize,
+    pixels: usize,
+    parts: Vec<Part>,
+    /// `[N][channels]`: what is splatted, or the sums of the adjoint.
+    values: Array<f32>,
+    records: Array<Row>,
+    /// Stands for the water that there is not.
+    nothing: Array<f32>,
+}
+
+impl LinearSplat {
+    /// Takes the Gaussians to a device. Their colours do not matter.
+    ///
+    /// # Errors
+    /// More of them than it holds, and what its driver says.
+    pub fn new(gpu: &Gpu, gaussians: &Gaussians) -> Result<Self, EngineError> {
+        Ok(Self {
+            lists_kernels: ListKernels::new(gpu)?,
+            raster_kernels: RasterKernels::new(gpu)?,
+            tint: Kernel::new(gpu, &tint())?,
+            adjoint: Kernel::new(gpu, &colors_backward(false))?,
+            gather: Kernel::new(gpu, &gather())?,
+            parameters: Parameters::of(gpu, gaussians)?,
+            count: gaussians.len(),
+            lists: Lists::new(gpu)?,
+            planes: Planes::new(gpu)?,
+            frame: Array::uniform(gpu, "frame")?,
+            counts: Array::new(gpu, "counts of a view", counts::WORDS)?,
+            tiles: 0,
+            pixels: 0,
+            parts: Vec::new(),
+            values: Array::new(gpu, "values", 1)?,
+            records: Array::new(gpu, "records", 1)?,
+            nothing: Array::new(gpu, "no water", 1)?,
+            gpu: gpu.clone(),
+        })
+    }
+
+    /// Makes ready for a view: what follows is of it.
+    ///
+    /// # Errors
+    /// What the driver says.
+    pub fn view(&mut self, camera: &Camera, lattice: &Lattice) -> Result<(), EngineError> {
+        let gpu = &self.gpu;
+        self.pixels = lattice.width() * lattice.height();
+        self.planes.grow(gpu, self.pixels)?;
+        loop {
+            let frame = Frame::on(camera, lattice, self.count, 0, self.lists.capacity());
+            self.tiles = frame.tiles();
+            self.lists.prepare(gpu, &frame, lattice)?;
+            self.records.grow(gpu, self.lists.capacity())?;
+            self.frame.write(gpu, 0, &[frame]);
+            self.counts.write(gpu, 0, &[0; counts::WORDS]);
+            let (lists, planes, tiles) = (&self.lists, &self.planes, self.tiles);
+            submit(gpu, "view", |pass| {
+                let (kernels, n, scene) = (&self.lists_kernels, self.count, &self.parameters);
+                lists.record(kernels, pass, &self.frame, n, tiles, scene, &self.counts, Some(&self.records));
+                // Where each pixel stops.
+                let (raster, drawn) = (&self.raster_kernels, lists.drawn());
+                planes.record_forward(raster, pass, &self.frame, tiles, &drawn, None, true);
+            })?;
+            let told = self.counts.read(gpu, counts::WORDS)?;
+            if told[counts::STOP] == 0 {
+                return Ok(());
+            }
+            let most = told[counts::MOST] as usize;
+            self.lists.grow(gpu, most + most / 2)?;
+        }
+    }
+
+    /// `S_v`: splats `values` (`[N][channels]`, in the order of the Gaussians) into `out` (`[channels][height][width]`).
+    ///
+    /// # Errors
+    /// Lengths that do not fit, and what the driver says.
+    pub fn splat(&mut self, channels: usize, values: &[f32], out: &mut [f32]) -> Result<(), EngineError> {
+        self.check(channels, values.len(), out.len())?;
+        self.prepare(channels)?;
+        self.values.write(&self.gpu, 0, values);
+        let Self { lists, planes, parts, frame, .. } = self;
+        submit(&self.gpu, "linear splat", |pass| {
+            for part in &mut *parts {
+                let buffers = bound![*frame, part.at, self.values, lists.splats];
+                self.tint.dispatch(pass, self.tint.grid(self.count), buffers);
+                std::mem::swap(&mut planes.image, &mut part.planes);
+                let drawn = lists.drawn();
+                planes.record_forward(&self.raster_kernels, pass, frame, self.tiles, &drawn, None, false);
+                std::mem::swap(&mut planes.image, &mut part.planes);
+            }
+        })?;
+        for (part, out) in parts.iter().zip(out.chunks_mut((TOGETHER * self.pixels).max(1))) {
+            out.copy_from_slice(&part.planes.read(&self.gpu, out.len())?);
+        }
+        Ok(())
+    }
+
+    /// `S_vᵀ`: lifts `planes` (`[channels][height][width]`) to the Gaussians, into `out` (`[N][channels]`); zero where one is not visible.
+    ///
+    /// # Errors
+    /// Lengths that do not fit, and what the driver says.
+    pub fn adjoint(&mut self, channels: usize, planes: &[f32], out: &mut [f32]) -> Result<(), EngineError> {
+        self.check(channels, out.len(), planes.len())?;
+        self.prepare(channels)?;
+        for (part, planes) in self.parts.iter().zip(planes.chunks((TOGETHER * self.pixels).max(1))) {
+            part.planes.write(&self.gpu, 0, planes);
+        }
+        let Self { lists, frame, records, .. } = &*self;
+        submit(&self.gpu, "adjoint of the linear splat", |pass| {
+            for part in &self.parts {
+                let mut buffers = lists.drawn().buffers(frame);
+                buffers.extend(bound![self.nothing, self.planes.stop, part.planes, *records]);
+                self.adjoint.dispatch(pass, Grid::groups(self.tiles), buffers);
+                let buffers = bound![*frame, part.at, lists.runs, *records, self.values];
+                self.gather.dispatch(pass, self.gather.grid(self.count), buffers);
+            }
+        })?;
+        out.copy_from_slice(&self.values.read(&self.gpu, out.len())?);
+        Ok(())
+    }
+
+    /// Refuses numbers that are not one per channel and Gaussian, or channel and pixel.
+    fn check(&self, channels: usize, values: usize, planes: usize) -> Result<(), EngineError> {
+        let refuse = |what: String| Err(EngineError::Request { engine: NAME, what });
+        if values != channels * self.count {
+            return refuse(format!("{values} values of {channels} channels for {} Gaussians", self.count));
+        }
+        if planes != channels * self.pixels {
+            return refuse(format!("{planes} values of {channels} channels for a view of {}", self.pixels));
+        }
+        Ok(())
+    }
+
+    /// Makes room for so many channels of the view.
+    fn prepare(&mut self, channels: usize) -> Result<(), EngineError> {
+        let gpu = &self.gpu;
+        self.values.grow(gpu, channels * self.count)?;
+        let parts = channels.div_ceil(TOGETHER);
+        self.parts.truncate(parts);
+        while self.parts.len() < parts {
+            let (at, planes) = (Array::uniform(gpu, "channels")?, Array::new(gpu, "planes", 1)?);
+            self.parts.push(Part { at, planes });
+        }
+        for (first, part) in (0..channels).step_by(TOGETHER).zip(&mut self.parts) {
+            let count = TOGETHER.min(channels - first);
+            part.at.write(gpu, 0, &[[first as u32, count as u32, channels as u32, 0]]);
+            part.planes.grow(gpu, TOGETHER * self.pixels)?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use use3d_numerics::random::{Purpose, Stream};
+    use use3d_splat::{Colors, Prepared, Rasterizer};
+
+    use super::*;
+    use crate::testing::{camera, cloud, relative, software};
+
+    fn drawn(purpose: &'static str, count: usize) -> Vec<f32> {
+        let stream = Stream::new(3, Purpose::new(purpose), 0);
+        (0..count).map(|i| stream.normal(i as u64) as f32).collect()
+    }
+
+    #[test]
+    fn splats_and_adjoints_are_those_of_the_processor_and_of_each_other() {
+        let Some(gpu) = software() else { return };
+        let some = Lattice::subset(&[0, 3, 4, 17, 40], &[2, 5, 31]).unwrap();
+        for n in [0usize, 1, 900] {
+            let gaussians = cloud(n, -2.5, 0.5);
+            let mut linear = LinearSplat::new(&gpu, &gaussians).unwrap();
+            let (mut prepared, mut rasterizer) = (Prepared::new(), Rasterizer::new());
+            for (lattice, channels) in
+                [(Lattice::size(61, 47), 7usize), (some.clone(), 2), (Lattice::size(33, 70), 3)]
+            {
+                let camera = camera(61, 47);
+                let pixels = lattice.width() * lattice.height();
+                prepared.prepare(&gaussians, &camera, &lattice, Colors::Sh { degree: 0 });
+                linear.planes.grow(&gpu, pixels).unwrap();
+                linear.planes.poison(&gpu);
+                linear.records.poison(&gpu);
+                linear.view(&camera, &lattice).unwrap();
+
+                let (x, y) = (drawn("values", channels * n), drawn("planes", channels * pixels));
+                let (mut found, mut expected) = (vec![f32::NAN; y.len()], vec![0.0; y.len()]);
+                linear.splat(channels, &x, &mut found).unwrap();
+                rasterizer.splat(&prepared, channels, &x, &mut expected);
+                let error = relative(&found, &expected);
+                assert!(error <= 1e-5, "{n} Gaussians, {channels} channels: splat off by {error:.1e}");
+
+                let (mut lifted, mut expected) = (vec![f32::NAN; x.len()], vec![0.0; x.len()]);
+                linear.adjoint(channels, &y, &mut lifted).unwrap();
+                rasterizer.splat_adjoint(&prepared, channels, &y, &mut expected);
+                let error = relative(&lifted, &expected);
+                assert!(error <= 1e-5, "{n} Gaussians, {channels} channels: adjoint off by {error:.1e}");
+
+                let dot = |a: &[f32], b: &[f32]| -> f64 {
+                    a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
+                };
+                let (one, other) = (dot(&found, &y), dot(&x, &lifted));
+                assert!((one - other).abs() <= 1e-4 * (1.0 + one.abs()), "⟨Sx, y⟩ {one}, ⟨x, Sᵀy⟩ {other}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_refused() {
+        let Some(gpu) = software() else { return };
+        let mut linear = LinearSplat::new(&gpu, &cloud(2, -2.5, 0.5)).unwrap();
+        linear.view(&camera(8, 8), &Lattice::size(8, 8)).unwrap();
+        let said = linear.splat(2, &[0.0; 3], &mut [0.0; 128]).unwrap_err().to_string();
+        assert!(said.contains("3 values of 2 channels for 2 Gaussians"), "{said}");
+        let said = linear.adjoint(1, &[0.0; 60], &mut [0.0; 2]).unwrap_err().to_string();
+        assert!(said.contains("60 values of 1 channels for a view of 64"), "{said}");
+    }
+}

@@ -1,0 +1,14 @@
+// One thread per Gaussian: three channels of what its entries gathered, added up in their order.
+@compute @workgroup_size(WG)
+fn main(
+    @builtin(workgroup_id) wid: vec3<u32>,
+    @builtin(num_workgroups) nwg: vec3<u32>,
+    @builtin(local_invocation_index) lid: u32,
+) {
+    let i = group_of(wid, nwg) * WG + lid;
+    if (i >= frame.counts.x) { return; }
+    let run = runs[i];
+    var sum = vec3<f32>();
+    for (var k = 0u; k < run.y; k++) { sum += records[run.x + k].xyz; }
+    for (var c = 0u; c < part.y; c++) { sums[part.z * i + part.x + c] = sum[c]; }
+}
