@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use glam::DVec3;
 use use3d_atc::calibrator::Calibrator;
-use use3d_atc::consensus::{Proposals, Recorder, TargetsParams, ViewInput, targets_from_records};
+use use3d_atc::consensus::{Lift, Proposals, Recorder, TargetsParams, ViewInput, targets_from_records};
 use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::progress::unwatched;
 use use3d_atc::proposers::{Fusion, Proposer};
@@ -64,7 +64,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let started = Instant::now();
     let params = TargetsParams::default();
     let (_, report) = targets_from_records(
-        &gaussians,
+        &mut Lift::new(&gaussians),
         &records,
         Appearance::Water,
         Fusion.id(),

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use use3d_atc::AtcError;
 use use3d_atc::calibrator::Calibrator;
 use use3d_atc::consensus::{
-    Preview, Proposals, Recorder, TargetsParams, ViewInput, ViewRecord, targets_from_records,
+    Lift, Preview, Proposals, Recorder, TargetsParams, ViewInput, ViewRecord, targets_from_records,
 };
 use use3d_atc::progress::unwatched;
 use use3d_atc::proposers::{Fusion, Proposer};
@@ -86,7 +86,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let extracted = started.elapsed();
     let params = TargetsParams::default();
     let (targets, report) = targets_from_records(
-        &scene,
+        &mut Lift::new(&scene),
         &records,
         Appearance::Water,
         Fusion.id(),
@@ -108,7 +108,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("scene operator {:.3?}", targets.scene);
     let params = TargetsParams { measure_order: true, ..params };
     let (_, shuffled) = targets_from_records(
-        &scene,
+        &mut Lift::new(&scene),
         &records,
         Appearance::Water,
         Fusion.id(),

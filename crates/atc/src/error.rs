@@ -110,6 +110,14 @@ pub enum AtcError {
         /// What was given.
         found: String,
     },
+    /// Another device than the processor gave up.
+    #[error("`{device}` failed: {problem}")]
+    Device {
+        /// Its name.
+        device: String,
+        /// What it said.
+        problem: String,
+    },
     /// Two parts of the method that use different local forms.
     #[error("the local operators are in {found} form, but {expected} form is needed")]
     Form {

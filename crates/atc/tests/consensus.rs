@@ -63,11 +63,11 @@ fn golden_lifting_fusion_and_view_targets() {
             .map(|g| g.chunks_exact(6).map(|c| c.try_into().expect("six numbers")).collect())
             .collect();
         let scales: [f64; 6] = case.f64("in.s_local").try_into().expect("six scales");
-        let mut lift = Lift::new();
+        let mut lift = Lift::new(&gaussians);
         let mut fuse = |order: &[usize], keep: &mut dyn FnMut(f32, [f32; 6])| {
             let mut state = LocalConsensus::new(gaussians.len());
             for &v in order {
-                lift.run(&gaussians, &cameras[v], grid, &grids[v]);
+                lift.run(&cameras[v], grid, &grids[v]).unwrap();
                 for i in 0..gaussians.len() {
                     let (omega, observed) = lift.observation(i);
                     keep(omega, observed);
@@ -173,10 +173,10 @@ fn a_constant_map_is_lifted_and_splatted_back_as_that_constant() {
     let (gaussians, cameras) = wall(300, 4, (90, 60));
     let constant = [0.3, -0.1, 0.2, 0.05, -0.02, 0.4];
     let cells = vec![constant; 16 * 11];
-    let mut lift = Lift::new();
+    let mut lift = Lift::new(&gaussians);
     let mut state = LocalConsensus::new(gaussians.len());
     for camera in &cameras {
-        lift.run(&gaussians, camera, (16, 11), &cells);
+        lift.run(camera, (16, 11), &cells).unwrap();
         state.fuse(&lift, &[1.0; 6]);
     }
     let mut supported = 0;
@@ -209,13 +209,13 @@ fn a_constant_map_is_lifted_and_splatted_back_as_that_constant() {
 fn splatting_only_the_pixels_read_gives_what_the_whole_view_gives() {
     let (gaussians, cameras) = wall(200, 3, (120, 83));
     let stream = Stream::new(3, Purpose::new("maps"), 0);
-    let mut lift = Lift::new();
+    let mut lift = Lift::new(&gaussians);
     let mut state = LocalConsensus::new(gaussians.len());
     for (v, camera) in cameras.iter().enumerate() {
         let cells: Vec<[f64; 6]> = (0..16 * 11)
             .map(|c| std::array::from_fn(|k| stream.normal((v * 2000 + c * 6 + k) as u64)))
             .collect();
-        lift.run(&gaussians, camera, (16, 11), &cells);
+        lift.run(camera, (16, 11), &cells).unwrap();
         state.fuse(&lift, &[0.1; 6]);
     }
     let camera = &cameras[0];
@@ -308,7 +308,7 @@ fn the_same_order_has_no_order_effect_and_another_has_one() {
         .collect();
     let scene = [0.0; 12];
     let fuse = |order: &[usize]| {
-        fuse_views(&gaussians, &records, order, &calibrator, &scene, &mut unwatched).unwrap()
+        fuse_views(&mut Lift::new(&gaussians), &records, order, &calibrator, &scene, &mut unwatched).unwrap()
     };
     let (one, two) = (fuse(&[0, 1, 2, 3, 4]), fuse(&[4, 2, 0, 1, 3]));
     let same = order_effect(&one, &one, &[0.05; 6]);

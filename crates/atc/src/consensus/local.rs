@@ -19,6 +19,7 @@ use use3d_numerics::math;
 use use3d_splat::{Colors, Gaussians, Prepared, Rasterizer};
 
 use crate::calibrator::SCALE_FLOOR;
+use crate::error::AtcError;
 use crate::extractor::resize::Resize;
 
 /// Channels lifted together: six of the operator, and ones.
@@ -39,39 +40,88 @@ pub struct LocalConsensus {
     pub count: Vec<u32>,
 }
 
-/// What one view says about every Gaussian, and the working memory for it.
-#[derive(Clone, Debug)]
-pub struct Lift {
+/// The adjoint of a scene's linear splat, `S_vᵀ`, wherever it is computed.
+pub trait Adjoint {
+    /// How many Gaussians the scene has.
+    fn gaussians(&self) -> usize;
+
+    /// Lifts `planes` (`[channels][height][width]`, of the camera's size) to the Gaussians: `out` (`[N][channels]`), overwritten.
+    ///
+    /// # Errors
+    /// [`AtcError::Device`].
+    fn lift(
+        &mut self,
+        camera: &Camera,
+        channels: usize,
+        planes: &[f32],
+        out: &mut [f32],
+    ) -> Result<(), AtcError>;
+}
+
+/// The processor's.
+struct OnProcessor<'a> {
+    gaussians: &'a Gaussians,
     rasterizer: Rasterizer,
     prepared: Prepared,
+}
+
+impl Adjoint for OnProcessor<'_> {
+    fn gaussians(&self) -> usize {
+        self.gaussians.len()
+    }
+
+    fn lift(
+        &mut self,
+        camera: &Camera,
+        channels: usize,
+        planes: &[f32],
+        out: &mut [f32],
+    ) -> Result<(), AtcError> {
+        let lattice = Lattice::size(camera.intrinsics.width, camera.intrinsics.height);
+        // Splatting attributes needs no colours.
+        self.prepared.prepare(self.gaussians, camera, &lattice, Colors::Sh { degree: 0 });
+        self.rasterizer.splat_adjoint(&self.prepared, channels, planes, out);
+        Ok(())
+    }
+}
+
+/// What one view says about every Gaussian, and the working memory for it.
+pub struct Lift<'a> {
+    adjoint: Box<dyn Adjoint + 'a>,
     maps: Vec<f32>,
     sums: Vec<f32>,
 }
 
-impl Default for Lift {
-    fn default() -> Self {
-        Self::new()
+impl<'a> Lift<'a> {
+    /// On the processor; grows on first use (seven planes of the camera's size and seven numbers per Gaussian).
+    pub fn new(gaussians: &'a Gaussians) -> Self {
+        let (rasterizer, prepared) = (Rasterizer::new(), Prepared::new());
+        Self::by(Box::new(OnProcessor { gaussians, rasterizer, prepared }))
     }
-}
 
-impl Lift {
-    /// Empty; grows on first use (seven planes of the camera's size and seven numbers per Gaussian).
-    pub fn new() -> Self {
-        Self { rasterizer: Rasterizer::new(), prepared: Prepared::new(), maps: Vec::new(), sums: Vec::new() }
+    /// By somebody else's adjoint.
+    pub fn by(adjoint: Box<dyn Adjoint + 'a>) -> Self {
+        Self { adjoint, maps: Vec::new(), sums: Vec::new() }
+    }
+
+    /// How many Gaussians the scene has.
+    pub fn gaussians(&self) -> usize {
+        self.adjoint.gaussians()
     }
 
     /// Lifts a view's map of local operators (`grid` = columns, rows; row-major) to the Gaussians.
-    pub fn run(&mut self, gaussians: &Gaussians, camera: &Camera, grid: (usize, usize), cells: &[[f64; 6]]) {
+    ///
+    /// # Errors
+    /// [`AtcError::Device`].
+    pub fn run(&mut self, camera: &Camera, grid: (usize, usize), cells: &[[f64; 6]]) -> Result<(), AtcError> {
         let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
         let planes: Vec<f32> = (0..6).flat_map(|k| cells.iter().map(move |cell| cell[k] as f32)).collect();
         self.maps.resize(CHANNELS * w * h, 0.0);
         let (operators, ones) = self.maps.split_at_mut(6 * w * h);
         Resize::between(grid, (w, h)).forward_planes(&planes, operators);
         ones.fill(1.0);
-        // Splatting attributes needs no colours.
-        self.prepared.prepare(gaussians, camera, &Lattice::size(w, h), Colors::Sh { degree: 0 });
-        self.sums.resize(CHANNELS * gaussians.len(), 0.0);
-        self.rasterizer.splat_adjoint(&self.prepared, CHANNELS, &self.maps, &mut self.sums);
+        self.sums.resize(CHANNELS * self.gaussians(), 0.0);
+        self.adjoint.lift(camera, CHANNELS, &self.maps, &mut self.sums)
     }
 
     /// The visibility `ω` of a Gaussian in the last view, pixels, and its observation `v`.
@@ -95,7 +145,7 @@ impl LocalConsensus {
     }
 
     /// Fuses the last view of `lift`; `scales` are the `s_ℓ` of the calibrator, floored at 10⁻⁴ here too.
-    pub fn fuse(&mut self, lift: &Lift, scales: &[f64; 6]) {
+    pub fn fuse(&mut self, lift: &Lift<'_>, scales: &[f64; 6]) {
         let inverse = scales.map(|s| 1.0 / s.max(SCALE_FLOOR));
         const CHUNK: usize = 4096;
         self.mean

@@ -15,7 +15,7 @@ mod targets;
 mod views;
 
 pub use global::{GlobalConsensus, PROBES, global_consensus, refit, response};
-pub use local::{Lift, LocalConsensus, SUPPORTING_VIEWS};
+pub use local::{Adjoint, Lift, LocalConsensus, SUPPORTING_VIEWS};
 pub use order::{OrderEffect, order_effect};
 pub use preview::{Preview, apply_transition, side_by_side};
 pub use rasterise::{ViewTarget, support_map, view_target};
@@ -108,12 +108,13 @@ pub fn build_targets(
         report(watch, Progress::View { index, name: &view.name })?;
         records.push(recorder.record(&view, proposals, calibrator)?);
     }
-    targets_from_records(gaussians, &records, Appearance::Water, proposals.id(), calibrator, params, watch)
+    let lift = &mut Lift::new(gaussians);
+    targets_from_records(lift, &records, Appearance::Water, proposals.id(), calibrator, params, watch)
 }
 
-/// The second half of [`build_targets`], for a caller that keeps the records, of pictures in `appearance`.
+/// The second half of [`build_targets`], for a caller that keeps the records, of pictures in `appearance`, and chooses what lifts.
 pub fn targets_from_records(
-    gaussians: &Gaussians,
+    lift: &mut Lift<'_>,
     records: &[ViewRecord],
     appearance: Appearance,
     proposer: ProposerId,
@@ -124,7 +125,7 @@ pub fn targets_from_records(
     let candidates: Vec<Affine> = records.iter().map(|r| r.candidate).collect();
     let global = global_consensus(&candidates).ok_or(AtcError::NoViews)?;
     let capture_order: Vec<usize> = (0..records.len()).collect();
-    let state = fuse_views(gaussians, records, &capture_order, calibrator, &global.operator, watch)?;
+    let state = fuse_views(lift, records, &capture_order, calibrator, &global.operator, watch)?;
     let targets = Targets {
         extractor: calibrator.extractor.clone(),
         proposer: proposer.clone(),
@@ -139,7 +140,7 @@ pub fn targets_from_records(
     let order = if params.measure_order && records.len() > 1 {
         let stream = Stream::new(params.seed, Purpose::new("shuffled view order"), 0);
         let shuffled = stream.permutation(records.len());
-        let other = fuse_views(gaussians, records, &shuffled, calibrator, &global.operator, watch)?;
+        let other = fuse_views(lift, records, &shuffled, calibrator, &global.operator, watch)?;
         Some(order_effect(&targets.state, &other, &targets.local_scales))
     } else {
         None
@@ -159,8 +160,8 @@ pub fn targets_from_records(
     let report = TargetsReport {
         views,
         dispersion: global.dispersion,
-        gaussians: gaussians.len(),
-        supported: (0..gaussians.len()).filter(|&i| targets.state.supported(i)).count(),
+        gaussians: lift.gaussians(),
+        supported: (0..lift.gaussians()).filter(|&i| targets.state.supported(i)).count(),
         order,
         proposer,
         appearance,
@@ -171,22 +172,21 @@ pub fn targets_from_records(
 
 /// Lifts and fuses the local operators of some views, in the given order of their records.
 pub fn fuse_views(
-    gaussians: &Gaussians,
+    lift: &mut Lift<'_>,
     records: &[ViewRecord],
     order: &[usize],
     calibrator: &Calibrator,
     scene: &Affine,
     watch: &mut Watch<'_>,
 ) -> Result<LocalConsensus, AtcError> {
-    let mut state = LocalConsensus::new(gaussians.len());
-    let mut lift = Lift::new();
+    let mut state = LocalConsensus::new(lift.gaussians());
     let scales = calibrator.local_scales();
     for (index, &which) in order.iter().enumerate() {
         report(watch, Progress::Lift { index, views: order.len() })?;
         let record = &records[which];
         let cells = record.local(calibrator, scene)?;
-        lift.run(gaussians, &record.camera, record.grid, &cells);
-        state.fuse(&lift, &scales);
+        lift.run(&record.camera, record.grid, &cells)?;
+        state.fuse(lift, &scales);
     }
     Ok(state)
 }

@@ -2,7 +2,7 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use use3d_atc::consensus::{Preview, Recorder, TargetsParams, targets_from_records};
+use use3d_atc::consensus::{Lift, Preview, Recorder, TargetsParams, targets_from_records};
 use use3d_atc::progress::Progress;
 use use3d_build::{Scope, Stage, StageContext, StageError};
 use use3d_capture::{Capture, View};
@@ -69,7 +69,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     }
     let consensus = TargetsParams { seed: context.seed(), ..params.consensus.clone() };
     let built = targets_from_records(
-        &scene.gaussians,
+        &mut Lift::new(&scene.gaussians),
         &records,
         starts.appearance(),
         starts.proposer.clone(),
