@@ -156,7 +156,7 @@ mod tests {
         let mut red = Image::new(2, 2);
         red.plane_mut(0).fill(1.0);
         // From the colours above: L 46.76, a 80.09, b 67.20 apart.
-        let expected = (46.76_f64.powi(2) + 80.09_f64.powi(2) + 67.20_f64.powi(2)).sqrt();
+        let expected = [46.76_f64, 80.09, 67.20].map(|v| v * v).iter().sum::<f64>().sqrt();
         assert!((mean_cie1976(&red, &white).unwrap() - expected).abs() < 0.03);
         assert_eq!(mean_cie1976(&red, &red).unwrap(), 0.0);
         assert!(mean_cie1976(&red, &Image::new(1, 2)).is_err());

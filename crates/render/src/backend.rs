@@ -21,6 +21,9 @@ pub struct Request<'r> {
     pub layers: bool,
 }
 
+/// Changes the colours of all Gaussians of a view, in their order, in place.
+pub type Recolor<'r> = dyn Fn(&mut [[f32; 3]]) + 'r;
+
 /// What a [`Composer`] is asked for: the Gaussians of its scene in front of a camera.
 #[derive(Clone, Copy)]
 pub struct Composition<'r> {
@@ -29,7 +32,7 @@ pub struct Composition<'r> {
     /// Which of its pixels.
     pub lattice: &'r Lattice,
     /// What the scene's stage-1 colours in this view go through before they are drawn.
-    pub recolor: Option<&'r dyn Fn(&mut [[f32; 3]])>,
+    pub recolor: Option<&'r Recolor<'r>>,
     /// The water on the lattice; `None`: there is none.
     pub medium: Option<&'r MediumMaps>,
     /// Whether the image's parts are wanted.

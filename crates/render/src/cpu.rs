@@ -8,7 +8,7 @@ use use3d_splat::{Options, Rendered};
 use use3d_ubaf::enhancement::ObjectGrades;
 
 use crate::RenderError;
-use crate::backend::{Backend, Composer, Composition, Request};
+use crate::backend::{Backend, Composer, Composition, Recolor, Request};
 use crate::renderer::Look;
 
 /// Composes on the processor.
@@ -92,7 +92,7 @@ impl<C: Composer> Backend for Looking<'_, C> {
         let water = water.unwrap_or(0.0);
         let graded =
             self.grades.as_ref().map(|(grades, _)| move |colors: &mut [[f32; 3]]| grades.apply(colors));
-        let recolor = graded.as_ref().map(|graded| graded as &dyn Fn(&mut [[f32; 3]]));
+        let recolor = graded.as_ref().map(|graded| graded as &Recolor<'_>);
         let dry = self.scene.medium.is_none() || water == 0.0;
         let thinned = !dry && water < 1.0;
         let medium = if dry {

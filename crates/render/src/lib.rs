@@ -25,7 +25,7 @@ mod pictures;
 mod profile;
 mod renderer;
 
-pub use backend::{Backend, Composer, Composition, Request};
+pub use backend::{Backend, Composer, Composition, Recolor, Request};
 pub use bake::{BakeReport, bake};
 pub use cpu::{Cpu, Looking, Processor};
 pub use error::RenderError;

@@ -132,8 +132,9 @@ mod tests {
             };
             for ((mode, found), expected) in Mode::ALL.iter().zip(draw(&card)).zip(draw(&cpu)) {
                 let (found, expected) = (values(&found), values(&expected));
-                let norm =
-                    |v: &mut dyn Iterator<Item = f32>| v.map(|v| f64::from(v).powi(2)).sum::<f64>().sqrt();
+                let norm = |v: &mut dyn Iterator<Item = f32>| {
+                    v.map(|v| f64::from(v) * f64::from(v)).sum::<f64>().sqrt()
+                };
                 let off = norm(&mut found.iter().zip(&expected).map(|(a, b)| a - b));
                 let size = norm(&mut expected.iter().copied());
                 assert_eq!(found.len(), expected.len());
