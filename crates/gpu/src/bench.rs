@@ -37,12 +37,14 @@ pub struct BenchRecord {
     pub version: u32,
     /// The adapter.
     pub adapter: AdapterRecord,
+    /// Which variant of the kernels its trainings take.
+    pub variant: String,
     /// What the check at the start says.
     pub check: CheckRecord,
-    /// Kernels beside the processor's functions.
+    /// Kernels beside the processor's functions, and whole steps in every variant.
     pub twins: Vec<TwinRecord>,
-    /// Whether three runs give the same bits.
-    pub determinism: DeterminismRecord,
+    /// Whether three runs give the same bits, in every variant.
+    pub determinism: Vec<DeterminismRecord>,
     /// Kernels' times by the device's clock, where it has one that can be read between dispatches.
     pub times: Vec<TimesRecord>,
     /// Trainings of stage 1 on packed scenes: every size with every number of Gaussians.
@@ -72,6 +74,8 @@ pub struct TrainingRecord {
     pub dispatches_per_step: Option<f64>,
     /// Per kernel, over a few steps more.
     pub kernels: BTreeMap<&'static str, KernelRecord>,
+    /// Mean time of the backward pass in every variant, milliseconds.
+    pub backward_milliseconds: BTreeMap<String, f64>,
     /// Why there are no figures: the device has too little memory, say.
     pub refusal: Option<String>,
 }
@@ -144,6 +148,8 @@ pub struct TwinRecord {
 /// Three runs of the same work.
 #[derive(Clone, Debug, Serialize)]
 pub struct DeterminismRecord {
+    /// In which variant.
+    pub variant: String,
     /// A digest of each run's bits.
     pub digests: Vec<String>,
     /// Whether they are one.
@@ -260,16 +266,28 @@ fn train(gpu: &Gpu, scene: &Packed, steps: u64) -> Result<TrainingRecord, Engine
     let bytes = engine.memory();
     drop(engine);
 
-    let timed = gpu.clone().timed();
-    let mut engine = begun(&timed, scene)?;
-    timed.read_times(&mut BTreeMap::new())?;
-    let mut times = BTreeMap::new();
     let profiled = steps.min(PROFILED);
-    for step in views..views + profiled {
-        go_on(&mut engine, scene, step..step + 1)?;
-        timed.read_times(&mut times)?;
-    }
+    let profile = |variant| {
+        let timed = gpu.clone().with(variant).timed();
+        let mut engine = begun(&timed, scene)?;
+        timed.read_times(&mut BTreeMap::new())?;
+        let mut times = BTreeMap::new();
+        for step in views..views + profiled {
+            go_on(&mut engine, scene, step..step + 1)?;
+            timed.read_times(&mut times)?;
+        }
+        Ok::<_, EngineError>(times)
+    };
+    let times = profile(gpu.variant())?;
     let dispatches: u64 = times.values().map(|time| time.dispatches).sum();
+    let kernels = kernel_records(times);
+    let mut backward_milliseconds = BTreeMap::new();
+    for variant in gpu.variants() {
+        let own = if variant == gpu.variant() { None } else { Some(kernel_records(profile(variant)?)) };
+        if let Some(record) = own.as_ref().unwrap_or(&kernels).get("backward") {
+            backward_milliseconds.insert(variant.to_string(), record.milliseconds);
+        }
+    }
     Ok(TrainingRecord {
         size: [scene.width, scene.height],
         gaussians: scene.gaussians,
@@ -279,7 +297,8 @@ fn train(gpu: &Gpu, scene: &Packed, steps: u64) -> Result<TrainingRecord, Engine
         bytes,
         submits_per_step: submits as f64 / steps.max(1) as f64,
         dispatches_per_step: (dispatches > 0).then(|| dispatches as f64 / profiled.max(1) as f64),
-        kernels: kernel_records(times),
+        kernels,
+        backward_milliseconds,
         refusal: None,
     })
 }
@@ -296,30 +315,43 @@ pub fn bench(gpu: &Gpu, plan: &BenchPlan, mut tell: impl FnMut(&str)) -> Result<
     };
 
     tell("kernels beside the processor's functions");
-    let mut twins = Vec::new();
+    let mut found = Vec::new();
     for size in [(61, 47), (96, 64), (257, 33)] {
-        for (case, agreement) in run_twins(gpu, size)? {
-            let holds = agreement.holds();
-            let Agreement { what, error, bar, .. } = agreement;
-            twins.push(TwinRecord { case, what, error: error.is_finite().then_some(error), bar, holds });
-        }
+        found.extend(run_twins(gpu, size)?);
     }
+    for variant in gpu.variants() {
+        let scene = Packed { width: 61, height: 47, gaussians: 600, views: 2, seed: 3 };
+        let mut engine = Stage1::new(&gpu.clone().with(variant))?;
+        let case = format!("step, {variant}, {scene:?}");
+        found.extend(twins::step(&mut engine, &scene)?.into_iter().map(|a| (case.clone(), a)));
+    }
+    let record = |(case, agreement): (String, Agreement)| {
+        let holds = agreement.holds();
+        let Agreement { what, error, bar, .. } = agreement;
+        TwinRecord { case, what, error: error.is_finite().then_some(error), bar, holds }
+    };
+    let twins = found.into_iter().map(record).collect();
 
     tell("the same bits three times");
-    let mut digests = Vec::new();
-    for _ in 0..3 {
-        let mut hasher = blake3::Hasher::new();
-        for (case, agreement) in run_twins(gpu, (96, 64))? {
-            hasher.update(case.as_bytes());
-            hasher.update(&agreement.digest);
+    let mut determinism = Vec::new();
+    for variant in gpu.variants() {
+        let gpu = gpu.clone().with(variant);
+        let mut digests = Vec::new();
+        for _ in 0..3 {
+            let mut hasher = blake3::Hasher::new();
+            for (case, agreement) in run_twins(&gpu, (96, 64))? {
+                hasher.update(case.as_bytes());
+                hasher.update(&agreement.digest);
+            }
+            let scene = Packed { width: 96, height: 64, gaussians: 2000, views: 3, seed: 5 };
+            let mut engine = begun(&gpu, &scene)?;
+            go_on(&mut engine, &scene, 3..12)?;
+            hasher.update(digest(engine.save()?.as_ref()).as_bytes());
+            digests.push(hasher.finalize().to_hex().to_string());
         }
-        let scene = Packed { width: 96, height: 64, gaussians: 2000, views: 3, seed: 5 };
-        let mut engine = begun(gpu, &scene)?;
-        go_on(&mut engine, &scene, 3..12)?;
-        hasher.update(digest(engine.save()?.as_ref()).as_bytes());
-        digests.push(hasher.finalize().to_hex().to_string());
+        let same = digests.iter().all(|digest| *digest == digests[0]);
+        determinism.push(DeterminismRecord { variant: variant.to_string(), digests, same });
     }
-    let same = digests.iter().all(|digest| *digest == digests[0]);
 
     let timed = gpu.clone().timed();
     let mut times = Vec::new();
@@ -358,6 +390,7 @@ pub fn bench(gpu: &Gpu, plan: &BenchPlan, mut tell: impl FnMut(&str)) -> Result<
                     submits_per_step: 0.0,
                     dispatches_per_step: None,
                     kernels: BTreeMap::new(),
+                    backward_milliseconds: BTreeMap::new(),
                     refusal: Some(error.to_string()),
                 },
                 trained => trained?,
@@ -366,11 +399,12 @@ pub fn bench(gpu: &Gpu, plan: &BenchPlan, mut tell: impl FnMut(&str)) -> Result<
     }
     Ok(BenchRecord {
         format: "3d-use gpu bench",
-        version: 2,
+        version: 3,
         adapter: gpu.adapter().into(),
+        variant: gpu.variant().to_string(),
         check,
         twins,
-        determinism: DeterminismRecord { digests, same },
+        determinism,
         times,
         trainings,
         seconds: started.elapsed().as_secs_f64(),
@@ -388,7 +422,8 @@ mod tests {
         let plan = BenchPlan { sizes: vec![(33, 20)], rounds: 2, gaussians: vec![60], steps: 5 };
         let mut told = Vec::new();
         let record = bench(&gpu, &plan, |what| told.push(what.to_string())).unwrap();
-        assert!(record.check.passed && record.determinism.same, "{record:?}");
+        assert!(record.check.passed && record.determinism.iter().all(|runs| runs.same), "{record:?}");
+        assert_eq!(record.determinism.len(), 2, "both variants");
         assert!(record.twins.iter().all(|twin| twin.holds), "{record:?}");
         let kernels = &record.times[0].kernels;
         assert!(kernels.contains_key("gather") && kernels["weigh"].dispatches == 1, "{kernels:?}");
@@ -398,6 +433,7 @@ mod tests {
             "{record:?}"
         );
         assert_eq!((training.submits_per_step, training.kernels["update"].dispatches), (1.0, 5));
+        assert_eq!(training.backward_milliseconds.len(), 2, "{training:?}");
         assert!(training.dispatches_per_step.is_some_and(|n| n <= 60.0), "{training:?}");
         assert!(told.len() == 5 && serde_json::to_string(&record).unwrap().contains("llvmpipe"));
     }

@@ -7,6 +7,7 @@ use use3d_training::EngineError;
 
 use crate::device::{DeviceError, Gpu, adapters};
 use crate::twins::{self, Agreement};
+use crate::variant::Variant;
 
 /// Why an adapter is not to be used.
 #[derive(Debug, thiserror::Error)]
@@ -63,11 +64,21 @@ pub fn check(gpu: &Gpu) -> Result<(), CheckError> {
     verdict(gpu, twins::small(gpu))
 }
 
-/// Opens the adapter whose name contains `name`, without a name the best that is no software, and checks it.
+/// Opens the adapter whose name contains `name`, without a name the best that is no software, and checks it. One that computes wrongly
+/// with operations across threads is taken without them if it is sound then.
 pub fn open_checked(name: Option<&str>) -> Result<Gpu, CheckError> {
-    let gpu = Gpu::open(name)?;
-    check(&gpu)?;
-    Ok(gpu)
+    sound(Gpu::open(name)?)
+}
+
+fn sound(gpu: Gpu) -> Result<Gpu, CheckError> {
+    match check(&gpu) {
+        Ok(()) => Ok(gpu),
+        Err(wrong) if gpu.variant() == Variant::Portable => Err(wrong),
+        Err(_) => {
+            let gpu = gpu.with(Variant::Portable);
+            check(&gpu).map(|()| gpu)
+        }
+    }
 }
 
 /// Every adapter of this machine, the likeliest first, with what the check says of it.
@@ -96,6 +107,18 @@ mod tests {
         gpu.lose();
         let error = check(&gpu).unwrap_err().to_string();
         assert!(error.contains("llvmpipe") && error.contains("failed its check"), "{error}");
+    }
+
+    #[test]
+    fn a_device_passes_in_each_of_its_variants() {
+        let Some(gpu) = software() else { return };
+        let variants = gpu.variants();
+        assert!(variants.len() == 2 && gpu.variant() == Variant::Portable, "{variants:?}");
+        for variant in variants {
+            let gpu = sound(gpu.clone().with(variant)).unwrap();
+            assert_eq!(gpu.variant(), variant);
+        }
+        assert_eq!(gpu.with(Variant::Subgroups(64)).variant(), Variant::Portable, "not its width");
     }
 
     #[test]

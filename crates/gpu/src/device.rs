@@ -9,6 +9,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use use3d_training::EngineError;
 
 use crate::profile::{self, Clock};
+use crate::scene::COLORS;
+use crate::variant::Variant;
 
 /// The engine's name in messages.
 pub(crate) const NAME: &str = "gpu";
@@ -57,7 +59,9 @@ pub enum DeviceError {
         needed: u64,
     },
     /// The driver did not open it.
-    #[error("the adapter `{adapter}` could not be opened: {reason}; update its driver or use another engine")]
+    #[error(
+        "the adapter `{adapter}` could not be opened: {reason}; free some of its memory if that is short, update its driver, or use another engine"
+    )]
     Open {
         /// Its name.
         adapter: String,
@@ -208,6 +212,8 @@ pub struct Gpu {
     clock: Option<Arc<Clock>>,
     /// Counts what was submitted.
     submits: Arc<AtomicU64>,
+    /// How kernels made for it add up.
+    variant: Variant,
 }
 
 fn lock(trouble: &Mutex<Trouble>) -> MutexGuard<'_, Trouble> {
@@ -230,7 +236,7 @@ impl Gpu {
         };
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("use3d"),
-            required_features: adapter.features() & profile::features(),
+            required_features: adapter.features() & (profile::features() | wgpu::Features::SUBGROUP),
             required_limits: wanted.or_worse_values_from(&limits),
             memory_hints: wgpu::MemoryHints::Performance,
             ..Default::default()
@@ -253,7 +259,7 @@ impl Gpu {
             };
             place.get_or_insert(error.to_string());
         }));
-        Ok(Self {
+        let mut gpu = Self {
             device,
             queue,
             report,
@@ -261,7 +267,37 @@ impl Gpu {
             generation: Arc::default(),
             clock: None,
             submits: Arc::default(),
-        })
+            variant: Variant::Portable,
+        };
+        // Software's threads do not run side by side: there, the portable one is the faster one too.
+        if !gpu.report.is_software()
+            && let Some(variant) = gpu.subgroups()
+        {
+            gpu.variant = variant;
+        }
+        Ok(gpu)
+    }
+
+    /// How kernels made for this device add up.
+    pub fn variant(&self) -> Variant {
+        self.variant
+    }
+
+    /// The variants that this device can do, the portable one first.
+    pub fn variants(&self) -> Vec<Variant> {
+        [Variant::Portable].into_iter().chain(self.subgroups()).collect()
+    }
+
+    fn subgroups(&self) -> Option<Variant> {
+        let has = self.device.features().contains(wgpu::Features::SUBGROUP);
+        Variant::of_subgroups(has, self.report.subgroup)
+    }
+
+    /// The same device for kernels of another variant; the portable one where it cannot do this one.
+    #[must_use]
+    pub fn with(mut self, variant: Variant) -> Self {
+        self.variant = if self.variants().contains(&variant) { variant } else { Variant::Portable };
+        self
     }
 
     /// The adapter.
@@ -318,9 +354,19 @@ impl Gpu {
         polled.map(|_| ()).map_err(|e| EngineError::DeviceLost { engine: NAME, reason: e.to_string() })
     }
 
+    /// Bytes of the longest buffer that a kernel can see.
+    pub(crate) fn longest(&self) -> u64 {
+        self.report.binding.min(self.report.buffer)
+    }
+
+    /// Most Gaussians whose arrays each lie in one buffer.
+    pub fn most_gaussians(&self) -> usize {
+        (self.longest() / (4 * COLORS as u64)) as usize
+    }
+
     /// Refuses a buffer that no kernel could see whole, or that the device cannot hold.
     pub(crate) fn fits(&self, what: &str, bytes: u64) -> Result<(), EngineError> {
-        let most = self.report.binding.min(self.report.buffer);
+        let most = self.longest();
         if bytes <= most {
             return Ok(());
         }
@@ -394,14 +440,24 @@ mod tests {
 
     #[test]
     fn a_limit_that_is_too_low_is_told_with_its_number() {
-        let mut small = report("tiny", "integrated");
-        small.workgroup = 16 << 10;
-        small.refusal = small.check().err();
-        let refusal = choose(&[small], None).unwrap_err().to_string();
-        assert!(
-            refusal.contains("16384 bytes of workgroup memory") && refusal.contains("20480"),
-            "{refusal}"
-        );
+        let fits = report("large", "integrated");
+        for (small, found, needed) in [
+            (
+                AdapterReport { workgroup: 16 << 10, ..fits.clone() },
+                "16384 bytes of workgroup memory",
+                "20480",
+            ),
+            (
+                AdapterReport { binding: 64 << 20, ..fits.clone() },
+                "67108864 bytes in the largest binding",
+                "134217728",
+            ),
+            (AdapterReport { buffers: 8, ..fits.clone() }, "8 storage buffers per kernel", "16"),
+        ] {
+            let refusal = small.check().err();
+            let refusal = choose(&[AdapterReport { refusal, ..small }], None).unwrap_err().to_string();
+            assert!(refusal.contains(found) && refusal.contains(needed), "{refusal}");
+        }
     }
 
     #[test]

@@ -294,10 +294,13 @@ pub(crate) mod tests {
         let module = naga::front::wgsl::parse_str(&source)
             .unwrap_or_else(|e| panic!("{}: {}", spec.name, e.emit_to_string(&source)));
         let flags = naga::valid::ValidationFlags::all();
-        let mut validator = naga::valid::Validator::new(flags, naga::valid::Capabilities::empty());
+        let mut validator = naga::valid::Validator::new(flags, naga::valid::Capabilities::SUBGROUP);
         if let Err(e) = validator.validate(&module) {
             panic!("{}: {}", spec.name, e.emit_to_string(&source));
         }
+        // What a device without these operations is given has none of them.
+        let in_step = spec.constants.iter().any(|(name, _)| *name == "WIDTH");
+        assert_eq!(source.contains("subgroup"), in_step, "{}", spec.name);
         let entry = module.entry_points.iter().find(|e| e.name == "main");
         let entry = entry.unwrap_or_else(|| panic!("{} has no entry point `main`", spec.name));
         assert_eq!(entry.workgroup_size, [spec.threads, 1, 1], "{}", spec.name);

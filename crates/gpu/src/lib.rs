@@ -38,7 +38,7 @@
 //! # Determinism
 //!
 //! Sorts are stable and of whole numbers, every record has one writer, sums go through fixed trees, and no kernel adds floats
-//! atomically: the same requests give the same bytes on the same adapter, driver and program.
+//! atomically: the same requests give the same bytes on the same adapter, driver, program and [`Variant`].
 
 pub mod bench;
 mod buffer;
@@ -62,6 +62,7 @@ mod testing;
 mod tests;
 pub mod twins;
 mod update;
+mod variant;
 mod water;
 
 pub use check::{CheckError, check, checked_adapters, open_checked};
@@ -69,8 +70,9 @@ pub use device::{AdapterReport, DeviceError, Gpu, adapters};
 pub use drawing::{Drawing, DrawnView};
 pub use linear::LinearSplat;
 pub use profile::KernelTime;
-pub use stage1::Stage1;
+pub use stage1::{Stage1, training_bytes};
 pub use stage2::Stage2;
+pub use variant::Variant;
 
 /// The text of every kernel in every variant, as drivers are given it: what results depend on besides adapter and driver.
 pub fn kernel_sources() -> Vec<String> {

@@ -2,7 +2,8 @@
 //!
 //! Forward, one thread per pixel: the processor's compositor in the telescoped form, with what the water's gradients need summed on
 //! the way (`Σ w e_b`, `Σ w z c e_a`, `Σ w z e_b`). Backward, one thread per Gaussian of a round of 64, in a diagonal over the tile's
-//! pixels: it uses neither subgroups nor float atomics, so its bits depend on no width.
+//! pixels: it uses neither subgroups nor float atomics, so its bits depend on no width. Where a device has operations across threads that
+//! run in step, there is a second one ([`Variant::Subgroups`]): pixels lie in threads, and a Gaussian's sums come from these operations.
 
 use use3d_training::EngineError;
 
@@ -12,11 +13,14 @@ use crate::frame::{FRAME, FRAME_BINDING, Frame};
 use crate::kernel::{Access, Binding, Constant, Grid, Kernel, ROWS, Spec, U32S, bound, read, write};
 use crate::lists::Drawn;
 use crate::scene::Row;
+use crate::variant::{Variant, WIDTHS};
 
 /// Threads of the forward pass: the pixels of a tile.
 const FORWARD: u32 = 256;
-/// Threads of the backward pass: Gaussians of a round.
+/// Threads of the portable backward pass: Gaussians of a round.
 const BACKWARD: u32 = 64;
+/// Threads of the one with subgroups, two pixels to each.
+const BACKWARD_PIXELS: u32 = 128;
 
 /// What WGSL text both passes share.
 pub(crate) const SHARED: &str = include_str!("raster/shared.wgsl");
@@ -76,7 +80,7 @@ fn forward(water: bool, kept: Kept) -> Spec {
     spec("forward", FORWARD, &more, &switches, include_str!("raster/forward.wgsl"))
 }
 
-fn backward(water: bool) -> Spec {
+fn backward(water: bool, variant: Variant) -> Spec {
     let more = [
         read("depths"),
         read("accumulations"),
@@ -86,14 +90,24 @@ fn backward(water: bool) -> Spec {
         read("depth_pull"),
         (Access::Write, "records", ROWS),
     ];
-    spec("backward", BACKWARD, &more, &[("WATER", water)], include_str!("raster/backward.wgsl"))
+    let water = [("WATER", water)];
+    match variant {
+        Variant::Portable => spec("backward", BACKWARD, &more, &water, include_str!("raster/backward.wgsl")),
+        Variant::Subgroups(width) => {
+            let body = include_str!("raster/backward_subgroups.wgsl");
+            let mut spec = spec("backward", BACKWARD_PIXELS, &more, &water, body);
+            spec.constants.push(("WIDTH", Constant::Count(width)));
+            spec
+        }
+    }
 }
 
 /// All kernels of this room.
 pub(crate) fn specs() -> Vec<Spec> {
     let both = [false, true];
     let mut specs: Vec<Spec> = both.iter().flat_map(|w| KEPT.map(|k| forward(*w, k))).collect();
-    specs.extend(both.map(backward));
+    let variants = [Variant::Portable].into_iter().chain(WIDTHS.map(Variant::Subgroups));
+    specs.extend(variants.flat_map(|variant| both.map(|water| backward(water, variant))));
     specs
 }
 
@@ -102,8 +116,8 @@ pub(crate) fn specs() -> Vec<Spec> {
 pub(crate) struct RasterKernels {
     /// By water, by what is [`Kept`].
     forward: [[Kernel; 3]; 2],
-    /// By water.
-    backward: [Kernel; 2],
+    /// By water, in the device's variant.
+    backward: Vec<Kernel>,
 }
 
 impl RasterKernels {
@@ -114,7 +128,10 @@ impl RasterKernels {
         };
         Ok(Self {
             forward: [each(false)?, each(true)?],
-            backward: [Kernel::new(gpu, &backward(false))?, Kernel::new(gpu, &backward(true))?],
+            backward: [false, true]
+                .map(|water| Kernel::new(gpu, &backward(water, gpu.variant())))
+                .into_iter()
+                .collect::<Result<Vec<_>, _>>()?,
         })
     }
 }

@@ -5,7 +5,7 @@ use use3d_splat::Gaussians;
 use use3d_training::EngineError;
 
 use crate::buffer::Array;
-use crate::device::Gpu;
+use crate::device::{Gpu, NAME};
 
 /// Four floats.
 pub(crate) type Row = [f32; 4];
@@ -116,6 +116,15 @@ impl DeviceScene {
         statistics: &Statistics,
     ) -> Result<(), EngineError> {
         let n = gaussians.len();
+        let most = gpu.most_gaussians();
+        if n > most {
+            let (name, bytes) = (&gpu.adapter().name, 4 * COLORS * n);
+            let what = format!(
+                "the colours of {n} Gaussians would take {bytes} bytes in one piece, `{name}` binds at most {}: {most} Gaussians (`max_gaussians`)",
+                gpu.longest()
+            );
+            return Err(EngineError::OutOfMemory { engine: NAME, what });
+        }
         (self.count, self.sh_degree) = (n, gaussians.sh_degree);
         for (to, from) in [
             (&mut self.values, gaussians),

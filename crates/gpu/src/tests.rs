@@ -112,14 +112,19 @@ impl Case {
 }
 
 impl Bench {
-    fn new() -> Option<Self> {
-        let gpu = software()?;
-        Some(Self {
-            lists: ListKernels::new(&gpu).unwrap(),
-            raster: RasterKernels::new(&gpu).unwrap(),
-            update: UpdateKernels::new(&gpu).unwrap(),
-            gpu,
-        })
+    /// In each variant of the software adapter; none without one.
+    fn each() -> Vec<Self> {
+        let Some(gpu) = software() else { return Vec::new() };
+        let with = |variant| {
+            let gpu = gpu.clone().with(variant);
+            Self {
+                lists: ListKernels::new(&gpu).unwrap(),
+                raster: RasterKernels::new(&gpu).unwrap(),
+                update: UpdateKernels::new(&gpu).unwrap(),
+                gpu,
+            }
+        };
+        gpu.variants().into_iter().map(with).collect()
     }
 
     /// Draws and differentiates with every buffer poisoned; `room` entries, more where they do not suffice.
@@ -212,6 +217,7 @@ fn exponents(maps: &MediumMaps, case: &Case) -> [Vec<f32>; 3] {
 
 /// Holds the device's view to the processor's.
 fn agree(bench: &Bench, case: &Case, room: usize, what: &str) -> Drawn {
+    let what = &format!("{what}, {}", bench.gpu.variant());
     let drawn = bench.draw(case, room);
     let (prepared, rendered, gradients, maps) = case.cpu();
     let close = |name: &str, a: &[f32], b: &[f32], bar: f64| {
@@ -260,49 +266,88 @@ fn agree(bench: &Bench, case: &Case, room: usize, what: &str) -> Drawn {
 
 #[test]
 fn a_view_is_drawn_and_differentiated_as_on_the_processor() {
-    let Some(bench) = Bench::new() else { return };
+    for bench in Bench::each() {
+        views_agree(&bench);
+    }
+}
+
+fn views_agree(bench: &Bench) {
     for n in [0usize, 1, 255, 256, 257, 600] {
         for wet in [false, true] {
             // Room for one entry at first: the overflow is told, changes nothing, and is cured.
-            agree(&bench, &Case::new(cloud(n, -3.0, 0.5), 75, 58, wet), 1, &format!("{n}, water {wet}"));
+            agree(bench, &Case::new(cloud(n, -3.0, 0.5), 75, 58, wet), 1, &format!("{n}, water {wet}"));
         }
     }
     let mut dry_distance = Case::new(cloud(300, -3.0, 0.5), 40, 33, true);
     dry_distance.depth_gradient = false;
     dry_distance.degree = 1;
-    agree(&bench, &dry_distance, 1, "no gradient through distances");
+    agree(bench, &dry_distance, 1, "no gradient through distances");
     let mut sparse = Case::new(cloud(400, -2.0, 0.5), 33, 19, true);
     sparse.camera = camera(90, 70);
     let every = |n: usize, of: usize| (0..n).map(|i| 1 + i * of + i % 2).collect::<Vec<_>>();
     sparse.lattice = Lattice::subset(&every(33, 2), &every(19, 3)).unwrap();
-    agree(&bench, &sparse, 1, "some columns and rows");
+    agree(bench, &sparse, 1, "some columns and rows");
 }
 
 #[test]
 fn a_huge_one_needles_and_full_tiles_are_drawn_alike() {
-    let Some(bench) = Bench::new() else { return };
+    for bench in Bench::each() {
+        hard_cases_agree(&bench);
+    }
+}
+
+fn hard_cases_agree(bench: &Bench) {
     let mut huge = cloud(40, -3.5, 0.0);
     huge.means[7] = [0.0, 0.0, 4.0];
     huge.log_scales[7] = [2.0, 2.5, 1.0];
-    agree(&bench, &Case::new(huge, 70, 52, true), 1, "a huge one");
+    agree(bench, &Case::new(huge, 70, 52, true), 1, "a huge one");
     // Ten thousand times as long as they are wide.
     let mut needles = cloud(60, -4.0, 2.0);
     for (i, scales) in needles.log_scales.iter_mut().enumerate() {
         *scales = [-1.5, -10.7, -10.7 + 0.1 * i as f32];
     }
-    agree(&bench, &Case::new(needles, 64, 48, false), 1, "needles");
+    agree(bench, &Case::new(needles, 64, 48, false), 1, "needles");
     // Faint ones, thousands to a tile, so that no pixel stops early.
     let full = cloud(9000, -1.5, -4.5);
-    let drawn = agree(&bench, &Case::new(full, 16, 16, true), 1, "full tiles");
+    let drawn = agree(bench, &Case::new(full, 16, 16, true), 1, "full tiles");
     assert!(drawn.entries > 4096, "{}", drawn.entries);
 }
 
 #[test]
 fn the_same_view_is_the_same_bytes() {
-    let Some(bench) = Bench::new() else { return };
-    let case = Case::new(cloud(400, -3.0, 0.5), 61, 47, true);
-    let (a, b) = (bench.draw(&case, 1 << 15), bench.draw(&case, 1));
-    assert!(a.image == b.image && a.depth == b.depth && a.along == b.along);
-    assert!(a.first == b.first && a.moved == b.moved && a.statistics == b.statistics);
-    assert!(a.moved != case.gaussians);
+    for bench in Bench::each() {
+        let case = Case::new(cloud(400, -3.0, 0.5), 61, 47, true);
+        let (a, b) = (bench.draw(&case, 1 << 15), bench.draw(&case, 1));
+        assert!(a.image == b.image && a.depth == b.depth && a.along == b.along);
+        assert!(a.first == b.first && a.moved == b.moved && a.statistics == b.statistics);
+        assert!(a.moved != case.gaussians);
+    }
+}
+
+/// What [`subgroups_of_every_width_agree`] runs in processes of other widths.
+#[test]
+fn subgroups_of_this_width_agree() {
+    for bench in Bench::each() {
+        agree(&bench, &Case::new(cloud(600, -2.5, 0.5), 75, 58, true), 1, "600");
+        println!("\nagrees with {}", bench.gpu.variant());
+    }
+}
+
+#[test]
+fn subgroups_of_every_width_agree() {
+    if software().is_none() {
+        return;
+    }
+    for width in [4, 8, 16] {
+        let output = std::process::Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "--nocapture", "tests::subgroups_of_this_width_agree"])
+            .env("LP_NATIVE_VECTOR_WIDTH", (32 * width).to_string())
+            // Its keys leave the width out.
+            .env("MESA_SHADER_CACHE_DISABLE", "true")
+            .output()
+            .unwrap();
+        let text = String::from_utf8_lossy(&output.stdout);
+        let told = format!("agrees with subgroups of {width}");
+        assert!(output.status.success() && text.contains(&told), "{width}: {text}");
+    }
 }

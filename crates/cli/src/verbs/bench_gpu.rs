@@ -40,6 +40,12 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
     for training in record.trainings.iter().filter(|training| training.refusal.is_none()) {
         let ([width, height], n, rate) = (training.size, training.gaussians, training.steps_per_second);
         say(&format!("{width} x {height}, {n} Gaussians: {rate:.1} steps a second"));
+        let each = &training.backward_milliseconds;
+        let each: Vec<String> =
+            each.iter().map(|(variant, time)| format!("{variant} {time:.2} ms")).collect();
+        if !each.is_empty() {
+            say(&format!("  backward pass: {}", each.join(", ")));
+        }
     }
     say(&format!("written to {} in {}", path_text(&args.out), seconds(record.seconds)));
     if let Some(refusal) = record.check.refusal {
@@ -51,8 +57,9 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
             "these differ from the processor's by more than they may: {what}"
         )));
     }
-    if !record.determinism.same {
-        return Err(CliError::Failed("three runs of the same work gave different bits".into()));
+    if let Some(runs) = record.determinism.iter().find(|runs| !runs.same) {
+        let variant = &runs.variant;
+        return Err(CliError::Failed(format!("three runs of the same work gave different bits ({variant})")));
     }
     Ok(())
 }

@@ -5,6 +5,7 @@
 //! entries than there was room for, the room is made and the same steps are asked for again: a step is a function of its plan, so the
 //! run goes on as if there had been room from the start.
 
+mod forecast;
 mod step;
 mod targets;
 #[cfg(test)]
@@ -34,6 +35,7 @@ use crate::raster::{Planes, RasterKernels, WaterPlanes};
 use crate::scene::{DeviceScene, Row};
 use crate::update::UpdateKernels;
 use crate::water::Water;
+pub use forecast::training_bytes;
 use targets::Targets;
 
 /// Reports there is room for on the device.

@@ -13,6 +13,7 @@ use use3d_reconstruct::{ExposureStep, LoadedView};
 
 use super::*;
 use crate::testing::{camera, cloud, relative, software};
+use crate::twins::Packed;
 
 const RATES: StepRates = StepRates {
     means: 1e-3,
@@ -259,9 +260,18 @@ fn what_no_binding_holds_is_refused_with_its_size() {
     let tight = gpu.clone().binding(300_000);
     let mut ours = with_views(Stage1::new(&tight).unwrap());
     let refused = ours.load(state(2600, 0.5)).unwrap_err().to_string();
-    assert!(refused.contains("499200 bytes") && refused.contains("at most 300000"), "{refused}");
+    assert!(
+        refused.contains("499200 bytes") && refused.contains("at most 300000: 1562 Gaussians"),
+        "{refused}"
+    );
     let tight = gpu.binding(900_000);
     let mut ours = with_views(Stage1::new(&tight).unwrap());
+    // What was there before is still there.
+    ours.load(state(4687, 0.5)).unwrap();
+    let rows: Vec<_> = (0..4687).chain([3]).map(Origin::Kept).collect();
+    let refused = ours.rebuild(&rows, &Draws { seed: 1, step: 2, shrink: 1.6 }).unwrap_err().to_string();
+    assert!(refused.contains("4688 Gaussians") && refused.contains("max_gaussians"), "{refused}");
+    assert_eq!(ours.save().unwrap().gaussians.len(), 4687);
     ours.load(state(2600, 0.5)).unwrap();
     ours.step(0, &StepPlan { divisor: 1, ..plan(0) }).unwrap();
     let refused = ours.drain(Drain::All).unwrap_err().to_string();
@@ -327,4 +337,39 @@ fn bits_do_not_depend_on_threads_or_widths() {
     for (threads, width) in [("2", "256"), ("1", "128"), ("2", "512")] {
         assert_eq!(digest(threads, width), expected, "{threads} threads, {width} bits");
     }
+}
+
+/// Bytes on the device beside the views, and what was forecast.
+fn memory(scene: &Packed) -> [u64; 2] {
+    let Some(gpu) = software() else { return [1, 1] };
+    let mut ours = Stage1::new(&gpu).unwrap();
+    for view in scene.training_views().unwrap() {
+        ours.upload(view).unwrap();
+    }
+    ours.load(scene.state()).unwrap();
+    for view in 0..scene.views {
+        ours.step(view, &Packed::plan(view as u64)).unwrap();
+    }
+    ours.drain(Drain::All).unwrap();
+    let entries = ours.counts.read(&gpu, counts::WORDS).unwrap()[counts::MOST] as usize;
+    let forecast = training_bytes(scene.gaussians, scene.width * scene.height, entries);
+    [(ours.memory() - ours.targets.size()) as u64, forecast]
+}
+
+fn assert_forecast(scene: &Packed) {
+    let [found, forecast] = memory(scene);
+    assert!(found <= forecast && forecast <= found + found / 20 + (4 << 20), "{found}, forecast {forecast}");
+}
+
+#[test]
+fn memory_is_what_was_forecast() {
+    assert_forecast(&Packed { width: 320, height: 240, gaussians: 300, views: 1, seed: 2 });
+    assert_forecast(&Packed { width: 64, height: 48, gaussians: 9000, views: 1, seed: 2 });
+}
+
+/// A photograph of eight megapixels: minutes on software. `cargo test -p use3d-gpu eight_megapixels -- --ignored`
+#[test]
+#[ignore = "takes minutes on a software adapter"]
+fn eight_megapixels_take_what_was_forecast() {
+    assert_forecast(&Packed { width: 3264, height: 2448, gaussians: 2000, views: 1, seed: 2 });
 }

@@ -30,13 +30,13 @@ pub(super) fn open(name: Option<&str>) -> Result<Card, String> {
 }
 
 impl Card {
-    /// What results depend on: the adapter, its driver, and the code of the crate with its kernels and all below it.
+    /// What results depend on: the adapter, its driver, how kernels add up, and the code of the crate with its kernels and all below it.
     pub(super) fn class(&self) -> DeviceClass {
         let adapter = self.0.adapter();
         let host = code::built_in().stage(&["use3d-gpu"], &[]).map(|code| code.digest().to_string());
         let kernels = kernel_sources().join("\n") + &host.unwrap_or_default();
         DeviceClass {
-            engine: "gpu".into(),
+            engine: format!("gpu ({})", self.0.variant()),
             adapter: adapter.name.clone(),
             driver: format!("{} ({})", adapter.driver, adapter.backend),
             kernels: Digest::of(kernels.as_bytes()),
@@ -46,6 +46,11 @@ impl Card {
     /// The adapter's name.
     pub(super) fn name(&self) -> String {
         self.0.adapter().name.clone()
+    }
+
+    /// Most Gaussians that it can hold.
+    pub(super) fn most_gaussians(&self) -> usize {
+        self.0.most_gaussians()
     }
 
     /// The engine of stage 1 on it.

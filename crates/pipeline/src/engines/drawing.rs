@@ -4,12 +4,13 @@ use use3d_reconstruct::EngineChoice;
 use use3d_render::{Look, Looking, RenderError, Renderer, SceneRenderer};
 use use3d_scene::Scene;
 
-use super::cards::{Painter, open};
+use super::cards::{Card, Painter, open};
 
 /// A scene where it is drawn. Renderers made from it share what is on the card.
 pub struct Drawn<'s> {
     scene: &'s Scene,
     painter: Option<Painter<'s>>,
+    card: Option<String>,
     told: String,
 }
 
@@ -24,19 +25,30 @@ impl<'s> Drawn<'s> {
             EngineChoice::Auto => open(None).ok(),
             EngineChoice::Gpu(name) => Some(open(name.as_deref())?),
         };
-        let told = match (&card, engine) {
-            (Some(card), _) => format!("gpu, {}", card.name()),
+        let name = card.as_ref().map(Card::name);
+        let told = match (&name, engine) {
+            (Some(name), _) => format!("gpu, {name}"),
             (None, EngineChoice::Auto) => format!("cpu ({})", open(None).err().unwrap_or_default()),
             (None, _) => "cpu".into(),
         };
         let painter =
             card.map(|card| card.painter(&scene.gaussians)).transpose().map_err(|error| error.to_string())?;
-        Ok(Self { scene, painter, told })
+        Ok(Self { scene, painter, card: name, told })
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> &'s Scene {
+        self.scene
     }
 
     /// Which engine draws, and why the processor where `auto` found no card.
     pub fn told(&self) -> &str {
         &self.told
+    }
+
+    /// The name of the card that draws; `None`: the processor does.
+    pub fn card(&self) -> Option<&str> {
+        self.card.as_deref()
     }
 
     /// A renderer of every mode, with so much of the enhancement.

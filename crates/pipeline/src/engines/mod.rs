@@ -1,9 +1,9 @@
 //! Which engine does a training's steps: the processor's, or a graphics card's; and which one draws a finished scene ([`Drawn`]).
 //!
-//! A card is opened and checked once in a process, when its name first matters: where a key is made of it, or a training starts. A
+//! A card is opened and checked once in a process, when its name first matters: where a key is made of it, or a stage starts. A
 //! choice that names a card which is not there, fails its check or cannot do what is asked is refused with the parameters, before anything
 //! runs; `auto` takes the processor then. What the card and its kernels are is told by the stage's numeric class and by nothing else of its
-//! key, so an edit of a kernel makes no training on the processor stale.
+//! key, so an edit of a kernel makes nothing stale that the processor computed.
 
 #[cfg(feature = "gpu")]
 mod cards;
@@ -17,7 +17,8 @@ use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance};
 use use3d_reconstruct::engine::{CpuEngine, Engine};
 use use3d_reconstruct::{Medium, ReconstructParams};
 use use3d_scene::Scene;
-use use3d_training::{EngineChoice, EngineError, Observer};
+pub(crate) use use3d_training::EngineChoice;
+use use3d_training::{EngineError, Observer};
 
 #[cfg(not(feature = "gpu"))]
 mod cards {
@@ -46,6 +47,10 @@ mod cards {
         }
 
         pub(super) fn name(&self) -> String {
+            match *self {}
+        }
+
+        pub(super) fn most_gaussians(&self) -> usize {
             match *self {}
         }
 
@@ -87,16 +92,23 @@ fn on_cards(medium: Medium) -> bool {
     medium == Medium::None || medium.starts_from_harmonics()
 }
 
-/// The parameters of a training that an engine does.
-pub(crate) trait Training {
-    /// What is to do it.
+/// The parameters of a stage that choose an engine.
+pub(crate) trait ChoosesEngine {
+    /// What is to compute.
     fn engine(&self) -> &EngineChoice;
 
-    /// What is expected instead, where no card can do it.
-    fn beyond_cards(&self) -> Option<String>;
+    /// What is expected instead, where no card can do what these parameters ask for.
+    fn beyond_cards(&self) -> Option<String> {
+        None
+    }
+
+    /// Most Gaussians that these parameters ask for; `None` where they leave it to the capture.
+    fn most_gaussians(&self) -> Option<usize> {
+        None
+    }
 }
 
-impl Training for ReconstructParams {
+impl ChoosesEngine for ReconstructParams {
     fn engine(&self) -> &EngineChoice {
         &self.engine
     }
@@ -110,40 +122,52 @@ impl Training for ReconstructParams {
             )
         })
     }
+
+    fn most_gaussians(&self) -> Option<usize> {
+        (self.max_gaussians > 0).then_some(self.max_gaussians)
+    }
 }
 
-impl Training for EnhanceParams {
+/// Its water is frozen, so any will do.
+impl ChoosesEngine for EnhanceParams {
     fn engine(&self) -> &EngineChoice {
         &self.engine
     }
+}
 
-    /// Its water is frozen, so any will do.
-    fn beyond_cards(&self) -> Option<String> {
-        None
+/// The card of a name, if it can do what is asked.
+fn able(params: &impl ChoosesEngine, name: Option<&str>) -> Result<Card, String> {
+    if let Some(expected) = params.beyond_cards() {
+        return Err(expected);
+    }
+    let card = open(name)?;
+    let most = card.most_gaussians();
+    match params.most_gaussians() {
+        Some(asked) if asked > most => Err(format!(
+            "`{}` has room for {most} Gaussians in one binding, and max_gaussians is {asked}; expected a smaller max_gaussians, or cpu",
+            card.name()
+        )),
+        _ => Ok(card),
     }
 }
 
-/// The card that a training takes; `None`: the processor.
-fn card(params: &impl Training) -> Result<Option<Card>, String> {
+/// The card that a stage takes; `None`: the processor.
+fn card(params: &impl ChoosesEngine) -> Result<Option<Card>, String> {
     match params.engine() {
         EngineChoice::Cpu => Ok(None),
-        EngineChoice::Auto if params.beyond_cards().is_some() => Ok(None),
-        EngineChoice::Auto => Ok(open(None).ok()),
-        EngineChoice::Gpu(name) => match params.beyond_cards() {
-            Some(expected) => Err(expected),
-            None => open(name.as_deref()).map(Some),
-        },
+        EngineChoice::Auto => Ok(able(params, None).ok()),
+        EngineChoice::Gpu(name) => able(params, name.as_deref()).map(Some),
     }
 }
 
 /// The same when a training starts, and what a person is told of the choice, if there was one.
-fn chosen(params: &impl Training) -> Result<(Option<Card>, Option<String>), EngineError> {
+fn chosen(params: &impl ChoosesEngine) -> Result<(Option<Card>, Option<String>), EngineError> {
     let card = card(params).map_err(|what| EngineError::Request { engine: "gpu", what })?;
     let said = match &card {
         Some(card) => Some(format!("engine: gpu, {}", card.name())),
         None if *params.engine() == EngineChoice::Cpu => None,
         None => {
-            let why = params.beyond_cards().or_else(|| open(None).err()).unwrap_or_default();
+            let why = able(params, None).err().unwrap_or_default();
             Some(format!("engine: cpu ({why})"))
         }
     };
@@ -151,12 +175,12 @@ fn chosen(params: &impl Training) -> Result<(Option<Card>, Option<String>), Engi
 }
 
 /// Refuses a choice of engine that cannot be kept on this machine: the parameter, and what is wrong.
-pub(crate) fn check<T: Training>(params: &T) -> Result<(), (String, String)> {
+pub(crate) fn check<T: ChoosesEngine>(params: &T) -> Result<(), (String, String)> {
     card(params).map(|_| ()).map_err(|what| ("engine".to_string(), what))
 }
 
-/// The device that a training computes on; `None`: the processor alone.
-pub(crate) fn class<T: Training>(params: &T) -> Option<DeviceClass> {
+/// The device that a stage computes on; `None`: the processor alone.
+pub(crate) fn class<T: ChoosesEngine>(params: &T) -> Option<DeviceClass> {
     card(params).ok().flatten().map(|card| card.class())
 }
 
@@ -209,6 +233,23 @@ mod tests {
         assert_eq!((check(&auto), class(&auto)), (Ok(()), None));
         let (_, said) = stage1(&auto).unwrap();
         assert!(said.unwrap().contains("engine: cpu (expected cpu for the water `mlp`"));
+    }
+
+    #[test]
+    fn more_gaussians_than_a_card_binds_are_refused_with_their_number() {
+        let mut params = asking("gpu:llvmpipe", Medium::Rbf);
+        if let Err((_, what)) = check(&params) {
+            assert!(std::env::var("USE3D_REQUIRE_GPU").as_deref() != Ok("1"), "{what}");
+            eprintln!("SKIPPED, no software adapter (package mesa-vulkan-drivers): {what}");
+            return;
+        }
+        assert!(class(&params).is_some_and(|class| class.engine == "gpu (portable)"));
+        params.max_gaussians = 4_000_000_000;
+        let (at, what) = check(&params).unwrap_err();
+        assert!(
+            at == "engine" && what.contains("max_gaussians is 4000000000") && what.contains("llvmpipe"),
+            "{what}"
+        );
     }
 
     #[test]

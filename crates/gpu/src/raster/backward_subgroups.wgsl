@@ -1,0 +1,236 @@
+// One workgroup per tile, two pixels side by side to a thread. Threads that run in step, a team, have a rectangle of the tile: threads
+// are numbered along a Z-curve, so any such run of them lies together.
+//
+// Of a round of Gaussians each team leaves out those that miss its rectangle, and walks over the others from the farthest to the
+// nearest: what a team adds up comes from one operation across its threads, and the teams' sums are added in their order.
+const TEAMS: u32 = WG / WIDTH;
+const ROUND: u32 = 2u * WIDTH;
+const WORDS: u32 = (WIDTH + 31u) / 32u;
+
+var<workgroup> near: array<vec4<f32>, ROUND>;
+var<workgroup> far: array<vec4<f32>, ROUND>;
+var<workgroup> tint: array<vec4<f32>, ROUND>;
+var<workgroup> parts: array<vec4<f32>, 3u * TEAMS * ROUND>;
+// By team, by half of the round: which Gaussians have a part.
+var<workgroup> hits: array<u32, 2u * TEAMS * WORDS>;
+var<workgroup> last: atomic<u32>;
+var<workgroup> last_entry: u32;
+
+struct Pixel {
+    x: f32,
+    y: f32,
+    end: u32,
+    left: f32,
+    behind: f32,
+    by_depth: f32,
+    by_weight: f32,
+    pull: vec3<f32>,
+    veiled_pull: vec3<f32>,
+    ka: vec3<f32>,
+    kb: vec3<f32>,
+}
+
+struct Record { r0: vec4<f32>, r1: vec4<f32>, r2: vec4<f32> }
+
+// Every second bit of seven, the lowest first.
+fn compact(bits: u32) -> u32 {
+    return (bits & 1u) | ((bits >> 1u) & 2u) | ((bits >> 2u) & 4u) | ((bits >> 3u) & 8u);
+}
+
+// Where the first pixel of a thread lies in its tile.
+fn place_of(thread: u32) -> vec2<u32> {
+    return vec2<u32>(2u * compact(thread >> 1u), compact(thread));
+}
+
+fn pixel_at(tile: u32, at: vec2<u32>) -> Pixel {
+    let column = (tile % frame.size.z) * TILE + at.x;
+    let row = (tile / frame.size.z) * TILE + at.y;
+    var p = Pixel();
+    p.x = axes[column];
+    p.y = axes[frame.size.z * TILE + row];
+    p.left = 1.0f;
+    if (column >= frame.size.x || row >= frame.size.y) { return p; }
+    let plane = frame.size.x * frame.size.y;
+    let pixel = row * frame.size.x + column;
+    p.pull = vec3<f32>(image_pull[pixel], image_pull[plane + pixel], image_pull[2u * plane + pixel]);
+    let sum = accumulations[pixel];
+    p.by_depth = depth_pull[pixel] / max(sum, 1e-6f);
+    if (sum > 1e-6f) { p.by_weight = -(p.by_depth * depths[pixel]); }
+    if (WATER) {
+        let color = vec3<f32>(water_color[pixel], water_color[plane + pixel], water_color[2u * plane + pixel]);
+        p.veiled_pull = -(p.pull * color);
+        p.ka = vec3<f32>(k_attenuation[pixel], k_attenuation[plane + pixel], k_attenuation[2u * plane + pixel]);
+        p.kb = vec3<f32>(k_backscatter[pixel], k_backscatter[plane + pixel], k_backscatter[2u * plane + pixel]);
+    }
+    p.left = transmittances[pixel];
+    p.end = stops[pixel];
+    return p;
+}
+
+// Takes a pixel past the Gaussian in place `k` of its list, and adds what it gives to the record; whether it gives anything.
+fn pass_by(
+    p: ptr<function, Pixel>,
+    k: u32,
+    a: vec4<f32>,
+    b: vec4<f32>,
+    color: vec3<f32>,
+    s_gradient: f32,
+    r: ptr<function, Record>,
+) -> bool {
+    let dy = (*p).y - a.y;
+    let t = (*p).x - fma(a.z, -dy, a.x);
+    let power = fma(t * a.w, -t, fma(b.x, -(dy * dy), b.y));
+    if (!(power >= -LOG2_255 && (*p).end > k)) { return false; }
+    let raw = exp2(power);
+    let alpha = min(raw, ALPHA_MAX);
+    let over = 1.0f / (1.0f - alpha);
+    let transmittance = (*p).left * over;
+    (*p).left = transmittance;
+    let w = transmittance * alpha;
+    let z = b.z;
+    var v = fma((*p).by_depth, z, (*p).by_weight);
+    var slope = 0.0f;
+    var by_color = (*p).pull;
+    if (WATER) {
+        by_color = (*p).pull * exp2(-((*p).ka * z));
+        let colored = by_color * color;
+        let veiled = (*p).veiled_pull * exp2(-((*p).kb * z));
+        v += colored.x + veiled.x;
+        v += colored.y + veiled.y;
+        v += colored.z + veiled.z;
+        slope = -(dot((*p).ka, colored) + dot((*p).kb, veiled)) * s_gradient;
+    } else {
+        v += dot((*p).pull, color);
+    }
+    slope = fma((*p).by_depth, LOG2_E, slope);
+    let wv = w * v;
+    var pulled = fma(alpha * over, (*p).behind, wv);
+    (*p).behind -= wv;
+    if (!(raw <= ALPHA_MAX)) { pulled = 0.0f; }
+    let pt = pulled * t;
+    let py = pulled * dy;
+    let across = fma(t, a.z * (a.w * (2.0f * LN_2)), dy * (b.x * (2.0f * LN_2)));
+    (*r).r0 += vec4<f32>(pulled, pt, py, pt * t);
+    (*r).r1 += vec4<f32>(pt * dy, py * dy, w * slope, w * by_color.x);
+    (*r).r2 += vec4<f32>(w * by_color.yz, abs(pt), abs(pulled) * abs(across));
+    return true;
+}
+
+// The least square in an interval.
+fn least_square(low: f32, high: f32) -> f32 {
+    let nearest = max(max(low, -high), 0.0f);
+    return nearest * nearest;
+}
+
+// Whether a Gaussian may reach 1/255 in a rectangle. More generous than the pixels' own test by more than rounding.
+fn reaches(a: vec4<f32>, b: vec4<f32>, low: vec2<f32>, high: vec2<f32>) -> bool {
+    let y = vec2<f32>(low.y - a.y, high.y - a.y);
+    let sheared = a.z * y;
+    let x = vec2<f32>(low.x - a.x, high.x - a.x);
+    let slack = 1e-5f * (max(abs(x.x), abs(x.y)) + max(abs(sheared.x), abs(sheared.y)));
+    let t2 = least_square(x.x + min(sheared.x, sheared.y) - slack, x.y + max(sheared.x, sheared.y) + slack);
+    let power = b.y - a.w * t2 - b.x * least_square(y.x, y.y);
+    return power >= -LOG2_255 - 0.01f;
+}
+
+@compute @workgroup_size(WG)
+fn main(
+    @builtin(workgroup_id) wid: vec3<u32>,
+    @builtin(num_workgroups) nwg: vec3<u32>,
+    @builtin(local_invocation_index) lid: u32,
+    @builtin(subgroup_id) team: u32,
+    @builtin(subgroup_invocation_id) lane: u32,
+) {
+    let tile = group_of(wid, nwg);
+    if (tile >= frame.size.z * frame.size.w) { return; }
+    let first = starts[tile];
+    let count = starts[tile + 1u] - first;
+    if (count == 0u) { return; }
+    if (lid == 0u) { atomicStore(&last, 0u); }
+    workgroupBarrier();
+    // A team's own number and not the thread's: teams need not be numbered as threads are.
+    let at = place_of(team * WIDTH + lane);
+    var left_pixel = pixel_at(tile, at);
+    var right_pixel = pixel_at(tile, at + vec2<u32>(1u, 0u));
+    let furthest = max(left_pixel.end, right_pixel.end);
+    atomicMax(&last, furthest);
+    let team_end = subgroupMax(furthest);
+    let low = subgroupMin(vec2<f32>(left_pixel.x, left_pixel.y));
+    let high = subgroupMax(vec2<f32>(right_pixel.x, right_pixel.y));
+    workgroupBarrier();
+    if (lid == 0u) { last_entry = min(count, atomicLoad(&last)); }
+    let end = workgroupUniformLoad(&last_entry);
+    // What lies behind the last pixel's stop has no part.
+    for (var k = end + lid; k < count; k += WG) {
+        let entry = lists[first + k];
+        for (var r = 0u; r < 3u; r++) { records[3u * entry + r] = vec4<f32>(); }
+    }
+    let s_gradient = f32(frame.flags.y);
+    for (var base = 0u; base < end; base += ROUND) {
+        let size = min(ROUND, end - base);
+        workgroupBarrier();
+        if (lid < size) {
+            let i = owners[lists[first + end - 1u - base - lid]];
+            near[lid] = splats[3u * i];
+            far[lid] = splats[3u * i + 1u];
+            tint[lid] = splats[3u * i + 2u];
+        }
+        workgroupBarrier();
+        for (var half = 0u; half < 2u; half++) {
+            let mine = half * WIDTH + lane;
+            var meets = false;
+            if (mine < size) {
+                let k = end - 1u - base - mine;
+                meets = k < team_end && reaches(near[mine], far[mine], low, high);
+            }
+            let ballot = subgroupBallot(meets);
+            for (var word = 0u; word < WORDS; word++) {
+                var bits = ballot[word];
+                var hit = 0u;
+                while (bits != 0u) {
+                    let bit = firstTrailingBit(bits);
+                    bits &= bits - 1u;
+                    let j = half * WIDTH + 32u * word + bit;
+                    let k = end - 1u - base - j;
+                    let a = near[j];
+                    let b = far[j];
+                    let color = tint[j].xyz;
+                    var record = Record();
+                    let one = pass_by(&left_pixel, k, a, b, color, s_gradient, &record);
+                    let two = pass_by(&right_pixel, k, a, b, color, s_gradient, &record);
+                    if (subgroupAny(one || two)) {
+                        hit |= 1u << bit;
+                        let r0 = subgroupAdd(record.r0);
+                        let r1 = subgroupAdd(record.r1);
+                        let r2 = subgroupAdd(record.r2);
+                        if (lane == 0u) {
+                            let place = 3u * (team * ROUND + j);
+                            parts[place] = r0;
+                            parts[place + 1u] = r1;
+                            parts[place + 2u] = r2;
+                        }
+                    }
+                }
+                if (lane == 0u) { hits[(2u * team + half) * WORDS + word] = hit; }
+            }
+        }
+        workgroupBarrier();
+        if (lid < size) {
+            let half = lid / WIDTH;
+            let at = lid % WIDTH;
+            var record = Record();
+            for (var t = 0u; t < TEAMS; t++) {
+                if (((hits[(2u * t + half) * WORDS + at / 32u] >> (at % 32u)) & 1u) == 1u) {
+                    let place = 3u * (t * ROUND + lid);
+                    record.r0 += parts[place];
+                    record.r1 += parts[place + 1u];
+                    record.r2 += parts[place + 2u];
+                }
+            }
+            let entry = lists[first + end - 1u - base - lid];
+            records[3u * entry] = record.r0;
+            records[3u * entry + 1u] = record.r1;
+            records[3u * entry + 2u] = record.r2;
+        }
+    }
+}
