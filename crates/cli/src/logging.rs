@@ -32,6 +32,10 @@ pub(crate) fn start(verbose: u8, quiet: bool) {
             filter.push_str(&format!(",use3d_{name}=info"));
         }
     }
+    if verbose < 2 {
+        // What drivers of graphics cards and their loader grumble; what goes wrong is told by the engine, in words.
+        filter.push_str(",wgpu_core=off,wgpu_hal=off");
+    }
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(filter));
     let color = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
     tracing_subscriber::fmt()

@@ -10,7 +10,7 @@ use use3d_reconstruct::EngineChoice;
 /// `--set` of a whole pipeline.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct Settings {
-    /// What trains both stages: auto, cpu, gpu or gpu:NAME (`use3d devices` lists them; default: the pipeline's, or cpu).
+    /// What trains both stages and draws: auto, cpu, gpu or gpu:NAME (`use3d devices` lists them; default: the pipeline's, or cpu).
     #[arg(long, value_name = "ENGINE")]
     pub(crate) engine: Option<EngineChoice>,
     /// Set a parameter of a stage, e.g. `reconstruct.iterations=3000`; may be repeated. `use3d params` lists them.
@@ -19,11 +19,12 @@ pub(crate) struct Settings {
 }
 
 impl Settings {
-    /// All settings as `--set` has them; the engine is a parameter like any other.
+    /// All settings as `--set` has them; the engine is a parameter like any other, and one that is set for a stage wins.
     pub(crate) fn sets(&self) -> Vec<String> {
-        let of =
-            |stage: &'static str| self.engine.iter().map(move |engine| format!("{stage}.engine={engine}"));
-        self.set.iter().cloned().chain(of("reconstruct")).chain(of("enhance")).collect()
+        let stages = ["reconstruct", "enhance", "render", "evaluate"];
+        let engine =
+            self.engine.iter().flat_map(|e| stages.iter().map(move |stage| format!("{stage}.engine={e}")));
+        engine.chain(self.set.iter().cloned()).collect()
     }
 }
 

@@ -2,6 +2,7 @@
 //! scene.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
 use serde::{Deserialize, Serialize};
 pub use use3d_metrics::{Finite, Score};
@@ -247,10 +248,19 @@ pub struct SceneSpeed {
     pub fps: Finite,
     /// Pixels across and down.
     pub size: (usize, usize),
-    /// The processor's name.
+    /// The processor's name, or the graphics card's.
     pub processor: String,
-    /// Threads.
+    /// Threads of the processor; 0: a graphics card draws.
     pub threads: usize,
+}
+
+/// Size and machine: `640×360 on NAME (2 threads)`.
+impl fmt::Display for SceneSpeed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { size: (width, height), processor, threads, .. } = self;
+        write!(f, "{width}×{height} on {processor}")?;
+        if *threads > 0 { write!(f, " ({threads} threads)") } else { Ok(()) }
+    }
 }
 
 #[cfg(test)]

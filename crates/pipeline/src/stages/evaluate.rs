@@ -16,7 +16,7 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::proposers::Proposer;
-use use3d_build::{Scope, Stage, StageContext, StageError, machine};
+use use3d_build::{Figure, Scope, Stage, StageContext, StageError, machine};
 use use3d_capture::{Appearance, Camera, Capture, Frame as FrameOf, Image, Map, View, path};
 use use3d_import::{load_mask, load_pixels};
 use use3d_io_image::write_png;
@@ -26,11 +26,13 @@ use use3d_scene::Scene;
 
 use super::captured::capture;
 use super::common::{folder, read_json, write_json};
+use super::drawn::drawn;
 use super::names::{ENHANCED_IN_2D, EVALUATION, TRUE_VIEWS};
 pub use super::names::{SCORES, SPEED, STRIP};
 use super::proposals::{asked_for, file};
 use super::proposer::{ProposerChoice, open};
 use super::scenes::scene;
+use crate::engines::{self, ChoosesEngine, Drawn, EngineChoice};
 use crate::judge::scores::{
     self, Finite, Method, MethodScores, PairScores, SceneScores, SceneSpeed, Scores, ViewScores, Warp,
 };
@@ -51,13 +53,34 @@ pub(super) struct Params {
     pub(super) path_pairs: usize,
     /// Frames of that path from one training view to the next.
     pub(super) path_steps: usize,
+    /// What draws the scenes: `cpu`; `auto` (a graphics card that passed its check, else the processor); `gpu`; `gpu:NAME`.
+    #[schemars(with = "String")]
+    pub(super) engine: EngineChoice,
 }
 
 impl Default for Params {
     fn default() -> Self {
-        Self { proposer: ProposerChoice::default(), neighbour_pairs: 8, path_pairs: 8, path_steps: 4 }
+        Self {
+            proposer: ProposerChoice::default(),
+            neighbour_pairs: 8,
+            path_pairs: 8,
+            path_steps: 4,
+            engine: EngineChoice::Cpu,
+        }
     }
 }
+
+impl ChoosesEngine for Params {
+    fn engine(&self) -> &EngineChoice {
+        &self.engine
+    }
+}
+
+/// How near the scores of one scene are that two classes of arithmetic drew: the same to what is printed.
+const FIGURES: [Figure; 2] = [
+    Figure { file: SCORES, at: "/methods/*/mean/psnr/value", within: 0.005 },
+    Figure { file: SCORES, at: "/methods/*/mean/ssim/value", within: 0.0005 },
+];
 
 impl Params {
     fn check(&self) -> Result<(), (String, String)> {
@@ -81,6 +104,10 @@ pub(super) fn stage() -> Stage {
         .about("score the held-out views")
         .made_of(&[], &["src/stages/evaluate.rs"])
         .check(Params::check)
+        .check(engines::check::<Params>)
+        .computes_on(engines::class::<Params>)
+        .without_effect(&["engine"])
+        .agrees_across_classes(&FIGURES)
         .input("import", "import")
         .input("scene", "reconstruct")
         .optional_input("proposals", "propose")
@@ -291,9 +318,9 @@ struct Reference<'a> {
 }
 
 impl<'a> Reference<'a> {
-    fn new(reference: &'a Scene, scored: &Scene) -> Result<Self, StageError> {
-        let between = (reference.frame != scored.frame).then_some([scored.frame, reference.frame]);
-        Ok(Self { renderer: SceneRenderer::new(reference, 1.0)?, between })
+    fn new(reference: &Drawn<'a>, scored: &Scene) -> Result<Self, StageError> {
+        let [from, to] = [scored.frame, reference.scene().frame];
+        Ok(Self { renderer: reference.renderer(1.0)?, between: (from != to).then_some([from, to]) })
     }
 
     /// Depth, in units of the scored scene, and rendering at one of its cameras.
@@ -327,6 +354,9 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let models = context.optional_input("models");
     let proposer = open(params.proposer, models, &mut |line| context.log(line))
         .map_err(StageError::bad_input_message)?;
+    let shown = drawn(context, &scene, &params.engine)?;
+    let reference_shown = reference.as_ref().map(|scene| Drawn::new(scene, &params.engine));
+    let reference_shown = reference_shown.transpose().map_err(StageError::message)?;
     let views: Vec<&View> = capture.test_views().collect();
     if views.is_empty() {
         context.say("no view is held out (split.every = 0): nothing to score");
@@ -335,8 +365,8 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         context,
         capture: &capture,
         judges: Judges::open(models),
-        looker: Looker { renderer: SceneRenderer::new(&scene, 1.0)?, proposer: proposer.as_ref(), learnt },
-        reference: reference.as_ref().map(|r| Reference::new(r, &scene)).transpose()?,
+        looker: Looker { renderer: shown.renderer(1.0)?, proposer: proposer.as_ref(), learnt },
+        reference: reference_shown.as_ref().map(|r| Reference::new(r, &scene)).transpose()?,
     };
 
     let size = views.first().map_or((0, 0), |v| (v.camera.intrinsics.width, v.camera.intrinsics.height));
@@ -392,7 +422,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let mut neighbours = evaluation.neighbours(params.neighbour_pairs)?;
     let mut path = evaluation.path(params.path_pairs, params.path_steps)?;
     strip(context, &capture, &scene, &mut evaluation.looker)?;
-    time(context, &views, &mut evaluation.looker.renderer)?;
+    time(context, &views, &mut evaluation.looker.renderer, shown.card())?;
 
     let take = |lists: &mut Lists<PairScores>, method| {
         lists.iter_mut().find(|(m, _)| *m == method).map(|(_, p)| std::mem::take(p)).unwrap_or_default()
@@ -422,7 +452,12 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
 }
 
 /// Notes how fast the scene is drawn at the held-out views' own size. A time is never part of an artifact.
-fn time(context: &StageContext, views: &[&View], renderer: &mut SceneRenderer<'_>) -> Result<(), StageError> {
+fn time(
+    context: &StageContext,
+    views: &[&View],
+    renderer: &mut SceneRenderer<'_>,
+    card: Option<&str>,
+) -> Result<(), StageError> {
     if !context.keeps_notes() {
         return Ok(());
     }
@@ -432,11 +467,12 @@ fn time(context: &StageContext, views: &[&View], renderer: &mut SceneRenderer<'_
     let (Some(measured), Some(camera)) = (measured, cameras.first()) else { return Ok(()) };
     let Some(fps) = Finite::new(measured.fps) else { return Ok(()) };
     let size = (camera.intrinsics.width, camera.intrinsics.height);
-    let speed = SceneSpeed { fps, size, processor: machine::processor(), threads: context.threads() };
-    context.log(format_args!(
-        "{}: {:.2} frames per second at {}x{}, {} threads of {}",
-        measured.mode, measured.fps, size.0, size.1, speed.threads, speed.processor
-    ));
+    let (processor, threads) = match card {
+        Some(card) => (card.to_string(), 0),
+        None => (machine::processor(), context.threads()),
+    };
+    let speed = SceneSpeed { fps, size, processor, threads };
+    context.log(format_args!("{}: {:.2} frames per second at {speed}", measured.mode, measured.fps));
     context.note(SPEED, &speed);
     Ok(())
 }
@@ -521,7 +557,8 @@ mod tests {
         let camera = Camera { intrinsics, pose: Pose::IDENTITY };
         let (scored, other) = (scene(1.0), scene(0.25));
         let depth = |reference: &Scene| {
-            let mut reference = Reference::new(reference, &scored).map_err(|_| ()).expect("a renderer");
+            let reference = Drawn::new(reference, &EngineChoice::Cpu).expect("the processor");
+            let mut reference = Reference::new(&reference, &scored).map_err(|_| ()).expect("a renderer");
             reference.look(&camera).map_err(|_| ()).expect("a picture").0.pixel(8, 6)[0]
         };
         assert!((depth(&scored) - 2.0).abs() < 0.2, "{}", depth(&scored));

@@ -21,6 +21,7 @@ mod common;
 mod contact;
 #[cfg(feature = "nets")]
 mod depth;
+mod drawn;
 mod enhance;
 pub mod evaluate;
 mod import;

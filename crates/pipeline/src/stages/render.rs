@@ -5,11 +5,13 @@ use serde::{Deserialize, Serialize};
 use use3d_build::{Scope, Stage, StageContext, StageError};
 use use3d_import::load_pixels;
 use use3d_io_image::{write_exr_map, write_png, write_png8};
-use use3d_render::{Frame, Mode, SceneRenderer, picture};
+use use3d_render::{Frame, Mode, picture};
 
 use super::captured::capture;
 use super::common::folder;
+use super::drawn::drawn;
 use super::scenes::scene;
+use crate::engines::{self, ChoosesEngine, EngineChoice};
 
 /// Parameters of the pictures.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -21,11 +23,20 @@ pub(super) struct Params {
     pub(super) water: f32,
     /// Whether depth is also written as EXR, in normalised scene units.
     pub(super) depth_exr: bool,
+    /// What draws: `cpu`; `auto` (a graphics card that passed its check, else the processor); `gpu`; `gpu:NAME`.
+    #[schemars(with = "String")]
+    pub(super) engine: EngineChoice,
 }
 
 impl Default for Params {
     fn default() -> Self {
-        Self { strength: 1.0, water: 1.0, depth_exr: true }
+        Self { strength: 1.0, water: 1.0, depth_exr: true, engine: EngineChoice::Cpu }
+    }
+}
+
+impl ChoosesEngine for Params {
+    fn engine(&self) -> &EngineChoice {
+        &self.engine
     }
 }
 
@@ -41,6 +52,9 @@ pub(super) fn stage() -> Stage {
             }
             Ok(())
         })
+        .check(engines::check::<Params>)
+        .computes_on(engines::class::<Params>)
+        .without_effect(&["engine"])
         .input("import", "import")
         .input("scene", "reconstruct")
         .optional_input("enhanced", "enhance")
@@ -51,7 +65,8 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let capture = capture(context)?;
     let role = if context.optional_input("enhanced").is_some() { "enhanced" } else { "scene" };
     let scene = scene(context, role)?;
-    let mut renderer = SceneRenderer::new(&scene, params.strength)?.with_water(params.water)?;
+    let drawn = drawn(context, &scene, &params.engine)?;
+    let mut renderer = drawn.renderer(params.strength)?.with_water(params.water)?;
     let mut modes = vec![Mode::Reconstruction, Mode::Clear, Mode::Depth];
     if renderer.is_enhanced() {
         modes.extend([Mode::Enhanced, Mode::EnhancedClear]);

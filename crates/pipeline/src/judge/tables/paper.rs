@@ -138,8 +138,7 @@ impl Batch<'_> {
     fn hardware(&self) -> String {
         let mut seen: Vec<String> = Vec::new();
         for speed in self.scenes.iter().filter_map(|s| s.speed.as_ref()) {
-            let (w, h) = speed.size;
-            let text = format!("{w}×{h} on {} ({} threads)", speed.processor, speed.threads);
+            let text = speed.to_string();
             if !seen.contains(&text) {
                 seen.push(text);
             }
