@@ -138,15 +138,15 @@ fn a_whole_run_on_a_software_card_trains_and_draws_there() {
         return;
     }
     assert_eq!(card.status.code(), Some(0), "{text}");
-    for stage in ["reconstruct", "enhance", "render", "evaluate"] {
+    for stage in ["reconstruct", "targets", "enhance", "render", "evaluate"] {
         assert!(text.contains(&format!("{stage}: engine: gpu, llvmpipe")), "{stage}: {text}");
     }
-    // The same scene and targets, so that stage 2 alone differs.
+    // The same scene, so that only what lifts its targets and stage 2 differ.
     let processor = run("processor", &["--set", "reconstruct.engine=gpu:llvmpipe", "--until", "enhance"]);
     assert_eq!(processor.status.code(), Some(0), "{}", said(&processor));
     // The same scenes, so that what draws them alone differs.
-    let trained = ["--set", "reconstruct.engine=gpu:llvmpipe", "--set", "enhance.engine=gpu:llvmpipe"];
-    let drawn = run("drawn", &trained);
+    let trained = ["reconstruct", "targets", "enhance"].map(|stage| format!("{stage}.engine=gpu:llvmpipe"));
+    let drawn = run("drawn", &["--set", &trained[0], "--set", &trained[1], "--set", &trained[2]]);
     assert_eq!(drawn.status.code(), Some(0), "{}", said(&drawn));
     let again = said(&drawn);
     assert!(!again.contains("reconstruct: engine") && !again.contains("engine: gpu"), "{again}");

@@ -118,7 +118,7 @@ fn tasks_get_every_setting_the_engine_too_and_status_is_asked_with_the_same() {
         let output = command.args(["--engine", "auto"]).args(extra).env("PATH", &path).output();
         said(&output.expect("the command starts"))
     };
-    let engines = "--set reconstruct.engine=auto --set enhance.engine=auto";
+    let engines = "--set reconstruct.engine=auto --set targets.engine=auto --set enhance.engine=auto";
     let text = submit(&["--dry-run"]);
     assert!(text.lines().any(|line| line.contains(" run ") && line.contains(engines)), "{text}");
     let text = submit(&[]);

@@ -257,6 +257,7 @@ fn parameters_without_effect_are_in_no_key_and_the_log_is() {
         // What it comes to is in the numeric class.
         ("reconstruct", json!({"engine": "auto"}), false),
         ("enhance", json!({"engine": "auto"}), false),
+        ("targets", json!({"engine": "auto"}), false),
         ("render", json!({"engine": "auto"}), false),
         ("evaluate", json!({"engine": "auto"}), false),
         ("enhance", json!({"checkpoint_every": 7}), false),

@@ -21,7 +21,7 @@ pub(crate) struct Settings {
 impl Settings {
     /// All settings as `--set` has them; the engine is a parameter like any other, and one that is set for a stage wins.
     pub(crate) fn sets(&self) -> Vec<String> {
-        let stages = ["reconstruct", "enhance", "render", "evaluate"];
+        let stages = ["reconstruct", "targets", "enhance", "render", "evaluate"];
         let engine =
             self.engine.iter().flat_map(|e| stages.iter().map(move |stage| format!("{stage}.engine={e}")));
         engine.chain(self.set.iter().cloned()).collect()

@@ -3,10 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use use3d_atc::AtcError;
+use use3d_atc::consensus::Adjoint;
 use use3d_build::{DeviceClass, Digest};
+use use3d_capture::{Camera, Lattice};
 use use3d_enhance::engine::FieldEngine;
 use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance};
-use use3d_gpu::{Drawing, DrawnView, Gpu, Stage1, Stage2, kernel_sources, open_checked};
+use use3d_gpu::{Drawing, DrawnView, Gpu, LinearSplat, Stage1, Stage2, kernel_sources, open_checked};
 use use3d_reconstruct::engine::Engine;
 use use3d_render::{Composer, Composition, RenderError};
 use use3d_scene::Scene;
@@ -74,6 +77,38 @@ impl Card {
     pub(super) fn painter<'s>(&self, gaussians: &'s Gaussians) -> Result<Painter<'s>, EngineError> {
         let drawing = Arc::new(Mutex::new(Drawing::new(&self.0, gaussians)?));
         Ok(Painter { device: self.name(), gaussians, drawing, colors: Vec::new() })
+    }
+
+    /// The adjoint of a scene's linear splat on it.
+    pub(super) fn adjoint(&self, gaussians: &Gaussians) -> Result<Box<dyn Adjoint>, EngineError> {
+        let splat = LinearSplat::new(&self.0, gaussians)?;
+        Ok(Box::new(Lifting { device: self.name(), gaussians: gaussians.len(), splat }))
+    }
+}
+
+/// Lifts views to Gaussians that lie on a card.
+struct Lifting {
+    device: String,
+    gaussians: usize,
+    splat: LinearSplat,
+}
+
+impl Adjoint for Lifting {
+    fn gaussians(&self) -> usize {
+        self.gaussians
+    }
+
+    fn lift(
+        &mut self,
+        camera: &Camera,
+        channels: usize,
+        planes: &[f32],
+        out: &mut [f32],
+    ) -> Result<(), AtcError> {
+        let lattice = Lattice::size(camera.intrinsics.width, camera.intrinsics.height);
+        let seen = self.splat.view(camera, &lattice);
+        let lifted = seen.and_then(|()| self.splat.adjoint(channels, planes, out));
+        lifted.map_err(|e| AtcError::Device { device: self.device.clone(), problem: e.to_string() })
     }
 }
 

@@ -1,4 +1,5 @@
-//! Which engine does a training's steps: the processor's, or a graphics card's; and which one draws a finished scene ([`Drawn`]).
+//! Which engine does a training's steps: the processor's, or a graphics card's; which one draws a finished scene ([`Drawn`]), and which one
+//! lifts views to its Gaussians.
 //!
 //! A card is opened and checked once in a process, when its name first matters: where a key is made of it, or a stage starts. A
 //! choice that names a card which is not there, fails its check or cannot do what is asked is refused with the parameters, before anything
@@ -11,12 +12,14 @@ mod drawing;
 
 pub use drawing::Drawn;
 
+use use3d_atc::consensus::Lift;
 use use3d_build::DeviceClass;
 use use3d_enhance::engine::{CpuFieldEngine, FieldEngine};
 use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance};
 use use3d_reconstruct::engine::{CpuEngine, Engine};
 use use3d_reconstruct::{Medium, ReconstructParams};
 use use3d_scene::Scene;
+use use3d_splat::Gaussians;
 pub(crate) use use3d_training::EngineChoice;
 use use3d_training::{EngineError, Observer};
 
@@ -25,6 +28,7 @@ mod cards {
     use std::convert::Infallible;
     use std::marker::PhantomData;
 
+    use use3d_atc::consensus::Adjoint;
     use use3d_render::{Composer, Composition, RenderError};
     use use3d_splat::{Gaussians, Rendered};
 
@@ -70,6 +74,10 @@ mod cards {
         }
 
         pub(super) fn painter<'s>(&self, _gaussians: &'s Gaussians) -> Result<Painter<'s>, EngineError> {
+            match *self {}
+        }
+
+        pub(super) fn adjoint(&self, _gaussians: &Gaussians) -> Result<Box<dyn Adjoint>, EngineError> {
             match *self {}
         }
     }
@@ -208,6 +216,19 @@ pub(crate) fn stage2<'a>(
         None => Box::new(CpuFieldEngine::new(scene, views, guidance, params, observer)?),
     };
     Ok((engine, said))
+}
+
+/// What lifts views to a scene's Gaussians, and what a person is told of the choice.
+pub(crate) fn lift<'s>(
+    gaussians: &'s Gaussians,
+    params: &impl ChoosesEngine,
+) -> Result<(Lift<'s>, Option<String>), EngineError> {
+    let (card, said) = chosen(params)?;
+    let lift = match card {
+        Some(card) => Lift::by(card.adjoint(gaussians)?),
+        None => Lift::new(gaussians),
+    };
+    Ok((lift, said))
 }
 
 #[cfg(test)]

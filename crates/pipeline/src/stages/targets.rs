@@ -2,9 +2,9 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use use3d_atc::consensus::{Lift, Preview, Recorder, TargetsParams, targets_from_records};
+use use3d_atc::consensus::{Preview, Recorder, TargetsParams, targets_from_records};
 use use3d_atc::progress::Progress;
-use use3d_build::{Scope, Stage, StageContext, StageError};
+use use3d_build::{Figure, Scope, Stage, StageContext, StageError};
 use use3d_capture::{Capture, View};
 use use3d_io_image::{write_png, write_png_map};
 use use3d_splat::Rasterizer;
@@ -17,6 +17,7 @@ use super::proposals::asked_for;
 use super::proposer::ProposerChoice;
 use super::scenes::scene;
 use super::starts::Starts;
+use crate::engines::{self, ChoosesEngine, EngineChoice};
 
 /// Parameters of the targets.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -29,13 +30,33 @@ pub(super) struct Params {
     pub(super) consensus: TargetsParams,
     /// Views shown side by side: captured (or clear), proposal, calibrated on its own, consensus.
     pub(super) previews: usize,
+    /// What lifts views to the Gaussians: `cpu`; `auto` (a graphics card that passed its check, else the processor); `gpu`; `gpu:NAME`.
+    #[schemars(with = "String")]
+    pub(super) engine: EngineChoice,
 }
 
 impl Default for Params {
     fn default() -> Self {
-        Self { proposer: ProposerChoice::Scene, consensus: TargetsParams::default(), previews: 4 }
+        Self {
+            proposer: ProposerChoice::Scene,
+            consensus: TargetsParams::default(),
+            previews: 4,
+            engine: EngineChoice::Cpu,
+        }
     }
 }
+
+impl ChoosesEngine for Params {
+    fn engine(&self) -> &EngineChoice {
+        &self.engine
+    }
+}
+
+/// How near two classes of arithmetic are: a Gaussian at the edge of what is seen may be seen by one of them only.
+const FIGURES: [Figure; 2] = [
+    Figure { file: "report.json", at: "/dispersion", within: 1e-9 },
+    Figure { file: "report.json", at: "/supported", within: 20.0 },
+];
 
 pub(super) fn stage() -> Stage {
     Stage::new("targets", Scope::Scene, run)
@@ -50,6 +71,10 @@ pub(super) fn stage() -> Stage {
         .optional_external("models", "models")
         .select(super::weights::files_of_proposer)
         .seeded()
+        .check(engines::check::<Params>)
+        .computes_on(engines::class::<Params>)
+        .without_effect(&["engine"])
+        .agrees_across_classes(&FIGURES)
         .cost(0, 2 << 30)
 }
 
@@ -68,8 +93,12 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         records.push(recorder.record(&input, starts.proposals(), &starts.calibrator)?);
     }
     let consensus = TargetsParams { seed: context.seed(), ..params.consensus.clone() };
+    let (mut lift, chosen) = engines::lift(&scene.gaussians, params).map_err(StageError::failed)?;
+    if let Some(chosen) = chosen {
+        context.say(chosen);
+    }
     let built = targets_from_records(
-        &mut Lift::new(&scene.gaussians),
+        &mut lift,
         &records,
         starts.appearance(),
         starts.proposer.clone(),
