@@ -22,6 +22,8 @@ enum Fault {
     Unavailable,
     /// Does it, and says 503.
     AnswerLost,
+    /// Does it, loses the answer, and its client asks again by itself.
+    AskedTwice,
     /// Says 403.
     Forbidden,
     /// Gives only the first half, as if that were all.
@@ -116,6 +118,9 @@ impl Remote for Faulty {
         if fault == Some(Fault::Careless) {
             self.inner.objects().insert(name.to_string(), bytes.to_vec());
             return Ok(true);
+        }
+        if fault == Some(Fault::AskedTwice) {
+            self.inner.create(name, bytes)?;
         }
         let created = self.inner.create(name, bytes)?;
         self.answer(fault, name, created)
@@ -333,10 +338,11 @@ fn a_store_that_cannot_be_relied_on_is_refused_when_it_is_opened() {
         assert!(remote.inner.objects().is_empty(), "{fault:?}: what it was tried with is gone");
     }
     // An answer that is lost once is no reason.
-    let count = AtomicUsize::new(0);
-    let remote =
-        Faulty::new(move |_, _| (count.fetch_add(1, Ordering::Relaxed) == 0).then_some(Fault::AnswerLost));
-    store(remote).probe(&AtomicBool::new(false)).expect("a good store");
+    for fault in [Fault::AnswerLost, Fault::AskedTwice] {
+        let count = AtomicUsize::new(0);
+        let remote = Faulty::new(move |_, _| (count.fetch_add(1, Ordering::Relaxed) == 0).then_some(fault));
+        store(remote).probe(&AtomicBool::new(false)).expect("a good store");
+    }
 }
 
 #[test]
