@@ -2,7 +2,7 @@
 """A bill of materials (CycloneDX 1.5, JSON) of the `use3d` program, from Cargo.lock: every crate that is built into it, with version,
 licence and checksum.
 
-    packaging/sbom.py [--target TRIPLE] [--features LIST] > use3d.cdx.json
+    packaging/sbom.py [--target TRIPLE] [--no-default-features] [--features LIST] > use3d.cdx.json
 
 Needs cargo and the standard library. The same lock file gives the same bytes.
 """
@@ -42,9 +42,12 @@ def built_into(metadata):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--target", default="x86_64-unknown-linux-musl")
+    parser.add_argument("--no-default-features", action="store_true")
     parser.add_argument("--features", default="")
     words = parser.parse_args()
     command = ["cargo", "metadata", "--format-version", "1", "--locked", "--filter-platform", words.target]
+    if words.no_default_features:
+        command.append("--no-default-features")
     if words.features:
         command += ["--features", ",".join(f"use3d/{name}" for name in words.features.split(","))]
     done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, check=False)
