@@ -5,18 +5,24 @@ use std::marker::PhantomData;
 use bytemuck::Pod;
 use use3d_training::EngineError;
 
-use crate::device::{Gpu, NAME};
+use crate::device::{Gpu, Held, NAME};
 
 /// An array of `T` that kernels read and write. Growing loses what it held.
 #[derive(Debug)]
 pub(crate) struct Array<T> {
     what: &'static str,
     buffer: wgpu::Buffer,
+    held: Held,
     capacity: usize,
     item: PhantomData<T>,
 }
 
-fn create(gpu: &Gpu, what: &'static str, bytes: u64, uniform: bool) -> Result<wgpu::Buffer, EngineError> {
+fn create(
+    gpu: &Gpu,
+    what: &'static str,
+    bytes: u64,
+    uniform: bool,
+) -> Result<(wgpu::Buffer, Held), EngineError> {
     gpu.fits(what, bytes)?;
     let kind = if uniform { wgpu::BufferUsages::UNIFORM } else { wgpu::BufferUsages::STORAGE };
     let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
@@ -27,11 +33,12 @@ fn create(gpu: &Gpu, what: &'static str, bytes: u64, uniform: bool) -> Result<wg
     });
     gpu.check().map_err(|error| match error {
         EngineError::OutOfMemory { .. } => {
-            EngineError::OutOfMemory { engine: NAME, what: format!("{bytes} bytes for {what}") }
+            let what = format!("{bytes} bytes for {what}, beside {} that it holds", gpu.held());
+            EngineError::OutOfMemory { engine: NAME, what }
         }
         other => other,
     })?;
-    Ok(buffer)
+    Ok((buffer, gpu.hold(bytes)))
 }
 
 /// Copies the beginnings of buffers to main memory, in one submit that is waited for once.
@@ -87,14 +94,14 @@ impl<T: Pod> Array<T> {
     /// Room for so many items, zero.
     pub(crate) fn new(gpu: &Gpu, what: &'static str, capacity: usize) -> Result<Self, EngineError> {
         let capacity = capacity.max(1);
-        let buffer = create(gpu, what, Self::bytes(capacity), false)?;
-        Ok(Self { what, buffer, capacity, item: PhantomData })
+        let (buffer, held) = create(gpu, what, Self::bytes(capacity), false)?;
+        Ok(Self { what, buffer, held, capacity, item: PhantomData })
     }
 
     /// One that kernels read as a uniform.
     pub(crate) fn uniform(gpu: &Gpu, what: &'static str) -> Result<Self, EngineError> {
-        let buffer = create(gpu, what, Self::bytes(1), true)?;
-        Ok(Self { what, buffer, capacity: 1, item: PhantomData })
+        let (buffer, held) = create(gpu, what, Self::bytes(1), true)?;
+        Ok(Self { what, buffer, held, capacity: 1, item: PhantomData })
     }
 
     /// With these items.
@@ -132,7 +139,8 @@ impl<T: Pod> Array<T> {
         gpu.fits(self.what, Self::bytes(items))?;
         gpu.forget_bindings();
         self.buffer.destroy();
-        self.buffer = create(gpu, self.what, Self::bytes(items), false)?;
+        self.held.let_go();
+        (self.buffer, self.held) = create(gpu, self.what, Self::bytes(items), false)?;
         self.capacity = items;
         Ok(true)
     }
@@ -190,8 +198,15 @@ mod tests {
         let most = gpu.adapter().binding;
         let error = Array::<u32>::new(&gpu, "records", (most / 4 + 4) as usize).unwrap_err().to_string();
         assert!(error.contains("records") && error.contains(&most.to_string()), "{error}");
+        let held = gpu.held();
+        let mut array = Array::<u32>::new(&gpu, "records", 1000).unwrap();
+        array.grow(&gpu, 3000).unwrap();
+        assert_eq!(gpu.held(), held + 12_000);
+        drop(array);
+        assert_eq!(gpu.held(), held);
         gpu.run_out_of_memory();
         let error = Array::<u32>::new(&gpu, "records", 1000).unwrap_err().to_string();
-        assert!(error.contains("out of memory: 4000 bytes for records"), "{error}");
+        let expected = format!("out of memory: 4000 bytes for records, beside {held} that it holds");
+        assert!(error.contains(&expected), "{error}");
     }
 }

@@ -214,6 +214,28 @@ pub struct Gpu {
     submits: Arc<AtomicU64>,
     /// How kernels made for it add up.
     variant: Variant,
+    /// Bytes of buffers that are there now.
+    held: Arc<AtomicU64>,
+}
+
+/// Bytes of a buffer, counted as long as it is there.
+#[derive(Debug)]
+pub(crate) struct Held {
+    all: Arc<AtomicU64>,
+    bytes: u64,
+}
+
+impl Held {
+    /// The buffer is gone.
+    pub(crate) fn let_go(&mut self) {
+        self.all.fetch_sub(std::mem::take(&mut self.bytes), Ordering::Relaxed);
+    }
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        self.let_go();
+    }
 }
 
 fn lock(trouble: &Mutex<Trouble>) -> MutexGuard<'_, Trouble> {
@@ -268,8 +290,9 @@ impl Gpu {
             clock: None,
             submits: Arc::default(),
             variant: Variant::Portable,
+            held: Arc::default(),
         };
-        // Software's threads do not run side by side: there, the portable one is the faster one too.
+        // Software takes the portable one, whose bits no vector width changes.
         if !gpu.report.is_software()
             && let Some(variant) = gpu.subgroups()
         {
@@ -352,6 +375,17 @@ impl Gpu {
         let polled = self.device.poll(wgpu::PollType::wait_indefinitely());
         self.check()?;
         polled.map(|_| ()).map_err(|e| EngineError::DeviceLost { engine: NAME, reason: e.to_string() })
+    }
+
+    /// Counts a buffer.
+    pub(crate) fn hold(&self, bytes: u64) -> Held {
+        self.held.fetch_add(bytes, Ordering::Relaxed);
+        Held { all: self.held.clone(), bytes }
+    }
+
+    /// Bytes of all buffers.
+    pub(crate) fn held(&self) -> u64 {
+        self.held.load(Ordering::Relaxed)
     }
 
     /// Bytes of the longest buffer that a kernel can see.
