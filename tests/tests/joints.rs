@@ -69,7 +69,7 @@ fn a_term_of_stage_ones_loss_is_one_file_one_row_and_the_parameter_of_its_weight
 #[test]
 fn a_medium_is_one_file_and_one_row() {
     let sources = sources();
-    for (name, kind) in [("mlp", "Mlp"), ("rbf", "Rbf"), ("global", "Global")] {
+    for (name, kind) in [("mlp", "Mlp"), ("rbf", "Rbf"), ("global", "Global"), ("image", "Image")] {
         let file = format!("crates/medium/src/{name}.rs");
         let words: Vec<String> = ["Medium", "Medium::", "MediumKind::", "MediumModel::"]
             .iter()

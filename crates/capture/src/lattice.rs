@@ -56,6 +56,16 @@ impl Lattice {
     }
 }
 
+/// How an image is formed of Gaussians and water.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Formation {
+    /// Every Gaussian shines through the water in front of it, at its own distance.
+    #[default]
+    PerGaussian,
+    /// Gaussians are composed without water, and each pixel then shines through the water at its expected distance.
+    PerImage,
+}
+
 /// The water seen through each pixel of a lattice: what a medium model hands to the compositor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MediumMaps {
@@ -65,6 +75,8 @@ pub struct MediumMaps {
     pub backscatter: Image,
     /// `β_attn`, attenuation coefficient, 1 / scene unit, ≥ 0.
     pub attenuation: Image,
+    /// How images are formed in it. Means nothing in gradients.
+    pub formation: Formation,
 }
 
 impl MediumMaps {
@@ -74,6 +86,7 @@ impl MediumMaps {
             color: Image::new(width, height),
             backscatter: Image::new(width, height),
             attenuation: Image::new(width, height),
+            formation: Formation::default(),
         }
     }
 

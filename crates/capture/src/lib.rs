@@ -22,7 +22,7 @@ mod track;
 pub use appearance::Appearance;
 pub use camera::{Camera, CameraError, Frame, Intrinsics, Pose};
 pub use capture::{Capture, CaptureError, Pixels, SparsePoint, Split, View};
-pub use lattice::{Lattice, MediumMaps, world_direction};
+pub use lattice::{Formation, Lattice, MediumMaps, world_direction};
 pub use name::{FileName, NameError, flat_stem, shown, stem};
 pub use raster::{Image, Image8, Map, Raster};
 pub use track::{Sighting, Track};

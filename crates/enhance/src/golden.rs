@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use use3d_atc::consensus::ViewTarget;
 use use3d_atc::extractor::{ExtractorSettings, Form, Geometry, Source};
-use use3d_capture::{Appearance, Image, MediumMaps};
+use use3d_capture::{Appearance, Formation, Image, MediumMaps};
 use use3d_golden::{Case, CaseGaussians, Part};
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Colors, Gaussians, Options, Prepared, Rasterizer, Rendered, view_colors};
@@ -51,6 +51,7 @@ impl Example {
             color: image(case, "in.c_m"),
             backscatter: image(case, "in.beta_bs"),
             attenuation: image(case, "in.beta_attn"),
+            formation: Formation::default(),
         };
         let mut base = Vec::new();
         view_colors(&gaussians, &camera, gaussians.sh_degree, &mut base);

@@ -3,7 +3,7 @@
 //! A [`Drawing`] holds a scene's Gaussians on the device. Colours are the scene's harmonics, or one of the caller's per Gaussian and view;
 //! the water comes as maps, as the processor's compositor takes it. What is drawn is what `use3d_splat::Rasterizer` draws.
 
-use use3d_capture::{Camera, Image, Lattice, Map, MediumMaps};
+use use3d_capture::{Camera, Formation, Image, Lattice, Map, MediumMaps};
 use use3d_splat::{Gaussians, Layers, Rendered};
 use use3d_training::EngineError;
 
@@ -83,6 +83,9 @@ impl Drawing {
             && colors.len() != self.count
         {
             return refused(format!("{} colours of {} Gaussians", colors.len(), self.count));
+        }
+        if view.medium.is_some_and(|maps| maps.formation == Formation::PerImage) {
+            return refused("water that is laid over finished images is drawn on the processor alone".into());
         }
         if let Some(maps) = view.medium
             && maps.color.pixels() != pixels

@@ -3,10 +3,10 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use use3d_capture::{Camera, Lattice, MediumMaps};
+use use3d_capture::{Camera, Formation, Lattice, MediumMaps};
 
 use crate::tensors::{Put, Tensor, Tensors};
-use crate::{Coefficients, MediumError, MediumGlobal, MediumMlp, MediumRbf, Role};
+use crate::{Coefficients, MediumError, MediumGlobal, MediumImage, MediumMlp, MediumRbf, Role};
 
 /// What a model may need to know of its start; each takes what concerns it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,6 +43,9 @@ pub struct Anchors<'a> {
 pub(crate) trait Medium: Sized {
     /// Whether it can start from given spherical harmonics.
     const FROM_HARMONICS: bool = false;
+
+    /// How images are formed in it.
+    const FORMATION: Formation = Formation::PerGaussian;
 
     /// The initial state.
     fn start(start: &MediumStart) -> Result<Self, MediumError>;
@@ -116,6 +119,14 @@ macro_rules! media {
                 }
             }
 
+            /// How images are formed in water of this kind.
+            pub fn formation(self) -> Formation {
+                match self {
+                    $(Self::$kind => <$model as Medium>::FORMATION,)+
+                    Self::None => Formation::default(),
+                }
+            }
+
             /// Whether a model of this kind can start from given spherical harmonics.
             pub fn starts_from_harmonics(self) -> bool {
                 match self {
@@ -162,6 +173,7 @@ macro_rules! media {
             /// The maps of one view on a lattice of its pixels. Spherical-harmonic bands above `active_degree` (0 to 3) are left out; a
             /// model without bands knows no such limit. Without water all maps are zero.
             pub fn maps(&self, camera: &Camera, lattice: &Lattice, active_degree: usize, out: &mut MediumMaps) {
+                out.formation = self.kind().formation();
                 match self {
                     $(Self::$kind(m) => m.maps(camera, lattice, active_degree.min(3), out),)+
                     Self::None => {
@@ -250,6 +262,8 @@ media! {
     Mlp(MediumMlp) = "mlp";
     /// One set of spherical harmonics (Plenodium's water).
     Global(MediumGlobal) = "global";
+    /// One set of spherical harmonics, laid over the finished image at its depth (SeaSplat's and 3D-UIR's formation).
+    Image(MediumImage) = "image";
 }
 
 impl MediumKind {

@@ -4,12 +4,14 @@
 //! `c_m` (display range) and the backscatter and attenuation coefficients `β_bs`, `β_attn` (1 / scene unit), each per RGB channel. The
 //! compositor does the rest. Models are rows of one table (`kinds`): [`MediumRbf`] (the method's), one set of spherical harmonics for the
 //! whole scene ([`MediumGlobal`], as in Plenodium), a network of the direction ([`MediumMlp`], as in WaterSplatting), and no water at all.
+//! All of these stand in front of every Gaussian; [`MediumImage`] lies over the finished image, as in SeaSplat and 3D-UIR.
 //!
 //! `backward` is the exact adjoint of `maps` and adds to a gradient that has the model's own type. For optimisers, every model is a
 //! flat vector of parameters in a fixed order with a [`Role`] each ([`MediumModel::update`]).
 
 mod directional;
 mod global;
+mod image;
 mod kinds;
 mod mlp;
 mod rbf;
@@ -17,6 +19,7 @@ mod tensors;
 
 pub use directional::Coefficients;
 pub use global::MediumGlobal;
+pub use image::MediumImage;
 pub use kinds::{Anchors, Harmonics, MediumKind, MediumModel, MediumStart};
 pub use mlp::MediumMlp;
 pub use rbf::MediumRbf;

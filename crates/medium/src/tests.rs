@@ -1,11 +1,11 @@
 //! Goldens, finite differences, and the vector code against its plain form.
 
 use glam::DVec3;
-use use3d_capture::{Camera, Image, Intrinsics, Lattice, MediumMaps, Pose};
+use use3d_capture::{Camera, Formation, Image, Intrinsics, Lattice, MediumMaps, Pose};
 use use3d_golden::{Case, Part};
 use use3d_numerics::random::{Purpose, Stream};
 
-use crate::{MediumGlobal, MediumKind, MediumMlp, MediumModel, MediumRbf, directional};
+use crate::{MediumGlobal, MediumImage, MediumKind, MediumMlp, MediumModel, MediumRbf, directional};
 
 fn case_camera(case: &Case<'_>) -> Camera {
     let rotation = case.rotations()[0];
@@ -64,6 +64,7 @@ fn golden_medium() {
                 color: cotangent_of("c_m"),
                 backscatter: cotangent_of("beta_bs"),
                 attenuation: cotangent_of("beta_attn"),
+                formation: Formation::default(),
             };
             let mut gradient = model.zeros_like();
             model.backward(&camera, &lattice, degree, &maps, &cotangent, &mut gradient);
@@ -104,6 +105,7 @@ fn random_model(stream: &Stream, kind: MediumKind) -> MediumModel {
     match kind {
         MediumKind::None => MediumModel::None,
         MediumKind::Global => MediumModel::Global(MediumGlobal { coefficients: coefficients(0) }),
+        MediumKind::Image => MediumModel::Image(MediumImage(MediumGlobal { coefficients: coefficients(0) })),
         MediumKind::Rbf => MediumModel::Rbf(MediumRbf {
             centers: (0..5).map(|k| std::array::from_fn(|a| 0.7 * n(5000 + k * 3 + a as u64))).collect(),
             log_widths: (0..5).map(|k| -0.3 + 0.2 * n(6000 + k)).collect(),
@@ -125,7 +127,12 @@ fn random_maps(stream: &Stream, width: usize, height: usize) -> MediumMaps {
         let values = (0..3 * width * height).map(|i| stream.normal(from + i as u64) as f32).collect();
         Image::from_planes(width, height, values).unwrap()
     };
-    MediumMaps { color: image(10_000), backscatter: image(30_000), attenuation: image(50_000) }
+    MediumMaps {
+        color: image(10_000),
+        backscatter: image(30_000),
+        attenuation: image(50_000),
+        formation: Formation::default(),
+    }
 }
 
 fn dot(a: &MediumMaps, b: &MediumMaps) -> f64 {
@@ -141,7 +148,7 @@ fn gradients_agree_with_finite_differences() {
         let camera = camera(&stream, 37, 19);
         let lattice = Lattice::full(&camera.intrinsics);
         let cotangent = random_maps(&stream, 37, 19);
-        for kind in [MediumKind::Global, MediumKind::Rbf, MediumKind::Mlp] {
+        for kind in [MediumKind::Global, MediumKind::Image, MediumKind::Rbf, MediumKind::Mlp] {
             for degree in [1, 3] {
                 let mut model = random_model(&stream, kind);
                 let mut maps = MediumMaps::zeros(1, 1);
@@ -262,7 +269,7 @@ fn anchor_weights_sum_to_one_over_at_most_k() {
 #[test]
 fn tensors_come_back_and_damaged_ones_are_named() {
     let stream = Stream::new(6, Purpose::new("medium tensors"), 0);
-    for kind in [MediumKind::None, MediumKind::Global, MediumKind::Rbf, MediumKind::Mlp] {
+    for &kind in MediumKind::ALL {
         let model = random_model(&stream, kind);
         let tensors = model.to_tensors();
         assert_eq!(MediumModel::from_tensors(kind, 3, &tensors).unwrap(), model);

@@ -117,7 +117,7 @@ mod tests {
         let pose = Pose::look_at([0.3, -0.2, 0.1].into(), [1.0, 0.4, -0.3].into(), glam::DVec3::Z);
         let camera = Camera { intrinsics, pose };
         let lattice = Lattice::full(&camera.intrinsics);
-        for medium in [Medium::Rbf, Medium::Global] {
+        for medium in [Medium::Rbf, Medium::Global, Medium::Image] {
             let params = ReconstructParams { medium, ..ReconstructParams::default() };
             let model = found.model(&params).expect("spherical harmonics");
             let mut maps = MediumMaps::zeros(5, 4);

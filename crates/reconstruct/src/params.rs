@@ -35,7 +35,8 @@ pub enum MediumPrior {
     Auto,
     /// Nothing: the water starts as the paper has it and is learnt from the first step on.
     Off,
-    /// What the capture's tracks tell, where they do; else as `off`, and the log says why. For the `rbf` and `global` waters.
+    /// What the capture's tracks tell, where they do; else as `off`, and the log says why. For the `rbf`, `global` and `image`
+    /// waters.
     Tracks,
 }
 

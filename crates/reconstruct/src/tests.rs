@@ -290,7 +290,7 @@ fn a_short_run_learns_the_scene_and_its_water() {
     assert_eq!(wet.evaluation.as_ref().unwrap().views.len(), 2);
     wet.scene.gaussians.validate().unwrap();
     assert!(wet.log_lines().lines().count() == wet.log.len() && wet.plot().contains("</svg>"));
-    for medium in [Medium::Global, Medium::Mlp] {
+    for medium in [Medium::Global, Medium::Image, Medium::Mlp] {
         let other = run(medium, 40);
         let first = |o: &Outcome| {
             o.log.iter().find_map(|e| if let LogEntry::Steps { psnr, .. } = e { *psnr } else { None })

@@ -119,6 +119,7 @@ impl<C: Composer> Backend for Looking<'_, C> {
 fn thin(maps: &MediumMaps, share: f32, out: &mut MediumMaps) {
     out.resize(maps.color.width(), maps.color.height());
     out.color.data_mut().copy_from_slice(maps.color.data());
+    out.formation = maps.formation;
     let scaled = |from: &Image, to: &mut Image| {
         to.data_mut().iter_mut().zip(from.data()).for_each(|(to, from)| *to = share * from);
     };

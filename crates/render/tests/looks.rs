@@ -3,8 +3,8 @@
 mod common;
 
 use common::{draw, mini, taught};
-use use3d_capture::{Camera, Lattice};
-use use3d_medium::MediumModel;
+use use3d_capture::{Camera, Lattice, MediumMaps};
+use use3d_medium::{MediumGlobal, MediumImage, MediumModel};
 use use3d_numerics::math;
 use use3d_render::{Look, RenderError, Renderer, bake};
 use use3d_scene::{KnownViews, Scene};
@@ -291,5 +291,29 @@ fn what_stage_1_knows_of_a_view_is_what_its_layers_say() {
         } else {
             assert!(apart(&known.arriving.data()[..n], known.accumulation.data()) > 0.1);
         }
+    }
+}
+
+#[test]
+fn water_over_the_image_is_graded_and_thinned_as_any_other() {
+    let (scene, views) = mini();
+    let over = Scene { medium: MediumModel::Image(MediumImage::default()), ..scene.clone() };
+    let front = Scene { medium: MediumModel::Global(MediumGlobal::default()), ..scene };
+    let (teacher, camera) = (taught(&over), &views[3].camera);
+    let plain = draw(&over, Look::Reconstruction, camera);
+    assert!(worst(&plain, &draw(&front, Look::Reconstruction, camera)) > 1e-3, "the formations differ");
+    assert_eq!(draw(&teacher, Look::Enhanced { strength: 0.0 }, camera), plain);
+    let lattice = Lattice::full(&camera.intrinsics);
+    let (mut out, mut maps, share) = (Rendered::new(), MediumMaps::zeros(0, 0), 0.4);
+    let mut renderer = Renderer::new(&over, Look::Reconstruction).unwrap().with_water(share).unwrap();
+    renderer.render(camera, &lattice, true, &mut out).unwrap();
+    assert!(over.look_through(camera, &lattice, &mut maps));
+    let (layers, n) = (out.layers.unwrap(), out.accumulation.pixels());
+    for i in 0..3 * n {
+        let (a, s) = (out.accumulation.data()[i % n], share * layers.distance.data()[i % n]);
+        let object = layers.clear.data()[i] * math::exp(-maps.attenuation.data()[i] * s);
+        let between = a * (1.0 - math::exp(-maps.backscatter.data()[i] * s));
+        let expected = object + maps.color.data()[i] * (between + share * (1.0 - a));
+        assert!((out.image.data()[i] - expected).abs() < 1e-5, "{} {expected}", out.image.data()[i]);
     }
 }

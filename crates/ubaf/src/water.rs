@@ -158,6 +158,7 @@ impl WaterPass {
         let affine = field.affine().map(|row| row.map(|v| strength * v));
         let (w, h) = (water.maps.color.width(), water.maps.color.height());
         out.resize(w, h);
+        out.formation = water.maps.formation;
         let level = self.level;
         let logs = water.signed_logs.planes();
         let color = water.maps.color.planes();

@@ -1,6 +1,6 @@
 //! The field against the float64 oracle: outputs and gradients at the stated tolerances.
 
-use use3d_capture::{Image, MediumMaps};
+use use3d_capture::{Formation, Image, MediumMaps};
 use use3d_golden::{Case, Part};
 use use3d_ubaf::water::Water;
 use use3d_ubaf::{Field, FieldBox, Gradient, ObjectPass, Shape, WaterPass, variation};
@@ -66,6 +66,7 @@ fn golden_field_outputs_and_gradients() {
             color: image(&case, "in.c_m"),
             backscatter: image(&case, "in.beta_bs"),
             attenuation: image(&case, "in.beta_attn"),
+            formation: Formation::default(),
         });
         let mut pass = WaterPass::new();
         let mut maps = MediumMaps::zeros(0, 0);
@@ -90,6 +91,7 @@ fn golden_field_outputs_and_gradients() {
                     color: image(&case, "cot.c_m_plus"),
                     backscatter: image(&case, "cot.beta_bs_plus"),
                     attenuation: image(&case, "cot.beta_attn_plus"),
+                    formation: Formation::default(),
                 };
                 pass.backward(&field, camera, &water, &d_maps, &mut gradient);
             }

@@ -12,7 +12,7 @@ mod kernels;
 #[cfg(test)]
 mod tests;
 
-use use3d_capture::{Appearance, Camera, Image, Lattice};
+use use3d_capture::{Appearance, Camera, Formation, Image, Lattice};
 use use3d_enhance::engine::{
     Coverage, FieldDiagnostics, FieldEngine, FieldPlan, FieldReport, FieldState, Goals, Measure, Reading,
     Reference, References, centred, check_inputs, initial_field,
@@ -166,6 +166,14 @@ impl<'a> Stage2<'a> {
         observer: &mut dyn Observer,
     ) -> Result<Self, EnhanceError> {
         check_inputs(scene, views, guidance, params)?;
+        let kind = scene.medium.kind();
+        if guidance.appearance() == Appearance::Water && kind.formation() == Formation::PerImage {
+            let name = kind.name();
+            let what = format!(
+                "the water `{name}` is laid over finished images, which the processor alone does; use `--engine cpu`"
+            );
+            return Err(EngineError::Request { engine: NAME, what }.into());
+        }
         let field = initial_field(scene, guidance, params)?;
         let g = &scene.gaussians;
         let sites = ObjectPass::new(&field, &g.means, g.sh.iter().map(|sh| sh[0])).sites().clone();

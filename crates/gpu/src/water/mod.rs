@@ -14,7 +14,7 @@
 mod tests;
 
 use bytemuck::{Pod, Zeroable};
-use use3d_capture::Camera;
+use use3d_capture::{Camera, Formation};
 use use3d_medium::{MediumModel, Role};
 use use3d_numerics::adam::Adam;
 use use3d_numerics::spherical_harmonics::bands;
@@ -162,7 +162,8 @@ impl Water {
         if model.is_none() {
             return Ok(None);
         }
-        let Some(harmonics) = model.harmonics() else {
+        let laid_in_front = model.kind().formation() == Formation::PerGaussian;
+        let Some(harmonics) = model.harmonics().filter(|_| laid_in_front) else {
             let what = format!(
                 "the water `{}` runs on the processor alone; use `--engine cpu`, or a water of spherical harmonics (medium = \"rbf\" or \"global\")",
                 model.kind().name()

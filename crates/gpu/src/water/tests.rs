@@ -1,6 +1,6 @@
 //! The water on the device beside that of the processor.
 
-use use3d_medium::{MediumMlp, MediumRbf};
+use use3d_medium::{MediumImage, MediumMlp, MediumRbf};
 
 use super::*;
 use crate::testing::software;
@@ -28,10 +28,12 @@ fn the_water_is_that_of_the_processor() {
 fn no_water_needs_nothing_and_a_network_is_refused_by_name() {
     let Some(gpu) = software() else { return };
     assert!(Water::new(&gpu, &MediumModel::None, [&[], &[]]).unwrap().is_none());
-    let network = MediumModel::Mlp(MediumMlp::new(1));
-    let moments = vec![0.0; network.parameter_count()];
-    let error = Water::new(&gpu, &network, [&moments, &moments]).unwrap_err().to_string();
-    assert!(error.contains("`mlp`") && error.contains("--engine cpu"), "{error}");
+    let (network, over) = (MediumModel::Mlp(MediumMlp::new(1)), MediumModel::Image(MediumImage::default()));
+    for (model, name) in [(network, "`mlp`"), (over, "`image`")] {
+        let moments = vec![0.0; model.parameter_count()];
+        let error = Water::new(&gpu, &model, [&moments, &moments]).unwrap_err().to_string();
+        assert!(error.contains(name) && error.contains("--engine cpu"), "{error}");
+    }
 }
 
 #[test]

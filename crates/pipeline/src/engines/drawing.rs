@@ -1,5 +1,6 @@
 //! What draws a scene's pictures: the processor, or a graphics card that holds the scene.
 
+use use3d_capture::Formation;
 use use3d_reconstruct::EngineChoice;
 use use3d_render::{Look, Looking, RenderError, Renderer, SceneRenderer};
 use use3d_scene::Scene;
@@ -20,15 +21,26 @@ impl<'s> Drawn<'s> {
     /// # Errors
     /// A card that is not there, fails its check or cannot hold the scene, in words.
     pub fn new(scene: &'s Scene, engine: &EngineChoice) -> Result<Self, String> {
-        let card = match engine {
-            EngineChoice::Cpu => None,
-            EngineChoice::Auto => open(None).ok(),
-            EngineChoice::Gpu(name) => Some(open(name.as_deref())?),
+        let kind = scene.medium.kind();
+        let processors = (kind.formation() == Formation::PerImage).then(|| {
+            format!(
+                "the water `{}` is laid over finished images, which the processor alone does",
+                kind.name()
+            )
+        });
+        let card = match (engine, &processors) {
+            (EngineChoice::Cpu, _) | (EngineChoice::Auto, Some(_)) => None,
+            (EngineChoice::Auto, None) => open(None).ok(),
+            (EngineChoice::Gpu(_), Some(why)) => return Err(format!("{why}; use `--engine cpu`")),
+            (EngineChoice::Gpu(name), None) => Some(open(name.as_deref())?),
         };
         let name = card.as_ref().map(Card::name);
         let told = match (&name, engine) {
             (Some(name), _) => format!("gpu, {name}"),
-            (None, EngineChoice::Auto) => format!("cpu ({})", open(None).err().unwrap_or_default()),
+            (None, EngineChoice::Auto) => {
+                let why = processors.or_else(|| open(None).err());
+                format!("cpu ({})", why.unwrap_or_default())
+            }
             (None, _) => "cpu".into(),
         };
         let painter =
@@ -153,6 +165,16 @@ mod tests {
                 assert!(size > 0.0 && off <= 1e-5 * size, "{} off by {:.1e}", mode.name(), off / size);
             }
         }
+    }
+
+    #[test]
+    fn water_over_finished_images_is_drawn_by_the_processor() {
+        let water = MediumModel::Image(use3d_medium::MediumImage::default());
+        let scene = Scene { medium: water, enhancement: None, ..scene() };
+        let told = Drawn::new(&scene, &EngineChoice::Auto).unwrap();
+        assert!(told.told().contains("cpu (the water `image`"), "{}", told.told());
+        let said = Drawn::new(&scene, &EngineChoice::Gpu(None)).err().unwrap();
+        assert!(said.contains("`image`") && said.contains("--engine cpu"), "{said}");
     }
 
     #[test]

@@ -14,6 +14,7 @@ pub use drawing::Drawn;
 
 use use3d_atc::consensus::Lift;
 use use3d_build::DeviceClass;
+use use3d_capture::Formation;
 use use3d_enhance::engine::{CpuFieldEngine, FieldEngine};
 use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance};
 use use3d_reconstruct::engine::{CpuEngine, Engine};
@@ -95,9 +96,9 @@ mod cards {
 
 use cards::{Card, open};
 
-/// Whether cards have kernels for a water: one made of spherical harmonics, or none.
+/// Whether cards have kernels for a water: one made of spherical harmonics and in front of every Gaussian, or none.
 fn on_cards(medium: Medium) -> bool {
-    medium == Medium::None || medium.starts_from_harmonics()
+    medium == Medium::None || (medium.starts_from_harmonics() && medium.formation() == Formation::PerGaussian)
 }
 
 /// The parameters of a stage that choose an engine.
@@ -248,8 +249,10 @@ mod tests {
 
     #[test]
     fn what_no_card_can_do_is_refused_by_name_and_left_to_the_processor_by_auto() {
-        let (at, what) = check(&asking("gpu", Medium::Mlp)).unwrap_err();
-        assert!(at == "engine" && what.contains("`mlp`") && what.contains("expected cpu"), "{what}");
+        for (medium, name) in [(Medium::Mlp, "`mlp`"), (Medium::Image, "`image`")] {
+            let (at, what) = check(&asking("gpu", medium)).unwrap_err();
+            assert!(at == "engine" && what.contains(name) && what.contains("expected cpu"), "{what}");
+        }
         let auto = asking("auto", Medium::Mlp);
         assert_eq!((check(&auto), class(&auto)), (Ok(()), None));
         let (_, said) = stage1(&auto).unwrap();

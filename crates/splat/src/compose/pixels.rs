@@ -64,7 +64,7 @@ pub(crate) fn input<'a>(prepared: &'a Prepared, splats: &'a [Splat], row: usize,
 
 /// 16 pixels of a row from `start`; past the end, the last one again.
 #[inline(always)]
-fn get(row: &[f32], start: usize, n: usize) -> Lanes {
+pub(super) fn get(row: &[f32], start: usize, n: usize) -> Lanes {
     match row[start..].first_chunk() {
         Some(lanes) => *lanes,
         None => each(|l| row[start + l.min(n - 1)]),
@@ -73,7 +73,7 @@ fn get(row: &[f32], start: usize, n: usize) -> Lanes {
 
 /// Writes the first `pixels.len()` of the lanes.
 #[inline(always)]
-fn put<T: Copy>(pixels: &mut [T], lanes: &[T; TILE]) {
+pub(super) fn put<T: Copy>(pixels: &mut [T], lanes: &[T; TILE]) {
     match pixels.first_chunk_mut() {
         Some(out) => *out = *lanes,
         None => pixels.copy_from_slice(&lanes[..pixels.len()]),
@@ -82,7 +82,7 @@ fn put<T: Copy>(pixels: &mut [T], lanes: &[T; TILE]) {
 
 /// A loop, since `array::from_fn` is a call that the instruction set does not reach into.
 #[inline(always)]
-fn each(mut f: impl FnMut(usize) -> f32) -> Lanes {
+pub(super) fn each(mut f: impl FnMut(usize) -> f32) -> Lanes {
     let mut lanes = [0.0; TILE];
     for (l, lane) in lanes.iter_mut().enumerate() {
         *lane = f(l);
@@ -92,7 +92,7 @@ fn each(mut f: impl FnMut(usize) -> f32) -> Lanes {
 
 /// `|d(p)|` of the 16 pixels of a tile's row.
 #[inline(always)]
-fn ray_lengths(prepared: &Prepared, y: usize, column: usize) -> Lanes {
+pub(super) fn ray_lengths(prepared: &Prepared, y: usize, column: usize) -> Lanes {
     let across = get(&prepared.ray_x2, column * TILE, TILE);
     let down = prepared.ray_y2[y];
     each(|l| (1.0 + (across[l] + down)).sqrt())
@@ -377,7 +377,7 @@ pub(crate) fn load_cotangents(read: &BackwardRead<'_>, row: usize, column: usize
 
 /// Strips of the medium's gradient: colour, backscatter, attenuation.
 pub(crate) struct MediumPlanes<'a> {
-    maps: [Planes<'a, f32, 3>; 3],
+    pub(super) maps: [Planes<'a, f32, 3>; 3],
 }
 
 impl<'a> MediumPlanes<'a> {

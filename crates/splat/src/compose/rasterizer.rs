@@ -5,8 +5,9 @@
 //! buffer is bounded (see `gather`).
 
 use fearless_simd::{Level, dispatch};
-use use3d_capture::{Image, MediumMaps};
+use use3d_capture::{Formation, Image, MediumMaps};
 
+use super::per_image::Clear;
 use super::pixels::{
     BackwardRead, Composed, ImagePlanes, LayerPlanes, MediumPlanes, Saved, SavedPlanes, input,
     load_cotangents, load_water, row_splats, store_images, store_layers, store_medium_gradient,
@@ -33,6 +34,7 @@ pub(crate) enum Kernels {
 pub struct Rasterizer {
     pub(crate) kernels: Kernels,
     saved: Saved,
+    clear: Clear,
     pub(crate) records: Vec<Record>,
     pub(crate) sums: Vec<Record>,
 }
@@ -60,15 +62,24 @@ impl Rasterizer {
     }
 
     fn with_kernels(kernels: Kernels) -> Self {
-        Self { kernels, saved: Saved::default(), records: Vec::new(), sums: Vec::new() }
+        Self {
+            kernels,
+            saved: Saved::default(),
+            clear: Clear::default(),
+            records: Vec::new(),
+            sums: Vec::new(),
+        }
     }
 
     /// Bytes of scratch memory held.
     pub fn memory(&self) -> usize {
-        (self.records.capacity() + self.sums.capacity()) * size_of::<Record>() + self.saved.memory()
+        (self.records.capacity() + self.sums.capacity()) * size_of::<Record>()
+            + self.saved.memory()
+            + self.clear.memory()
     }
 
-    /// Renders the prepared view. `medium` has the lattice's size; `None` composes without water, on black.
+    /// Renders the prepared view. `medium` has the lattice's size, and says how images are formed in it; `None` composes without water, on
+    /// black.
     pub fn forward(
         &mut self,
         prepared: &Prepared,
@@ -78,6 +89,11 @@ impl Rasterizer {
     ) {
         check_medium(prepared, medium);
         out.resize(prepared.width, prepared.height, options.layers);
+        if let Some(water) = over_the_image(medium) {
+            self.forward(prepared, None, options, out);
+            self.clear.form(self.kernels, prepared, water, out);
+            return;
+        }
         match (medium.is_some(), options.layers) {
             (false, false) => self.forward_tiles::<false, false>(prepared, medium, Some(out)),
             (false, true) => self.forward_tiles::<false, true>(prepared, medium, Some(out)),
@@ -140,6 +156,20 @@ impl Rasterizer {
     ) {
         check_medium(prepared, medium);
         check_size(prepared, "the image's cotangent", cotangents.image.width(), cotangents.image.height());
+        if let Some(water) = over_the_image(medium) {
+            let mut clear = self.clear_of(prepared);
+            clear.differentiate(self.kernels, prepared, water, (cotangents, options), grads.medium);
+            let cotangents = Cotangents {
+                image: &clear.d_image,
+                depth: Some(&clear.d_depth),
+                accumulation: Some(&clear.d_accumulation),
+                clear: cotangents.clear,
+            };
+            let grads = Gradients { gaussians: grads.gaussians, medium: None };
+            self.backward(prepared, of, None, options, &cotangents, grads);
+            self.clear = clear;
+            return;
+        }
         let ViewOf { gaussians, camera } = of;
         assert_eq!(gaussians.len(), prepared.gaussians, "the view was prepared from other Gaussians");
         if !self.saved.is_of(prepared) {
@@ -158,6 +188,16 @@ impl Rasterizer {
         run(self, read, s_gradient, grads.medium);
         let drawn = Drawn { splats: &prepared.splats, ranks: &prepared.ranks, source: prepared.color_source };
         backward(&drawn, &self.sums, gaussians, camera, grads.gaussians);
+    }
+
+    /// The view composed without water: as the last forward pass left it, or composed again.
+    fn clear_of(&mut self, prepared: &Prepared) -> Clear {
+        let mut clear = std::mem::take(&mut self.clear);
+        if !clear.is_of(prepared) {
+            self.forward(prepared, None, &Options::default(), &mut clear.composed);
+            clear.mark(prepared);
+        }
+        clear
     }
 
     fn backward_tiles<const WATER: bool, const EXTRAS: bool>(
@@ -206,9 +246,20 @@ impl Rasterizer {
         check_medium(prepared, medium);
         check_size(prepared, "the image's cotangent", image_cotangent.width(), image_cotangent.height());
         assert_eq!(color_grads.len(), prepared.gaussians, "one colour gradient per Gaussian");
-        match medium.is_some() {
-            false => self.color_tiles::<false>(prepared, medium, image_cotangent, medium_grads),
-            true => self.color_tiles::<true>(prepared, medium, image_cotangent, medium_grads),
+        match (medium, over_the_image(medium)) {
+            (None, _) => self.color_tiles::<false>(prepared, medium, image_cotangent, Some(medium_grads)),
+            (Some(_), None) => {
+                self.color_tiles::<true>(prepared, medium, image_cotangent, Some(medium_grads));
+            }
+            (_, Some(water)) => {
+                let mut clear = self.clear_of(prepared);
+                let cotangents =
+                    Cotangents { image: image_cotangent, depth: None, accumulation: None, clear: None };
+                let wanted = (&cotangents, &Options::default());
+                clear.differentiate(self.kernels, prepared, water, wanted, Some(medium_grads));
+                self.color_tiles::<false>(prepared, None, &clear.d_image, None);
+                self.clear = clear;
+            }
         }
         scatter(prepared, &self.sums, color_grads, |sum| SplatGradient::of(sum).color);
     }
@@ -218,12 +269,12 @@ impl Rasterizer {
         prepared: &Prepared,
         medium: Option<&MediumMaps>,
         image: &Image,
-        medium_grads: &mut MediumMaps,
+        medium_grads: Option<&mut MediumMaps>,
     ) {
         let kernels = self.kernels;
         let cotangents = Cotangents { image, depth: None, accumulation: None, clear: None };
         let read = BackwardRead { prepared, medium, cotangents: &cotangents, saved: None };
-        let planes = MediumPlanes::of(Some(medium_grads), prepared);
+        let planes = MediumPlanes::of(medium_grads, prepared);
         in_groups(
             prepared,
             &mut self.records,
@@ -313,6 +364,11 @@ fn check_size(prepared: &Prepared, what: &str, width: usize, height: usize) {
         (prepared.width, prepared.height),
         "{what} must have the size of the lattice"
     );
+}
+
+/// The water, if it is laid over the composed image.
+fn over_the_image(medium: Option<&MediumMaps>) -> Option<&MediumMaps> {
+    medium.filter(|water| water.formation == Formation::PerImage)
 }
 
 fn check_medium(prepared: &Prepared, medium: Option<&MediumMaps>) {

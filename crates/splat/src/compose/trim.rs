@@ -88,7 +88,7 @@ fn trimmed(prepared: &Prepared, stop: &[i32], row: usize) -> TileRow {
 
 #[cfg(test)]
 mod tests {
-    use use3d_capture::{Camera, Image, Intrinsics, Lattice, MediumMaps, Pose};
+    use use3d_capture::{Camera, Formation, Image, Intrinsics, Lattice, MediumMaps, Pose};
     use use3d_numerics::math;
 
     use super::*;
@@ -111,7 +111,8 @@ mod tests {
                 let data = (0..3 * w * h).map(|i| 0.3 + 0.2 * math::sin((i + k) as f32)).collect();
                 Image::from_planes(w, h, data).unwrap()
             };
-            let water = MediumMaps { color: wave(1), backscatter: wave(2), attenuation: wave(3) };
+            let (color, backscatter, attenuation) = (wave(1), wave(2), wave(3));
+            let water = MediumMaps { color, backscatter, attenuation, formation: Formation::default() };
             for mut rasterizer in [Rasterizer::plain(), Rasterizer::new()] {
                 let mut trimmed = view.clone();
                 rasterizer.trim(&mut trimmed);

@@ -88,6 +88,8 @@ impl TileRow {
 pub struct Prepared {
     /// Unique to one `prepare`; equal stamps mean equal geometry.
     pub(crate) stamp: u64,
+    /// The same for its colours.
+    pub(crate) colors: u64,
     pub(crate) width: usize,
     pub(crate) height: usize,
     /// Number of Gaussians it was prepared from.
@@ -121,6 +123,7 @@ impl Prepared {
     pub fn new() -> Self {
         Self {
             stamp: 0,
+            colors: 0,
             width: 0,
             height: 0,
             gaussians: 0,
@@ -186,6 +189,7 @@ impl Prepared {
     /// ([`Gaussians::validate`]); a shorter array of given colours panics.
     pub fn prepare(&mut self, gaussians: &Gaussians, camera: &Camera, lattice: &Lattice, colors: Colors<'_>) {
         self.stamp = STAMP.fetch_add(1, Ordering::Relaxed);
+        self.colors = self.stamp;
         self.width = lattice.width();
         self.height = lattice.height();
         self.gaussians = gaussians.len();
@@ -213,6 +217,7 @@ impl Prepared {
     /// Replaces the colours of this view (per Gaussian, in the order of the [`Gaussians`]); geometry stays.
     pub fn set_colors(&mut self, colors: &[[f32; 3]]) {
         assert_eq!(colors.len(), self.gaussians, "one colour per Gaussian");
+        self.colors = STAMP.fetch_add(1, Ordering::Relaxed);
         self.color_source = ColorSource::Given;
         self.splats.par_chunks_mut(CHUNK).for_each(|splats| {
             for splat in splats {

@@ -1,6 +1,6 @@
 //! Finite differences against every gradient, on fresh random scenes.
 
-use use3d_capture::MediumMaps;
+use use3d_capture::{Formation, MediumMaps};
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{
     Cotangents, GaussianGradients, Gaussians, Gradients, Options, Rasterizer, Rendered, ViewOf, view_colors,
@@ -162,6 +162,20 @@ fn finite_differences_agree_under_water() {
             camera: random_camera(70, 45),
             gaussians: random_gaussians(10, 0.9, seed),
             medium: Some(random_medium(70, 45, seed % 2 == 0, seed)),
+        };
+        check(&mut scene, Options::default(), 100 * seed);
+    }
+}
+
+#[test]
+fn finite_differences_agree_with_water_over_the_image() {
+    for seed in 0..3 {
+        let mut medium = random_medium(70, 45, seed % 2 == 0, seed);
+        medium.formation = Formation::PerImage;
+        let mut scene = Scene {
+            camera: random_camera(70, 45),
+            gaussians: random_gaussians(10, 0.9, seed),
+            medium: Some(medium),
         };
         check(&mut scene, Options::default(), 100 * seed);
     }

@@ -4,6 +4,7 @@ mod bits;
 mod differences;
 mod golden;
 mod hostile;
+mod per_image;
 mod ply;
 mod properties;
 mod scene_mini;

@@ -191,6 +191,7 @@ fn a_sparse_lattice_renders_the_pixels_of_the_whole_image() {
         color: pick(&medium.color),
         backscatter: pick(&medium.backscatter),
         attenuation: pick(&medium.attenuation),
+        formation: medium.formation,
     };
     let mut view = Prepared::new();
     let sparse = Lattice::subset(&columns, &rows).unwrap();

@@ -1,7 +1,7 @@
 //! The golden scene: whole images by the oracle, for the views whose medium maps are stored.
 
 use glam::{DMat3, DVec3};
-use use3d_capture::{Camera, Image, Intrinsics, MediumMaps, Pose};
+use use3d_capture::{Camera, Formation, Image, Intrinsics, MediumMaps, Pose};
 use use3d_golden::{Part, root};
 use use3d_numerics::math;
 use use3d_splat::{Colors, Gaussians, Options, Prepared, Rendered};
@@ -64,6 +64,7 @@ fn golden_scene_mini_images_and_layers() {
             color: image("c_m"),
             backscatter: image("beta_bs"),
             attenuation: image("beta_attn"),
+            formation: Formation::default(),
         };
         let mut prepared = Prepared::new();
         prepared.prepare(&gaussians, &camera, &lattice(&camera), Colors::Sh { degree: 3 });

@@ -1,7 +1,7 @@
 //! What several tests need: engines, scenes, cases.
 
 use glam::DVec3;
-use use3d_capture::{Camera, Image, Intrinsics, Lattice, Map, MediumMaps, Pose};
+use use3d_capture::{Camera, Formation, Image, Intrinsics, Lattice, Map, MediumMaps, Pose};
 use use3d_golden::{Case, CaseGaussians};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
@@ -56,6 +56,7 @@ pub(crate) fn medium_of(case: &Case<'_>) -> MediumMaps {
         color: image_of(case, "in.c_m"),
         backscatter: image_of(case, "in.beta_bs"),
         attenuation: image_of(case, "in.beta_attn"),
+        formation: Formation::default(),
     }
 }
 

@@ -6,7 +6,7 @@ const QUERY_LIMIT = 1.5, WIDTH_FLOOR = 1e-4, TABLE_ROWS = 16, LOG_RATIO_BOUND = 
 // 144 coefficients [c_m, backscatter, attenuation][band][RGB]: those of the K anchors of highest affinity -|o - p|^2 / (2 sigma^2), mixed by
 // their softmax. Cameras are clamped to the cube in which anchors lie.
 function aggregated(medium, eye) {
-  if (medium.kind === 'global') return medium.coefficients;
+  if (!medium.centers) return medium.coefficients;
   const o = eye.map(v => clamp(v, -QUERY_LIMIT, QUERY_LIMIT));
   const scored = medium.centers.map((centre, k) => {
     const sigma = Math.max(Math.exp(medium.logWidths[k]), WIDTH_FLOOR), d = subtract(o, centre);

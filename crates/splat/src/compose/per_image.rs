@@ -1,0 +1,264 @@
+//! Water laid over a composed image: how SeaSplat and 3D-UIR form a photograph.
+//!
+//! The Gaussians are composed without water; then a pixel is one surface with their opacity `A = Σ w`, their light `J = Σ w c`, and
+//! their expected distance `s = |d| Σ w z / Σ w`:
+//!
+//! ```text
+//! I = J a + c_m (1 − A b)        a = e^{−β_a s}    b = e^{−β_b s}
+//! ```
+//!
+//! Compositing per Gaussian takes every Gaussian at its own distance instead; the two agree where all of a pixel's Gaussians are equally
+//! far, and with `A = 1` this is the formula of those papers. Rays that nothing ends see open water, `c_m`.
+//!
+//! With `g = ∂I` the derivatives are `∂J = g a`, `∂A = −Σ g c_m b`, `∂s = Σ g (c_m A β_b b − J β_a a)` (sums over channels),
+//! `∂c_m = g (1 − A b)`, `∂β_b = g c_m A s b` and `∂β_a = −g J s a`: those of clear image, depth and accumulation go on to the compositor.
+
+use std::ops::Range;
+
+use fearless_simd::dispatch;
+use use3d_capture::{Image, Map, MediumMaps};
+use use3d_numerics::lanes::exp;
+
+use super::pixels::{MediumPlanes, each, get, put, ray_lengths};
+use super::rasterizer::Kernels;
+use super::strips::{Planes, for_each};
+use super::tile::Lanes;
+use crate::lists::{Prepared, TILE};
+use crate::view::{Cotangents, Options, Rendered};
+
+/// A view as it was composed without water, and the derivatives with respect to that.
+#[derive(Clone, Debug)]
+pub(crate) struct Clear {
+    geometry: u64,
+    colors: u64,
+    pub(super) composed: Rendered,
+    pub(super) d_image: Image,
+    pub(super) d_depth: Map,
+    pub(super) d_accumulation: Map,
+}
+
+impl Default for Clear {
+    fn default() -> Self {
+        Self {
+            geometry: 0,
+            colors: 0,
+            composed: Rendered::new(),
+            d_image: Image::new(0, 0),
+            d_depth: Map::new(0, 0),
+            d_accumulation: Map::new(0, 0),
+        }
+    }
+}
+
+/// The strips that forming an image writes: the image, and the layers object, medium and far.
+type Formed<'a> = (Planes<'a, f32, 3>, Planes<'a, f32, 3>, Planes<'a, f32, 3>, Planes<'a, f32, 3>);
+/// The strips that its derivative writes: of clear image, depth, accumulation and water.
+type Derived<'a> = (Planes<'a, f32, 3>, Planes<'a, f32, 1>, Planes<'a, f32, 1>, MediumPlanes<'a>);
+
+/// One row of a tile: sixteen pixels of what the formula reads that is no colour.
+struct Surface {
+    accumulation: Lanes,
+    ray: Lanes,
+    distance: Lanes,
+}
+
+/// The same for one channel.
+struct Channel {
+    light: Lanes,
+    color: Lanes,
+    attenuation: Lanes,
+    backscatter: Lanes,
+    /// `e^{−β_a s}` and `e^{−β_b s}`.
+    object: Lanes,
+    veil: Lanes,
+}
+
+/// What both directions read.
+#[derive(Clone, Copy)]
+struct Read<'a> {
+    prepared: &'a Prepared,
+    water: &'a MediumMaps,
+    composed: &'a Rendered,
+}
+
+impl Read<'_> {
+    /// The rows and columns of the pixels in a row of tiles, tile by tile: row in the view, row in the strip, tile, its columns.
+    #[inline(always)]
+    fn for_each(&self, row: usize, mut work: impl FnMut(usize, usize, usize, Range<usize>)) {
+        for r in 0..self.prepared.rows.filled(row) {
+            for column in 0..self.prepared.columns.tiles() {
+                let x = column * TILE;
+                work(row * TILE + r, r, column, x..x + self.prepared.columns.filled(column));
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn surface(&self, y: usize, column: usize, n: usize) -> Surface {
+        let x = column * TILE;
+        let ray = ray_lengths(self.prepared, y, column);
+        let depth = get(self.composed.depth.row(0, y), x, n);
+        Surface {
+            accumulation: get(self.composed.accumulation.row(0, y), x, n),
+            distance: each(|l| depth[l] * ray[l]),
+            ray,
+        }
+    }
+
+    #[inline(always)]
+    fn channel(&self, c: usize, y: usize, column: usize, n: usize, surface: &Surface) -> Channel {
+        let pixels = |image: &Image| get(image.row(c, y), column * TILE, n);
+        let (attenuation, backscatter) = (pixels(&self.water.attenuation), pixels(&self.water.backscatter));
+        let s = &surface.distance;
+        Channel {
+            light: pixels(&self.composed.image),
+            color: pixels(&self.water.color),
+            object: each(|l| exp(-(attenuation[l] * s[l]))),
+            veil: each(|l| exp(-(backscatter[l] * s[l]))),
+            attenuation,
+            backscatter,
+        }
+    }
+}
+
+impl Clear {
+    /// Whether it is this view in these colours.
+    pub(super) fn is_of(&self, prepared: &Prepared) -> bool {
+        (self.geometry, self.colors) == (prepared.stamp, prepared.colors)
+    }
+
+    /// Says that `composed` is this view now.
+    pub(super) fn mark(&mut self, prepared: &Prepared) {
+        (self.geometry, self.colors) = (prepared.stamp, prepared.colors);
+    }
+
+    /// Bytes held.
+    pub(super) fn memory(&self) -> usize {
+        4 * 10 * self.composed.image.pixels()
+    }
+
+    /// Keeps what was composed without water, and makes `out` the image in water.
+    pub(super) fn form(
+        &mut self,
+        kernels: Kernels,
+        prepared: &Prepared,
+        water: &MediumMaps,
+        out: &mut Rendered,
+    ) {
+        self.composed.image.clone_from(&out.image);
+        self.composed.depth.clone_from(&out.depth);
+        self.composed.accumulation.clone_from(&out.accumulation);
+        self.mark(prepared);
+        let w = prepared.width;
+        let read = Read { prepared, water, composed: &self.composed };
+        let strips: Formed<'_> = match &mut out.layers {
+            Some(layers) => {
+                let [object, medium, far] =
+                    [&mut layers.object, &mut layers.medium, &mut layers.far].map(planes);
+                (planes(&mut out.image), object, medium, far)
+            }
+            None => (planes(&mut out.image), Planes::absent(w), Planes::absent(w), Planes::absent(w)),
+        };
+        for_each(0..prepared.rows.tiles(), strips, &|row, strips: Formed<'_>| match kernels {
+            Kernels::Plain => form_row(read, row, strips),
+            Kernels::Lanes(level) => dispatch!(level, _simd => form_row(read, row, strips)),
+        });
+    }
+
+    /// The derivatives with respect to clear image, depth and accumulation, which the compositor goes on from, and to the water's maps.
+    pub(super) fn differentiate(
+        &mut self,
+        kernels: Kernels,
+        prepared: &Prepared,
+        water: &MediumMaps,
+        wanted: (&Cotangents<'_>, &Options),
+        grads: Option<&mut MediumMaps>,
+    ) {
+        let (w, h) = (prepared.width, prepared.height);
+        self.d_image.resize(w, h);
+        self.d_depth.resize(w, h);
+        self.d_accumulation.resize(w, h);
+        let read = Read { prepared, water, composed: &self.composed };
+        let strips: Derived<'_> = (
+            Planes::of(self.d_image.data_mut(), w, h),
+            Planes::of(self.d_depth.data_mut(), w, h),
+            Planes::of(self.d_accumulation.data_mut(), w, h),
+            MediumPlanes::of(grads, prepared),
+        );
+        for_each(0..prepared.rows.tiles(), strips, &|row, strips: Derived<'_>| match kernels {
+            Kernels::Plain => differentiate_row(read, row, wanted, strips),
+            Kernels::Lanes(level) => dispatch!(level, _simd => differentiate_row(read, row, wanted, strips)),
+        });
+    }
+}
+
+fn planes(image: &mut Image) -> Planes<'_, f32, 3> {
+    let (w, h) = (image.width(), image.height());
+    Planes::of(image.data_mut(), w, h)
+}
+
+/// Forms a row of tiles. Always inlined, so that the instruction set reaches it.
+#[inline(always)]
+fn form_row(read: Read<'_>, row: usize, (mut image, mut object, mut medium, mut far): Formed<'_>) {
+    read.for_each(row, |y, r, column, columns| {
+        let surface = read.surface(y, column, columns.len());
+        let weight = &surface.accumulation;
+        for c in 0..3 {
+            let Channel { light, color, object: a, veil: b, .. } =
+                read.channel(c, y, column, columns.len(), &surface);
+            let shown = each(|l| light[l] * a[l]);
+            let hidden = each(|l| weight[l] * b[l]);
+            put(image.row(c, r, columns.clone()), &each(|l| color[l].mul_add(1.0 - hidden[l], shown[l])));
+            if object.present() {
+                let behind = each(|l| (1.0 - weight[l]) * color[l] * b[l]);
+                put(object.row(c, r, columns.clone()), &shown);
+                put(
+                    medium.row(c, r, columns.clone()),
+                    &each(|l| color[l].mul_add(1.0 - hidden[l], -behind[l])),
+                );
+                put(far.row(c, r, columns.clone()), &behind);
+            }
+        }
+    });
+}
+
+/// Differentiates a row of tiles.
+#[inline(always)]
+fn differentiate_row(
+    read: Read<'_>,
+    row: usize,
+    (cotangents, options): (&Cotangents<'_>, &Options),
+    (mut d_image, mut d_depth, mut d_accumulation, mut d_water): Derived<'_>,
+) {
+    read.for_each(row, |y, r, column, columns| {
+        let (x, n) = (columns.start, columns.len());
+        let own = |map: Option<&Map>| map.map_or([0.0; TILE], |map| get(map.row(0, y), x, n));
+        let surface = read.surface(y, column, n);
+        let Surface { accumulation: weight, ray, distance: s } = &surface;
+        let (mut d_weight, mut d_distance) = (own(cotangents.accumulation), [0.0; TILE]);
+        for c in 0..3 {
+            let channel = read.channel(c, y, column, n, &surface);
+            let Channel { light, color, attenuation, backscatter, object: a, veil: b } = &channel;
+            let g = get(cotangents.image.row(c, y), x, n);
+            let shown = each(|l| g[l] * a[l]);
+            let lit = each(|l| shown[l] * light[l]);
+            let veiled = each(|l| g[l] * color[l] * b[l]);
+            d_weight = each(|l| d_weight[l] - veiled[l]);
+            d_distance =
+                each(|l| d_distance[l] + (weight[l] * backscatter[l] * veiled[l] - attenuation[l] * lit[l]));
+            put(d_image.row(c, r, columns.clone()), &shown);
+            if d_water.present() {
+                let [d_color, d_backscatter, d_attenuation] = &mut d_water.maps;
+                put(d_color.row(c, r, columns.clone()), &each(|l| g[l] * (1.0 - weight[l] * b[l])));
+                put(d_backscatter.row(c, r, columns.clone()), &each(|l| weight[l] * s[l] * veiled[l]));
+                put(d_attenuation.row(c, r, columns.clone()), &each(|l| -(s[l] * lit[l])));
+            }
+        }
+        let mut depth = own(cotangents.depth);
+        if options.depth_gradient {
+            depth = each(|l| depth[l] + ray[l] * d_distance[l]);
+        }
+        put(d_depth.row(0, r, columns.clone()), &depth);
+        put(d_accumulation.row(0, r, columns), &d_weight);
+    });
+}
