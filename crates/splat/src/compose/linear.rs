@@ -4,10 +4,11 @@
 
 use fearless_simd::dispatch;
 
-use super::pixels::{input, row_splats};
+use super::groups::in_groups;
+use super::inputs::{input, row_splats};
 use super::rasterizer::{Kernels, Rasterizer};
 use super::strips::{Strips, for_each};
-use super::sums::{in_groups, scatter};
+use super::sums::scatter;
 use super::tile::{CHANNELS, ForwardTile, Lanes, Sink};
 use super::{lanes, plain};
 use crate::lists::{Prepared, TILE};

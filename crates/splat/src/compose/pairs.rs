@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::pixels::{input, row_splats};
+use super::inputs::{input, row_splats};
 use super::tile::{ForwardTile, NEVER};
 use crate::lists::{Prepared, TILE};
 use crate::project::{LOG2_255, Splat};

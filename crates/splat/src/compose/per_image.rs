@@ -19,7 +19,8 @@ use fearless_simd::dispatch;
 use use3d_capture::{Image, Map, MediumMaps};
 use use3d_numerics::lanes::exp;
 
-use super::pixels::{MediumPlanes, each, get, put, ray_lengths};
+use super::outputs::MediumPlanes;
+use super::pixels::{each, get, put, ray_lengths};
 use super::rasterizer::Kernels;
 use super::strips::{Planes, for_each};
 use super::tile::Lanes;

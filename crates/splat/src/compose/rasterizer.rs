@@ -2,21 +2,20 @@
 //!
 //! A tile row is one task; it writes its own strip of every image. Gradients of Gaussians leave a tile as one record per
 //! (tile, Gaussian) entry, in a buffer cut by tile rows; the records of a Gaussian are then added in the order of tiles. The
-//! buffer is bounded (see `gather`).
+//! buffer is bounded (see `groups`).
 
 use fearless_simd::{Level, dispatch};
 use use3d_capture::{Formation, Image, MediumMaps};
 
+use super::groups::in_groups;
+use super::inputs::BackwardRead;
+use super::outputs::{ImagePlanes, LayerPlanes, MediumPlanes, Saved};
 use super::per_image::Clear;
-use super::pixels::{
-    BackwardRead, Composed, ImagePlanes, LayerPlanes, MediumPlanes, Saved, SavedPlanes, input,
-    load_cotangents, load_water, row_splats, store_images, store_layers, store_medium_gradient,
-};
+use super::rows::{ForwardStrips, backward_row, forward_row};
 use super::strips::for_each;
-use super::sums::{in_groups, scatter};
-use super::tile::{BackwardTile, ForwardTile, Input, Sink, TileWater};
+use super::sums::scatter;
 use super::{lanes, plain};
-use crate::lists::{Prepared, TILE};
+use crate::lists::Prepared;
 use crate::project::{Drawn, Record, SplatGradient, backward};
 use crate::view::{Cotangents, Gradients, Options, Rendered, ViewOf};
 
@@ -296,65 +295,6 @@ impl Rasterizer {
                 )),
             },
         );
-    }
-}
-
-/// The strips that the forward pass writes.
-type ForwardStrips<'a> = (SavedPlanes<'a>, ImagePlanes<'a>, LayerPlanes<'a>);
-
-/// Composes a tile row with `compose`. Always inlined, so that the loops around the kernel use its instruction set too.
-#[inline(always)]
-fn forward_row<const WATER: bool>(
-    prepared: &Prepared,
-    medium: Option<&MediumMaps>,
-    row: usize,
-    (mut saved, mut images, mut layers): ForwardStrips<'_>,
-    compose: impl Fn(&Input<'_>, &TileWater, &mut ForwardTile),
-) {
-    let mut water = TileWater::default();
-    let splats = row_splats(prepared, row);
-    for column in 0..prepared.columns.tiles() {
-        let input = input(prepared, &splats, row, column);
-        if WATER && let Some(medium) = medium {
-            load_water(prepared, medium, row, column, &mut water);
-        }
-        let mut tile = ForwardTile::new(input.filled_rows, input.filled_columns);
-        compose(&input, &water, &mut tile);
-        let columns = column * TILE..column * TILE + input.filled_columns;
-        saved.store(&input, &tile, columns.clone());
-        if images.present() {
-            store_images::<WATER>(medium, row, columns, &input, &tile, &mut images);
-        }
-        if layers.present() {
-            let composed = Composed { input: &input, water: &water, tile: &tile };
-            store_layers::<WATER>(prepared, medium, row, column, &composed, &mut layers);
-        }
-    }
-}
-
-/// Differentiates a tile row with `compose`, which hands its records to the closure it is given.
-#[inline(always)]
-fn backward_row<const WATER: bool>(
-    read: &BackwardRead<'_>,
-    row: usize,
-    records: &mut [Record],
-    mut grads: MediumPlanes<'_>,
-    compose: impl Fn(&Input<'_>, &TileWater, &mut BackwardTile, &mut Sink<'_>),
-) {
-    let mut water = TileWater::default();
-    let mut tile = BackwardTile::ZERO;
-    let BackwardRead { prepared, medium, .. } = *read;
-    let splats = row_splats(prepared, row);
-    for column in 0..prepared.columns.tiles() {
-        let input = input(prepared, &splats, row, column);
-        if WATER && let Some(medium) = medium {
-            load_water(prepared, medium, row, column, &mut water);
-        }
-        load_cotangents(read, row, column, &mut tile);
-        compose(&input, &water, &mut tile, &mut Sink { records, column: column as u32 });
-        if grads.present() {
-            store_medium_gradient::<WATER>(prepared, &input, row, column, &tile, &mut grads);
-        }
     }
 }
 

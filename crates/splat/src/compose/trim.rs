@@ -7,7 +7,7 @@
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use super::pixels::{input, row_splats};
+use super::inputs::{input, row_splats};
 use crate::Rasterizer;
 use crate::lists::{Prepared, Span, TILE, TileRow};
 use crate::project::LOG2_255;

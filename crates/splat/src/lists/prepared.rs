@@ -17,70 +17,13 @@ use rayon::prelude::*;
 use use3d_capture::{Camera, Lattice};
 
 use super::axis::Axis;
+use super::bins::{Span, TileRow, list};
 use super::sort;
-use crate::project::{ColorSource, HIDDEN, LOG2_255, Projecting, Splat};
+use crate::project::{ColorSource, HIDDEN, Projecting, Splat};
 use crate::{Colors, Gaussians};
 
-/// Tile rows per band of the first binning level.
-const BAND: usize = 8;
 /// Gaussians per parallel task.
 const CHUNK: usize = 1024;
-/// The tiles of one tile row that one Gaussian meets.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Span {
-    /// Position of the Gaussian in depth order.
-    pub(crate) rank: u32,
-    /// First tile and number of tiles.
-    pub(crate) first: u32,
-    pub(crate) count: u32,
-    /// Where its entries start among the row's gradient records.
-    pub(crate) start: u32,
-}
-
-/// One row of tiles.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct TileRow {
-    /// In depth order.
-    pub(crate) spans: Vec<Span>,
-    /// Lists of span positions, tile after tile.
-    pub(crate) entries: Vec<u32>,
-    /// Where each tile's list starts; one more than tiles.
-    pub(crate) offsets: Vec<u32>,
-}
-
-impl TileRow {
-    /// Span positions of tile `column`, in depth order.
-    pub(crate) fn list(&self, column: usize) -> &[u32] {
-        &self.entries[self.offsets[column] as usize..self.offsets[column + 1] as usize]
-    }
-
-    /// Makes the lists of `tiles` tiles from the spans.
-    pub(crate) fn list_spans(&mut self, tiles: usize) {
-        self.offsets.clear();
-        self.offsets.resize(tiles + 1, 0);
-        for span in &self.spans {
-            for t in span.first..span.first + span.count {
-                self.offsets[t as usize + 1] += 1;
-            }
-        }
-        for t in 0..tiles {
-            self.offsets[t + 1] += self.offsets[t];
-        }
-        // Fill with the offsets as cursors, then shift them back.
-        self.entries.resize(self.offsets[tiles] as usize, 0);
-        for (i, span) in self.spans.iter().enumerate() {
-            for t in span.first..span.first + span.count {
-                let cursor = &mut self.offsets[t as usize];
-                self.entries[*cursor as usize] = i as u32;
-                *cursor += 1;
-            }
-        }
-        for t in (1..=tiles).rev() {
-            self.offsets[t] = self.offsets[t - 1];
-        }
-        self.offsets[0] = 0;
-    }
-}
 
 /// Projected Gaussians with their tile lists for one camera and lattice. Reusable while the geometry is frozen; the buffers
 /// are kept from one [`Prepared::prepare`] to the next.
@@ -211,7 +154,7 @@ impl Prepared {
         }
         self.project(gaussians, camera, colors);
         self.sort();
-        self.bin();
+        list(&self.splats, [&self.columns, &self.rows], &mut self.bands, &mut self.tile_rows);
     }
 
     /// Replaces the colours of this view (per Gaussian, in the order of the [`Gaussians`]); geometry stays.
@@ -252,27 +195,6 @@ impl Prepared {
         }
     }
 
-    fn bin(&mut self) {
-        let tile_rows = self.rows.tiles();
-        let (splats, rows, columns) = (&self.splats, &self.rows, &self.columns);
-        self.bands.resize_with(tile_rows.div_ceil(BAND), Vec::new);
-        self.bands.par_iter_mut().enumerate().for_each(|(band, ranks)| {
-            let first = rows.tile(band * BAND).0;
-            let last = rows.tile(((band + 1) * BAND).min(tile_rows) - 1).1;
-            ranks.clear();
-            ranks.extend((0..splats.len() as u32).filter(|&rank| {
-                let s = &splats[rank as usize];
-                s.y + s.reach_y >= first && s.y - s.reach_y <= last
-            }));
-        });
-        let (bands, level) = (&self.bands, Level::new());
-        self.tile_rows.resize_with(tile_rows, TileRow::default);
-        self.tile_rows.par_iter_mut().enumerate().with_max_len(1).for_each(|(row, out)| {
-            let ranks = &bands[row / BAND];
-            dispatch!(level, _simd => fill_tile_row(out, row, ranks, splats, rows, columns));
-        });
-    }
-
     /// Other lists of the same Gaussians. Lets go of Gaussians without entries, and of the buffers that only another `prepare` needs.
     pub(crate) fn replace_lists(&mut self, tile_rows: Vec<TileRow>) {
         self.tile_rows = tile_rows;
@@ -311,84 +233,11 @@ impl Prepared {
     }
 }
 
-/// The x range of the contour between two heights (relative to the centre), as offsets from the centre.
-#[inline(always)]
-fn contour_range(s: &Splat, low: f32, high: f32) -> Option<[f32; 2]> {
-    let (low, high) = (low.max(-s.reach_y), high.min(s.reach_y));
-    if low > high {
-        return None;
-    }
-    let level = s.log2_opacity + LOG2_255;
-    // x(dy) = −shear dy ± √((level − steepness_y dy²)/steepness) peaks where the ellipse has a vertical tangent.
-    let (a, d) = (s.steepness, s.steepness_y);
-    let tangent = s.shear * (level * a / (d * (d + a * s.shear * s.shear))).sqrt();
-    let half_width = |dy: f32| ((level - d * dy * dy).max(0.0) / a).sqrt();
-    let clamp = |dy: f32| if dy.is_nan() { low } else { dy.max(low).min(high) };
-    let (right, left) = (clamp(-tangent), clamp(tangent));
-    let margin = |x: f32| 1e-3 + 1e-5 * x.abs();
-    let (x0, x1) = (-s.shear * left - half_width(left), -s.shear * right + half_width(right));
-    Some([x0 - margin(x0), x1 + margin(x1)])
-}
-
-#[inline(always)]
-fn fill_tile_row(
-    out: &mut TileRow,
-    row: usize,
-    ranks: &[u32],
-    splats: &[Splat],
-    rows: &Axis,
-    columns: &Axis,
-) {
-    let (first, last) = rows.tile(row);
-    let tiles = columns.tiles();
-    out.spans.clear();
-    let mut start = 0u32;
-    for &rank in ranks {
-        let s = &splats[rank as usize];
-        let Some([x0, x1]) = contour_range(s, first - s.y, last - s.y) else { continue };
-        let (t0, t1) = columns.tiles_meeting(s.x + x0, s.x + x1);
-        if t0 >= t1 {
-            continue;
-        }
-        out.spans.push(Span { rank, first: t0 as u32, count: (t1 - t0) as u32, start });
-        start += (t1 - t0) as u32;
-    }
-    out.list_spans(tiles);
-}
-
 #[cfg(test)]
 pub(crate) mod tests {
     use use3d_numerics::math;
 
     use super::*;
-
-    /// The tangent formula against a dense walk around the contour.
-    #[test]
-    fn the_contour_range_is_exact() {
-        let s = Splat {
-            shear: -0.8,
-            steepness: 0.02,
-            steepness_y: 0.01,
-            log2_opacity: -1.0,
-            reach_y: ((LOG2_255 - 1.0) / 0.01f32).sqrt(),
-            ..Splat::default()
-        };
-        for (low, high) in [(-100.0, 100.0), (3.0, 18.0), (-30.0, -15.0), (20.0, 40.0)] {
-            let [x0, x1] = contour_range(&s, low, high).unwrap();
-            let (mut w0, mut w1) = (f32::INFINITY, f32::NEG_INFINITY);
-            for i in 0..=100_000 {
-                let dy = low + (high - low) * i as f32 / 1e5;
-                let rest = (LOG2_255 - 1.0 - 0.01 * dy * dy) / 0.02;
-                if rest >= 0.0 {
-                    w0 = w0.min(0.8 * dy - rest.sqrt());
-                    w1 = w1.max(0.8 * dy + rest.sqrt());
-                }
-            }
-            assert!((x0 - w0).abs() < 5e-3 && (x1 - w1).abs() < 5e-3, "{x0} {w0} {x1} {w1}");
-            assert!(x0 <= w0 && x1 >= w1);
-        }
-        assert!(contour_range(&s, 30.0, 40.0).is_none());
-    }
 
     /// Random Gaussians in front of a camera at the origin, around a log-scale and an opacity logit.
     pub(crate) fn cloud(n: u64, log_scale: f32, logit: f32) -> Gaussians {

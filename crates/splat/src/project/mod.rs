@@ -1,11 +1,11 @@
 //! The first room: what a Gaussian looks like to a camera, and its derivative. Knows no tiles.
 
 mod color;
+mod passes;
 mod projection;
 mod splat;
 
 pub use color::view_colors;
+pub(crate) use passes::{ColorSource, Drawn, HIDDEN, Projecting, backward};
 pub use projection::{BLUR, FAR, NEAR};
-pub(crate) use splat::{
-    ColorSource, Drawn, HIDDEN, LOG2_255, Projecting, Record, Splat, SplatGradient, backward,
-};
+pub(crate) use splat::{LOG2_255, Record, Splat, SplatGradient};

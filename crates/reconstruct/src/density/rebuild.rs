@@ -1,0 +1,79 @@
+//! What the rows of a refined scene are.
+
+use use3d_numerics::math;
+use use3d_numerics::random::{Purpose, Stream};
+use use3d_splat::Gaussians;
+
+/// What children are drawn for.
+const SPLIT: Purpose = Purpose::new("split Gaussians");
+
+/// Where a row of the refined scene comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Origin {
+    /// The Gaussian itself, with its moments.
+    Kept(usize),
+    /// A twin.
+    Twin(usize),
+    /// A child of a split: 0 or 1.
+    Child(usize, usize),
+}
+
+impl Origin {
+    /// The Gaussian that it is, or is made from.
+    pub fn source(self) -> usize {
+        match self {
+            Self::Kept(i) | Self::Twin(i) | Self::Child(i, _) => i,
+        }
+    }
+}
+
+/// What the children of a refinement are drawn with: the same draws wherever they are made.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Draws {
+    /// Seed of the run.
+    pub seed: u64,
+    /// The step, from 0.
+    pub step: u64,
+    /// Factor by which a split's children are smaller.
+    pub shrink: f64,
+}
+
+impl Draws {
+    /// Where a child lies in its parent, in standard deviations along the parent's axes.
+    pub fn place(&self, parent: usize, child: usize) -> [f64; 3] {
+        let stream = Stream::new(self.seed, SPLIT, self.step);
+        std::array::from_fn(|axis| stream.normal((6 * parent + 3 * child + axis) as u64))
+    }
+
+    /// By how much a child's log scales are less than its parent's.
+    pub fn smaller(&self) -> f32 {
+        math::ln(self.shrink) as f32
+    }
+}
+
+/// The Gaussians of these rows: what is kept and twins as they are, children drawn from their parents and smaller.
+pub fn rebuilt(gaussians: &Gaussians, rows: &[Origin], draws: &Draws) -> Gaussians {
+    let sources: Vec<usize> = rows.iter().map(|row| row.source()).collect();
+    let mut refined = gaussians.select(&sources);
+    let smaller = draws.smaller();
+    for (row, origin) in rows.iter().enumerate() {
+        let Origin::Child(parent, child) = *origin else { continue };
+        let place = draws.place(parent, child);
+        let local: [f64; 3] = std::array::from_fn(|axis| {
+            math::exp(f64::from(gaussians.log_scales[parent][axis])) * place[axis]
+        });
+        let offset = rotate(gaussians.quaternions[parent], local);
+        for axis in 0..3 {
+            refined.means[row][axis] += offset[axis] as f32;
+            refined.log_scales[row][axis] -= smaller;
+        }
+    }
+    refined
+}
+
+/// `R(q) x` for a quaternion of any length.
+fn rotate(q: [f32; 4], x: [f64; 3]) -> [f64; 3] {
+    let q = glam::DQuat::from_xyzw(q[1].into(), q[2].into(), q[3].into(), q[0].into());
+    let norm = q.length();
+    if norm == 0.0 { x } else { ((q * (1.0 / norm)) * glam::DVec3::from(x)).to_array() }
+}

@@ -1,0 +1,63 @@
+//! Tile rows that are differentiated together.
+//!
+//! A group has at most [`GROUP`] entries (or is one row), so that the buffer of gradient records is bounded; after a group, each Gaussian adds its
+//! records in the order of tiles. Groups follow one another, so the order of additions is the order of tiles whatever the grouping and the
+//! number of threads.
+
+use super::strips::{Strips, for_each};
+use super::sums::add;
+use crate::lists::{Prepared, TileRow};
+use crate::project::Record;
+
+/// Entries whose records are held at once (unless one tile row alone has more).
+const GROUP: usize = 1 << 20;
+
+/// The records of consecutive tile rows.
+struct Records<'a> {
+    rows: &'a [TileRow],
+    records: &'a mut [Record],
+}
+
+impl Strips for Records<'_> {
+    fn cut(self, tile_rows: usize, _at: usize) -> (Self, Self) {
+        let (first, second) = self.rows.split_at(tile_rows);
+        let entries = first.iter().map(|row| row.entries.len()).sum();
+        let (a, b) = self.records.split_at_mut(entries);
+        (Self { rows: first, records: a }, Self { rows: second, records: b })
+    }
+}
+
+/// Runs `work(tile row, its records, its strips)` over all tile rows and sums the records of each visible Gaussian into `sums` (by
+/// rank). `work` must write every record.
+pub(crate) fn in_groups<T: Strips>(
+    prepared: &Prepared,
+    records: &mut Vec<Record>,
+    sums: &mut Vec<Record>,
+    strips: T,
+    work: &(impl Fn(usize, &mut [Record], T) + Sync),
+) {
+    let rows = &prepared.tile_rows;
+    sums.clear();
+    sums.resize(prepared.splats.len(), [0.0; 12]);
+    let mut strips = Some(strips);
+    let mut first = 0;
+    while first < rows.len() {
+        let (mut last, mut entries) = (first, 0);
+        while last < rows.len() && (last == first || entries + rows[last].entries.len() <= GROUP) {
+            entries += rows[last].entries.len();
+            last += 1;
+        }
+        if records.len() < entries {
+            records.resize(entries, [0.0; 12]);
+        }
+        let Some(rest) = strips.take() else { break };
+        let (here, rest) = rest.cut(last - first, last);
+        strips = Some(rest);
+        let group = Records { rows: &rows[first..last], records: &mut records[..entries] };
+        for_each(first..last, (group, here), &|row, (group, strips): (Records<'_>, T)| {
+            work(row, group.records, strips);
+        });
+        add(&rows[first..last], &records[..entries], sums);
+        first = last;
+    }
+}

@@ -1,0 +1,138 @@
+//! What a tile reads from images and maps before it is composed.
+//!
+//! Always inlined, so that the lane code's instruction set applies to these loops too.
+
+use std::cell::Cell;
+use std::ops::Deref;
+
+use use3d_capture::MediumMaps;
+
+use super::outputs::Saved;
+use super::pixels::{each, get, ray_lengths};
+use super::tile::{BackwardTile, Input, TileWater};
+use crate::lists::{Prepared, TILE};
+use crate::project::Splat;
+use crate::view::Cotangents;
+
+thread_local! {
+    /// The memory of the thread's last [`RowSplats`], taken up again by its next one.
+    static SPARE: Cell<Vec<Splat>> = const { Cell::new(Vec::new()) };
+}
+
+/// The Gaussians of a tile row, one per span, side by side. A tile takes few of its row's Gaussians, each a wait for memory where
+/// they lie scattered over all of the view's; copied in one go the waits overlap, and the copy fits the second-level cache.
+pub(crate) struct RowSplats(Vec<Splat>);
+
+impl Deref for RowSplats {
+    type Target = [Splat];
+
+    #[inline(always)]
+    fn deref(&self) -> &[Splat] {
+        &self.0
+    }
+}
+
+impl Drop for RowSplats {
+    fn drop(&mut self) {
+        // Nothing to keep it for in a thread that ends.
+        let _ = SPARE.try_with(|spare| spare.set(std::mem::take(&mut self.0)));
+    }
+}
+
+/// Copies the Gaussians of a tile row.
+pub(crate) fn row_splats(prepared: &Prepared, row: usize) -> RowSplats {
+    let mut splats = SPARE.take();
+    splats.clear();
+    splats.extend(prepared.tile_rows[row].spans.iter().map(|span| prepared.splats[span.rank as usize]));
+    RowSplats(splats)
+}
+
+/// The input of tile (`row`, `column`), with what [`row_splats`] gives for the row.
+#[inline(always)]
+pub(crate) fn input<'a>(prepared: &'a Prepared, splats: &'a [Splat], row: usize, column: usize) -> Input<'a> {
+    let tile_row = &prepared.tile_rows[row];
+    Input {
+        splats,
+        spans: &tile_row.spans,
+        list: tile_row.list(column),
+        columns: prepared.columns.lanes(column),
+        rows: prepared.rows.lanes(row),
+        filled_rows: prepared.rows.filled(row),
+        filled_columns: prepared.columns.filled(column),
+    }
+}
+
+/// Reads the medium's exponents of a tile.
+#[inline(always)]
+pub(crate) fn load_water(
+    prepared: &Prepared,
+    medium: &MediumMaps,
+    row: usize,
+    column: usize,
+    water: &mut TileWater,
+) {
+    let (rows, n) = (prepared.rows.filled(row), prepared.columns.filled(column));
+    for r in 0..rows {
+        let y = row * TILE + r;
+        let ray = ray_lengths(prepared, y, column);
+        let factor = each(|l| ray[l] * -std::f32::consts::LOG2_E);
+        let out = &mut water.rows[r];
+        for c in 0..3 {
+            let attenuation = get(medium.attenuation.row(c, y), column * TILE, n);
+            let backscatter = get(medium.backscatter.row(c, y), column * TILE, n);
+            out.attenuation[c] = each(|l| attenuation[l] * factor[l]);
+            out.backscatter[c] = each(|l| backscatter[l] * factor[l]);
+        }
+    }
+    water.centre(rows);
+}
+
+/// What a backward pass reads of a view.
+#[derive(Clone, Copy)]
+pub(crate) struct BackwardRead<'a> {
+    pub(crate) prepared: &'a Prepared,
+    pub(crate) medium: Option<&'a MediumMaps>,
+    pub(crate) cotangents: &'a Cotangents<'a>,
+    /// What the forward pass left; `None` where the pass goes front to back itself.
+    pub(crate) saved: Option<&'a Saved>,
+}
+
+/// Sets a tile up for the backward pass.
+#[inline(always)]
+pub(crate) fn load_cotangents(read: &BackwardRead<'_>, row: usize, column: usize, tile: &mut BackwardTile) {
+    let BackwardRead { prepared, medium, cotangents, saved } = *read;
+    let (rows, n) = (prepared.rows.filled(row), prepared.columns.filled(column));
+    let x = column * TILE;
+    let pixels = prepared.width * prepared.height;
+    *tile = BackwardTile::ZERO;
+    for (r, out) in tile.rows[..rows].iter_mut().enumerate() {
+        let y = row * TILE + r;
+        for c in 0..3 {
+            out.image[c] = get(cotangents.image.row(c, y), x, n);
+            if let Some(medium) = medium {
+                let color = get(medium.color.row(c, y), x, n);
+                out.veiled[c] = each(|l| -(out.image[c][l] * color[l]));
+            }
+            if let Some(clear) = cotangents.clear {
+                out.clear[c] = get(clear.row(c, y), x, n);
+            }
+        }
+        let Some(saved) = saved else { continue };
+        let start = y * prepared.width + x;
+        // Padding keeps its stop of 0: it takes no part.
+        out.stop[..n].copy_from_slice(&saved.stop[start..start + n]);
+        let row = |plane: usize| &saved.values[plane * pixels + y * prepared.width..][..prepared.width];
+        out.transmittance = get(row(0), x, n);
+        if let Some(accumulation) = cotangents.accumulation {
+            out.weight = get(accumulation.row(0, y), x, n);
+        }
+        if let Some(depth) = cotangents.depth {
+            // depth = Σwz / max(Σw, 1e-6)
+            let (g, value, sum) = (get(depth.row(0, y), x, n), get(row(1), x, n), get(row(2), x, n));
+            out.depth = each(|l| g[l] / sum[l].max(1e-6));
+            let weight = out.weight;
+            out.weight =
+                each(|l| if sum[l] > 1e-6 { weight[l] - out.depth[l] * value[l] } else { weight[l] });
+        }
+    }
+}

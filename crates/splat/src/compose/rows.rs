@@ -1,0 +1,71 @@
+//! One row of tiles, tile by tile: what a task of the forward or the backward pass does.
+
+use use3d_capture::MediumMaps;
+
+use super::inputs::{BackwardRead, input, load_cotangents, load_water, row_splats};
+use super::outputs::{
+    Composed, ImagePlanes, LayerPlanes, MediumPlanes, SavedPlanes, store_images, store_layers,
+    store_medium_gradient,
+};
+use super::tile::{BackwardTile, ForwardTile, Input, Sink, TileWater};
+use crate::lists::{Prepared, TILE};
+use crate::project::Record;
+
+/// The strips that the forward pass writes.
+pub(super) type ForwardStrips<'a> = (SavedPlanes<'a>, ImagePlanes<'a>, LayerPlanes<'a>);
+
+/// Composes a tile row with `compose`. Always inlined, so that the loops around the kernel use its instruction set too.
+#[inline(always)]
+pub(super) fn forward_row<const WATER: bool>(
+    prepared: &Prepared,
+    medium: Option<&MediumMaps>,
+    row: usize,
+    (mut saved, mut images, mut layers): ForwardStrips<'_>,
+    compose: impl Fn(&Input<'_>, &TileWater, &mut ForwardTile),
+) {
+    let mut water = TileWater::default();
+    let splats = row_splats(prepared, row);
+    for column in 0..prepared.columns.tiles() {
+        let input = input(prepared, &splats, row, column);
+        if WATER && let Some(medium) = medium {
+            load_water(prepared, medium, row, column, &mut water);
+        }
+        let mut tile = ForwardTile::new(input.filled_rows, input.filled_columns);
+        compose(&input, &water, &mut tile);
+        let columns = column * TILE..column * TILE + input.filled_columns;
+        saved.store(&input, &tile, columns.clone());
+        if images.present() {
+            store_images::<WATER>(medium, row, columns, &input, &tile, &mut images);
+        }
+        if layers.present() {
+            let composed = Composed { input: &input, water: &water, tile: &tile };
+            store_layers::<WATER>(prepared, medium, row, column, &composed, &mut layers);
+        }
+    }
+}
+
+/// Differentiates a tile row with `compose`, which hands its records to the closure it is given.
+#[inline(always)]
+pub(super) fn backward_row<const WATER: bool>(
+    read: &BackwardRead<'_>,
+    row: usize,
+    records: &mut [Record],
+    mut grads: MediumPlanes<'_>,
+    compose: impl Fn(&Input<'_>, &TileWater, &mut BackwardTile, &mut Sink<'_>),
+) {
+    let mut water = TileWater::default();
+    let mut tile = BackwardTile::ZERO;
+    let BackwardRead { prepared, medium, .. } = *read;
+    let splats = row_splats(prepared, row);
+    for column in 0..prepared.columns.tiles() {
+        let input = input(prepared, &splats, row, column);
+        if WATER && let Some(medium) = medium {
+            load_water(prepared, medium, row, column, &mut water);
+        }
+        load_cotangents(read, row, column, &mut tile);
+        compose(&input, &water, &mut tile, &mut Sink { records, column: column as u32 });
+        if grads.present() {
+            store_medium_gradient::<WATER>(prepared, &input, row, column, &tile, &mut grads);
+        }
+    }
+}
