@@ -76,7 +76,11 @@ fn a_medium_is_one_file_and_one_row() {
             .map(|owner| format!("{owner}{kind}"))
             .collect();
         let words: Vec<&str> = words.iter().map(String::as_str).collect();
-        let expected = set(&[&file, "crates/medium/src/kinds.rs", "crates/medium/src/lib.rs"]);
+        let mut expected = set(&[&file, "crates/medium/src/kinds.rs", "crates/medium/src/lib.rs"]);
+        if name == "global" {
+            // Water over the image is this one, laid elsewhere.
+            expected.insert("crates/medium/src/image.rs".to_string());
+        }
         assert_eq!(files_with(&sources, &words), expected, "{words:?}");
     }
 }

@@ -24,8 +24,13 @@ struct View {
 
 /// Random Gaussians behind water over the image; all at one depth if `flat`.
 fn view(seed: u64, flat: bool) -> View {
+    view_of(-1.2, seed, flat)
+}
+
+/// The same with Gaussians around a log scale.
+fn view_of(log_scale: f64, seed: u64, flat: bool) -> View {
     let camera = random_camera(SIZE.0, SIZE.1);
-    let mut gaussians = random_gaussians(60, -1.2, seed);
+    let mut gaussians = random_gaussians(60, log_scale, seed);
     if flat {
         for mean in &mut gaussians.means {
             let seen = camera.pose.rotation * DVec3::from(mean.map(f64::from)) + camera.pose.translation;
@@ -65,7 +70,7 @@ fn only(image: &Image) -> Cotangents<'_> {
 /// `J e^{−β_a s} + c_m (1 − e^{−β_b s})`; where nothing is hit, open water.
 #[test]
 fn a_pixel_is_one_surface_at_its_expected_distance() {
-    let view = view(3, false);
+    let view = view_of(-1.6, 3, false);
     for (name, mut rasterizer) in engines() {
         let clear = draw(&mut rasterizer, &view, None);
         let formed = draw(&mut rasterizer, &view, Some(&view.water));
