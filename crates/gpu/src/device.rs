@@ -486,7 +486,7 @@ mod tests {
                 "67108864 bytes in the largest binding",
                 "134217728",
             ),
-            (AdapterReport { buffers: 8, ..fits.clone() }, "8 storage buffers per kernel", "16"),
+            (AdapterReport { buffers: 8, ..fits }, "8 storage buffers per kernel", "16"),
         ] {
             let refusal = small.check().err();
             let refusal = choose(&[AdapterReport { refusal, ..small }], None).unwrap_err().to_string();
