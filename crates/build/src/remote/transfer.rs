@@ -97,7 +97,7 @@ impl RemoteStore {
             let _ = self.remote.remove(&name);
             let (again, there) = (again?, there?);
             // A client that asks again by itself when an answer is lost is told that the name is there: by its own first try.
-            if !first && !(there && found == bytes) {
+            if !(first || there && found == bytes) {
                 return Err(refused("create", "it says that a new name is there already"));
             }
             if again || (there && found != bytes) {
