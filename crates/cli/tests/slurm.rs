@@ -149,6 +149,11 @@ impl Drop for Slurm {
     }
 }
 
+/// A folder for a Slurm: munged wants every folder above its socket to be its user's alone.
+fn place(name: &str) -> PathBuf {
+    PathBuf::from(format!("/run/use3d-slurm-{}-{name}", std::process::id()))
+}
+
 /// Why the test cannot run here, if it cannot.
 fn refused() -> Option<String> {
     if std::env::var_os("USE3D_SLURM").is_none() {
@@ -158,6 +163,16 @@ fn refused() -> Option<String> {
     missing.map(|name| {
         format!("{name} is not installed: apt-get install --no-install-recommends slurm-wlm munge")
     })
+}
+
+/// Submits what is missing in a cache; what is said.
+fn submit(slurm: &Slurm, many: &Many, cache: &str, words: &[&str]) -> String {
+    let mut command = slurm.with(many.command(&["submit", "slurm"], cache));
+    command.args(["--cluster", "cluster.toml", "--out", &format!("out-{cache}")]).args(words);
+    let output = command.output().expect("the command starts");
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
+    text
 }
 
 #[test]
@@ -171,8 +186,7 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
     let start = Instant::now();
     let whole = many.alone();
     println!("{count} scenes by one process: {:.0} s", start.elapsed().as_secs_f64());
-    // munged wants every folder above its socket to be its user's alone.
-    let root = PathBuf::from(format!("/run/use3d-slurm-{}", std::process::id()));
+    let root = place("batch");
     let mut slurm = Slurm::start(root.clone());
     let command = env!("CARGO_BIN_EXE_use3d");
     let mut site = format!("command = \"{command}\"\ncpus = 1\npartition = \"main\"\nat_once = 2\n");
@@ -190,14 +204,7 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
         // Again, until there is nothing to submit: what was killed is repaired by the same command.
         loop {
             rounds += 1;
-            let mut submit = slurm.with(many.command(&["submit", "slurm"], layout));
-            let output = submit
-                .args(["--cluster", "cluster.toml", "--layout", layout, "--out"])
-                .arg(format!("out-{layout}"))
-                .output();
-            let output = output.expect("the command starts");
-            let text = String::from_utf8_lossy(&output.stdout).into_owned();
-            assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
+            let text = submit(&slurm, &many, layout, &["--layout", layout]);
             if text.contains("nothing to submit") {
                 break;
             }
@@ -249,6 +256,71 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
             start.elapsed().as_secs_f64()
         );
     }
+    drop(slurm);
+    fs::remove_dir_all(root).expect("removed");
+}
+
+/// No signal of the test's: the controller's own, since the job's time is nearly over. What is being computed leaves a checkpoint, the
+/// script has itself queued again, and the next attempt goes on from there.
+#[test]
+fn what_is_longer_than_its_jobs_limit_goes_on_in_the_next() {
+    if let Some(reason) = refused() {
+        println!("SKIPPED, nothing was tested with a real Slurm: {reason}");
+        return;
+    }
+    let many = Many::new(&["reef".to_string()]);
+    let alone = |cache: &str, steps: &[String]| {
+        let start = Instant::now();
+        let mut command = many.command(&["-q", "run"], cache);
+        let output = command
+            .args(steps)
+            .args(["--threads", "1", "--cache-only"])
+            .output()
+            .expect("the command starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        start.elapsed()
+    };
+    let sets = |steps: u64| {
+        let sets = [format!("reconstruct.iterations={steps}"), "reconstruct.checkpoint_steps=20".to_string()];
+        sets.into_iter().flat_map(|set| ["--set".to_string(), set]).collect::<Vec<_>>()
+    };
+    // As many steps as take this machine about as long as a job may.
+    let (short, until) = (500, ["--until".to_string(), "reconstruct".to_string()]);
+    let speed = short as f64 / alone("short", &[&sets(short)[..], &until].concat()).as_secs_f64();
+    let steps = sets((speed * 100.0) as u64);
+    let whole = alone("alone", &steps);
+    println!("by one process: {} in {:.0} s", steps[1], whole.as_secs_f64());
+    let root = place("limit");
+    let slurm = Slurm::start(root.clone());
+    // A later option of a script wins: two minutes, of which the last is for leaving. Slurm may tell half a minute earlier.
+    let site = format!(
+        "command = \"{}\"\ncpus = 1\npartition = \"main\"\noptions = [\"--time=2\", \"--signal=B:USR1@75\"]\n\
+         [stage.run]\nmemory = \"900MB\"\n",
+        env!("CARGO_BIN_EXE_use3d")
+    );
+    fs::write(many.at("cluster.toml"), site).expect("written");
+    let words: Vec<&str> = steps.iter().map(String::as_str).collect();
+    let start = Instant::now();
+    submit(&slurm, &many, "limit", &words);
+    while !slurm.queue().is_empty() {
+        assert!(start.elapsed() < PATIENCE, "{:?}{}", slurm.queue(), slurm.logs());
+        std::thread::sleep(Duration::from_secs(1));
+    }
+    let logs: Vec<String> = tiny::files(&many.at("out-limit-submit/logs"))
+        .into_values()
+        .map(|bytes| String::from_utf8_lossy(&bytes).into_owned())
+        .collect();
+    let attempts = logs.iter().flat_map(|log| log.lines()).filter(|line| line.contains(", attempt ")).count();
+    let told =
+        logs.iter().flat_map(|log| log.lines()).filter(|line| line.starts_with("out of time;")).count();
+    assert!(told > 0 && attempts == logs.len() + told, "{attempts} attempts, {told} out of time: {logs:#?}");
+    assert!(submit(&slurm, &many, "limit", &words).contains("nothing to submit"), "{logs:#?}");
+    assert!(many.artifacts("limit") == many.artifacts("alone"), "the artifacts are not those of one process");
+    println!(
+        "in jobs of two minutes: {:.0} s, {attempts} attempts of {} tasks",
+        start.elapsed().as_secs_f64(),
+        logs.len()
+    );
     drop(slurm);
     fs::remove_dir_all(root).expect("removed");
 }
