@@ -1,4 +1,5 @@
-//! COLMAP's binary files. The first byte chooses the file; what is read must survive being written and read again.
+//! COLMAP's binary files. The first byte chooses the file; what is read must
+//! survive being written and read again.
 #![no_main]
 
 use std::path::Path;

@@ -1,4 +1,5 @@
-//! Image files of every format: header, then samples. Big ones are only announced, so that the fuzzer keeps its speed.
+//! Image files of every format: header, then samples. Big ones are only announced, so
+//! that the fuzzer keeps its speed.
 #![no_main]
 
 use std::path::Path;

@@ -1,5 +1,6 @@
-//! The arrows of the architecture, enforced: a crate may depend only on crates below it and only on what it uses, and heavy or
-//! delicate third-party crates stay in the crates that own them. Reads `cargo metadata`, so a forbidden edge fails here before anyone gets used to it.
+//! The arrows of the architecture, enforced: a crate may depend only on crates below it and only on what it
+//! uses, and heavy or delicate third-party crates stay in the crates that own them. Reads `cargo metadata`,
+//! so a forbidden edge fails here before anyone gets used to it.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -161,7 +162,8 @@ fn names(text: &str, word: &str) -> bool {
         .any(|(at, _)| !part(text[..at].chars().next_back()) && !part(text[at + word.len()..].chars().next()))
 }
 
-/// A dependency that nothing names costs build time, and here more: it is an ingredient of the keys of cached results.
+/// A dependency that nothing names costs build time, and here more: it is an ingredient
+/// of the keys of cached results.
 #[test]
 fn every_declared_dependency_is_used() {
     let mut unused = Vec::new();

@@ -1,5 +1,5 @@
-//! Joints at which methods are extended, held to what they promise: how many files of the sources one more entry touches is counted on
-//! an entry that is there.
+//! Joints at which methods are extended, held to what they promise: how many files of the sources one more
+//! entry touches is counted on an entry that is there.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -54,7 +54,8 @@ fn a_term_of_stage_ones_loss_is_one_file_one_row_and_the_parameter_of_its_weight
         assert_eq!(files.len(), 1, "`{name}` is named in {files:?}");
         assert!(files.iter().all(|f| f.starts_with("crates/reconstruct/src/losses/")), "{files:?}");
     }
-    // The depth term, by all of its words. Whoever loads priors says when they are missing or their weight makes them vain.
+    // The depth term, by all of its words. Whoever loads priors says when they are missing
+    // or their weight makes them vain.
     let files = files_with(&sources, &["DepthPriorLoss", "depth_loss", "depth_weight", "depth::TERM"]);
     let expected = set(&[
         "crates/reconstruct/src/losses/depth.rs",
@@ -118,7 +119,8 @@ fn a_term_of_stage_twos_loss_is_one_file_and_one_row() {
         let file = format!("crates/enhance/src/losses/{}.rs", row.name);
         let entry = format!("{}::TERM", row.name);
         assert_eq!(files_with(&sources, &[&entry]), set(&[table]), "{entry}");
-        // What it is called is said by its own file; the stage names the figures by which classes of arithmetic are compared.
+        // What it is called is said by its own file; the stage names the figures by which
+        // classes of arithmetic are compared.
         let quoted = format!("\"{}\"", row.name);
         let named: BTreeSet<String> = sources
             .iter()

@@ -11,9 +11,9 @@
 //! ```
 //!
 //! An artifact is made in `tmp`, its files synced, its manifest written last, and the folder renamed into
-//! place, so a crash at any moment leaves either no artifact or a whole one. Several processes, also of several
-//! machines, may share a cache: the first to publish a key wins, and another one's different bytes raise an
-//! alarm. There is no lock to remove by hand, and none of the file system's is used.
+//! place, so a crash at any moment leaves either no artifact or a whole one. Several processes, also of
+//! several machines, may share a cache: the first to publish a key wins, and another one's different bytes
+//! raise an alarm. There is no lock to remove by hand, and none of the file system's is used.
 
 use std::collections::BTreeSet;
 use std::io::ErrorKind;
@@ -33,7 +33,8 @@ use super::machine::ProcessId;
 use super::manifest::{Circumstances, FileRecord, MANIFEST, Manifest};
 use super::node::Node;
 
-/// How late a network file system may show a name that is there: clients remember for a minute that it was not.
+/// How late a network file system may show a name that is there: clients
+/// remember for a minute that it was not.
 const LATE: Duration = Duration::from_secs(90);
 
 const TAG: &str = "Signature: 8a477f597d28d172789f06886806bc55\n\

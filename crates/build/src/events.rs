@@ -40,7 +40,8 @@ pub enum Event<'a> {
         /// Seconds left, where the stage knows.
         seconds_left: Option<f64>,
     },
-    /// Numbers of a step, by name, for curves. Told after every step; whoever holds this up holds up the stage.
+    /// Numbers of a step, by name, for curves. Told after every step; whoever
+    /// holds this up holds up the stage.
     Figures {
         /// Scene, variant and stage in words.
         label: &'a str,

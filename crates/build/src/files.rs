@@ -131,8 +131,8 @@ pub fn write_atomic(files: &dyn Files, path: &Path, bytes: &[u8]) -> Result<(), 
     written
 }
 
-/// Renames what this process alone knows by its old or by its new name. A server whose answer was lost is asked
-/// twice and may then say that there is nothing to rename; what counts is what is there.
+/// Renames what this process alone knows by its old or by its new name. A server whose answer was lost is
+/// asked twice and may then say that there is nothing to rename; what counts is what is there.
 pub(crate) fn rename(files: &dyn Files, from: &Path, to: &Path) -> io::Result<()> {
     let renamed = files.rename(from, to);
     if renamed.is_err() {

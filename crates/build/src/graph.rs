@@ -288,8 +288,8 @@ struct Builder<'a> {
 }
 
 impl Builder<'_> {
-    /// Parameters of every stage for a scene and variant: preset, defaults, scene, variant, command line, later
-    /// ones winning.
+    /// Parameters of every stage for a scene and variant: preset, defaults, scene, variant,
+    /// command line, later ones winning.
     fn parameters(&self, scene: Option<&Scene>, variant: &Variant) -> Result<AllParameters, EngineError> {
         let mut all = AllParameters::new();
         for stage in self.registry.stages() {

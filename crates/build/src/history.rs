@@ -99,7 +99,8 @@ impl Cache {
     pub(crate) fn add_timing(&self, timing: &Timing) {
         if let Ok(mut line) = serde_json::to_vec(timing) {
             line.push(b'\n');
-            // Appending is safe among the processes of one machine, and on no network file system between two.
+            // Appending is safe among the processes of one machine, and on no
+            // network file system between two.
             let path = self.root().join(TIMINGS).join(format!("{}.jsonl", self.node().machine()));
             let appended = self.files().append(&path, &line);
             if appended.is_err_and(|e| e.kind() == std::io::ErrorKind::NotFound)

@@ -4,9 +4,9 @@
 //! Leases only save time. Results are right without them, because publishing is atomic and the first wins; so
 //! a lease that cannot be written is no error, one whose holder is gone is taken over, and nobody ever has to
 //! remove one by hand. A holder on this machine is asked for by process id and start time. One on another
-//! machine writes its [pulse](super::pulse) every few seconds, and whoever waits for it looks whether the file
-//! *changes*, by his own steady clock: what the clocks of two machines say is never compared. A lease that
-//! goes says that its artifact is there; who gives up leaves his lease behind with a pulse that says so.
+//! machine writes its [pulse](super::pulse) every few seconds, and whoever waits for it looks whether the
+//! file *changes*, by his own steady clock: what the clocks of two machines say is never compared. A lease
+//! that goes says that its artifact is there; who gives up leaves his lease behind with a pulse that says so.
 
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};

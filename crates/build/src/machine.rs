@@ -125,7 +125,8 @@ fn place_of(host: &str, boot: &str, space: &str) -> String {
     format!("{host} {boot} {space}")
 }
 
-/// A number that no other call in any process gets, from the system's source of randomness. Never for results.
+/// A number that no other call in any process gets, from the system's source of
+/// randomness. Never for results.
 pub(crate) fn random() -> u64 {
     RandomState::new().build_hasher().finish()
 }

@@ -127,7 +127,8 @@ impl Manifest {
         Ok(manifest)
     }
 
-    /// The digest of all files together as this manifest lists them; [`content`](Self::content) unless it lies.
+    /// The digest of all files together as this manifest lists them;
+    /// [`content`](Self::content) unless it lies.
     pub fn content_of_files(&self) -> Digest {
         content_digest(&self.files)
     }

@@ -1,6 +1,6 @@
-//! What a lease says of its holder besides who it is: that it lives, how long it has worked, and how far it is.
-//! One line of a fixed length behind the holder's, written over in place every few seconds, so that a lease
-//! costs a shared file system one small write and no new names.
+//! What a lease says of its holder besides who it is: that it lives, how long it has worked, and how far it
+//! is. One line of a fixed length behind the holder's, written over in place every few seconds, so that a
+//! lease costs a shared file system one small write and no new names.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};

@@ -349,8 +349,8 @@ impl<'r> Runner<'r> {
         self.start(i, resolved, starter)
     }
 
-    /// What is there for a node's key. What is not as it should be is looked at a second time: where the cache
-    /// is a network file system, what another machine has made may come late.
+    /// What is there for a node's key. What is not as it should be is looked at a second time: where the
+    /// cache is a network file system, what another machine has made may come late.
     fn look_up(&mut self, i: usize, key: &Key) -> Result<Lookup, FileError> {
         let (cache, node) = (&self.engine.cache, &self.graph.nodes[i]);
         let found = cache.lookup(node.stage_name, key)?;

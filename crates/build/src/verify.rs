@@ -43,7 +43,8 @@ pub struct Verification {
     pub bytes: u64,
     /// Stages that were computed again; none when that was not asked for.
     pub recomputed: Option<usize>,
-    /// Those of them that were made in another class of arithmetic and agree by their figures, not to the byte.
+    /// Those of them that were made in another class of arithmetic and agree by
+    /// their figures, not to the byte.
     pub agreed: usize,
     /// What is wrong.
     pub problems: Vec<Problem>,

@@ -62,7 +62,8 @@ pub enum Formation {
     /// Every Gaussian shines through the water in front of it, at its own distance.
     #[default]
     PerGaussian,
-    /// Gaussians are composed without water, and each pixel then shines through the water at its expected distance.
+    /// Gaussians are composed without water, and each pixel then shines through the
+    /// water at its expected distance.
     PerImage,
 }
 

@@ -1,10 +1,13 @@
-//! What watching costs, on the built command: `cargo bench -p use3d --bench watch -- SCENE_DIR CAPTURE_DIR [STEPS]`.
+//! What watching costs, on the built command: `cargo bench -p use3d --bench watch --
+//! SCENE_DIR CAPTURE_DIR [STEPS]`.
 //!
 //! * pictures of a scene per second, drawn by the server, asked for by one page one after another;
 //! * a page that asks 100 times a second: how many are drawn, and how old a drawn one is;
-//! * eight pages at once, with one that reads nothing and one that says nothing beside them: pictures, and the most memory taken;
-//! * a training of STEPS steps (1500 unless told) alone and with a page that moves all the time, in turns: time, and time of the processor, which
-//!   other programs disturb less. Both hold what is paid once, about a second: the photographs for the page, and the wait for its last request.
+//! * eight pages at once, with one that reads nothing and one that says nothing beside them:
+//!   pictures, and the most memory taken;
+//! * a training of STEPS steps (1500 unless told) alone and with a page that moves all the time, in turns:
+//!   time, and time of the processor, which other programs disturb less. Both hold what is paid once, about a
+//!   second: the photographs for the page, and the wait for its last request.
 
 #[path = "../tests/viewer/mod.rs"]
 mod viewer;
@@ -167,7 +170,8 @@ fn memory(process: u32) -> usize {
 /// Processor seconds of all commands that have ended so far, as Linux counts them (in hundredths).
 fn processor_seconds() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    // The name in brackets may hold anything; children's user and system times are the 14th and 15th field after it.
+    // The name in brackets may hold anything; children's user and system times are
+    // the 14th and 15th field after it.
     let fields: Vec<&str> = stat.rsplit_once(')').map_or("", |(_, rest)| rest).split_whitespace().collect();
     let ticks = |i: usize| fields.get(i).and_then(|field| field.parse::<f64>().ok()).unwrap_or(f64::NAN);
     (ticks(13) + ticks(14)) / 100.0

@@ -1,7 +1,7 @@
 //! Where results go: what may stand there, found out before any work is done.
 //!
-//! Folders follow the rules of [`use3d_build::place`]. A file is replaced only with `--force`, and only a regular
-//! file: never a folder, a device or a symbolic link.
+//! Folders follow the rules of [`use3d_build::place`]. A file is replaced only with `--force`, and only a
+//! regular file: never a folder, a device or a symbolic link.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -38,7 +38,8 @@ pub(crate) fn check_folder(out: &Path, force: bool) -> Done {
     place::check_writable(place::parent(out)).map_err(named)
 }
 
-/// Refuses a file for a result that is taken, that has not one of `extensions`, or that cannot be written. `flag` is what named it.
+/// Refuses a file for a result that is taken, that has not one of `extensions`, or that cannot be
+/// written. `flag` is what named it.
 pub(crate) fn check_file(flag: &str, path: &Path, force: bool, extensions: &[&str]) -> Done {
     let refuse = |what: &str| Err(CliError::Input(format!("{flag} {}: {what}", path_text(path))));
     if path.file_name().is_none() {

@@ -1,6 +1,7 @@
 //! What a person reads when something went wrong, and the exit code a script sees.
 //!
-//! 0 done; 1 a stage failed; 2 wrong usage or bad input; 75 out of time, the same command goes on; 130 interrupted.
+//! 0 done; 1 a stage failed; 2 wrong usage or bad input; 75 out of time, the same
+//! command goes on; 130 interrupted.
 
 use std::fmt::Display;
 use std::process::ExitCode;

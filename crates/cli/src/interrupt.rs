@@ -1,5 +1,6 @@
-//! Ctrl-C, SIGTERM and a closed terminal (SIGHUP): the first asks the running work to write a checkpoint and leave, the
-//! second leaves at once. SIGUSR1 asks for the same as the first and says that time is over: another run will go on.
+//! Ctrl-C, SIGTERM and a closed terminal (SIGHUP): the first asks the running work to write a
+//! checkpoint and leave, the second leaves at once. SIGUSR1 asks for the same as the first and says
+//! that time is over: another run will go on.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -17,7 +18,8 @@ static LEAVE: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 pub(crate) fn install() -> Arc<AtomicBool> {
     FLAG.get_or_init(|| {
         let flag = Arc::new(AtomicBool::new(false));
-        // Raised by signals alone: a run that leaves by itself raises the other, and is not to be cut off for that.
+        // Raised by signals alone: a run that leaves by itself raises the other, and
+        // is not to be cut off for that.
         let asked = Arc::new(AtomicBool::new(false));
         for signal in [SIGINT, SIGTERM].into_iter().chain(hang_up()) {
             // Order matters: the second signal finds the flag set and exits; the first only sets it.

@@ -33,7 +33,8 @@ pub(crate) fn start(verbose: u8, quiet: bool) {
         }
     }
     if verbose < 2 {
-        // What drivers of graphics cards and their loader grumble; what goes wrong is told by the engine, in words.
+        // What drivers of graphics cards and their loader grumble; what goes wrong
+        // is told by the engine, in words.
         filter.push_str(",wgpu_core=off,wgpu_hal=off");
     }
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(filter));

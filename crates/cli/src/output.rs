@@ -1,8 +1,9 @@
 //! What the command says: results on stdout, everything else on stderr.
 //!
-//! A reader that has gone away (`use3d plan … | head -1`) is no failure: what it does not want is dropped and the work
-//! goes on. The standard library's macros would panic there, so this crate's `print!`, `println!` and `eprintln!` are
-//! those below. Any other failure to write results (a full disk) is kept for [`failure`], which decides the exit code.
+//! A reader that has gone away (`use3d plan … | head -1`) is no failure: what it does not want is dropped
+//! and the work goes on. The standard library's macros would panic there, so this crate's `print!`,
+//! `println!` and `eprintln!` are those below. Any other failure to write results (a full disk) is kept for
+//! [`failure`], which decides the exit code.
 
 use std::fmt;
 use std::io::{self, Write};

@@ -1,4 +1,5 @@
-//! `use3d bench truth` on tiny captures: every figure is there and finite, an interrupted call goes on, nothing foreign is touched.
+//! `use3d bench truth` on tiny captures: every figure is there and finite, an interrupted call goes
+//! on, nothing foreign is touched.
 
 mod tiny;
 

@@ -1,5 +1,5 @@
-//! The command takes no elementary function from the C library, whose last bits differ from one to the next: its list of
-//! imported symbols names none. Other crates' code counts too, since it ends in the same program.
+//! The command takes no elementary function from the C library, whose last bits differ from one to the next:
+//! its list of imported symbols names none. Other crates' code counts too, since it ends in the same program.
 
 use std::path::Path;
 
@@ -44,8 +44,9 @@ fn is_open(name: &str) -> bool {
     OPEN.iter().any(|open| name.strip_prefix(open).is_some_and(|rest| ["", "f", "l"].contains(&rest)))
 }
 
-/// With engines for graphics cards the program has a compiler of their kernels in it, which can evaluate constants by the C library (and
-/// finds none to evaluate: what they compute stands in the numeric class). The rest is looked at in a program without them.
+/// With engines for graphics cards the program has a compiler of their kernels in it, which can evaluate
+/// constants by the C library (and finds none to evaluate: what they compute stands in the numeric class).
+/// The rest is looked at in a program without them.
 #[test]
 fn no_elementary_function_is_imported() {
     if cfg!(feature = "gpu") {

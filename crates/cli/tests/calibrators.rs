@@ -1,4 +1,5 @@
-//! Finished calibrators, this program's and the authors' (stand-ins of the same layout): in a pipeline, by hand, in the list of models.
+//! Finished calibrators, this program's and the authors' (stand-ins of the same layout): in a pipeline,
+//! by hand, in the list of models.
 #![cfg(feature = "nets")]
 
 use std::path::Path;
@@ -60,7 +61,8 @@ fn the_authors_calibrator_serves_a_whole_run_and_by_hand() {
     let page = std::fs::read_to_string(at.join("out/report.html")).expect("the report");
     assert!(page.contains("A finished calibrator: released by the paper"), "the report names the calibrator");
 
-    // The same tensors as safetensors are the same calibrator; another proposer than its own is refused (R25).
+    // The same tensors as safetensors are the same calibrator; another proposer
+    // than its own is refused (R25).
     let tensors = released_calibrator_tensors([128, 256]);
     std::fs::write(at.join("c.safetensors"), safetensors_file(&tensors)).expect("written");
     for (file, out) in [(RELEASED, "a.safetensors"), ("c.safetensors", "b.safetensors")] {
@@ -109,7 +111,8 @@ fn the_authors_calibrator_serves_a_whole_run_and_by_hand() {
     }
 }
 
-/// From stage 1's own knowledge of the scene: a whole run and by hand, without a calibrator, and what does not go together is said.
+/// From stage 1's own knowledge of the scene: a whole run and by hand, without a calibrator, and
+/// what does not go together is said.
 #[test]
 fn a_scene_proposes_for_itself_in_clear_radiance() {
     let dir = place();
@@ -175,7 +178,8 @@ fn a_calibrator_of_our_own_serves_a_pipeline_and_a_scene_of_it() {
     assert_eq!(stages(), [false; 2]);
     let (out, _) = expect(0, at, &["-q", "run", "p.toml", "--until", "targets", "--out", "out"]);
     assert!(out.contains("3 done") || out.contains("6 done"), "{out}");
-    // The calibrator was fitted for `fusion`, although the network's weights are there; the other way round is an error.
+    // The calibrator was fitted for `fusion`, although the network's weights are there;
+    // the other way round is an error.
     pipeline("[calibrator]\nfile = \"own.safetensors\"\nproposer = \"nu2net\"", "");
     let (out, _) = expect(1, at, &["-q", "run", "p.toml", "--until", "targets", "--out", "out"]);
     assert!(out.contains("fitted for the proposer `fusion`, but `nu2net` is asked for"), "{out}");

@@ -1,4 +1,5 @@
-//! The command as a user meets it: exit codes, messages, golden renders, and the whole chain on a tiny capture.
+//! The command as a user meets it: exit codes, messages, golden renders, and the
+//! whole chain on a tiny capture.
 
 mod tiny;
 
@@ -152,7 +153,8 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
             assert!(value > 0.0 && value < 60.0, "{method:?} {metric}: {value}");
         }
     }
-    // Consistency has the fair baseline, by one warp, over the path and over neighbours, with what was compared.
+    // Consistency has the fair baseline, by one warp, over the path and over
+    // neighbours, with what was compared.
     assert_eq!(scores.warp, use3d_pipeline::judge::scores::Warp::Reference);
     for method in [Method::ProposalOfRender, Method::Clear, Method::Enhanced, Method::EnhancedClear] {
         for metric in ["w_delta_e", "coverage", "path_w_delta_e", "path_coverage"] {
@@ -316,7 +318,8 @@ fn a_scene_can_be_learnt_from_proposals_and_is_scored_as_such() {
     use use3d_pipeline::judge::scores::Method;
     assert!(scores.mean(Method::EnhanceThenReconstruct, "truth_psnr").and_then(|s| s.value()).is_some());
     assert!(scores.mean(Method::Reconstruction, "psnr").is_none());
-    // Both variants are compared by the depth of the one that learnt from photographs, although it is listed last.
+    // Both variants are compared by the depth of the one that learnt from
+    // photographs, although it is listed last.
     let text = std::fs::read_to_string(Path::new(&out).join("tiny@plain/scores/scores.json")).unwrap();
     let plain: use3d_pipeline::judge::scores::SceneScores = serde_json::from_str(&text).unwrap();
     assert_eq!(scores.warp, use3d_pipeline::judge::scores::Warp::Reference);

@@ -1,5 +1,5 @@
-//! The choice of engine on the command line: what is said where no card, only a software card or another name is there, and a training on a
-//! software card where this machine has one.
+//! The choice of engine on the command line: what is said where no card, only a software card or another name
+//! is there, and a training on a software card where this machine has one.
 
 mod tiny;
 
@@ -56,7 +56,8 @@ fn an_engine_that_cannot_be_had_is_refused_and_nothing_is_written() {
     assert!(text.contains("engine: cpu") && text.contains("no graphics card was found"), "{text}");
 }
 
-/// Whether a run was refused since this machine has no software card: the test is left out then, aloud; an error where one is required.
+/// Whether a run was refused since this machine has no software card: the test is left out then, aloud;
+/// an error where one is required.
 fn no_card(output: &Output) -> bool {
     let text = said(output);
     let missing = text.contains("no graphics card was found") || text.contains("no adapter's name has");
@@ -68,8 +69,8 @@ fn no_card(output: &Output) -> bool {
     refused
 }
 
-/// On a software card, if this machine has one: the scene is that of the processor to a twentieth of a decibel, and not one that hardly
-/// anything was done to.
+/// On a software card, if this machine has one: the scene is that of the processor to a twentieth of a
+/// decibel, and not one that hardly anything was done to.
 #[test]
 fn a_training_runs_on_a_software_card_by_its_name() {
     let place = Place::new();
@@ -119,8 +120,8 @@ fn a_training_runs_on_a_software_card_by_its_name() {
     }
 }
 
-/// A whole run takes the card for both stages and for what is drawn; stage 2 ends where the processor's does, and the same scene is drawn
-/// and scored alike by both.
+/// A whole run takes the card for both stages and for what is drawn; stage 2 ends where the processor's does,
+/// and the same scene is drawn and scored alike by both.
 #[test]
 fn a_whole_run_on_a_software_card_trains_and_draws_there() {
     let place = Place::new();

@@ -1,5 +1,5 @@
-//! A batch through a real HyperQueue with two workers on this machine, tasks killed at random; the bytes are those of
-//! a run of one process.
+//! A batch through a real HyperQueue with two workers on this machine, tasks killed at random; the bytes are
+//! those of a run of one process.
 //!
 //! Needs the command `hq` on the path, or HyperQueue's Python package, and some minutes, so it is asked for:
 //!

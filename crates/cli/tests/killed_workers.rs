@@ -1,9 +1,10 @@
-//! Workers that share a cache, killed at random moments and begun anew: whatever they are at, nothing is lost, and the end is
-//! that of one process left in peace, to the byte.
+//! Workers that share a cache, killed at random moments and begun anew: whatever they are at, nothing is
+//! lost, and the end is that of one process left in peace, to the byte.
 //!
-//! Where `kills` aims at stages one after the other, this hits what several processes do to one another: leases whose holder is
-//! gone, work put back and taken up, names published twice, results delivered by two. Only kills of a worker that held a lease
-//! count, so each of them cut off a stage. A few in the normal run; for many, and the figures:
+//! Where `kills` aims at stages one after the other, this hits what several processes do to one another:
+//! leases whose holder is gone, work put back and taken up, names published twice, results delivered by
+//! two. Only kills of a worker that held a lease count, so each of them cut off a stage. A few in the
+//! normal run; for many, and the figures:
 //!
 //! ```text
 //! USE3D_KILLS=1000 cargo test -p use3d --test killed_workers -- --nocapture
@@ -22,8 +23,9 @@ use tiny::files;
 
 /// Workers at once.
 const WORKERS: usize = 3;
-/// The longest that they are left alone between two kills, as a share of what one process takes for everything: so that they get on,
-/// and every stage comes under the knife, on quick machines and on slow ones.
+/// The longest that they are left alone between two kills, as a share of what one process
+/// takes for everything: so that they get on, and every stage comes under the knife, on
+/// quick machines and on slow ones.
 const PEACE: u32 = 24;
 /// Kills after which a cache is brought to its end and compared.
 const CAMPAIGN: usize = 100;
@@ -81,8 +83,8 @@ impl Target<'_> {
         own.filter_map(|(path, _)| stage(&path)).next()
     }
 
-    /// Kills workers, one after the other, until one of them comes to the end of everything; then all do. Every artifact that
-    /// is there at any time is what it is to be.
+    /// Kills workers, one after the other, until one of them comes to the end of everything; then all do.
+    /// Every artifact that is there at any time is what it is to be.
     fn campaign(&self, random: &mut Random, kills: &mut BTreeMap<String, usize>, enough: usize) {
         let mut workers: Vec<Child> = (0..WORKERS).map(|_| self.worker()).collect();
         let total = |kills: &BTreeMap<String, usize>| kills.values().sum::<usize>();

@@ -1,8 +1,9 @@
-//! The real stages, killed again and again: what is left is whole at every moment, trainings go on from inside, and the end is
-//! that of an undisturbed run to the byte.
+//! The real stages, killed again and again: what is left is whole at every moment, trainings go on from
+//! inside, and the end is that of an undisturbed run to the byte.
 //!
-//! Kills are aimed at stages, by watching which log and which checkpoint appear, so that every stage comes under the knife on
-//! slow machines and quick ones. A few of each in the normal run; for many, and the figures:
+//! Kills are aimed at stages, by watching which log and which checkpoint appear, so that every
+//! stage comes under the knife on slow machines and quick ones. A few of each in the normal
+//! run; for many, and the figures:
 //!
 //! ```text
 //! USE3D_KILLS=100 cargo test -p use3d --test kills -- --nocapture
@@ -107,8 +108,9 @@ impl Target<'_> {
         all
     }
 
-    /// Starts a run and kills it in the first stage that is still to be killed in, a training after another step of it is safe;
-    /// false where it came to its end. Stages are caught as they come: their order is the engine's.
+    /// Starts a run and kills it in the first stage that is still to be killed in, a training
+    /// after another step of it is safe; false where it came to its end. Stages are caught as they
+    /// come: their order is the engine's.
     fn kill_once(
         &self,
         left: &mut BTreeMap<&'static str, usize>,

@@ -1,5 +1,5 @@
-//! What the command says when something is wrong, and how it ends: bounds, closed pipes, signals, wrong folders.
-//! Every case takes a second or two; what trains does five steps.
+//! What the command says when something is wrong, and how it ends: bounds, closed pipes, signals, wrong
+//! folders. Every case takes a second or two; what trains does five steps.
 
 use std::path::Path;
 use std::process::{Command, Output, Stdio};

@@ -1,9 +1,11 @@
-//! Inputs that a user names: found, or said to be missing before anything is computed. Nothing takes their place.
+//! Inputs that a user names: found, or said to be missing before anything is
+//! computed. Nothing takes their place.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Runs the command in `dir` without the variables that name data, and expects an exit code; gives stdout and stderr.
+/// Runs the command in `dir` without the variables that name data, and expects an exit
+/// code; gives stdout and stderr.
 fn expect(code: i32, dir: &Path, arguments: &[&str]) -> (String, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_use3d"));
     command.args(arguments).current_dir(dir);

@@ -1,4 +1,5 @@
-//! Nobody's files are lost and nothing is written where it should not be: hostile names, folders of others, results of our own.
+//! Nobody's files are lost and nothing is written where it should not be: hostile names, folders
+//! of others, results of our own.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};

@@ -1,5 +1,5 @@
-//! A batch of real scenes, one of them broken: the results of a scene are there as soon as it is finished, and neither a kill
-//! nor another scene's failure takes them away.
+//! A batch of real scenes, one of them broken: the results of a scene are there as soon as it is finished,
+//! and neither a kill nor another scene's failure takes them away.
 //!
 //! Three scenes in the normal run; a whole benchmark of tiny ones with
 //!

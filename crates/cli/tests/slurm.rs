@@ -1,5 +1,5 @@
-//! A batch through a real Slurm: a controller and two nodes on this machine, workers killed, a node drained, the
-//! controller restarted, a time limit; the bytes are those of a run of one process.
+//! A batch through a real Slurm: a controller and two nodes on this machine, workers killed, a node drained,
+//! the controller restarted, a time limit; the bytes are those of a run of one process.
 //!
 //! Needs Slurm and munge, root, and some minutes, so it is asked for:
 //!
@@ -260,8 +260,8 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
     fs::remove_dir_all(root).expect("removed");
 }
 
-/// No signal of the test's: the controller's own, since the job's time is nearly over. What is being computed leaves a checkpoint, the
-/// script has itself queued again, and the next attempt goes on from there.
+/// No signal of the test's: the controller's own, since the job's time is nearly over. What is being computed
+/// leaves a checkpoint, the script has itself queued again, and the next attempt goes on from there.
 #[test]
 fn what_is_longer_than_its_jobs_limit_goes_on_in_the_next() {
     if let Some(reason) = refused() {
@@ -292,7 +292,8 @@ fn what_is_longer_than_its_jobs_limit_goes_on_in_the_next() {
     println!("by one process: {} in {:.0} s", steps[1], whole.as_secs_f64());
     let root = place("limit");
     let slurm = Slurm::start(root.clone());
-    // A later option of a script wins: two minutes, of which the last is for leaving. Slurm may tell half a minute earlier.
+    // A later option of a script wins: two minutes, of which the last is for leaving. Slurm
+    // may tell half a minute earlier.
     let site = format!(
         "command = \"{}\"\ncpus = 1\npartition = \"main\"\noptions = [\"--time=2\", \"--signal=B:USR1@75\"]\n\
          [stage.run]\nmemory = \"900MB\"\n",

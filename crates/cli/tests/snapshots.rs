@@ -1,5 +1,6 @@
-//! What a user reads, word for word: the help of every verb and the messages that a beginner meets. `USE3D_UPDATE_SNAPSHOTS=1` writes the
-//! files below `snapshots/` anew; the difference is then read like code.
+//! What a user reads, word for word: the help of every verb and the messages that a beginner
+//! meets. `USE3D_UPDATE_SNAPSHOTS=1` writes the files below `snapshots/` anew; the
+//! difference is then read like code.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

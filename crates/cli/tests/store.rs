@@ -1,5 +1,5 @@
-//! `push`, `pull` and `run --remote` on a folder: results computed in one cache are fetched into another to the byte, and
-//! what is wrong with a store is said.
+//! `push`, `pull` and `run --remote` on a folder: results computed in one cache are fetched into another to
+//! the byte, and what is wrong with a store is said.
 
 mod many;
 mod tiny;

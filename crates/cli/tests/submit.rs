@@ -1,5 +1,5 @@
-//! `use3d submit` with commands that stand in for Slurm's: what they are told is done at once, by real processes
-//! that share a cache.
+//! `use3d submit` with commands that stand in for Slurm's: what they are told is done at once, by
+//! real processes that share a cache.
 
 mod many;
 mod tiny;

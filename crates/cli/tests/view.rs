@@ -1,4 +1,5 @@
-//! Watching a training changes nothing about it; what is watched can be paused, stopped, followed by its files, and looked at when it is done.
+//! Watching a training changes nothing about it; what is watched can be paused, stopped, followed by its
+//! files, and looked at when it is done.
 
 mod tiny;
 mod viewer;

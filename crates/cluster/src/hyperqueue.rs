@@ -1,9 +1,9 @@
 //! HyperQueue: one job file with every task and what it waits for, and a small script that all tasks go
 //! through.
 //!
-//! HyperQueue starts a task again whose worker was lost, and the task goes on from its last checkpoint, so that
-//! no limit and no signal is needed. It knows no "when that is over, whatever became of it": the last task runs
-//! when all others are done; after a failure the same submission does what is missing.
+//! HyperQueue starts a task again whose worker was lost, and the task goes on from its last checkpoint, so
+//! that no limit and no signal is needed. It knows no "when that is over, whatever became of it": the last
+//! task runs when all others are done; after a failure the same submission does what is missing.
 
 use std::path::PathBuf;
 

@@ -1,10 +1,10 @@
 //! Which jobs do what a plan says is missing: what each runs, on what it waits, what it asks for.
 //!
-//! Two layouts. *Workers*: one array of equal tasks that share the batch among themselves, whatever its graph;
-//! it is immune to limits of arrays and to accidents of dependencies, and every task asks for as much as the
-//! largest stage. *Stages*: an array over the scenes and variants for every stage, element after element, each
-//! asking for what its stage needs, such as a GPU. Both end with one task that waits for all others, whatever
-//! became of them, makes the report and fills the results folder.
+//! Two layouts. *Workers*: one array of equal tasks that share the batch among themselves, whatever its
+//! graph; it is immune to limits of arrays and to accidents of dependencies, and every task asks for as much
+//! as the largest stage. *Stages*: an array over the scenes and variants for every stage, element after
+//! element, each asking for what its stage needs, such as a GPU. Both end with one task that waits for all
+//! others, whatever became of them, makes the report and fills the results folder.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -164,8 +164,8 @@ fn workers_of(todo: &[&PlannedNode], site: &Site, cells: &[String], most: usize)
     }]
 }
 
-/// The tasks of every stage, in arrays no larger than the site allows. All stages are cut at the same places, so that a task's
-/// predecessor has its number in the array of the same number.
+/// The tasks of every stage, in arrays no larger than the site allows. All stages are cut at the same places,
+/// so that a task's predecessor has its number in the array of the same number.
 fn stages_of(todo: &[&PlannedNode], registry: &Registry, site: &Site, cells: &[String]) -> Vec<Job> {
     let mut jobs: Vec<Job> = Vec::new();
     let mut made: BTreeMap<&str, Vec<usize>> = BTreeMap::new();

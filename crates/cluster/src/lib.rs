@@ -1,11 +1,11 @@
 //! From a plan to jobs of a cluster's scheduler.
 //!
-//! The graph is handed over and the head process ends. A [`site::Site`] says what is so on a cluster (account,
-//! partition, what a stage needs), [`jobs::of`] makes of a plan the few jobs that do what is missing, with
-//! arrays, dependencies, times and memory from the forecasts, and [`slurm`] or [`hyperqueue`] writes them in
-//! the scheduler's own words. Every task is `use3d run` on a shared cache, so what is there is not computed
-//! again, whichever task comes first, is cut off, or is submitted twice: nothing is ever learnt from the
-//! scheduler's memory.
+//! The graph is handed over and the head process ends. A [`site::Site`] says what is so on a cluster
+//! (account, partition, what a stage needs), [`jobs::of`] makes of a plan the few jobs that do what is
+//! missing, with arrays, dependencies, times and memory from the forecasts, and [`slurm`] or [`hyperqueue`]
+//! writes them in the scheduler's own words. Every task is `use3d run` on a shared cache, so what is there
+//! is not computed again, whichever task comes first, is cut off, or is submitted twice: nothing is ever
+//! learnt from the scheduler's memory.
 
 pub mod hyperqueue;
 pub mod jobs;

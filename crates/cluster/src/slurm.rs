@@ -200,8 +200,8 @@ pub fn submit(jobs: &[Job], submission: &Submission) -> Result<Submitted, Cluste
     Ok(submitted)
 }
 
-/// The jobs of the last submission from this folder that Slurm still has in its queue, by name and number. What
-/// Slurm does not know any more is over.
+/// The jobs of the last submission from this folder that Slurm still has in its queue, by name and number.
+/// What Slurm does not know any more is over.
 ///
 /// # Errors
 /// `squeue` that is not there.

@@ -6,8 +6,9 @@ use crate::losses::TERMS;
 use crate::views::{EnhanceView, Guidance};
 use crate::{EnhanceError, EnhanceParams};
 
-/// The digest. How long to train, how often to save, how much to keep in memory and what computes are left out: they may change between
-/// two sessions of one run. How often to log is in: the log is part of the result.
+/// The digest. How long to train, how often to save, how much to keep in memory and what
+/// computes are left out: they may change between two sessions of one run. How often to log is
+/// in: the log is part of the result.
 pub(crate) fn fingerprint(
     scene: &Scene,
     views: &[EnhanceView],

@@ -185,19 +185,21 @@ fn golden_whole_steps() {
     }
 }
 
-/// Distances along a direction, in units of the parameters. Over long ones the loss bends, short ones drown in the rounding of f32;
-/// one in between must agree, so the best is asked.
+/// Distances along a direction, in units of the parameters. Over long ones the loss bends, short ones drown
+/// in the rounding of f32; one in between must agree, so the best is asked.
 const DISTANCES: [f64; 8] = [1e-3, 5e-4, 2.5e-4, 1.25e-4, 6.3e-5, 3.1e-5, 1.6e-5, 8e-6];
-/// Differences that are added up for each distance, of slightly different length, so that their rounding averages out.
+/// Differences that are added up for each distance, of slightly different length, so
+/// that their rounding averages out.
 const REPEATS: u32 = 8;
-/// By what share of a direction's slope a difference may deviate, beside its rounding, which may take no more than that.
+/// By what share of a direction's slope a difference may deviate, beside its rounding,
+/// which may take no more than that.
 const DEVIATION: f64 = 0.003;
 /// By what share a gradient may be too long or too short at most without being noticed.
 const NOTICED: f64 = 0.01;
 
-/// Differences of the loss, added up, and the gradient's word on them. From `Δ(h) = L(θ + h d) − L(θ − h d)` at one length and at twice
-/// that, `(8 Δ(h) − Δ(2h)) / 6 = 2 h L′ + O(h⁵)`: what bends like a cube cancels, so that longer ways, which stand further out of the
-/// rounding, are straight enough.
+/// Differences of the loss, added up, and the gradient's word on them. From `Δ(h) = L(θ + h d) − L(θ − h d)`
+/// at one length and at twice that, `(8 Δ(h) − Δ(2h)) / 6 = 2 h L′ + O(h⁵)`: what bends like a cube cancels,
+/// so that longer ways, which stand further out of the rounding, are straight enough.
 #[derive(Debug)]
 struct Difference {
     found: f64,
@@ -225,7 +227,8 @@ impl Example {
         here.to_bits() == there.to_bits()
     }
 
-    /// Differences along `direction` in the parameters of `range`, one for each distance that stands out of rounding.
+    /// Differences along `direction` in the parameters of `range`, one for each
+    /// distance that stands out of rounding.
     fn differences(&mut self, gradient: &[f64], range: Range<usize>, direction: &[f64]) -> Vec<Difference> {
         let start = self.field.parameters.clone();
         let slope: f64 = range.clone().zip(direction).map(|(i, d)| (gradient[i] * d).abs()).sum();
@@ -246,8 +249,8 @@ impl Example {
             .map(|k| ((at(2e-6 * f64::from(k)).0 - here) + (at(-2e-6 * f64::from(k)).0 - here)).abs())
             .fold(0.0, f64::max);
         let differences = DISTANCES.map(|distance| {
-            // Each of the four values in it is rounded for itself, by 1.9 times the rounding of one in all; three are in what was
-            // measured, 2.4 times.
+            // Each of the four values in it is rounded for itself, by 1.9 times the rounding of one in all;
+            // three are in what was measured, 2.4 times.
             let noise = noise * f64::from(REPEATS).sqrt();
             let mut sum = Difference { found: 0.0, expected: 0.0, scale: 0.0, noise };
             for k in 0..REPEATS {
@@ -278,15 +281,17 @@ fn whole_steps_agree_with_their_differences() {
         for seed in 0..4 {
             let mut e = Example::new(&case, appearance);
             if seed % 2 == 1 {
-                // As large scenes are trained: the mean over some Gaussians, the others only where the view sees them.
+                // As large scenes are trained: the mean over some Gaussians, the others
+                // only where the view sees them.
                 e.frozen.relist(&Lookups::new(e.step.objects.sites().clone(), 5));
             }
             let draw = Stream::new(seed, Purpose::new("step differences"), 0);
             for (i, p) in e.field.parameters.iter_mut().enumerate() {
                 *p += 0.1 * draw.normal(i as u64) as f32;
             }
-            // The field is piecewise linear along the guide, and one node crossed can be a third of the slope. A difference across it
-            // says nothing about the derivative, so the nodes are put on straight lines, each of another slope.
+            // The field is piecewise linear along the guide, and one node crossed can be a third of the
+            // slope. A difference across it says nothing about the derivative, so the nodes are put on
+            // straight lines, each of another slope.
             let s = e.field.shape();
             for rank in 0..s.rank {
                 let slope = draw.normal(80_000 + rank as u64);
@@ -319,7 +324,8 @@ fn whole_steps_agree_with_their_differences() {
                 let differences = e.differences(&gradient, range.clone(), &across);
                 let right = differences.iter().any(|d| d.agrees(1.0));
                 assert!(right, "seed {seed}, {group}, across: {differences:#?}");
-                // Where every parameter moves uphill, by different lengths, the difference is as long as can be.
+                // Where every parameter moves uphill, by different lengths, the
+                // difference is as long as can be.
                 let uphill: Vec<f64> =
                     range.clone().map(|i| gradient[i].signum() * (0.5 + random(i).abs())).collect();
                 let differences = e.differences(&gradient, range, &uphill);

@@ -1,6 +1,7 @@
 //! Enhanced images as colours to reproduce: what the objective `pseudo-labels` learns from.
 //!
-//! Making one costs a run of a 2D enhancer, so every view's is made once, and kept at the pixels that steps render, 16 bit.
+//! Making one costs a run of a 2D enhancer, so every view's is made once, and kept at the
+//! pixels that steps render, 16 bit.
 
 use std::sync::Arc;
 
@@ -12,7 +13,8 @@ use crate::{EnhanceError, EnhanceParams};
 
 /// Enhanced images of the training views.
 pub trait LabelSource {
-    /// The enhanced image of view `index` of the list given to stage 2, of the camera's size; or what is wrong.
+    /// The enhanced image of view `index` of the list given to stage 2, of the
+    /// camera's size; or what is wrong.
     fn label(&self, index: usize) -> Result<Image, String>;
 }
 

@@ -1,4 +1,5 @@
-//! What stage 2 says about itself: a log line per window of steps, and per view how near the targets were reached.
+//! What stage 2 says about itself: a log line per window of steps, and per view how
+//! near the targets were reached.
 
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Serialize, Serializer};
@@ -35,7 +36,8 @@ impl LogEntry {
     }
 }
 
-/// How far a view is from what was aimed at: the values of the terms of views, `None` where a term was not measured.
+/// How far a view is from what was aimed at: the values of the terms of views, `None`
+/// where a term was not measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ViewErrors(pub Values);
 
@@ -46,7 +48,8 @@ impl ViewErrors {
     }
 }
 
-/// By name: value and error of a term that measures one, null where it was not measured; of another its value, 0 where it has none.
+/// By name: value and error of a term that measures one, null where it was not measured; of another
+/// its value, 0 where it has none.
 impl Serialize for ViewErrors {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut map = serializer.serialize_map(None)?;
@@ -88,8 +91,8 @@ pub struct Report {
 }
 
 impl Report {
-    /// Root-mean-square over views of the normalised error of the term of that name, before and after; `None` where it was not
-    /// measured.
+    /// Root-mean-square over views of the normalised error of the term of that name, before and after;
+    /// `None` where it was not measured.
     pub fn errors(&self, term: &str) -> Option<(f64, f64)> {
         let rms = |pick: &dyn Fn(&ViewReport) -> ViewErrors| {
             let errors: Option<Vec<f64>> =

@@ -47,11 +47,13 @@ impl Resumable for State {
     }
 }
 
-/// Learns the enhanced appearance of a reconstructed scene, with an engine that was made for this scene, these views and this guidance.
+/// Learns the enhanced appearance of a reconstructed scene, with an engine that was made for this scene,
+/// these views and this guidance.
 ///
-/// `views` are the training views, in the scene's frame. With a `checkpoint_dir`, the state is saved there every
-/// `checkpoint_every` steps and when the observer asks to stop; a later call with the same inputs goes on from it with the same
-/// bits as an uninterrupted run. The scene's Gaussians and medium come back untouched.
+/// `views` are the training views, in the scene's frame. With a `checkpoint_dir`, the state is
+/// saved there every `checkpoint_every` steps and when the observer asks to stop; a later call with
+/// the same inputs goes on from it with the same bits as an uninterrupted run. The scene's
+/// Gaussians and medium come back untouched.
 pub fn enhance(
     scene: &Scene,
     views: &[EnhanceView],
@@ -139,8 +141,9 @@ impl Steps for Run<'_> {
         Ok(checkpoints.save(done, &state)?)
     }
 
-    /// The [`Scene`] with its enhancement so far. The centre is the mean over all Gaussians, not that over the ones that define it, which the
-    /// engine knows: asking it would cost it what it holds for the next step.
+    /// The [`Scene`] with its enhancement so far. The centre is the mean over all Gaussians,
+    /// not that over the ones that define it, which the engine knows: asking it would cost it
+    /// what it holds for the next step.
     fn view(&mut self) -> Result<Option<Snapshot>, EnhanceError> {
         let mut field = initial_field(self.scene, self.guidance, self.params)?;
         let state = self.engine.save()?;
@@ -221,7 +224,8 @@ impl Run<'_> {
 
     /// What comes after the last step.
     fn finish(mut self) -> Result<Outcome, EnhanceError> {
-        // Only here, after the last checkpoint: a longer run that goes on from it still collects for this line.
+        // Only here, after the last checkpoint: a longer run that goes on from
+        // it still collects for this line.
         self.drain(Drain::All)?;
         if self.window.steps > 0 {
             self.end_window()?;

@@ -46,7 +46,8 @@ impl Guidance<'_> {
     }
 }
 
-/// What a rendered view is compared with; made by [`References`], read by [`Measure`](crate::engine::Measure).
+/// What a rendered view is compared with; made by [`References`], read by
+/// [`Measure`](crate::engine::Measure).
 #[derive(Clone, Debug)]
 pub enum Reference {
     /// The stage-1 render as the extractor sees it, and the local target on its grid.
@@ -63,7 +64,8 @@ pub(crate) struct ViewConstants {
     pub(crate) reference: Reference,
 }
 
-/// Which of `count` Gaussians define the field's constant mode: at most `sample`, every so many; `None`: all, also where `sample` is 0.
+/// Which of `count` Gaussians define the field's constant mode: at most `sample`, every so many; `None`:
+/// all, also where `sample` is 0.
 pub fn centred(count: usize, sample: usize) -> Option<Vec<u32>> {
     let some = sample > 0 && sample < count;
     some.then(|| (0..count as u32).step_by(count.div_ceil(sample)).collect())
@@ -241,7 +243,8 @@ impl Samplings {
     }
 }
 
-/// Makes what views are compared with, one after another; views of one size share what depends on the size alone.
+/// Makes what views are compared with, one after another; views of one size share
+/// what depends on the size alone.
 pub struct References<'a> {
     scene: &'a Scene,
     guidance: Guidance<'a>,
@@ -270,8 +273,9 @@ impl<'a> References<'a> {
         Ok(self.sampled(camera)?.lattice.clone())
     }
 
-    /// What view `index` is compared with. `stage1` is its stage-1 render on the [lattice](Self::lattice), which labels have no use for;
-    /// `known` is a reference of the same view on another lattice: its local target is the same.
+    /// What view `index` is compared with. `stage1` is its stage-1 render on the
+    /// [lattice](Self::lattice), which labels have no use for; `known` is a reference of the same view on
+    /// another lattice: its local target is the same.
     pub fn of(
         &mut self,
         index: usize,
@@ -314,8 +318,8 @@ impl<'a> Preparer<'a> {
         Self { lookups, references, rendered: Rendered::new() }
     }
 
-    /// The constants of a view, trimmed if it is to be rendered again and again. `known` is what the view is compared with on another
-    /// lattice, where that is known already.
+    /// The constants of a view, trimmed if it is to be rendered again and again. `known` is what the view is
+    /// compared with on another lattice, where that is known already.
     pub(crate) fn view(
         &mut self,
         index: usize,

@@ -1,4 +1,5 @@
-//! The loop on a small scene: it starts at the identity, reaches its targets, repeats itself bit for bit, and survives a kill.
+//! The loop on a small scene: it starts at the identity, reaches its targets, repeats itself
+//! bit for bit, and survives a kill.
 
 mod common;
 
@@ -95,7 +96,8 @@ fn losses_fall_and_the_realised_operators_reach_the_targets() {
     let (first, last) = (&full.log[0], &full.log[full.log.len() - 1]);
     let at = TERMS.iter().position(|row| row.name == "global").unwrap();
     let global = |line: &LogEntry| line.terms[at].loss;
-    // The teacher's local part is finer than the field's 16 nodes can follow in so few steps; its global part is not.
+    // The teacher's local part is finer than the field's 16 nodes can follow in so few
+    // steps; its global part is not.
     assert!(last.loss < 0.5 * first.loss && global(last) < 0.1 * global(first), "{first:?} {last:?}");
     let (before, after) = full.report.errors("global").unwrap();
     assert!(after < 0.3 * before, "global {before} -> {after}");
@@ -127,8 +129,8 @@ fn losses_fall_and_the_realised_operators_reach_the_targets() {
     assert!(global_only.report.errors("local").unwrap().1 > local_only.report.errors("local").unwrap().1);
 }
 
-/// A composite is linear in its colours, so an affine of the colours is one of the picture: what is left of the global error is where
-/// accumulation is not one. In clear radiance and with water.
+/// A composite is linear in its colours, so an affine of the colours is one of the picture: what is left of
+/// the global error is where accumulation is not one. In clear radiance and with water.
 #[test]
 fn the_scene_s_affine_at_the_global_target_nearly_meets_it() {
     let (scene, views) = mini();
@@ -147,7 +149,8 @@ fn the_scene_s_affine_at_the_global_target_nearly_meets_it() {
             begun.errors("global").unwrap().0,
             run(identity, Objective::Full, 0).errors("global").unwrap().0
         );
-        // Nothing is left for the field's local part to learn and unlearn: the local targets are nearer after as many steps.
+        // Nothing is left for the field's local part to learn and unlearn: the local targets
+        // are nearer after as many steps.
         let local = |start| run(start, Objective::Full, 60).errors("local").unwrap().1;
         assert!(local(operator) < local(identity), "{appearance:?}: {} {}", local(operator), local(identity));
         // An objective without a global term starts at the identity.
@@ -156,7 +159,8 @@ fn the_scene_s_affine_at_the_global_target_nearly_meets_it() {
     }
 }
 
-/// Operators are means over many pixels: a part of them must lead to the same field's transition, measured with all.
+/// Operators are means over many pixels: a part of them must lead to the same field's
+/// transition, measured with all.
 #[test]
 fn a_sample_of_the_pixels_teaches_the_same() {
     let (scene, views) = mini();
@@ -177,7 +181,8 @@ fn a_sample_of_the_pixels_teaches_the_same() {
     assert!(wrong.to_string().contains("sample_side"), "{wrong}");
 }
 
-/// The mean over a part of the Gaussians splits the same appearance a little differently between field and affine.
+/// The mean over a part of the Gaussians splits the same appearance a little
+/// differently between field and affine.
 #[test]
 fn a_mean_over_some_gaussians_teaches_the_same() {
     let (scene, views) = mini();
@@ -223,7 +228,8 @@ fn pseudo_labels_are_reproduced() {
     }
 }
 
-/// In clear radiance stage 2 is that of a scene without its water, and the water of the enhanced scene is stage 1's.
+/// In clear radiance stage 2 is that of a scene without its water, and the water of
+/// the enhanced scene is stage 1's.
 #[test]
 fn clear_radiance_is_learnt_without_the_water_and_leaves_it_alone() {
     let (scene, views) = mini();
@@ -276,7 +282,8 @@ fn threads_and_memory_do_not_change_a_bit() {
     let run = |threads: usize, cache_mib: usize, observer: &mut dyn Observer| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let params = EnhanceParams { cache_mib, centre_sample: 40, ..quick(25) };
-        // An observer need not be Send, so the loop runs here and its parallel parts in the pool of one call each.
+        // An observer need not be Send, so the loop runs here and its parallel
+        // parts in the pool of one call each.
         let mut notices = Vec::new();
         let out = pool.install(|| {
             let mut watcher = Watcher::new(u64::MAX);

@@ -1,5 +1,6 @@
-//! One run that says what there is to know of an adapter: its limits, whether its kernels agree with the processor, whether they give the
-//! same bits each time, how long they take, and how many steps of a training it does in a second. No network, minutes at most; the record is one document.
+//! One run that says what there is to know of an adapter: its limits, whether its kernels agree with the
+//! processor, whether they give the same bits each time, how long they take, and how many steps of a training
+//! it does in a second. No network, minutes at most; the record is one document.
 
 use std::collections::BTreeMap;
 use std::ops::Range;

@@ -1,7 +1,8 @@
-//! The check before an adapter is used: kernels and a whole step of stage 1 on a small scene beside the processor's, in a moment.
+//! The check before an adapter is used: kernels and a whole step of stage 1 on a small scene
+//! beside the processor's, in a moment.
 //!
-//! Drivers have bugs that corrupt numbers without an error; a training of hours is no place to find them. What is wrong is told with the
-//! adapter's name and its driver, since another driver may be the remedy.
+//! Drivers have bugs that corrupt numbers without an error; a training of hours is no place to find them.
+//! What is wrong is told with the adapter's name and its driver, since another driver may be the remedy.
 
 use use3d_training::EngineError;
 
@@ -64,8 +65,8 @@ pub fn check(gpu: &Gpu) -> Result<(), CheckError> {
     verdict(gpu, twins::small(gpu))
 }
 
-/// Opens the adapter whose name contains `name`, without a name the best that is no software, and checks it. One that computes wrongly
-/// with operations across threads is taken without them if it is sound then.
+/// Opens the adapter whose name contains `name`, without a name the best that is no software, and checks it.
+/// One that computes wrongly with operations across threads is taken without them if it is sound then.
 pub fn open_checked(name: Option<&str>) -> Result<Gpu, CheckError> {
     sound(Gpu::open(name)?)
 }

@@ -1,7 +1,8 @@
 //! Which adapters there are, which one is taken, and a device of it.
 //!
-//! The driver's loader is opened at run time, so the program builds and starts on machines without any. Processors that pretend to be
-//! graphics cards (software adapters) are slower than the engine for processors and are taken only when they are asked for by name.
+//! The driver's loader is opened at run time, so the program builds and starts on machines without any.
+//! Processors that pretend to be graphics cards (software adapters) are slower than the engine for processors
+//! and are taken only when they are asked for by name.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -170,7 +171,8 @@ pub fn adapters() -> Vec<AdapterReport> {
     enumerate().into_iter().map(|(report, _)| report).collect()
 }
 
-/// Which of some adapters is meant: the first whose name contains `name` in any case, or without a name the best that is no software.
+/// Which of some adapters is meant: the first whose name contains `name` in any case, or without a
+/// name the best that is no software.
 fn choose(reports: &[AdapterReport], name: Option<&str>) -> Result<usize, DeviceError> {
     let found = || reports.iter().map(|report| report.name.clone()).collect::<Vec<_>>();
     let at = match name {

@@ -1,7 +1,8 @@
 //! Pictures of a scene: the kernels of stage 1 without training.
 //!
-//! A [`Drawing`] holds a scene's Gaussians on the device. Colours are the scene's harmonics, or one of the caller's per Gaussian and view;
-//! the water comes as maps, as the processor's compositor takes it. What is drawn is what `use3d_splat::Rasterizer` draws.
+//! A [`Drawing`] holds a scene's Gaussians on the device. Colours are the scene's harmonics, or one of the
+//! caller's per Gaussian and view; the water comes as maps, as the processor's compositor takes it. What is
+//! drawn is what `use3d_splat::Rasterizer` draws.
 
 use use3d_capture::{Camera, Formation, Image, Lattice, Map, MediumMaps};
 use use3d_splat::{Gaussians, Layers, Rendered};

@@ -1,4 +1,5 @@
-//! What every kernel of a step may read: camera, sizes, the step's constants. One uniform, written before each step.
+//! What every kernel of a step may read: camera, sizes, the step's constants. One
+//! uniform, written before each step.
 
 use bytemuck::{Pod, Zeroable};
 use use3d_capture::{Camera, Lattice};
@@ -33,9 +34,11 @@ pub(crate) struct Frame {
     pub(crate) extent: [f32; 4],
     /// Of the lattice: width, height, tiles across, tiles down.
     pub(crate) size: [u32; 4],
-    /// Gaussians, bands of colour active (1, 4, 9 or 16; 0: colours are given as they are, three numbers each), entries there is room for, the step modulo 2^32.
+    /// Gaussians, bands of colour active (1, 4, 9 or 16; 0: colours are given as they are, three numbers
+    /// each), entries there is room for, the step modulo 2^32.
     pub(crate) counts: [u32; 4],
-    /// Water (0 or 1), gradients through distances (0 or 1), statistics gathered (0 or 1), place of the step's report.
+    /// Water (0 or 1), gradients through distances (0 or 1), statistics gathered (0 or
+    /// 1), place of the step's report.
     pub(crate) flags: [u32; 4],
     /// Adam: β₁, β₂, 1/√(1 − β₂ᵗ), ε.
     pub(crate) adam: [f32; 4],
@@ -48,7 +51,8 @@ pub(crate) struct Frame {
 }
 
 impl Frame {
-    /// The pixels of a lattice, looked at by a camera: geometry of the view and numbers of Gaussians; the rest is zero.
+    /// The pixels of a lattice, looked at by a camera: geometry of the view and numbers
+    /// of Gaussians; the rest is zero.
     pub(crate) fn on(
         camera: &Camera,
         lattice: &Lattice,
@@ -117,11 +121,13 @@ pub(crate) mod counts {
     pub(crate) const ENTRIES: usize = 0;
     /// The largest number of entries that a view needed so far.
     pub(crate) const MOST: usize = 2;
-    /// The sticky stop: 0 while all is well, else [`OVERFLOW`] or [`NON_FINITE`]. Updates change nothing from then on.
+    /// The sticky stop: 0 while all is well, else [`OVERFLOW`] or [`NON_FINITE`].
+    /// Updates change nothing from then on.
     pub(crate) const STOP: usize = 4;
     /// The step, modulo 2^32, that set it.
     pub(crate) const STOP_STEP: usize = 5;
-    /// What was not finite first: bit 0 means, 1 log scales, 2 quaternions, 3 opacity logits, 4 colours, 5 water, 6 gains, 7 the loss.
+    /// What was not finite first: bit 0 means, 1 log scales, 2 quaternions, 3 opacity logits, 4
+    /// colours, 5 water, 6 gains, 7 the loss.
     pub(crate) const BAD: usize = 6;
     /// Words in all.
     pub(crate) const WORDS: usize = 64;

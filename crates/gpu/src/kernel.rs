@@ -1,10 +1,12 @@
 //! Kernels: WGSL put together from a header, shared snippets and a body; bound and dispatched.
 //!
-//! A [`Spec`] is plain data: which buffers a kernel sees and how, the constants that stand above it, its text. The declarations of its
-//! bindings are written from the same list as its bind group layout, so the two cannot disagree. Specs are checked without a device
-//! (the test below walks through all of them), a [`Kernel`] is a spec compiled for one.
+//! A [`Spec`] is plain data: which buffers a kernel sees and how, the constants that stand above it, its
+//! text. The declarations of its bindings are written from the same list as its bind group layout, so the two
+//! cannot disagree. Specs are checked without a device (the test below walks through all of them), a
+//! [`Kernel`] is a spec compiled for one.
 //!
-//! Every kernel has one bind group, bindings in the order of its list, and one entry point `main`. The header offers it
+//! Every kernel has one bind group, bindings in the order of its list, and one entry
+//! point `main`. The header offers it
 //!
 //! ```text
 //! WG                          threads of a workgroup
@@ -121,7 +123,8 @@ pub(crate) struct Grid {
 }
 
 impl Grid {
-    /// At least so many workgroups: rows of 65,535 where there are more, so that a kernel has to leave those past its end out.
+    /// At least so many workgroups: rows of 65,535 where there are more, so that a kernel has
+    /// to leave those past its end out.
     pub(crate) fn groups(count: usize) -> Self {
         let count = count as u64;
         if count <= SIDE {

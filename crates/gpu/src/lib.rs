@@ -1,11 +1,13 @@
 //! The engines of training on graphics cards, of any vendor, found at run time.
 //!
-//! [`adapters`] lists what this machine has and [`Gpu::open`] takes one. A step is a row of kernels, written by hand in WGSL and recorded
-//! into one pass; nothing is read back while steps run, so that the card never waits for the processor.
+//! [`adapters`] lists what this machine has and [`Gpu::open`] takes one. A step is a row of kernels,
+//! written by hand in WGSL and recorded into one pass; nothing is read back while steps run, so that the
+//! card never waits for the processor.
 //!
 //! # What lies where
 //!
-//! N Gaussians, E (tile, Gaussian) entries, P pixels of the view, T tiles of 16×16 pixels. Every buffer is a flat array.
+//! N Gaussians, E (tile, Gaussian) entries, P pixels of the view, T tiles of 16×16
+//! pixels. Every buffer is a flat array.
 //!
 //! | buffer | items | what |
 //! |---|---|---|
@@ -22,7 +24,8 @@
 //! | colour planes | 3 P `f32` | `c·P + y·W + x`: image, its gradient, `Σ w e_b`, `Σ w z c e_a`, `Σ w z e_b`, the water's `c_m`, `k_a`, `k_b` |
 //! | planes | P `f32` or `u32` | depth, accumulation, final transmittance, the entry of its list at which a pixel stopped |
 //!
-//! Of stage 2, for L lookups of the field (listed Gaussians, and with water the 16 rows of its table), rank R, n parameters:
+//! Of stage 2, for L lookups of the field (listed Gaussians, and with water the 16 rows of
+//! its table), rank R, n parameters:
 //!
 //! | buffer | items | what |
 //! |---|---|---|
@@ -37,8 +40,9 @@
 //!
 //! # Determinism
 //!
-//! Sorts are stable and of whole numbers, every record has one writer, sums go through fixed trees, and no kernel adds floats
-//! atomically: the same requests give the same bytes on the same adapter, driver, program and [`Variant`].
+//! Sorts are stable and of whole numbers, every record has one writer, sums go through fixed trees,
+//! and no kernel adds floats atomically: the same requests give the same bytes on the same adapter,
+//! driver, program and [`Variant`].
 
 pub mod bench;
 mod buffer;
@@ -74,7 +78,8 @@ pub use stage1::{Stage1, training_bytes};
 pub use stage2::Stage2;
 pub use variant::Variant;
 
-/// The text of every kernel in every variant, as drivers are given it: what results depend on besides adapter and driver.
+/// The text of every kernel in every variant, as drivers are given it: what results depend
+/// on besides adapter and driver.
 pub fn kernel_sources() -> Vec<String> {
     specs().iter().map(kernel::Spec::source).collect()
 }

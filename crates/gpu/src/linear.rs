@@ -1,8 +1,9 @@
-//! The linear attribute splat `S_v` and its adjoint: `(S_v x)(p) = Σ_i w_i(p) x_i`, `(S_vᵀ y)_i = Σ_p w_i(p) y(p)`.
+//! The linear attribute splat `S_v` and its adjoint: `(S_v x)(p) = Σ_i w_i(p) x_i`,
+//! `(S_vᵀ y)_i = Σ_p w_i(p) y(p)`.
 //!
-//! The weights are the compositor's, `w = T α`, without water. `S_v` is the forward pass with values in the place of colours, `S_vᵀ` the
-//! derivative by colours of that pass: three channels at a time, any number of them. The processor's are
-//! `use3d_splat::Rasterizer::{splat, splat_adjoint}`.
+//! The weights are the compositor's, `w = T α`, without water. `S_v` is the forward pass with values in the
+//! place of colours, `S_vᵀ` the derivative by colours of that pass: three channels at a time, any number of
+//! them. The processor's are `use3d_splat::Rasterizer::{splat, splat_adjoint}`.
 
 use use3d_capture::{Camera, Lattice};
 use use3d_splat::Gaussians;
@@ -143,7 +144,8 @@ impl LinearSplat {
         }
     }
 
-    /// `S_v`: splats `values` (`[N][channels]`, in the order of the Gaussians) into `out` (`[channels][height][width]`).
+    /// `S_v`: splats `values` (`[N][channels]`, in the order of the Gaussians) into `out`
+    /// (`[channels][height][width]`).
     ///
     /// # Errors
     /// Lengths that do not fit, and what the driver says.
@@ -168,7 +170,8 @@ impl LinearSplat {
         Ok(())
     }
 
-    /// `S_vᵀ`: lifts `planes` (`[channels][height][width]`) to the Gaussians, into `out` (`[N][channels]`); zero where one is not visible.
+    /// `S_vᵀ`: lifts `planes` (`[channels][height][width]`) to the Gaussians, into `out` (`[N][channels]`);
+    /// zero where one is not visible.
     ///
     /// # Errors
     /// Lengths that do not fit, and what the driver says.

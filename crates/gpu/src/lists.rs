@@ -4,9 +4,10 @@
 //! project ─▶ order by depth ─▶ reduce, total, offsets ─▶ emit ─▶ order by tile ─▶ starts
 //! ```
 //!
-//! Entries are numbered in the order of depth, those of a Gaussian one after another: the number is where an entry's gradient goes, so
-//! that a Gaussian finds its own side by side. The order by tile is stable and keeps depth within a tile. Hidden Gaussians go through
-//! the first order with the largest key instead of being left out before: a dispatch less against a little more to sort.
+//! Entries are numbered in the order of depth, those of a Gaussian one after another: the number is where an
+//! entry's gradient goes, so that a Gaussian finds its own side by side. The order by tile is stable and
+//! keeps depth within a tile. Hidden Gaussians go through the first order with the largest key instead of
+//! being left out before: a dispatch less against a little more to sort.
 
 use use3d_capture::Lattice;
 use use3d_training::EngineError;
@@ -202,7 +203,8 @@ impl Lists {
         self.by_tile.grow(gpu, entries)
     }
 
-    /// Makes ready for a view of a lattice, of which the frame is; before [`Lists::record`], and again when one of them changes.
+    /// Makes ready for a view of a lattice, of which the frame is; before [`Lists::record`], and
+    /// again when one of them changes.
     pub(crate) fn prepare(&mut self, gpu: &Gpu, frame: &Frame, lattice: &Lattice) -> Result<(), EngineError> {
         let n = frame.gaussians();
         self.splats.grow(gpu, 3 * n)?;

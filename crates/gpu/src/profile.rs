@@ -1,4 +1,5 @@
-//! Where the time of kernels goes: the device's own clock before and after every dispatch, where it has one that can be read there.
+//! Where the time of kernels goes: the device's own clock before and after every dispatch, where it
+//! has one that can be read there.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
@@ -106,7 +107,8 @@ impl Clock {
 }
 
 impl Gpu {
-    /// Adds the kernels' times since the last call to `times`, after what was submitted is done. Nothing where the device has no clock.
+    /// Adds the kernels' times since the last call to `times`, after what was submitted is done. Nothing
+    /// where the device has no clock.
     pub(crate) fn read_times(
         &self,
         times: &mut BTreeMap<&'static str, KernelTime>,

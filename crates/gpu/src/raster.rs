@@ -1,9 +1,11 @@
 //! Light through a tile's Gaussians and the water, forward and backward.
 //!
-//! Forward, one thread per pixel: the processor's compositor in the telescoped form, with what the water's gradients need summed on
-//! the way (`Σ w e_b`, `Σ w z c e_a`, `Σ w z e_b`). Backward, one thread per Gaussian of a round of 64, in a diagonal over the tile's
-//! pixels: it uses neither subgroups nor float atomics, so its bits depend on no width. Where a device has operations across threads that
-//! run in step, there is a second one ([`Variant::Subgroups`]): pixels lie in threads, and a Gaussian's sums come from these operations.
+//! Forward, one thread per pixel: the processor's compositor in the telescoped form, with what the
+//! water's gradients need summed on the way (`Σ w e_b`, `Σ w z c e_a`, `Σ w z e_b`). Backward, one
+//! thread per Gaussian of a round of 64, in a diagonal over the tile's pixels: it uses neither subgroups
+//! nor float atomics, so its bits depend on no width. Where a device has operations across threads that
+//! run in step, there is a second one ([`Variant::Subgroups`]): pixels lie in threads, and a Gaussian's
+//! sums come from these operations.
 
 use use3d_training::EngineError;
 
@@ -59,7 +61,8 @@ enum Kept {
     Nothing,
     /// What the backward passes need.
     Training,
-    /// The image's parts, in the places of the sums along rays: object, clear, and the water behind the last Gaussian.
+    /// The image's parts, in the places of the sums along rays: object, clear, and the
+    /// water behind the last Gaussian.
     Layers,
 }
 
@@ -235,7 +238,8 @@ impl Planes {
         buffers
     }
 
-    /// Records the forward pass of `tiles` tiles. Without `train` only image, depth and accumulation are written.
+    /// Records the forward pass of `tiles` tiles. Without `train` only image,
+    /// depth and accumulation are written.
     pub(crate) fn record_forward(
         &self,
         kernels: &RasterKernels,
@@ -250,7 +254,8 @@ impl Planes {
         self.record(kernels, pass, frame, tiles, drawn, water, kept);
     }
 
-    /// Records the forward pass with the image's parts: object, clear and far in `veil`, `object_moment` and `veil_moment`.
+    /// Records the forward pass with the image's parts: object, clear and far in `veil`,
+    /// `object_moment` and `veil_moment`.
     pub(crate) fn record_layers(
         &self,
         kernels: &RasterKernels,
@@ -288,7 +293,8 @@ impl Planes {
         kernel.dispatch(pass, Grid::groups(tiles), buffers);
     }
 
-    /// Records the backward pass from the loss's derivatives with respect to image and depth: every entry's record.
+    /// Records the backward pass from the loss's derivatives with respect to image
+    /// and depth: every entry's record.
     pub(crate) fn record_backward(
         &self,
         kernels: &RasterKernels,

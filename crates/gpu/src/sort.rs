@@ -1,8 +1,9 @@
-//! A stable radix sort of (key, value) pairs of whole numbers: per pass of eight bits a histogram of every block of items, the places
-//! that follow from it, and the move.
+//! A stable radix sort of (key, value) pairs of whole numbers: per pass of eight bits a histogram of every
+//! block of items, the places that follow from it, and the move.
 //!
-//! No pass waits for another workgroup (no look-back), no order of threads matters: the same input gives the same output everywhere.
-//! The values of the first pass are the items' numbers, so a caller writes keys alone.
+//! No pass waits for another workgroup (no look-back), no order of threads matters: the same
+//! input gives the same output everywhere. The values of the first pass are the items' numbers,
+//! so a caller writes keys alone.
 
 use bytemuck::{Pod, Zeroable};
 use use3d_training::EngineError;

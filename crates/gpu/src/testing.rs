@@ -7,7 +7,8 @@ use use3d_splat::Gaussians;
 
 use crate::device::Gpu;
 
-/// The software adapter, on a device of its own. Without one the test is left out, aloud; an error where `USE3D_REQUIRE_GPU=1`.
+/// The software adapter, on a device of its own. Without one the test is left out, aloud; an
+/// error where `USE3D_REQUIRE_GPU=1`.
 pub(crate) fn software() -> Option<Gpu> {
     match Gpu::open(Some("llvmpipe")) {
         Ok(gpu) => Some(gpu),

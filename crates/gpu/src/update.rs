@@ -1,5 +1,5 @@
-//! Adam on the Gaussians, with everything that leads to it: their records added up, the projection's derivative, the statistics of
-//! density control. One kernel, so that no gradient is written anywhere.
+//! Adam on the Gaussians, with everything that leads to it: their records added up, the projection's
+//! derivative, the statistics of density control. One kernel, so that no gradient is written anywhere.
 
 use bytemuck::{Pod, Zeroable};
 use use3d_numerics::adam::Adam;

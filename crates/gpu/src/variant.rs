@@ -5,7 +5,8 @@ use std::fmt;
 /// How the backward pass adds up over the pixels of a tile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Variant {
-    /// A: one thread per Gaussian. No operation across threads, so the bits are the same however many run in step.
+    /// A: one thread per Gaussian. No operation across threads, so the bits are the
+    /// same however many run in step.
     #[default]
     Portable,
     /// B: threads have pixels, and so many of them, which run in step, add up together.

@@ -52,8 +52,8 @@ pub fn read_cameras(path: &Path) -> Result<Vec<(FileName, Camera)>, ImportError>
     from_model(&model)
 }
 
-/// The pinhole cameras of one `images.txt`, in its order, and of the `cameras.txt` in its folder; points are not asked for, so that a path of
-/// cameras can be two files.
+/// The pinhole cameras of one `images.txt`, in its order, and of the `cameras.txt` in its folder; points are
+/// not asked for, so that a path of cameras can be two files.
 pub fn read_images_txt(path: &Path) -> Result<Vec<Camera>, ImportError> {
     let read = |path: &Path| std::fs::read(path).map_err(ImportError::file(path));
     let lenses = path.with_file_name("cameras.txt");

@@ -259,7 +259,8 @@ mod tests {
     }
 
     proptest! {
-        /// A linear ramp of pixel positions stays that ramp: the resampling and the intrinsics cannot drift apart.
+        /// A linear ramp of pixel positions stays that ramp: the resampling and the
+        /// intrinsics cannot drift apart.
         #[test]
         fn a_ramp_shows_where_each_pixel_came_from(w in 8usize..60, h in 8usize..60, tw in 4usize..120, th in 4usize..120) {
             let mut ramp = Raster::<f32, 2>::new(w, h);
@@ -281,7 +282,8 @@ mod tests {
                         // Beyond the outermost centres the edge goes on.
                         let e = expected[axis].clamp(0.5, n - 0.5);
                         let at_edge = expected[axis] < 0.5 + 0.5 / k.fx || expected[axis] > n - 0.5 - 0.5 / k.fx;
-                        // A box over part of two pixels takes each as flat: off by up to 1/8 pixel over its width.
+                        // A box over part of two pixels takes each as flat: off by
+                        // up to 1/8 pixel over its width.
                         let flat = if k.fx < 1.0 { 0.125 * k.fx } else { 0.0 };
                         let tolerance = if at_edge { 0.5 / k.fx } else { flat } + 1e-3;
                         prop_assert!((f64::from(found[axis]) - e).abs() < tolerance, "{x} {y}: {found:?} {expected:?}");

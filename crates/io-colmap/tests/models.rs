@@ -311,7 +311,8 @@ proptest! {
         prop_assert_eq!(&read_model_as(dir.path(), ModelForm::Text).unwrap(), &model);
     }
 
-    /// Mutated files end in a model or an error; where they are read, what was read can be checked and written.
+    /// Mutated files end in a model or an error; where they are read, what was
+    /// read can be checked and written.
     #[test]
     fn mutated_files_never_panic(file in 0usize..6, edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..10), cut in any::<prop::sample::Index>(), truncate in any::<bool>()) {
         thread_local!(static SEEDS: Vec<Vec<u8>> = {

@@ -1,4 +1,5 @@
-//! Pictures inside pages: small, as JPEG, in a data address. Encoded into memory, never into a file of their own.
+//! Pictures inside pages: small, as JPEG, in a data address. Encoded into memory,
+//! never into a file of their own.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -27,8 +28,8 @@ pub fn jpeg_address(image: &Image8, quality: u8) -> Result<String, JpegError> {
     Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes)))
 }
 
-/// An image (clamped to the display range) in 8 bits, reduced by box means by the smallest whole factor that brings its longer side to at
-/// most `side`.
+/// An image (clamped to the display range) in 8 bits, reduced by box means by the smallest whole factor that
+/// brings its longer side to at most `side`.
 pub fn shrunk(image: &Image, side: usize) -> Image8 {
     let (w, h) = (image.width(), image.height());
     let factor = w.max(h).div_ceil(side.max(1)).max(1);

@@ -1,8 +1,9 @@
 //! Image files in and out.
 //!
-//! Read: PNG (1 to 16 bits), JPEG, TIFF (8, 16 bits, float), EXR (half, float), NPY. Written: PNG (8, 16
-//! bits), EXR (float), and JPEGs for pages. Formats are told apart by their first bytes, not by the name. Values are
-//! display-referred (a PNG value over 255) and never linearised; EXR files hold the same values unclamped.
+//! Read: PNG (1 to 16 bits), JPEG, TIFF (8, 16 bits, float), EXR (half, float), NPY. Written: PNG
+//! (8, 16 bits), EXR (float), and JPEGs for pages. Formats are told apart by their first bytes, not
+//! by the name. Values are display-referred (a PNG value over 255) and never linearised; EXR files
+//! hold the same values unclamped.
 //!
 //! Every size is checked before memory is asked for (at most [`MAX_PIXELS`], and never more than the file's
 //! own length can hold). Every write goes to a temporary sibling that is renamed into place, so a file is

@@ -1,4 +1,5 @@
-//! How long the media take for a view of 640×360 pixels: a forward and a backward pass, as in a training step.
+//! How long the media take for a view of 640×360 pixels: a forward and a
+//! backward pass, as in a training step.
 
 use std::hint::black_box;
 

@@ -1,15 +1,17 @@
-//! Spherical harmonics of the pixel's ray, for nine quantities at once: the part that `rbf` and `global` share.
+//! Spherical harmonics of the pixel's ray, for nine quantities at once: the part
+//! that `rbf` and `global` share.
 //!
-//! Per pixel, with the unit world direction `ω` of the ray through the pixel centre (R3) and the basis `Y` of 16 bands,
+//! Per pixel, with the unit world direction `ω` of the ray through the pixel centre (R3)
+//! and the basis `Y` of 16 bands,
 //!
 //! ```text
 //! raw[q] = Σ_b Y_b(ω) A[q][b]       q: c_m, β_bs, β_attn, each RGB
 //! c_m    = max(raw + 0.5, 0)        β = softplus(raw)                  (R6)
 //! ```
 //!
-//! The backward pass needs only the maps themselves: `c_m > 0` tells the clamp, and `softplus'(raw) = 1 - e^{-β}`. Rows are cut into
-//! strips of fixed height, each strip sums its 144 products in sixteen lanes, and strips are added in order in f64: the same bits
-//! on any number of threads.
+//! The backward pass needs only the maps themselves: `c_m > 0` tells the clamp, and
+//! `softplus'(raw) = 1 - e^{-β}`. Rows are cut into strips of fixed height, each strip sums its 144 products
+//! in sixteen lanes, and strips are added in order in f64: the same bits on any number of threads.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd, dispatch, f32x16};
@@ -55,7 +57,8 @@ pub(crate) const STRIP: usize = 8;
 /// Pixels per block of the backward pass.
 const BLOCK: usize = 8 * LANES;
 
-/// The rays of a lattice: `d = ((u - cx)/fx, (v - cy)/fy, 1)` per column and row, and the rotation into the world.
+/// The rays of a lattice: `d = ((u - cx)/fx, (v - cy)/fy, 1)` per column and row,
+/// and the rotation into the world.
 pub(crate) struct Rays {
     x: Vec<f32>,
     y: Vec<f32>,

@@ -1,8 +1,10 @@
-//! Water laid over the finished image: the clear image seen through water at its expected depth, as SeaSplat and 3D-UIR form a photograph.
+//! Water laid over the finished image: the clear image seen through water at its expected depth, as
+//! SeaSplat and 3D-UIR form a photograph.
 //!
-//! The water is that of [`MediumGlobal`], one set of spherical harmonics; with the constant band alone it is SeaSplat's, three numbers
-//! each for the colour of infinitely deep water, backscatter and attenuation. What differs is where it goes: not in front of every Gaussian, but
-//! in front of each pixel ([`Formation::PerImage`]).
+//! The water is that of [`MediumGlobal`], one set of spherical harmonics; with the constant band alone
+//! it is SeaSplat's, three numbers each for the colour of infinitely deep water, backscatter and
+//! attenuation. What differs is where it goes: not in front of every Gaussian, but in front of each
+//! pixel ([`Formation::PerImage`]).
 
 use use3d_capture::{Camera, Formation, Lattice, MediumMaps};
 

@@ -1,13 +1,16 @@
 //! MediumRBF and the media it is compared with.
 //!
-//! A medium model says, for a camera and the pixels looked at, what the water does along each pixel's ray: its colour at infinity
-//! `c_m` (display range) and the backscatter and attenuation coefficients `β_bs`, `β_attn` (1 / scene unit), each per RGB channel. The
-//! compositor does the rest. Models are rows of one table (`kinds`): [`MediumRbf`] (the method's), one set of spherical harmonics for the
-//! whole scene ([`MediumGlobal`], as in Plenodium), a network of the direction ([`MediumMlp`], as in WaterSplatting), and no water at all.
-//! All of these stand in front of every Gaussian; [`MediumImage`] lies over the finished image, as in SeaSplat and 3D-UIR.
+//! A medium model says, for a camera and the pixels looked at, what the water does along each pixel's ray:
+//! its colour at infinity `c_m` (display range) and the backscatter and attenuation coefficients `β_bs`,
+//! `β_attn` (1 / scene unit), each per RGB channel. The compositor does the rest. Models are rows of one
+//! table (`kinds`): [`MediumRbf`] (the method's), one set of spherical harmonics for the whole scene
+//! ([`MediumGlobal`], as in Plenodium), a network of the direction ([`MediumMlp`], as in WaterSplatting), and
+//! no water at all. All of these stand in front of every Gaussian; [`MediumImage`] lies over the finished
+//! image, as in SeaSplat and 3D-UIR.
 //!
-//! `backward` is the exact adjoint of `maps` and adds to a gradient that has the model's own type. For optimisers, every model is a
-//! flat vector of parameters in a fixed order with a [`Role`] each ([`MediumModel::update`]).
+//! `backward` is the exact adjoint of `maps` and adds to a gradient that has the model's own type.
+//! For optimisers, every model is a flat vector of parameters in a fixed order with a [`Role`]
+//! each ([`MediumModel::update`]).
 
 mod directional;
 mod global;
@@ -108,8 +111,9 @@ impl MediumModel {
         self.groups().iter().map(|(_, values)| values.len()).sum()
     }
 
-    /// Walks model and gradient in step, in the fixed order of the flat parameter vector: `f(role, offset, parameters, gradient)`
-    /// with slices of equal length; `offset` is the first parameter's index in the flat vector.
+    /// Walks model and gradient in step, in the fixed order of the flat parameter vector:
+    /// `f(role, offset, parameters, gradient)` with slices of equal length; `offset` is the first
+    /// parameter's index in the flat vector.
     pub fn update(&mut self, gradient: &Self, mut f: impl FnMut(Role, usize, &mut [f32], &[f32])) {
         let mut offset = 0;
         for ((role, values), (_, pulls)) in self.groups_mut().into_iter().zip(gradient.groups()) {

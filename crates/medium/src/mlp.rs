@@ -5,9 +5,10 @@
 //! c_m = σ(raw)              β = softplus(raw)
 //! ```
 //!
-//! with the 16 spherical harmonics `Y` of the ray's direction, two hidden layers of 128 sigmoids and nine outputs. The same water
-//! everywhere: it knows the direction, not the place. Evaluated 64 pixels at a time, matrix times matrix; the backward pass
-//! computes the hidden layers again rather than storing 256 numbers per pixel.
+//! with the 16 spherical harmonics `Y` of the ray's direction, two hidden layers of 128 sigmoids and
+//! nine outputs. The same water everywhere: it knows the direction, not the place. Evaluated 64 pixels
+//! at a time, matrix times matrix; the backward pass computes the hidden layers again rather than
+//! storing 256 numbers per pixel.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd, dispatch, f32x16};
@@ -298,11 +299,12 @@ impl Gradients {
     }
 }
 
-/// Outputs that one pass of a matrix product sums in registers: by two vectors where registers hold a whole one, else by one.
+/// Outputs that one pass of a matrix product sums in registers: by two vectors where registers
+/// hold a whole one, else by one.
 const ROWS: usize = 4;
 
-/// `sums[r][v] += Σ_k left[r][k] right[k][start + v ..]`: a tile of a matrix product. Rows of `left` are `stride` apart, `right` has rows
-/// of `width`; there are as many terms as `right` has rows.
+/// `sums[r][v] += Σ_k left[r][k] right[k][start + v ..]`: a tile of a matrix product. Rows of `left` are
+/// `stride` apart, `right` has rows of `width`; there are as many terms as `right` has rows.
 #[inline(always)]
 fn tile<S: Simd, const V: usize>(
     simd: S,
@@ -376,8 +378,8 @@ fn product_tiles<S: Simd, const V: usize>(
     }
 }
 
-/// `weights += pull · inputᵀ`, `bias += Σ pull`, over one block of pixels. The input is turned to `[pixel][in]` first, so that
-/// vectors run along the inputs and no sum crosses its lanes.
+/// `weights += pull · inputᵀ`, `bias += Σ pull`, over one block of pixels. The input is turned to
+/// `[pixel][in]` first, so that vectors run along the inputs and no sum crosses its lanes.
 #[inline(always)]
 fn accumulate<S: Simd>(
     simd: S,
@@ -457,7 +459,8 @@ mod tests {
         left.iter().enumerate().fold(start, |sum, (k, &l)| right(k).mul_add(l, sum))
     }
 
-    /// Tiles of one and of two vectors, of which a processor takes one kind: the same bits, and the products that plain loops give.
+    /// Tiles of one and of two vectors, of which a processor takes one kind: the same bits, and the
+    /// products that plain loops give.
     #[test]
     fn tiles_of_either_width_are_plain_products() {
         let close = |found: f32, expected: f32, what: &str, j: usize, i: usize| {

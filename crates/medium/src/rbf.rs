@@ -1,15 +1,17 @@
 //! MediumRBF: water that varies with where the camera is and where it looks.
 //!
-//! Anchors `k` with centre `p_k`, width `σ_k = max(e^{l_k}, 1e-4)` and spherical-harmonic coefficients `A_k`. For a camera at `o`,
-//! clamped to `[-1.5, 1.5]` per axis of the normalised scene (R4), the `K` anchors of highest affinity `ρ_k` share a softmax:
+//! Anchors `k` with centre `p_k`, width `σ_k = max(e^{l_k}, 1e-4)` and spherical-harmonic coefficients `A_k`.
+//! For a camera at `o`, clamped to `[-1.5, 1.5]` per axis of the normalised scene (R4), the `K` anchors of
+//! highest affinity `ρ_k` share a softmax:
 //!
 //! ```text
 //! ρ_k = -|o - p_k|² / (2 σ_k²)      w = softmax over the K largest ρ      A = Σ_k w_k A_k
 //! ```
 //!
-//! and `A` is evaluated along every pixel's ray (`directional`). Ties go to the lower index. The selection is not differentiated, so
-//! the medium jumps where the K-th and the next anchor change places; nor is the camera's position. The maximum is subtracted
-//! before the exponential, since affinities of narrow anchors lie far below the range of `exp`.
+//! and `A` is evaluated along every pixel's ray (`directional`). Ties go to the lower index. The selection is
+//! not differentiated, so the medium jumps where the K-th and the next anchor change places; nor is the
+//! camera's position. The maximum is subtracted before the exponential, since affinities of narrow anchors
+//! lie far below the range of `exp`.
 
 use use3d_capture::{Camera, Lattice, MediumMaps};
 use use3d_numerics::math;
@@ -38,8 +40,9 @@ pub struct MediumRbf {
 }
 
 impl MediumRbf {
-    /// The initial state (R5): 8 anchors at the corners of the normalised cube, x slowest, σ = 0.85; other counts spread evenly over
-    /// the sphere through those corners (a Fibonacci lattice). All anchors alike: `c_m = 0.5`, `β = softplus(-5 Y₀₀) = 0.218`.
+    /// The initial state (R5): 8 anchors at the corners of the normalised cube, x slowest, σ = 0.85; other
+    /// counts spread evenly over the sphere through those corners (a Fibonacci lattice). All anchors alike:
+    /// `c_m = 0.5`, `β = softplus(-5 Y₀₀) = 0.218`.
     pub fn new(anchors: usize, top_k: usize) -> Self {
         let center = |k: usize| -> [f32; 3] {
             if anchors == 8 {
@@ -85,7 +88,8 @@ impl MediumRbf {
         sum.map(|quantity| quantity.map(|band| band.map(|v| v as f32)))
     }
 
-    /// Adds the gradients with respect to centres, log widths and coefficients, given those with respect to `A`.
+    /// Adds the gradients with respect to centres, log widths and coefficients,
+    /// given those with respect to `A`.
     fn pull(&self, camera: &Camera, aggregate: &CoefficientGradients, gradient: &mut Self) {
         let o = query(camera);
         let selection = self.selection(camera);

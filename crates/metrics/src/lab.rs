@@ -68,8 +68,9 @@ pub(crate) fn mean(map: &Map) -> f64 {
     use3d_numerics::sums::sum(n, |i| f64::from(map.data()[i])) / n as f64
 }
 
-/// The mean over all pixels of the colour difference of 1976, `√(ΔL² + Δa² + Δb²)`, of two display-range images
-/// (clamped to `[0, 1]`). It weighs saturated colours far more than CIEDE2000 does; older work gives it.
+/// The mean over all pixels of the colour difference of 1976, `√(ΔL² + Δa² + Δb²)`, of two
+/// display-range images (clamped to `[0, 1]`). It weighs saturated colours far more than
+/// CIEDE2000 does; older work gives it.
 ///
 /// # Errors
 /// Images of different sizes, without pixels, or with values that are not finite.

@@ -1,7 +1,8 @@
 //! Adam (Kingma & Ba, ICLR 2015) and its decoupled-weight-decay form AdamW, over flat slices.
 //!
-//! `m ← β₁ m + (1-β₁) g`, `v ← β₂ v + (1-β₂) g²`, `θ ← θ − lr (m / (1-β₁ᵗ)) / (√(v / (1-β₂ᵗ)) + ε)`, element by element, f32
-//! state; the bias corrections are computed in f64. Elements are independent, so any split over threads gives the same bits.
+//! `m ← β₁ m + (1-β₁) g`, `v ← β₂ v + (1-β₂) g²`, `θ ← θ − lr (m / (1-β₁ᵗ)) / (√(v / (1-β₂ᵗ)) + ε)`, element
+//! by element, f32 state; the bias corrections are computed in f64. Elements are independent, so any split
+//! over threads gives the same bits.
 
 use crate::math;
 use rayon::prelude::*;
@@ -81,7 +82,8 @@ pub struct AdamScalars {
 }
 
 impl AdamScalars {
-    /// The learning rate over the first moment's correction, `lr / (1-β₁ᵗ)`, for whoever updates elsewhere than in [`AdamScalars::apply`].
+    /// The learning rate over the first moment's correction, `lr / (1-β₁ᵗ)`, for whoever updates elsewhere
+    /// than in [`AdamScalars::apply`].
     pub fn step_size(&self) -> f32 {
         self.step_size
     }
@@ -100,7 +102,8 @@ impl AdamScalars {
     }
 }
 
-/// Exponential (log-linear) decay from `first` to `last` over `steps`: `first^(1-t) last^t`, `t = step / steps` clamped to 1.
+/// Exponential (log-linear) decay from `first` to `last` over `steps`: `first^(1-t) last^t`,
+/// `t = step / steps` clamped to 1.
 pub fn exponential_decay(first: f64, last: f64, step: u64, steps: u64) -> f64 {
     let t = if steps == 0 { 1.0 } else { (step as f64 / steps as f64).min(1.0) };
     math::exp(math::ln(first) * (1.0 - t) + math::ln(last) * t)

@@ -1,10 +1,12 @@
-//! Functions of networks and water on 16 lanes, each with its scalar twin; equal bits wherever fused multiply-add exists.
+//! Functions of networks and water on 16 lanes, each with its scalar twin; equal bits
+//! wherever fused multiply-add exists.
 //!
-//! Two ways to an exponential. [`lanes::exp`](crate::lanes::exp) is short and of the whole range; [`logistic`] and [`tanh`] are made of it
-//! (logistic relative 5e-7, tanh absolute 2e-7). [`exp_negative`] keeps `e^x - 1` apart:
-//! `e^x = 2^n (1 + q(r))` with `n = round(x / ln 2)`, `r = x - n ln 2` in two steps, `q` a polynomial of degree 7. [`softplus`], its slope and
-//! [`sigmoid`] are made of that and relatively accurate (4e-7) also where they vanish: `ln(1 + t) = 2 artanh(t / (2 + t))` for `0 ≤ t ≤ 1`,
-//! again a polynomial.
+//! Two ways to an exponential. [`lanes::exp`](crate::lanes::exp) is short and of the whole range;
+//! [`logistic`] and [`tanh`] are made of it (logistic relative 5e-7, tanh absolute 2e-7).
+//! [`exp_negative`] keeps `e^x - 1` apart: `e^x = 2^n (1 + q(r))` with `n = round(x / ln 2)`,
+//! `r = x - n ln 2` in two steps, `q` a polynomial of degree 7. [`softplus`], its slope and [`sigmoid`]
+//! are made of that and relatively accurate (4e-7) also where they vanish:
+//! `ln(1 + t) = 2 artanh(t / (2 + t))` for `0 ≤ t ≤ 1`, again a polynomial.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16, i32x16};

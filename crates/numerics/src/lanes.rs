@@ -1,15 +1,16 @@
 //! Exponentials on 16 f32 lanes, each beside its plain scalar twin.
 //!
-//! `2^x = 2^n 2^f` with `n` the integer nearest to `x` and `f = x - n` in `[-½, ½]`. `n` falls out of adding and removing
-//! `1.5·2²³`, whose last bit is worth one; `2^f` is a polynomial `1 + f q(f)` of degree 5, minimax in relative error among
-//! those that are exact at 0 (9.2e-8); `n` is added to the exponent bits. In the product forms `x = a b` is never rounded:
-//! both the reduction and `f` come from fused multiply-adds.
+//! `2^x = 2^n 2^f` with `n` the integer nearest to `x` and `f = x - n` in `[-½, ½]`. `n` falls out of adding
+//! and removing `1.5·2²³`, whose last bit is worth one; `2^f` is a polynomial `1 + f q(f)` of degree 5,
+//! minimax in relative error among those that are exact at 0 (9.2e-8); `n` is added to the exponent bits. In
+//! the product forms `x = a b` is never rounded: both the reduction and `f` come from fused multiply-adds.
 //!
-//! Stated error: relative 2.5e-7 over the whole range (measured 1.7e-7; the tests sample it). Arguments are clamped to
-//! `[-126, 127]`, so results are normal numbers: never 0, never infinite. NaN gives an unspecified number.
+//! Stated error: relative 2.5e-7 over the whole range (measured 1.7e-7; the tests sample it).
+//! Arguments are clamped to `[-126, 127]`, so results are normal numbers: never 0, never infinite.
+//! NaN gives an unspecified number.
 //!
-//! Lanes and twin give the same bits wherever fused multiply-add exists (AVX2, AVX-512, NEON); without it the lanes
-//! differ by rounding.
+//! Lanes and twin give the same bits wherever fused multiply-add exists (AVX2, AVX-512, NEON); without
+//! it the lanes differ by rounding.
 
 use fearless_simd::{Bytes, Simd, SimdBase, SimdFloat, f32x16, i32x16};
 

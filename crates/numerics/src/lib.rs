@@ -1,7 +1,7 @@
 //! Ground: what more than one method crate computes.
 //!
-//! Everything here is deterministic: the same inputs give the same bits on any number of threads, and the vector code
-//! gives the bits of its scalar twin wherever fused multiply-add exists.
+//! Everything here is deterministic: the same inputs give the same bits on any number of threads, and the
+//! vector code gives the bits of its scalar twin wherever fused multiply-add exists.
 
 pub mod adam;
 pub mod functions;

@@ -1,15 +1,15 @@
 //! Elementary functions with the same bits on every C library.
 //!
-//! `f32::exp`, `f64::sin` and the like of the standard library call the C library (or are evaluated by the one of the
-//! machine that compiles), and C libraries differ in last bits: glibc from musl, one glibc from the next. These
-//! functions are compiled from Rust, with IEEE operations in a fixed order, so a program carries its own. The lint
-//! `disallowed_methods` (`clippy.toml`) sends every caller here.
+//! `f32::exp`, `f64::sin` and the like of the standard library call the C library (or are evaluated by the
+//! one of the machine that compiles), and C libraries differ in last bits: glibc from musl, one glibc from
+//! the next. These functions are compiled from Rust, with IEEE operations in a fixed order, so a program
+//! carries its own. The lint `disallowed_methods` (`clippy.toml`) sends every caller here.
 //!
-//! What needs no twin here, because IEEE 754 fixes every bit: `+ - * /`, `%`, `sqrt`, `mul_add`, `abs`, `floor`, `ceil`,
-//! `round`, `trunc`, `min`, `max`, conversions.
+//! What needs no twin here, because IEEE 754 fixes every bit: `+ - * /`, `%`, `sqrt`, `mul_add`, `abs`,
+//! `floor`, `ceil`, `round`, `trunc`, `min`, `max`, conversions.
 //!
-//! Errors are below 1 ulp except `tanh` (2 ulp), each for `f32` and `f64`. Argument ranges, infinities and NaN are as in
-//! the standard library. Where millions are wanted, take [`lanes`](crate::lanes).
+//! Errors are below 1 ulp except `tanh` (2 ulp), each for `f32` and `f64`. Argument ranges, infinities and
+//! NaN are as in the standard library. Where millions are wanted, take [`lanes`](crate::lanes).
 
 use std::ops::{Div, Mul};
 
@@ -112,8 +112,8 @@ pub fn sin_cos<T: Real>(x: T) -> (T, T) {
 
 /// `x^n` by repeated squaring, lowest bit first; `1/x^|n|` for negative `n`. `powi(x, 2)` is `x * x`.
 ///
-/// The standard library leaves the precision of its `powi` open, and the compiler evaluates it otherwise where both
-/// arguments are known.
+/// The standard library leaves the precision of its `powi` open, and the compiler evaluates it otherwise
+/// where both arguments are known.
 #[inline]
 pub fn powi<T: Real>(x: T, n: i32) -> T {
     let (mut square, mut rest, mut product) = (x, n.unsigned_abs(), T::from(1.0));
@@ -130,7 +130,8 @@ pub fn powi<T: Real>(x: T, n: i32) -> T {
     if n < 0 { T::from(1.0) / product } else { product }
 }
 
-/// `x^y` in f32: for `x > 0` through f64, rounded once, which is three times as fast as `libm::powf` and closer.
+/// `x^y` in f32: for `x > 0` through f64, rounded once, which is three times as
+/// fast as `libm::powf` and closer.
 #[inline]
 fn power_single(x: f32, y: f32) -> f32 {
     if x > 0.0 && x.is_finite() && y.is_finite() {

@@ -1,8 +1,9 @@
 //! Counter-based random numbers: every draw is a function of (seed, purpose, step, index) (R29).
 //!
-//! No generator state is carried around, so a resumed run, another thread count or another order of evaluation draws the
-//! same numbers. The mixing function is the finaliser of SplitMix64 (Steele, Lea, Flood, "Fast splittable pseudorandom
-//! number generators", OOPSLA 2014), applied after each key word. Not for cryptography.
+//! No generator state is carried around, so a resumed run, another thread count or another order of
+//! evaluation draws the same numbers. The mixing function is the finaliser of SplitMix64 (Steele,
+//! Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014), applied after each
+//! key word. Not for cryptography.
 
 use crate::math;
 

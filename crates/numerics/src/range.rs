@@ -1,5 +1,5 @@
-//! Parameters outside their range: which one, what was found, what is expected. Whoever reads parameters from a file can point at the
-//! line, since the path is kept apart from the words.
+//! Parameters outside their range: which one, what was found, what is expected. Whoever reads parameters from
+//! a file can point at the line, since the path is kept apart from the words.
 
 use std::error::Error;
 use std::fmt;

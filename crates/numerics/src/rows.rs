@@ -1,4 +1,5 @@
-//! Rows of floats, sixteen at a time, whatever their length: the last vector is filled with zeros when it is read, and cut when it is written.
+//! Rows of floats, sixteen at a time, whatever their length: the last vector is filled with zeros when it is
+//! read, and cut when it is written.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16};

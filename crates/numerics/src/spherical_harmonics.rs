@@ -1,6 +1,8 @@
-//! Real spherical harmonics to degree 3, in the order and signs of 3D Gaussian Splatting; one basis for Gaussians and medium.
+//! Real spherical harmonics to degree 3, in the order and signs of 3D Gaussian Splatting; one
+//! basis for Gaussians and medium.
 //!
-//! For a unit direction `(x, y, z)` the 16 values are `Y₀₀, Y₁₋₁ … Y₃₃`; a lower degree `d` uses the first `(d+1)²`.
+//! For a unit direction `(x, y, z)` the 16 values are `Y₀₀, Y₁₋₁ … Y₃₃`; a lower
+//! degree `d` uses the first `(d+1)²`.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16};

@@ -1,7 +1,8 @@
 //! Fixed-order parallel sums: the same bits for any number of threads.
 //!
-//! A slice is cut into blocks of a fixed length, each block is summed by one thread, and the block sums are added in
-//! order. `rayon`'s own `sum` and `reduce` split by load and would change the last bits from run to run.
+//! A slice is cut into blocks of a fixed length, each block is summed by one thread, and the
+//! block sums are added in order. `rayon`'s own `sum` and `reduce` split by load and would change
+//! the last bits from run to run.
 
 use rayon::prelude::*;
 

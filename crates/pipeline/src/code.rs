@@ -4,8 +4,8 @@ use std::sync::OnceLock;
 
 use use3d_build::code::{CodeRules, CodeTable};
 
-/// Files of this crate count one by one; the pipeline file's reader writes no byte of an artifact, and which engine computes one is told by its
-/// numeric class.
+/// Files of this crate count one by one; the pipeline file's reader writes no byte of an artifact, and which
+/// engine computes one is told by its numeric class.
 pub const RULES: CodeRules = CodeRules {
     by_file: "pipeline",
     not_followed: &["src/config/", "src/engines/"],

@@ -1,8 +1,8 @@
-//! The results folder: the report with its costs, the tables, the scenes, and a page per scene to walk through it in a browser, out of
-//! the cache and under names for people.
+//! The results folder: the report with its costs, the tables, the scenes, and a page per scene to walk
+//! through it in a browser, out of the cache and under names for people.
 //!
-//! An artifact holds nothing that depends on the clock or the machine. Times, memory, keys and how fast scenes are drawn are kept beside
-//! artifacts; they are added to the page and the tables here.
+//! An artifact holds nothing that depends on the clock or the machine. Times, memory, keys and how fast
+//! scenes are drawn are kept beside artifacts; they are added to the page and the tables here.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -24,7 +24,8 @@ use crate::stages::report::write_tables;
 /// The page and the tables over all scenes.
 const PAGE: &str = "report.html";
 const TABLES: &str = "tables";
-/// The page of a scene beside its folders, and the folder of that page's parts, should it be too large for one file.
+/// The page of a scene beside its folders, and the folder of that page's parts,
+/// should it be too large for one file.
 const VIEW: &str = "view.html";
 const VIEW_PARTS: &str = "view_files";
 /// Before the digest in the last line of a page.
@@ -51,8 +52,8 @@ fn folder_of(scene: &str, variant: &str) -> PathBuf {
     if variant.is_empty() { scene.into() } else { format!("{scene}@{variant}").into() }
 }
 
-/// Looks, before anything is computed, whether the results of `until` (all where `None`) may go to `out`: whether it can be written,
-/// and whether everything that stands in their places is ours.
+/// Looks, before anything is computed, whether the results of `until` (all where `None`) may go to `out`:
+/// whether it can be written, and whether everything that stands in their places is ours.
 ///
 /// # Errors
 /// The first place that is taken, or that cannot be written. Nothing is touched.
@@ -106,7 +107,8 @@ impl Delivered {
 /// Fills `out` and says what is where: `report`, `tables`, and the folders of every scene.
 ///
 /// # Errors
-/// A place that is taken by something that is not ours, or that cannot be written; what was delivered before stays.
+/// A place that is taken by something that is not ours, or that cannot be written;
+/// what was delivered before stays.
 pub fn deliver(summary: &Summary, out: &Path) -> Result<Vec<Delivered>, PlaceError> {
     let mut delivered = Vec::new();
     at(out, "create", fs::create_dir_all(out))?;
@@ -210,7 +212,8 @@ fn relative(path: &Path, out: &Path) -> String {
     parts.collect::<Vec<_>>().join("/")
 }
 
-/// The report's tables with how fast the scenes are drawn, which their evaluations noted beside their artifacts; `None` where nobody did.
+/// The report's tables with how fast the scenes are drawn, which their evaluations noted beside their
+/// artifacts; `None` where nobody did.
 fn timed_tables(summary: &Summary, report: &Path) -> Option<Vec<Table>> {
     let mut scored: Vec<ScoredScene> =
         serde_json::from_slice(&fs::read(report.join("scores.json")).ok()?).ok()?;
@@ -269,8 +272,8 @@ fn rows(summary: &Summary) -> Vec<StageRow> {
     rows.collect()
 }
 
-/// Puts what `fill` makes in the place of `target`, unless what stands there follows from `key` already. Always a copy: nobody's
-/// edits may reach the cache.
+/// Puts what `fill` makes in the place of `target`, unless what stands there follows from `key` already.
+/// Always a copy: nobody's edits may reach the cache.
 fn put(
     key: Option<Digest>,
     target: &Path,

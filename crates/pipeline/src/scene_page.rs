@@ -24,7 +24,8 @@ pub enum ScenePageError {
     Web(#[from] WebError),
 }
 
-/// The views of a capture in the frame of a scene, with their photographs. `origin` says which ones training did not see.
+/// The views of a capture in the frame of a scene, with their photographs. `origin` says
+/// which ones training did not see.
 ///
 /// # Errors
 /// A photograph that cannot be read.
@@ -49,7 +50,8 @@ pub fn is_held_out(origin: Option<&Origin>, stem: &str) -> bool {
     origin.is_some_and(|origin| origin.held_out.iter().any(|held| held == stem))
 }
 
-/// The page of a scene folder with the views of an imported capture. `folder` is the name of the folder for its parts, should it need one.
+/// The page of a scene folder with the views of an imported capture. `folder` is the name of the folder for
+/// its parts, should it need one.
 ///
 /// # Errors
 /// What cannot be read or put together.

@@ -40,13 +40,15 @@ pub fn from_tracks(imported: &Imported, params: &WaterParams) -> Result<Water, T
     Ok(estimate(&sights, tracks.len(), &positions, cameras.len(), params))
 }
 
-/// What two standard errors of an attenuation may do to the optical depth of the far points: a third of their radiance.
+/// What two standard errors of an attenuation may do to the optical depth of the far
+/// points: a third of their radiance.
 const SMALL: f64 = 0.3;
-/// Radiance, display range, that the 95th percentile of points has at most if only water has been taken away: a little above white.
+/// Radiance, display range, that the 95th percentile of points has at most if only water has been
+/// taken away: a little above white.
 const BRIGHTEST: f64 = 1.3;
 
-/// Whether points would be brighter than white without what distance takes: light that comes from the camera (lamps) falls off with the
-/// distance, and water explains that only by colours that no surface has.
+/// Whether points would be brighter than white without what distance takes: light that comes from the camera
+/// (lamps) falls off with the distance, and water explains that only by colours that no surface has.
 pub fn lamps(water: &Water) -> bool {
     (0..3).any(|c| water.channels[c].verdict.usable() && radiance(water, c)[2] > BRIGHTEST)
 }
@@ -64,10 +66,11 @@ pub fn no_water(water: &Water) -> bool {
     water.channels.iter().all(|c| c.verdict == Verdict::NoWater)
 }
 
-/// What training may start from; `None` where a channel is not known, or where there is no water. Once one channel is known, the others
-/// need not be told from no water: where the estimate's error does little to what far points show, the estimate is taken. A channel on which
-/// distance shows no water loses nothing else. Losses that are alike in all channels (lamps, haze, a camera that balances each view) are as
-/// good a start as any: what far points have lost is lost in the photographs. Lamps at the camera are no water.
+/// What training may start from; `None` where a channel is not known, or where there is no water. Once one
+/// channel is known, the others need not be told from no water: where the estimate's error does little to
+/// what far points show, the estimate is taken. A channel on which distance shows no water loses nothing
+/// else. Losses that are alike in all channels (lamps, haze, a camera that balances each view) are as good a
+/// start as any: what far points have lost is lost in the photographs. Lamps at the camera are no water.
 pub fn found_water(water: &Water) -> Option<FoundWater> {
     let far = water.distances[2];
     let small =

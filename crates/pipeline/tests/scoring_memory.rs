@@ -1,5 +1,5 @@
-//! How much memory scoring an image takes beside the images themselves. Alone in its process, because it asks how much memory the process
-//! ever held.
+//! How much memory scoring an image takes beside the images themselves. Alone in its process, because it asks
+//! how much memory the process ever held.
 
 use use3d_capture::Image;
 use use3d_pipeline::judge::scoring::Judges;

@@ -110,7 +110,8 @@ fn without_depth_is_there_as_the_authors_ran_it_and_with_the_prior_alone_off() {
     }
 }
 
-/// A scene's depth priors are made by the network where they are asked for, or where none lie beside the photographs.
+/// A scene's depth priors are made by the network where they are asked for, or where
+/// none lie beside the photographs.
 #[cfg(feature = "nets")]
 #[test]
 fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
@@ -158,7 +159,8 @@ fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
             models.display()
         );
     }
-    // Asked for by name without weights: said by the plan, with the file to get. (Its capture has a model here, so that it comes to that.)
+    // Asked for by name without weights: said by the plan, with the file to get. (Its capture has a model
+    // here, so that it comes to that.)
     let capture = at("synthetic").join("reef");
     let params = use3d_synth::CaptureParams {
         views: 5,

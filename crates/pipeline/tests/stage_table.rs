@@ -1,6 +1,7 @@
 //! The real table of stages: what its keys hold, and what they leave out.
 //!
-//! What the engine does with a table is tested on stages of its own; whether this table says the truth about itself, here.
+//! What the engine does with a table is tested on stages of its own; whether this table
+//! says the truth about itself, here.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -72,7 +73,8 @@ fn every_stage_is_made_of_the_files_it_uses_and_of_no_others() {
         ("reconstruct", "use3d-synth"),
         ("targets", "use3d-reconstruct"),
         ("enhance", "use3d-reconstruct"),
-        // What pictures look like is no part of what is trained, nor how training goes of pictures of a scene.
+        // What pictures look like is no part of what is trained, nor how
+        // training goes of pictures of a scene.
         ("reconstruct", "use3d-render"),
         ("targets", "use3d-render"),
         ("targets", "use3d-enhance"),
@@ -135,8 +137,8 @@ fn copy_tree(to: &Path) -> BTreeMap<String, Vec<PathBuf>> {
     sources
 }
 
-/// One more token in every file of the workspace in turn (one file of every crate at a time): exactly the stages whose code reaches
-/// the file become stale.
+/// One more token in every file of the workspace in turn (one file of every crate at a time): exactly the
+/// stages whose code reaches the file become stale.
 #[test]
 fn a_token_in_any_file_makes_every_stage_stale_that_reaches_it() {
     let dir = tempfile::tempdir().expect("folder");
@@ -149,7 +151,8 @@ fn a_token_in_any_file_makes_every_stage_stale_that_reaches_it() {
         let folder = dir.path().join("crates").join(krate);
         file.strip_prefix(folder).expect("below").to_string_lossy().into_owned()
     };
-    // A crate counts as one, so one of its files is changed at a time; files of the pipeline crate count one by one, so all are at once.
+    // A crate counts as one, so one of its files is changed at a time; files of the pipeline crate count
+    // one by one, so all are at once.
     let rounds = sources
         .iter()
         .filter(|(krate, _)| *krate != "pipeline")
@@ -421,7 +424,8 @@ fn forecasts_of_memory_follow_the_size_of_the_pictures_and_change_no_key() {
     let ((before, small), (_, large)) = (planned(64), planned(256));
     for stage in ["reconstruct", "targets", "enhance", "render", "evaluate"] {
         let [fixed, small, large] = [&before, &small, &large].map(|plan| plan[stage].expect("a forecast"));
-        // Before the import nothing is known of the pictures; after it, tiny ones take less and larger ones more.
+        // Before the import nothing is known of the pictures; after it, tiny ones
+        // take less and larger ones more.
         assert!(small < fixed, "{stage}: {small} of {fixed}");
         assert!(large > small, "{stage}: {large} after {small}");
         assert!((32 << 20..1 << 30).contains(&small), "{stage}: {small}");

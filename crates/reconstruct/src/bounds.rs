@@ -1,14 +1,14 @@
 //! How many Gaussians a run may have, and the memory that it takes.
 //!
-//! Both follow from the capture and the parameters alone, never from the machine: a scene is the same wherever it is made. Without a
-//! `max_gaussians` the bound is
+//! Both follow from the capture and the parameters alone, never from the machine: a scene is the same
+//! wherever it is made. Without a `max_gaussians` the bound is
 //!
 //! ```text
 //! clamp( max(pixels of the training views / 8, 4 × initial points), 250 000, 4 000 000 )
 //! ```
 //!
-//! It is there to end growth that has gone wrong, not to shape a scene: eight pixels for every Gaussian is several times what scenes
-//! reach by themselves.
+//! It is there to end growth that has gone wrong, not to shape a scene: eight pixels for every Gaussian is
+//! several times what scenes reach by themselves.
 
 use use3d_capture::{Capture, View};
 
@@ -26,8 +26,8 @@ const MOST: usize = 4_000_000;
 const BYTES_TO_BEGIN: u64 = 1500;
 /// The same in a scene that has grown, with the state while a checkpoint is read.
 const BYTES_WHEN_GROWN: u64 = 2500;
-/// The images, maps, gradients and buffers of a step, per pixel of the largest view: between 640x360 and 1280x720 at full size the
-/// largest resident set grew by 269 (two threads, water of eight anchors).
+/// The images, maps, gradients and buffers of a step, per pixel of the largest view: between 640x360 and
+/// 1280x720 at full size the largest resident set grew by 269 (two threads, water of eight anchors).
 const BYTES_PER_PIXEL: u64 = 270;
 /// A stored pixel, at least.
 const BYTES_PER_STORED_PIXEL: u64 = 3;

@@ -1,4 +1,5 @@
-//! Cameras that expose and balance every view on their own: a gain per view and channel, between the scene and its photographs.
+//! Cameras that expose and balance every view on their own: a gain per view and channel, between
+//! the scene and its photographs.
 //!
 //! ```text
 //! Ĩ_v = e^{γ_v} ⊙ Î_v            Î_v the rendered view, Ĩ_v what its photograph is compared with
@@ -10,9 +11,10 @@
 //! | γ | log-gain of a training view, 0 at the start or what the capture's tracks tell | views × 3 |
 //! | λ | how strongly gains are drawn to one | 1 |
 //!
-//! Gains belong to photographs: no render, no export and no later stage sees them. What all views share is brightness of the scene, so the mean of γ
-//! over the views is kept at 0 per channel. A gain in display range is one of linear light as far as display values follow a power law.
-//! Adam counts the steps of each view on its own.
+//! Gains belong to photographs: no render, no export and no later stage sees them. What all views share
+//! is brightness of the scene, so the mean of γ over the views is kept at 0 per channel. A gain in
+//! display range is one of linear light as far as display values follow a power law. Adam counts the
+//! steps of each view on its own.
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::Image;
@@ -29,7 +31,8 @@ pub struct ExposureStep {
     pub weight: f64,
 }
 
-/// The log-gains of all training views with Adam's moments, one row per view; no rows where no view has a gain.
+/// The log-gains of all training views with Adam's moments, one row per view; no
+/// rows where no view has a gain.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Exposures {
     /// γ.

@@ -16,8 +16,8 @@ pub(crate) fn fingerprint(
     views: &Views,
 ) -> [u8; 32] {
     let mut hasher = blake3::Hasher::new();
-    // How often checkpoints are written changes nothing, nor does the length beyond the schedules; the cap counts as what it comes to. A run
-    // begun on one engine may go on with another.
+    // How often checkpoints are written changes nothing, nor does the length beyond the schedules; the cap
+    // counts as what it comes to. A run begun on one engine may go on with another.
     let params = ReconstructParams {
         iterations: params.course(),
         max_gaussians: most_gaussians(capture, params),

@@ -1,14 +1,16 @@
 //! Water that is known before training: where it starts, how long it is held, and the colours behind it.
 //!
-//! Trained jointly from nothing, water drifts: Gaussians start with the photographs' hazy colours, so that a right water in front of
-//! them is too much haze, and the water, whose rates are high, gives way before the colours do. Water that is known beforehand
-//! (from the capture's tracks) therefore does three things:
+//! Trained jointly from nothing, water drifts: Gaussians start with the photographs' hazy colours, so that a
+//! right water in front of them is too much haze, and the water, whose rates are high, gives way before the
+//! colours do. Water that is known beforehand (from the capture's tracks) therefore does three things:
 //!
-//! * every anchor starts at it: `c_m(d) = v + g·d` in the bands of degree 0 and 1, `β` in the constant band through the
-//!   inverse of softplus. The water's active degree is at least 1 from the first step on;
-//! * Gaussians start with the radiance J behind the water where tracks tell it, the more so the surer it is:
-//!   `(w J + (1-w) I)` with `w = σ₀² / (σ₀² + σ_J²)`, σ₀ = 0.2 of display range, I the point's colour in the photographs;
-//! * it is held for a share of the run (`medium_hold`) and then learnt at a fraction of its rates (`medium_release`).
+//! * every anchor starts at it: `c_m(d) = v + g·d` in the bands of degree 0 and 1, `β` in the constant band
+//!   through the inverse of softplus. The water's active degree is at least 1 from the first step on;
+//! * Gaussians start with the radiance J behind the water where tracks tell it, the more so the
+//!   surer it is: `(w J + (1-w) I)` with `w = σ₀² / (σ₀² + σ_J²)`, σ₀ = 0.2 of display range, I the
+//!   point's colour in the photographs;
+//! * it is held for a share of the run (`medium_hold`) and then learnt at a fraction of
+//!   its rates (`medium_release`).
 
 use use3d_medium::{Coefficients, MediumModel};
 use use3d_numerics::math;
@@ -41,8 +43,8 @@ pub struct FoundWater {
     pub veil: [f64; 3],
     /// `g` per channel.
     pub veil_slope: [[f64; 3]; 3],
-    /// Radiance behind the water and its standard error, per channel, of the capture's points in their order; `None` where
-    /// nothing is known.
+    /// Radiance behind the water and its standard error, per channel, of the capture's points in their order;
+    /// `None` where nothing is known.
     pub radiances: Vec<Option<[(f64, f64); 3]>>,
 }
 
@@ -73,7 +75,8 @@ impl FoundWater {
         MediumModel::start_from(params.medium, &params.medium_start(), &self.coefficients()).ok().flatten()
     }
 
-    /// The colour that the Gaussian of a point starts with, from its colour in the photographs (display range).
+    /// The colour that the Gaussian of a point starts with, from its colour in
+    /// the photographs (display range).
     pub(crate) fn color(&self, point: usize, photographed: [f64; 3]) -> [f64; 3] {
         let Some(Some(radiance)) = self.radiances.get(point) else { return photographed };
         std::array::from_fn(|c| {

@@ -1,9 +1,10 @@
 //! The Gaussians that training starts from.
 //!
-//! One per sparse point: its colour as the constant coefficient, an isotropic size of the mean distance to its three nearest other
-//! points, a uniformly random rotation, opacity 0.1. Equal points count as one neighbour, so that a heap of duplicates does not make
-//! Gaussians of size zero. A capture with fewer than 100 points gets random ones in what its cameras see; of more points than there may
-//! be Gaussians a random choice stays.
+//! One per sparse point: its colour as the constant coefficient, an isotropic size of the mean distance
+//! to its three nearest other points, a uniformly random rotation, opacity 0.1. Equal points count as
+//! one neighbour, so that a heap of duplicates does not make Gaussians of size zero. A capture with
+//! fewer than 100 points gets random ones in what its cameras see; of more points than there may be
+//! Gaussians a random choice stays.
 
 use std::num::NonZero;
 
@@ -25,7 +26,8 @@ const NEIGHBOURS: usize = 3;
 const SMALLEST: f64 = 1e-5;
 const LARGEST: f64 = 2.0;
 
-/// The initial Gaussians, at most `most`, with the colours behind the water where that was found; messages for a person go to `notice`.
+/// The initial Gaussians, at most `most`, with the colours behind the water where that was found;
+/// messages for a person go to `notice`.
 pub(crate) fn gaussians(
     capture: &Capture,
     found: Option<&FoundWater>,
@@ -81,7 +83,8 @@ pub(crate) fn gaussians(
     Ok(gaussians)
 }
 
-/// `most` of the points, in their order. Any part of a file may be one part of the scene, so the choice is random, not every n-th.
+/// `most` of the points, in their order. Any part of a file may be one part of the scene, so the
+/// choice is random, not every n-th.
 fn choose<T: Copy>(points: &[T], most: usize, seed: u64) -> Vec<T> {
     let stream = Stream::new(seed, Purpose::new("points kept"), 0);
     let mut kept = stream.permutation(points.len());
@@ -97,8 +100,8 @@ fn rotation(stream: &Stream, index: u64) -> [f32; 4] {
     q.map(|v| (v / norm) as f32)
 }
 
-/// Random positions on random pixel rays, at depths spread log-uniformly about those of the known points (or about the size of the
-/// normalised scene), grey; at most `most`.
+/// Random positions on random pixel rays, at depths spread log-uniformly about those of the known points (or
+/// about the size of the normalised scene), grey; at most `most`.
 fn random_points(
     cameras: &[Camera],
     known: &[(DVec3, [f64; 3])],

@@ -56,7 +56,8 @@ pub(crate) fn load(
     Ok(Views { train, test })
 }
 
-/// A view of which nothing counts teaches and judges nothing: said, and refused where no training view is left.
+/// A view of which nothing counts teaches and judges nothing: said, and refused
+/// where no training view is left.
 fn check_masks(
     train: &[TrainingView],
     test: &[TrainingView],

@@ -1,4 +1,5 @@
-//! The scene in a checkpoint, for who looks on from outside: another process, another machine that sees the same disk.
+//! The scene in a checkpoint, for who looks on from outside: another process, another
+//! machine that sees the same disk.
 
 use std::path::Path;
 
@@ -9,11 +10,11 @@ use use3d_training::{CheckpointError, CheckpointFile};
 use crate::report::LogEntry;
 use crate::run::RunState;
 
-/// The scene after so many steps, as the checkpoint file at `path` holds it; `None` where there is no such file (any more). A checkpoint knows no
-/// frame: `frame` is the capture's.
+/// The scene after so many steps, as the checkpoint file at `path` holds it; `None` where there is no such
+/// file (any more). A checkpoint knows no frame: `frame` is the capture's.
 ///
-/// Of the water every band is read, since those that are not learnt yet are zero; a water that is no harmonics is read to the degree of the last
-/// line of the log.
+/// Of the water every band is read, since those that are not learnt yet are zero; a water that is no
+/// harmonics is read to the degree of the last line of the log.
 ///
 /// # Errors
 /// A file that cannot be read, or that is damaged or of another version.

@@ -52,7 +52,8 @@ pub struct Stretch {
     pub divisor: usize,
     /// Gaussians at its end.
     pub gaussians: usize,
-    /// Millions of (pixel, Gaussian) pairs that contribute to the last step's view, counted at every fourth pixel both ways.
+    /// Millions of (pixel, Gaussian) pairs that contribute to the last step's view, counted
+    /// at every fourth pixel both ways.
     pub pairs: f64,
     /// Time of all its steps.
     pub spent: Duration,

@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 use use3d_metrics::Score;
 
-/// One line of the training log. Wall time is not in it: the log of a resumed run equals that of an uninterrupted one.
+/// One line of the training log. Wall time is not in it: the log of a resumed run
+/// equals that of an uninterrupted one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum LogEntry {
     /// Averages over the steps since the last such line.
@@ -12,8 +13,8 @@ pub enum LogEntry {
         step: u64,
         /// The whole loss.
         loss: f64,
-        /// Values of the [terms](crate::losses::TERMS) before their weights, by name, each over the views that it says something of;
-        /// `None` where there was none.
+        /// Values of the [terms](crate::losses::TERMS) before their weights, by name, each over the views
+        /// that it says something of; `None` where there was none.
         terms: Vec<(String, Option<f64>)>,
         /// PSNR of the training views over the pixels that count, dB; null where no step had a finite one.
         psnr: Option<f64>,

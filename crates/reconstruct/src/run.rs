@@ -96,10 +96,11 @@ impl Resumable for RunState<'_> {
 
 /// Reconstructs an underwater scene from a capture with an engine that has no views yet.
 ///
-/// Views are loaded once, through `loader`, at the size of their cameras. With a `checkpoint_dir` the run writes checkpoints there
-/// and goes on from the furthest one that belongs to the same capture and parameters, also where a run of another length left it;
-/// the result is the same to the last bit. Those of other runs in the folder are left alone. The last checkpoint stays there when the
-/// run is done: whoever has stored the outcome removes the folder.
+/// Views are loaded once, through `loader`, at the size of their cameras. With a `checkpoint_dir` the run
+/// writes checkpoints there and goes on from the furthest one that belongs to the same capture and
+/// parameters, also where a run of another length left it; the result is the same to the last bit. Those of
+/// other runs in the folder are left alone. The last checkpoint stays there when the run is done: whoever has
+/// stored the outcome removes the folder.
 pub fn reconstruct(
     capture: &Capture,
     loader: &dyn ViewLoader,
@@ -111,8 +112,9 @@ pub fn reconstruct(
     reconstruct_in(capture, &Known::default(), loader, params, engine, checkpoint_dir, observer)
 }
 
-/// As [`reconstruct`], with what is known beforehand. Known water is where the water starts; it is held for
-/// `medium_hold` of the run, and learnt at `medium_release` of its rates from then on. Known gains are where gains start.
+/// As [`reconstruct`], with what is known beforehand. Known water is where the water starts; it is
+/// held for `medium_hold` of the run, and learnt at `medium_release` of its rates from then on.
+/// Known gains are where gains start.
 pub fn reconstruct_in(
     capture: &Capture,
     known: &Known,
@@ -297,7 +299,8 @@ impl Run<'_> {
         (self.initial, self.gaussians) = (state.initial, gaussians);
         self.log = state.log.into_owned();
         self.window = state.window;
-        // A run that ended here measured after its last checkpoint; one that goes on has that line in its log.
+        // A run that ended here measured after its last checkpoint; one that
+        // goes on has that line in its log.
         let due = self.params.evaluate_every > 0 && self.step.is_multiple_of(self.params.evaluate_every);
         let measured =
             matches!(self.log.last(), Some(LogEntry::Evaluation { step, .. }) if *step == self.step);
@@ -309,7 +312,8 @@ impl Run<'_> {
 
     /// What comes after the last step.
     fn finish(mut self, capture: &Capture) -> Result<Outcome, ReconstructError> {
-        // Only here, after the last checkpoint: a longer run that goes on from it still collects for this line.
+        // Only here, after the last checkpoint: a longer run that goes on from
+        // it still collects for this line.
         self.drain(Drain::All)?;
         if self.window.steps > 0 {
             self.end_window()?;
@@ -361,8 +365,9 @@ impl Run<'_> {
     fn plan(&self, step: u64) -> StepPlan {
         let (params, r) = (self.params, &self.params.learning_rates);
         let rate = |rate: crate::Rate| rate.at(step, params.course());
-        // The water starts far from where it ends and Adam's steps are as long as the rate, whatever the gradient: a compressed run
-        // takes longer steps to get as far, within reason. (The Gaussians start where they belong.)
+        // The water starts far from where it ends and Adam's steps are as long as the rate, whatever
+        // the gradient: a compressed run takes longer steps to get as far, within reason. (The
+        // Gaussians start where they belong.)
         let compressed = (params.schedule as f64 / params.course() as f64).min(MOST_COMPRESSED);
         let let_go = if self.holds_water { params.water_release(step) } else { 1.0 };
         let water = |rate: crate::Rate| let_go * compressed * rate.at(step, params.course());
@@ -474,7 +479,8 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// PSNR and SSIM of the held-out views at full size over the pixels that count, also into the log; `None` if there are none.
+    /// PSNR and SSIM of the held-out views at full size over the pixels that count, also into the
+    /// log; `None` if there are none.
     fn evaluate(&mut self) -> Result<Option<Evaluation>, ReconstructError> {
         if self.held_out.is_empty() {
             return Ok(None);

@@ -1,7 +1,8 @@
 //! The training images as the loop keeps them, and what a step sees of them.
 //!
-//! Photographs stay as they were stored (8 or 16 bits), priors and masks as 16 and 8 bits, so that hundreds of views fit in memory. A
-//! step's target is made when it is needed: `divisor × divisor` means of the stored values (R11).
+//! Photographs stay as they were stored (8 or 16 bits), priors and masks as 16 and 8 bits, so that
+//! hundreds of views fit in memory. A step's target is made when it is needed: `divisor × divisor`
+//! means of the stored values (R11).
 
 use rayon::prelude::*;
 use use3d_capture::{Camera, Image, Map, Pixels, Raster, View};
@@ -235,7 +236,8 @@ impl TrainingView {
     }
 }
 
-/// The prior stretched to 1…65535 (the loss does not see scale or shift), 0 where it is not finite or not positive.
+/// The prior stretched to 1…65535 (the loss does not see scale or shift), 0 where it
+/// is not finite or not positive.
 fn pack_prior(map: &Map) -> Result<Raster<u16, 1>, Dropped> {
     let known = |v: f32| v.is_finite() && v > 0.0;
     let (mut low, mut high) = (f32::INFINITY, 0.0f32);

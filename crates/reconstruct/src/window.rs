@@ -1,4 +1,5 @@
-//! What the log and a person's display are made of: reports of steps, summed since the last line and smoothed.
+//! What the log and a person's display are made of: reports of steps, summed
+//! since the last line and smoothed.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,10 +1,10 @@
 //! The enhancement written into spherical harmonics, for viewers that know only 3D Gaussian splatting.
 //!
 //! A Gaussian's enhanced radiance is `c⁺(ω) = M c(ω) + m` with one matrix per Gaussian, and
-//! `c(ω) = max(SH(ω) + ½, 0)`. Where that clamp is inactive, `SH⁺ = M SH` in every band, plus `(M ½ + m - ½)/C₀` in band 0,
-//! gives the same radiance exactly. Where it is active the baked colour differs, because a viewer clamps
-//! after the matrix instead of before; [`BakeReport`] says by how much. Water is not part of a baked file: it
-//! shows the enhanced object radiance.
+//! `c(ω) = max(SH(ω) + ½, 0)`. Where that clamp is inactive, `SH⁺ = M SH` in every band, plus
+//! `(M ½ + m - ½)/C₀` in band 0, gives the same radiance exactly. Where it is active the baked colour
+//! differs, because a viewer clamps after the matrix instead of before; [`BakeReport`] says by how much.
+//! Water is not part of a baked file: it shows the enhanced object radiance.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};

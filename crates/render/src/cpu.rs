@@ -56,8 +56,8 @@ impl<'s> Cpu<'s> {
 }
 
 impl<'s, C: Composer> Looking<'s, C> {
-    /// For one look, by a composer of the same scene. The field is evaluated here, once; a view then costs one
-    /// affine per Gaussian more than the reconstruction.
+    /// For one look, by a composer of the same scene. The field is evaluated here, once; a view then costs
+    /// one affine per Gaussian more than the reconstruction.
     ///
     /// # Errors
     /// A strength outside `[0, 1]`, or a scene that is not enhanced.

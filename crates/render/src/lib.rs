@@ -5,11 +5,12 @@
 //!          draws      a look      modes            colours for people
 //! ```
 //!
-//! A [`Backend`] holds a scene and draws it from any camera; [`Cpu`] is the one that defines what is right, and
-//! [`Looking`] makes one of any device that can compose Gaussians ([`Composer`]). A [`Renderer`] draws one [`Look`] with a share of the water, a [`SceneRenderer`] every [`Mode`] from one
-//! camera at a time. [`picture`] turns a mode's numbers into colours, [`cover`] and [`focus`] frame cameras,
-//! [`Film`] writes frames one after another. [`bake`] writes the enhancement into spherical harmonics for
-//! viewers that know nothing of it, [`medium_profile`] and [`medium_along`] read the water alone.
+//! A [`Backend`] holds a scene and draws it from any camera; [`Cpu`] is the one that defines what is right,
+//! and [`Looking`] makes one of any device that can compose Gaussians ([`Composer`]). A [`Renderer`] draws
+//! one [`Look`] with a share of the water, a [`SceneRenderer`] every [`Mode`] from one camera at a time.
+//! [`picture`] turns a mode's numbers into colours, [`cover`] and [`focus`] frame cameras, [`Film`] writes
+//! frames one after another. [`bake`] writes the enhancement into spherical harmonics for viewers that know
+//! nothing of it, [`medium_profile`] and [`medium_along`] read the water alone.
 //!
 //! Nothing here trains, and nothing that trains uses it: what a picture looks like changes no trained byte,
 //! and how training goes changes no picture of a given scene.

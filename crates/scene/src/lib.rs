@@ -7,12 +7,13 @@
 //! ubaf.safetensors      the enhancement's tensors (stage 2 only)
 //! ```
 //!
-//! Everything is in the scene's normalised frame; `frame` says how COLMAP's became it: `x_normalised = scale (R x_colmap) + t`, with
-//! `R` row by row. A folder without `scene.json` is not a scene: that file is removed first and written last, so a folder that was
-//! left half-written is never read as a whole one.
+//! Everything is in the scene's normalised frame; `frame` says how COLMAP's became it:
+//! `x_normalised = scale (R x_colmap) + t`, with `R` row by row. A folder without `scene.json` is
+//! not a scene: that file is removed first and written last, so a folder that was left
+//! half-written is never read as a whole one.
 //!
-//! [`Compositor`] draws a scene as stage 1 learnt it, [`KnownViews`] what stage 1 knows of a view beside its picture. Looks, modes and
-//! colour maps are `render`'s.
+//! [`Compositor`] draws a scene as stage 1 learnt it, [`KnownViews`] what stage 1 knows of a view beside its
+//! picture. Looks, modes and colour maps are `render`'s.
 
 mod compositor;
 mod description;

@@ -1,7 +1,8 @@
 //! Which views a scene was made from: the optional field `origin` of `scene.json`.
 //!
-//! With it, a scene is neither scored on views that it was trained with nor paired with another capture. Views are named
-//! by their stems, since an import may change extensions. Scenes without the field are taken as they are.
+//! With it, a scene is neither scored on views that it was trained with nor paired with another
+//! capture. Views are named by their stems, since an import may change extensions. Scenes without
+//! the field are taken as they are.
 
 use std::collections::BTreeSet;
 use std::path::Path;

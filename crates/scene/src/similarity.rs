@@ -1,9 +1,10 @@
 //! Gaussians in another frame: positions, sizes, orientations and the directions of their colours.
 //!
-//! Under `x' = s (R x) + t` a mean moves, a standard deviation scales by `s`, an orientation turns by `R`, and a colour seen along
-//! `ω` is seen along `Rω`. The last needs the spherical harmonics turned: per band, coefficients become
-//! `c'_i = Σ_j ⟨Y_i(R ·), Y_j⟩ c_j`. The inner products are exact: the integrands are polynomials of degree at most six, and
-//! four Gauss–Legendre heights times eight longitudes integrate degree seven.
+//! Under `x' = s (R x) + t` a mean moves, a standard deviation scales by `s`, an orientation turns by `R`,
+//! and a colour seen along `ω` is seen along `Rω`. The last needs the spherical harmonics turned: per
+//! band, coefficients become `c'_i = Σ_j ⟨Y_i(R ·), Y_j⟩ c_j`. The inner products are exact: the
+//! integrands are polynomials of degree at most six, and four Gauss–Legendre heights times eight
+//! longitudes integrate degree seven.
 
 use glam::{DMat3, DQuat, DVec3};
 use use3d_capture::Frame;

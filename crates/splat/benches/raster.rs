@@ -1,10 +1,10 @@
 //! Speed of rendering and its gradient, as a table: `cargo bench -p use3d-splat`.
 //!
-//! * the machine's limit: fused multiply-adds per second, and the dense micro-kernel, one tile-sized set of Gaussians of which every tested pair
-//!   contributes, all in the first-level cache;
+//! * the machine's limit: fused multiply-adds per second, and the dense micro-kernel, one tile-sized set of
+//!   Gaussians of which every tested pair contributes, all in the first-level cache;
 //! * 1400×933 with 50 k, 200 k and 1 M Gaussians of a trained scene's size distribution;
-//! * the bar: the reef capture at 1280×720 with its sparse points as initialised Gaussians (found through `USE3D_DATA`), or
-//!   a synthetic scene of the same statistics.
+//! * the bar: the reef capture at 1280×720 with its sparse points as initialised Gaussians (found through
+//!   `USE3D_DATA`), or a synthetic scene of the same statistics.
 //!
 //! Arguments: `bar` for the bar alone. Every time is the best of several runs.
 
@@ -278,8 +278,8 @@ fn smooth_medium(camera: &Camera) -> MediumMaps {
     maps
 }
 
-/// Gaussians on a bumpy surface seen from above, of log-normal size with the given median standard deviation in pixels, anisotropic, of
-/// mixed opacity.
+/// Gaussians on a bumpy surface seen from above, of log-normal size with the given median standard deviation
+/// in pixels, anisotropic, of mixed opacity.
 fn trained_scene(count: usize, pixels: f64, width: usize, height: usize) -> (Gaussians, Camera) {
     let s = Stream::new(5, Purpose::new("bench scene"), 0);
     let focal = 0.9 * width as f64;
@@ -315,7 +315,8 @@ fn trained_scene(count: usize, pixels: f64, width: usize, height: usize) -> (Gau
     (out, camera)
 }
 
-/// Sparse points as initialised Gaussians: isotropic with the mean distance to the three nearest neighbours, opacity 0.1.
+/// Sparse points as initialised Gaussians: isotropic with the mean distance to the three
+/// nearest neighbours, opacity 0.1.
 fn initialised(points: &[(DVec3, [u8; 3])]) -> Gaussians {
     let scales: Vec<f64> = points
         .par_iter()

@@ -2,8 +2,9 @@
 
 /// `N` anisotropic Gaussians with view-dependent colour, as their raw (unconstrained) parameters.
 ///
-/// Every vector has one element per Gaussian. The geometry is `Σ = R(q) S S R(q)ᵀ` with `S = diag(exp(log_scale))`; the opacity
-/// is the logistic function of the logit; the colour is `max(0, Σ_k Y_k(ω) sh_k + ½)`.
+/// Every vector has one element per Gaussian. The geometry is `Σ = R(q) S S R(q)ᵀ` with
+/// `S = diag(exp(log_scale))`; the opacity is the logistic function of the logit; the colour is
+/// `max(0, Σ_k Y_k(ω) sh_k + ½)`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Gaussians {
     /// Highest spherical-harmonics degree stored, 0 to 3. Bands above it are zero.
@@ -130,7 +131,8 @@ impl Gaussians {
     }
 }
 
-/// Gradients of a loss with respect to every parameter of [`Gaussians`], and what density control wants to know.
+/// Gradients of a loss with respect to every parameter of [`Gaussians`], and what
+/// density control wants to know.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GaussianGradients {
     /// With respect to the centres.
@@ -143,7 +145,8 @@ pub struct GaussianGradients {
     pub opacity_logits: Vec<f32>,
     /// With respect to the spherical-harmonics coefficients. All zero when the view's colours were given.
     pub sh: Vec<[[f32; 3]; 16]>,
-    /// `Σ_p |∂L_p/∂x|, Σ_p |∂L_p/∂y|` of the projected centre over pixels, 1 / pixel: the absolute-gradient statistic.
+    /// `Σ_p |∂L_p/∂x|, Σ_p |∂L_p/∂y|` of the projected centre over pixels, 1 / pixel:
+    /// the absolute-gradient statistic.
     pub screen: Vec<[f32; 2]>,
     /// Whether the Gaussian reached the screen (it has at least one tile).
     pub visible: Vec<bool>,

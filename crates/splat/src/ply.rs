@@ -1,12 +1,14 @@
 //! Gaussians as PLY files, in the layout that 3D Gaussian Splatting tools share.
 //!
-//! One `vertex` element per Gaussian with `x y z`, `f_dc_0..2` (band 0), `f_rest_*` (bands 1 and up, channel-major: all of red, then
-//! green, then blue; 0, 9, 24 or 45 of them for degree 0 to 3), `opacity` (logit), `scale_0..2` (log), `rot_0..3` (`w x y z`).
-//! Normals and any other property may be there and are ignored, in any order and of any type, also list properties and
-//! elements before `vertex`. Binary of either byte order and ascii are read; binary little-endian is written.
+//! One `vertex` element per Gaussian with `x y z`, `f_dc_0..2` (band 0), `f_rest_*` (bands 1 and up,
+//! channel-major: all of red, then green, then blue; 0, 9, 24 or 45 of them for degree 0 to 3), `opacity`
+//! (logit), `scale_0..2` (log), `rot_0..3` (`w x y z`). Normals and any other property may be there and are
+//! ignored, in any order and of any type, also list properties and elements before `vertex`. Binary of either
+//! byte order and ascii are read; binary little-endian is written.
 //!
-//! A file is read as a stream and memory grows with what has arrived, so a header that promises 2⁶⁰ Gaussians costs nothing. Values that are
-//! not finite are handed on as they are; [`Gaussians::validate`](crate::Gaussians::validate) finds them.
+//! A file is read as a stream and memory grows with what has arrived, so a header that promises 2⁶⁰ Gaussians
+//! costs nothing. Values that are not finite are handed on as they are;
+//! [`Gaussians::validate`](crate::Gaussians::validate) finds them.
 
 use std::io::{self, BufRead, BufReader, BufWriter, Read, Write};
 
@@ -358,7 +360,8 @@ fn vertices(numbers: &mut Numbers<impl BufRead>, element: &Element) -> Result<Ga
     Ok(out)
 }
 
-/// Writes Gaussians as binary little-endian PLY with 45 `f_rest_*` and zero normals, as the common viewers expect.
+/// Writes Gaussians as binary little-endian PLY with 45 `f_rest_*` and zero
+/// normals, as the common viewers expect.
 pub fn write(gaussians: &Gaussians, writer: impl Write) -> io::Result<()> {
     write_with_comments(gaussians, &[], writer)
 }

@@ -7,7 +7,8 @@ use crate::{GaussianGradients, Gaussians};
 /// Where colours come from when a view is prepared.
 #[derive(Clone, Copy, Debug)]
 pub enum Colors<'a> {
-    /// From the Gaussians' spherical harmonics with bands up to `degree` (at most the stored degree): `max(SH + ½, 0)`.
+    /// From the Gaussians' spherical harmonics with bands up to `degree` (at most the
+    /// stored degree): `max(SH + ½, 0)`.
     Sh {
         /// Highest degree evaluated.
         degree: usize,
@@ -19,7 +20,8 @@ pub enum Colors<'a> {
 /// What is computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Options {
-    /// Whether the gradient flows through the distance `s_i` in the medium's terms (R2); expected depth is always differentiable.
+    /// Whether the gradient flows through the distance `s_i` in the medium's terms (R2); expected
+    /// depth is always differentiable.
     pub depth_gradient: bool,
     /// Whether [`Rendered::layers`] is filled.
     pub layers: bool,

@@ -1,5 +1,5 @@
-//! S3 and what speaks its language, through `object_store`. Keys, region and server come from the usual `AWS_…`
-//! variables; none of them is ever written anywhere.
+//! S3 and what speaks its language, through `object_store`. Keys, region and server come from the usual
+//! `AWS_…` variables; none of them is ever written anywhere.
 
 use std::io::{Read, Write};
 use std::time::Duration;

@@ -1,7 +1,8 @@
 //! A store beside the cache by its address: a folder's path, `file:///…`, or `s3://BUCKET/PREFIX`.
 //!
-//! What a store has to do is said by [`Remote`]; how artifacts go to and from one is in `use3d_build::remote`. Only
-//! here, and only with the feature `s3`, the program talks to a network, and only to the address it was given.
+//! What a store has to do is said by [`Remote`]; how artifacts go to and from one is in
+//! `use3d_build::remote`. Only here, and only with the feature `s3`, the program talks to a network, and
+//! only to the address it was given.
 
 #[cfg(feature = "s3")]
 mod bucket;
@@ -14,8 +15,8 @@ use use3d_build::remote::{Folder, Remote};
 /// The store at an address.
 ///
 /// # Errors
-/// An address that cannot be understood, or one that this program was built without, in words that say what to
-/// do.
+/// An address that cannot be understood, or one that this program was built
+/// without, in words that say what to do.
 pub fn open(address: &str) -> Result<Arc<dyn Remote>, String> {
     let shown = without_credentials(address);
     let Some((scheme, rest)) = address.split_once("://") else {

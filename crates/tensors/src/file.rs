@@ -21,7 +21,8 @@ impl<'a> TensorFile<'a> {
         Ok(Self { tensors: SafeTensors::deserialize(bytes)?, document })
     }
 
-    /// Whether a safetensors file has a document of this program in its header. A damaged file that begins as one counts.
+    /// Whether a safetensors file has a document of this program in its header. A damaged
+    /// file that begins as one counts.
     pub fn has_document(bytes: &[u8]) -> bool {
         match SafeTensors::read_metadata(bytes) {
             Ok((_, metadata)) => metadata.metadata().as_ref().is_some_and(|m| m.contains_key(KEY)),
@@ -120,7 +121,8 @@ impl<'a> TensorFile<'a> {
         Ok(bytes.as_chunks::<4>().0.iter().map(|b| u32::from_le_bytes(*b)).collect())
     }
 
-    /// Shape and values of an f32 tensor, or of an f64 one narrowed, not yet checked: for readers that learn the shape from the file.
+    /// Shape and values of an f32 tensor, or of an f64 one narrowed, not yet checked: for readers that
+    /// learn the shape from the file.
     pub fn narrowed(&self, name: &str) -> Result<(Vec<usize>, Vec<f32>), TensorError> {
         let tensor = self.tensor(name)?;
         let values = match tensor.dtype() {

@@ -1,8 +1,9 @@
 //! Named tensors in safetensors files, little-endian.
 //!
-//! A file may hold one JSON document besides, in its header under the key `3d-use`; the document's `format` and `version` are checked
-//! before anything else of it. Bytes are deterministic: one metadata key at most, tensors in the format's own order (type, then name).
-//! Whoever reads says which tensors there are to be, of which type and shape; what differs is named.
+//! A file may hold one JSON document besides, in its header under the key `3d-use`; the document's `format`
+//! and `version` are checked before anything else of it. Bytes are deterministic: one metadata key at most,
+//! tensors in the format's own order (type, then name). Whoever reads says which tensors there are to be, of
+//! which type and shape; what differs is named.
 
 mod file;
 mod writer;

@@ -300,7 +300,8 @@ mod tests {
         let (written, mut file) = create_sibling(&path).unwrap();
         let (left, _) = create_sibling(&path).unwrap();
         assert_ne!(written, left);
-        // It may be another machine's, which no lock and no process id tells of: what counts is that it grows.
+        // It may be another machine's, which no lock and no process id tells
+        // of: what counts is that it grows.
         let now = Instant::now();
         for minutes in [0, 5, 9] {
             sweep_at(dir.path(), now + Duration::from_secs(60 * minutes));

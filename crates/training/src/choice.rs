@@ -9,7 +9,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum EngineChoice {
-    /// The best graphics card that passes its check at the start and can do what is asked, else the processor.
+    /// The best graphics card that passes its check at the start and can do
+    /// what is asked, else the processor.
     Auto,
     /// The processor.
     #[default]

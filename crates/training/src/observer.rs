@@ -25,8 +25,8 @@ pub struct Progress {
     pub seconds_left: Option<f64>,
 }
 
-/// What is being trained as it stands after a step, copied so that it may be looked at in another thread while training goes on. Which
-/// type it is, the loop's crate says: this one knows no scenes.
+/// What is being trained as it stands after a step, copied so that it may be looked at in another thread
+/// while training goes on. Which type it is, the loop's crate says: this one knows no scenes.
 pub type Snapshot = Arc<dyn Any + Send + Sync>;
 
 /// Watches a loop. Every method has a default that does nothing, so a test may pass [`Silent`].
@@ -42,7 +42,8 @@ pub trait Observer {
         false
     }
 
-    /// Whether somebody wants to see what is being trained. Asked after every step; whatever the answer, results are the same.
+    /// Whether somebody wants to see what is being trained. Asked after every step; whatever
+    /// the answer, results are the same.
     fn wants_view(&self) -> bool {
         false
     }

@@ -35,8 +35,8 @@ pub trait Steps {
         steps.end.saturating_sub(steps.start) as f64
     }
 
-    /// A copy of what is trained as it stands, for somebody who looks on; `None` where there is nothing to look at. It must leave the
-    /// steps to come as they are.
+    /// A copy of what is trained as it stands, for somebody who looks on; `None` where there is nothing to
+    /// look at. It must leave the steps to come as they are.
     fn view(&mut self) -> Result<Option<Snapshot>, Self::Error> {
         Ok(None)
     }

@@ -98,8 +98,8 @@ impl Sites {
         self.centred
     }
 
-    /// Where site `i` looks: its lower nodes on the x, y, z grids, the fractions towards the next ones in `[0, 1]`, and the signed logs of
-    /// its guide colour. What an engine on another device copies.
+    /// Where site `i` looks: its lower nodes on the x, y, z grids, the fractions towards the next ones in
+    /// `[0, 1]`, and the signed logs of its guide colour. What an engine on another device copies.
     ///
     /// # Panics
     ///

@@ -191,7 +191,8 @@ proptest! {
             let middle = value(at);
             let (up, down) = (value(at + step), value(at - step));
             exact.parameters[i] = at;
-            // A guide that crosses a node within the step has two one-sided slopes; nearly no parameter meets one.
+            // A guide that crosses a node within the step has two one-sided slopes;
+            // nearly no parameter meets one.
             if ((up - middle) - (middle - down)).abs() > 1e-3 * (up - down).abs().max(1e-6) {
                 kinks += 1;
                 continue;

@@ -96,7 +96,8 @@ pub fn rows() -> [f32; ROWS] {
     std::array::from_fn(|k| (2.0 * k as f64 / (ROWS - 1) as f64 - 1.0) as f32)
 }
 
-/// The position part of the table's lookups, the same in every row: lower nodes on x, y, z and fractions towards the next.
+/// The position part of the table's lookups, the same in every row: lower nodes on x, y, z
+/// and fractions towards the next.
 pub fn camera_site(field: &Field, camera: [f32; 3]) -> ([u8; 3], [f32; 3]) {
     let at = field.bounds().normalise(camera).map(|u| locate(u, field.shape().resolution));
     (at.map(|(node, _)| node as u8), at.map(|(_, fraction)| fraction))

@@ -1,7 +1,8 @@
 //! Pictures for pages, one after another, by one thread.
 //!
-//! Every page has at most one request that waits; a newer one takes its place, and the older is told so. A moving picture is drawn so small,
-//! by the ladder 1, ½, ⅓, ¼, that it takes [`MOVING`] at the pace of those before; a still one whole, or in [`STILL`] beside a training.
+//! Every page has at most one request that waits; a newer one takes its place, and the older is told so. A
+//! moving picture is drawn so small, by the ladder 1, ½, ⅓, ¼, that it takes [`MOVING`] at the pace of those
+//! before; a still one whole, or in [`STILL`] beside a training.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, Sender, channel};

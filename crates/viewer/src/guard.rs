@@ -1,7 +1,8 @@
 //! Who is answered: this machine's own page that knows the token.
 //!
-//! A page of another site may send requests to any address, this one too. It cannot choose the `Origin` that its browser puts under them, nor
-//! read the token; and a name of its own that leads here (DNS rebinding) stands in `Host`.
+//! A page of another site may send requests to any address, this one too. It cannot choose the
+//! `Origin` that its browser puts under them, nor read the token; and a name of its own that leads
+//! here (DNS rebinding) stands in `Host`.
 
 use crate::http::{Request, Response};
 
@@ -37,8 +38,8 @@ fn is_loopback(host: &str) -> bool {
     ["127.0.0.1", "localhost", "::1"].iter().any(|own| name.eq_ignore_ascii_case(own))
 }
 
-/// The refusal of a request, if it gets one. The page itself holds nothing and is there for everybody on this machine; all else is asked for by
-/// `POST` with origin and token.
+/// The refusal of a request, if it gets one. The page itself holds nothing and is there for everybody on this
+/// machine; all else is asked for by `POST` with origin and token.
 pub(crate) fn refusal(request: &Request, token: &Token) -> Option<Response> {
     let forbidden = |what: &str| Some(Response::text(403, what));
     let Some(host) = request.host.as_deref().filter(|host| is_loopback(host)) else {

@@ -1,6 +1,8 @@
-//! HTTP/1.1 as far as a page on the same machine needs it: requests with short heads and short bodies, answers with a known length.
+//! HTTP/1.1 as far as a page on the same machine needs it: requests with short heads and short
+//! bodies, answers with a known length.
 //!
-//! Heads are read by `httparse`. Everything is bounded: a head, a body, the number of fields, and the time that a request may take.
+//! Heads are read by `httparse`. Everything is bounded: a head, a body, the number of fields, and
+//! the time that a request may take.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Shutdown, TcpStream};
@@ -189,7 +191,8 @@ pub(crate) fn write(stream: &mut TcpStream, response: &Response, stays: bool) ->
 
 /// Sends the last answer of a connection whose requests are not read to their end.
 ///
-/// What was sent and not read would make the system drop the answer with the connection, so it is read and forgotten, for a while.
+/// What was sent and not read would make the system drop the answer with the connection, so it is
+/// read and forgotten, for a while.
 pub(crate) fn refuse(stream: &mut TcpStream, response: &Response) {
     if write(stream, response, false).is_err() || stream.shutdown(Shutdown::Write).is_err() {
         return;

@@ -1,7 +1,8 @@
 //! What is shown now, and what is asked of who makes it.
 //!
-//! The one place that both sides touch. A training puts figures and copies of its scene in and asks whether to wait; the page's requests take
-//! them out and leave commands. Whatever stands here is copied or shared for reading: no training waits for a picture.
+//! The one place that both sides touch. A training puts figures and copies of its scene in and asks whether
+//! to wait; the page's requests take them out and leave commands. Whatever stands here is copied or shared
+//! for reading: no training waits for a picture.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -91,13 +92,15 @@ struct State {
 pub struct Live {
     state: Mutex<State>,
     changed: Condvar,
-    /// Raised by the page's stop button and by whoever else stops the training; none where there is nothing to pause or stop.
+    /// Raised by the page's stop button and by whoever else stops the training; none where
+    /// there is nothing to pause or stop.
     stop: Option<Arc<AtomicBool>>,
     cores: usize,
 }
 
 impl Live {
-    /// Nothing yet. `stop` is the flag that ends the training with a checkpoint; without one the page cannot pause or stop anything.
+    /// Nothing yet. `stop` is the flag that ends the training with a checkpoint; without one the page
+    /// cannot pause or stop anything.
     pub fn new(words: &str, stop: Option<Arc<AtomicBool>>) -> Self {
         let state = State { words: words.into(), share: SHARE, header: Value::Null, ..State::default() };
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
@@ -113,7 +116,8 @@ impl Live {
         self.state().words = words.into();
     }
 
-    /// The numbers of a training step. Those of one stage make a curve; another stage that trains at the same time is not shown.
+    /// The numbers of a training step. Those of one stage make a curve; another stage that trains
+    /// at the same time is not shown.
     pub fn figures(&self, label: &str, step: u64, steps: u64, figures: &[(&str, f64)]) {
         let mut state = self.state();
         if state.training && state.label != label {
@@ -168,7 +172,8 @@ impl Live {
         }
     }
 
-    /// Whether a copy of the scene that this stage trains is wanted now: somebody looks, and the last one is old enough.
+    /// Whether a copy of the scene that this stage trains is wanted now: somebody looks,
+    /// and the last one is old enough.
     pub fn wants_copy(&self, label: &str) -> bool {
         let mut state = self.state();
         if !state.training || state.label != label || state.looked.is_none_or(|at| at.elapsed() >= LOOKING) {
@@ -210,7 +215,8 @@ impl Live {
         self.put(shown, header, None);
     }
 
-    /// Whether this is another state of the scene that is shown: it can take its place under the visitor's eyes.
+    /// Whether this is another state of the scene that is shown: it can take its
+    /// place under the visitor's eyes.
     fn continues(&self, shown: &Shown) -> bool {
         let state = self.state();
         state.data.is_none()

@@ -11,8 +11,8 @@ use crate::http::{self, NoRequest, Pending, Response};
 use crate::live::Live;
 use crate::site::Site;
 
-/// Most connections at a time: a browser holds up to six per page. As many again are told that they are too many; further ones are
-/// closed without a word.
+/// Most connections at a time: a browser holds up to six per page. As many again are told that they are too
+/// many; further ones are closed without a word.
 const CONNECTIONS: usize = 56;
 
 /// A server that cannot be started.

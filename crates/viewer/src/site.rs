@@ -1,4 +1,5 @@
-//! What can be asked for: the page, its scene, pictures, how things stand, and commands. All but the page is JSON by `POST`.
+//! What can be asked for: the page, its scene, pictures, how things stand, and commands. All
+//! but the page is JSON by `POST`.
 
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;

@@ -24,8 +24,8 @@ const ROUNDS: usize = 3;
 /// A gain per view is kept where it takes away at least this share of the loss: exposure that changes does
 /// more than this, and gains that are not there would take over part of what distance does.
 const GAINS_EXPLAIN: f64 = 0.35;
-/// Where gains without any water leave less than water without gains, this share is enough: exposure is then what
-/// changes most, and water that is fitted without it takes over part of what exposure does.
+/// Where gains without any water leave less than water without gains, this share is enough: exposure is then
+/// what changes most, and water that is fitted without it takes over part of what exposure does.
 const GAINS_EXPLAIN_FIRST: f64 = 0.15;
 /// Starts are compared on about so many points.
 const START_POINTS: usize = 1200;

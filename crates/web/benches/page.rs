@@ -1,7 +1,9 @@
-//! What a large scene's page takes: `cargo bench -p use3d-web --bench page -- [GAUSSIANS]` (600,000 unless told).
+//! What a large scene's page takes:
+//! `cargo bench -p use3d-web --bench page -- [GAUSSIANS]` (600,000 unless told).
 //!
-//! Time to make the page and its size; in Chromium, from a local file: until everything is unpacked and in order, which is what a first picture
-//! takes apart from drawing it, and the sort alone (the median over turns of the camera).
+//! Time to make the page and its size; in Chromium, from a local file: until everything is unpacked
+//! and in order, which is what a first picture takes apart from drawing it, and the sort alone (the
+//! median over turns of the camera).
 
 #![allow(dead_code, reason = "the browser's tests use more of what is shared")]
 
@@ -58,7 +60,8 @@ fn main() {
     println!("sorted in {:.1} ms", browser.evaluate(&turn).as_f64().unwrap_or(f64::NAN));
 }
 
-/// A scene with water, enhancement and harmonics of every degree, of Gaussians as small as those of a trained one.
+/// A scene with water, enhancement and harmonics of every degree, of Gaussians as
+/// small as those of a trained one.
 fn scene(count: usize) -> Scene {
     let mut scene = scenes::scene("rbf", 3);
     let mut draw = Draws::new("large scene", 17);

@@ -1,8 +1,9 @@
 //! What a page knows of an enhancement: six numbers per Gaussian, and the field for the water's colour.
 //!
-//! With a Gaussian's local log-gain `a` and bias `b` its enhanced colour at strength `s` is `e^{s a} ⊙ (c + s (δA c + b_g)) + s b`: the strength is
-//! one number that the page may change at any time, and no field is looked up for it. Water is graded by where the camera is, so the page
-//! evaluates the field for it: sixteen times a frame, which is nothing.
+//! With a Gaussian's local log-gain `a` and bias `b` its enhanced colour at strength `s` is
+//! `e^{s a} ⊙ (c + s (δA c + b_g)) + s b`: the strength is one number that the page may change at any time,
+//! and no field is looked up for it. Water is graded by where the camera is, so the page evaluates the field
+//! for it: sixteen times a frame, which is nothing.
 
 use serde_json::{Value, json};
 use use3d_capture::Appearance;

@@ -1,4 +1,5 @@
-//! Where a scene is: what a visitor wants to have in the picture, without the few Gaussians that fly far away.
+//! Where a scene is: what a visitor wants to have in the picture, without the
+//! few Gaussians that fly far away.
 
 use glam::DVec3;
 use use3d_capture::Camera;
@@ -39,8 +40,8 @@ pub(crate) fn focus(gaussians: &Gaussians, camera: &Camera) -> Option<f64> {
     quantile(&mut depths, 0.5)
 }
 
-/// The Gaussians along a space-filling curve, so that neighbours in space are neighbours in the file: it packs better, and a graphics card
-/// finds them in its cache.
+/// The Gaussians along a space-filling curve, so that neighbours in space are neighbours in the file: it
+/// packs better, and a graphics card finds them in its cache.
 pub(crate) fn curve_order(gaussians: &Gaussians) -> Vec<u32> {
     let [low, high] = bounds(gaussians);
     let spread = |v: u32| {

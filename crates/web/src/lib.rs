@@ -1,14 +1,17 @@
 //! A scene in a browser, and in other people's viewers.
 //!
-//! [`page`] makes one HTML file that shows a scene with everything that is in it: the water, the enhancement at any strength, the places
-//! that the photographs were taken from. It works from a disk, without a network, on any host. Its renderer is our own, in plain
-//! JavaScript and GLSL below `page/`; the files there are joined as they are, nothing is built or fetched.
+//! [`page`] makes one HTML file that shows a scene with everything that is in it: the water, the enhancement
+//! at any strength, the places that the photographs were taken from. It works from a disk, without a network,
+//! on any host. Its renderer is our own, in plain JavaScript and GLSL below `page/`; the files there are
+//! joined as they are, nothing is built or fetched.
 //!
-//! The compositor is exact. The program's picture `a (1 − Σw) c_m + Σ w (c A + c_m (1 − E))` with `A = e^{−β_attn s}`, `E = e^{−β_bs s}` is ordinary
-//! alpha blending of the colours `f = c A + c_m (1 − E)` over open water, so a browser draws it with one blend function. What is left of a
-//! difference to the program's own renderer is that of half-float sums and of 8-bit harmonics.
+//! The compositor is exact. The program's picture `a (1 − Σw) c_m + Σ w (c A + c_m (1 − E))` with
+//! `A = e^{−β_attn s}`, `E = e^{−β_bs s}` is ordinary alpha blending of the colours `f = c A + c_m (1 − E)`
+//! over open water, so a browser draws it with one blend function. What is left of a difference to the
+//! program's own renderer is that of half-float sums and of 8-bit harmonics.
 //!
-//! Reading order: `scene_file` (numbers → bytes) → `water` and `enhancement` (what the page must know of both) → `photographs` → [`page`]. [`path`], `saved` and [`foreign`] stand for themselves.
+//! Reading order: `scene_file` (numbers → bytes) → `water` and `enhancement` (what the page must know of
+//! both) → `photographs` → [`page`]. [`path`], `saved` and [`foreign`] stand for themselves.
 
 mod enhancement;
 pub mod foreign;

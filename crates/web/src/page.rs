@@ -1,10 +1,12 @@
 //! The page: HTML, style, shaders and scripts joined with a scene.
 //!
-//! **One file if it may be.** Files below [`ONE_FILE`] open in every browser from a disk; larger ones do not everywhere. So harmonics of the
-//! highest degree that still fits are kept, down to none; a scene that is too large even then keeps all of them and gets a folder of
-//! scripts beside the page, which browsers also read from a disk.
+//! **One file if it may be.** Files below [`ONE_FILE`] open in every browser from a disk; larger ones do
+//! not everywhere. So harmonics of the highest degree that still fits are kept, down to none; a scene
+//! that is too large even then keeps all of them and gets a folder of scripts beside the page, which
+//! browsers also read from a disk.
 //!
-//! **Nothing is fetched, nothing is sent.** The page carries a content policy that forbids both; scripts and style run by their digests.
+//! **Nothing is fetched, nothing is sent.** The page carries a content policy that forbids both; scripts
+//! and style run by their digests.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -167,7 +169,8 @@ pub fn served() -> Served {
     Served { html, policy }
 }
 
-/// Makes the page. `folder` is the name of the folder for its parts, should it need one: a plain name, relative to the page.
+/// Makes the page. `folder` is the name of the folder for its parts, should it need one: a
+/// plain name, relative to the page.
 ///
 /// # Errors
 /// A scene without Gaussians.

@@ -9,7 +9,8 @@ use crate::WebError;
 const SIDE: usize = 480;
 const QUALITY: u8 = 80;
 
-/// A photograph as it stands in a page: a JPEG of at most 480 pixels along its longer side, scaled down by whole factors (box means).
+/// A photograph as it stands in a page: a JPEG of at most 480 pixels along its longer side, scaled
+/// down by whole factors (box means).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Photograph {
     /// A `data:` address.

@@ -1,5 +1,5 @@
-//! Views under a name, as the page saves them: places and their looks, which way is up, and how long a unit is. Put back into a page they are
-//! there for everybody who opens it.
+//! Views under a name, as the page saves them: places and their looks, which way is up, and how long a unit
+//! is. Put back into a page they are there for everybody who opens it.
 
 use serde::{Deserialize, Serialize};
 

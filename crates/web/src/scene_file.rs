@@ -7,8 +7,9 @@
 //! harmonics  (bands − 1) × RGB signed bytes · their largest magnitude f16, which the byte 127 stands for
 //! ```
 //!
-//! Little-endian throughout. A record's first bytes of all Gaussians come first, then all second ones: planes of like bytes pack better.
-//! Sections are packed by gzip one by one, since browsers unpack that by themselves.
+//! Little-endian throughout. A record's first bytes of all Gaussians come first, then all second
+//! ones: planes of like bytes pack better. Sections are packed by gzip one by one, since
+//! browsers unpack that by themselves.
 
 use std::io::Write;
 

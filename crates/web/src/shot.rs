@@ -1,5 +1,5 @@
-//! A place and how the scene looks from it, as the page writes it into its files. Poses are in the COLMAP frame, so that a file outlives the
-//! scene that it was made in.
+//! A place and how the scene looks from it, as the page writes it into its files. Poses are in the COLMAP
+//! frame, so that a file outlives the scene that it was made in.
 
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
@@ -14,7 +14,8 @@ pub struct Shot {
     pub rotation: [[f64; 3]; 3],
     /// Of the picture's height, degrees.
     pub vertical_fov_degrees: f64,
-    /// How far in front of the camera the point of interest lies, around which one orbits; units of the COLMAP model.
+    /// How far in front of the camera the point of interest lies, around which one
+    /// orbits; units of the COLMAP model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focus: Option<f64>,
     /// What is shown, in the words of `use3d render --modes`.

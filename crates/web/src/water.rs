@@ -1,6 +1,8 @@
-//! What a page knows of the water: coefficients of its harmonics, or, for any other water, a cube of directions filled here.
+//! What a page knows of the water: coefficients of its harmonics, or, for any other water, a
+//! cube of directions filled here.
 //!
-//! The network is smooth, so faces of [`SIDE`] pixels, read with linear interpolation, follow it to about the half floats they are kept in.
+//! The network is smooth, so faces of [`SIDE`] pixels, read with linear interpolation, follow it to about
+//! the half floats they are kept in.
 
 use glam::{DMat3, DVec3};
 use half::f16;
@@ -40,7 +42,8 @@ pub(crate) fn entry(scene: &Scene) -> Value {
     }
 }
 
-/// The faces of a cube map as OpenGL has them: a pixel `(s, t)` in `[−1, 1]²`, rows from the first, looks along `x s + y t + z`.
+/// The faces of a cube map as OpenGL has them: a pixel `(s, t)` in `[−1, 1]²`, rows from the
+/// first, looks along `x s + y t + z`.
 const FACES: [[[f64; 3]; 3]; 6] = [
     [[0.0, 0.0, -1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]],
     [[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]],
@@ -50,8 +53,8 @@ const FACES: [[[f64; 3]; 3]; 6] = [
     [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]],
 ];
 
-/// The baked cube of water that is no harmonics: colour, backscatter, attenuation, each six faces of RGBA half floats. `None` for other
-/// waters.
+/// The baked cube of water that is no harmonics: colour, backscatter, attenuation, each six faces of RGBA
+/// half floats. `None` for other waters.
 pub(crate) fn cube(scene: &Scene) -> Option<Vec<u8>> {
     if scene.medium.is_none() || scene.medium.harmonics().is_some() {
         return None;

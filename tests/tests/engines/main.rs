@@ -1,5 +1,6 @@
-//! A second engine for each stage, outside the crates of the loops: what another device's engine has to do, done through public items
-//! alone. Both take steps on request and do them later, several at once, as a device does; both trade whole states.
+//! A second engine for each stage, outside the crates of the loops: what another device's engine has to do,
+//! done through public items alone. Both take steps on request and do them later, several at once, as a
+//! device does; both trade whole states.
 
 mod stage1;
 mod stage2;

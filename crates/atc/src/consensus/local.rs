@@ -45,7 +45,8 @@ pub trait Adjoint {
     /// How many Gaussians the scene has.
     fn gaussians(&self) -> usize;
 
-    /// Lifts `planes` (`[channels][height][width]`, of the camera's size) to the Gaussians: `out` (`[N][channels]`), overwritten.
+    /// Lifts `planes` (`[channels][height][width]`, of the camera's size) to the Gaussians: `out`
+    /// (`[N][channels]`), overwritten.
     ///
     /// # Errors
     /// [`AtcError::Device`].
@@ -93,7 +94,8 @@ pub struct Lift<'a> {
 }
 
 impl<'a> Lift<'a> {
-    /// On the processor; grows on first use (seven planes of the camera's size and seven numbers per Gaussian).
+    /// On the processor; grows on first use (seven planes of the camera's size
+    /// and seven numbers per Gaussian).
     pub fn new(gaussians: &'a Gaussians) -> Self {
         let (rasterizer, prepared) = (Rasterizer::new(), Prepared::new());
         Self::by(Box::new(OnProcessor { gaussians, rasterizer, prepared }))

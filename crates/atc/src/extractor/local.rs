@@ -1,9 +1,9 @@
 //! The local operator: per cell and channel, a gain and a bias that explain what the global affine left over.
 //!
-//! Samples are adaptive means, 8 × 8 per cell, of `x' = M x̃` and of the target `y`. With `n = 64`, `ρ = 10⁻²`
-//! and `m₂ = max(mean x'², 10⁻⁴)` the fit minimises `Σ (g x' + b − y)² + ρ n m₂ (g − 1)² + ρ n b²`. With the
-//! samples' population moments — `var`, `mx` of `x'`; `mr` of the residual `r = y − x'`; `cov = cov(x', r)` —
-//! the solution without cancellation is
+//! Samples are adaptive means, 8 × 8 per cell, of `x' = M x̃` and of the target `y`. With `n = 64`,
+//! `ρ = 10⁻²` and `m₂ = max(mean x'², 10⁻⁴)` the fit minimises
+//! `Σ (g x' + b − y)² + ρ n m₂ (g − 1)² + ρ n b²`. With the samples' population moments — `var`, `mx` of
+//! `x'`; `mr` of the residual `r = y − x'`; `cov = cov(x', r)` — the solution without cancellation is
 //!
 //! ```text
 //! D     = (1+ρ) var + ρ mx² + ρ (1+ρ) m₂          (≥ 10⁻⁶, because m₂ has a floor)

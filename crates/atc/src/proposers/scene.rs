@@ -270,7 +270,8 @@ impl SceneSurvey {
         let limit = quantile(&surface, 1.0 - CLIPPED)?.max(1e-3);
         let wanted =
             (bright.clamp(BRIGHT_END[0], BRIGHT_END[1]) / bright).clamp(BRIGHTNESS[0], BRIGHTNESS[1]);
-        // What is not sure, noise far away for one, keeps a scene from becoming brighter, and makes none darker.
+        // What is not sure, noise far away for one, keeps a scene from becoming
+        // brighter, and makes none darker.
         let bounded = wanted.min((1.0 / sure_limit).max(BRIGHTNESS[0])).min((1.0 / limit).max(1.0));
         let brightness = if self.water { bounded } else { 1.0 };
         let over = surface.iter().filter(|(v, _)| brightness * v > 1.0).count();

@@ -1,5 +1,5 @@
-//! A folder as a store: a disk that is carried about, or a mounted share that is too slow or too loose to hold a
-//! cache.
+//! A folder as a store: a disk that is carried about, or a mounted share that is too
+//! slow or too loose to hold a cache.
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read, Write};
@@ -99,8 +99,9 @@ impl Remote for Folder {
     }
 
     fn create(&self, name: &str, mut bytes: &[u8]) -> Result<bool, RemoteError> {
-        // A second name of a whole file: unlike a rename it is refused where there is one already. Disks that are
-        // carried about often know no second names; there it is written in place, and a half is found out as such.
+        // A second name of a whole file: unlike a rename it is refused where there is one already.
+        // Disks that are carried about often know no second names; there it is written in place,
+        // and a half is found out as such.
         let whole = bytes;
         self.written(name, &mut bytes, |sibling, target| {
             let made = fs::hard_link(sibling, target).or_else(|e| match e.kind() {

@@ -1,4 +1,5 @@
-//! A store beside the cache that other machines reach as well: a folder, a bucket, whatever keeps bytes under names.
+//! A store beside the cache that other machines reach as well: a folder, a bucket,
+//! whatever keeps bytes under names.
 //!
 //! ```text
 //! v1/blobs/<digest>                   a file of an artifact, by what is in it
@@ -6,10 +7,11 @@
 //! v1/probe/…                          written and removed when a store is opened
 //! ```
 //!
-//! A store only saves time, and every byte from one is checked: a manifest has to fit the key that was asked for,
-//! every file its digest, and what does not is asked for again and then counts as not there. That guards against
-//! everything but results that somebody replaced on purpose, manifest and all. What comes in is built in `tmp` and
-//! published like the work of a stage, so that a cache holds the same bytes whether they were computed or fetched.
+//! A store only saves time, and every byte from one is checked: a manifest has to fit the key that was asked
+//! for, every file its digest, and what does not is asked for again and then counts as not there. That
+//! guards against everything but results that somebody replaced on purpose, manifest and all. What comes in
+//! is built in `tmp` and published like the work of a stage, so that a cache holds the same bytes whether
+//! they were computed or fetched.
 
 mod folder;
 mod memory;
@@ -51,8 +53,8 @@ pub trait Remote: Send + Sync {
     /// [`RemoteError::Local`] with the error of `from`; else what the store said.
     fn put(&self, name: &str, from: &mut (dyn Read + Send), size: u64) -> Result<(), RemoteError>;
 
-    /// Creates a small object unless there is one of that name; whether it did. Of all that try at once it says
-    /// so to exactly one.
+    /// Creates a small object unless there is one of that name; whether it did. Of all that try at
+    /// once it says so to exactly one.
     ///
     /// # Errors
     /// What the store said.

@@ -92,8 +92,8 @@ impl<R: Read> Read for Sender<'_, R> {
     }
 }
 
-/// What is wrong with the files that a manifest from elsewhere names, if anything is: they go into one folder and
-/// nowhere else.
+/// What is wrong with the files that a manifest from elsewhere names, if anything is: they go
+/// into one folder and nowhere else.
 pub(super) fn wrong_names(manifest: &Manifest) -> Option<String> {
     for (i, file) in manifest.files.iter().enumerate() {
         let path = Path::new(&file.path);

@@ -77,8 +77,8 @@ impl fmt::Display for Transferred {
     }
 }
 
-/// A node of a plan that counts: its stage, its key where it has one, whether its artifact is there. Nodes that
-/// share an artifact are one.
+/// A node of a plan that counts: its stage, its key where it has one, whether its artifact is there. Nodes
+/// that share an artifact are one.
 fn listed(plan: &Plan) -> Vec<(&'static str, Option<Key>, bool)> {
     let mut seen = BTreeSet::new();
     let nodes = plan.nodes.iter().filter(|n| n.shared_with.is_none() && n.state != State::Unwanted);
@@ -87,8 +87,8 @@ fn listed(plan: &Plan) -> Vec<(&'static str, Option<Key>, bool)> {
 }
 
 impl Engine {
-    /// Sends everything that the cache has of a graph. `check` reads back what the store has, and replaces what is
-    /// not as it should be.
+    /// Sends everything that the cache has of a graph. `check` reads back what the store has, and
+    /// replaces what is not as it should be.
     ///
     /// # Errors
     /// A store that does not answer or take it.
@@ -123,8 +123,8 @@ impl Engine {
         Ok(done)
     }
 
-    /// Fetches everything that the store has of a graph and the cache has not. What has no key before its inputs
-    /// are there is asked for when they are.
+    /// Fetches everything that the store has of a graph and the cache has not. What has no key before its
+    /// inputs are there is asked for when they are.
     ///
     /// # Errors
     /// A store that does not answer; a file that cannot be written.

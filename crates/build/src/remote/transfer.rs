@@ -41,7 +41,8 @@ pub enum Fetched {
     Missing,
     /// It is in the cache now.
     Now(Box<Artifact>),
-    /// Another one of the same key was in the cache first, and stays: its stage is not deterministic. The file they differ in.
+    /// Another one of the same key was in the cache first, and stays: its stage is not
+    /// deterministic. The file they differ in.
     Differs(Box<Artifact>, String),
 }
 
@@ -52,7 +53,8 @@ pub enum Sent {
     Now,
     /// It was there.
     Already,
-    /// Another one of the same key is there, and stays: its stage is not deterministic. The file they differ in.
+    /// Another one of the same key is there, and stays: its stage is not
+    /// deterministic. The file they differ in.
     Differs(String),
 }
 
@@ -96,7 +98,8 @@ impl RemoteStore {
             // What stays behind is a few bytes.
             let _ = self.remote.remove(&name);
             let (again, there) = (again?, there?);
-            // A client that asks again by itself when an answer is lost is told that the name is there: by its own first try.
+            // A client that asks again by itself when an answer is lost is told that the name
+            // is there: by its own first try.
             if !(first || there && found == bytes) {
                 return Err(refused("create", "it says that a new name is there already"));
             }
@@ -236,8 +239,8 @@ impl RemoteStore {
         })
     }
 
-    /// Sends an artifact to the store, its manifest last. `check` reads back what is there already, and replaces
-    /// what is not as it should be.
+    /// Sends an artifact to the store, its manifest last. `check` reads back what is there already, and
+    /// replaces what is not as it should be.
     ///
     /// # Errors
     /// A store that does not answer or take it; an artifact that is damaged here.

@@ -1,5 +1,5 @@
-//! A run's time, and what other processes do: when to leave, what they compute and when to ask for it again, how
-//! long to wait where there is nothing else to do.
+//! A run's time, and what other processes do: when to leave, what they compute and when to ask for it again,
+//! how long to wait where there is nothing else to do.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -89,8 +89,8 @@ impl Runner<'_> {
         self.running.len() < self.options.jobs.max(1)
     }
 
-    /// A node turned out to be computed by another process: it is asked for again later, and meanwhile something
-    /// else is done.
+    /// A node turned out to be computed by another process: it is asked for again later, and
+    /// meanwhile something else is done.
     pub(super) fn put_back(&mut self, i: usize, holder: String) {
         let (now, node) = (self.now(), self.engine.cache.node());
         let times = self.held.get(&i).map_or(0, |held| held.times);
@@ -120,8 +120,8 @@ impl Runner<'_> {
         self.order.sort_by_cached_key(place);
     }
 
-    /// Whether a stage that leaves no checkpoints would be cut off by the limit, and would not be in a run that
-    /// has its whole time before it.
+    /// Whether a stage that leaves no checkpoints would be cut off by the limit, and would not be in a run
+    /// that has its whole time before it.
     pub(super) fn comes_too_late(&self, i: usize) -> bool {
         let node = &self.graph.nodes[i];
         let stage = &self.engine.registry.stages()[node.stage];

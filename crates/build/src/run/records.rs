@@ -11,8 +11,8 @@ use super::super::summary::Became;
 use super::{Phase, Runner};
 
 impl Runner<'_> {
-    /// Ends a node without a result; what it was is kept with its log for `status`, and the batch halts unless it is to
-    /// go on.
+    /// Ends a node without a result; what it was is kept with its log for `status`, and the
+    /// batch halts unless it is to go on.
     pub(super) fn fail(&mut self, i: usize, key: Option<Key>, reason: String) {
         self.held.remove(&i);
         let node = &self.graph.nodes[i];
@@ -29,7 +29,8 @@ impl Runner<'_> {
         self.halted |= !self.options.keep_going;
     }
 
-    /// Remembers what a node's result follows from; what it followed from before is kept, to tell what changed.
+    /// Remembers what a node's result follows from; what it followed from before
+    /// is kept, to tell what changed.
     pub(super) fn record_made(&self, i: usize, ingredients: Ingredients, content: Digest) {
         let mut record = self.engine.cache.record(&self.graph.name, &self.graph.nodes[i]);
         let key = ingredients.key();

@@ -70,7 +70,8 @@ fn killed_again_and_again_it_ends_with_the_same_bytes() {
     let (mut kills, mut whole, mut seen) = (0u64, 0, BTreeMap::new());
     let mut random = 0x2545_f491_4f6c_dd1d_u64;
     let start = Instant::now();
-    // A busy machine takes longer to each stage: where kills keep hitting the same few, later ones wait longer.
+    // A busy machine takes longer to each stage: where kills keep hitting the
+    // same few, later ones wait longer.
     let (mut reach, mut stalled) = (56, 0);
     while kills < 55 || (seen.len() < 4 && kills < 400) {
         random ^= random << 13;

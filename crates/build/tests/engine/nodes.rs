@@ -310,7 +310,8 @@ fn what_would_be_cut_off_is_left_for_a_run_with_more_time() {
     let batch = batch(&dir.path().join("data"), &["reef"]);
     let folder = dir.path().join("cache");
     let east = machine(&folder, "east", Arc::new(Fast), 12);
-    // Everything else is quick; by what is known, this one takes nearly all of the time, and leaves no checkpoints.
+    // Everything else is quick; by what is known, this one takes nearly all of the
+    // time, and leaves no checkpoints.
     let timing = json!({"stage": "targets", "scene": "reef", "length": 1.0, "bytes": 0, "seconds": 17_999.9,
         "peak_memory": 0, "output": 0});
     fs::create_dir_all(east.cache.root().join("timings")).expect("folder");

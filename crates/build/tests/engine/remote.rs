@@ -1,5 +1,5 @@
-//! A store beside the cache: what one machine computed another one fetches to the byte; what a store gives wrong,
-//! in part, late or not at all never becomes an artifact, and ends no run.
+//! A store beside the cache: what one machine computed another one fetches to the byte; what a store gives
+//! wrong, in part, late or not at all never becomes an artifact, and ends no run.
 
 use std::collections::BTreeMap;
 use std::fs;

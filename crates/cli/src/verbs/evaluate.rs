@@ -107,7 +107,8 @@ const IMAGE: u64 = 12;
 /// Bytes per pixel that decoding takes beside the image, at most: the samples of a file of four floats.
 const DECODING: u64 = 16;
 
-/// An image in display range, if there is memory to read and score it; `compared` says whether another of its size is held already.
+/// An image in display range, if there is memory to read and score it; `compared` says whether
+/// another of its size is held already.
 fn read(path: &Path, judges: &Judges, compared: bool) -> Result<Image, CliError> {
     let (width, height) = image_size(path).map_err(CliError::input)?;
     let beside = judges.bytes_per_pixel(compared).max(DECODING);

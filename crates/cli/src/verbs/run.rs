@@ -61,7 +61,8 @@ pub(crate) fn open(
     Ok(Loaded { pipeline, engine: Engine::new(registry, cache), graph })
 }
 
-/// What a file is that is given where a pipeline file or a capture folder is expected, and what to do with it.
+/// What a file is that is given where a pipeline file or a capture folder is
+/// expected, and what to do with it.
 fn no_pipeline(file: &Path) -> Option<&'static str> {
     let extension = file.extension()?.to_string_lossy().to_lowercase();
     Some(match extension.as_str() {
@@ -249,7 +250,8 @@ fn execute(app: &App, loaded: &Loaded, options: &RunOptions, out: Option<&Path>,
     }
 }
 
-/// The app's listener, which also delivers every scene as soon as it is over: the batch may take days yet, or fail.
+/// The app's listener, which also delivers every scene as soon as it is over: the
+/// batch may take days yet, or fail.
 fn delivering(app: &App, out: &Path) -> Arc<dyn Listener> {
     let (inner, out) = (app.listener.clone(), out.to_path_buf());
     Arc::new(move |event: &Event<'_>| {
@@ -278,8 +280,8 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     let mut sets =
         vec![format!("reconstruct.iterations={iterations}"), format!("enhance.iterations={steps}")];
     sets.extend(args.settings.sets());
-    // Settings and the places of all results are checked before anything is rendered: the pipeline of an empty folder of the capture's
-    // name knows the same ones.
+    // Settings and the places of all results are checked before anything is rendered: the pipeline of an
+    // empty folder of the capture's name knows the same ones.
     let probe = scratch()?;
     let empty = probe.path().join(SCENE);
     std::fs::create_dir(&empty).map_err(CliError::failed)?;

@@ -115,7 +115,8 @@ fn seeded(app: &App, sets: &[String]) -> Result<App, CliError> {
     })
 }
 
-/// Settings sorted to the stages whose parameters they name: `STAGE.KEY`, or `KEY` of the first stage that has it.
+/// Settings sorted to the stages whose parameters they name: `STAGE.KEY`, or `KEY`
+/// of the first stage that has it.
 pub(crate) fn parameters(
     registry: &Registry,
     names: &[&str],
@@ -157,8 +158,8 @@ fn walk(path: &Path) -> Vec<PathBuf> {
     }
 }
 
-/// Where an unfinished training by hand keeps its checkpoints: beside its result, hidden. Trainings that were given the same `--out`
-/// but other parameters or inputs share the folder; each goes on from its own.
+/// Where an unfinished training by hand keeps its checkpoints: beside its result, hidden. Trainings that were
+/// given the same `--out` but other parameters or inputs share the folder; each goes on from its own.
 struct Checkpoints {
     folder: PathBuf,
     /// What was there before: of this training, which removes what it no longer needs, or of others.
@@ -213,8 +214,8 @@ pub(crate) fn imported(
     Ok(folder)
 }
 
-/// Refuses a capture that the scene was not made from, and, where views are scored, a split that holds out what it was
-/// trained with.
+/// Refuses a capture that the scene was not made from, and, where views are scored, a split that
+/// holds out what it was trained with.
 pub(crate) fn check_origin(scene: &Path, import: &Path, scored: bool) -> Done {
     let Some(origin) = Origin::read(scene).map_err(CliError::input)? else { return Ok(()) };
     let capture = use3d_import::load_prepared(import).map_err(CliError::input)?.capture;

@@ -1,5 +1,5 @@
-//! `use3d submit`: what is missing of a pipeline, as jobs of a cluster's scheduler. The command ends when they
-//! are handed over; `use3d status` tells how far they are.
+//! `use3d submit`: what is missing of a pipeline, as jobs of a cluster's scheduler. The command ends when
+//! they are handed over; `use3d status` tells how far they are.
 
 use std::path::{Path, PathBuf};
 

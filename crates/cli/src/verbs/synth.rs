@@ -88,7 +88,8 @@ fn capture_params(args: &SynthCaptureArgs) -> Result<CaptureParams, CliError> {
     Ok(params)
 }
 
-/// Makes a capture at `out`, unless one of the same parameters and code is there; another one of ours is replaced.
+/// Makes a capture at `out`, unless one of the same parameters and code is there;
+/// another one of ours is replaced.
 pub(crate) fn keep_capture(app: &App, params: &CaptureParams, out: &Path) -> Done {
     let code = built_in().stage(&["use3d-synth"], &[]).map_err(CliError::failed)?.digest();
     let recipe = serde_json::json!({ "parameters": params, "code": code.to_string() });

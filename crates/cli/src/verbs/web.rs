@@ -85,7 +85,8 @@ fn parts_folder(path: &Path) -> PathBuf {
     path.with_file_name(format!("{stem}_files"))
 }
 
-/// The places of a capture's photographs, with the photographs; of anything else that has cameras, the places alone.
+/// The places of a capture's photographs, with the photographs; of anything else that
+/// has cameras, the places alone.
 pub(crate) fn views(cameras: &Path, folder: &Path, scene: &Scene) -> Result<Vec<PageView>, CliError> {
     let origin = Origin::read(folder).map_err(CliError::input)?;
     let placed = read_cameras(cameras).map_err(CliError::input)?;

@@ -41,8 +41,8 @@ impl Many {
         Self::new(&(1..=count).map(|n: usize| format!("s{n:02}")).collect::<Vec<_>>())
     }
 
-    /// `pipelines/use26.toml` as it is, but for its sizes, which are scaled down, and its data, for which synthetic captures
-    /// and pairs of the same names and shapes stand.
+    /// `pipelines/use26.toml` as it is, but for its sizes, which are scaled down, and its data, for which
+    /// synthetic captures and pairs of the same names and shapes stand.
     fn use26() -> Self {
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../pipelines/use26.toml");
         let mut text = std::fs::read_to_string(file).expect("the pipeline file");

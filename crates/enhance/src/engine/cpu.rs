@@ -1,7 +1,8 @@
-//! The engine on the processor, the reference. A step: field → colours and water → compositor → extractor → losses, and all the way back.
+//! The engine on the processor, the reference. A step: field → colours and water → compositor → extractor
+//! → losses, and all the way back.
 //!
-//! Gradients reach the field's parameters only; Gaussians, medium, targets and the stage-1 render are constants. The engine owns
-//! every buffer, so that a step allocates nothing once the largest view was seen.
+//! Gradients reach the field's parameters only; Gaussians, medium, targets and the stage-1 render are
+//! constants. The engine owns every buffer, so that a step allocates nothing once the largest view was seen.
 
 use use3d_capture::{Appearance, Image, MediumMaps};
 use use3d_numerics::adam::Adam;
@@ -123,7 +124,8 @@ impl Step {
     }
 }
 
-/// The field with its moments, the frozen scene as every view sees it, and the buffers of a step. A step is done when it was asked for.
+/// The field with its moments, the frozen scene as every view sees it, and the buffers of a step. A step
+/// is done when it was asked for.
 pub struct CpuFieldEngine<'a> {
     field: Field,
     /// First and second moments of the field's parameters.
@@ -143,8 +145,8 @@ pub struct CpuFieldEngine<'a> {
 }
 
 impl<'a> CpuFieldEngine<'a> {
-    /// Prepares every view once, and starts at the identity. Views whose constants do not fit `params.cache_mib` are prepared again when
-    /// needed; the observer is told.
+    /// Prepares every view once, and starts at the identity. Views whose constants do not fit
+    /// `params.cache_mib` are prepared again when needed; the observer is told.
     pub fn new(
         scene: &'a Scene,
         views: &[EnhanceView],
@@ -165,7 +167,8 @@ impl<'a> CpuFieldEngine<'a> {
         for (index, view) in views.iter().enumerate() {
             let (small, large) = preparer.view(index, view, None, true)?;
             constants.push(small);
-            // First come, first kept: in shuffled epochs every view is as likely as any other, so no policy does better.
+            // First come, first kept: in shuffled epochs every view is as likely as any
+            // other, so no policy does better.
             let bytes = large.bytes();
             kept.push((bytes <= room).then_some(large));
             if kept[index].is_some() {
@@ -222,7 +225,8 @@ impl<'a> CpuFieldEngine<'a> {
         Ok(losses)
     }
 
-    /// Adam with the gradient of [`CpuFieldEngine::differentiate`], a constant learning rate per group; what was not finite.
+    /// Adam with the gradient of [`CpuFieldEngine::differentiate`], a constant learning rate
+    /// per group; what was not finite.
     fn update(&mut self, losses: &StepLosses, plan: &FieldPlan) -> Option<(&'static str, Option<usize>)> {
         if !losses.total.is_finite() {
             return Some(("loss", None));

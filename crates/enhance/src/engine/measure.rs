@@ -1,8 +1,9 @@
-//! How far a rendered view is from what it is compared with, and the derivative of that: the part of a step that every engine does alike.
+//! How far a rendered view is from what it is compared with, and the derivative of that: the part of a
+//! step that every engine does alike.
 //!
-//! The extractor solves its systems in f64, over means of a few thousand pixels. An engine on another device hands a view's render over
-//! and takes the derivative back; both are as small as the lattice that steps render. What is computed is said by the table of
-//! [terms](crate::losses::TERMS).
+//! The extractor solves its systems in f64, over means of a few thousand pixels. An engine on another device
+//! hands a view's render over and takes the derivative back; both are as small as the lattice that steps
+//! render. What is computed is said by the table of [terms](crate::losses::TERMS).
 
 use use3d_atc::extractor::{Affine, Transition, Workspace};
 use use3d_capture::Image;
@@ -73,8 +74,8 @@ impl Default for Measure {
 }
 
 impl Measure {
-    /// Losses of `image`, a render on the lattice of its reference, and their derivative in it if `d_image` is given. The terms that read
-    /// the field are not among them: [`Goals::of_field`].
+    /// Losses of `image`, a render on the lattice of its reference, and their derivative in it if `d_image`
+    /// is given. The terms that read the field are not among them: [`Goals::of_field`].
     pub fn losses(
         &mut self,
         reference: &Reference,

@@ -1,7 +1,8 @@
 //! Who owns the field: the loop decides *what* happens, an engine does it.
 //!
-//! An engine is made for one scene, its training views and their guidance, which are constant. It holds the field's parameters, Adam's
-//! moments and every buffer of a step, here or on another device; the loop works on `&mut dyn FieldEngine`.
+//! An engine is made for one scene, its training views and their guidance, which are constant. It holds
+//! the field's parameters, Adam's moments and every buffer of a step, here or on another device; the loop
+//! works on `&mut dyn FieldEngine`.
 //!
 //! ```text
 //! load a state ─▶ evaluate every view ─▶ step, step, … ─▶ drain reports ─▶ evaluate ─▶ centre, save
@@ -53,7 +54,8 @@ pub struct FieldReport {
     pub view: usize,
     /// The losses.
     pub losses: StepLosses,
-    /// What was not finite, and its first bad element. The state is then of no use, and steps asked for later may be left out.
+    /// What was not finite, and its first bad element. The state is then of no use, and steps
+    /// asked for later may be left out.
     pub non_finite: Option<(&'static str, Option<usize>)>,
 }
 
@@ -77,8 +79,8 @@ pub struct Coverage {
 
 /// Does the work of training stage 2. See the [module](self) for the order of calls.
 pub trait FieldEngine: FieldDiagnostics {
-    /// Takes the state that the next step starts from: a [new](FieldState::new) one or one that was saved, by whichever engine. One
-    /// of [another field](FieldState::check) is refused.
+    /// Takes the state that the next step starts from: a [new](FieldState::new) one or one that was saved, by
+    /// whichever engine. One of [another field](FieldState::check) is refused.
     fn load(&mut self, state: FieldState) -> Result<(), EngineError>;
 
     /// The state after every step that was asked for.
@@ -100,7 +102,8 @@ pub trait FieldEngine: FieldDiagnostics {
     fn coverage(&self) -> Coverage;
 }
 
-/// What an engine may tell of its work besides. Nothing here enters a result, and an engine that knows none of it keeps the default.
+/// What an engine may tell of its work besides. Nothing here enters a result, and an engine that
+/// knows none of it keeps the default.
 pub trait FieldDiagnostics {
     /// Time spent per part of a step.
     fn profile(&self) -> Profile<StepPart> {
@@ -108,13 +111,15 @@ pub trait FieldDiagnostics {
     }
 }
 
-/// The field that a run starts from, at the identity: sizes and seed as the parameters say, its box around the scene.
+/// The field that a run starts from, at the identity: sizes and seed as the parameters
+/// say, its box around the scene.
 pub fn initial_field(
     scene: &Scene,
     guidance: Guidance<'_>,
     params: &EnhanceParams,
 ) -> Result<Field, EnhanceError> {
-    // The water asks at the cameras, and so near the anchors; clear radiance is asked for at the Gaussians alone.
+    // The water asks at the cameras, and so near the anchors; clear radiance is
+    // asked for at the Gaussians alone.
     let anchors = match scene.medium.anchors() {
         Some(anchors) if guidance.appearance() == Appearance::Water => anchors.centers,
         _ => &[],

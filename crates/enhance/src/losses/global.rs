@@ -1,4 +1,5 @@
-//! The global term: the scene's operator. Mean over its 12 parameters of `φ((t - t̄)/s_g)`, with `φ` the Smooth-L1. In f64.
+//! The global term: the scene's operator. Mean over its 12 parameters of `φ((t - t̄)/s_g)`,
+//! with `φ` the Smooth-L1. In f64.
 
 use use3d_atc::extractor::{Affine, Transition};
 

@@ -4,9 +4,10 @@
 //! L = Σ weight · value        over the terms that say something of the view
 //! ```
 //!
-//! A row gives a term's name, its weight, and a value with its derivative. Terms differ in what they read ([`Reads`]): the operators
-//! that the extractor reads off a render, the rendered pixels, or the field itself. Weights, the sum, the lines of the log, the
-//! report of each view and the plot follow from the table.
+//! A row gives a term's name, its weight, and a value with its derivative. Terms differ in what
+//! they read ([`Reads`]): the operators that the extractor reads off a render, the rendered
+//! pixels, or the field itself. Weights, the sum, the lines of the log, the report of each view
+//! and the plot follow from the table.
 
 mod global;
 mod local;
@@ -48,10 +49,12 @@ pub struct LossTerm {
     pub reads: Reads,
 }
 
-/// What a term reads. Each function returns the value before its weight and *adds* `weight · ∂value` to the gradient.
+/// What a term reads. Each function returns the value before its weight and *adds*
+/// `weight · ∂value` to the gradient.
 #[derive(Clone, Copy, Debug)]
 pub enum Reads {
-    /// The transition from the stage-1 render of a view to its enhanced one, where the view has transition targets.
+    /// The transition from the stage-1 render of a view to its enhanced one, where
+    /// the view has transition targets.
     Operators(fn(&Operators<'_>, f64, &mut Transition) -> Realised),
     /// The rendered pixels, where the view has a pseudo-label.
     Pixels(fn(&Pixels<'_>, f64, &mut Image) -> f64),
@@ -81,7 +84,8 @@ impl LossTerm {
 pub struct Realised {
     /// The loss.
     pub loss: f64,
-    /// Root mean square of the normalised errors (weighted by support for the local term); 0 of a term that measures none.
+    /// Root mean square of the normalised errors (weighted by support for the local term);
+    /// 0 of a term that measures none.
     pub error: f64,
 }
 

@@ -55,7 +55,8 @@ fn nothing_seen_is_no_loss_and_no_gradient() {
     assert!(gradient.iter().flatten().all(|&b| b == 0.0));
 }
 
-/// What the log says of a step, and the report of a view, is as it was before there was a table: name by name, in this order.
+/// What the log says of a step, and the report of a view, is as it was before there was a
+/// table: name by name, in this order.
 #[test]
 fn lines_and_reports_follow_the_table() {
     use crate::report::{LogEntry, ViewErrors};

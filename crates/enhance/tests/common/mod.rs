@@ -22,7 +22,8 @@ pub(crate) fn mini() -> (Scene, Vec<EnhanceView>) {
     (scene, views.into_iter().map(|view| EnhanceView { name: view.name, camera: view.camera }).collect())
 }
 
-/// Targets that the teacher meets nearly: the mean of its realised global operators, and its own local grades.
+/// Targets that the teacher meets nearly: the mean of its realised global
+/// operators, and its own local grades.
 pub(crate) fn targets(scene: &Scene, taught: &Scene, views: &[EnhanceView]) -> Targets {
     let settings = ExtractorSettings::default();
     let mut operator = [0.0; 12];

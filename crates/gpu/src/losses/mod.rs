@@ -5,9 +5,9 @@
 //! depth_means ─▶ depth_take_means ─▶ depth_deviations ─▶ depth_correlate ─▶ depth_slopes ──────▲
 //! ```
 //!
-//! The formulas are those of `use3d_reconstruct::losses` and `use3d_metrics::ms_ssim`, down to the images *less one* that keep f32 enough;
-//! sums go through trees whose form follows from the image's size alone. [`VALUES`] are the terms' values that there are kernels for: a
-//! plan that weighs another one is refused.
+//! The formulas are those of `use3d_reconstruct::losses` and `use3d_metrics::ms_ssim`, down to the images
+//! *less one* that keep f32 enough; sums go through trees whose form follows from the image's size alone.
+//! [`VALUES`] are the terms' values that there are kernels for: a plan that weighs another one is refused.
 
 mod shape;
 #[cfg(test)]
@@ -26,7 +26,8 @@ use shape::{HALVING, Halving, LEVEL, LEVELS, Level, Shape, View};
 /// The values there are kernels for, in the order of the table of terms.
 pub(crate) const VALUES: [&str; 3] = ["reg_l1", "reg_ms_ssim", "depth_loss"];
 
-/// Floats of a step's report that the losses write: total, the three [`VALUES`], mean squared error, pixels that count.
+/// Floats of a step's report that the losses write: total, the three [`VALUES`], mean
+/// squared error, pixels that count.
 pub(crate) const TOLD: usize = 6;
 
 const WITH_MASK: u32 = 1;
@@ -76,7 +77,8 @@ pub(crate) struct LossPlan {
 }
 
 impl LossPlan {
-    /// The weights of a plan, in the order of [`VALUES`]; refuses one that weighs what there is no kernel for.
+    /// The weights of a plan, in the order of [`VALUES`]; refuses one that
+    /// weighs what there is no kernel for.
     pub(crate) fn weights(given: &[f64]) -> Result<[f64; 3], EngineError> {
         let refused = |what: String| EngineError::Request { engine: NAME, what };
         let names: Vec<&str> = use3d_reconstruct::losses::names().collect();

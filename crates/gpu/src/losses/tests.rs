@@ -134,7 +134,8 @@ fn the_same_bits_every_time() {
 
 #[test]
 fn every_value_of_the_table_has_a_kernel_or_is_refused() {
-    // A term that the processor gains needs a kernel, or a run that weighs it must be refused: see `LossPlan::weights`.
+    // A term that the processor gains needs a kernel, or a run that weighs it must be
+    // refused: see `LossPlan::weights`.
     assert!(use3d_reconstruct::losses::names().eq(VALUES));
     assert_eq!(LossPlan::weights(&[0.8, 0.2, 0.1]).unwrap(), [0.8, 0.2, 0.1]);
     assert!(LossPlan::weights(&[0.8]).unwrap_err().to_string().contains("expected 3"));

@@ -23,8 +23,8 @@ const PER_LEVEL_PIXEL: f64 = 60.0 + 72.0 / 4.0 + 72.0 / 16.0 + 0.2;
 /// Tables, reports, and buffers that are made with some room at first.
 const FIXED: f64 = 3e6;
 
-/// About how many bytes a training takes on its device beside its views: with so many Gaussians, pixels of the largest view, and (tile,
-/// Gaussian) entries of the fullest view.
+/// About how many bytes a training takes on its device beside its views: with so many Gaussians, pixels of
+/// the largest view, and (tile, Gaussian) entries of the fullest view.
 pub fn training_bytes(gaussians: usize, pixels: usize, entries: usize) -> u64 {
     let room = 1.5 * entries as f64;
     let pixels = (PER_PIXEL + PER_LEVEL_PIXEL) * pixels as f64;

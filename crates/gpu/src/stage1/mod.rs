@@ -1,9 +1,10 @@
 //! Stage 1 on a graphics card: [`Stage1`] is an engine of `use3d_reconstruct`, and `CpuEngine` is its twin.
 //!
-//! A step is one submit and is only asked for: its report waits on the device until somebody drains it, so that the card never waits for
-//! the processor. What goes wrong sets a word that stops every later update; the steps after it changed nothing. Where a view had more
-//! entries than there was room for, the room is made and the same steps are asked for again: a step is a function of its plan, so the
-//! run goes on as if there had been room from the start.
+//! A step is one submit and is only asked for: its report waits on the device until somebody drains it, so
+//! that the card never waits for the processor. What goes wrong sets a word that stops every later update;
+//! the steps after it changed nothing. Where a view had more entries than there was room for, the room is
+//! made and the same steps are asked for again: a step is a function of its plan, so the run goes on as if
+//! there had been room from the start.
 
 mod forecast;
 mod step;
@@ -40,7 +41,8 @@ use targets::Targets;
 
 /// Reports there is room for on the device.
 const RING: usize = 256;
-/// Steps under way before their reports are waited for: the device has work for a while, and little is done twice after an overflow.
+/// Steps under way before their reports are waited for: the device has work for a while, and little
+/// is done twice after an overflow.
 const UNDER_WAY: usize = 50;
 /// Floats of a report.
 const REPORT: usize = 16;

@@ -1,5 +1,5 @@
-//! The engine beside the processor's: step by step from the same states, on its own over many steps, and what it does when something
-//! fails.
+//! The engine beside the processor's: step by step from the same states, on its own over many steps, and
+//! what it does when something fails.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -29,7 +29,8 @@ const RATES: StepRates = StepRates {
 
 const SIZE: [usize; 2] = [56, 44];
 
-/// Three views: with a prior, with a mask, and with transparent pixels. Photographs are smooth, so that there is something to learn.
+/// Three views: with a prior, with a mask, and with transparent pixels. Photographs are smooth, so
+/// that there is something to learn.
 fn views() -> Vec<TrainingView> {
     let [width, height] = SIZE;
     let stream = Stream::new(3, Purpose::new("views for an engine"), 0);
@@ -196,7 +197,8 @@ fn requests_between_steps_are_the_processors() {
     assert!(relative(a.data(), b.data()) < 1e-5, "{:.1e}", relative(a.data(), b.data()));
 }
 
-/// More entries than there is room for at first: the steps are done again with more, and nothing else is different.
+/// More entries than there is room for at first: the steps are done again with more,
+/// and nothing else is different.
 #[test]
 fn steps_that_found_no_room_are_done_again() {
     let Some(gpu) = software() else { return };
@@ -253,7 +255,8 @@ fn what_is_not_finite_is_named_and_stops_the_steps_after_it() {
     assert_eq!(reports[0].non_finite, Some(("quaternions", Some(4 * 31 + 2))));
 }
 
-/// Too many Gaussians, and too many entries of a view: what is too long, how long it would be, and what there is.
+/// Too many Gaussians, and too many entries of a view: what is too long, how long
+/// it would be, and what there is.
 #[test]
 fn what_no_binding_holds_is_refused_with_its_size() {
     let Some(gpu) = software() else { return };
@@ -367,7 +370,8 @@ fn memory_is_what_was_forecast() {
     assert_forecast(&Packed { width: 64, height: 48, gaussians: 9000, views: 1, seed: 2 });
 }
 
-/// A photograph of eight megapixels: minutes on software. `cargo test -p use3d-gpu eight_megapixels -- --ignored`
+/// A photograph of eight megapixels: minutes on software.
+/// `cargo test -p use3d-gpu eight_megapixels -- --ignored`
 #[test]
 #[ignore = "takes minutes on a software adapter"]
 fn eight_megapixels_take_what_was_forecast() {

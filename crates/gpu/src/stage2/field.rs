@@ -1,14 +1,16 @@
-//! The field on the device: parameters with Adam's moments, a view's colours and water under them, and the way back.
+//! The field on the device: parameters with Adam's moments, a view's colours and
+//! water under them, and the way back.
 //!
 //! ```text
 //! lookup ─▶ grade ─▶ recolor, water ─▶ (the view is drawn, compared, and the image's derivative given) ─▶ colours, recolor backward,
 //!      water backward ─▶ totals ─▶ table ─▶ lookup backward ─▶ units, nodes ─▶ totals ─▶ gradient ─▶ Adam
 //! ```
 //!
-//! A lookup is a row of `sites`: a listed Gaussian, or one of the sixteen rows of the water's table, which are looked up at the camera
-//! with fixed guides; so water and objects share the field's kernels. The derivatives by the decoder's weights are summed by one thread per
-//! hidden unit over a block of lookups, those by the factors by one thread per node; blocks are at most 256, and follow from the number of
-//! lookups alone.
+//! A lookup is a row of `sites`: a listed Gaussian, or one of the sixteen rows of the water's table,
+//! which are looked up at the camera with fixed guides; so water and objects share the field's
+//! kernels. The derivatives by the decoder's weights are summed by one thread per hidden unit over a
+//! block of lookups, those by the factors by one thread per node; blocks are at most 256, and follow
+//! from the number of lookups alone.
 
 use bytemuck::{Pod, Zeroable};
 use use3d_enhance::engine::{FieldPlan, FieldState};
@@ -257,7 +259,8 @@ impl DeviceField {
         }
     }
 
-    /// Records the gradient, from the image's derivative and what the forward pass of the view left in `planes`.
+    /// Records the gradient, from the image's derivative and what the forward
+    /// pass of the view left in `planes`.
     pub(super) fn record_backward(
         &self,
         pass: &mut wgpu::ComputePass<'_>,

@@ -1,8 +1,9 @@
-//! What is constant of a view on the device: splats, lists without what no pixel sees, stage-1 colours, where the field is looked up,
-//! the frozen water.
+//! What is constant of a view on the device: splats, lists without what no pixel sees, stage-1 colours, where
+//! the field is looked up, the frozen water.
 //!
-//! The kernels of stage 1 project and list the scene for the view's lattice and draw it once. On a sparse lattice most small Gaussians fall
-//! between the pixels, so what some pixel sees is found out, and what remains is numbered anew, in main memory: once per view, not per step.
+//! The kernels of stage 1 project and list the scene for the view's lattice and draw it once. On a sparse
+//! lattice most small Gaussians fall between the pixels, so what some pixel sees is found out, and what
+//! remains is numbered anew, in main memory: once per view, not per step.
 
 use use3d_capture::{Camera, Lattice, MediumMaps};
 use use3d_scene::Scene;
@@ -125,7 +126,8 @@ struct Found<'a> {
     starts: &'a [u32],
 }
 
-/// The same without what no pixel sees, numbered anew: Gaussians by their place among those listed, entries one Gaussian after another.
+/// The same without what no pixel sees, numbered anew: Gaussians by their place among those listed,
+/// entries one Gaussian after another.
 #[derive(Debug, PartialEq)]
 struct Trimmed {
     listed: Vec<u32>,
@@ -216,8 +218,8 @@ impl<'a> Freezer<'a> {
         })
     }
 
-    /// Makes a view's constants; `planes` hold its stage-1 render afterwards. In water where `water` and the scene has some; `field` says
-    /// where the water's table is looked up.
+    /// Makes a view's constants; `planes` hold its stage-1 render afterwards. In water where `water` and the
+    /// scene has some; `field` says where the water's table is looked up.
     pub(super) fn freeze(
         &mut self,
         gpu: &Gpu,
@@ -347,7 +349,8 @@ mod tests {
 
     #[test]
     fn what_is_seen_is_numbered_anew_one_gaussian_after_another() {
-        // Two tiles; Gaussian 4 is in both, Gaussian 1 in the first where no pixel sees it, Gaussian 2 in the second.
+        // Two tiles; Gaussian 4 is in both, Gaussian 1 in the first where no pixel
+        // sees it, Gaussian 2 in the second.
         let found = Found {
             owners: &[4, 4, 1, 2, 2],
             lists: &[2, 0, 4, 1, 3],

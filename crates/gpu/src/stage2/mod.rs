@@ -1,10 +1,11 @@
 //! Stage 2 on a graphics card: [`Stage2`] is an engine of `use3d_enhance`, and `CpuFieldEngine` is its twin.
 //!
-//! Geometry is frozen, so a view's splats and lists are made once and kept on the device while `cache_mib` lasts; a step looks the field
-//! up, draws the view on its sparse lattice, and takes the gradient back to the field and through Adam, all on the device. In between the
-//! lattice's pixels, some ten thousand numbers, go through main memory: the extractor solves its systems in f64, which cards do not have,
-//! and is the processor's own function ([`Measure`]). So a step waits for the device once. What the device did in a step's second
-//! half is found out with the next one's first, or by whoever drains, saves or evaluates.
+//! Geometry is frozen, so a view's splats and lists are made once and kept on the device while `cache_mib`
+//! lasts; a step looks the field up, draws the view on its sparse lattice, and takes the gradient back to the
+//! field and through Adam, all on the device. In between the lattice's pixels, some ten thousand numbers, go
+//! through main memory: the extractor solves its systems in f64, which cards do not have, and is the
+//! processor's own function ([`Measure`]). So a step waits for the device once. What the device did in a
+//! step's second half is found out with the next one's first, or by whoever drains, saves or evaluates.
 
 mod field;
 mod frozen;
@@ -117,8 +118,8 @@ impl Drawing {
         Ok([status[0], status[1]])
     }
 
-    /// Takes the derivative of the render that was drawn last back to the field, adds that of the terms that read the field itself, and does
-    /// Adam's step.
+    /// Takes the derivative of the render that was drawn last back to the field, adds that of the terms that
+    /// read the field itself, and does Adam's step.
     fn learn(&mut self, view: &FrozenView, goals: &Goals, d_image: &Image) -> Result<(), EngineError> {
         let Self { gpu, planes, device, pull, field, of_field, rounded, .. } = self;
         of_field.clear();
@@ -155,8 +156,8 @@ pub struct Stage2<'a> {
 }
 
 impl<'a> Stage2<'a> {
-    /// Prepares every view once, and starts at the identity. Views whose constants do not fit `params.cache_mib` on the device are prepared
-    /// again when needed; the observer is told.
+    /// Prepares every view once, and starts at the identity. Views whose constants do not fit
+    /// `params.cache_mib` on the device are prepared again when needed; the observer is told.
     pub fn new(
         gpu: &Gpu,
         scene: &'a Scene,

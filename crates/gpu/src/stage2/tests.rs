@@ -80,8 +80,9 @@ fn params() -> EnhanceParams {
     EnhanceParams { sample_side: 24, centre_sample: 100, seed: 3, ..EnhanceParams::default() }
 }
 
-/// A field well away from the identity, so that every parameter has a derivative. Near it the features of all Gaussians are alike, and what is
-/// left of a sum once the mean is removed is little: both engines round there.
+/// A field well away from the identity, so that every parameter has a derivative. Near it the
+/// features of all Gaussians are alike, and what is left of a sum once the mean is removed is
+/// little: both engines round there.
 fn moved(scene: &Scene, guidance: Guidance<'_>, params: &EnhanceParams) -> Field {
     let mut field = initial_field(scene, guidance, params).unwrap();
     let stream = Stream::new(5, Purpose::new("a field for stage 2"), 0);
@@ -132,8 +133,9 @@ fn reference(scene: &Scene, guidance: Guidance<'_>, params: &EnhanceParams, inde
     references.of(index, view, draw, None).unwrap()
 }
 
-/// Steps from the processor's states, each judged alone: as a whole, and what the device does of it with the derivative of the image that
-/// the processor had. The extractor's derivative answers to the last digits of a render a hundredfold.
+/// Steps from the processor's states, each judged alone: as a whole, and what the device does of it with
+/// the derivative of the image that the processor had. The extractor's derivative answers to the last
+/// digits of a render a hundredfold.
 fn teacher_forced(scene: &Scene, guidance: Guidance<'_>, params: &EnhanceParams) {
     let Some(gpu) = software() else { return };
     let views = views();

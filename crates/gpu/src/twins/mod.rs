@@ -1,7 +1,7 @@
 //! Kernels beside the processor's functions that they stand for, on the same inputs.
 //!
-//! The tests hold them to their bars over many sizes; the check at the start and the benchmark run some of them on the adapter at hand, so
-//! that a driver that computes wrongly is found before a training is.
+//! The tests hold them to their bars over many sizes; the check at the start and the benchmark run some of
+//! them on the adapter at hand, so that a driver that computes wrongly is found before a training is.
 
 mod losses;
 mod scene;
@@ -82,7 +82,8 @@ fn draws(what: &'static str, seed: u64) -> Stream {
     Stream::new(seed, Purpose::new(what), 0)
 }
 
-/// What buffers hold before a kernel writes them: no number, so that whoever reads before writing is found out.
+/// What buffers hold before a kernel writes them: no number, so that whoever
+/// reads before writing is found out.
 fn poison(items: usize) -> Vec<f32> {
     vec![f32::from_bits(0x7fc0_dead); items]
 }

@@ -27,8 +27,8 @@ pub struct Packed {
 }
 
 impl Packed {
-    /// What a run on it starts from. Gaussians fill a slab in front of the cameras, each a few pixels wide, so that some fifty lie in front
-    /// of a pixel where there are enough of them.
+    /// What a run on it starts from. Gaussians fill a slab in front of the cameras, each a few pixels wide,
+    /// so that some fifty lie in front of a pixel where there are enough of them.
     pub fn state(&self) -> TrainingState {
         let (n, stream) = (self.gaussians, draws("packed scene", self.seed));
         let uniform = |i: usize, k: u64| stream.uniform(64 * i as u64 + k) as f32;

@@ -5,7 +5,8 @@ use use3d_training::{Drain, EngineError};
 
 use super::{Agreement, Packed};
 
-/// One step from the same state on both engines: report, moments after it (which are the gradients, from zero), statistics.
+/// One step from the same state on both engines: report, moments after it (which are the
+/// gradients, from zero), statistics.
 pub fn step(engine: &mut dyn Engine, scene: &Packed) -> Result<Vec<Agreement>, EngineError> {
     let mut ours = CpuEngine::new();
     let state = scene.state();

@@ -1,14 +1,15 @@
-//! The water on the device: maps of a view, derivatives from what the forward pass summed along every ray, and Adam.
+//! The water on the device: maps of a view, derivatives from what the forward pass
+//! summed along every ray, and Adam.
 //!
 //! ```text
 //! mix ─▶ look ─▶ (the view is drawn, the loss differentiated) ─▶ gather ─▶ total ─▶ spread ─▶ learn
 //! ```
 //!
-//! The formulas are those of `use3d_medium`. What water there is: the kinds made of spherical harmonics (`rbf`, `global`), and none. Water
-//! that is a network is refused: the processor's engine has it.
+//! The formulas are those of `use3d_medium`. What water there is: the kinds made of spherical harmonics
+//! (`rbf`, `global`), and none. Water that is a network is refused: the processor's engine has it.
 //!
-//! The water in front of a pixel enters the compositor as `2^(−k z)` with `k = β |d| log₂e`, where |d| is the length of the pixel's ray at
-//! z = 1. So `e` needs no other map, and `∂β = ∂k · log₂e · |d|`.
+//! The water in front of a pixel enters the compositor as `2^(−k z)` with `k = β |d| log₂e`, where |d| is the
+//! length of the pixel's ray at z = 1. So `e` needs no other map, and `∂β = ∂k · log₂e · |d|`.
 
 #[cfg(test)]
 mod tests;
@@ -238,8 +239,8 @@ impl Water {
             .sum()
     }
 
-    /// Writes the constants of a view, and makes room for it; before its pass is recorded. `rates` are Adam's of constants and of
-    /// directions; `step` counts from 0.
+    /// Writes the constants of a view, and makes room for it; before its pass is recorded. `rates` are Adam's
+    /// of constants and of directions; `step` counts from 0.
     pub(crate) fn prepare(
         &mut self,
         gpu: &Gpu,

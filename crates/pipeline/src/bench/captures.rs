@@ -1,8 +1,9 @@
 //! The captures with truth, by name.
 //!
-//! Five follow the method's own formation in waters from clear ocean to turbid coast, a sixth in a tiled pool; three follow physics that is not the method's
-//! (wavelengths in linear light, a camera that exposes and balances every view on its own): daylight, lamps, air. None
-//! has depth priors, since those of synthetic captures are made from the true depth.
+//! Five follow the method's own formation in waters from clear ocean to turbid coast, a sixth in a tiled
+//! pool; three follow physics that is not the method's (wavelengths in linear light, a camera that exposes
+//! and balances every view on its own): daylight, lamps, air. None has depth priors, since those of synthetic
+//! captures are made from the true depth.
 
 use use3d_synth::{CaptureParams, Physics, Place, WaterType};
 
@@ -50,7 +51,8 @@ pub const CAPTURES: [Capture; 9] = [
     spectral("air", "The same without water and lamps", None, 0.0),
 ];
 
-/// The captures of these names, in the order of [`CAPTURES`]; letter case is forgiven. All where none is named.
+/// The captures of these names, in the order of [`CAPTURES`]; letter case is
+/// forgiven. All where none is named.
 ///
 /// # Errors
 /// A name that is none of theirs; the message lists them.

@@ -1,10 +1,12 @@
 //! What came out: every figure of every capture, as a mean over seeds with its spread.
 //!
-//! A figure is `x̄ ± s` over the n seeds that have one, `s² = Σ (x - x̄)² / (n - 1)`: what another seed would move a single run by, not the
-//! error of the mean. One seed has no spread. Where a seed has no figure, its reason stands in its place.
+//! A figure is `x̄ ± s` over the n seeds that have one, `s² = Σ (x - x̄)² / (n - 1)`: what another seed
+//! would move a single run by, not the error of the mean. One seed has no spread. Where a seed has no
+//! figure, its reason stands in its place.
 //!
-//! The errors of the water are those of the coefficients that `evaluate` gives (means over all rays of the held-out views, 1/metre)
-//! against the true ones, `|β / β* - 1|` per channel; the median of three channels is the middle one.
+//! The errors of the water are those of the coefficients that `evaluate` gives (means over all rays
+//! of the held-out views, 1/metre) against the true ones, `|β / β* - 1|` per channel; the median of
+//! three channels is the middle one.
 
 use std::collections::BTreeMap;
 
@@ -64,8 +66,9 @@ pub struct RowFigures {
     pub figures: Figures,
 }
 
-/// A stage 1 of a capture: `held_out_psnr` (dB), `held_out_ssim`, `depth_error`, `holes`, `gaussians`, and where the truth is one of
-/// coefficients `attenuation_error_{red,green,blue,median,worst}`, `backscatter_error_…`.
+/// A stage 1 of a capture: `held_out_psnr` (dB), `held_out_ssim`, `depth_error`, `holes`,
+/// `gaussians`, and where the truth is one of coefficients
+/// `attenuation_error_{red,green,blue,median,worst}`, `backscatter_error_…`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SceneFigures {
     /// What a reader calls it.
@@ -134,8 +137,8 @@ const SIMPLE: [(&str, Method, &str); 5] = [
     (PSEUDO_LABELS, Method::Enhanced, "pseudo-labels"),
 ];
 
-/// The rows that a table may have: the simple ways, then what the scene itself shows without its water or enhanced, with the paper's start of
-/// the water and as this program does it.
+/// The rows that a table may have: the simple ways, then what the scene itself shows without its water or
+/// enhanced, with the paper's start of the water and as this program does it.
 fn rows() -> Vec<(&'static str, Method, String)> {
     let shown = |method: &Method| {
         *method != Method::Reconstruction

@@ -1,8 +1,8 @@
 //! The folder of a bench: `truth.md`, `truth.json`, `pictures/`.
 //!
-//! `captures/` and `cache/` may lie beside them, so the folder as a whole is nobody's result. Both files carry the digest of their own text,
-//! by which they are known to be ours and unchanged; the pictures have a record like any result folder ([`use3d_build::place`]).
-//! Whatever is not ours is refused.
+//! `captures/` and `cache/` may lie beside them, so the folder as a whole is nobody's result. Both files
+//! carry the digest of their own text, by which they are known to be ours and unchanged; the pictures have a
+//! record like any result folder ([`use3d_build::place`]). Whatever is not ours is refused.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};

@@ -1,6 +1,8 @@
-//! The table for people, as Markdown: a summary over all captures, stage 1 and its water, then each capture by itself.
+//! The table for people, as Markdown: a summary over all captures, stage 1 and its
+//! water, then each capture by itself.
 //!
-//! The best mean of a column is bold. Everything on the page follows from the figures; it names no time, place or machine.
+//! The best mean of a column is bold. Everything on the page follows from the figures; it
+//! names no time, place or machine.
 
 use std::fmt::Write;
 

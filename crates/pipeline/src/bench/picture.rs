@@ -1,7 +1,7 @@
 //! One held-out view of a capture side by side: photograph, 2D enhancer, `clear`, `enhanced-clear`, truth.
 //!
-//! Photograph and renderings are those of the `render` stage; the 2D enhancer is run here on the photograph, as `evaluate` runs it. The
-//! view is the middle one of those held out.
+//! Photograph and renderings are those of the `render` stage; the 2D enhancer is run here on the photograph,
+//! as `evaluate` runs it. The view is the middle one of those held out.
 
 use std::path::Path;
 

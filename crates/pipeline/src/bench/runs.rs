@@ -1,8 +1,9 @@
 //! The pipeline that every capture goes through, as the text of a pipeline file.
 //!
-//! One pipeline per seed, from which captures and trainings both follow. The variant [`DEFAULT`] is this program as it comes; it stands
-//! first, so that its stage 1 gives the depth by which all variants are compared. The others are the simple ways and the
-//! paper's start of the water; each needs a training of its own.
+//! One pipeline per seed, from which captures and trainings both follow. The variant [`DEFAULT`]
+//! is this program as it comes; it stands first, so that its stage 1 gives the depth by which
+//! all variants are compared. The others are the simple ways and the paper's start of the water;
+//! each needs a training of its own.
 
 use std::fmt::Write;
 

@@ -99,7 +99,8 @@ impl Document {
         self.at(path, message.into(), true)
     }
 
-    /// A parameter's error, the parameters standing in the table at `base`; `more` are names that are also known there.
+    /// A parameter's error, the parameters standing in the table at `base`; `more` are
+    /// names that are also known there.
     pub(crate) fn parameter_error(&self, base: &str, error: &ParameterError, more: &[&str]) -> ConfigError {
         let path = join(base, &error.path);
         match &error.unknown {

@@ -19,11 +19,13 @@
 //! reconstruct = { medium = "mlp" }
 //! ```
 //!
-//! Targets start from what stage 1 knows (`targets.proposer = "scene"`) unless pairs or a calibrator are named: those are of photographs.
+//! Targets start from what stage 1 knows (`targets.proposer = "scene"`) unless pairs or a calibrator are
+//! named: those are of photographs.
 //!
-//! Later ones win: a stage's defaults, the preset, `[defaults.<stage>]`, the scene's, the variant's, `--set`. Unknown and ill-typed keys
-//! are errors that point at line and column and name the nearest known key. Relative paths start at the file's folder. An
-//! environment variable that is not set only hurts the scenes that need it.
+//! Later ones win: a stage's defaults, the preset, `[defaults.<stage>]`, the scene's, the variant's,
+//! `--set`. Unknown and ill-typed keys are errors that point at line and column and name the nearest
+//! known key. Relative paths start at the file's folder. An environment variable that is not set only
+//! hurts the scenes that need it.
 
 use std::path::{Path, PathBuf};
 
@@ -62,7 +64,8 @@ pub struct LoadOptions {
     pub models: Option<PathBuf>,
     /// Only these scenes; all without.
     pub scenes: Vec<String>,
-    /// Two folders of pairs, `--pairs INPUT TARGET`; they win over the file's, and over a finished calibrator there.
+    /// Two folders of pairs, `--pairs INPUT TARGET`; they win over the file's, and
+    /// over a finished calibrator there.
     pub pairs: Option<(PathBuf, PathBuf)>,
     /// A finished calibrator, `--calibrator`; it wins over those of the file and over its pairs.
     pub calibrator: Option<PathBuf>,
@@ -182,7 +185,8 @@ fn parse(
     finish(registry, batch, cache, models, options)
 }
 
-/// What files and single captures have in common: the command line, the cache, the models, the choice of scenes.
+/// What files and single captures have in common: the command line, the cache,
+/// the models, the choice of scenes.
 fn finish(
     registry: &Registry,
     mut batch: Batch,

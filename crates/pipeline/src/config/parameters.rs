@@ -1,4 +1,5 @@
-//! Every parameter of the stages for people: name, kind, default, meaning, from the same schema that checks pipeline files.
+//! Every parameter of the stages for people: name, kind, default, meaning, from the same
+//! schema that checks pipeline files.
 
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -48,8 +49,8 @@ pub fn parameters(registry: &Registry, stage: Option<&str>) -> Result<Vec<StageP
         .collect())
 }
 
-/// The stage's parameters that a name without a stage may mean, as `STAGE.PARAMETER`: those of that very name, else of the
-/// nearest ones.
+/// The stage's parameters that a name without a stage may mean, as `STAGE.PARAMETER`: those of that very
+/// name, else of the nearest ones.
 pub(super) fn homes(registry: &Registry, name: &str) -> Vec<(&'static str, String)> {
     let all: Vec<(&'static str, String)> = parameters(registry, None)
         .unwrap_or_default()
@@ -65,7 +66,8 @@ pub(super) fn homes(registry: &Registry, name: &str) -> Vec<(&'static str, Strin
     all.into_iter().filter(|(_, p)| near.as_ref() == Some(p)).collect()
 }
 
-/// The stage and parameter that a key without a stage most likely means, unless one of the names known there is as near.
+/// The stage and parameter that a key without a stage most likely means, unless one of
+/// the names known there is as near.
 pub(super) fn meant<'k>(
     registry: &Registry,
     key: &str,

@@ -27,8 +27,8 @@ pub(super) fn external_of(key: &str) -> Option<&'static str> {
     KEYS.iter().find(|(_, known)| *known == key).map(|(name, _)| *name)
 }
 
-/// Names a finished calibrator for all scenes in place of pairs, or one of the pairs' folders in place of a finished calibrator: what
-/// is said last is meant.
+/// Names a finished calibrator for all scenes in place of pairs, or one of the pairs' folders in place of a
+/// finished calibrator: what is said last is meant.
 pub(super) fn say_instead(batch: &mut Batch, external: &str, place: External, by: &str) {
     let others: &[&str] = match external {
         "calibrator" => &["pairs.input", "pairs.target"],
@@ -49,10 +49,12 @@ pub(super) fn say_instead(batch: &mut Batch, external: &str, place: External, by
     batch.name_external(external, place, by);
 }
 
-/// Whoever names pairs, a calibrator or how one is learnt means enhancement that is learnt from photographs: where nobody says what
-/// proposes for the targets, it is then a 2D enhancer, and not what stage 1 knows of the scene.
+/// Whoever names pairs, a calibrator or how one is learnt means enhancement that is learnt from
+/// photographs: where nobody says what proposes for the targets, it is then a 2D enhancer, and not
+/// what stage 1 knows of the scene.
 ///
-/// Said in the weakest layer there is, so that whatever a file or a command says of the proposer counts first.
+/// Said in the weakest layer there is, so that whatever a file or a command
+/// says of the proposer counts first.
 pub(super) fn propose_for_photographs(batch: &mut Batch) {
     if says_proposer(&batch.defaults) {
         return;
@@ -100,7 +102,8 @@ fn say_proposer(overrides: &mut Overrides) {
     }
 }
 
-/// Refuses settings of the command line about how a calibrator is learnt where a finished one is read everywhere.
+/// Refuses settings of the command line about how a calibrator is learnt where a
+/// finished one is read everywhere.
 pub(super) fn check_learning(batch: &Batch) -> Result<(), ConfigError> {
     let Some(Value::Object(given)) = batch.forced.get("calibrate") else { return Ok(()) };
     let (Some(name), true) = (given.keys().next(), batch.externals.contains_key("calibrator")) else {
@@ -134,7 +137,8 @@ pub(super) fn home() -> Option<PathBuf> {
         .map(PathBuf::from)
 }
 
-/// A path of the file: `${NAME}` is an environment variable, `~` the home folder, relative ones start at `folder`.
+/// A path of the file: `${NAME}` is an environment variable, `~` the home folder,
+/// relative ones start at `folder`.
 pub(super) fn expand(text: &str, folder: &Path) -> External {
     let mut out = String::new();
     let mut rest = text;

@@ -1,7 +1,7 @@
 //! Presets: parameters of stages under a name, each a file of this folder and a row of the table.
 //!
-//! A preset is the weakest layer of parameters, below `[defaults]`. It is its values and nothing else: no key, artifact or stage knows its
-//! name, so a file that writes them out is the same pipeline.
+//! A preset is the weakest layer of parameters, below `[defaults]`. It is its values and nothing else: no
+//! key, artifact or stage knows its name, so a file that writes them out is the same pipeline.
 
 use std::path::Path;
 

@@ -12,8 +12,8 @@ use super::parameters::homes;
 use super::places::{expand, external_of, key_of, say_instead};
 use super::{did_you_mean, merge_into, presets};
 
-/// A value of the command line as a stage's parameter expects it: `size=640` and `size=0x0` are numbers to TOML and texts to
-/// the stage.
+/// A value of the command line as a stage's parameter expects it: `size=640` and `size=0x0` are numbers
+/// to TOML and texts to the stage.
 fn typed(stage: &Stage, key: &str, value: &Value, text: &str) -> Result<Value, ParameterError> {
     let first = nested(key, value.clone());
     let Err(error) = stage.parameters(&first) else { return Ok(first) };
@@ -24,8 +24,8 @@ fn typed(stage: &Stage, key: &str, value: &Value, text: &str) -> Result<Value, P
     stage.parameters(&second).map(|_| second)
 }
 
-/// Applies one setting: `seed=7`, `preset=paper`, `reconstruct.iterations=3000`, `calibrator.proposer=fusion`,
-/// `scene.Panama.reconstruct.iterations=3000`, `variant.mlp.enhance.steps=10`.
+/// Applies one setting: `seed=7`, `preset=paper`, `reconstruct.iterations=3000`,
+/// `calibrator.proposer=fusion`, `scene.Panama.reconstruct.iterations=3000`, `variant.mlp.enhance.steps=10`.
 pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Result<(), ConfigError> {
     let (key, text, value) = split(setting)?;
     let wrong = |message: String| ConfigError::plain(format!("--set {setting}: {message}"));
@@ -91,7 +91,8 @@ pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Re
     }
 }
 
-/// The parameters of one stage by itself: its defaults with `KEY=VALUE` settings, whose keys are the stage's own.
+/// The parameters of one stage by itself: its defaults with `KEY=VALUE` settings,
+/// whose keys are the stage's own.
 pub fn stage_parameters(stage: &Stage, sets: &[String]) -> Result<Value, ConfigError> {
     let mut given = Overrides::new();
     for setting in sets {
@@ -115,7 +116,8 @@ fn split(setting: &str) -> Result<(&str, &str, Value), ConfigError> {
     Ok((key.trim(), value.trim(), loose_value(value.trim())))
 }
 
-/// The scene or variant that `rest` starts with (its name may hold dots; letter case is forgiven), and what follows.
+/// The scene or variant that `rest` starts with (its name may hold dots; letter case
+/// is forgiven), and what follows.
 fn named<'k>(kind: &str, rest: &'k str, names: &[String]) -> Result<(usize, &'k str), String> {
     let after = |name: &String, exact: bool| {
         let head = rest.get(..name.len())?;
@@ -173,7 +175,8 @@ fn place(
     Ok(())
 }
 
-/// Where a name that was taken for a parameter is a file or folder that the stage reads: the key that names it.
+/// Where a name that was taken for a parameter is a file or folder that the
+/// stage reads: the key that names it.
 fn folder_key(stage: &Stage, error: &ParameterError) -> Option<String> {
     let unknown = error.unknown.as_deref().filter(|_| error.message.starts_with("unknown field"))?;
     let input = stage.inputs().iter().find(|i| i.role == unknown)?;

@@ -33,7 +33,8 @@ pub(super) fn open(name: Option<&str>) -> Result<Card, String> {
 }
 
 impl Card {
-    /// What results depend on: the adapter, its driver, how kernels add up, and the code of the crate with its kernels and all below it.
+    /// What results depend on: the adapter, its driver, how kernels add up, and the code of the crate
+    /// with its kernels and all below it.
     pub(super) fn class(&self) -> DeviceClass {
         let adapter = self.0.adapter();
         let host = code::built_in().stage(&["use3d-gpu"], &[]).map(|code| code.digest().to_string());

@@ -1,10 +1,11 @@
-//! Which engine does a training's steps: the processor's, or a graphics card's; which one draws a finished scene ([`Drawn`]), and which one
-//! lifts views to its Gaussians.
+//! Which engine does a training's steps: the processor's, or a graphics card's; which one draws a finished
+//! scene ([`Drawn`]), and which one lifts views to its Gaussians.
 //!
-//! A card is opened and checked once in a process, when its name first matters: where a key is made of it, or a stage starts. A
-//! choice that names a card which is not there, fails its check or cannot do what is asked is refused with the parameters, before anything
-//! runs; `auto` takes the processor then. What the card and its kernels are is told by the stage's numeric class and by nothing else of its
-//! key, so an edit of a kernel makes nothing stale that the processor computed.
+//! A card is opened and checked once in a process, when its name first matters: where a key is made of it, or
+//! a stage starts. A choice that names a card which is not there, fails its check or cannot do what is asked
+//! is refused with the parameters, before anything runs; `auto` takes the processor then. What the card and
+//! its kernels are is told by the stage's numeric class and by nothing else of its key, so an edit of a
+//! kernel makes nothing stale that the processor computed.
 
 #[cfg(feature = "gpu")]
 mod cards;
@@ -96,7 +97,8 @@ mod cards {
 
 use cards::{Card, open};
 
-/// Whether cards have kernels for a water: one made of spherical harmonics and in front of every Gaussian, or none.
+/// Whether cards have kernels for a water: one made of spherical harmonics and in
+/// front of every Gaussian, or none.
 fn on_cards(medium: Medium) -> bool {
     medium == Medium::None || (medium.starts_from_harmonics() && medium.formation() == Formation::PerGaussian)
 }

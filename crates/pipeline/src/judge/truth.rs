@@ -259,7 +259,8 @@ impl TrueView {
         &self.clean
     }
 
-    /// `truth_psnr`, `truth_delta_e` and `truth_delta_e_1976` of an image after each of the [`FITS`], over the pixels of the mask.
+    /// `truth_psnr`, `truth_delta_e` and `truth_delta_e_1976` of an image after each of the
+    /// [`FITS`], over the pixels of the mask.
     pub fn scores(&self, image: &Image, mask: Option<&Mask>) -> Scores {
         let sizes = [(image.width(), image.height()), (self.clean.width(), self.clean.height())];
         let surfaces =

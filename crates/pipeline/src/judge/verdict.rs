@@ -1,6 +1,8 @@
-//! What the scores of a scene say, in sentences: what is better than what and by how much, what is worse, what was not measured.
+//! What the scores of a scene say, in sentences: what is better than what and by how much, what
+//! is worse, what was not measured.
 //!
-//! Every sentence is made from the figures that stand in the tables; where a comparison turns out against the enhanced scene, it says so.
+//! Every sentence is made from the figures that stand in the tables; where a comparison turns out against
+//! the enhanced scene, it says so.
 
 use use3d_capture::flat_stem;
 

@@ -1,4 +1,5 @@
-//! A calibrator from wherever it lies: the artifact of `calibrate`, its file elsewhere, or the file that the paper's authors released.
+//! A calibrator from wherever it lies: the artifact of `calibrate`, its file elsewhere, or the file
+//! that the paper's authors released.
 
 use std::path::Path;
 
@@ -10,7 +11,8 @@ use super::names::CALIBRATOR;
 /// Far more than any calibrator holds; a larger file is another thing.
 const LARGEST_FILE: u64 = 1 << 30;
 
-/// Reads a calibrator from its file, of this program's form or of the authors', or from the folder that holds it.
+/// Reads a calibrator from its file, of this program's form or of the authors', or
+/// from the folder that holds it.
 pub(super) fn read_calibrator(path: &Path) -> Result<Calibrator, StageError> {
     let file = if path.is_dir() { path.join(CALIBRATOR) } else { path.to_path_buf() };
     let wrong = |problem: String| StageError::bad_input_message(format!("{}: {problem}", file.display()));

@@ -1,6 +1,7 @@
 //! A contact sheet of stage 1: photographs beside what the scene shows from the same places.
 //!
-//! Drawn with the scene's own compositor, so that stage 1's artifact depends neither on stage 2 nor on how pictures are shown.
+//! Drawn with the scene's own compositor, so that stage 1's artifact depends neither on stage 2
+//! nor on how pictures are shown.
 
 use use3d_capture::{Camera, Capture, Image, Lattice, MediumMaps, View};
 use use3d_import::{ImportError, load_pixels};
@@ -39,7 +40,8 @@ fn draw(compositor: &mut Compositor, scene: &Scene, camera: &Camera) -> Image {
     rendered.image
 }
 
-/// Means of whole blocks of pixels, so that the longer side is at most [`SIDE`]; clamped to the display range.
+/// Means of whole blocks of pixels, so that the longer side is at most
+/// [`SIDE`]; clamped to the display range.
 fn thumbnail(image: &Image) -> Image {
     let block = image.width().max(image.height()).div_ceil(SIDE).max(1);
     let (width, height) = ((image.width() / block).max(1), (image.height() / block).max(1));

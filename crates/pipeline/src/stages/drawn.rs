@@ -5,7 +5,8 @@ use use3d_scene::Scene;
 
 use crate::engines::{Drawn, EngineChoice};
 
-/// Takes a scene to what draws it, and tells a person which that is unless it is the processor that was asked for.
+/// Takes a scene to what draws it, and tells a person which that is unless it is
+/// the processor that was asked for.
 pub(super) fn drawn<'s>(
     context: &StageContext,
     scene: &'s Scene,

@@ -26,7 +26,8 @@ use crate::judge::report::plot::{Plot, Series};
 /// What a scene says of its training, beside its log.
 const REPORT: &str = "report.json";
 
-/// How near two trainings in two classes of arithmetic are: means over views of what is left of the normalised errors.
+/// How near two trainings in two classes of arithmetic are: means over views of what is
+/// left of the normalised errors.
 const FIGURES: [Figure; 3] = [
     Figure { file: REPORT, at: "/views/*/after/global/error", within: 0.05 },
     Figure { file: REPORT, at: "/views/*/after/local/error", within: 0.05 },

@@ -1,4 +1,5 @@
-//! A COLMAP folder becomes a prepared capture: pinhole cameras, pixels at their size, a normalised frame, a split.
+//! A COLMAP folder becomes a prepared capture: pinhole cameras, pixels at their
+//! size, a normalised frame, a split.
 
 use std::path::{Path, PathBuf};
 
@@ -20,8 +21,8 @@ pub(super) fn stage() -> Stage {
         .cost(0, 1 << 30)
 }
 
-/// What of a capture folder counts: the folders that the import would read, not everything beside them; and the hidden files among the
-/// views', which folders do not count.
+/// What of a capture folder counts: the folders that the import would read, not everything beside them; and
+/// the hidden files among the views', which folders do not count.
 fn files(parameters: &Value, capture: &Path) -> Result<Vec<PathBuf>, String> {
     let params: ImportParams = serde_json::from_value(parameters.clone()).map_err(|e| e.to_string())?;
     let imported = import(capture, &params).map_err(|e| e.to_string())?;
@@ -46,7 +47,8 @@ fn files(parameters: &Value, capture: &Path) -> Result<Vec<PathBuf>, String> {
     Ok(paths)
 }
 
-/// A file below a folder of the capture, relative to the capture, if a part of its name in the folder begins with a dot.
+/// A file below a folder of the capture, relative to the capture, if a part of its name
+/// in the folder begins with a dot.
 fn hidden(file: &Path, capture: &Path, folder: &str) -> Option<PathBuf> {
     let real = |path: &Path| path.canonicalize().ok();
     let name = real(file)?.strip_prefix(real(&capture.join(folder))?).ok()?.to_path_buf();

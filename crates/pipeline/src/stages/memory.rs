@@ -1,17 +1,20 @@
 //! How much memory a stage will take, forecast from the size of the pictures.
 //!
-//! It decides what runs side by side and what a plan says, never what comes out: it is part of no stage's code and of no key, and is
-//! laid over the table of stages from outside. Where the prepared capture is there already,
+//! It decides what runs side by side and what a plan says, never what comes out: it is part of no
+//! stage's code and of no key, and is laid over the table of stages from outside. Where the
+//! prepared capture is there already,
 //!
 //! ```text
 //! memory = program + a × pixels of the largest view + b × Gaussians + networks
 //! ```
 //!
-//! with the Gaussians of the scene where that is there (from the size of its file), else as many as a scene of that size comes to.
-//! Stage 1 says its own need ([`memory_need`]). Without the capture a forecast is the fixed figure of the stage's `cost`.
+//! with the Gaussians of the scene where that is there (from the size of its file), else as many as a scene
+//! of that size comes to. Stage 1 says its own need ([`memory_need`]). Without the capture a forecast is the
+//! fixed figure of the stage's `cost`.
 //!
-//! `a` and `b` are from the largest resident set of each stage by hand (two threads; ten views of 320x180, 640x360 and 1280x720; eight and
-//! two hundred thousand Gaussians). Stage 2 keeps something of each view, up to `cache_mib`.
+//! `a` and `b` are from the largest resident set of each stage by hand (two threads; ten views of
+//! 320x180, 640x360 and 1280x720; eight and two hundred thousand Gaussians). Stage 2 keeps something
+//! of each view, up to `cache_mib`.
 
 use std::path::Path;
 

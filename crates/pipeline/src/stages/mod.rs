@@ -6,12 +6,12 @@
 //! pairs ─▶ calibrate ────────────────────┴──────┘                             ┘
 //! ```
 //!
-//! Targets in clear radiance (`targets.proposer = "scene"`) need no calibrator; `pairs` and `calibrate` are left out where no scene asks for
-//! one.
+//! Targets in clear radiance (`targets.proposer = "scene"`) need no calibrator; `pairs` and `calibrate` are
+//! left out where no scene asks for one.
 //!
-//! For comparison, `propose` can stand before `reconstruct`, which then learns from photographs enhanced one by one; `targets`
-//! and `enhance` are left out then. `pairs` and `calibrate` are made once for all scenes, and not at all where every scene is given a
-//! finished calibrator; `report` once from everything.
+//! For comparison, `propose` can stand before `reconstruct`, which then learns from photographs enhanced one
+//! by one; `targets` and `enhance` are left out then. `pairs` and `calibrate` are made once for all scenes,
+//! and not at all where every scene is given a finished calibrator; `report` once from everything.
 
 mod calibrate;
 mod calibrated;

@@ -60,7 +60,8 @@ pub(super) fn stage() -> Stage {
         .cost(0, 4 << 30)
 }
 
-/// A view's files, at the size of its camera; its pixels are those of `pixels`, another image of the same view.
+/// A view's files, at the size of its camera; its pixels are those of `pixels`,
+/// another image of the same view.
 fn load(view: &View, pixels: &View) -> Result<LoadedView, String> {
     let mask = load_mask(view).map_err(|e| e.to_string())?;
     Ok(LoadedView {
@@ -99,8 +100,8 @@ fn prior_in_force(params: &ReconstructParams, capture: &Capture, made: bool) -> 
     }
 }
 
-/// What the capture's tracks tell of the water and of the views' gains, said and written beside the scene; and whether they tell that there is
-/// no water.
+/// What the capture's tracks tell of the water and of the views' gains, said and written beside the scene;
+/// and whether they tell that there is no water.
 fn known_from_tracks(context: &StageContext) -> Result<(Known, bool), StageError> {
     let imported = use3d_import::load_prepared(context.input("import")?).map_err(StageError::bad_input)?;
     let water = from_tracks(&imported, &WaterParams::default()).map_err(StageError::bad_input)?;
@@ -122,7 +123,8 @@ fn known_from_tracks(context: &StageContext) -> Result<(Known, bool), StageError
     Ok((Known { water: found, gains: water.gains }, dry))
 }
 
-/// `exposures.json`: the gain of every training view that was learnt with the scene. Renders show the scene without them.
+/// `exposures.json`: the gain of every training view that was learnt with the scene.
+/// Renders show the scene without them.
 #[derive(Serialize)]
 struct Exposures {
     format: &'static str,
@@ -170,7 +172,8 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     }
     let watch = &mut Watch::new(context);
     let outcome = {
-        // It goes with this block: what is drawn and written below needs no moments, views or buffers beside it.
+        // It goes with this block: what is drawn and written below needs no
+        // moments, views or buffers beside it.
         let (mut engine, chosen) = engines::stage1(&params).map_err(StageError::failed)?;
         if let Some(chosen) = chosen {
             context.say(chosen);

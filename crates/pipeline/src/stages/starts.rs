@@ -1,4 +1,5 @@
-//! What each view brings into the consensus: its photograph and a 2D enhancer's version of it, or its clear radiance and the scene's grade.
+//! What each view brings into the consensus: its photograph and a 2D enhancer's version of it, or its clear
+//! radiance and the scene's grade.
 
 use use3d_atc::AtcError;
 use use3d_atc::calibrator::Calibrator;

@@ -15,8 +15,8 @@ pub(super) fn proposer_files(models: &Path) -> Vec<PathBuf> {
     no_files(models)
 }
 
-/// The files in a models folder that the proposer of these parameters reads, relative to it; says what to put there where it is asked
-/// for by name and its weights are not there.
+/// The files in a models folder that the proposer of these parameters reads, relative to it; says what to put
+/// there where it is asked for by name and its weights are not there.
 pub(super) fn files_of_proposer(parameters: &Value, models: &Path) -> Result<Vec<PathBuf>, String> {
     if parameters["proposer"] == "fusion" || parameters["proposer"] == "scene" {
         return Ok(Vec::new());

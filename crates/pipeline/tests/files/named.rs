@@ -1,4 +1,5 @@
-//! What a pipeline names has to be there: an input that is named and missing fails those who need it, and is never left out.
+//! What a pipeline names has to be there: an input that is named and missing fails those who
+//! need it, and is never left out.
 
 use std::fs;
 use std::path::Path;
@@ -68,7 +69,8 @@ fn each_input_from_outside_is_named_by_its_key_and_its_file() {
     assert_eq!(batch.variants[1].named["calibrator"], "`calibrator.file` of variant theirs in dir/p.toml");
     assert!(batch.variants[0].externals.is_empty());
 
-    // The command line wins as a whole: pairs over a file, a file over pairs; its paths start where it is given.
+    // The command line wins as a whole: pairs over a file, a file over pairs; its
+    // paths start where it is given.
     let set = load(&["calibrator.file=f.pth"], LoadOptions::default()).expect("loaded");
     assert_eq!(
         (set.externals["calibrator"].clone(), set.externals.get("pairs.input")),

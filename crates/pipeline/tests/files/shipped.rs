@@ -81,6 +81,7 @@ fn ablations_share_what_they_do_not_change() {
     assert_eq!(own("ablation-stage1.toml", "calibrate"), 1);
     assert_eq!(own("ablation-stage1.toml", "reconstruct"), 20);
     let counts = ["import", "reconstruct", "enhance"].map(|stage| own("ablation-stage2.toml", stage));
-    // Learning from proposals is another first stage; these stand-ins for stages do not know that it needs no second one.
+    // Learning from proposals is another first stage; these stand-ins for stages do not
+    // know that it needs no second one.
     assert_eq!(counts, [4, 8, 20]);
 }

@@ -6,14 +6,15 @@
 //! | (½ W Σ_p |∂L_p/∂x|,  ½ H Σ_p |∂L_p/∂y|) |₂
 //! ```
 //!
-//! says how much the loss pulls at it on the screen without opposite pulls cancelling; it is scaled to the image size that the threshold
-//! is meant for. Above a threshold, a Gaussian whose largest standard
-//! deviation exceeds a size is replaced by two drawn from it, 1.6 times smaller; a smaller one gets a twin. Faint and huge ones
-//! are removed, but never below a floor (the most opaque stay), and growth stops at a cap (the strongest pulls first). New Gaussians
-//! start with zero moments.
+//! says how much the loss pulls at it on the screen without opposite pulls cancelling; it is scaled to the
+//! image size that the threshold is meant for. Above a threshold, a Gaussian whose largest standard deviation
+//! exceeds a size is replaced by two drawn from it, 1.6 times smaller; a smaller one gets a twin. Faint and
+//! huge ones are removed, but never below a floor (the most opaque stay), and growth stops at a cap (the
+//! strongest pulls first). New Gaussians start with zero moments.
 //!
-//! An engine is asked for a [`Survey`]; [`plan`] says which rows the refined scene has, [`rebuilt`] what each of them is. Both are
-//! functions of their arguments alone, so that every engine refines alike: it may follow `rebuilt` or do the same where its arrays are.
+//! An engine is asked for a [`Survey`]; [`plan`] says which rows the refined scene has, [`rebuilt`] what each
+//! of them is. Both are functions of their arguments alone, so that every engine refines alike: it may follow
+//! `rebuilt` or do the same where its arrays are.
 
 mod rebuild;
 
@@ -80,8 +81,8 @@ pub struct RefineReport {
     pub held_back: usize,
 }
 
-/// The rows of the refined scene: survivors in their order, then twins and children in the order of their parents.
-/// All of `survey` has one length.
+/// The rows of the refined scene: survivors in their order, then twins and children in the order of their
+/// parents. All of `survey` has one length.
 pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineReport) {
     let Survey { opacity_logits, log_sizes, statistics } = survey;
     let n = opacity_logits.len();

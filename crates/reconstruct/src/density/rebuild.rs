@@ -51,7 +51,8 @@ impl Draws {
     }
 }
 
-/// The Gaussians of these rows: what is kept and twins as they are, children drawn from their parents and smaller.
+/// The Gaussians of these rows: what is kept and twins as they are, children drawn
+/// from their parents and smaller.
 pub fn rebuilt(gaussians: &Gaussians, rows: &[Origin], draws: &Draws) -> Gaussians {
     let sources: Vec<usize> = rows.iter().map(|row| row.source()).collect();
     let mut refined = gaussians.select(&sources);

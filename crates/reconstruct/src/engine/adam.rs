@@ -1,8 +1,9 @@
 //! Adam over the Gaussians' arrays, in one pass per array.
 //!
-//! Per Gaussian 59 parameters with a gradient and two moments: 944 bytes are read and 708 written where everything is active. Bands above
-//! the active spherical-harmonics degree have no gradient and no moments yet, so they are not touched at all; that they are finite
-//! is checked in the same pass, on the bits, so that the check vectorises with the rest.
+//! Per Gaussian 59 parameters with a gradient and two moments: 944 bytes are read and 708 written where
+//! everything is active. Bands above the active spherical-harmonics degree have no gradient and no moments
+//! yet, so they are not touched at all; that they are finite is checked in the same pass, on the bits, so
+//! that the check vectorises with the rest.
 
 use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;

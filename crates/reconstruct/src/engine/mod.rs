@@ -1,7 +1,8 @@
 //! Who owns the parameters: the loop decides *what* happens, an engine does it.
 //!
-//! An engine holds the Gaussians, the water, Adam's moments, the density statistics and every buffer of a step. It need not be here, nor
-//! on the processor: everything that crosses this seam is public, owned or borrowed plainly, and the loop works on `&mut dyn Engine`.
+//! An engine holds the Gaussians, the water, Adam's moments, the density statistics and every buffer of a
+//! step. It need not be here, nor on the processor: everything that crosses this seam is public, owned or
+//! borrowed plainly, and the loop works on `&mut dyn Engine`.
 //!
 //! ```text
 //! upload every view ─▶ load a state ─▶ step, step, … ─▶ drain reports
@@ -11,12 +12,13 @@
 //!                                       └─▶ save (checkpoints, the result)
 //! ```
 //!
-//! A step may only be *asked for*: an engine on another device may have several under way, and reports them when it can. Whatever else
-//! is asked of it comes after the steps that were asked for before. So a loop never waits for a device, except where it needs its
-//! numbers: at a line of the log, a refinement, a checkpoint.
+//! A step may only be *asked for*: an engine on another device may have several under way, and
+//! reports them when it can. Whatever else is asked of it comes after the steps that were asked for
+//! before. So a loop never waits for a device, except where it needs its numbers: at a line of the
+//! log, a refinement, a checkpoint.
 //!
-//! Which arithmetic an engine computes with is its own business, but the same engine on the same device gives the same bits for
-//! the same requests. An error ends the run; what was saved before stays good.
+//! Which arithmetic an engine computes with is its own business, but the same engine on the same device gives
+//! the same bits for the same requests. An error ends the run; what was saved before stays good.
 
 mod adam;
 mod cpu;
@@ -80,13 +82,15 @@ pub struct StepPlan {
     pub degrees: Degrees,
     /// Learning rates.
     pub rates: StepRates,
-    /// Weights of the loss's values, in the order of [the table of terms](crate::losses::TERMS); 0 leaves one out.
+    /// Weights of the loss's values, in the order of [the table of
+    /// terms](crate::losses::TERMS); 0 leaves one out.
     pub weights: Vec<f64>,
     /// Whether gradients flow through ray distances (R2).
     pub depth_gradient: bool,
     /// How the view's gain is learnt; `None`: every gain is one.
     pub exposure: Option<ExposureStep>,
-    /// Whether screen gradients are gathered for density control, and for how many pixels its threshold is meant (0: not scaled).
+    /// Whether screen gradients are gathered for density control, and for how many pixels its
+    /// threshold is meant (0: not scaled).
     pub gather: Option<u64>,
 }
 
@@ -99,21 +103,24 @@ pub struct StepReport {
     pub view: usize,
     /// The whole loss.
     pub loss: f64,
-    /// The loss's values before their weights, in the plan's order; `None` where a term has nothing to say of the view.
+    /// The loss's values before their weights, in the plan's order; `None` where a term
+    /// has nothing to say of the view.
     pub values: Vec<Option<f64>>,
     /// PSNR of the rendered view over the pixels that count, dB; `None` where it has no finite one.
     pub psnr: Option<f64>,
-    /// What was not finite, and its first bad element. The state is then of no use, and steps asked for later may be left out.
+    /// What was not finite, and its first bad element. The state is then of no use, and steps
+    /// asked for later may be left out.
     pub non_finite: Option<(&'static str, Option<usize>)>,
 }
 
 /// Does the work of training stage 1. See the [module](self) for the order of calls.
 pub trait Engine: Diagnostics {
-    /// Takes a training view: its camera and its pixels as they are stored. Views count from 0, in this order.
+    /// Takes a training view: its camera and its pixels as they are stored.
+    /// Views count from 0, in this order.
     fn upload(&mut self, view: TrainingView) -> Result<usize, EngineError>;
 
-    /// Takes the state that the next step starts from: a [new](TrainingState::new) one or one that was saved, by whichever engine. One
-    /// that [does not agree with itself](TrainingState::check) is refused.
+    /// Takes the state that the next step starts from: a [new](TrainingState::new) one or one that was saved,
+    /// by whichever engine. One that [does not agree with itself](TrainingState::check) is refused.
     fn load(&mut self, state: TrainingState) -> Result<(), EngineError>;
 
     /// The state after every step that was asked for. An engine whose state lies in main memory lends it.
@@ -131,8 +138,9 @@ pub trait Engine: Diagnostics {
     /// Density statistics start anew.
     fn forget_statistics(&mut self) -> Result<(), EngineError>;
 
-    /// Makes the scene that these rows describe: what is kept keeps its moments, what is new starts with zero moments, and density
-    /// statistics start anew. [`rebuilt`](crate::density::rebuilt) says what every row is.
+    /// Makes the scene that these rows describe: what is kept keeps its moments, what is new
+    /// starts with zero moments, and density statistics start anew.
+    /// [`rebuilt`](crate::density::rebuilt) says what every row is.
     fn rebuild(&mut self, rows: &[Origin], draws: &Draws) -> Result<(), EngineError>;
 
     /// Lowers opacities to a ceiling and zeroes their moments.
@@ -145,9 +153,11 @@ pub trait Engine: Diagnostics {
     fn render(&mut self, camera: &Camera, degrees: Degrees, out: &mut Image) -> Result<(), EngineError>;
 }
 
-/// What an engine may tell of its work besides. Nothing here enters a result, and an engine that knows none of it keeps the defaults.
+/// What an engine may tell of its work besides. Nothing here enters a result, and an engine that knows
+/// none of it keeps the defaults.
 pub trait Diagnostics {
-    /// (pixel, Gaussian) pairs that contribute to an uploaded view with the present state, about; `None` where nobody counts them.
+    /// (pixel, Gaussian) pairs that contribute to an uploaded view with the present state, about;
+    /// `None` where nobody counts them.
     fn contributing_pairs(
         &mut self,
         _view: usize,

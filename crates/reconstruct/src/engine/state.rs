@@ -28,8 +28,8 @@ impl Moments {
         Self { first: zeros.clone(), second: zeros }
     }
 
-    /// Those of the rows of a refined scene: what is kept keeps its own, what is new starts with zero. Rows come from Gaussians that
-    /// there are.
+    /// Those of the rows of a refined scene: what is kept keeps its own, what is new starts with zero. Rows
+    /// come from Gaussians that there are.
     pub fn rebuilt(&self, rows: &[Origin]) -> Self {
         let of = |from: &Gaussians| {
             let mut to = zeros(rows.len(), from.sh_degree);
@@ -108,8 +108,8 @@ impl TrainingState {
     /// The form of this record.
     pub const VERSION: u32 = 2;
 
-    /// What a run starts from: these Gaussians, this water, and these gains of the training views (positive, none if no view has
-    /// one).
+    /// What a run starts from: these Gaussians, this water, and these gains of the training views
+    /// (positive, none if no view has one).
     pub fn new(gaussians: Gaussians, medium: MediumModel, gains: &[[f64; 3]]) -> Self {
         let count = medium.parameter_count();
         Self {

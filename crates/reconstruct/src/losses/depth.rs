@@ -4,9 +4,10 @@
 //! d = 1 / (10 max(D, 1e-6) + 1)         L = 1 − Pearson(d, prior)                    (R14)
 //! ```
 //!
-//! over pixels with a finite, positive prior and positive rendered depth `D` (expected z), at least 32 of them, else `L = 0`. The prior is
-//! disparity-like: larger is nearer, 0 is unknown. `Pearson = mean(a b) / max(std a · std b, 1e-6)` of centred values with population
-//! moments. The factor 10 supposes a normalised scene.
+//! over pixels with a finite, positive prior and positive rendered depth `D` (expected z), at least 32 of
+//! them, else `L = 0`. The prior is disparity-like: larger is nearer, 0 is unknown.
+//! `Pearson = mean(a b) / max(std a · std b, 1e-6)` of centred values with population moments. The factor
+//! 10 supposes a normalised scene.
 
 use rayon::prelude::*;
 use use3d_capture::Map;

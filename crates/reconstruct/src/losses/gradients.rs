@@ -18,7 +18,8 @@ impl<const C: usize> Default for Slot<C> {
 }
 
 impl<const C: usize> Slot<C> {
-    /// Adds a term's derivative. `write` is given a raster of any size and contents, and makes it the derivative, per pixel.
+    /// Adds a term's derivative. `write` is given a raster of any size and contents, and
+    /// makes it the derivative, per pixel.
     pub fn add<R>(&mut self, write: impl FnOnce(&mut Raster<f32, C>) -> R) -> R {
         if !self.given {
             self.given = true;

@@ -4,9 +4,10 @@
 //! L = Σ weight · value        over the terms that say something of the view
 //! ```
 //!
-//! A row gives a term's names and weights; weights of a step, the lines of the log and the sum itself follow from the table. A term sees
-//! the view as it was rendered and as it was photographed ([`Observation`]), says its values before their weights, and gives the
-//! derivatives of its weighted sum with respect to whatever it read of the render ([`ViewGradients`]).
+//! A row gives a term's names and weights; weights of a step, the lines of the log and the sum itself follow
+//! from the table. A term sees the view as it was rendered and as it was photographed ([`Observation`]), says
+//! its values before their weights, and gives the derivatives of its weighted sum with respect to whatever it
+//! read of the render ([`ViewGradients`]).
 
 mod depth;
 mod gradients;
@@ -48,7 +49,8 @@ pub struct Observation<'a> {
     pub step: u64,
     /// The camera at the step's size.
     pub camera: &'a Camera,
-    /// The rendered view through water and, where views have gains, with its gain: what a photograph is compared with.
+    /// The rendered view through water and, where views have gains, with its gain: what
+    /// a photograph is compared with.
     pub image: &'a Image,
     /// Its expected depth along the optical axis, scene units; 0 where nothing is hit.
     pub depth: &'a Map,
@@ -62,8 +64,9 @@ pub struct Observation<'a> {
 
 /// A term of the loss, with its buffers.
 pub trait Term: Send {
-    /// Writes the term's values, before their weights, into `values`: `None` where the view gives no reason for one. Gives `gradients` the
-    /// derivatives of their weighted sum. `weights` has one entry per value, not all of them 0.
+    /// Writes the term's values, before their weights, into `values`: `None` where the view gives no
+    /// reason for one. Gives `gradients` the derivatives of their weighted sum. `weights` has one
+    /// entry per value, not all of them 0.
     fn evaluate(
         &mut self,
         seen: &Observation<'_>,
@@ -72,7 +75,8 @@ pub trait Term: Send {
         gradients: &mut ViewGradients,
     );
 
-    /// Mean squared error of the last view over the pixels that count, for a PSNR, where the term measures it on the way.
+    /// Mean squared error of the last view over the pixels that count, for a PSNR, where
+    /// the term measures it on the way.
     fn squared_error(&self) -> Option<f64> {
         None
     }
@@ -93,7 +97,8 @@ pub fn weights(params: &ReconstructParams, step: u64) -> Vec<f64> {
 pub struct Loss {
     /// `Σ weight · value`.
     pub total: f64,
-    /// Values before their weights, in the table's order; `None` where a term was left out or has nothing to say of the view.
+    /// Values before their weights, in the table's order; `None` where a term was left out or
+    /// has nothing to say of the view.
     pub values: Vec<Option<f64>>,
     /// Mean squared error over the pixels that count, where a term measures it.
     pub squared_error: Option<f64>,
@@ -116,7 +121,8 @@ impl Losses {
         self.terms.iter().map(|(values, _)| values).sum()
     }
 
-    /// The loss of a view; `weights` has one entry per value. Its derivatives replace those that were left before.
+    /// The loss of a view; `weights` has one entry per value. Its derivatives
+    /// replace those that were left before.
     pub(crate) fn evaluate(&mut self, seen: &Observation<'_>, weights: &[f64]) -> Loss {
         self.gradients.forget();
         let mut loss = Loss { values: vec![None; weights.len()], ..Loss::default() };

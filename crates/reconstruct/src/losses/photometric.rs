@@ -7,13 +7,15 @@
 //! L = (1 − λ) Reg-L1 + λ Reg-MS-SSIM
 //! ```
 //!
-//! Where the fit is good `W Î` is nearly 1 and `W I` is the ratio of target to prediction, so the structure term works on relative error
-//! and its variances would cancel in f32. Both are therefore formed *less one* without ever being near one:
-//! `W Î − 1 = −ε W` and `W I − 1 = W (I − Î) − ε W`. The first also carries `W` to the last pass, which needs no other image.
+//! Where the fit is good `W Î` is nearly 1 and `W I` is the ratio of target to prediction, so the structure
+//! term works on relative error and its variances would cancel in f32. Both are therefore formed *less one*
+//! without ever being near one: `W Î − 1 = −ε W` and `W I − 1 = W (I − Î) − ε W`. The first also carries `W`
+//! to the last pass, which needs no other image.
 //!
-//! A mask multiplies prediction and target before anything else, so that a pixel that does not count adds nothing to either term and has no
-//! gradient. The means of the loss stay over all pixels: how much of a view counts is how much the view counts. The squared error that is
-//! told is a mean over the pixels that count, weighted by the mask's square.
+//! A mask multiplies prediction and target before anything else, so that a pixel that does not count adds
+//! nothing to either term and has no gradient. The means of the loss stay over all pixels: how much of a view
+//! counts is how much the view counts. The squared error that is told is a mean over the pixels that count,
+//! weighted by the mask's square.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd, dispatch, f32x16};
@@ -47,7 +49,8 @@ pub struct PhotometricValue {
     pub reg_l1: f64,
     /// Reg-MS-SSIM.
     pub reg_ms_ssim: f64,
-    /// Mean squared error of the prediction clamped to `[0, 1]` over the pixels that count, for a PSNR; 0 where none does.
+    /// Mean squared error of the prediction clamped to `[0, 1]` over the pixels that count,
+    /// for a PSNR; 0 where none does.
     pub squared_error: f64,
 }
 
@@ -83,7 +86,8 @@ impl PhotometricLoss {
         }
     }
 
-    /// Value, and the gradient with respect to `prediction`. The images (and the mask, weights in `[0, 1]`) have one size.
+    /// Value, and the gradient with respect to `prediction`. The images (and the mask,
+    /// weights in `[0, 1]`) have one size.
     pub fn evaluate(
         &mut self,
         prediction: &Image,
@@ -171,7 +175,8 @@ impl Term for PhotometricLoss {
     }
 }
 
-/// `x = W Î − 1`, `y = W I − 1`; sums of `|W (Î − I)|` and of the squared error. Lanes past the end add nothing.
+/// `x = W Î − 1`, `y = W I − 1`; sums of `|W (Î − I)|` and of the squared error.
+/// Lanes past the end add nothing.
 #[inline(always)]
 fn weigh<S: Simd>(
     simd: S,

@@ -78,7 +78,8 @@ fn random_image(stream: &Stream, w: usize, h: usize, from: u64) -> Image {
     Image::from_planes(w, h, values).unwrap()
 }
 
-/// The loss with the weight held at `held`, in f64 and by the definition up to MS-SSIM, whose own test covers it.
+/// The loss with the weight held at `held`, in f64 and by the definition up to
+/// MS-SSIM, whose own test covers it.
 fn held(prediction: &Image, held: &Image, target: &Image, mask: &Map) -> f64 {
     let n = mask.pixels();
     let weight = |i: usize| 1.0 / (f64::from(held.data()[i] * mask.data()[i % n]) + 1e-3);

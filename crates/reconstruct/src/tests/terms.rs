@@ -2,7 +2,8 @@
 
 use super::*;
 
-/// A term that reads everything there is: `½ mean image² + mean depth + ½ mean accumulation² + mean of the water's maps`.
+/// A term that reads everything there is: `½ mean image² + mean depth + ½ mean
+/// accumulation² + mean of the water's maps`.
 struct Everything;
 
 impl Term for Everything {

@@ -70,7 +70,8 @@ fn a_camera_that_exposes_each_view_on_its_own_is_seen_through() {
     let (with, without) = (learnt.evaluation.as_ref().unwrap(), off.evaluation.as_ref().unwrap());
     let fitted = with.fitted.as_ref().expect("views have gains").psnr.value().unwrap();
     assert!(fitted > with.psnr.value().unwrap().max(without.psnr.value().unwrap()) + 1.0, "{fitted}");
-    // Known gains are where they start, and part of what a checkpoint must agree with; a stopped run ends as an undisturbed one.
+    // Known gains are where they start, and part of what a checkpoint must agree with; a stopped
+    // run ends as an undisturbed one.
     let known = Known { water: None, gains };
     let dir = tempfile::tempdir().unwrap();
     let stopped = run(Exposure::PerView, &known, 60, Some(35), Some(dir.path()));
@@ -103,7 +104,8 @@ fn water_that_was_found_is_held_and_then_let_go_gently() {
     let moved = |o: &Outcome| (water(o).coefficients[0][1][0][0] - start[1][0][0]).abs();
     let free = run(Some(&found), 0.0, 1.0, None, None).unwrap();
     assert!(moved(&half) > 0.0 && moved(&half) < 0.2 * moved(&free), "{} {}", moved(&half), moved(&free));
-    // What was found is part of what a checkpoint must agree with, and a stopped run ends as an undisturbed one.
+    // What was found is part of what a checkpoint must agree with, and a stopped
+    // run ends as an undisturbed one.
     let dir = tempfile::tempdir().unwrap();
     let stopped = run(Some(&found), 0.5, 0.1, Some(25), Some(dir.path()));
     assert!(matches!(stopped, Err(ReconstructError::Interrupted { step: 25, .. })));

@@ -1,8 +1,8 @@
 //! Tile rows that are differentiated together.
 //!
-//! A group has at most [`GROUP`] entries (or is one row), so that the buffer of gradient records is bounded; after a group, each Gaussian adds its
-//! records in the order of tiles. Groups follow one another, so the order of additions is the order of tiles whatever the grouping and the
-//! number of threads.
+//! A group has at most [`GROUP`] entries (or is one row), so that the buffer of gradient records is bounded;
+//! after a group, each Gaussian adds its records in the order of tiles. Groups follow one another, so the
+//! order of additions is the order of tiles whatever the grouping and the number of threads.
 
 use super::strips::{Strips, for_each};
 use super::sums::add;
@@ -27,8 +27,8 @@ impl Strips for Records<'_> {
     }
 }
 
-/// Runs `work(tile row, its records, its strips)` over all tile rows and sums the records of each visible Gaussian into `sums` (by
-/// rank). `work` must write every record.
+/// Runs `work(tile row, its records, its strips)` over all tile rows and sums the records of each visible
+/// Gaussian into `sums` (by rank). `work` must write every record.
 pub(crate) fn in_groups<T: Strips>(
     prepared: &Prepared,
     records: &mut Vec<Record>,

@@ -19,8 +19,9 @@ thread_local! {
     static SPARE: Cell<Vec<Splat>> = const { Cell::new(Vec::new()) };
 }
 
-/// The Gaussians of a tile row, one per span, side by side. A tile takes few of its row's Gaussians, each a wait for memory where
-/// they lie scattered over all of the view's; copied in one go the waits overlap, and the copy fits the second-level cache.
+/// The Gaussians of a tile row, one per span, side by side. A tile takes few of its row's Gaussians, each a
+/// wait for memory where they lie scattered over all of the view's; copied in one go the waits overlap, and
+/// the copy fits the second-level cache.
 pub(crate) struct RowSplats(Vec<Splat>);
 
 impl Deref for RowSplats {

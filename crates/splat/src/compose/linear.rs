@@ -1,4 +1,5 @@
-//! The linear attribute splat `S_v` and its adjoint: `(S_v x)(p) = Σ_i w_i(p) x_i`, `(S_vᵀ y)_i = Σ_p w_i(p) y(p)`.
+//! The linear attribute splat `S_v` and its adjoint: `(S_v x)(p) = Σ_i w_i(p) x_i`,
+//! `(S_vᵀ y)_i = Σ_p w_i(p) y(p)`.
 //!
 //! The weights are the compositor's, `w = T α`, without water; any number of channels, eight at a time.
 
@@ -33,8 +34,9 @@ impl Strips for ChannelPlanes<'_> {
 }
 
 impl Rasterizer {
-    /// `S_v`: splats `values` (`[N][channels]`, in the order of the Gaussians) into `out` (`[channels][height][width]`), overwriting it.
-    /// Gaussians that are not visible do not matter. Panics if a length does not fit.
+    /// `S_v`: splats `values` (`[N][channels]`, in the order of the Gaussians) into `out`
+    /// (`[channels][height][width]`), overwriting it. Gaussians that are not visible do not matter.
+    /// Panics if a length does not fit.
     pub fn splat(&mut self, prepared: &Prepared, channels: usize, values: &[f32], out: &mut [f32]) {
         let pixels = prepared.width * prepared.height;
         assert_eq!(values.len(), prepared.gaussians * channels, "one value per Gaussian and channel");
@@ -82,8 +84,8 @@ impl Rasterizer {
         }
     }
 
-    /// `S_vᵀ`: lifts `maps` (`[channels][height][width]`) to Gaussians, `out` (`[N][channels]`), overwriting it; 0 where a Gaussian is not
-    /// visible. Panics if a length does not fit.
+    /// `S_vᵀ`: lifts `maps` (`[channels][height][width]`) to Gaussians, `out` (`[N][channels]`), overwriting
+    /// it; 0 where a Gaussian is not visible. Panics if a length does not fit.
     pub fn splat_adjoint(&mut self, prepared: &Prepared, channels: usize, maps: &[f32], out: &mut [f32]) {
         let pixels = prepared.width * prepared.height;
         assert_eq!(out.len(), prepared.gaussians * channels, "one value per Gaussian and channel");

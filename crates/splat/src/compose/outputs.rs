@@ -13,8 +13,8 @@ use super::tile::{BackwardTile, ForwardTile, Input, Lanes, TileWater};
 use crate::lists::{Prepared, TILE};
 use crate::view::Layers;
 
-/// What a forward pass leaves for the backward pass. It depends on geometry alone, so any medium, colours and cotangents may
-/// follow.
+/// What a forward pass leaves for the backward pass. It depends on geometry alone, so any medium,
+/// colours and cotangents may follow.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Saved {
     stamp: u64,
@@ -180,7 +180,8 @@ pub(crate) struct Composed<'a> {
     pub(crate) tile: &'a ForwardTile,
 }
 
-/// Writes the layers of a tile. The interval medium is `c_m (1 − Σ w E) − far`: the telescoped sum without its last term.
+/// Writes the layers of a tile. The interval medium is `c_m (1 − Σ w E) − far`: the
+/// telescoped sum without its last term.
 #[inline(always)]
 pub(crate) fn store_layers<const WATER: bool>(
     prepared: &Prepared,
@@ -246,7 +247,8 @@ impl Strips for MediumPlanes<'_> {
     }
 }
 
-/// Writes the medium's gradient of a tile: `∂c_m = g (1 − Σ w E_b)`, `∂β_b = |d| Σ w z g c_m E_b`, `∂β_a = −|d| Σ w z g c E_a`.
+/// Writes the medium's gradient of a tile: `∂c_m = g (1 − Σ w E_b)`,
+/// `∂β_b = |d| Σ w z g c_m E_b`, `∂β_a = −|d| Σ w z g c E_a`.
 #[inline(always)]
 pub(crate) fn store_medium_gradient<const WATER: bool>(
     prepared: &Prepared,

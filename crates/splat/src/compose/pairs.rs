@@ -12,7 +12,8 @@ use crate::project::{LOG2_255, Splat};
 pub struct Pairs {
     /// Pairs that a pixel's colour depends on.
     pub contributing: u64,
-    /// Pairs that the lane kernels evaluate: pixels of rows that a Gaussian's contour meets, until all pixels of the row have stopped.
+    /// Pairs that the lane kernels evaluate: pixels of rows that a Gaussian's contour meets, until all
+    /// pixels of the row have stopped.
     pub tested: u64,
     /// (tile, Gaussian) entries of the lists.
     pub entries: u64,

@@ -1,17 +1,19 @@
 //! Water laid over a composed image: how SeaSplat and 3D-UIR form a photograph.
 //!
-//! The Gaussians are composed without water; then a pixel is one surface with their opacity `A = Σ w`, their light `J = Σ w c`, and
-//! their expected distance `s = |d| Σ w z / Σ w`:
+//! The Gaussians are composed without water; then a pixel is one surface with their opacity `A = Σ w`, their
+//! light `J = Σ w c`, and their expected distance `s = |d| Σ w z / Σ w`:
 //!
 //! ```text
 //! I = J a + c_m (1 − A b)        a = e^{−β_a s}    b = e^{−β_b s}
 //! ```
 //!
-//! Compositing per Gaussian takes every Gaussian at its own distance instead; the two agree where all of a pixel's Gaussians are equally
-//! far, and with `A = 1` this is the formula of those papers. Rays that nothing ends see open water, `c_m`.
+//! Compositing per Gaussian takes every Gaussian at its own distance instead; the two agree where all of a
+//! pixel's Gaussians are equally far, and with `A = 1` this is the formula of those papers. Rays that
+//! nothing ends see open water, `c_m`.
 //!
-//! With `g = ∂I` the derivatives are `∂J = g a`, `∂A = −Σ g c_m b`, `∂s = Σ g (c_m A β_b b − J β_a a)` (sums over channels),
-//! `∂c_m = g (1 − A b)`, `∂β_b = g c_m A s b` and `∂β_a = −g J s a`: those of clear image, depth and accumulation go on to the compositor.
+//! With `g = ∂I` the derivatives are `∂J = g a`, `∂A = −Σ g c_m b`, `∂s = Σ g (c_m A β_b b − J β_a a)` (sums
+//! over channels), `∂c_m = g (1 − A b)`, `∂β_b = g c_m A s b` and `∂β_a = −g J s a`: those of clear image,
+//! depth and accumulation go on to the compositor.
 
 use std::ops::Range;
 
@@ -83,7 +85,8 @@ struct Read<'a> {
 }
 
 impl Read<'_> {
-    /// The rows and columns of the pixels in a row of tiles, tile by tile: row in the view, row in the strip, tile, its columns.
+    /// The rows and columns of the pixels in a row of tiles, tile by tile: row in the view, row
+    /// in the strip, tile, its columns.
     #[inline(always)]
     fn for_each(&self, row: usize, mut work: impl FnMut(usize, usize, usize, Range<usize>)) {
         for r in 0..self.prepared.rows.filled(row) {
@@ -166,7 +169,8 @@ impl Clear {
         });
     }
 
-    /// The derivatives with respect to clear image, depth and accumulation, which the compositor goes on from, and to the water's maps.
+    /// The derivatives with respect to clear image, depth and accumulation, which the compositor goes on
+    /// from, and to the water's maps.
     pub(super) fn differentiate(
         &mut self,
         kernels: Kernels,

@@ -11,17 +11,20 @@
 //! which is the object, interval-medium and far-end terms of the paper in one: the interval terms telescope,
 //! `Σ_i T_i (E_{i-1} − E_i) + T_{N+1} E_N = 1 − Σ w_i E_i`.
 //!
-//! Backward, with `v_i = Σ_c g_c (c_i E_a − c_m E_b)_c + g_clear·c_i + h_z z_i + h_w` the loss per unit of weight:
+//! Backward, with `v_i = Σ_c g_c (c_i E_a − c_m E_b)_c + g_clear·c_i + h_z z_i +
+//! h_w` the loss per unit of weight:
 //!
 //! ```text
 //! G_i = α ∂L/∂α = w_i v_i − α_i/(1 − α_i) Σ_{j>i} w_j v_j          (0 where α is clamped)
 //! ```
 //!
-//! walked from the farthest Gaussian to the nearest, so that `Σ_{j>i}` grows from zero (no cancellation) and the transmittance
-//! is recovered by division (its reciprocal by three Newton steps). The cost per pixel is one running number, not a list.
+//! walked from the farthest Gaussian to the nearest, so that `Σ_{j>i}` grows from zero (no cancellation) and
+//! the transmittance is recovered by division (its reciprocal by three Newton steps). The cost per pixel is
+//! one running number, not a list.
 //!
-//! The lane code performs the same operations in the same order, so both give the same bits where multiply-add is fused.
-//! Per-Gaussian sums run over rows within a pixel column, then over columns by [`sum`], then over tiles.
+//! The lane code performs the same operations in the same order, so both give the same bits where
+//! multiply-add is fused. Per-Gaussian sums run over rows within a pixel column, then over
+//! columns by [`sum`], then over tiles.
 
 use use3d_numerics::lanes::{SMALL_COEFFICIENTS, exp2, exp2_unclamped, sum};
 
@@ -117,8 +120,8 @@ pub(crate) fn forward<const WATER: bool, const LAYERS: bool>(
     }
 }
 
-/// The gradient of a tile: one record per entry into `sink`, the medium's sums into `tile`. `s_gradient` is 1, or 0 if distances
-/// are constants in the medium's terms (R2).
+/// The gradient of a tile: one record per entry into `sink`, the medium's sums into `tile`. `s_gradient` is
+/// 1, or 0 if distances are constants in the medium's terms (R2).
 pub(crate) fn backward<const WATER: bool, const EXTRAS: bool>(
     input: &Input<'_>,
     water: &TileWater,

@@ -1,8 +1,8 @@
 //! The rasterizer: forward and backward over all tiles, in strips of one tile row, without atomics.
 //!
-//! A tile row is one task; it writes its own strip of every image. Gradients of Gaussians leave a tile as one record per
-//! (tile, Gaussian) entry, in a buffer cut by tile rows; the records of a Gaussian are then added in the order of tiles. The
-//! buffer is bounded (see `groups`).
+//! A tile row is one task; it writes its own strip of every image. Gradients of Gaussians leave a tile as one
+//! record per (tile, Gaussian) entry, in a buffer cut by tile rows; the records of a Gaussian are then added
+//! in the order of tiles. The buffer is bounded (see `groups`).
 
 use fearless_simd::{Level, dispatch};
 use use3d_capture::{Formation, Image, MediumMaps};
@@ -28,7 +28,8 @@ pub(crate) enum Kernels {
     Lanes(Level),
 }
 
-/// Composes [`Prepared`] Gaussians; owns the scratch memory, which grows to what the largest view needs and is then reused.
+/// Composes [`Prepared`] Gaussians; owns the scratch memory, which grows to what the largest
+/// view needs and is then reused.
 #[derive(Clone, Debug)]
 pub struct Rasterizer {
     pub(crate) kernels: Kernels,
@@ -77,8 +78,8 @@ impl Rasterizer {
             + self.clear.memory()
     }
 
-    /// Renders the prepared view. `medium` has the lattice's size, and says how images are formed in it; `None` composes without water, on
-    /// black.
+    /// Renders the prepared view. `medium` has the lattice's size, and says how images are formed in it;
+    /// `None` composes without water, on black.
     pub fn forward(
         &mut self,
         prepared: &Prepared,
@@ -142,8 +143,8 @@ impl Rasterizer {
         self.saved.stop()
     }
 
-    /// The gradient of a loss with respect to every parameter of the Gaussians and to the medium's maps. `prepared` must be a view
-    /// `of` these. `grads` are overwritten (and resized), not added to.
+    /// The gradient of a loss with respect to every parameter of the Gaussians and to the medium's maps.
+    /// `prepared` must be a view `of` these. `grads` are overwritten (and resized), not added to.
     pub fn backward(
         &mut self,
         prepared: &Prepared,
@@ -233,7 +234,8 @@ impl Rasterizer {
         );
     }
 
-    /// Stage 2: gradients with respect to this view's colours and the medium's maps; geometry is frozen. Both are overwritten.
+    /// Stage 2: gradients with respect to this view's colours and the medium's maps; geometry
+    /// is frozen. Both are overwritten.
     pub fn backward_colors(
         &mut self,
         prepared: &Prepared,

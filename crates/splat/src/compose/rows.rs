@@ -14,7 +14,8 @@ use crate::project::Record;
 /// The strips that the forward pass writes.
 pub(super) type ForwardStrips<'a> = (SavedPlanes<'a>, ImagePlanes<'a>, LayerPlanes<'a>);
 
-/// Composes a tile row with `compose`. Always inlined, so that the loops around the kernel use its instruction set too.
+/// Composes a tile row with `compose`. Always inlined, so that the loops around the
+/// kernel use its instruction set too.
 #[inline(always)]
 pub(super) fn forward_row<const WATER: bool>(
     prepared: &Prepared,

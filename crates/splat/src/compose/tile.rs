@@ -36,8 +36,8 @@ impl<'a> Input<'a> {
     }
 }
 
-/// The exponents of one row of pixels, as deviations from the tile's centre: `−β |d| log₂e` is `centre + deviation`, per unit
-/// of z-depth (R1: `s = z |d|`).
+/// The exponents of one row of pixels, as deviations from the tile's centre: `−β |d| log₂e` is
+/// `centre + deviation`, per unit of z-depth (R1: `s = z |d|`).
 #[derive(Clone, Copy, Default)]
 #[repr(C, align(64))]
 pub(crate) struct WaterRow {
@@ -57,9 +57,9 @@ impl WaterRow {
     }
 }
 
-/// The water of a tile. Over 16×16 pixels β hardly changes, so that `e^{-β z}` is a factor of the tile times the exponential of
-/// a small number, which needs no range reduction; where the number is not small the full exponential is taken. Both
-/// are exact to rounding.
+/// The water of a tile. Over 16×16 pixels β hardly changes, so that `e^{-β z}` is a factor of the tile times
+/// the exponential of a small number, which needs no range reduction; where the number is not small the full
+/// exponential is taken. Both are exact to rounding.
 #[derive(Clone, Copy, Default)]
 #[repr(C, align(64))]
 pub(crate) struct TileWater {
@@ -71,7 +71,8 @@ pub(crate) struct TileWater {
 }
 
 impl TileWater {
-    /// Centres the exponents, which on entry are absolute, in the first `rows` rows. Padding columns repeat a pixel.
+    /// Centres the exponents, which on entry are absolute, in the first `rows` rows.
+    /// Padding columns repeat a pixel.
     #[inline(always)]
     pub(crate) fn centre(&mut self, rows: usize) {
         let mut largest = 0.0f32;
@@ -271,8 +272,9 @@ impl Splat {
 
 /// Turns sums over a tile in tile coordinates into moments about the Gaussian.
 ///
-/// `s0 = ΣG`, `sx = ΣG X`, `sxx = ΣG X²`, `s1 = ΣG η`, `sx1 = ΣG X η`, `s2 = ΣG η²`, with `X, η` the pixel relative to `origin`; then
-/// `t = X + shear η + τ` and `dy = η + δ`. Returned: `[ΣG, ΣG t, ΣG dy, ΣG t², ΣG t dy, ΣG dy²]`. f64, since the terms may cancel.
+/// `s0 = ΣG`, `sx = ΣG X`, `sxx = ΣG X²`, `s1 = ΣG η`, `sx1 = ΣG X η`, `s2 = ΣG η²`, with `X, η` the pixel
+/// relative to `origin`; then `t = X + shear η + τ` and `dy = η + δ`. Returned:
+/// `[ΣG, ΣG t, ΣG dy, ΣG t², ΣG t dy, ΣG dy²]`. f64, since the terms may cancel.
 #[inline(always)]
 pub(crate) fn moments(splat: &Splat, origin: [f32; 2], sums: [f32; 6]) -> [f32; 6] {
     let [s0, sx, sxx, s1, sx1, s2] = sums;

@@ -1,8 +1,9 @@
 //! Tile lists without what no pixel sees, for views that are composed many times over with frozen geometry.
 //!
-//! An entry of a tile's list stays if some pixel of the tile is still being composed when its turn comes and lies within its
-//! 1/255 contour: it then adds to the pixel or ends it. Everything else is skipped by the compositor anyway, so images and
-//! gradients keep every bit. On a sparse lattice (stage 2) most small Gaussians fall between the pixels of their tiles.
+//! An entry of a tile's list stays if some pixel of the tile is still being composed when its turn comes and
+//! lies within its 1/255 contour: it then adds to the pixel or ends it. Everything else is skipped by the
+//! compositor anyway, so images and gradients keep every bit. On a sparse lattice (stage 2) most small
+//! Gaussians fall between the pixels of their tiles.
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
@@ -16,8 +17,8 @@ use crate::project::LOG2_255;
 const MARGIN: f32 = 1e-3;
 
 impl Rasterizer {
-    /// Drops the entries of `prepared` that no pixel sees, and the Gaussians without entries. Images and gradients stay the
-    /// same to the bit.
+    /// Drops the entries of `prepared` that no pixel sees, and the Gaussians without entries. Images and
+    /// gradients stay the same to the bit.
     pub fn trim(&mut self, prepared: &mut Prepared) {
         let stop = self.stops(prepared);
         let view = &*prepared;

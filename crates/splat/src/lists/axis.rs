@@ -2,7 +2,8 @@
 
 /// Pixels along a tile's side; one row of a tile is one vector of lanes.
 pub(crate) const TILE: usize = 16;
-/// Ascending pixel-centre coordinates, padded to whole tiles by repeating the last one (padding is masked, never drawn).
+/// Ascending pixel-centre coordinates, padded to whole tiles by repeating the last one
+/// (padding is masked, never drawn).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Axis {
     centres: Vec<f32>,

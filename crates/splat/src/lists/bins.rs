@@ -1,7 +1,7 @@
 //! Which tiles every Gaussian meets, and so the list of every tile.
 //!
-//! In two levels: bands of tile rows take what may meet them, then every tile row takes from its band the Gaussians whose contour meets it,
-//! each with its range of tiles.
+//! In two levels: bands of tile rows take what may meet them, then every tile row takes from its band the
+//! Gaussians whose contour meets it, each with its range of tiles.
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
@@ -103,7 +103,8 @@ fn contour_range(s: &Splat, low: f32, high: f32) -> Option<[f32; 2]> {
         return None;
     }
     let level = s.log2_opacity + LOG2_255;
-    // x(dy) = −shear dy ± √((level − steepness_y dy²)/steepness) peaks where the ellipse has a vertical tangent.
+    // x(dy) = −shear dy ± √((level − steepness_y dy²)/steepness) peaks where the
+    // ellipse has a vertical tangent.
     let (a, d) = (s.steepness, s.steepness_y);
     let tangent = s.shear * (level * a / (d * (d + a * s.shear * s.shear))).sqrt();
     let half_width = |dy: f32| ((level - d * dy * dy).max(0.0) / a).sqrt();

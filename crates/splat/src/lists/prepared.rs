@@ -1,14 +1,18 @@
 //! The Gaussians of one view made ready to compose: projected, sorted by depth, and listed per tile.
 //!
-//! A tile is 16×16 pixels *of the lattice* (its columns and rows, not the image's). `prepare` goes through four steps:
+//! A tile is 16×16 pixels *of the lattice* (its columns and rows, not the image's).
+//! `prepare` goes through four steps:
 //!
-//! 1. project every Gaussian and drop what cannot be seen (depth range, opacity below 1/255, outside the lattice);
+//! 1. project every Gaussian and drop what cannot be seen (depth range, opacity below
+//!    1/255, outside the lattice);
 //! 2. sort by depth, equal depths in index order;
-//! 3. give each tile row its *spans*: for every Gaussian that touches it, the range of tiles that its 1/255 contour meets;
+//! 3. give each tile row its *spans*: for every Gaussian that touches it, the range of tiles
+//!    that its 1/255 contour meets;
 //! 4. turn the spans of a tile row into one list per tile, in depth order.
 //!
-//! The contour is exact: `α ≥ 1/255` is `σ ≤ ln(255 opacity)`, an ellipse, and a tile is listed only if the ellipse meets
-//! the tile's box of pixel centres along its row. Everything is a function of the data alone: any number of threads gives the same lists.
+//! The contour is exact: `α ≥ 1/255` is `σ ≤ ln(255 opacity)`, an ellipse, and a tile is listed only if the
+//! ellipse meets the tile's box of pixel centres along its row. Everything is a function of the data alone:
+//! any number of threads gives the same lists.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -25,8 +29,8 @@ use crate::{Colors, Gaussians};
 /// Gaussians per parallel task.
 const CHUNK: usize = 1024;
 
-/// Projected Gaussians with their tile lists for one camera and lattice. Reusable while the geometry is frozen; the buffers
-/// are kept from one [`Prepared::prepare`] to the next.
+/// Projected Gaussians with their tile lists for one camera and lattice. Reusable while the geometry is
+/// frozen; the buffers are kept from one [`Prepared::prepare`] to the next.
 #[derive(Clone, Debug)]
 pub struct Prepared {
     /// Unique to one `prepare`; equal stamps mean equal geometry.
@@ -128,8 +132,8 @@ impl Prepared {
 
     /// Projects, sorts and bins `gaussians` for `camera` at the pixels of `lattice`.
     ///
-    /// Gaussians with parameters that are not finite are not drawn. The arrays of `gaussians` must have one length
-    /// ([`Gaussians::validate`]); a shorter array of given colours panics.
+    /// Gaussians with parameters that are not finite are not drawn. The arrays of `gaussians` must have one
+    /// length ([`Gaussians::validate`]); a shorter array of given colours panics.
     pub fn prepare(&mut self, gaussians: &Gaussians, camera: &Camera, lattice: &Lattice, colors: Colors<'_>) {
         self.stamp = STAMP.fetch_add(1, Ordering::Relaxed);
         self.colors = self.stamp;
@@ -195,7 +199,8 @@ impl Prepared {
         }
     }
 
-    /// Other lists of the same Gaussians. Lets go of Gaussians without entries, and of the buffers that only another `prepare` needs.
+    /// Other lists of the same Gaussians. Lets go of Gaussians without entries, and of the buffers
+    /// that only another `prepare` needs.
     pub(crate) fn replace_lists(&mut self, tile_rows: Vec<TileRow>) {
         self.tile_rows = tile_rows;
         let mut ranks = vec![HIDDEN; self.splats.len()];
@@ -256,7 +261,8 @@ pub(crate) mod tests {
         gaussians
     }
 
-    /// Culling must lose nothing: with every Gaussian in every tile the pictures and gradients are the same, bit for bit.
+    /// Culling must lose nothing: with every Gaussian in every tile the pictures and
+    /// gradients are the same, bit for bit.
     #[test]
     fn culling_changes_nothing() {
         use crate::{Cotangents, GaussianGradients, Options, Rasterizer, Rendered};

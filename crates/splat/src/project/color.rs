@@ -1,8 +1,8 @@
 //! Colour of a Gaussian seen from a camera, and its derivative.
 //!
-//! `c(ω) = max(0, Σ_k Y_k(ω) sh_k + ½)` per channel, `ω` the unit vector from the camera centre to the Gaussian's centre in the
-//! world frame. The direction is detached: no gradient flows from colour into position through `ω` (R28). Where the clamp
-//! is active the gradient is 0.
+//! `c(ω) = max(0, Σ_k Y_k(ω) sh_k + ½)` per channel, `ω` the unit vector from the camera centre to the
+//! Gaussian's centre in the world frame. The direction is detached: no gradient flows from colour into
+//! position through `ω` (R28). Where the clamp is active the gradient is 0.
 
 use crate::Gaussians;
 use fearless_simd::{Level, dispatch};
@@ -62,7 +62,8 @@ pub(crate) fn color_backward(
     }
 }
 
-/// The colours of all Gaussians in this view, with bands up to `degree` (at most the stored degree): `max(0, SH + ½)`.
+/// The colours of all Gaussians in this view, with bands up to `degree` (at most the
+/// stored degree): `max(0, SH + ½)`.
 pub fn view_colors(gaussians: &Gaussians, camera: &Camera, degree: usize, out: &mut Vec<[f32; 3]>) {
     let (degree, center) = (degree.min(gaussians.sh_degree).min(3), center(camera));
     out.resize(gaussians.len(), [0.0; 3]);

@@ -1,4 +1,5 @@
-//! Over all Gaussians of a view: from parameters to [`Splat`]s, and from the compositor's sums back to gradients of parameters.
+//! Over all Gaussians of a view: from parameters to [`Splat`]s, and from the compositor's sums
+//! back to gradients of parameters.
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
@@ -34,7 +35,8 @@ pub(crate) struct Projecting<'a> {
 }
 
 impl<'a> Projecting<'a> {
-    /// Of these Gaussians for `camera`; `[columns, rows]` are the first and last pixel centres of the lattice.
+    /// Of these Gaussians for `camera`; `[columns, rows]` are the first and
+    /// last pixel centres of the lattice.
     pub(crate) fn new(
         gaussians: &'a Gaussians,
         camera: &Camera,
@@ -46,7 +48,8 @@ impl<'a> Projecting<'a> {
         Self { gaussians, colors, source, projector, center, columns, rows }
     }
 
-    /// Projects the Gaussians from `first` on. Always inlined, so that the instruction set reaches it: multiply-add is a call without.
+    /// Projects the Gaussians from `first` on. Always inlined, so that the instruction set reaches it:
+    /// multiply-add is a call without.
     #[inline(always)]
     pub(crate) fn forward(&self, first: usize, out: &mut [Splat]) {
         let gaussians = self.gaussians;
@@ -134,8 +137,8 @@ struct Chunk<'a> {
     visible: &'a mut [bool],
 }
 
-/// The gradients of the Gaussians from `first` on. Always inlined, so that the instruction set reaches it: multiply-add is a call
-/// without.
+/// The gradients of the Gaussians from `first` on. Always inlined, so that the instruction set reaches it:
+/// multiply-add is a call without.
 #[inline(always)]
 fn backward_chunk(input: &BackwardInput<'_>, first: usize, ranks: &[u32], out: Chunk<'_>) {
     let BackwardInput { drawn, sums, gaussians, projector, center } = input;

@@ -1,4 +1,5 @@
-//! Perspective projection of a 3D Gaussian to a 2D one (EWA splatting; Zwicker et al. 2001), and its derivative.
+//! Perspective projection of a 3D Gaussian to a 2D one (EWA splatting; Zwicker et
+//! al. 2001), and its derivative.
 //!
 //! With `X = R μ + t = (x, y, z)` and `Σ = R(q) S S R(q)ᵀ`, kept iff `near ≤ z ≤ far`:
 //!
@@ -9,9 +10,10 @@
 //! cov2d = J R Σ Rᵀ Jᵀ + 0.3 I                                             pixels²
 //! ```
 //!
-//! The clamp bounds only the Jacobian; where it is active `tx` depends on `z` alone. The derivative is of the expressions as
-//! written. Everything is f64 inside (the determinant of a needle's covariance cancels in f32), so a Gaussian costs the same as
-//! in scalar f32 and the results are the correctly rounded ones to f32 accuracy.
+//! The clamp bounds only the Jacobian; where it is active `tx` depends on `z` alone. The derivative
+//! is of the expressions as written. Everything is f64 inside (the determinant of a needle's
+//! covariance cancels in f32), so a Gaussian costs the same as in scalar f32 and the results are the
+//! correctly rounded ones to f32 accuracy.
 
 use use3d_capture::Camera;
 use use3d_numerics::math;
@@ -20,7 +22,8 @@ use use3d_numerics::math;
 pub const NEAR: f64 = 0.01;
 /// Farthest depth drawn, scene units.
 pub const FAR: f64 = 1e4;
-/// Added to both diagonal entries of the projected covariance, pixels²: a Gaussian is never thinner than a pixel.
+/// Added to both diagonal entries of the projected covariance, pixels²: a Gaussian
+/// is never thinner than a pixel.
 pub const BLUR: f64 = 0.3;
 
 /// A camera as the projection uses it.
@@ -137,7 +140,8 @@ impl Projector {
         Shared { x, slope: [sx, sy], free: [free_x, free_y], unit, norm, scale, turn, axes, jr }
     }
 
-    /// Projects one Gaussian; `None` if it is outside the depth range or its projection is not a finite Gaussian.
+    /// Projects one Gaussian; `None` if it is outside the depth range or its
+    /// projection is not a finite Gaussian.
     #[inline(always)]
     pub(crate) fn project(
         &self,

@@ -1,8 +1,10 @@
-//! A Gaussian as the compositor reads it: from a projection to a [`Splat`], and from the compositor's sums back to the projection.
+//! A Gaussian as the compositor reads it: from a projection to a [`Splat`], and from the
+//! compositor's sums back to the projection.
 //!
-//! The forward pass gives `shear`, `steepness` and `steepness_y` from the covariance of the projection ([`splat_of`]); the backward pass
-//! ([`ScreenGradient`]) undoes them: with `v = conic · (pixel − centre) = (a t, shear a t + dy / cov_yy)`, the compositor's sums over
-//! pixels are the derivatives with respect to mean and covariance up to factors of the splat itself.
+//! The forward pass gives `shear`, `steepness` and `steepness_y` from the covariance of the projection
+//! ([`splat_of`]); the backward pass ([`ScreenGradient`]) undoes them: with `v = conic · (pixel − centre) =
+//! (a t, shear a t + dy / cov_yy)`, the compositor's sums over pixels are the derivatives with respect to
+//! mean and covariance up to factors of the splat itself.
 
 use use3d_numerics::math;
 
@@ -14,8 +16,8 @@ pub(crate) const LOG2_255: f32 = 7.994_353_3;
 /// A projected Gaussian as the compositor reads it.
 ///
 /// With `dx, dy` from the centre to the pixel, `σ` is written as a completed square along the pixel row:
-/// `log₂ α = log2_opacity − steepness (dx + shear dy)² − steepness_y dy²`. It cannot become negative by rounding and keeps
-/// the accuracy of the f64 determinant for needles.
+/// `log₂ α = log2_opacity − steepness (dx + shear dy)² − steepness_y dy²`. It cannot become negative by
+/// rounding and keeps the accuracy of the f64 determinant for needles.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C)]
 pub(crate) struct Splat {
@@ -40,12 +42,12 @@ pub(crate) struct Splat {
     pub(crate) reach_y: f32,
 }
 
-/// Gradient of one (tile, Gaussian) entry, or the sum of several: the floats of a [`SplatGradient`], so that sums are one loop. The linear
-/// adjoint uses them as channels.
+/// Gradient of one (tile, Gaussian) entry, or the sum of several: the floats of a [`SplatGradient`], so that
+/// sums are one loop. The linear adjoint uses them as channels.
 pub(crate) type Record = [f32; 12];
 
-/// What the compositor's backward pass hands to the projection's, by name: sums over pixels with `G = α ∂L/∂α` and, from the Gaussian's
-/// centre, `t = dx + shear dy`.
+/// What the compositor's backward pass hands to the projection's, by name: sums over pixels with
+/// `G = α ∂L/∂α` and, from the Gaussian's centre, `t = dx + shear dy`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SplatGradient {
     /// `ΣG`.

@@ -1,4 +1,5 @@
-//! The same bits on any number of threads, on every instruction set with fused multiply-add, and for the scalar twin.
+//! The same bits on any number of threads, on every instruction set with fused
+//! multiply-add, and for the scalar twin.
 
 use use3d_capture::{Image, MediumMaps};
 use use3d_numerics::math;

@@ -18,9 +18,10 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
     a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
 }
 
-/// The loss jumps where a 1/255 contour crosses a pixel centre, where a pixel stops, and where two depths change order. Ten wide
-/// Gaussians put their contours outside the image and leave transmittance everywhere; what is left of the jumps is bounded
-/// by asking the median of eight random directions to agree, with a looser bound for all.
+/// The loss jumps where a 1/255 contour crosses a pixel centre, where a pixel stops, and where two depths
+/// change order. Ten wide Gaussians put their contours outside the image and leave transmittance
+/// everywhere; what is left of the jumps is bounded by asking the median of eight random directions to
+/// agree, with a looser bound for all.
 fn check(scene: &mut Scene, options: Options, seed: u64) {
     let (w, h) = (scene.camera.intrinsics.width, scene.camera.intrinsics.height);
     let mut rasterizer = Rasterizer::new();
@@ -33,7 +34,8 @@ fn check(scene: &mut Scene, options: Options, seed: u64) {
         accumulation: Some(&accumulation),
         clear: Some(&clear),
     };
-    // The view direction of a colour is detached from the mean (R28): moved means keep the colours of where they were.
+    // The view direction of a colour is detached from the mean (R28): moved means keep
+    // the colours of where they were.
     let mut colors = Vec::new();
     view_colors(&scene.gaussians, &scene.camera, scene.gaussians.sh_degree, &mut colors);
     let loss = |scene: &Scene, rasterizer: &mut Rasterizer, detached: bool| {
@@ -105,7 +107,8 @@ fn check(scene: &mut Scene, options: Options, seed: u64) {
             let (up, here, down) = (at(1.0), at(0.0), at(-1.0));
             let numeric = (up - down) / (2.0 * f64::from(step));
             values(&mut scene.gaussians).copy_from_slice(&old);
-            // Two depths that change order make a jump: a difference across it says nothing about the derivative.
+            // Two depths that change order make a jump: a difference across it
+            // says nothing about the derivative.
             if (up - 2.0 * here + down).abs() > 0.1 * (up - down).abs() + 2.0 * rounding {
                 continue;
             }

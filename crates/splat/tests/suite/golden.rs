@@ -134,7 +134,8 @@ fn check_colors(
     image: &Image,
     rasterizer: &mut Rasterizer,
 ) {
-    // Degree 0 with a known basis turns the gradient of sh[0] into that of the colour, where the clamp is open.
+    // Degree 0 with a known basis turns the gradient of sh[0] into that of the
+    // colour, where the clamp is open.
     let mut lifted = gaussians.clone();
     for sh in &mut lifted.sh {
         sh[0] = sh[0].map(|v| v.abs() + 0.1);

@@ -1,4 +1,5 @@
-//! Parameters and sizes that no honest scene has: never a panic, never anything that is not finite from what is drawn.
+//! Parameters and sizes that no honest scene has: never a panic, never anything that is
+//! not finite from what is drawn.
 
 use use3d_capture::MediumMaps;
 use use3d_numerics::random::{Purpose, Stream};

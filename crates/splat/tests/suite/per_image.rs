@@ -1,4 +1,5 @@
-//! Water laid over composed images: the papers' formula, its derivative, and where it is the same as water in front of every Gaussian.
+//! Water laid over composed images: the papers' formula, its derivative, and where it is the same as
+//! water in front of every Gaussian.
 
 use glam::DVec3;
 use use3d_capture::{Camera, Formation, Image, MediumMaps};
@@ -66,8 +67,8 @@ fn only(image: &Image) -> Cotangents<'_> {
     Cotangents { image, depth: None, accumulation: None, clear: None }
 }
 
-/// `I = J e^{−β_a s} + c_m (1 − A e^{−β_b s})` in f64 from what is composed without water. Where a pixel is opaque, that is SeaSplat's
-/// `J e^{−β_a s} + c_m (1 − e^{−β_b s})`; where nothing is hit, open water.
+/// `I = J e^{−β_a s} + c_m (1 − A e^{−β_b s})` in f64 from what is composed without water. Where a pixel is
+/// opaque, that is SeaSplat's `J e^{−β_a s} + c_m (1 − e^{−β_b s})`; where nothing is hit, open water.
 #[test]
 fn a_pixel_is_one_surface_at_its_expected_distance() {
     let view = view_of(-1.6, 3, false);
@@ -107,7 +108,8 @@ fn a_pixel_is_one_surface_at_its_expected_distance() {
     }
 }
 
-/// With every Gaussian at one depth there is one distance per pixel, so both formations are one, derivatives included.
+/// With every Gaussian at one depth there is one distance per pixel, so both formations
+/// are one, derivatives included.
 #[test]
 fn at_one_depth_both_formations_agree() {
     let view = view(4, true);

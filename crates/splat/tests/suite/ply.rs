@@ -173,7 +173,8 @@ fn counts_are_not_believed() {
     assert!(ply::read(empty.as_bytes()).unwrap_err().to_string().contains("no property `x`"));
 }
 
-/// Bounded, seeded mutations: flipped, cut, doubled and spliced files end in a value or an error, never in a panic.
+/// Bounded, seeded mutations: flipped, cut, doubled and spliced files end in a value
+/// or an error, never in a panic.
 #[test]
 fn mutated_files_never_panic() {
     let s = Stream::new(7, Purpose::new("ply mutations"), 0);

@@ -217,7 +217,8 @@ fn given_colours_are_used_as_they_are() {
     }
 }
 
-/// The absolute statistic is at least the absolute value of the projected gradient, and is that of a single pixel's when only one has a cotangent.
+/// The absolute statistic is at least the absolute value of the projected gradient, and is that of a single
+/// pixel's when only one has a cotangent.
 #[test]
 fn the_screen_statistic_bounds_the_projected_gradient() {
     let (camera, gaussians) = (random_camera(40, 30), random_gaussians(50, -1.5, 14));

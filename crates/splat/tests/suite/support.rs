@@ -85,7 +85,8 @@ pub(crate) fn random_camera(width: usize, height: usize) -> Camera {
     }
 }
 
-/// `n` random Gaussians around the origin; `size` is the natural logarithm of their typical standard deviation.
+/// `n` random Gaussians around the origin; `size` is the natural logarithm of
+/// their typical standard deviation.
 pub(crate) fn random_gaussians(n: usize, size: f64, seed: u64) -> Gaussians {
     let s = Stream::new(seed, Purpose::new("random Gaussians"), 0);
     let z = |i: usize, k: u64| s.normal(i as u64 * 128 + k);

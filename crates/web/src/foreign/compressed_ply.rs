@@ -1,8 +1,9 @@
 //! PlayCanvas's compressed PLY: 16 bytes per Gaussian and one per harmonic, for SuperSplat and its kin.
 //!
-//! Gaussians go in chunks of 256, neighbours together. A chunk holds the ranges of its positions, logarithms of sizes and colours `f C₀ + ½`; a
-//! Gaussian its place in them: positions and sizes in 11, 10, 11 bits, colour and opacity in four bytes, its turn as two bits for the
-//! largest component of wxyz and ten for each other one. Harmonics, channel by channel, are bytes over `[−4, 4]`.
+//! Gaussians go in chunks of 256, neighbours together. A chunk holds the ranges of its positions, logarithms
+//! of sizes and colours `f C₀ + ½`; a Gaussian its place in them: positions and sizes in 11, 10, 11 bits,
+//! colour and opacity in four bytes, its turn as two bits for the largest component of wxyz and ten for each
+//! other one. Harmonics, channel by channel, are bytes over `[−4, 4]`.
 
 use std::io::{self, Write};
 

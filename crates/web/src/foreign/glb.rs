@@ -1,7 +1,8 @@
 //! glTF in one binary file, with the extension `KHR_gaussian_splatting`: floats, nothing is lost.
 //!
-//! Sizes are linear (drafts had logarithms), opacity is in `[0, 1]`, quaternions are xyzw and of unit length, every harmonic is an attribute of its own. glTF
-//! has y up: the Gaussians stay in the frame they are given in and the node turns them, which turns the harmonics, too.
+//! Sizes are linear (drafts had logarithms), opacity is in `[0, 1]`, quaternions are xyzw and of unit length,
+//! every harmonic is an attribute of its own. glTF has y up: the Gaussians stay in the frame they are given
+//! in and the node turns them, which turns the harmonics, too.
 
 use std::io::{self, Write};
 
@@ -11,7 +12,8 @@ use use3d_splat::Gaussians;
 
 use super::{NO_WATER, normalised, opacity};
 
-/// Writes Gaussians. `turn` is the node's rotation, a quaternion xyzw: half a turn about x for COLMAP's frame, whose y points down.
+/// Writes Gaussians. `turn` is the node's rotation, a quaternion xyzw: half a turn about x for
+/// COLMAP's frame, whose y points down.
 ///
 /// # Errors
 /// Those of the writer; more than 4 GiB, which the format cannot hold.

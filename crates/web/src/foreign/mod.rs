@@ -1,5 +1,5 @@
-//! A scene's Gaussians as files that other people's viewers open. None of them can hold water: they are given Gaussians whose colours are
-//! what should be seen without it.
+//! A scene's Gaussians as files that other people's viewers open. None of them can hold water: they are given
+//! Gaussians whose colours are what should be seen without it.
 //!
 //! | file | up | what is lost |
 //! |---|---|---|
@@ -61,7 +61,8 @@ pub(crate) mod tests {
         g
     }
 
-    /// Whether what was read is what was written, to tolerances of position, log size, turn, opacity, constant and higher harmonics.
+    /// Whether what was read is what was written, to tolerances of position, log size, turn, opacity,
+    /// constant and higher harmonics.
     pub(crate) fn assert_alike(written: &Gaussians, read: &Gaussians, tolerance: [f32; 6]) {
         assert_eq!((written.len(), written.sh_degree), (read.len(), read.sh_degree));
         let far = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0f32, f32::max);

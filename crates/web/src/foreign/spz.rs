@@ -1,7 +1,8 @@
 //! SPZ, versions 3 and 4: about a tenth of a PLY, read by phones and web viewers.
 //!
-//! Six arrays: positions as 24-bit fixed point, opacities, colours `255 (0.15 f + ½)`, sizes `16 (ln σ + 10)`, turns as two bits for the largest
-//! component and ten for each other one (sign and magnitude over `√½`), harmonics `128 f + 128` rounded to 5 bits in degree 1 and to 4 above.
+//! Six arrays: positions as 24-bit fixed point, opacities, colours `255 (0.15 f + ½)`, sizes
+//! `16 (ln σ + 10)`, turns as two bits for the largest component and ten for each other one (sign and
+//! magnitude over `√½`), harmonics `128 f + 128` rounded to 5 bits in degree 1 and to 4 above.
 //! Coordinates: right, up, back, so y is up.
 //!
 //! | version | bytes |
@@ -42,7 +43,8 @@ const HEAD: u32 = 32;
 /// Writes Gaussians whose y points up.
 ///
 /// # Errors
-/// Those of the writer; a scene with more than 2³² Gaussians or a position beyond 2²³ units, which the format cannot hold.
+/// Those of the writer; a scene with more than 2³² Gaussians or a position beyond 2²³
+/// units, which the format cannot hold.
 pub fn write(gaussians: &Gaussians, version: Version, writer: impl Write) -> io::Result<()> {
     let g = gaussians;
     let count = u32::try_from(g.len()).map_err(|_| io::Error::other("too many Gaussians for an SPZ file"))?;

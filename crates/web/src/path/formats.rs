@@ -1,8 +1,9 @@
-//! Paths of other programs as ours: nerfstudio's `camera_path.json` and COLMAP's cameras. Each of their cameras is a frame, and so a key: between
-//! neighbours nothing is left to be interpolated.
+//! Paths of other programs as ours: nerfstudio's `camera_path.json` and COLMAP's cameras. Each of their
+//! cameras is a frame, and so a key: between neighbours nothing is left to be interpolated.
 //!
-//! nerfstudio writes camera-to-world matrices with x right, y up, z back, in the frame that its dataparser made: `x_ns = scale T x_colmap`. Beside a
-//! trained model it keeps `T` and `scale` in `dataparser_transforms.json`; with that file a path returns to COLMAP's frame. Its field of view is
+//! nerfstudio writes camera-to-world matrices with x right, y up, z back, in the frame that its dataparser
+//! made: `x_ns = scale T x_colmap`. Beside a trained model it keeps `T` and `scale` in
+//! `dataparser_transforms.json`; with that file a path returns to COLMAP's frame. Its field of view is
 //! that of the height, in degrees.
 
 use glam::{DMat3, DVec3};
@@ -42,8 +43,8 @@ pub(super) fn is_nerfstudio(value: &serde_json::Value) -> bool {
 }
 
 impl CameraPath {
-    /// Reads nerfstudio's `camera_path.json`; `dataparser` is the text of its model's `dataparser_transforms.json`. Without one the path is taken to
-    /// be in COLMAP's frame.
+    /// Reads nerfstudio's `camera_path.json`; `dataparser` is the text of its model's
+    /// `dataparser_transforms.json`. Without one the path is taken to be in COLMAP's frame.
     ///
     /// # Errors
     /// In words: what is wrong with which camera.
@@ -91,7 +92,8 @@ impl CameraPath {
         Self::of_keys(rate, keys.collect::<Result<_, String>>()?)
     }
 
-    /// A path of one frame per camera, in COLMAP's frame; of their lenses the field of view of the height stays.
+    /// A path of one frame per camera, in COLMAP's frame; of their lenses the
+    /// field of view of the height stays.
     ///
     /// # Errors
     /// No cameras, more than a path may have, or a rate that is not above 0.

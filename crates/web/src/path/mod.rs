@@ -1,9 +1,10 @@
 //! Camera paths, as the page writes them: keys with a time, a pose, a field of view and a look.
 //!
-//! Between keys the eye follows a cubic through all of them (Hermite, with the slope `(p_{i+1} − p_{i−1}) / (t_{i+1} − t_{i−1})` at key `i`), the rotation
-//! turns at constant speed on the shortest arc, field of view, strength and water change linearly, and the mode is that of the key before. The
-//! page does the same, so that what was tried there is what is drawn. Poses are in the COLMAP frame: a path outlives the scene it was
-//! made in.
+//! Between keys the eye follows a cubic through all of them (Hermite, with the slope
+//! `(p_{i+1} − p_{i−1}) / (t_{i+1} − t_{i−1})` at key `i`), the rotation turns at constant speed on the
+//! shortest arc, field of view, strength and water change linearly, and the mode is that of the key before.
+//! The page does the same, so that what was tried there is what is drawn. Poses are in the COLMAP frame: a
+//! path outlives the scene it was made in.
 
 mod formats;
 

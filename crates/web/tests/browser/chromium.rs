@@ -1,7 +1,9 @@
-//! A real Chromium, driven over its DevTools protocol through a pair of pipes: no port, no WebSocket, no further crate.
+//! A real Chromium, driven over its DevTools protocol through a pair of pipes: no port,
+//! no WebSocket, no further crate.
 //!
-//! With `--remote-debugging-pipe` Chromium reads commands from file descriptor 3 and writes answers and events to 4, each a JSON text that a
-//! zero byte ends. A shell turns its standard input and output into these two.
+//! With `--remote-debugging-pipe` Chromium reads commands from file descriptor 3 and writes
+//! answers and events to 4, each a JSON text that a zero byte ends. A shell turns its standard
+//! input and output into these two.
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
@@ -35,7 +37,8 @@ fn program() -> Option<String> {
 }
 
 impl Chromium {
-    /// Starts it with an empty page; `None`, said aloud, where there is no Chromium. With `CI=1` that is a failure.
+    /// Starts it with an empty page; `None`, said aloud, where there is no Chromium.
+    /// With `CI=1` that is a failure.
     pub(crate) fn start() -> Option<Self> {
         let Some(program) = program() else {
             assert!(
@@ -46,7 +49,8 @@ impl Chromium {
             return None;
         };
         let profile = tempfile::tempdir().expect("a folder");
-        // Chromium brings its own software card; one that was chosen for other programs draws a little differently.
+        // Chromium brings its own software card; one that was chosen for other
+        // programs draws a little differently.
         let mut child = Command::new("sh")
             .env_remove("VK_DRIVER_FILES")
             .env_remove("VK_ICD_FILENAMES")

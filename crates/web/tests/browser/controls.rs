@@ -175,7 +175,8 @@ fn paths_come_back_as_they_were_and_lengths_become_metres() {
     let [center, eye] = ["center", "eye"].map(|name| glam::DVec3::from_slice(&numbers(&read[name])));
     assert!((scene.frame.apply(center) - eye).length() < 1e-9);
 
-    // What the page saves for nerfstudio, and for COLMAP, are the frames that the program draws of its own file.
+    // What the page saves for nerfstudio, and for COLMAP, are the frames that the
+    // program draws of its own file.
     let saved = browser.evaluate("[use3d.path.json(), use3d.path.foreign('nerfstudio')['camera_path.json'], use3d.path.foreign('colmap')]");
     let frames = |k: usize| {
         let path = CameraPath::read(saved[k].as_str().expect("text")).expect("a path");

@@ -1,9 +1,10 @@
-//! Exported files in other people's hands: drawn by [Spark](https://sparkjs.dev) on three.js, SPZ files read by the format's own library. All
-//! three are pinned in `tests/foreign/package-lock.json`.
+//! Exported files in other people's hands: drawn by [Spark](https://sparkjs.dev) on three.js, SPZ files read
+//! by the format's own library. All three are pinned in `tests/foreign/package-lock.json`.
 //!
-//! `npm ci --prefix crates/web/tests/foreign` installs them, or `USE3D_FOREIGN_VIEWERS` names a folder whose `node_modules` has them. Spark
-//! widens every Gaussian a little and rounds colours, so pictures are alike, not equal: upside down, mirrored or miscoloured ones are
-//! far beyond the tolerance (each picture's mirror image is compared, too).
+//! `npm ci --prefix crates/web/tests/foreign` installs them, or `USE3D_FOREIGN_VIEWERS` names a folder
+//! whose `node_modules` has them. Spark widens every Gaussian a little and rounds colours, so pictures are
+//! alike, not equal: upside down, mirrored or miscoloured ones are far beyond the tolerance (each picture's
+//! mirror image is compared, too).
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
@@ -117,7 +118,8 @@ fn answer(mut stream: TcpStream, modules: &Path) {
     let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(&body));
 }
 
-/// What the viewer draws of a file whose y points up, from a camera of the frame with y down; interleaved RGB, and how many Gaussians it read.
+/// What the viewer draws of a file whose y points up, from a camera of the frame with y down; interleaved
+/// RGB, and how many Gaussians it read.
 fn shown(browser: &mut Chromium, name: &str, file: &[u8], camera: &Camera) -> (Vec<f32>, u64) {
     let turn = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
     // three's cameras look along −z with y up: the same half turn on both sides.

@@ -1,4 +1,5 @@
-//! The page in a real browser: its pictures against the program's own renderer, and everything that one can do with it.
+//! The page in a real browser: its pictures against the program's own renderer, and
+//! everything that one can do with it.
 
 mod chromium;
 mod controls;

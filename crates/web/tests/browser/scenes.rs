@@ -1,4 +1,5 @@
-//! Small scenes for the browser: Gaussians of every shape before a camera, each kind of water, an enhancement with everything in it.
+//! Small scenes for the browser: Gaussians of every shape before a camera, each kind of water, an
+//! enhancement with everything in it.
 
 use glam::{DMat3, DVec3};
 use use3d_capture::{Appearance, Camera, Frame, Intrinsics, Pose};

@@ -1,4 +1,5 @@
-//! The page as the program serves it: pictures drawn by the program, a training that is watched, and one who has no key.
+//! The page as the program serves it: pictures drawn by the program, a training that is
+//! watched, and one who has no key.
 
 use std::sync::Arc;
 

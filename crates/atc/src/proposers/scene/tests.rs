@@ -169,7 +169,8 @@ fn a_scene_without_water_keeps_its_light() {
     assert_eq!((in_air.brightness, in_air.contrast), (1.0, 1.0));
 }
 
-/// Noise where hardly any light arrives is brighter than white: the scene becomes neither darker nor brighter for it.
+/// Noise where hardly any light arrives is brighter than white: the scene becomes
+/// neither darker nor brighter for it.
 #[test]
 fn what_is_not_sure_does_not_darken() {
     let views: Vec<SceneView> = (0..6)
@@ -220,8 +221,8 @@ fn far_noisy_pixels_do_not_steer_the_balance() {
     assert!(survey(&noisy).findings().balance[0] > one.balance[0] + 0.05);
 }
 
-/// The colour that a wrong attenuation of red makes far away gives way to the scene's mean; near colours, and those behind a
-/// grey haze, which errs in no colour, stay. Luminance always does.
+/// The colour that a wrong attenuation of red makes far away gives way to the scene's mean; near colours, and
+/// those behind a grey haze, which errs in no colour, stay. Luminance always does.
 #[test]
 fn colours_that_a_wrong_attenuation_may_have_made_are_drawn_to_the_mean() {
     let mean = [0.05, 0.03, -0.08];

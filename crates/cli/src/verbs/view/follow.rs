@@ -1,5 +1,6 @@
-//! Following a training by its files: its checkpoints while it runs, its scene when it is done. Nothing is asked of the process that trains, so it
-//! needs no port, and may be on another machine that writes to the same disk.
+//! Following a training by its files: its checkpoints while it runs, its scene when it is done.
+//! Nothing is asked of the process that trains, so it needs no port, and may be on another
+//! machine that writes to the same disk.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -1,4 +1,5 @@
-//! `use3d view`: a scene, a capture or a training that another process does, in a browser; and what `--view` adds to a training.
+//! `use3d view`: a scene, a capture or a training that another process does, in a browser; and
+//! what `--view` adds to a training.
 
 mod follow;
 mod points;
@@ -85,7 +86,8 @@ fn shown(target: &Path, args: &ViewArgs) -> Result<Shown, CliError> {
     Ok(Shown { name, scene: Arc::new(scene), views: Arc::new(views), metres_per_unit, saved, step: None })
 }
 
-/// The places of an imported capture, held-out ones first: those are what one looks at to see how good a scene is.
+/// The places of an imported capture, held-out ones first: those are what one looks
+/// at to see how good a scene is.
 fn places(scene: &Scene, imported: &Imported) -> Result<Vec<PageView>, ScenePageError> {
     let origin = Origin::of(&imported.capture);
     let mut views = scene_page::views(scene, Some(&origin), imported)?;
@@ -123,7 +125,8 @@ fn serve(app: &App, args: &ViewerArgs, live: &Arc<Live>, told: Told) -> Result<S
     Ok(server)
 }
 
-/// Asks the system to open an address. It is printed in any case, so it does not matter if there is no browser.
+/// Asks the system to open an address. It is printed in any case, so it does not
+/// matter if there is no browser.
 fn open(address: &str) {
     let screen = ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some());
     let (program, arguments): (&str, &[&str]) = if cfg!(target_os = "macos") {

@@ -1,7 +1,7 @@
 //! One self-contained HTML page per run: no network, readable without scripts, on a phone and in the dark.
 //!
-//! This module only lays out what the stages measured and rendered; it computes nothing. Pictures are embedded as JPEG at a
-//! bounded size, so that the page of a large batch stays a file one can send.
+//! This module only lays out what the stages measured and rendered; it computes nothing. Pictures are
+//! embedded as JPEG at a bounded size, so that the page of a large batch stays a file one can send.
 
 pub mod plot;
 
@@ -362,7 +362,8 @@ pub fn with_tables(html: &str, tables: &[Table]) -> String {
     }
 }
 
-/// A page with a link to each scene's own page, given as scene, variant and address: where results lie is no part of any artifact.
+/// A page with a link to each scene's own page, given as scene, variant and address: where results
+/// lie is no part of any artifact.
 pub fn with_views<'a>(html: &str, views: impl Iterator<Item = (&'a str, &'a str, String)>) -> String {
     views.fold(html.to_string(), |html, (scene, variant, address)| {
         // The section's name, as the template escapes it.
@@ -382,7 +383,8 @@ pub fn with_views<'a>(html: &str, views: impl Iterator<Item = (&'a str, &'a str,
     })
 }
 
-/// A page with what its stages cost and with which parameters they ran, as text: known only after the run, and no part of any artifact.
+/// A page with what its stages cost and with which parameters they ran, as text: known only after the
+/// run, and no part of any artifact.
 pub fn with_costs(html: &str, rows: &[StageRow], parameters: &str) -> String {
     let longest = rows.iter().map(|s| s.seconds).fold(1e-9, f64::max);
     let stages = rows.iter().map(|s| StageView {

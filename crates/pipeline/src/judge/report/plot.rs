@@ -1,4 +1,5 @@
-//! Small line and dot plots as SVG text: no fonts, no scripts, colours that follow the page's light or dark scheme.
+//! Small line and dot plots as SVG text: no fonts, no scripts, colours that follow
+//! the page's light or dark scheme.
 
 use std::fmt::Write;
 
@@ -149,7 +150,8 @@ fn ticks(low: f64, high: f64, count: usize) -> Vec<f64> {
     (first..=last.min(first + 20)).map(|i| i as f64 * step).collect()
 }
 
-/// Round values of a logarithmic axis from `10^low` to `10^high`: even ones within a decade or so, else powers of ten.
+/// Round values of a logarithmic axis from `10^low` to `10^high`: even ones within a
+/// decade or so, else powers of ten.
 fn log_ticks(low: f64, high: f64) -> Vec<f64> {
     if high - low < 1.3 {
         let even = ticks(math::powf(10f64, low), math::powf(10f64, high), 4);

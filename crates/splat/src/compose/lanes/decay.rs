@@ -1,7 +1,8 @@
 //! Water between one Gaussian and the pixels of a tile: `e^{-β_a s}` and `e^{-β_b s}`.
 //!
-//! Three ways through: no water, a small deviation from the tile's centre (a polynomial), any deviation (the full exponential). Which one
-//! is decided once per Gaussian, in [`through`]; the rows are written once, for any [`Attenuate`].
+//! Three ways through: no water, a small deviation from the tile's centre (a polynomial), any
+//! deviation (the full exponential). Which one is decided once per Gaussian, in [`through`]; the rows
+//! are written once, for any [`Attenuate`].
 
 use fearless_simd::{Simd, SimdBase, SimdFloat, f32x16};
 use use3d_numerics::lanes::{SMALL_COEFFICIENTS, exp2_lanes};
@@ -16,8 +17,9 @@ pub(super) trait Attenuate<S: Simd> {
     /// Whether there is any.
     const WATER: bool;
 
-    /// What is left of light at a row of pixels whose exponents deviate by `deviation` from the tile's: `e^{-β_a s}` of channel `q`, or
-    /// `e^{-β_b s}` of channel `q − 3`; times the scale of the decay if `SCALED`.
+    /// What is left of light at a row of pixels whose exponents deviate by `deviation` from
+    /// the tile's: `e^{-β_a s}` of channel `q`, or `e^{-β_b s}` of channel `q − 3`; times the
+    /// scale of the decay if `SCALED`.
     fn at<const SCALED: bool>(&self, simd: S, q: usize, deviation: f32x16<S>) -> f32x16<S>;
 }
 
@@ -86,7 +88,8 @@ impl<S: Simd> Attenuate<S> for Far<S> {
     }
 }
 
-/// The exponentials of one Gaussian in one tile; see the scalar `Decay`. Quantities are attenuation rgb, then backscatter rgb.
+/// The exponentials of one Gaussian in one tile; see the scalar `Decay`. Quantities are
+/// attenuation rgb, then backscatter rgb.
 struct Decay<S: Simd> {
     z: f32x16<S>,
     /// `factor · scale · q_j`, or unused.

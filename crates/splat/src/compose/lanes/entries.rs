@@ -1,7 +1,8 @@
 //! The walk over a tile's list of Gaussians, in either direction.
 //!
-//! For each (tile, Gaussian) entry one vector holds the 16 rows and says which of them the 1/255 contour meets (exactly: the
-//! row's nearest pixel centre is put to the test that the pixels face), so that dead rows cost nothing.
+//! For each (tile, Gaussian) entry one vector holds the 16 rows and says which of them the 1/255
+//! contour meets (exactly: the row's nearest pixel centre is put to the test that the pixels face),
+//! so that dead rows cost nothing.
 
 use fearless_simd::{Simd, SimdBase, SimdFloat, SimdMask, f32x16};
 
@@ -66,7 +67,8 @@ fn rows_of<S: Simd>(simd: S, splat: &Splat, rows: f32x16<S>, columns: &Lanes) ->
     let dy = rows - c(splat.y);
     let peak = c(splat.shear).mul_add(-dy, c(splat.x));
     let power = c(splat.steepness_y).mul_add(-(dy * dy), c(splat.log2_opacity));
-    // The pixel centre nearest to the peak, if the peak were between the first and the last: at least as near as any pixel.
+    // The pixel centre nearest to the peak, if the peak were between the first and the last:
+    // at least as near as any pixel.
     let t = peak.max(c(columns[0])).min(c(columns[TILE - 1])) - peak;
     let best = (t * c(splat.steepness)).mul_add(-t, power);
     let live = best.simd_ge(c(-LOG2_255)).to_bitmask() as u32;
@@ -91,10 +93,11 @@ impl Iterator for Bits {
     }
 }
 
-/// Takes the pass through the list, from the nearest Gaussian to the farthest or, if `BACK`, the other way round.
+/// Takes the pass through the list, from the nearest Gaussian to the farthest or,
+/// if `BACK`, the other way round.
 ///
-/// It looks one entry ahead: how many rows the next entry has is then known before its turn, and the processor does not stall where it
-/// guessed wrong.
+/// It looks one entry ahead: how many rows the next entry has is then known before its turn, and the
+/// processor does not stall where it guessed wrong.
 #[inline(always)]
 pub(super) fn walk<S: Simd, const BACK: bool, P: Pass<S>>(simd: S, input: &Input<'_>, pass: &mut P) {
     let (columns, rows) = (load(simd, input.columns), load(simd, input.rows));

@@ -1,4 +1,5 @@
-//! Composing front to back: what is left of each pixel's light before the next Gaussian, and where a pixel stops.
+//! Composing front to back: what is left of each pixel's light before the next
+//! Gaussian, and where a pixel stops.
 
 use fearless_simd::{Simd, SimdBase, SimdMask, f32x16, i32x16, mask32x16};
 use use3d_numerics::lanes::exp2_unclamped_lanes;
@@ -20,8 +21,8 @@ impl<'a> Front<'a> {
         Self { tile, alive: ((1u64 << input.filled_rows) - 1) as u32 }
     }
 
-    /// Lets entry `k` through row `r`: its weights, with transmittance, threshold and stop brought up to date. The row is no longer
-    /// alive once all its pixels have stopped.
+    /// Lets entry `k` through row `r`: its weights, with transmittance, threshold and stop brought up to
+    /// date. The row is no longer alive once all its pixels have stopped.
     #[inline(always)]
     pub(super) fn weights<S: Simd>(
         &mut self,

@@ -1,9 +1,11 @@
-//! The compositor on 16 lanes: one row of a tile is one vector. Every function here is the lane form of its namesake in
-//! [`plain`](crate::compose::plain), with the same operations in the same order per pixel and per sum.
+//! The compositor on 16 lanes: one row of a tile is one vector. Every function here is the lane
+//! form of its namesake in [`plain`](crate::compose::plain), with the same operations in the
+//! same order per pixel and per sum.
 //!
-//! The Gaussian is outermost inside a tile: the tile's pixel state stays in the first-level cache, the Gaussian's gradient sums in
-//! registers. `entries` walks a tile's list, once for all of them: each is a [`Pass`](entries::Pass), which says what an entry does.
-//! `decay` is the water between a Gaussian and the pixels, `front` what is left of the light on its way back, `sums` the ends of sums.
+//! The Gaussian is outermost inside a tile: the tile's pixel state stays in the first-level cache, the
+//! Gaussian's gradient sums in registers. `entries` walks a tile's list, once for all of them: each is a
+//! [`Pass`](entries::Pass), which says what an entry does. `decay` is the water between a Gaussian and the
+//! pixels, `front` what is left of the light on its way back, `sums` the ends of sums.
 
 mod backward;
 mod colors;

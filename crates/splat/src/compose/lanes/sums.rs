@@ -23,7 +23,8 @@ pub(super) fn sums<S: Simd>(simd: S, [a, b, c, d]: [f32x16<S>; 4]) -> [f32; 4] {
     [ab[0] + ab[2], ab[1] + ab[3], cd[0] + cd[2], cd[1] + cd[3]]
 }
 
-/// The backward pass's sums over rows, summed over the columns too, as a record; `offset` is the columns' distance from `origin`.
+/// The backward pass's sums over rows, summed over the columns too, as a record; `offset` is the
+/// columns' distance from `origin`.
 #[inline(always)]
 pub(super) fn finish<S: Simd>(
     simd: S,
