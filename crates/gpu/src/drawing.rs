@@ -13,7 +13,7 @@ use crate::device::{Gpu, NAME};
 use crate::frame::{Frame, counts};
 use crate::kernel::submit;
 use crate::lists::{ListKernels, Lists};
-use crate::raster::{Planes, RasterKernels, WaterPlanes};
+use crate::raster::{Outputs, Planes, RasterKernels, WaterPlanes};
 use crate::scene::Parameters;
 
 /// A view to draw.
@@ -152,18 +152,12 @@ impl Drawing {
                 let (n, scene) = (self.count, &self.parameters);
                 lists.record(kernels, pass, frame_array, n, tiles, scene, &self.counts, None);
                 let (raster, drawn) = (&self.raster_kernels, lists.drawn());
-                if view.layers {
-                    self.planes.record_layers(raster, pass, frame_array, tiles, &drawn, water);
-                } else {
-                    self.planes.record_forward(raster, pass, frame_array, tiles, &drawn, water, false);
-                }
+                let outputs = if view.layers { Outputs::Layers } else { Outputs::Picture };
+                self.planes.record_forward(raster, pass, frame_array, tiles, &drawn, water, outputs);
             })?;
-            let told = self.counts.read(gpu, counts::WORDS)?;
-            if told[counts::STOP] == 0 {
+            if self.lists.had_room(gpu, &self.counts)? {
                 return Ok(());
             }
-            let most = told[counts::MOST] as usize;
-            self.lists.grow(gpu, most + most / 2)?;
         }
     }
 

@@ -14,7 +14,7 @@ use crate::device::{Gpu, NAME};
 use crate::frame::{FRAME, FRAME_BINDING, Frame, counts};
 use crate::kernel::{Access, Binding, Grid, Kernel, ROWS, Spec, bound, read, submit, write};
 use crate::lists::{ListKernels, Lists};
-use crate::raster::{Planes, RasterKernels};
+use crate::raster::{Outputs, Planes, RasterKernels};
 use crate::scene::{Parameters, Row};
 use crate::stage2::colors_backward;
 
@@ -133,14 +133,11 @@ impl LinearSplat {
                 lists.record(kernels, pass, &self.frame, n, tiles, scene, &self.counts, Some(&self.records));
                 // Where each pixel stops.
                 let (raster, drawn) = (&self.raster_kernels, lists.drawn());
-                planes.record_forward(raster, pass, &self.frame, tiles, &drawn, None, true);
+                planes.record_forward(raster, pass, &self.frame, tiles, &drawn, None, Outputs::Training);
             })?;
-            let told = self.counts.read(gpu, counts::WORDS)?;
-            if told[counts::STOP] == 0 {
+            if self.lists.had_room(gpu, &self.counts)? {
                 return Ok(());
             }
-            let most = told[counts::MOST] as usize;
-            self.lists.grow(gpu, most + most / 2)?;
         }
     }
 
@@ -160,7 +157,15 @@ impl LinearSplat {
                 self.tint.dispatch(pass, self.tint.grid(self.count), buffers);
                 std::mem::swap(&mut planes.image, &mut part.planes);
                 let drawn = lists.drawn();
-                planes.record_forward(&self.raster_kernels, pass, frame, self.tiles, &drawn, None, false);
+                planes.record_forward(
+                    &self.raster_kernels,
+                    pass,
+                    frame,
+                    self.tiles,
+                    &drawn,
+                    None,
+                    Outputs::Picture,
+                );
                 std::mem::swap(&mut planes.image, &mut part.planes);
             }
         })?;

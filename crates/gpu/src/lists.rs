@@ -203,6 +203,21 @@ impl Lists {
         self.by_tile.grow(gpu, entries)
     }
 
+    /// Whether every entry of the view that was recorded last with these counts had room; waited for.
+    /// Where not, there is room now, half as much again as it takes, and the view is to be recorded anew.
+    ///
+    /// # Errors
+    /// What the driver says.
+    pub(crate) fn had_room(&mut self, gpu: &Gpu, counts: &Array<u32>) -> Result<bool, EngineError> {
+        let told = counts.read(gpu, counts::WORDS)?;
+        if told[counts::STOP] == 0 {
+            return Ok(true);
+        }
+        let most = told[counts::MOST] as usize;
+        self.grow(gpu, most + most / 2)?;
+        Ok(false)
+    }
+
     /// Makes ready for a view of a lattice, of which the frame is; before [`Lists::record`], and
     /// again when one of them changes.
     pub(crate) fn prepare(&mut self, gpu: &Gpu, frame: &Frame, lattice: &Lattice) -> Result<(), EngineError> {

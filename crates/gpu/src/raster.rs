@@ -57,8 +57,9 @@ fn spec(
 
 /// What the forward pass leaves beside image, depth and accumulation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kept {
-    Nothing,
+pub(crate) enum Outputs {
+    /// No more than these.
+    Picture,
     /// What the backward passes need.
     Training,
     /// The image's parts, in the places of the sums along rays: object, clear, and the
@@ -66,9 +67,9 @@ enum Kept {
     Layers,
 }
 
-const KEPT: [Kept; 3] = [Kept::Nothing, Kept::Training, Kept::Layers];
+const OUTPUTS: [Outputs; 3] = [Outputs::Picture, Outputs::Training, Outputs::Layers];
 
-fn forward(water: bool, kept: Kept) -> Spec {
+fn forward(water: bool, outputs: Outputs) -> Spec {
     let more = [
         write("image"),
         write("depths"),
@@ -79,7 +80,8 @@ fn forward(water: bool, kept: Kept) -> Spec {
         write("second_kept"),
         write("third_kept"),
     ];
-    let switches = [("WATER", water), ("TRAIN", kept == Kept::Training), ("LAYERS", kept == Kept::Layers)];
+    let switches =
+        [("WATER", water), ("TRAIN", outputs == Outputs::Training), ("LAYERS", outputs == Outputs::Layers)];
     spec("forward", FORWARD, &more, &switches, include_str!("raster/forward.wgsl"))
 }
 
@@ -108,7 +110,7 @@ fn backward(water: bool, variant: Variant) -> Spec {
 /// All kernels of this room.
 pub(crate) fn specs() -> Vec<Spec> {
     let both = [false, true];
-    let mut specs: Vec<Spec> = both.iter().flat_map(|w| KEPT.map(|k| forward(*w, k))).collect();
+    let mut specs: Vec<Spec> = both.iter().flat_map(|w| OUTPUTS.map(|k| forward(*w, k))).collect();
     let variants = [Variant::Portable].into_iter().chain(WIDTHS.map(Variant::Subgroups));
     specs.extend(variants.flat_map(|variant| both.map(|water| backward(water, variant))));
     specs
@@ -117,7 +119,7 @@ pub(crate) fn specs() -> Vec<Spec> {
 /// The kernels.
 #[derive(Debug)]
 pub(crate) struct RasterKernels {
-    /// By water, by what is [`Kept`].
+    /// By water, by [`Outputs`].
     forward: [[Kernel; 3]; 2],
     /// By water, in the device's variant.
     backward: Vec<Kernel>,
@@ -126,7 +128,7 @@ pub(crate) struct RasterKernels {
 impl RasterKernels {
     pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
         let each = |water| {
-            let [a, b, c] = KEPT.map(|kept| Kernel::new(gpu, &forward(water, kept)));
+            let [a, b, c] = OUTPUTS.map(|outputs| Kernel::new(gpu, &forward(water, outputs)));
             Ok::<_, EngineError>([a?, b?, c?])
         };
         Ok(Self {
@@ -238,8 +240,8 @@ impl Planes {
         buffers
     }
 
-    /// Records the forward pass of `tiles` tiles. Without `train` only image,
-    /// depth and accumulation are written.
+    /// Records the forward pass of `tiles` tiles. With [`Outputs::Layers`] object, clear and far go into `veil`,
+    /// `object_moment` and `veil_moment`.
     pub(crate) fn record_forward(
         &self,
         kernels: &RasterKernels,
@@ -248,37 +250,9 @@ impl Planes {
         tiles: usize,
         drawn: &Drawn<'_>,
         water: Option<WaterPlanes<'_>>,
-        train: bool,
+        outputs: Outputs,
     ) {
-        let kept = if train { Kept::Training } else { Kept::Nothing };
-        self.record(kernels, pass, frame, tiles, drawn, water, kept);
-    }
-
-    /// Records the forward pass with the image's parts: object, clear and far in `veil`,
-    /// `object_moment` and `veil_moment`.
-    pub(crate) fn record_layers(
-        &self,
-        kernels: &RasterKernels,
-        pass: &mut wgpu::ComputePass<'_>,
-        frame: &Array<Frame>,
-        tiles: usize,
-        drawn: &Drawn<'_>,
-        water: Option<WaterPlanes<'_>>,
-    ) {
-        self.record(kernels, pass, frame, tiles, drawn, water, Kept::Layers);
-    }
-
-    fn record(
-        &self,
-        kernels: &RasterKernels,
-        pass: &mut wgpu::ComputePass<'_>,
-        frame: &Array<Frame>,
-        tiles: usize,
-        drawn: &Drawn<'_>,
-        water: Option<WaterPlanes<'_>>,
-        kept: Kept,
-    ) {
-        let kernel = &kernels.forward[usize::from(water.is_some())][kept as usize];
+        let kernel = &kernels.forward[usize::from(water.is_some())][outputs as usize];
         let mut buffers = self.tile(frame, drawn, water);
         buffers.extend(bound![
             self.image,

@@ -1,5 +1,7 @@
 //! What device tests share.
 
+use std::process::Command;
+
 use glam::DVec3;
 use use3d_capture::{Camera, Intrinsics, MediumMaps, Pose};
 use use3d_numerics::random::{Purpose, Stream};
@@ -23,6 +25,34 @@ pub(crate) fn software() -> Option<Gpu> {
             );
             None
         }
+    }
+}
+
+/// Runs one test of this program in a process of its own, where so many threads stand for the card's and
+/// vectors have so many bits: whether it passed, and what it printed.
+pub(crate) fn elsewhere(test: &str, threads: &str, vector_bits: &str) -> (bool, String) {
+    let output = Command::new(std::env::current_exe().expect("this program"))
+        .args(["--exact", "--nocapture", test])
+        .env("LP_NUM_THREADS", threads)
+        .env("LP_NATIVE_VECTOR_WIDTH", vector_bits)
+        // Its keys leave the width out.
+        .env("MESA_SHADER_CACHE_DISABLE", "true")
+        .output()
+        .expect("it starts");
+    (output.status.success(), String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+/// A test that prints a line `digest …` prints the same one on any number of threads, with vectors of any
+/// width.
+pub(crate) fn same_bits_elsewhere(test: &str) {
+    let digest = |threads: &str, bits: &str| {
+        let (_, text) = elsewhere(test, threads, bits);
+        let line = text.lines().find(|line| line.starts_with("digest ")).map(str::to_string);
+        line.unwrap_or_else(|| panic!("{threads} threads, {bits} bits: {text}"))
+    };
+    let expected = digest("1", "256");
+    for (threads, bits) in [("2", "256"), ("1", "128"), ("2", "512")] {
+        assert_eq!(digest(threads, bits), expected, "{threads} threads, {bits} bits");
     }
 }
 

@@ -12,9 +12,9 @@ use crate::device::Gpu;
 use crate::frame::{Frame, counts};
 use crate::kernel::submit;
 use crate::lists::{ListKernels, Lists};
-use crate::raster::{Planes, RasterKernels, WaterPlanes};
+use crate::raster::{Outputs, Planes, RasterKernels, WaterPlanes};
 use crate::scene::{DeviceScene, Row};
-use crate::testing::{camera, cloud, relative, software, water};
+use crate::testing::{camera, cloud, elsewhere, relative, software, water};
 use crate::update::UpdateKernels;
 
 const RATES: StepRates = StepRates {
@@ -166,7 +166,15 @@ impl Bench {
         submit(gpu, "view", |pass| {
             let tiles = frame.tiles();
             lists.record(&self.lists, pass, &uniform, n, tiles, &scene.values, &counts, Some(&records));
-            planes.record_forward(&self.raster, pass, &uniform, tiles, &lists.drawn(), water, true);
+            planes.record_forward(
+                &self.raster,
+                pass,
+                &uniform,
+                tiles,
+                &lists.drawn(),
+                water,
+                Outputs::Training,
+            );
             planes.record_backward(
                 &self.raster,
                 pass,
@@ -339,15 +347,9 @@ fn subgroups_of_every_width_agree() {
         return;
     }
     for width in [4, 8, 16] {
-        let output = std::process::Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "--nocapture", "tests::subgroups_of_this_width_agree"])
-            .env("LP_NATIVE_VECTOR_WIDTH", (32 * width).to_string())
-            // Its keys leave the width out.
-            .env("MESA_SHADER_CACHE_DISABLE", "true")
-            .output()
-            .unwrap();
-        let text = String::from_utf8_lossy(&output.stdout);
+        let width_in_bits = (32 * width).to_string();
+        let (well, text) = elsewhere("tests::subgroups_of_this_width_agree", "2", &width_in_bits);
         let told = format!("agrees with subgroups of {width}");
-        assert!(output.status.success() && text.contains(&told), "{width}: {text}");
+        assert!(well && text.contains(&told), "{width}: {text}");
     }
 }

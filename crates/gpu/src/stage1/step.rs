@@ -8,6 +8,7 @@ use super::{Asked, RING, Stage1};
 use crate::frame::{Frame, counts};
 use crate::kernel::submit;
 use crate::losses::{LossPlan, Seen, Told, VALUES};
+use crate::raster::Outputs;
 use crate::water::AlongRays;
 
 /// What the device wrote of a step.
@@ -162,7 +163,8 @@ impl Stage1 {
         self.lists.record(lists, pass, &self.frame, n, tiles, values, counts, records);
         let water = self.water_planes();
         let (raster, drawn) = (&self.kernels.raster, self.lists.drawn());
-        self.planes.record_forward(raster, pass, &self.frame, tiles, &drawn, water, train);
+        let outputs = if train { Outputs::Training } else { Outputs::Picture };
+        self.planes.record_forward(raster, pass, &self.frame, tiles, &drawn, water, outputs);
     }
 
     /// Draws a camera into the planes, with as much room as it takes.

@@ -16,7 +16,7 @@ use crate::device::Gpu;
 use crate::frame::{Frame, TILE, counts};
 use crate::kernel::{Grid, Kernel, bound, submit};
 use crate::lists::{Drawn, ListKernels, Lists};
-use crate::raster::{Planes, RasterKernels, WaterPlanes};
+use crate::raster::{Outputs, Planes, RasterKernels, WaterPlanes};
 use crate::scene::{Parameters, Row};
 
 /// The frozen water of a view, planes: what the field recolours.
@@ -317,17 +317,14 @@ impl<'a> Freezer<'a> {
                 self.lists.record(kernels, pass, &frame_array, n, tiles, scene, &self.counts, None);
                 let drawn = self.lists.drawn();
                 let water = water.map(FrozenWater::planes);
-                planes.record_forward(raster, pass, &frame_array, tiles, &drawn, water, true);
+                planes.record_forward(raster, pass, &frame_array, tiles, &drawn, water, Outputs::Training);
                 let mut buffers = drawn.buffers(&frame_array);
                 buffers.extend(bound![planes.stop, self.seen]);
                 self.seen_kernel.dispatch(pass, Grid::groups(tiles), buffers);
             })?;
-            let told = self.counts.read(gpu, counts::WORDS)?;
-            if told[counts::STOP] == 0 {
+            if self.lists.had_room(gpu, &self.counts)? {
                 return Ok(frame);
             }
-            let most = told[counts::MOST] as usize;
-            self.lists.grow(gpu, most + most / 2)?;
         }
     }
 }

@@ -26,7 +26,7 @@ use use3d_ubaf::{Field, Gradient, OUTPUTS, ObjectPass};
 use crate::buffer::{Array, read_together};
 use crate::device::{Gpu, NAME};
 use crate::kernel::submit;
-use crate::raster::{Planes, RasterKernels};
+use crate::raster::{Outputs, Planes, RasterKernels};
 use field::DeviceField;
 use frozen::{Freezer, FrozenView};
 use kernels::{BAD_GRADIENT, BAD_PARAMETER, NONE};
@@ -102,7 +102,15 @@ impl Drawing {
         submit(gpu, "a view under the field", |pass| {
             device.record_forward(pass, view);
             let water = device.water(view);
-            planes.record_forward(raster, pass, &view.frame, view.tiles, &view.drawn(), water, true);
+            planes.record_forward(
+                raster,
+                pass,
+                &view.frame,
+                view.tiles,
+                &view.drawn(),
+                water,
+                Outputs::Training,
+            );
         })?;
         let parameters = self.field.parameters.len();
         let [pixels, values, status] = read_together(

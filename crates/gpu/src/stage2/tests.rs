@@ -1,7 +1,5 @@
 //! Stage 2 beside the processor's engine.
 
-use std::process::Command;
-
 use use3d_atc::consensus::{LocalConsensus, Targets};
 use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::proposers::ProposerId;
@@ -19,7 +17,7 @@ use use3d_training::{Drain, EngineError, Silent};
 use use3d_ubaf::{Field, ObjectPass, Water, WaterPass};
 
 use super::{Stage2, initial_field};
-use crate::testing::{camera, cloud, relative, software};
+use crate::testing::{camera, cloud, relative, same_bits_elsewhere, software};
 
 const WIDTH: usize = 56;
 const HEIGHT: usize = 44;
@@ -360,24 +358,7 @@ fn digest_of_a_few_steps() {
 
 #[test]
 fn bits_do_not_depend_on_threads_or_widths() {
-    if software().is_none() {
-        return;
-    }
-    let digest = |threads: &str, width: &str| {
-        let output = Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "--nocapture", "stage2::tests::digest_of_a_few_steps"])
-            .env("LP_NUM_THREADS", threads)
-            .env("LP_NATIVE_VECTOR_WIDTH", width)
-            // Its keys leave the width out.
-            .env("MESA_SHADER_CACHE_DISABLE", "true")
-            .output()
-            .unwrap();
-        let text = String::from_utf8_lossy(&output.stdout).into_owned();
-        let line = text.lines().find(|line| line.starts_with("digest ")).map(str::to_string);
-        line.unwrap_or_else(|| panic!("{threads} threads, {width} bits: {text}"))
-    };
-    let expected = digest("1", "256");
-    for (threads, width) in [("2", "256"), ("1", "128"), ("2", "512")] {
-        assert_eq!(digest(threads, width), expected, "{threads} threads, {width} bits");
+    if software().is_some() {
+        same_bits_elsewhere("stage2::tests::digest_of_a_few_steps");
     }
 }
