@@ -15,6 +15,7 @@ use fearless_simd::{Level, Simd, dispatch, f32x16};
 use rayon::prelude::*;
 use use3d_capture::{Camera, Lattice, MediumMaps};
 use use3d_numerics::functions;
+use use3d_numerics::product::{self, tile};
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_numerics::rows::{self, LANES};
 use use3d_numerics::spherical_harmonics::basis_lanes;
@@ -303,36 +304,6 @@ impl Gradients {
 /// hold a whole one, else by one.
 const ROWS: usize = 4;
 
-/// `sums[r][v] += Σ_k left[r][k] right[k][start + v ..]`: a tile of a matrix product. Rows of `left` are
-/// `stride` apart, `right` has rows of `width`; there are as many terms as `right` has rows.
-#[inline(always)]
-fn tile<S: Simd, const V: usize>(
-    simd: S,
-    (left, stride): (&[f32], usize),
-    (right, width): (&[f32], usize),
-    start: usize,
-    sums: &mut [[f32x16<S>; V]; ROWS],
-) {
-    let count = right.len() / width;
-    // Slices of one length, and chunks: then nothing is checked inside the loop.
-    let mut rows = [left; ROWS];
-    for (r, row) in rows.iter_mut().enumerate() {
-        *row = &left[r * stride..][..count];
-    }
-    for (k, right) in right.chunks_exact(width).enumerate() {
-        // Loops: `array::from_fn` and `map` are calls that the instruction set does not reach into.
-        let mut x = [f32x16::splat(simd, 0.0); V];
-        for v in 0..V {
-            x[v] = f32x16::from_slice(simd, &right[start + v * LANES..][..LANES]);
-        }
-        for r in 0..ROWS {
-            for v in 0..V {
-                sums[r][v] = x[v].mul_add(rows[r][k], sums[r][v]);
-            }
-        }
-    }
-}
-
 /// Whether a register holds 16 numbers. Known when compiled.
 #[inline(always)]
 fn wide<S: Simd>() -> bool {
@@ -368,7 +339,13 @@ fn product_tiles<S: Simd, const V: usize>(
                 }
             }
             let weights = &weights[group * ROWS * inputs..][..ROWS * inputs];
-            tile(simd, (weights, inputs), (input, BLOCK), start, &mut sums);
+            tile(
+                simd,
+                &product::Rows::<ROWS>::new(weights, inputs, inputs),
+                (input, BLOCK),
+                start,
+                &mut sums,
+            );
             for r in 0..ROWS {
                 for v in 0..V {
                     sums[r][v].store_slice(&mut rows[r * BLOCK + start + v * LANES..][..LANES]);
@@ -422,7 +399,7 @@ fn accumulate_tiles<S: Simd, const V: usize>(
         let outputs = pull.chunks_exact(ROWS * BLOCK).zip(weights.chunks_exact_mut(ROWS * inputs));
         for (pull, weights) in outputs {
             let mut sums = [[f32x16::splat(simd, 0.0); V]; ROWS];
-            tile(simd, (pull, BLOCK), (turned, inputs), start, &mut sums);
+            tile(simd, &product::Rows::<ROWS>::new(pull, BLOCK, BLOCK), (turned, inputs), start, &mut sums);
             for r in 0..ROWS {
                 for v in 0..V {
                     let out = &mut weights[r * inputs + start + v * LANES..][..LANES];

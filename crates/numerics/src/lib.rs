@@ -7,6 +7,7 @@ pub mod adam;
 pub mod functions;
 pub mod lanes;
 pub mod math;
+pub mod product;
 pub mod random;
 pub mod range;
 pub mod rows;

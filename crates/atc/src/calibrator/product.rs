@@ -2,16 +2,16 @@
 //!
 //! `C += A B` with `C` row-major and `A`, `B` read through strides, so that transposes cost nothing. `B` is
 //! packed in tiles of 16 columns and `A` in tiles of 6 rows; each element of `C` is one chain of fused
-//! multiply-adds over the inner index in ascending order, whatever the tiling, the instruction set or the
-//! number of threads.
+//! multiply-adds over the inner index in ascending order, whatever the tiling, the number of threads or the
+//! instruction set, if that has one.
 
+use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 use rayon::prelude::*;
-
-use crate::vectorized::vectorized;
+use use3d_numerics::product::{LANES, Panel, tile};
 
 /// Rows of a tile: with 16 columns, six 512-bit or twelve 256-bit accumulators.
 const TILE_ROWS: usize = 6;
-const TILE_COLUMNS: usize = 16;
+const TILE_COLUMNS: usize = LANES;
 /// Inner indices per pass, so that the packed `B` stays in the second-level cache.
 const INNER: usize = 512;
 
@@ -51,6 +51,7 @@ impl<'a> Matrix<'a> {
 /// `c += a b`. `packed` is working memory.
 pub(super) fn accumulate(a: Matrix<'_>, b: Matrix<'_>, c: &mut [f32], packed: &mut Vec<f32>) {
     let (inner, columns) = (a.columns, b.columns);
+    let level = Level::new();
     assert_eq!(inner, b.rows, "inner sizes differ");
     assert_eq!(c.len(), a.rows * columns, "wrong output size");
     for first in (0..inner).step_by(INNER) {
@@ -74,29 +75,25 @@ pub(super) fn accumulate(a: Matrix<'_>, b: Matrix<'_>, c: &mut [f32], packed: &m
                 }
             }
             let left = &left[..depth * TILE_ROWS];
-            vectorized!(band(left, packed, depth, rows, columns));
+            dispatch!(level, simd => band(simd, left, packed, depth, rows, columns));
         });
     }
 }
 
 /// One band of up to six rows of `c` against every packed tile.
 #[inline(always)]
-fn band(left: &[f32], packed: &[f32], depth: usize, rows: &mut [f32], columns: usize) {
-    for (tile, right) in packed.chunks_exact(depth * TILE_COLUMNS).enumerate() {
-        let (from, to) = (tile * TILE_COLUMNS, ((tile + 1) * TILE_COLUMNS).min(columns));
-        let mut sums = [[0.0f32; TILE_COLUMNS]; TILE_ROWS];
+fn band<S: Simd>(simd: S, left: &[f32], packed: &[f32], depth: usize, rows: &mut [f32], columns: usize) {
+    for (index, right) in packed.chunks_exact(depth * TILE_COLUMNS).enumerate() {
+        let (from, to) = (index * TILE_COLUMNS, ((index + 1) * TILE_COLUMNS).min(columns));
+        let mut sums = [[f32x16::splat(simd, 0.0)]; TILE_ROWS];
         for (sum, row) in sums.iter_mut().zip(rows.chunks_exact(columns)) {
-            sum[..to - from].copy_from_slice(&row[from..to]);
+            let mut padded = [0.0; TILE_COLUMNS];
+            padded[..to - from].copy_from_slice(&row[from..to]);
+            sum[0] = f32x16::from_slice(simd, &padded);
         }
-        for (a, b) in left.as_chunks::<TILE_ROWS>().0.iter().zip(right.as_chunks::<TILE_COLUMNS>().0) {
-            for i in 0..TILE_ROWS {
-                for j in 0..TILE_COLUMNS {
-                    sums[i][j] = a[i].mul_add(b[j], sums[i][j]);
-                }
-            }
-        }
+        tile(simd, &Panel::<TILE_ROWS>::new(left, 0), (right, TILE_COLUMNS), 0, &mut sums);
         for (sum, row) in sums.iter().zip(rows.chunks_exact_mut(columns)) {
-            row[from..to].copy_from_slice(&sum[..to - from]);
+            row[from..to].copy_from_slice(&sum[0].as_slice()[..to - from]);
         }
     }
 }

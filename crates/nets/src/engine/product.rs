@@ -11,6 +11,7 @@
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 use rayon::prelude::*;
+use use3d_numerics::product::{Panel, tile};
 
 use super::activation::{self, Activation};
 
@@ -102,10 +103,8 @@ fn wide_registers(level: Level) -> bool {
 }
 
 #[inline(always)]
-fn tile_kernel<S: Simd, const R: usize>(simd: S, a: &[f32], b: &[f32], tile: &mut [f32]) {
-    let (a, _) = a.as_chunks::<ROWS>();
-    let (b, _) = b.as_chunks::<LANES>();
-    let (rows, _) = tile.as_chunks_mut::<LANES>();
+fn tile_kernel<S: Simd, const R: usize>(simd: S, a: &[f32], b: &[f32], sums: &mut [f32]) {
+    let (rows, _) = sums.as_chunks_mut::<LANES>();
     for first in (0..ROWS).step_by(R) {
         let mut sums = [[f32x16::splat(simd, 0.0); 3]; R];
         for r in 0..R {
@@ -113,16 +112,7 @@ fn tile_kernel<S: Simd, const R: usize>(simd: S, a: &[f32], b: &[f32], tile: &mu
                 sums[r][v] = f32x16::from_slice(simd, &rows[first + r][16 * v..16 * v + 16]);
             }
         }
-        for (a, b) in a.iter().zip(b) {
-            let b: [f32x16<S>; 3] =
-                std::array::from_fn(|v| f32x16::from_slice(simd, &b[16 * v..16 * v + 16]));
-            for r in 0..R {
-                let a = f32x16::splat(simd, a[first + r]);
-                for v in 0..3 {
-                    sums[r][v] = a.mul_add(b[v], sums[r][v]);
-                }
-            }
-        }
+        tile(simd, &Panel::<ROWS>::new(a, first), (b, LANES), 0, &mut sums);
         for r in 0..R {
             for v in 0..3 {
                 sums[r][v].store_slice(&mut rows[first + r][16 * v..16 * v + 16]);
