@@ -101,6 +101,7 @@ pub fn tanh<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
 pub mod scalar {
     use super::*;
 
+    #[inline(always)]
     fn exp_parts(x: f32) -> (f32, f32) {
         let x = x.max(LOWEST);
         let n = (x * LOG2_E).round_ties_even();
@@ -111,12 +112,14 @@ pub mod scalar {
     }
 
     /// `e^x` for `x ≤ 0`; not below `e^-87`.
+    #[inline(always)]
     pub fn exp_negative(x: f32) -> f32 {
         let (scale, q) = exp_parts(x);
         scale.mul_add(q, scale)
     }
 
     /// `ln(1 + e^x)`.
+    #[inline(always)]
     pub fn softplus(x: f32) -> f32 {
         let t = exp_negative(-x.abs());
         let s = t / (t + 2.0);
@@ -126,12 +129,14 @@ pub mod scalar {
     }
 
     /// `1 - e^-y`: the slope of softplus where it is `y`.
+    #[inline(always)]
     pub fn softplus_slope(y: f32) -> f32 {
         let (scale, q) = exp_parts(-y);
         0.0 - scale.mul_add(q, scale - 1.0)
     }
 
     /// `1 / (1 + e^-x)`, relatively accurate at both ends.
+    #[inline(always)]
     pub fn sigmoid(x: f32) -> f32 {
         let t = exp_negative(-x.abs());
         let small = t / (t + 1.0);
@@ -139,11 +144,13 @@ pub mod scalar {
     }
 
     /// Scalar twin of [`logistic`].
+    #[inline(always)]
     pub fn logistic(x: f32) -> f32 {
         1.0 / (1.0 + exp_scalar(-x))
     }
 
     /// Scalar twin of [`tanh`].
+    #[inline(always)]
     pub fn tanh(x: f32) -> f32 {
         let e = exp_scalar(x.abs() * -2.0);
         ((1.0 - e) / (1.0 + e)).copysign(x)

@@ -5,6 +5,7 @@
 //! in row order.
 
 use rayon::prelude::*;
+use use3d_numerics::functions::scalar::logistic;
 use use3d_numerics::random::{Purpose, Stream};
 
 use super::product::{Matrix, accumulate};
@@ -189,38 +190,9 @@ fn multiply(values: &mut [f32], by: &[f32]) {
     });
 }
 
-/// `1 / (1 + e^−z)` to about 2 units in the last place, without a branch or a library call so that it
-/// vectorises and has the same bits everywhere.
-#[inline(always)]
-fn logistic(z: f32) -> f32 {
-    const SHIFT: f32 = 12_582_912.0; // 1.5 · 2²³: adding it rounds to an integer
-    let x = (-z).clamp(-80.0, 80.0);
-    let k = (x * std::f32::consts::LOG2_E + SHIFT) - SHIFT;
-    // ln 2 in two parts, the first exact in few bits.
-    let r = (x - k * 0.693_359_4) - k * -2.121_944_4e-4;
-    // e^r for |r| <= ln 2 / 2: the Taylor polynomial is good to 6e-9.
-    let mut p = 1.0 / 5040.0;
-    for c in [1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0] {
-        p = p * r + c;
-    }
-    let power = f32::from_bits(((k as i32 + 127) as u32) << 23);
-    1.0 / (1.0 + p * power)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use use3d_numerics::math;
-
-    #[test]
-    fn the_logistic_function_is_accurate() {
-        for i in -4000..=4000 {
-            let z = i as f32 * 0.025;
-            let exact = 1.0 / (1.0 + math::exp(-f64::from(z)));
-            let error = (f64::from(logistic(z)) - exact).abs() / exact;
-            assert!(error < 4e-7 || exact < 1e-30, "{z}: {error:e}");
-        }
-    }
 
     #[test]
     fn gradients_agree_with_finite_differences() {

@@ -6,10 +6,11 @@
 //! flow in pixels of the ⅛ grid.
 
 use rayon::prelude::*;
+use use3d_numerics::lanes::exp;
 
 use super::HIDDEN;
 use super::correlation::CHANNELS;
-use crate::engine::activation::{self, Activation};
+use crate::engine::activation::Activation;
 use crate::engine::convolution::{Convolution, Padding};
 use crate::engine::planes::Planes;
 use crate::error::NetError;
@@ -181,7 +182,7 @@ pub(crate) fn upsample(flow: &Planes, mask: &Planes) -> Planes {
                 let largest = (0..9).map(score).fold(f32::NEG_INFINITY, f32::max);
                 let (mut total, mut sum) = (0.0f32, [0.0f32; 2]);
                 for k in 0..9 {
-                    let weight = activation::exp(score(k) - largest);
+                    let weight = exp(score(k) - largest);
                     total += weight;
                     let (ny, nx) = ((y + k / 3).wrapping_sub(1), (x + k % 3).wrapping_sub(1));
                     if ny < height && nx < width {

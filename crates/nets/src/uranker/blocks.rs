@@ -6,9 +6,10 @@
 //! heads (3×3 for two heads, 5×5 and 7×7 for three each).
 
 use rayon::prelude::*;
+use use3d_numerics::lanes::exp;
 
 use super::{EPSILON, EXTRA, Tokens, patches_of};
-use crate::engine::activation::{self, Activation};
+use crate::engine::activation::Activation;
 use crate::engine::convolution::{Convolution, Depthwise};
 use crate::engine::normalise::{self, Affine};
 use crate::engine::planes::Planes;
@@ -120,7 +121,7 @@ fn softmax(row: &mut [f32]) {
     let largest = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     let mut sum = 0.0f64;
     for v in row.iter_mut() {
-        *v = activation::exp(*v - largest);
+        *v = exp(*v - largest);
         sum += f64::from(*v);
     }
     let scale = (1.0 / sum) as f32;
