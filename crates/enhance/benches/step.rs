@@ -15,8 +15,8 @@ use use3d_medium::{MediumModel, MediumRbf};
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_scene::Scene;
 use use3d_splat::{
-    Colors, Cotangents, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, Rendered,
-    ViewOf,
+    Colors, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, RenderGradients,
+    Rendered, ViewOf,
 };
 use use3d_training::Silent;
 
@@ -84,7 +84,7 @@ fn steps(c: &mut Criterion) {
         let mut gradients = GaussianGradients::new(n);
         let mut medium_gradients = MediumMaps::zeros(width, height);
         let image = Image::filled(width, height, 1e-6);
-        let cotangents = Cotangents { image: &image, depth: None, accumulation: None, clear: None };
+        let d_rendered = RenderGradients { image: &image, depth: None, accumulation: None, clear: None };
         group.bench_function("stage 1 rasterisation", |b| {
             b.iter(|| {
                 prepared.prepare(&scene.gaussians, &camera, &lattice, Colors::Sh { degree: 3 });
@@ -94,7 +94,7 @@ fn steps(c: &mut Criterion) {
                     ViewOf { gaussians: &scene.gaussians, camera: &camera },
                     Some(&maps),
                     &Options::default(),
-                    &cotangents,
+                    &d_rendered,
                     Gradients { gaussians: &mut gradients, medium: Some(&mut medium_gradients) },
                 );
                 black_box(gradients.means[0])

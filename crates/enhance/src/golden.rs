@@ -156,14 +156,14 @@ fn golden_whole_steps() {
         case.check_f64("out.total", &[losses.total]);
         let weights = e.goals.weights;
         for (pull, outputs) in case.pulls() {
-            let cotangent = |name: &str| {
+            let d_output = |name: &str| {
                 if outputs.iter().any(|o| o == name) { case.f64(&format!("cot.{name}"))[0] } else { 0.0 }
             };
-            let total = cotangent("total");
+            let total = d_output("total");
             for ((row, weight), own) in TERMS.iter().zip(&mut e.goals.weights).zip(weights) {
                 let output =
                     oracle.iter().find(|(name, _)| *name == row.name).map_or("", |(_, output)| output);
-                *weight = cotangent(output) + total * own;
+                *weight = d_output(output) + total * own;
             }
             e.step.render(&e.field, &e.view, &mut e.frozen);
             e.step.losses(&e.view, &e.goals, true).unwrap();

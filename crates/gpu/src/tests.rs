@@ -3,8 +3,8 @@
 use use3d_capture::{Camera, Image, Lattice, Map, MediumMaps};
 use use3d_reconstruct::engine::{Moments, Statistics, StepRates};
 use use3d_splat::{
-    Colors, Cotangents, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, Rendered,
-    ViewOf,
+    Colors, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, RenderGradients,
+    Rendered, ViewOf,
 };
 
 use crate::buffer::Array;
@@ -96,15 +96,15 @@ impl Case {
         let (mut rasterizer, mut rendered) = (Rasterizer::new(), Rendered::new());
         let options = Options { depth_gradient: self.depth_gradient, layers: false };
         rasterizer.forward(&prepared, self.water.as_ref(), &options, &mut rendered);
-        let cotangents =
-            Cotangents { image: &self.image, depth: Some(&self.depth), accumulation: None, clear: None };
+        let d_rendered =
+            RenderGradients { image: &self.image, depth: Some(&self.depth), accumulation: None, clear: None };
         let (mut gradients, mut maps) = (GaussianGradients::default(), MediumMaps::zeros(0, 0));
         rasterizer.backward(
             &prepared,
             ViewOf { gaussians: &self.gaussians, camera: &self.camera },
             self.water.as_ref(),
             &options,
-            &cotangents,
+            &d_rendered,
             Gradients { gaussians: &mut gradients, medium: Some(&mut maps) },
         );
         (prepared, rendered, gradients, maps)

@@ -161,17 +161,17 @@ pub(crate) fn backward(
     lattice: &Lattice,
     degree: usize,
     maps: &MediumMaps,
-    cotangent: &MediumMaps,
+    d_maps: &MediumMaps,
 ) -> CoefficientGradients {
     let rays = Rays::new(camera, lattice);
     let level = Level::new();
-    let (maps, cotangent) = (planes(maps), planes(cotangent));
+    let (maps, d_maps) = (planes(maps), planes(d_maps));
     let height = lattice.height();
     let partial: Vec<[f32; 144]> = (0..height.div_ceil(STRIP))
         .into_par_iter()
         .map(|s| {
             let rows = s * STRIP..((s + 1) * STRIP).min(height);
-            dispatch!(level, simd => backward_strip(simd, &rays, degree, rows, &maps, &cotangent))
+            dispatch!(level, simd => backward_strip(simd, &rays, degree, rows, &maps, &d_maps))
         })
         .collect();
     let mut gradient = [[[0.0f64; 3]; 16]; 3];
@@ -192,7 +192,7 @@ fn backward_strip<S: Simd>(
     degree: usize,
     rows: std::ops::Range<usize>,
     maps: &[&[f32]; 9],
-    cotangent: &[&[f32]; 9],
+    d_maps: &[&[f32]; 9],
 ) -> [f32; 144] {
     let width = rays.width();
     let zero = f32x16::splat(simd, 0.0);
@@ -213,11 +213,11 @@ fn backward_strip<S: Simd>(
                 }
                 for q in 0..9 {
                     let value = rows::load(simd, &maps[q][row * width..][..width], i);
-                    let pull = rows::load(simd, &cotangent[q][row * width..][..width], i);
+                    let d_map = rows::load(simd, &d_maps[q][row * width..][..width], i);
                     let gradient = if q < 3 {
-                        value.simd_gt(zero).select(pull, zero)
+                        value.simd_gt(zero).select(d_map, zero)
                     } else {
-                        pull * functions::softplus_slope(simd, value)
+                        d_map * functions::softplus_slope(simd, value)
                     };
                     gradient.store_slice(&mut raw[q][v * LANES..][..LANES]);
                 }

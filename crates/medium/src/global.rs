@@ -49,10 +49,10 @@ impl Medium for MediumGlobal {
         lattice: &Lattice,
         degree: usize,
         maps: &MediumMaps,
-        cotangent: &MediumMaps,
+        d_maps: &MediumMaps,
         gradient: &mut Self,
     ) {
-        let sums = directional::backward(camera, lattice, degree, maps, cotangent);
+        let sums = directional::backward(camera, lattice, degree, maps, d_maps);
         for (q, quantity) in sums.iter().enumerate() {
             for (b, band) in quantity.iter().enumerate() {
                 for (c, &value) in band.iter().enumerate() {

@@ -38,10 +38,10 @@ impl Medium for MediumImage {
         lattice: &Lattice,
         degree: usize,
         maps: &MediumMaps,
-        cotangent: &MediumMaps,
+        d_maps: &MediumMaps,
         gradient: &mut Self,
     ) {
-        self.0.backward(camera, lattice, degree, maps, cotangent, &mut gradient.0);
+        self.0.backward(camera, lattice, degree, maps, d_maps, &mut gradient.0);
     }
 
     fn groups(&self) -> Vec<(Role, &[f32])> {

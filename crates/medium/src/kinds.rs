@@ -63,7 +63,7 @@ pub(crate) trait Medium: Sized {
         lattice: &Lattice,
         degree: usize,
         maps: &MediumMaps,
-        cotangent: &MediumMaps,
+        d_maps: &MediumMaps,
         gradient: &mut Self,
     );
 
@@ -185,7 +185,7 @@ macro_rules! media {
                 }
             }
 
-            /// Adds to `gradient` the gradient of `<cotangent, maps>` with respect to every parameter. `maps` are those that
+            /// Adds to `gradient` the gradient of `<d_maps, maps>` with respect to every parameter. `maps` are those that
             /// [`MediumModel::maps`] made with the same arguments; `gradient` has this model's kind and size
             /// ([`MediumModel::zeros_like`]).
             pub fn backward(
@@ -194,13 +194,13 @@ macro_rules! media {
                 lattice: &Lattice,
                 active_degree: usize,
                 maps: &MediumMaps,
-                cotangent: &MediumMaps,
+                d_maps: &MediumMaps,
                 gradient: &mut Self,
             ) {
                 let degree = active_degree.min(3);
                 match (self, gradient) {
                     $((Self::$kind(m), Self::$kind(gradient)) => {
-                        m.backward(camera, lattice, degree, maps, cotangent, gradient);
+                        m.backward(camera, lattice, degree, maps, d_maps, gradient);
                     })+
                     (this, gradient) => {
                         debug_assert_eq!(this.kind(), gradient.kind(), "a gradient has its model's kind");

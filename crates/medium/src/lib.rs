@@ -116,9 +116,9 @@ impl MediumModel {
     /// parameter's index in the flat vector.
     pub fn update(&mut self, gradient: &Self, mut f: impl FnMut(Role, usize, &mut [f32], &[f32])) {
         let mut offset = 0;
-        for ((role, values), (_, pulls)) in self.groups_mut().into_iter().zip(gradient.groups()) {
+        for ((role, values), (_, slopes)) in self.groups_mut().into_iter().zip(gradient.groups()) {
             let count = values.len();
-            f(role, offset, values, pulls);
+            f(role, offset, values, slopes);
             offset += count;
         }
     }

@@ -95,13 +95,13 @@ impl Medium for MediumMlp {
         lattice: &Lattice,
         _degree: usize,
         maps: &MediumMaps,
-        cotangent: &MediumMaps,
+        d_maps: &MediumMaps,
         gradient: &mut Self,
     ) {
         let rays = Rays::new(camera, lattice);
         let level = Level::new();
         let network = Padded::new(self);
-        let (maps, cotangent) = (planes(maps), planes(cotangent));
+        let (maps, d_maps) = (planes(maps), planes(d_maps));
         let rows_per_task = STRIP * STRIPS_PER_TASK;
         let partial: Vec<Gradients> = (0..lattice.height().div_ceil(rows_per_task))
             .into_par_iter()
@@ -113,11 +113,11 @@ impl Medium for MediumMlp {
                     for start in (0..width).step_by(BLOCK) {
                         let views = (
                             maps.map(|m| &m[row * width..][..width]),
-                            cotangent.map(|m| &m[row * width..][..width]),
+                            d_maps.map(|m| &m[row * width..][..width]),
                         );
                         dispatch!(level, simd => {
                             network.evaluate(simd, &rays, row, start, &mut block);
-                            network.pull(simd, start, &views.0, &views.1, &mut block, &mut sums);
+                            network.backward_of_block(simd, start, &views.0, &views.1, &mut block, &mut sums);
                         });
                     }
                 }
@@ -192,7 +192,7 @@ impl Padded {
     #[inline(always)]
     fn evaluate<S: Simd>(&self, simd: S, rays: &Rays, row: usize, start: usize, block: &mut Block) {
         for v in (0..BLOCK).step_by(LANES) {
-            // Beyond the row's end: any direction will do, its cotangent is zero.
+            // Beyond the row's end: any direction will do, its derivative is zero.
             let i = (start + v).min(rays.width() - 1);
             let [x, y, z] = rays.directions(simd, i, row);
             for (b, value) in basis_lanes(simd, 3, x, y, z).iter().enumerate() {
@@ -208,12 +208,12 @@ impl Padded {
 
     /// The gradients of one block, added to `sums`; `block` holds what [`Padded::evaluate`] left.
     #[inline(always)]
-    fn pull<S: Simd>(
+    fn backward_of_block<S: Simd>(
         &self,
         simd: S,
         start: usize,
         maps: &[&[f32]; 9],
-        cotangent: &[&[f32]; 9],
+        d_maps: &[&[f32]; 9],
         block: &mut Block,
         sums: &mut Gradients,
     ) {
@@ -223,22 +223,22 @@ impl Padded {
                 let mut gradient = zero;
                 if q < OUTPUTS && start + v < maps[q].len() {
                     let value = rows::load(simd, maps[q], start + v);
-                    let pull = rows::load(simd, cotangent[q], start + v);
+                    let d_map = rows::load(simd, d_maps[q], start + v);
                     let slope = if q < 3 {
                         value * (f32x16::splat(simd, 1.0) - value)
                     } else {
                         functions::softplus_slope(simd, value)
                     };
-                    gradient = pull * slope;
+                    gradient = d_map * slope;
                 }
                 gradient.store_slice(&mut block.raw[q * BLOCK + v..][..LANES]);
             }
         }
         accumulate(simd, &block.raw, &block.second, &mut block.turned, sums.layer(2));
-        product(simd, &self.transposed[2], None, &block.raw, &mut block.pull);
-        through_activation(simd, &block.second, &mut block.pull);
-        accumulate(simd, &block.pull, &block.first, &mut block.turned, sums.layer(1));
-        product(simd, &self.transposed[1], None, &block.pull, &mut block.second);
+        product(simd, &self.transposed[2], None, &block.raw, &mut block.d_hidden);
+        through_activation(simd, &block.second, &mut block.d_hidden);
+        accumulate(simd, &block.d_hidden, &block.first, &mut block.turned, sums.layer(1));
+        product(simd, &self.transposed[1], None, &block.d_hidden, &mut block.second);
         through_activation(simd, &block.first, &mut block.second);
         accumulate(simd, &block.second, &block.input, &mut block.turned, sums.layer(0));
     }
@@ -250,7 +250,7 @@ struct Block {
     first: Vec<f32>,
     second: Vec<f32>,
     raw: Vec<f32>,
-    pull: Vec<f32>,
+    d_hidden: Vec<f32>,
     /// A layer's input as `[pixel][unit]`.
     turned: Vec<f32>,
 }
@@ -263,7 +263,7 @@ impl Block {
             first: zeros(HIDDEN),
             second: zeros(HIDDEN),
             raw: zeros(PADDED),
-            pull: zeros(HIDDEN),
+            d_hidden: zeros(HIDDEN),
             turned: zeros(HIDDEN),
         }
     }
@@ -355,12 +355,12 @@ fn product_tiles<S: Simd, const V: usize>(
     }
 }
 
-/// `weights += pull · inputᵀ`, `bias += Σ pull`, over one block of pixels. The input is turned to
+/// `weights += d_out · inputᵀ`, `bias += Σ d_out`, over one block of pixels. The input is turned to
 /// `[pixel][in]` first, so that vectors run along the inputs and no sum crosses its lanes.
 #[inline(always)]
 fn accumulate<S: Simd>(
     simd: S,
-    pull: &[f32],
+    d_out: &[f32],
     input: &[f32],
     turned: &mut [f32],
     (weights, bias): (&mut [f32], &mut [f32]),
@@ -374,13 +374,13 @@ fn accumulate<S: Simd>(
     }
     // The first layer has one vector of inputs only.
     if wide::<S>() && inputs > LANES {
-        accumulate_tiles::<S, 2>(simd, pull, turned, inputs, weights);
+        accumulate_tiles::<S, 2>(simd, d_out, turned, inputs, weights);
     } else {
-        accumulate_tiles::<S, 1>(simd, pull, turned, inputs, weights);
+        accumulate_tiles::<S, 1>(simd, d_out, turned, inputs, weights);
     }
-    for (bias, pull) in bias.iter_mut().zip(pull.chunks_exact(BLOCK)) {
+    for (bias, d_out) in bias.iter_mut().zip(d_out.chunks_exact(BLOCK)) {
         let mut sum = f32x16::splat(simd, 0.0);
-        for v in pull.chunks_exact(LANES) {
+        for v in d_out.chunks_exact(LANES) {
             sum += f32x16::from_slice(simd, v);
         }
         *bias += sum.reduce_sum();
@@ -390,16 +390,16 @@ fn accumulate<S: Simd>(
 #[inline(always)]
 fn accumulate_tiles<S: Simd, const V: usize>(
     simd: S,
-    pull: &[f32],
+    d_out: &[f32],
     turned: &[f32],
     inputs: usize,
     weights: &mut [f32],
 ) {
     for start in (0..inputs).step_by(V * LANES) {
-        let outputs = pull.chunks_exact(ROWS * BLOCK).zip(weights.chunks_exact_mut(ROWS * inputs));
-        for (pull, weights) in outputs {
+        let outputs = d_out.chunks_exact(ROWS * BLOCK).zip(weights.chunks_exact_mut(ROWS * inputs));
+        for (d_out, weights) in outputs {
             let mut sums = [[f32x16::splat(simd, 0.0); V]; ROWS];
-            tile(simd, &product::Rows::<ROWS>::new(pull, BLOCK, BLOCK), (turned, inputs), start, &mut sums);
+            tile(simd, &product::Rows::<ROWS>::new(d_out, BLOCK, BLOCK), (turned, inputs), start, &mut sums);
             for r in 0..ROWS {
                 for v in 0..V {
                     let out = &mut weights[r * inputs + start + v * LANES..][..LANES];
@@ -417,10 +417,10 @@ fn activate<S: Simd>(simd: S, values: &mut [f32]) {
     }
 }
 
-/// `pull *= h (1 - h)`.
+/// `d_out *= h (1 - h)`.
 #[inline(always)]
-fn through_activation<S: Simd>(simd: S, hidden: &[f32], pull: &mut [f32]) {
-    for (chunk, h) in pull.chunks_exact_mut(LANES).zip(hidden.chunks_exact(LANES)) {
+fn through_activation<S: Simd>(simd: S, hidden: &[f32], d_out: &mut [f32]) {
+    for (chunk, h) in d_out.chunks_exact_mut(LANES).zip(hidden.chunks_exact(LANES)) {
         let h = f32x16::from_slice(simd, h);
         let slope = h * (f32x16::splat(simd, 1.0) - h);
         (f32x16::from_slice(simd, chunk) * slope).store_slice(chunk);
@@ -450,7 +450,7 @@ mod tests {
         let weights = draw(0, PADDED * HIDDEN);
         let bias = draw(10_000, PADDED);
         let input = draw(20_000, HIDDEN * BLOCK);
-        let pull = draw(40_000, PADDED * BLOCK);
+        let d_out = draw(40_000, PADDED * BLOCK);
         let turned: Vec<f32> = (0..HIDDEN * BLOCK).map(|i| input[i % HIDDEN * BLOCK + i / HIDDEN]).collect();
 
         let mut products = [vec![0.0; PADDED * BLOCK], vec![0.0; PADDED * BLOCK]];
@@ -461,22 +461,22 @@ mod tests {
         dispatch!(Level::new(), simd => {
             product_tiles::<_, 1>(simd, &weights, Some(&bias), &input, one);
             product_tiles::<_, 2>(simd, &weights, Some(&bias), &input, two);
-            accumulate_tiles::<_, 1>(simd, &pull, &turned, HIDDEN, sums_one);
-            accumulate_tiles::<_, 2>(simd, &pull, &turned, HIDDEN, sums_two);
-            accumulate(simd, &pull, &input, &mut vec![0.0; HIDDEN * BLOCK], (sums_turned, &mut bias_sums));
+            accumulate_tiles::<_, 1>(simd, &d_out, &turned, HIDDEN, sums_one);
+            accumulate_tiles::<_, 2>(simd, &d_out, &turned, HIDDEN, sums_two);
+            accumulate(simd, &d_out, &input, &mut vec![0.0; HIDDEN * BLOCK], (sums_turned, &mut bias_sums));
         });
         for j in 0..PADDED {
             for p in 0..BLOCK {
                 let expected = plain(&weights[j * HIDDEN..][..HIDDEN], |k| input[k * BLOCK + p], bias[j]);
                 close(one[j * BLOCK + p], expected, "output", j, p);
             }
-            let pulls = &pull[j * BLOCK..][..BLOCK];
+            let d_row = &d_out[j * BLOCK..][..BLOCK];
             for k in 0..HIDDEN {
                 let at = j * HIDDEN + k;
-                let expected = weights[at] + plain(pulls, |p| input[k * BLOCK + p], 0.0);
+                let expected = weights[at] + plain(d_row, |p| input[k * BLOCK + p], 0.0);
                 close(sums_one[at], expected, "weight", j, k);
             }
-            let expected = bias[j] + pulls.iter().sum::<f32>();
+            let expected = bias[j] + d_row.iter().sum::<f32>();
             close(bias_sums[j], expected, "bias", j, 0);
         }
         assert!(one == two && sums_one == sums_two && sums_one == sums_turned);

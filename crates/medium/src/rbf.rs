@@ -90,11 +90,16 @@ impl MediumRbf {
 
     /// Adds the gradients with respect to centres, log widths and coefficients,
     /// given those with respect to `A`.
-    fn pull(&self, camera: &Camera, aggregate: &CoefficientGradients, gradient: &mut Self) {
+    fn backward_of_coefficients(
+        &self,
+        camera: &Camera,
+        aggregate: &CoefficientGradients,
+        gradient: &mut Self,
+    ) {
         let o = query(camera);
         let selection = self.selection(camera);
         // dL/dw_k, then through the softmax to dL/dρ_k.
-        let pulls: Vec<f64> = selection
+        let d_weights: Vec<f64> = selection
             .iter()
             .map(|&(k, _)| {
                 let mut dot = 0.0;
@@ -102,8 +107,8 @@ impl MediumRbf {
                 dot
             })
             .collect();
-        let mean: f64 = selection.iter().zip(&pulls).map(|(&(_, w), d)| w * d).sum();
-        for (&(k, w), pull) in selection.iter().zip(&pulls) {
+        let mean: f64 = selection.iter().zip(&d_weights).map(|(&(_, w), d)| w * d).sum();
+        for (&(k, w), d_weight) in selection.iter().zip(&d_weights) {
             for q in 0..3 {
                 for b in 0..16 {
                     for c in 0..3 {
@@ -111,15 +116,15 @@ impl MediumRbf {
                     }
                 }
             }
-            let affinity_pull = w * (pull - mean);
+            let d_affinity = w * (d_weight - mean);
             let (sigma, floored) = self.sigma(k);
             let offset: [f64; 3] = std::array::from_fn(|axis| o[axis] - f64::from(self.centers[k][axis]));
             for axis in 0..3 {
-                gradient.centers[k][axis] += (affinity_pull * offset[axis] / (sigma * sigma)) as f32;
+                gradient.centers[k][axis] += (d_affinity * offset[axis] / (sigma * sigma)) as f32;
             }
             if !floored {
                 let squared: f64 = offset.iter().map(|v| v * v).sum();
-                gradient.log_widths[k] += (affinity_pull * squared / (sigma * sigma)) as f32;
+                gradient.log_widths[k] += (d_affinity * squared / (sigma * sigma)) as f32;
             }
         }
     }
@@ -173,11 +178,11 @@ impl Medium for MediumRbf {
         lattice: &Lattice,
         degree: usize,
         maps: &MediumMaps,
-        cotangent: &MediumMaps,
+        d_maps: &MediumMaps,
         gradient: &mut Self,
     ) {
-        let sums = directional::backward(camera, lattice, degree, maps, cotangent);
-        self.pull(camera, &sums, gradient);
+        let sums = directional::backward(camera, lattice, degree, maps, d_maps);
+        self.backward_of_coefficients(camera, &sums, gradient);
     }
 
     fn groups(&self) -> Vec<(Role, &[f32])> {

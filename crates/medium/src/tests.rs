@@ -53,21 +53,21 @@ fn golden_medium() {
             case.check_planes(&format!("out.{name}"), map.data());
         }
         for (pull, outputs) in case.pulls() {
-            let cotangent_of = |name: &str| {
+            let d_map = |name: &str| {
                 if !outputs.iter().any(|o| o == name) {
                     return Image::new(lattice.width(), lattice.height());
                 }
                 let (w, h, data) = case.planes(&format!("cot.{name}"));
                 Image::from_planes(w, h, data).unwrap()
             };
-            let cotangent = MediumMaps {
-                color: cotangent_of("c_m"),
-                backscatter: cotangent_of("beta_bs"),
-                attenuation: cotangent_of("beta_attn"),
+            let d_maps = MediumMaps {
+                color: d_map("c_m"),
+                backscatter: d_map("beta_bs"),
+                attenuation: d_map("beta_attn"),
                 formation: Formation::default(),
             };
             let mut gradient = model.zeros_like();
-            model.backward(&camera, &lattice, degree, &maps, &cotangent, &mut gradient);
+            model.backward(&camera, &lattice, degree, &maps, &d_maps, &mut gradient);
             let MediumModel::Rbf(gradient) = gradient else { unreachable!() };
             case.check(&format!("grad.{pull}.centers"), bytemuck::cast_slice(&gradient.centers));
             case.check(&format!("grad.{pull}.log_widths"), &gradient.log_widths);
@@ -147,14 +147,14 @@ fn gradients_agree_with_finite_differences() {
         let stream = Stream::new(seed, Purpose::new("medium finite differences"), 0);
         let camera = camera(&stream, 37, 19);
         let lattice = Lattice::full(&camera.intrinsics);
-        let cotangent = random_maps(&stream, 37, 19);
+        let d_maps = random_maps(&stream, 37, 19);
         for kind in [MediumKind::Global, MediumKind::Image, MediumKind::Rbf, MediumKind::Mlp] {
             for degree in [1, 3] {
                 let mut model = random_model(&stream, kind);
                 let mut maps = MediumMaps::zeros(1, 1);
                 model.maps(&camera, &lattice, degree, &mut maps);
                 let mut gradient = model.zeros_like();
-                model.backward(&camera, &lattice, degree, &maps, &cotangent, &mut gradient);
+                model.backward(&camera, &lattice, degree, &maps, &d_maps, &mut gradient);
                 let (parameters, gradient) = (model.flat(), gradient.flat());
                 let scale = gradient.iter().fold(0.0f32, |m, g| m.max(g.abs()));
                 // Along random directions, so that every parameter takes part.
@@ -169,7 +169,7 @@ fn gradients_agree_with_finite_differences() {
                             parameters.iter().zip(&direction).map(|(p, d)| p + h * d).collect();
                         assert!(model.set_flat(&moved));
                         model.maps(&camera, &lattice, degree, &mut maps);
-                        dot(&maps, &cotangent)
+                        dot(&maps, &d_maps)
                     };
                     let h = 1e-3;
                     let numeric = (at(h) - at(-h)) / (2.0 * f64::from(h));
@@ -187,7 +187,7 @@ fn gradients_agree_with_finite_differences() {
                         moved[index] += h;
                         assert!(model.set_flat(&moved));
                         model.maps(&camera, &lattice, degree, &mut maps);
-                        dot(&maps, &cotangent)
+                        dot(&maps, &d_maps)
                     };
                     let numeric = (at(1e-2) - at(-1e-2)) / 2e-2;
                     let error = (numeric - f64::from(g)).abs();
@@ -235,7 +235,7 @@ fn the_same_bits_on_any_number_of_threads() {
     let stream = Stream::new(4, Purpose::new("medium threads"), 0);
     let camera = camera(&stream, 70, 90);
     let lattice = Lattice::full(&camera.intrinsics);
-    let cotangent = random_maps(&stream, 70, 90);
+    let d_maps = random_maps(&stream, 70, 90);
     for kind in [MediumKind::Rbf, MediumKind::Mlp] {
         let model = random_model(&stream, kind);
         let run = |threads: usize| {
@@ -244,7 +244,7 @@ fn the_same_bits_on_any_number_of_threads() {
                 let mut maps = MediumMaps::zeros(1, 1);
                 model.maps(&camera, &lattice, 3, &mut maps);
                 let mut gradient = model.zeros_like();
-                model.backward(&camera, &lattice, 3, &maps, &cotangent, &mut gradient);
+                model.backward(&camera, &lattice, 3, &maps, &d_maps, &mut gradient);
                 (maps, gradient)
             })
         };

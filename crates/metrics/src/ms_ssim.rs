@@ -249,7 +249,7 @@ struct Rows {
     /// Derivatives of one valid row with respect to the mean of x, of x² + y², of x y; 16 zeros in front.
     derivatives: [Vec<f32>; 3],
     /// The same, blurred back along rows: eleven rows each.
-    pulled: [Vec<f32>; 3],
+    spread: [Vec<f32>; 3],
 }
 
 impl Rows {
@@ -261,7 +261,7 @@ impl Rows {
             products: std::array::from_fn(|_| rows(1)),
             blurred: std::array::from_fn(|_| rows(WINDOW)),
             derivatives: std::array::from_fn(|_| rows(1)),
-            pulled: std::array::from_fn(|_| rows(WINDOW)),
+            spread: std::array::from_fn(|_| rows(WINDOW)),
         }
     }
 }
@@ -427,13 +427,13 @@ impl LevelPass<'_> {
         }
         if differentiate {
             let slot = (row % WINDOW) * rows.stride;
-            for (derivative, ring) in rows.derivatives.iter().zip(&mut rows.pulled) {
+            for (derivative, ring) in rows.derivatives.iter().zip(&mut rows.spread) {
                 for i in (0..w).step_by(LANES) {
-                    let mut pulled = at(simd, derivative, LANES + i) * taps[0];
+                    let mut spread = at(simd, derivative, LANES + i) * taps[0];
                     for k in 1..WINDOW {
-                        pulled = at(simd, derivative, LANES + i - k).mul_add(taps[k], pulled);
+                        spread = at(simd, derivative, LANES + i - k).mul_add(taps[k], spread);
                     }
-                    pulled.store_slice(&mut ring[slot + i..][..LANES]);
+                    spread.store_slice(&mut ring[slot + i..][..LANES]);
                 }
             }
         }
@@ -468,7 +468,7 @@ impl LevelPass<'_> {
                 }
                 let slot = (from % WINDOW) * rows.stride;
                 for q in 0..3 {
-                    sums[q] = at(simd, &rows.pulled[q], slot + i).mul_add(taps[k], sums[q]);
+                    sums[q] = at(simd, &rows.spread[q], slot + i).mul_add(taps[k], sums[q]);
                 }
             }
             let (a, b) = (at(simd, px, i), at(simd, py, i));

@@ -118,11 +118,11 @@ fn golden_stage1_step() {
             case.check_f64(&format!("out.{name}"), &[value.unwrap()]);
         }
         case.check_f64("out.total", &[loss.total]);
-        let cotangent = case.f64("cot.total")[0];
+        let d_output = case.f64("cot.total")[0];
         let (g, water) = engine.gradients();
         let MediumModel::Rbf(water) = water else { panic!("the water is an RBF") };
         let check = |name: &str, values: &[f32]| {
-            let scaled: Vec<f64> = values.iter().map(|&v| f64::from(v) * cotangent).collect();
+            let scaled: Vec<f64> = values.iter().map(|&v| f64::from(v) * d_output).collect();
             case.check_f64(&format!("grad.total.{name}"), &scaled);
         };
         check("means", g.means.as_flattened());

@@ -17,8 +17,8 @@ use use3d_capture::{Camera, Image, Intrinsics, Lattice, MediumMaps, Pose, world_
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{
-    Colors, Cotangents, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, Rendered,
-    ViewOf,
+    Colors, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, RenderGradients,
+    Rendered, ViewOf,
 };
 
 fn main() {
@@ -129,8 +129,8 @@ impl Case {
             let lattice = Lattice::full(&camera.intrinsics);
             let medium = smooth_medium(camera);
             let medium = water.then_some(&medium);
-            let image = cotangent(&camera.intrinsics);
-            let cotangents = Cotangents { image: &image, depth: None, accumulation: None, clear: None };
+            let image = random_derivative(&camera.intrinsics);
+            let d_rendered = RenderGradients { image: &image, depth: None, accumulation: None, clear: None };
             let mut runs = Vec::new();
             for repeat in 0..=self.repeats {
                 let start = Instant::now();
@@ -144,7 +144,7 @@ impl Case {
                     ViewOf { gaussians: &self.gaussians, camera },
                     medium,
                     &Options::default(),
-                    &cotangents,
+                    &d_rendered,
                     Gradients { gaussians: &mut grads, medium: medium_grads },
                 );
                 let ms = |a: Instant, b: Instant| (b - a).as_secs_f64() * 1e3;
@@ -235,8 +235,8 @@ fn dense(medium: Option<bool>) -> [f64; 2] {
     assert!(pairs.contributing as f64 > 0.99 * (side * side * count) as f64, "not dense: {pairs:?}");
     let (mut rasterizer, mut out) = (Rasterizer::new(), Rendered::new());
     let (mut grads, mut medium_grads) = (GaussianGradients::default(), MediumMaps::zeros(0, 0));
-    let image = cotangent(&camera.intrinsics);
-    let cotangents = Cotangents { image: &image, depth: None, accumulation: None, clear: None };
+    let image = random_derivative(&camera.intrinsics);
+    let d_rendered = RenderGradients { image: &image, depth: None, accumulation: None, clear: None };
     let mut runs = Vec::new();
     for _ in 0..25 {
         let start = Instant::now();
@@ -249,7 +249,7 @@ fn dense(medium: Option<bool>) -> [f64; 2] {
             ViewOf { gaussians: &gaussians, camera: &camera },
             medium,
             &options,
-            &cotangents,
+            &d_rendered,
             Gradients { gaussians: &mut grads, medium: medium_grads },
         );
         runs.push([forward, start.elapsed().as_secs_f64(), 0.0]);
@@ -257,7 +257,7 @@ fn dense(medium: Option<bool>) -> [f64; 2] {
     [0, 1].map(|part| best(&runs, part) * 1e9 / pairs.contributing as f64)
 }
 
-fn cotangent(k: &Intrinsics) -> Image {
+fn random_derivative(k: &Intrinsics) -> Image {
     let data = (0..3 * k.width * k.height).map(|i| math::sin((i % 977) as f32 * 0.013)).collect();
     Image::from_planes(k.width, k.height, data).expect("three planes")
 }

@@ -32,4 +32,4 @@ pub use compose::{Pairs, Rasterizer};
 pub use gaussians::{GaussianGradients, Gaussians, GaussiansError};
 pub use lists::Prepared;
 pub use project::{BLUR, FAR, NEAR, view_colors};
-pub use view::{Colors, Cotangents, Gradients, Layers, Options, Rendered, ViewOf};
+pub use view::{Colors, Gradients, Layers, Options, RenderGradients, Rendered, ViewOf};

@@ -97,7 +97,7 @@ impl Rendered {
 
 /// The loss's derivatives with respect to what [`Rasterizer::forward`](crate::Rasterizer::forward) rendered.
 #[derive(Clone, Copy, Debug)]
-pub struct Cotangents<'a> {
+pub struct RenderGradients<'a> {
     /// With respect to the image.
     pub image: &'a Image,
     /// With respect to expected depth.

@@ -62,7 +62,7 @@ impl Example {
         }
     }
 
-    fn cotangents(&self) -> (Vec<[f32; 3]>, MediumMaps) {
+    fn derivatives(&self) -> (Vec<[f32; 3]>, MediumMaps) {
         let n = |at: usize| self.draw.normal(20_000_000 + at as u64) as f32;
         let colors = (0..self.means.len()).map(|i| [n(3 * i), n(3 * i + 1), n(3 * i + 2)]).collect();
         let mut maps = MediumMaps::zeros(self.maps.color.width(), self.maps.color.height());
@@ -77,7 +77,7 @@ impl Example {
     }
 
     fn gradient(&self, level: Level) -> Gradient {
-        let (d_colors, d_maps) = self.cotangents();
+        let (d_colors, d_maps) = self.derivatives();
         let mut objects = ObjectPass::with_level(level, &self.field, &self.means, self.sh_dc.iter().copied());
         let water = Water::new(self.maps.clone());
         let mut pass = WaterPass::with_level(level);
@@ -174,7 +174,7 @@ proptest! {
         let shape = Shape { resolution, rank, width };
         let e = Example::new(seed, shape, gaussians, size);
         let gradient = e.gradient(Level::new());
-        let (d_colors, d_maps) = e.cotangents();
+        let (d_colors, d_maps) = e.derivatives();
         let mut exact = Exact::new(&e.field);
         let step = 1e-6;
         let n = shape.parameters();
@@ -242,9 +242,9 @@ fn chosen_sites_do_what_all_do() {
     some.backward_locals(&e.field, &d, &mut found);
     let mut d_raw = vec![[0.0f32; 6]; 3000];
     for o in 0..6 {
-        let pull = d.iter().map(|d| f64::from(d[o])).sum::<f64>() / centred as f64;
+        let mean = d.iter().map(|d| f64::from(d[o])).sum::<f64>() / centred as f64;
         for (k, &i) in listed.iter().enumerate() {
-            d_raw[i as usize][o] = d[k][o] - if k < centred { pull as f32 } else { 0.0 };
+            d_raw[i as usize][o] = d[k][o] - if k < centred { mean as f32 } else { 0.0 };
         }
     }
     let mut wanted = Gradient::new(e.field.shape());

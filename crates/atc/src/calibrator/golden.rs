@@ -98,10 +98,10 @@ fn golden_heads_values_losses_and_gradients() {
                 Batch { conditions, proposals: &proposals, targets: &targets, weights: weights.as_deref() };
             losses.push(head.loss(&batch, &mut Trace::default(), &mut gradients));
             if case.pulls().contains_key("total") {
-                let cotangent = case.f64("cot.total")[0];
+                let d_total = case.f64("cot.total")[0];
                 for (i, layer) in gradients.layers.iter().enumerate() {
                     for (part, values) in [("w", &layer.weight), ("b", &layer.bias)] {
-                        let scaled: Vec<f64> = values.iter().map(|&v| cotangent * f64::from(v)).collect();
+                        let scaled: Vec<f64> = values.iter().map(|&v| d_total * f64::from(v)).collect();
                         case.check_f64(&format!("grad.total.{which}_{part}{i}"), &scaled);
                     }
                 }

@@ -51,7 +51,7 @@ impl Linear {
         );
     }
 
-    /// Adds the parameter gradients of a batch with inputs `x` and output cotangents `d_out`.
+    /// Adds the parameter gradients of a batch with inputs `x` and those of its outputs, `d_out`.
     fn add_gradient(&mut self, x: &[f32], d_out: &[f32], packed: &mut Vec<f32>) {
         let (inputs, outputs) = (self.inputs(), self.outputs());
         accumulate(
@@ -67,8 +67,8 @@ impl Linear {
         }
     }
 
-    /// `d_out W`: the cotangent of the inputs.
-    fn pull_back(&self, d_out: &[f32], d_x: &mut Vec<f32>, packed: &mut Vec<f32>) {
+    /// `d_out W`: the derivatives of the inputs.
+    fn backward_of_inputs(&self, d_out: &[f32], d_x: &mut Vec<f32>, packed: &mut Vec<f32>) {
         d_x.clear();
         d_x.resize(d_out.len() / self.outputs() * self.inputs(), 0.0);
         accumulate(Matrix::new(d_out, self.outputs()), Matrix::new(&self.weight, self.inputs()), d_x, packed);
@@ -148,16 +148,16 @@ impl Mlp {
         self.layers[2].forward(second, output, packed);
     }
 
-    /// Adds to `gradients` those of a batch whose forward pass left `trace`, given the cotangents of its
+    /// Adds to `gradients` those of a batch whose forward pass left `trace`, given those of its
     /// outputs.
     pub(super) fn backward(&self, x: &[f32], d_output: &[f32], trace: &mut Trace, gradients: &mut Mlp) {
         let Trace { hidden, slope, d_hidden, packed, .. } = trace;
         let [one, two] = d_hidden;
         gradients.layers[2].add_gradient(&hidden[1], d_output, packed);
-        self.layers[2].pull_back(d_output, two, packed);
+        self.layers[2].backward_of_inputs(d_output, two, packed);
         multiply(two, &slope[1]);
         gradients.layers[1].add_gradient(&hidden[0], two, packed);
-        self.layers[1].pull_back(two, one, packed);
+        self.layers[1].backward_of_inputs(two, one, packed);
         multiply(one, &slope[0]);
         gradients.layers[0].add_gradient(x, one, packed);
     }

@@ -117,9 +117,9 @@ impl Ridge {
         self.times_inverse(&correlation)
     }
 
-    /// `K` of the module's header: the cotangent of the operator times `(A + λ I)⁻¹`.
-    pub(crate) fn backward(&self, cotangent: &Affine) -> Affine {
-        self.times_inverse(cotangent)
+    /// `K` of the module's header: the derivative by the operator times `(A + λ I)⁻¹`.
+    pub(crate) fn backward(&self, d_operator: &Affine) -> Affine {
+        self.times_inverse(d_operator)
     }
 
     fn times_inverse(&self, rows: &Affine) -> Affine {

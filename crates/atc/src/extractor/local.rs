@@ -77,7 +77,7 @@ impl Fit {
         }
     }
 
-    /// Cotangents of `(g − 1, b)` to those of the samples of `x'` (with `y` fixed) and of `y`.
+    /// RenderGradients of `(g − 1, b)` to those of the samples of `x'` (with `y` fixed) and of `y`.
     #[inline(always)]
     fn backward(&self, d_excess: f64, d_bias: f64) -> ([f64; SAMPLES], [f64; SAMPLES]) {
         let n = SAMPLES as f64;
@@ -154,18 +154,18 @@ impl Band<'_> {
         }
     }
 
-    /// Cotangents of the operators to those of the pooled target (`[8][3][columns]`, overwritten); returns
-    /// the cotangent of the global operator through `x'`.
+    /// RenderGradients of the operators to those of the pooled target (`[8][3][columns]`, overwritten); returns
+    /// the derivative by the global operator through `x'`.
     #[inline(always)]
     pub(crate) fn backward(
         &self,
         global: &Affine,
         form: Form,
-        cotangents: &[[f64; 6]],
+        d_cells: &[[f64; 6]],
         d_target: &mut [f64],
     ) -> Affine {
         let mut d_global = [0.0; 12];
-        for (cell, d_cell) in cotangents.iter().enumerate() {
+        for (cell, d_cell) in d_cells.iter().enumerate() {
             let (source, fits) = self.fits(global, cell);
             for c in 0..3 {
                 let d_excess = match form {

@@ -218,7 +218,7 @@ pub struct Transition {
 }
 
 /// Subtracts from every local operator their plain mean over the cells, so that it cannot repeat the global
-/// one. The map is a symmetric projection: the cotangent of centred operators, centred, is that of the
+/// one. The map is a symmetric projection: the derivative by centred operators, centred, is that of the
 /// operators.
 pub fn center(cells: &mut [[f64; 6]]) {
     let count = cells.len().max(1) as f64;

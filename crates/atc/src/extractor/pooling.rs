@@ -88,11 +88,11 @@ impl Pooling {
         );
     }
 
-    /// First half of the adjoint: each pooled row's cotangent (`[rows][P][columns]`) divided by its bins'
+    /// First half of the adjoint: each pooled row's derivative (`[rows][P][columns]`) divided by its bins'
     /// sizes and spread over the columns, `[rows][P][w]`. The second half is [`Pooling::covering_rows`].
-    pub(crate) fn spread(&self, planes: usize, cotangent: &[f64], wide: &mut [f32]) {
+    pub(crate) fn spread(&self, planes: usize, d_pooled: &[f64], wide: &mut [f32]) {
         let (w, columns) = (self.x.length(), self.x.len());
-        wide.par_chunks_mut(w).zip(cotangent.par_chunks(columns)).enumerate().for_each(
+        wide.par_chunks_mut(w).zip(d_pooled.par_chunks(columns)).enumerate().for_each(
             |(index, (wide, row))| {
                 let k = index / planes;
                 wide.fill(0.0);
@@ -148,12 +148,12 @@ mod tests {
             let pooling = Pooling::new(size, to);
             let (w, h) = size;
             let image: Vec<f32> = (0..w * h).map(|i| math::sin((i * 37 % 101) as f32)).collect();
-            let cotangent: Vec<f64> = (0..to.0 * to.1).map(|i| math::cos((i * 53 % 97) as f64)).collect();
+            let d_pooled: Vec<f64> = (0..to.0 * to.1).map(|i| math::cos((i * 53 % 97) as f64)).collect();
             let (mut pooled, mut scratch) = (vec![0.0; to.0 * to.1], Vec::new());
             pooling.forward(1, &image, &mut pooled, &mut scratch);
             let mut wide = vec![0.0f32; to.1 * w];
-            pooling.spread(1, &cotangent, &mut wide);
-            let forward: f64 = pooled.iter().zip(&cotangent).map(|(a, b)| a * b).sum();
+            pooling.spread(1, &d_pooled, &mut wide);
+            let forward: f64 = pooled.iter().zip(&d_pooled).map(|(a, b)| a * b).sum();
             let mut backward = 0.0;
             for y in 0..h {
                 for k in pooling.covering_rows(y) {

@@ -2,7 +2,7 @@
 //!
 //! Output sample `i` of an axis that goes from `n_in` to `n_out` reads the source at
 //! `max((i + 0.5) n_in / n_out − 0.5, 0)`: half-pixel centres, edge clamped, no antialiasing. An image is
-//! resized by the tensor product of two axes, and the adjoint scatters a cotangent back with the same four
+//! resized by the tensor product of two axes, and the adjoint scatters a derivative back with the same four
 //! weights. An axis may be *compacted* to the indices that it reads; the arithmetic, and so every bit of the
 //! result, stays the same.
 
@@ -149,18 +149,18 @@ impl Resize {
         self.forward_planes(source.data(), output.data_mut());
     }
 
-    /// The adjoint of [`Resize::forward`]: `source_cotangent` takes the source size and is overwritten;
+    /// The adjoint of [`Resize::forward`]: `d_source` takes the source size and is overwritten;
     /// `scratch` is working memory that may be reused.
-    pub(crate) fn backward(&self, cotangent: &Image, source_cotangent: &mut Image, scratch: &mut Vec<f32>) {
+    pub(crate) fn backward(&self, d_out: &Image, d_source: &mut Image, scratch: &mut Vec<f32>) {
         let (w_in, h_in) = self.source_size();
         let (w, h) = self.output_size();
-        source_cotangent.resize(w_in, h_in);
+        d_source.resize(w_in, h_in);
         if self.identity {
-            source_cotangent.data_mut().copy_from_slice(cotangent.data());
+            d_source.data_mut().copy_from_slice(d_out.data());
             return;
         }
         scratch.resize(3 * h * w_in, 0.0);
-        scratch.par_chunks_mut(w_in).zip(cotangent.data().par_chunks(w)).for_each(|(wide, row)| {
+        scratch.par_chunks_mut(w_in).zip(d_out.data().par_chunks(w)).for_each(|(wide, row)| {
             wide.fill(0.0);
             for (i, &g) in row.iter().enumerate() {
                 let f = self.x.fraction[i];
@@ -169,7 +169,7 @@ impl Resize {
             }
         });
         let wide = &*scratch;
-        source_cotangent.data_mut().par_chunks_mut(w_in).enumerate().for_each(|(row, out)| {
+        d_source.data_mut().par_chunks_mut(w_in).enumerate().for_each(|(row, out)| {
             let (plane, y) = (row / h_in, row % h_in);
             out.fill(0.0);
             for &(reader, weight) in self.y.readers_of(y) {
@@ -225,11 +225,11 @@ mod tests {
         for (from, to) in [((37, 21), (16, 9)), ((16, 9), (37, 21)), ((13, 8), (13, 8)), ((50, 3), (8, 8))] {
             let resize = Resize::between(from, to);
             let source = noise(from.0, from.1, 1);
-            let cotangent = noise(to.0, to.1, 2);
+            let d_out = noise(to.0, to.1, 2);
             let (mut out, mut back, mut scratch) = (Image::new(1, 1), Image::new(1, 1), Vec::new());
             resize.forward(&source, &mut out);
-            resize.backward(&cotangent, &mut back, &mut scratch);
-            assert!((dot(&out, &cotangent) - dot(&source, &back)).abs() < 1e-5 * dot(&out, &cotangent));
+            resize.backward(&d_out, &mut back, &mut scratch);
+            assert!((dot(&out, &d_out) - dot(&source, &back)).abs() < 1e-5 * dot(&out, &d_out));
 
             let (columns, rows) = (resize.x.support(), resize.y.support());
             let compact = Resize::new(resize.x.compact(), resize.y.compact());

@@ -193,7 +193,7 @@ impl Source {
     }
 
     /// The gradient with respect to the target of the last [`Source::forward`], of the geometry's size, given
-    /// the cotangents of the global operator and of the local ones (not centred: see [`super::center`]).
+    /// the derivatives by the global operator and of the local ones (not centred: see [`super::center`]).
     /// `gradient` is overwritten.
     pub fn backward(
         &self,
@@ -232,7 +232,7 @@ impl Source {
         check_size(&ws.target, (w, h))?;
         if local.len() != columns * rows {
             return Err(AtcError::artifact(
-                "cotangent of the local operators",
+                "derivative by the local operators",
                 format!("{} cells, the grid has {columns}x{rows}", local.len()),
             ));
         }
@@ -247,8 +247,8 @@ impl Source {
             .zip(&mut ws.band_sums)
             .zip(local.par_chunks(columns))
             .zip(self.bands(&ws.samples))
-            .for_each(|(((out, sum), cotangents), band)| {
-                *sum = vectorized!(band.backward(&operator, form, cotangents, out));
+            .for_each(|(((out, sum), d_cells), band)| {
+                *sum = vectorized!(band.backward(&operator, form, d_cells, out));
             });
         let mut d_operator = *global;
         for sum in &ws.band_sums {

@@ -14,20 +14,20 @@ pub(super) const TERM: LossTerm = LossTerm {
 };
 
 fn term(seen: &Operators<'_>, weight: f64, gradient: &mut Transition) -> Realised {
-    let mut pull = [0.0; 12];
+    let mut d_operator = [0.0; 12];
     let Operators { realised, goals, .. } = seen;
-    let value = global_loss(&realised.global, &goals.operator, &goals.global_scales, weight, &mut pull);
-    gradient.global.iter_mut().zip(pull).for_each(|(sum, g)| *sum += g);
+    let value = global_loss(&realised.global, &goals.operator, &goals.global_scales, weight, &mut d_operator);
+    gradient.global.iter_mut().zip(d_operator).for_each(|(sum, g)| *sum += g);
     value
 }
 
-/// The global term; `cotangent` receives `weight · ∂L/∂t`.
+/// The global term; `d_operator` receives `weight · ∂L/∂t`.
 pub fn global_loss(
     realised: &Affine,
     target: &Affine,
     scales: &[f64; 12],
     weight: f64,
-    cotangent: &mut Affine,
+    d_operator: &mut Affine,
 ) -> Realised {
     let (mut loss, mut square) = (0.0, 0.0);
     for q in 0..12 {
@@ -36,7 +36,7 @@ pub fn global_loss(
         let (value, slope) = smooth_l1(e);
         loss += value;
         square += e * e;
-        cotangent[q] = weight * slope / scale / 12.0;
+        d_operator[q] = weight * slope / scale / 12.0;
     }
     Realised { loss: loss / 12.0, error: (square / 12.0).sqrt() }
 }

@@ -19,15 +19,16 @@ pub(super) const TERM: LossTerm = LossTerm {
 
 fn term(seen: &Operators<'_>, weight: f64, gradient: &mut Transition) -> Realised {
     let Operators { realised, target, goals } = seen;
-    let (mut cells, mut pull) = (realised.local.clone(), Vec::new());
-    let value = local_loss(&mut cells, &target.local, &target.weight, &goals.local_scales, weight, &mut pull);
-    for (sum, cell) in gradient.local.iter_mut().zip(&pull) {
+    let (mut cells, mut d_cells) = (realised.local.clone(), Vec::new());
+    let value =
+        local_loss(&mut cells, &target.local, &target.weight, &goals.local_scales, weight, &mut d_cells);
+    for (sum, cell) in gradient.local.iter_mut().zip(&d_cells) {
         sum.iter_mut().zip(cell).for_each(|(sum, g)| *sum += g);
     }
     value
 }
 
-/// The local term. `cells` are the realised operators, not centred, and are centred in place; `cotangent`
+/// The local term. `cells` are the realised operators, not centred, and are centred in place; `d_cells`
 /// receives `weight · ∂L/∂Δ` of the operators before centring. All three lists have one entry per cell.
 pub fn local_loss(
     cells: &mut [[f64; 6]],
@@ -35,15 +36,15 @@ pub fn local_loss(
     support: &[f64],
     scales: &[f64; 6],
     weight: f64,
-    cotangent: &mut Vec<[f64; 6]>,
+    d_cells: &mut Vec<[f64; 6]>,
 ) -> Realised {
     center(cells);
     let total: f64 = support.iter().sum();
     let divisor = total.max(SUPPORT_FLOOR);
     let (mut loss, mut square) = (0.0, 0.0);
-    cotangent.clear();
-    cotangent.resize(cells.len(), [0.0; 6]);
-    for (p, d) in cotangent.iter_mut().enumerate() {
+    d_cells.clear();
+    d_cells.resize(cells.len(), [0.0; 6]);
+    for (p, d) in d_cells.iter_mut().enumerate() {
         for q in 0..6 {
             let scale = scales[q].max(SCALE_FLOOR);
             let e = (cells[p][q] - target[p][q]) / scale;
@@ -53,6 +54,6 @@ pub fn local_loss(
             d[q] = weight * support[p] / divisor * slope / scale / 6.0;
         }
     }
-    center(cotangent);
+    center(d_cells);
     Realised { loss: loss / divisor, error: (square / divisor).sqrt() }
 }

@@ -226,10 +226,10 @@ mod tests {
     fn every_group_moves_at_its_own_rate_like_the_plain_update() {
         let n = 3000;
         let mut parameters = random(n, 1);
-        let (before, pulls) = (parameters.clone(), random(n, 2));
+        let (before, slopes) = (parameters.clone(), random(n, 2));
         let mut moments = Moments::new(&parameters);
         for step in 0..3 {
-            assert_eq!(moments.update(step, &RATES, 1, &mut parameters, &gradients(&pulls)), None);
+            assert_eq!(moments.update(step, &RATES, 1, &mut parameters, &gradients(&slopes)), None);
         }
         let plain = |from: &[f32], g: &[f32], rate: f64| {
             let (mut p, mut m, mut v) = (from.to_vec(), vec![0.0; g.len()], vec![0.0; g.len()]);
@@ -240,13 +240,13 @@ mod tests {
         };
         assert_eq!(
             parameters.means.as_flattened(),
-            plain(before.means.as_flattened(), pulls.means.as_flattened(), 1e-3)
+            plain(before.means.as_flattened(), slopes.means.as_flattened(), 1e-3)
         );
-        assert_eq!(parameters.opacity_logits, plain(&before.opacity_logits, &pulls.opacity_logits, 4e-3));
+        assert_eq!(parameters.opacity_logits, plain(&before.opacity_logits, &slopes.opacity_logits, 4e-3));
         let at = 1234;
         let row = |g: &Gaussians, range: std::ops::Range<usize>| g.sh[at].as_flattened()[range].to_vec();
-        assert_eq!(row(&parameters, 0..3), plain(&row(&before, 0..3), &row(&pulls, 0..3), 2e-3));
-        assert_eq!(row(&parameters, 3..12), plain(&row(&before, 3..12), &row(&pulls, 3..12), 3e-3));
+        assert_eq!(row(&parameters, 0..3), plain(&row(&before, 0..3), &row(&slopes, 0..3), 2e-3));
+        assert_eq!(row(&parameters, 3..12), plain(&row(&before, 3..12), &row(&slopes, 3..12), 3e-3));
         // Above the active degree nothing moves.
         assert_eq!(row(&parameters, 12..48), row(&before, 12..48));
     }
@@ -254,11 +254,11 @@ mod tests {
     #[test]
     fn the_first_bad_value_is_named() {
         let mut parameters = random(2000, 3);
-        let mut pulls = gradients(&random(2000, 4));
-        pulls.quaternions[1500][2] = f32::NAN;
-        pulls.sh[3][0][1] = f32::INFINITY;
+        let mut slopes = gradients(&random(2000, 4));
+        slopes.quaternions[1500][2] = f32::NAN;
+        slopes.sh[3][0][1] = f32::INFINITY;
         let mut moments = Moments::new(&parameters);
-        let bad = moments.update(0, &RATES, 0, &mut parameters, &pulls);
+        let bad = moments.update(0, &RATES, 0, &mut parameters, &slopes);
         assert_eq!(bad, Some(("quaternions", Some(6002))));
     }
 }

@@ -6,8 +6,8 @@ use use3d_capture::{Camera, Image, Lattice, Map, MediumMaps};
 use use3d_medium::{MediumModel, Role};
 use use3d_numerics::adam::Adam;
 use use3d_splat::{
-    Colors, Cotangents, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, Rendered,
-    ViewOf,
+    Colors, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, RenderGradients,
+    Rendered, ViewOf,
 };
 use use3d_training::{Drain, EngineError, Profile};
 
@@ -144,14 +144,14 @@ impl CpuEngine {
             b.exposure_gradient = expose_backward(&b.exposed, gain, image);
         }
         profile.lap(StepPart::Loss);
-        let cotangents =
-            Cotangents { image, depth: depth.get(), accumulation: accumulation.get(), clear: None };
+        let d_rendered =
+            RenderGradients { image, depth: depth.get(), accumulation: accumulation.get(), clear: None };
         b.rasterizer.backward(
             &b.prepared,
             ViewOf { gaussians: &state.gaussians, camera: &camera },
             maps,
             &options,
-            &cotangents,
+            &d_rendered,
             Gradients { gaussians: &mut b.gradients, medium: water.then_some(&mut b.map_gradients) },
         );
         profile.lap(StepPart::ComposeBackward);

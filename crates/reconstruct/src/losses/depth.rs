@@ -69,7 +69,7 @@ impl DepthPriorLoss {
             .data_mut()
             .par_chunks_mut(BLOCK)
             .zip(depth.par_chunks(BLOCK).zip(prior.par_chunks(BLOCK)))
-            .for_each(|(g, (d, p))| pull(g, d, p, constants));
+            .for_each(|(g, (d, p))| backward(g, d, p, constants));
         1.0 - correlation
     }
 }
@@ -124,7 +124,7 @@ fn moments(depth: &[f32], prior: &[f32]) -> [f64; 6] {
     sums.map(|ways| ways.iter().sum())
 }
 
-fn pull(gradient: &mut [f32], depth: &[f32], prior: &[f32], [own, mean_d, other, mean_p]: [f32; 4]) {
+fn backward(gradient: &mut [f32], depth: &[f32], prior: &[f32], [own, mean_d, other, mean_p]: [f32; 4]) {
     for ((g, &depth), &prior) in gradient.iter_mut().zip(depth).zip(prior) {
         let d = disparity(depth);
         let by_disparity = own * (d - mean_d) + other * (prior - mean_p);

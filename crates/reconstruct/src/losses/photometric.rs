@@ -147,7 +147,7 @@ impl PhotometricLoss {
                     .enumerate()
                     .for_each(|(block, (g, (x, y)))| {
                         let mask = mask.map(|m| &m[block * BLOCK..][..g.len()]);
-                        dispatch!(level, simd => pull(simd, x, y, mask, absolute, structure, g));
+                        dispatch!(level, simd => backward(simd, x, y, mask, absolute, structure, g));
                     });
             });
         let total = by_difference * reg_l1 + by_structure * reg_ms_ssim;
@@ -209,7 +209,7 @@ fn weigh<S: Simd>(
 
 /// `g ← m W ((1 − λ)/N sign(Î − I) − λ g)`, where `W = −x / ε` and the sign is that of `x − y`.
 #[inline(always)]
-fn pull<S: Simd>(
+fn backward<S: Simd>(
     simd: S,
     x: &[f32],
     y: &[f32],

@@ -54,7 +54,7 @@ fn golden_losses() {
         case.check_f64("out.ms_ssim_plain", &[measure.value(&prediction, &target, &levels)]);
 
         for pull in case.pulls().keys() {
-            let cotangent = case.f64(&format!("cot.{}", case.pulls()[pull][0]))[0];
+            let d_output = case.f64(&format!("cot.{}", case.pulls()[pull][0]))[0];
             // (structure share, photometric factor, depth factor)
             let (lambda, photometric, depth_factor) = match pull.as_str() {
                 "reg_l1" => (0.0, 1.0, 0.0),
@@ -64,9 +64,9 @@ fn golden_losses() {
                 other => panic!("unknown pull {other}"),
             };
             PhotometricLoss::with_levels(lambda, &levels).evaluate(&prediction, &target, None, &mut gradient);
-            let scaled = gradient.map(|g| (f64::from(g) * cotangent * photometric) as f32);
+            let scaled = gradient.map(|g| (f64::from(g) * d_output * photometric) as f32);
             case.check_planes(&format!("grad.{pull}.pred"), scaled.data());
-            DepthPriorLoss.evaluate(&depth, &prior, depth_factor * cotangent, &mut depth_gradient);
+            DepthPriorLoss.evaluate(&depth, &prior, depth_factor * d_output, &mut depth_gradient);
             case.check_planes(&format!("grad.{pull}.depth"), depth_gradient.data());
         }
     }

@@ -12,7 +12,7 @@ use super::pixels::{each, get, ray_lengths};
 use super::tile::{BackwardTile, Input, TileWater};
 use crate::lists::{Prepared, TILE};
 use crate::project::Splat;
-use crate::view::Cotangents;
+use crate::view::RenderGradients;
 
 thread_local! {
     /// The memory of the thread's last [`RowSplats`], taken up again by its next one.
@@ -93,15 +93,15 @@ pub(crate) fn load_water(
 pub(crate) struct BackwardRead<'a> {
     pub(crate) prepared: &'a Prepared,
     pub(crate) medium: Option<&'a MediumMaps>,
-    pub(crate) cotangents: &'a Cotangents<'a>,
+    pub(crate) d_rendered: &'a RenderGradients<'a>,
     /// What the forward pass left; `None` where the pass goes front to back itself.
     pub(crate) saved: Option<&'a Saved>,
 }
 
 /// Sets a tile up for the backward pass.
 #[inline(always)]
-pub(crate) fn load_cotangents(read: &BackwardRead<'_>, row: usize, column: usize, tile: &mut BackwardTile) {
-    let BackwardRead { prepared, medium, cotangents, saved } = *read;
+pub(crate) fn load_derivatives(read: &BackwardRead<'_>, row: usize, column: usize, tile: &mut BackwardTile) {
+    let BackwardRead { prepared, medium, d_rendered, saved } = *read;
     let (rows, n) = (prepared.rows.filled(row), prepared.columns.filled(column));
     let x = column * TILE;
     let pixels = prepared.width * prepared.height;
@@ -109,12 +109,12 @@ pub(crate) fn load_cotangents(read: &BackwardRead<'_>, row: usize, column: usize
     for (r, out) in tile.rows[..rows].iter_mut().enumerate() {
         let y = row * TILE + r;
         for c in 0..3 {
-            out.image[c] = get(cotangents.image.row(c, y), x, n);
+            out.image[c] = get(d_rendered.image.row(c, y), x, n);
             if let Some(medium) = medium {
                 let color = get(medium.color.row(c, y), x, n);
                 out.veiled[c] = each(|l| -(out.image[c][l] * color[l]));
             }
-            if let Some(clear) = cotangents.clear {
+            if let Some(clear) = d_rendered.clear {
                 out.clear[c] = get(clear.row(c, y), x, n);
             }
         }
@@ -124,10 +124,10 @@ pub(crate) fn load_cotangents(read: &BackwardRead<'_>, row: usize, column: usize
         out.stop[..n].copy_from_slice(&saved.stop[start..start + n]);
         let row = |plane: usize| &saved.values[plane * pixels + y * prepared.width..][..prepared.width];
         out.transmittance = get(row(0), x, n);
-        if let Some(accumulation) = cotangents.accumulation {
+        if let Some(accumulation) = d_rendered.accumulation {
             out.weight = get(accumulation.row(0, y), x, n);
         }
-        if let Some(depth) = cotangents.depth {
+        if let Some(depth) = d_rendered.depth {
             // depth = Σwz / max(Σw, 1e-6)
             let (g, value, sum) = (get(depth.row(0, y), x, n), get(row(1), x, n), get(row(2), x, n));
             out.depth = each(|l| g[l] / sum[l].max(1e-6));

@@ -14,7 +14,7 @@ use crate::lists::{Prepared, TILE};
 use crate::view::Layers;
 
 /// What a forward pass leaves for the backward pass. It depends on geometry alone, so any medium,
-/// colours and cotangents may follow.
+/// colours and d_rendered may follow.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Saved {
     stamp: u64,

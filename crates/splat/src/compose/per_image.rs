@@ -27,7 +27,7 @@ use super::rasterizer::Kernels;
 use super::strips::{Planes, for_each};
 use super::tile::Lanes;
 use crate::lists::{Prepared, TILE};
-use crate::view::{Cotangents, Options, Rendered};
+use crate::view::{Options, RenderGradients, Rendered};
 
 /// A view as it was composed without water, and the derivatives with respect to that.
 #[derive(Clone, Debug)]
@@ -176,7 +176,7 @@ impl Clear {
         kernels: Kernels,
         prepared: &Prepared,
         water: &MediumMaps,
-        wanted: (&Cotangents<'_>, &Options),
+        wanted: (&RenderGradients<'_>, &Options),
         grads: Option<&mut MediumMaps>,
     ) {
         let (w, h) = (prepared.width, prepared.height);
@@ -232,7 +232,7 @@ fn form_row(read: Read<'_>, row: usize, (mut image, mut object, mut medium, mut 
 fn differentiate_row(
     read: Read<'_>,
     row: usize,
-    (cotangents, options): (&Cotangents<'_>, &Options),
+    (d_rendered, options): (&RenderGradients<'_>, &Options),
     (mut d_image, mut d_depth, mut d_accumulation, mut d_water): Derived<'_>,
 ) {
     read.for_each(row, |y, r, column, columns| {
@@ -240,11 +240,11 @@ fn differentiate_row(
         let own = |map: Option<&Map>| map.map_or([0.0; TILE], |map| get(map.row(0, y), x, n));
         let surface = read.surface(y, column, n);
         let Surface { accumulation: weight, ray, distance: s } = &surface;
-        let (mut d_weight, mut d_distance) = (own(cotangents.accumulation), [0.0; TILE]);
+        let (mut d_weight, mut d_distance) = (own(d_rendered.accumulation), [0.0; TILE]);
         for c in 0..3 {
             let channel = read.channel(c, y, column, n, &surface);
             let Channel { light, color, attenuation, backscatter, object: a, veil: b } = &channel;
-            let g = get(cotangents.image.row(c, y), x, n);
+            let g = get(d_rendered.image.row(c, y), x, n);
             let shown = each(|l| g[l] * a[l]);
             let lit = each(|l| shown[l] * light[l]);
             let veiled = each(|l| g[l] * color[l] * b[l]);
@@ -259,7 +259,7 @@ fn differentiate_row(
                 put(d_attenuation.row(c, r, columns.clone()), &each(|l| -(s[l] * lit[l])));
             }
         }
-        let mut depth = own(cotangents.depth);
+        let mut depth = own(d_rendered.depth);
         if options.depth_gradient {
             depth = each(|l| depth[l] + ray[l] * d_distance[l]);
         }

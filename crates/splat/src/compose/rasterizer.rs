@@ -17,7 +17,7 @@ use super::sums::scatter;
 use super::{lanes, plain};
 use crate::lists::Prepared;
 use crate::project::{Drawn, Record, SplatGradient, backward};
-use crate::view::{Cotangents, Gradients, Options, Rendered, ViewOf};
+use crate::view::{Gradients, Options, RenderGradients, Rendered, ViewOf};
 
 /// Which code composes a tile. All give the same bits where multiply-add is fused.
 #[derive(Clone, Copy, Debug)]
@@ -151,22 +151,22 @@ impl Rasterizer {
         of: ViewOf<'_>,
         medium: Option<&MediumMaps>,
         options: &Options,
-        cotangents: &Cotangents<'_>,
+        d_rendered: &RenderGradients<'_>,
         grads: Gradients<'_>,
     ) {
         check_medium(prepared, medium);
-        check_size(prepared, "the image's cotangent", cotangents.image.width(), cotangents.image.height());
+        check_size(prepared, "derivative by the image", d_rendered.image.width(), d_rendered.image.height());
         if let Some(water) = over_the_image(medium) {
             let mut clear = self.clear_of(prepared);
-            clear.differentiate(self.kernels, prepared, water, (cotangents, options), grads.medium);
-            let cotangents = Cotangents {
+            clear.differentiate(self.kernels, prepared, water, (d_rendered, options), grads.medium);
+            let d_rendered = RenderGradients {
                 image: &clear.d_image,
                 depth: Some(&clear.d_depth),
                 accumulation: Some(&clear.d_accumulation),
-                clear: cotangents.clear,
+                clear: d_rendered.clear,
             };
             let grads = Gradients { gaussians: grads.gaussians, medium: None };
-            self.backward(prepared, of, None, options, &cotangents, grads);
+            self.backward(prepared, of, None, options, &d_rendered, grads);
             self.clear = clear;
             return;
         }
@@ -176,7 +176,7 @@ impl Rasterizer {
             self.forward_tiles::<false, false>(prepared, None, None);
         }
         let extras =
-            cotangents.depth.is_some() || cotangents.accumulation.is_some() || cotangents.clear.is_some();
+            d_rendered.depth.is_some() || d_rendered.accumulation.is_some() || d_rendered.clear.is_some();
         let s_gradient = if options.depth_gradient { 1.0 } else { 0.0 };
         let run = match (medium.is_some(), extras) {
             (false, false) => Self::backward_tiles::<false, false>,
@@ -184,7 +184,7 @@ impl Rasterizer {
             (true, false) => Self::backward_tiles::<true, false>,
             (true, true) => Self::backward_tiles::<true, true>,
         };
-        let read = BackwardRead { prepared, medium, cotangents, saved: None };
+        let read = BackwardRead { prepared, medium, d_rendered, saved: None };
         run(self, read, s_gradient, grads.medium);
         let drawn = Drawn { splats: &prepared.splats, ranks: &prepared.ranks, source: prepared.color_source };
         backward(&drawn, &self.sums, gaussians, camera, grads.gaussians);
@@ -240,23 +240,23 @@ impl Rasterizer {
         &mut self,
         prepared: &Prepared,
         medium: Option<&MediumMaps>,
-        image_cotangent: &Image,
+        d_image: &Image,
         color_grads: &mut [[f32; 3]],
         medium_grads: &mut MediumMaps,
     ) {
         check_medium(prepared, medium);
-        check_size(prepared, "the image's cotangent", image_cotangent.width(), image_cotangent.height());
+        check_size(prepared, "derivative by the image", d_image.width(), d_image.height());
         assert_eq!(color_grads.len(), prepared.gaussians, "one colour gradient per Gaussian");
         match (medium, over_the_image(medium)) {
-            (None, _) => self.color_tiles::<false>(prepared, medium, image_cotangent, Some(medium_grads)),
+            (None, _) => self.color_tiles::<false>(prepared, medium, d_image, Some(medium_grads)),
             (Some(_), None) => {
-                self.color_tiles::<true>(prepared, medium, image_cotangent, Some(medium_grads));
+                self.color_tiles::<true>(prepared, medium, d_image, Some(medium_grads));
             }
             (_, Some(water)) => {
                 let mut clear = self.clear_of(prepared);
-                let cotangents =
-                    Cotangents { image: image_cotangent, depth: None, accumulation: None, clear: None };
-                let wanted = (&cotangents, &Options::default());
+                let d_rendered =
+                    RenderGradients { image: d_image, depth: None, accumulation: None, clear: None };
+                let wanted = (&d_rendered, &Options::default());
                 clear.differentiate(self.kernels, prepared, water, wanted, Some(medium_grads));
                 self.color_tiles::<false>(prepared, None, &clear.d_image, None);
                 self.clear = clear;
@@ -273,8 +273,8 @@ impl Rasterizer {
         medium_grads: Option<&mut MediumMaps>,
     ) {
         let kernels = self.kernels;
-        let cotangents = Cotangents { image, depth: None, accumulation: None, clear: None };
-        let read = BackwardRead { prepared, medium, cotangents: &cotangents, saved: None };
+        let d_rendered = RenderGradients { image, depth: None, accumulation: None, clear: None };
+        let read = BackwardRead { prepared, medium, d_rendered: &d_rendered, saved: None };
         let planes = MediumPlanes::of(medium_grads, prepared);
         in_groups(
             prepared,

@@ -2,7 +2,7 @@
 
 use use3d_capture::MediumMaps;
 
-use super::inputs::{BackwardRead, input, load_cotangents, load_water, row_splats};
+use super::inputs::{BackwardRead, input, load_derivatives, load_water, row_splats};
 use super::outputs::{
     Composed, ImagePlanes, LayerPlanes, MediumPlanes, SavedPlanes, store_images, store_layers,
     store_medium_gradient,
@@ -63,7 +63,7 @@ pub(super) fn backward_row<const WATER: bool>(
         if WATER && let Some(medium) = medium {
             load_water(prepared, medium, row, column, &mut water);
         }
-        load_cotangents(read, row, column, &mut tile);
+        load_derivatives(read, row, column, &mut tile);
         compose(&input, &water, &mut tile, &mut Sink { records, column: column as u32 });
         if grads.present() {
             store_medium_gradient::<WATER>(prepared, &input, row, column, &tile, &mut grads);

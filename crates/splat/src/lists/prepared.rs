@@ -265,7 +265,7 @@ pub(crate) mod tests {
     /// gradients are the same, bit for bit.
     #[test]
     fn culling_changes_nothing() {
-        use crate::{Cotangents, GaussianGradients, Options, Rasterizer, Rendered};
+        use crate::{GaussianGradients, Options, Rasterizer, RenderGradients, Rendered};
         use use3d_capture::{Image, Intrinsics, Pose};
 
         let gaussians = cloud(500, -3.0, 0.0);
@@ -278,7 +278,7 @@ pub(crate) mod tests {
         assert!(view.entries() * 3 < uncut.entries() && view.entries() > 1000);
         let data = (0..3 * 75 * 58).map(|i| math::sin(i as f32)).collect();
         let image = Image::from_planes(75, 58, data).unwrap();
-        let cotangents = Cotangents { image: &image, depth: None, accumulation: None, clear: None };
+        let d_rendered = RenderGradients { image: &image, depth: None, accumulation: None, clear: None };
         for mut rasterizer in [Rasterizer::plain(), Rasterizer::new()] {
             let mut run = |view: &Prepared| {
                 let (mut out, mut grads) = (Rendered::new(), GaussianGradients::default());
@@ -286,7 +286,7 @@ pub(crate) mod tests {
                 rasterizer.forward(view, None, &options, &mut out);
                 let of = crate::ViewOf { gaussians: &gaussians, camera: &camera };
                 let into = crate::Gradients { gaussians: &mut grads, medium: None };
-                rasterizer.backward(view, of, None, &options, &cotangents, into);
+                rasterizer.backward(view, of, None, &options, &d_rendered, into);
                 (out, grads)
             };
             assert!(run(&view) == run(&uncut));

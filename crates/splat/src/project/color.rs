@@ -52,11 +52,11 @@ pub(crate) fn color_backward(
     center: [f32; 3],
     mean: [f32; 3],
     sh: &[[f32; 3]; 16],
-    cotangent: [f32; 3],
+    d_color: [f32; 3],
     gradient: &mut [[f32; 3]; 16],
 ) {
     let (raw, y) = raw_color(degree, direction(center, mean), sh);
-    let open: [f32; 3] = std::array::from_fn(|c| if raw[c] > 0.0 { cotangent[c] } else { 0.0 });
+    let open: [f32; 3] = std::array::from_fn(|c| if raw[c] > 0.0 { d_color[c] } else { 0.0 });
     for (g, y) in gradient.iter_mut().zip(y) {
         *g = open.map(|v| y * v);
     }
@@ -123,13 +123,13 @@ mod tests {
             view_colors(&gaussians, &camera, degree, &mut colors);
             case.check("out.color", colors.as_flattened());
             let mut gradient = vec![[[1.0; 3]; 16]; n];
-            for (i, cotangent) in case.rows::<3>("cot.color").into_iter().enumerate() {
+            for (i, d_color) in case.rows::<3>("cot.color").into_iter().enumerate() {
                 color_backward(
                     degree,
                     center,
                     gaussians.means[i],
                     &gaussians.sh[i],
-                    cotangent,
+                    d_color,
                     &mut gradient[i],
                 );
             }

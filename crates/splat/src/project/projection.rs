@@ -164,7 +164,7 @@ impl Projector {
         finite.then_some(Projection { mean, z, cov })
     }
 
-    /// The derivative: from cotangents of `mean2d` (pixels), `z` and `cov2d` (`xx`, `xy` counted once, `yy`).
+    /// The derivative: from d_rendered of `mean2d` (pixels), `z` and `cov2d` (`xx`, `xy` counted once, `yy`).
     #[inline(always)]
     pub(crate) fn backward(
         &self,

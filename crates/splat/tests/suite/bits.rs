@@ -4,8 +4,8 @@
 use use3d_capture::{Image, MediumMaps};
 use use3d_numerics::math;
 use use3d_splat::{
-    Colors, Cotangents, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, Rendered,
-    ViewOf,
+    Colors, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, RenderGradients,
+    Rendered, ViewOf,
 };
 
 use crate::support::{
@@ -34,15 +34,19 @@ fn everything(rasterizer: &mut Rasterizer, gaussians: &Gaussians, medium: Option
     rasterizer.forward(&view, medium, &options, &mut rendered);
     let (image, clear, depth, weight) =
         (random_image(w, h, 1), random_image(w, h, 2), random_map(w, h, 3), random_map(w, h, 4));
-    let cotangents =
-        Cotangents { image: &image, depth: Some(&depth), accumulation: Some(&weight), clear: Some(&clear) };
+    let d_rendered = RenderGradients {
+        image: &image,
+        depth: Some(&depth),
+        accumulation: Some(&weight),
+        clear: Some(&clear),
+    };
     let (mut grads, mut maps) = (GaussianGradients::default(), MediumMaps::zeros(0, 0));
     rasterizer.backward(
         &view,
         ViewOf { gaussians, camera: &camera },
         medium,
         &options,
-        &cotangents,
+        &d_rendered,
         Gradients { gaussians: &mut grads, medium: Some(&mut maps) },
     );
     let (mut colors, mut color_maps) = (vec![[0.0; 3]; gaussians.len()], MediumMaps::zeros(0, 0));
@@ -131,7 +135,7 @@ fn the_backward_pass_does_not_depend_on_which_view_was_rendered_last() {
     other_view.prepare(&gaussians, &other_camera, &lattice(&other_camera), Colors::Sh { degree: 3 });
     let image = random_image(w, h, 1);
     let depth = random_map(w, h, 3);
-    let cotangents = Cotangents { image: &image, depth: Some(&depth), accumulation: None, clear: None };
+    let d_rendered = RenderGradients { image: &image, depth: Some(&depth), accumulation: None, clear: None };
     let run = |before: &Prepared, medium_before: Option<&MediumMaps>| {
         let (mut rasterizer, options) = (Rasterizer::new(), Options::default());
         rasterizer.forward(before, medium_before, &options, &mut Rendered::new());
@@ -141,7 +145,7 @@ fn the_backward_pass_does_not_depend_on_which_view_was_rendered_last() {
             ViewOf { gaussians: &gaussians, camera: &camera },
             medium.as_ref(),
             &options,
-            &cotangents,
+            &d_rendered,
             Gradients { gaussians: &mut grads, medium: Some(&mut maps) },
         );
         (grads, maps)

@@ -3,7 +3,8 @@
 use use3d_capture::{Formation, MediumMaps};
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{
-    Cotangents, GaussianGradients, Gaussians, Gradients, Options, Rasterizer, Rendered, ViewOf, view_colors,
+    GaussianGradients, Gaussians, Gradients, Options, Rasterizer, RenderGradients, Rendered, ViewOf,
+    view_colors,
 };
 
 use crate::support::{prepared, random_camera, random_gaussians, random_image, random_map, random_medium};
@@ -25,10 +26,10 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
 fn check(scene: &mut Scene, options: Options, seed: u64) {
     let (w, h) = (scene.camera.intrinsics.width, scene.camera.intrinsics.height);
     let mut rasterizer = Rasterizer::new();
-    // Smooth cotangents keep the noise of contour crossings low.
+    // Smooth d_rendered keep the noise of contour crossings low.
     let (image, clear) = (random_image(w, h, seed), random_image(w, h, seed + 1));
     let (depth, accumulation) = (random_map(w, h, seed + 2), random_map(w, h, seed + 3));
-    let cotangents = Cotangents {
+    let d_rendered = RenderGradients {
         image: &image,
         depth: Some(&depth),
         accumulation: Some(&accumulation),
@@ -59,14 +60,14 @@ fn check(scene: &mut Scene, options: Options, seed: u64) {
         ViewOf { gaussians: &scene.gaussians, camera: &scene.camera },
         scene.medium.as_ref(),
         &options,
-        &cotangents,
+        &d_rendered,
         Gradients { gaussians: &mut grads, medium: Some(&mut maps) },
     );
     // f32 images carry about this much rounding into the loss.
     let rounding = 1e-7
         * [image.data(), clear.data(), depth.data(), accumulation.data()]
             .iter()
-            .flat_map(|cotangent| cotangent.iter())
+            .flat_map(|d| d.iter())
             .map(|c| f64::from(c.abs()))
             .sum::<f64>();
     let stream = Stream::new(seed, Purpose::new("directions"), 0);

@@ -3,8 +3,8 @@
 use use3d_capture::{Camera, Image, Map, MediumMaps};
 use use3d_golden::{Case, Part};
 use use3d_splat::{
-    Colors, Cotangents, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, Rendered,
-    ViewOf,
+    Colors, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, RenderGradients,
+    Rendered, ViewOf,
 };
 
 use crate::support::{engines, gaussians_of, image_of, lattice, map_of, medium_of};
@@ -53,7 +53,7 @@ fn check_case(case: &Case<'_>, rasterizer: &mut Rasterizer) {
         let clear = has("clean").then(|| image_of(case, "cot.clean"));
         let depth = has("depth").then(|| map_of(case, "cot.depth"));
         let accumulation = has("acc").then(|| map_of(case, "cot.acc"));
-        let cotangents = Cotangents {
+        let d_rendered = RenderGradients {
             image: &image,
             depth: depth.as_ref(),
             accumulation: accumulation.as_ref(),
@@ -64,7 +64,7 @@ fn check_case(case: &Case<'_>, rasterizer: &mut Rasterizer) {
             ViewOf { gaussians: &gaussians, camera: &camera },
             Some(&medium),
             &options,
-            &cotangents,
+            &d_rendered,
             Gradients { gaussians: &mut grads, medium: Some(&mut medium_grads) },
         );
         for input in case.grads() {
@@ -142,8 +142,8 @@ fn check_colors(
     }
     let mut prepared = Prepared::new();
     prepared.prepare(&lifted, camera, &lattice(camera), Colors::Sh { degree: 0 });
-    let cotangents = Cotangents { image, depth: None, accumulation: None, clear: None::<&Image> };
-    let _: Option<&Map> = cotangents.depth;
+    let d_rendered = RenderGradients { image, depth: None, accumulation: None, clear: None::<&Image> };
+    let _: Option<&Map> = d_rendered.depth;
     let (mut grads, mut full) = (GaussianGradients::default(), MediumMaps::zeros(0, 0));
     let options = Options::default();
     rasterizer.backward(
@@ -151,7 +151,7 @@ fn check_colors(
         ViewOf { gaussians: &lifted, camera },
         Some(medium),
         &options,
-        &cotangents,
+        &d_rendered,
         Gradients { gaussians: &mut grads, medium: Some(&mut full) },
     );
     let (mut colors, mut maps) = (vec![[9.0; 3]; lifted.len()], MediumMaps::zeros(0, 0));

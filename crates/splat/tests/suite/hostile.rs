@@ -3,7 +3,7 @@
 
 use use3d_capture::MediumMaps;
 use use3d_numerics::random::{Purpose, Stream};
-use use3d_splat::{Cotangents, GaussianGradients, Gaussians, Gradients, Options, Rendered, ViewOf};
+use use3d_splat::{GaussianGradients, Gaussians, Gradients, Options, RenderGradients, Rendered, ViewOf};
 
 use crate::support::{
     engines, prepared, random_camera, random_gaussians, random_image, random_map, random_medium,
@@ -14,8 +14,12 @@ fn run_all(gaussians: &Gaussians, width: usize, height: usize) {
     let medium = random_medium(width, height, true, 1);
     let (image, clear) = (random_image(width, height, 1), random_image(width, height, 2));
     let (depth, weight) = (random_map(width, height, 3), random_map(width, height, 4));
-    let cotangents =
-        Cotangents { image: &image, depth: Some(&depth), accumulation: Some(&weight), clear: Some(&clear) };
+    let d_rendered = RenderGradients {
+        image: &image,
+        depth: Some(&depth),
+        accumulation: Some(&weight),
+        clear: Some(&clear),
+    };
     for (name, mut rasterizer) in engines() {
         let view = prepared(gaussians, &camera);
         for medium in [None, Some(&medium)] {
@@ -33,7 +37,7 @@ fn run_all(gaussians: &Gaussians, width: usize, height: usize) {
                 ViewOf { gaussians, camera: &camera },
                 medium,
                 &options,
-                &cotangents,
+                &d_rendered,
                 Gradients { gaussians: &mut grads, medium: Some(&mut maps) },
             );
             for values in [

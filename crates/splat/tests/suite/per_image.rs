@@ -5,7 +5,7 @@ use glam::DVec3;
 use use3d_capture::{Camera, Formation, Image, MediumMaps};
 use use3d_numerics::math;
 use use3d_splat::{
-    Cotangents, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, Rendered, ViewOf,
+    GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, RenderGradients, Rendered, ViewOf,
 };
 
 use crate::support::{
@@ -54,17 +54,17 @@ fn gradients(
     rasterizer: &mut Rasterizer,
     view: &View,
     water: &MediumMaps,
-    cotangents: &Cotangents<'_>,
+    d_rendered: &RenderGradients<'_>,
 ) -> (GaussianGradients, MediumMaps) {
     let (mut gaussians, mut maps) = (GaussianGradients::default(), MediumMaps::zeros(0, 0));
     let of = ViewOf { gaussians: &view.gaussians, camera: &view.camera };
     let into = Gradients { gaussians: &mut gaussians, medium: Some(&mut maps) };
-    rasterizer.backward(&view.prepared, of, Some(water), &LAYERS, cotangents, into);
+    rasterizer.backward(&view.prepared, of, Some(water), &LAYERS, d_rendered, into);
     (gaussians, maps)
 }
 
-fn only(image: &Image) -> Cotangents<'_> {
-    Cotangents { image, depth: None, accumulation: None, clear: None }
+fn only(image: &Image) -> RenderGradients<'_> {
+    RenderGradients { image, depth: None, accumulation: None, clear: None }
 }
 
 /// `I = J e^{−β_a s} + c_m (1 − A e^{−β_b s})` in f64 from what is composed without water. Where a pixel is
@@ -119,7 +119,7 @@ fn at_one_depth_both_formations_agree() {
         let off = found.iter().zip(expected).fold(0.0f32, |most, (a, b)| most.max((a - b).abs()));
         assert!(size > 0.0 && off < 1e-4 * size.max(1.0), "{what}: off by {off} of {size}");
     };
-    let pull = random_image(SIZE.0, SIZE.1, 8);
+    let d_image = random_image(SIZE.0, SIZE.1, 8);
     let mut rasterizer = Rasterizer::new();
     let (over, front) =
         (draw(&mut rasterizer, &view, Some(&view.water)), draw(&mut rasterizer, &view, Some(&in_front)));
@@ -129,8 +129,8 @@ fn at_one_depth_both_formations_agree() {
     close("medium", a.medium.data(), b.medium.data());
     close("far", a.far.data(), b.far.data());
     let ((over, maps), (front, expected)) = (
-        gradients(&mut rasterizer, &view, &view.water, &only(&pull)),
-        gradients(&mut rasterizer, &view, &in_front, &only(&pull)),
+        gradients(&mut rasterizer, &view, &view.water, &only(&d_image)),
+        gradients(&mut rasterizer, &view, &in_front, &only(&d_image)),
     );
     close("opacities", &over.opacity_logits, &front.opacity_logits);
     close("colours", over.sh.as_flattened().as_flattened(), front.sh.as_flattened().as_flattened());
@@ -145,7 +145,7 @@ fn fused_engines_give_the_same_bits() {
     let view = view(5, false);
     let (image, clear) = (random_image(SIZE.0, SIZE.1, 1), random_image(SIZE.0, SIZE.1, 2));
     let (depth, accumulation) = (random_map(SIZE.0, SIZE.1, 3), random_map(SIZE.0, SIZE.1, 4));
-    let cotangents = Cotangents {
+    let d_rendered = RenderGradients {
         image: &image,
         depth: Some(&depth),
         accumulation: Some(&accumulation),
@@ -153,7 +153,7 @@ fn fused_engines_give_the_same_bits() {
     };
     let mut found = fused_engines().into_iter().map(|(name, mut rasterizer)| {
         let drawn = draw(&mut rasterizer, &view, Some(&view.water));
-        (name, drawn, gradients(&mut rasterizer, &view, &view.water, &cotangents))
+        (name, drawn, gradients(&mut rasterizer, &view, &view.water, &d_rendered))
     });
     let (_, first, differentiated) = found.next().unwrap();
     for (name, drawn, derived) in found {
@@ -165,7 +165,7 @@ fn fused_engines_give_the_same_bits() {
 #[test]
 fn derivatives_of_colours_are_those_of_the_colours_there_are() {
     let mut view = view(6, false);
-    let pull = random_image(SIZE.0, SIZE.1, 9);
+    let d_image = random_image(SIZE.0, SIZE.1, 9);
     let n = view.gaussians.len();
     let colors: Vec<[f32; 3]> =
         (0..n).map(|i| std::array::from_fn(|c| 0.2 + 0.1 * ((i + c) % 5) as f32)).collect();
@@ -176,12 +176,12 @@ fn derivatives_of_colours_are_those_of_the_colours_there_are() {
     draw(&mut rasterizer, &view, Some(&view.water));
     view.prepared.set_colors(&colors);
     let (mut grads, mut maps) = (vec![[0.0f32; 3]; n], MediumMaps::zeros(0, 0));
-    rasterizer.backward_colors(&view.prepared, Some(&view.water), &pull, &mut grads, &mut maps);
+    rasterizer.backward_colors(&view.prepared, Some(&view.water), &d_image, &mut grads, &mut maps);
     // Of the water as the whole derivative has it.
-    assert_eq!(maps, gradients(&mut Rasterizer::new(), &view, &view.water, &only(&pull)).1);
-    let lit = dot(&draw(&mut rasterizer, &view, Some(&view.water)).image, &pull);
+    assert_eq!(maps, gradients(&mut Rasterizer::new(), &view, &view.water, &only(&d_image)).1);
+    let lit = dot(&draw(&mut rasterizer, &view, Some(&view.water)).image, &d_image);
     view.prepared.set_colors(&vec![[0.0; 3]; n]);
-    let dark = dot(&draw(&mut rasterizer, &view, Some(&view.water)).image, &pull);
+    let dark = dot(&draw(&mut rasterizer, &view, Some(&view.water)).image, &d_image);
     let along: f64 = grads
         .as_flattened()
         .iter()

@@ -4,7 +4,7 @@ use glam::{DMat3, DQuat, DVec3};
 use use3d_capture::{Image, Lattice, MediumMaps, Pose};
 use use3d_numerics::math;
 use use3d_splat::{
-    Colors, Cotangents, GaussianGradients, Gradients, Options, Prepared, Rasterizer, Rendered, ViewOf,
+    Colors, GaussianGradients, Gradients, Options, Prepared, Rasterizer, RenderGradients, Rendered, ViewOf,
     view_colors,
 };
 
@@ -146,7 +146,7 @@ fn permuting_gaussians_permutes_gradients_and_keeps_the_image() {
     let shuffled = gaussians.select(&order);
     let medium = random_medium(60, 40, true, 1);
     let image = random_image(60, 40, 2);
-    let cotangents = Cotangents { image: &image, depth: None, accumulation: None, clear: None };
+    let d_rendered = RenderGradients { image: &image, depth: None, accumulation: None, clear: None };
     let run = |g: &use3d_splat::Gaussians| {
         let view = prepared(g, &camera);
         let mut grads = GaussianGradients::default();
@@ -156,7 +156,7 @@ fn permuting_gaussians_permutes_gradients_and_keeps_the_image() {
             ViewOf { gaussians: g, camera: &camera },
             Some(&medium),
             &options,
-            &cotangents,
+            &d_rendered,
             Gradients { gaussians: &mut grads, medium: None },
         );
         (render(&view, Some(&medium)).image, grads)
@@ -218,21 +218,21 @@ fn given_colours_are_used_as_they_are() {
 }
 
 /// The absolute statistic is at least the absolute value of the projected gradient, and is that of a single
-/// pixel's when only one has a cotangent.
+/// pixel's when only one has a derivative.
 #[test]
 fn the_screen_statistic_bounds_the_projected_gradient() {
     let (camera, gaussians) = (random_camera(40, 30), random_gaussians(50, -1.5, 14));
     let view = prepared(&gaussians, &camera);
     let run = |image: &Image| {
         let mut grads = GaussianGradients::default();
-        let cotangents = Cotangents { image, depth: None, accumulation: None, clear: None };
+        let d_rendered = RenderGradients { image, depth: None, accumulation: None, clear: None };
         let options = Options::default();
         Rasterizer::new().backward(
             &view,
             ViewOf { gaussians: &gaussians, camera: &camera },
             None,
             &options,
-            &cotangents,
+            &d_rendered,
             Gradients { gaussians: &mut grads, medium: None },
         );
         grads.screen

@@ -4,7 +4,7 @@ use use3d_capture::{Intrinsics, Pose};
 use use3d_golden::Part;
 use use3d_numerics::random::{Purpose, Stream};
 
-/// From the cotangent of the conic (`xy` counted once) to that of the covariance: `−C G C`.
+/// From the derivative by the conic (`xy` counted once) to that of the covariance: `−C G C`.
 fn conic_backward(c: [f64; 3], g: [f64; 3]) -> [f64; 3] {
     let (c, g) = ([[c[0], c[1]], [c[1], c[2]]], [[g[0], g[1] / 2.0], [g[1] / 2.0, g[2]]]);
     let entry = |i: usize, j: usize| {
