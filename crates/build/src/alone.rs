@@ -7,9 +7,9 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 
 use serde_json::Value;
 
-use super::Engine;
+use super::Builder;
 use super::context::{Log, StageContext, StageInput};
-use super::error::{EngineError, StageError};
+use super::error::{BuildError, StageError};
 use super::events::Listener;
 use super::files;
 use super::graph::Graph;
@@ -86,7 +86,7 @@ impl Stage {
     }
 }
 
-impl Engine {
+impl Builder {
     /// Runs a node whose inputs are cached again, into `scratch`, from nothing (no checkpoints); the digests
     /// of its files.
     pub(crate) fn run_again(
@@ -97,7 +97,7 @@ impl Engine {
         scratch: &Path,
         options: &RunOptions,
         listener: &Arc<dyn Listener>,
-    ) -> Result<Result<Vec<FileRecord>, StageError>, EngineError> {
+    ) -> Result<Result<Vec<FileRecord>, StageError>, BuildError> {
         let resolved =
             resolve::resolve(&self.registry, &self.cache, &self.numeric_class, graph, node, outcomes);
         let Ok(resolved) = resolved else {

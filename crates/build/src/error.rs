@@ -226,9 +226,9 @@ fn advice(error: &std::io::Error) -> &'static str {
     }
 }
 
-/// What stops the engine as a whole.
+/// What stops the builder as a whole.
 #[derive(Debug, thiserror::Error)]
-pub enum EngineError {
+pub enum BuildError {
     /// A file operation failed.
     #[error(transparent)]
     File(#[from] FileError),
@@ -265,7 +265,7 @@ pub enum EngineError {
     },
 }
 
-impl EngineError {
+impl BuildError {
     /// An unknown name, with the nearest known one.
     pub fn unknown<'n>(kind: &'static str, name: &str, known: impl IntoIterator<Item = &'n str>) -> Self {
         let known: Vec<&str> = known.into_iter().collect();

@@ -1,4 +1,4 @@
-//! What the engine tells while it works; the command line draws it.
+//! What the builder tells while it works; the command line draws it.
 
 use std::any::Any;
 use std::path::Path;
@@ -16,7 +16,7 @@ pub enum Event<'a> {
     Started {
         /// The node in the graph.
         node: usize,
-        /// Scene, variant and stage in words.
+        /// BatchScene, variant and stage in words.
         label: &'a str,
         /// Its key.
         key: Digest,
@@ -27,7 +27,7 @@ pub enum Event<'a> {
     Progress {
         /// The node in the graph.
         node: usize,
-        /// Scene, variant and stage in words.
+        /// BatchScene, variant and stage in words.
         label: &'a str,
         /// Work done.
         done: u64,
@@ -43,7 +43,7 @@ pub enum Event<'a> {
     /// Numbers of a step, by name, for curves. Told after every step; whoever
     /// holds this up holds up the stage.
     Figures {
-        /// Scene, variant and stage in words.
+        /// BatchScene, variant and stage in words.
         label: &'a str,
         /// Steps done.
         step: u64,
@@ -54,14 +54,14 @@ pub enum Event<'a> {
     },
     /// A stage asks whether somebody wants to see what it is making; who does raises the flag.
     AsksForView {
-        /// Scene, variant and stage in words.
+        /// BatchScene, variant and stage in words.
         label: &'a str,
         /// Raised by who wants to see it.
         wanted: &'a AtomicBool,
     },
     /// What a stage is making, as it stands: a copy, of a type that the stage says.
     View {
-        /// Scene, variant and stage in words.
+        /// BatchScene, variant and stage in words.
         label: &'a str,
         /// What it is made from.
         inputs: &'a [StageInput],
@@ -73,7 +73,7 @@ pub enum Event<'a> {
     Waiting {
         /// The node in the graph.
         node: usize,
-        /// Scene, variant and stage in words.
+        /// BatchScene, variant and stage in words.
         label: &'a str,
         /// Who.
         holder: &'a str,
@@ -82,7 +82,7 @@ pub enum Event<'a> {
     Done {
         /// The node in the graph.
         node: usize,
-        /// Scene, variant and stage in words.
+        /// BatchScene, variant and stage in words.
         label: &'a str,
         /// Whether it was there already.
         cached: bool,
@@ -102,7 +102,7 @@ pub enum Event<'a> {
     Failed {
         /// The node in the graph.
         node: usize,
-        /// Scene, variant and stage in words.
+        /// BatchScene, variant and stage in words.
         label: &'a str,
         /// Why.
         reason: &'a str,
@@ -123,7 +123,7 @@ pub enum Event<'a> {
         /// A table.
         text: &'a str,
     },
-    /// Something is wrong, and the engine goes on: a damaged artifact, a determinism alarm.
+    /// Something is wrong, and the builder goes on: a damaged artifact, a determinism alarm.
     Warning {
         /// What it is about.
         label: &'a str,

@@ -12,7 +12,7 @@ use serde_json::{Map, Value};
 
 use super::canonical;
 use super::digest::{Digest, Encoder};
-use super::error::{EngineError, ParameterError};
+use super::error::{BuildError, ParameterError};
 use super::registry::Registry;
 use super::stage::{AllParameters, Named, Scope, Source};
 
@@ -40,14 +40,14 @@ pub struct Batch {
     /// Where the user named them, by name: `` `calibrator.file` in reefs.toml ``. For messages only.
     pub named: BTreeMap<String, String>,
     /// The scenes.
-    pub scenes: Vec<Scene>,
+    pub scenes: Vec<BatchScene>,
     /// The variants; none means one without a name.
     pub variants: Vec<Variant>,
 }
 
 /// One scene of a batch.
 #[derive(Clone, Debug, Default)]
-pub struct Scene {
+pub struct BatchScene {
     /// Its name, unique in the batch.
     pub name: String,
     /// The group whose mean it counts in.
@@ -62,7 +62,7 @@ pub struct Scene {
     pub forced: Overrides,
 }
 
-impl Scene {
+impl BatchScene {
     /// Names a file or folder of this scene; `by` says in words where the user did.
     pub fn name_external(&mut self, name: &str, place: External, by: impl Into<String>) {
         self.externals.insert(name.to_string(), place);
@@ -105,10 +105,10 @@ impl Batch {
     }
 
     /// Keeps only the named scenes.
-    pub fn keep_scenes(&mut self, names: &[String]) -> Result<(), EngineError> {
+    pub fn keep_scenes(&mut self, names: &[String]) -> Result<(), BuildError> {
         for name in names {
             if !self.scenes.iter().any(|s| &s.name == name) {
-                return Err(EngineError::unknown("scene", name, self.scenes.iter().map(|s| s.name.as_str())));
+                return Err(BuildError::unknown("scene", name, self.scenes.iter().map(|s| s.name.as_str())));
             }
         }
         self.scenes.retain(|s| names.contains(&s.name));
@@ -166,7 +166,7 @@ impl NodeInput {
 }
 
 impl Node {
-    /// Scene, variant and stage in words.
+    /// BatchScene, variant and stage in words.
     pub fn label(&self) -> String {
         let parts: Vec<&str> =
             [&self.scene, &self.variant].into_iter().map(String::as_str).filter(|p| !p.is_empty()).collect();
@@ -190,12 +190,12 @@ pub struct Graph {
 impl Graph {
     /// The graph of `batch` over the stages of `registry`. Fails on parameters that a stage refuses and on
     /// unknown stages.
-    pub fn new(registry: &Registry, batch: &Batch) -> Result<Self, EngineError> {
+    pub fn new(registry: &Registry, batch: &Batch) -> Result<Self, BuildError> {
         check_names(registry, batch)?;
         let unnamed = [Variant::default()];
         let variants = if batch.variants.is_empty() { &unnamed[..] } else { &batch.variants };
         let mut builder =
-            Builder { registry, batch, nodes: Vec::new(), place: HashMap::new(), first: HashMap::new() };
+            GraphBuilder { registry, batch, nodes: Vec::new(), place: HashMap::new(), first: HashMap::new() };
         // Scene by scene, so that results come out early; what they share first, what gathers them last.
         for variant in variants {
             builder.add(None, variant, None, Scope::Shared)?;
@@ -257,14 +257,14 @@ impl Graph {
     }
 }
 
-fn check_names(registry: &Registry, batch: &Batch) -> Result<(), EngineError> {
+fn check_names(registry: &Registry, batch: &Batch) -> Result<(), BuildError> {
     for scene in &batch.scenes {
         for name in scene.overrides.keys().chain(scene.forced.keys()) {
             let stage = registry.stage(name)?;
             if stage.scope != Scope::Scene {
                 let message = format!("`{name}` is made once for all scenes; set it in [defaults.{name}]");
                 let error = ParameterError { path: name.clone(), message, unknown: None, known: Vec::new() };
-                return Err(EngineError::Parameters { place: format!("scene {}", scene.name), error });
+                return Err(BuildError::Parameters { place: format!("scene {}", scene.name), error });
             }
         }
     }
@@ -279,7 +279,7 @@ fn check_names(registry: &Registry, batch: &Batch) -> Result<(), EngineError> {
     Ok(())
 }
 
-struct Builder<'a> {
+struct GraphBuilder<'a> {
     registry: &'a Registry,
     batch: &'a Batch,
     nodes: Vec<Node>,
@@ -287,10 +287,10 @@ struct Builder<'a> {
     first: HashMap<Digest, usize>,
 }
 
-impl Builder<'_> {
+impl GraphBuilder<'_> {
     /// Parameters of every stage for a scene and variant: preset, defaults, scene, variant,
     /// command line, later ones winning.
-    fn parameters(&self, scene: Option<&Scene>, variant: &Variant) -> Result<AllParameters, EngineError> {
+    fn parameters(&self, scene: Option<&BatchScene>, variant: &Variant) -> Result<AllParameters, BuildError> {
         let mut all = AllParameters::new();
         for stage in self.registry.stages() {
             let scene = scene.filter(|_| stage.scope == Scope::Scene);
@@ -308,7 +308,7 @@ impl Builder<'_> {
             for layer in layers.into_iter().flatten().filter_map(|l| l.get(stage.name)) {
                 canonical::merge(&mut given, layer);
             }
-            let parameters = stage.parameters(&given).map_err(|error| EngineError::Parameters {
+            let parameters = stage.parameters(&given).map_err(|error| BuildError::Parameters {
                 place: place_label(scene, variant, stage.name),
                 error,
             })?;
@@ -319,7 +319,7 @@ impl Builder<'_> {
 
     /// What is named outside the pipeline for a scene in a variant; without a scene, what is named for all of
     /// them, together or one by one.
-    fn named(&self, scene: Option<&Scene>, variant: &Variant) -> Named {
+    fn named(&self, scene: Option<&BatchScene>, variant: &Variant) -> Named {
         let batch = self.batch.externals.iter();
         let each = match (scene, self.batch.scenes.split_first()) {
             (Some(scene), _) => scene.externals.iter().collect::<Vec<_>>(),
@@ -339,7 +339,7 @@ impl Builder<'_> {
 
     /// The place of a scene's reference variant, where a stage asks for one and a variant fulfils its
     /// condition.
-    fn reference(&self, scene: &Scene, variants: &[Variant]) -> Result<Option<usize>, EngineError> {
+    fn reference(&self, scene: &BatchScene, variants: &[Variant]) -> Result<Option<usize>, BuildError> {
         let Some(fulfils) = self.registry.stages().iter().find_map(|s| s.reference.as_ref()) else {
             return Ok(None);
         };
@@ -353,11 +353,11 @@ impl Builder<'_> {
 
     fn add(
         &mut self,
-        scene: Option<&Scene>,
+        scene: Option<&BatchScene>,
         variant: &Variant,
         reference: Option<&Variant>,
         scope: Scope,
-    ) -> Result<(), EngineError> {
+    ) -> Result<(), BuildError> {
         let all = self.parameters(scene, variant)?;
         let named = self.named(scene, variant);
         for (index, stage) in self.registry.stages().iter().enumerate().filter(|(_, s)| s.scope == scope) {
@@ -428,7 +428,7 @@ impl Builder<'_> {
         Ok(())
     }
 
-    fn add_batch_stages(&mut self, variants: &[Variant]) -> Result<(), EngineError> {
+    fn add_batch_stages(&mut self, variants: &[Variant]) -> Result<(), BuildError> {
         let all = self.parameters(None, &Variant::default())?;
         let named = self.named(None, &Variant::default());
         let groups: HashMap<&str, &str> =
@@ -439,7 +439,7 @@ impl Builder<'_> {
             let given =
                 |v: &&Variant| v.overrides.contains_key(stage.name) || v.forced.contains_key(stage.name);
             if let Some(variant) = variants.iter().find(given) {
-                return Err(EngineError::Parameters {
+                return Err(BuildError::Parameters {
                     place: format!("variant {}", variant.name),
                     error: ParameterError {
                         path: stage.name.to_string(),
@@ -550,7 +550,7 @@ impl Builder<'_> {
     }
 }
 
-fn place_label(scene: Option<&Scene>, variant: Option<&Variant>, stage: &str) -> String {
+fn place_label(scene: Option<&BatchScene>, variant: Option<&Variant>, stage: &str) -> String {
     let mut parts = Vec::new();
     parts.extend(scene.map(|s| format!("scene {}", s.name)));
     parts.extend(variant.filter(|v| !v.name.is_empty()).map(|v| format!("variant {}", v.name)));

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, mpsc};
 use std::time::{Duration, Instant};
 
-use super::Engine;
+use super::Builder;
 use super::cache::{Artifact, Lookup, Published};
 use super::context::{Log, StageContext};
 use super::error::{FileError, StageError};
@@ -39,7 +39,7 @@ pub(crate) enum Ended {
 }
 
 pub(crate) struct Job<'a> {
-    pub(crate) engine: &'a Engine,
+    pub(crate) builder: &'a Builder,
     pub(crate) pipeline: &'a str,
     pub(crate) id: usize,
     pub(crate) node: &'a Node,
@@ -93,7 +93,7 @@ impl Job<'_> {
 
     /// An input that is not what its manifest says, or gone: told and out of the way; the node that makes it.
     fn damaged_input(&self, label: &str) -> Option<usize> {
-        let cache = &self.engine.cache;
+        let cache = &self.builder.cache;
         for (parent, artifact) in &self.resolved.artifacts {
             if cache.verify(artifact, false).is_ok() {
                 continue;
@@ -122,7 +122,7 @@ impl Job<'_> {
     }
 
     fn turn(&self) -> Result<Turn, FileError> {
-        let (cache, stage, key) = (&self.engine.cache, self.node.stage_name, &self.resolved.key);
+        let (cache, stage, key) = (&self.builder.cache, self.node.stage_name, &self.resolved.key);
         if self.stop.load(Ordering::Relaxed) {
             return Ok(Turn::Cancelled);
         }
@@ -151,8 +151,10 @@ impl Job<'_> {
     /// Asks the store, where there is one. What it cannot give is computed.
     fn fetch(&self, label: &str, lease: Option<&Lease>) -> Brought {
         let nothing = Brought::Nothing { damaged: false };
-        let Some(store) = self.engine.remote.as_ref().filter(|s| s.is_worth_asking()) else { return nothing };
-        let (cache, key) = (&self.engine.cache, &self.resolved.key);
+        let Some(store) = self.builder.remote.as_ref().filter(|s| s.is_worth_asking()) else {
+            return nothing;
+        };
+        let (cache, key) = (&self.builder.cache, &self.resolved.key);
         let fetch = || store.fetch(cache, self.node.stage_name, key, &self.stop);
         match watched(lease, &cache.node().clock, &Progress::default(), fetch).0 {
             Ok(Fetched::Missing) => {
@@ -179,8 +181,8 @@ impl Job<'_> {
 
     /// Sends what was computed to the store, where there is one. `check` where it had something damaged.
     fn send(&self, label: &str, artifact: &Artifact, check: bool) {
-        let Some(store) = self.engine.remote.as_ref().filter(|s| s.is_worth_asking()) else { return };
-        match store.send(&self.engine.cache, artifact, check, &self.stop) {
+        let Some(store) = self.builder.remote.as_ref().filter(|s| s.is_worth_asking()) else { return };
+        match store.send(&self.builder.cache, artifact, check, &self.stop) {
             Ok(Sent::Now | Sent::Already) => store.worked(),
             Ok(Sent::Differs(file)) => self.alarm(label, &format!("the store has other bytes of {file}")),
             // `use3d push` sends it.
@@ -204,8 +206,8 @@ impl Job<'_> {
     }
 
     fn compute(&self, label: &str, lease: Option<&Lease>) -> Result<Artifact, StageError> {
-        let cache = &self.engine.cache;
-        let stage = &self.engine.registry.stages()[self.node.stage];
+        let cache = &self.builder.cache;
+        let stage = &self.builder.registry.stages()[self.node.stage];
         let log_path = cache.log_path(self.pipeline, self.node);
         let log = open_log(&log_path)?;
         log.line(&format!("{label}, key {}, {} threads", self.resolved.key, self.threads));

@@ -4,7 +4,7 @@
 //! It knows nothing of what is computed.
 //!
 //! A [`Stage`] is data and one pure function. It says what it is called, which crates it is made of, which
-//! parameters it has and which inputs it reads, and its function fills one folder. From that the engine
+//! parameters it has and which inputs it reads, and its function fills one folder. From that the builder
 //! derives a [`key`]: a digest of the stage's code, parameters and the *content* of its inputs. The folder of
 //! a key is computed once and never changes; a stage whose inputs came out the same as before is not run
 //! again, whatever happened upstream.
@@ -12,7 +12,7 @@
 //! ```
 //! use std::sync::Arc;
 //! use use3d_build::code::CodeTable;
-//! use use3d_build::{Batch, Cache, Engine, Graph, Listener, Registry, RunOptions, Scene, Scope, Silent, Stage};
+//! use use3d_build::{Batch, Cache, Builder, Graph, Listener, Registry, RunOptions, BatchScene, Scope, Silent, Stage};
 //!
 //! #[derive(Default, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
 //! #[serde(deny_unknown_fields, default)]
@@ -36,20 +36,20 @@
 //! std::fs::create_dir(&capture)?;
 //! std::fs::write(capture.join("words.txt"), "clear water")?;
 //!
-//! let engine = Engine::new(Registry::new(vec![import, count], &CodeTable::default())?, Cache::open(&folder.path().join("cache"), false)?);
+//! let builder = Builder::new(Registry::new(vec![import, count], &CodeTable::default())?, Cache::open(&folder.path().join("cache"), false)?);
 //! let mut batch = Batch { name: "words".into(), seed: 42, ..Batch::default() };
-//! batch.scenes.push(Scene { name: "reef".into(), externals: [("capture".into(), Ok(capture))].into(), ..Scene::default() });
+//! batch.scenes.push(BatchScene { name: "reef".into(), externals: [("capture".into(), Ok(capture))].into(), ..BatchScene::default() });
 //!
 //! let listener: Arc<dyn Listener> = Arc::new(Silent);
-//! let graph = Graph::new(&engine.registry, &batch)?;
-//! let first = engine.run(&graph, &RunOptions::default(), &listener);
+//! let graph = Graph::new(&builder.registry, &batch)?;
+//! let first = builder.run(&graph, &RunOptions::default(), &listener);
 //! assert_eq!((first.done(), first.cached(), first.exit_code()), (2, 0, 0));
 //! let artifact = first.artifact("reef", "", "count").expect("it ran");
 //! assert_eq!(std::fs::read_to_string(artifact.path.join("count"))?, "2");
 //!
 //! batch.defaults.insert("import".into(), serde_json::json!({"upper_case": true}));
-//! let graph = Graph::new(&engine.registry, &batch)?;
-//! assert_eq!(engine.plan(&graph, None).to_run(), 2);
+//! let graph = Graph::new(&builder.registry, &batch)?;
+//! assert_eq!(builder.plan(&graph, None).to_run(), 2);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
@@ -115,10 +115,10 @@ pub use alone::Alone;
 pub use cache::{Artifact, Cache};
 pub use context::{Notes, StageContext, StageInput};
 pub use digest::Digest;
-pub use error::{EngineError, FileError, ParameterError, StageError};
+pub use error::{BuildError, FileError, ParameterError, StageError};
 pub use events::{Event, Listener, Silent};
 pub use executor::{Executor, Threads};
-pub use graph::{Batch, Graph, Scene, Variant};
+pub use graph::{Batch, BatchScene, Graph, Variant};
 pub use key::DeviceClass;
 pub use lease::Working;
 pub use plan::Plan;
@@ -128,7 +128,7 @@ pub use stage::{AllParameters, Input, Named, Scope, Select, Source, Stage};
 
 /// Stages and the cache they work on.
 #[derive(Clone)]
-pub struct Engine {
+pub struct Builder {
     /// The stages.
     pub registry: Registry,
     /// The cache.
@@ -137,20 +137,20 @@ pub struct Engine {
     remote: Option<std::sync::Arc<remote::RemoteStore>>,
 }
 
-impl Engine {
-    /// An engine on this machine.
+impl Builder {
+    /// A builder on this machine.
     pub fn new(registry: Registry, cache: Cache) -> Self {
         Self { registry, cache, numeric_class: key::numeric_class(), remote: None }
     }
 
-    /// The same engine, which asks a store for what the cache does not have before it computes it, and sends it
+    /// The same builder, which asks a store for what the cache does not have before it computes it, and sends it
     /// what it has computed.
     #[must_use]
     pub fn with_remote(self, remote: std::sync::Arc<remote::RemoteStore>) -> Self {
         Self { remote: Some(remote), ..self }
     }
 
-    /// The same engine as if on a machine with another class of arithmetic.
+    /// The same builder as if on a machine with another class of arithmetic.
     #[must_use]
     pub fn with_numeric_class(mut self, class: &str) -> Self {
         self.numeric_class = class.to_string();

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::Engine;
+use super::Builder;
 use super::cache::Lookup;
 use super::graph::Graph;
 use super::history::{Forecast, Record};
@@ -117,7 +117,7 @@ impl Plan {
     }
 }
 
-impl Engine {
+impl Builder {
     /// Plans the nodes of `graph` up to the named stages (all without).
     pub fn plan(&self, graph: &Graph, until: Option<&[String]>) -> Plan {
         let start = std::time::Instant::now();

@@ -2,7 +2,7 @@
 
 use super::canonical;
 use super::code::{CodeTable, StageCode};
-use super::error::EngineError;
+use super::error::BuildError;
 use super::stage::{Scope, Source, Stage};
 
 /// The stages in the order in which data flows through them.
@@ -33,14 +33,14 @@ impl Registry {
     ///
     /// # Errors
     /// Stages that do not fit together, or that name code that is not there.
-    pub fn new(stages: Vec<Stage>, table: &CodeTable) -> Result<Self, EngineError> {
+    pub fn new(stages: Vec<Stage>, table: &CodeTable) -> Result<Self, BuildError> {
         for (i, stage) in stages.iter().enumerate() {
-            check(stage, &stages[..i]).map_err(EngineError::Registry)?;
+            check(stage, &stages[..i]).map_err(BuildError::Registry)?;
             let external =
                 |s: &Stage| s.inputs.iter().any(|input| input.source == Source::External(stage.name));
             if stages.iter().any(external) {
                 let name = stage.name;
-                return Err(EngineError::Registry(format!(
+                return Err(BuildError::Registry(format!(
                     "`{name}` names an input from outside and a stage"
                 )));
             }
@@ -48,7 +48,7 @@ impl Registry {
         let code = stages.iter().map(|stage| {
             table
                 .stage(stage.crates, stage.sources)
-                .map_err(|source| EngineError::Code { stage: stage.name.to_string(), source })
+                .map_err(|source| BuildError::Code { stage: stage.name.to_string(), source })
         });
         Ok(Self { code: code.collect::<Result<_, _>>()?, stages, shorthands: Vec::new() })
     }
@@ -77,18 +77,18 @@ impl Registry {
     }
 
     /// A stage by name.
-    pub fn stage(&self, name: &str) -> Result<&Stage, EngineError> {
+    pub fn stage(&self, name: &str) -> Result<&Stage, BuildError> {
         Ok(&self.stages[self.index(name)?])
     }
 
     /// Its place in the table.
-    pub(crate) fn index(&self, name: &str) -> Result<usize, EngineError> {
+    pub(crate) fn index(&self, name: &str) -> Result<usize, BuildError> {
         let found = self.stages.iter().position(|s| s.name == name);
-        found.ok_or_else(|| EngineError::unknown("stage", name, self.stages.iter().map(|s| s.name)))
+        found.ok_or_else(|| BuildError::unknown("stage", name, self.stages.iter().map(|s| s.name)))
     }
 
     /// What the stage of that name is made of.
-    pub fn code_of(&self, name: &str) -> Result<&StageCode, EngineError> {
+    pub fn code_of(&self, name: &str) -> Result<&StageCode, BuildError> {
         Ok(&self.code[self.index(name)?])
     }
 

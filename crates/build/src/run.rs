@@ -18,7 +18,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
-use super::Engine;
+use super::Builder;
 use super::cache::{Artifact, Lookup};
 use super::error::FileError;
 use super::events::{Event, Listener};
@@ -82,7 +82,7 @@ impl Default for RunOptions {
     }
 }
 
-impl Engine {
+impl Builder {
     /// Runs `graph`. Failures of stages are in the summary.
     pub fn run(&self, graph: &Graph, options: &RunOptions, listener: &Arc<dyn Listener>) -> Summary {
         let start = Instant::now();
@@ -126,7 +126,7 @@ struct Running {
 }
 
 struct Runner<'r> {
-    engine: &'r Engine,
+    builder: &'r Builder,
     graph: &'r Graph,
     options: &'r RunOptions,
     listener: &'r Arc<dyn Listener>,
@@ -163,7 +163,7 @@ struct Runner<'r> {
 
 impl<'r> Runner<'r> {
     fn new(
-        engine: &'r Engine,
+        builder: &'r Builder,
         graph: &'r Graph,
         options: &'r RunOptions,
         listener: &'r Arc<dyn Listener>,
@@ -180,17 +180,17 @@ impl<'r> Runner<'r> {
             artifact: None,
         });
         let (sender, receiver) = mpsc::channel();
-        let mut lease = RunLease::new(&engine.cache);
+        let mut lease = RunLease::new(&builder.cache);
         let mut scenes: BTreeMap<(String, String), Vec<usize>> = BTreeMap::new();
         for (i, node) in graph.nodes.iter().enumerate().filter(|(i, _)| wanted[*i]) {
             // What a node had last is likely what it needs now, also while its inputs are being made.
-            lease.extend(engine.cache.record(&graph.name, node).last.map(|last| last.key));
+            lease.extend(builder.cache.record(&graph.name, node).last.map(|last| last.key));
             if !node.scene.is_empty() {
                 scenes.entry((node.scene.clone(), node.variant.clone())).or_default().push(i);
             }
         }
         lease.show();
-        let start = engine.cache.node().clock.now();
+        let start = builder.cache.node().clock.now();
         let leave_at = options.limit.map(|limit| start + limit - LEAVING.min(limit / 10));
         Self {
             order: (0..graph.nodes.len()).collect(),
@@ -199,11 +199,11 @@ impl<'r> Runner<'r> {
             missing: HashMap::new(),
             start,
             leave_at,
-            timings: options.limit.map(|_| engine.cache.timings()),
+            timings: options.limit.map(|_| builder.cache.timings()),
             untimely: false,
             left: false,
             idle: None,
-            engine,
+            builder,
             graph,
             options,
             listener,
@@ -283,11 +283,11 @@ impl<'r> Runner<'r> {
             self.phase[i] = Phase::Over;
             return true;
         }
-        let engine = self.engine;
+        let builder = self.builder;
         let resolved = resolve::resolve(
-            &engine.registry,
-            &engine.cache,
-            &engine.numeric_class,
+            &builder.registry,
+            &builder.cache,
+            &builder.numeric_class,
             self.graph,
             i,
             &self.outcomes,
@@ -312,7 +312,7 @@ impl<'r> Runner<'r> {
         }
         match self.look_up(i, &resolved.key) {
             Ok(Lookup::Whole(artifact)) => {
-                engine.cache.touch(&artifact.path);
+                builder.cache.touch(&artifact.path);
                 self.listener.event(&Event::Done {
                     node: i,
                     label: &self.nodes[i].label,
@@ -324,7 +324,7 @@ impl<'r> Runner<'r> {
             }
             Ok(Lookup::Missing) => {}
             Ok(Lookup::Damaged(reason)) => {
-                let aside = engine.cache.set_aside(self.graph.nodes[i].stage_name, &resolved.key);
+                let aside = builder.cache.set_aside(self.graph.nodes[i].stage_name, &resolved.key);
                 let place = aside.map_or_else(|e| e.to_string(), |p| format!("moved to {}", p.display()));
                 let text = format!("its artifact is damaged: {reason}; {place}, computing it again");
                 self.listener.event(&Event::Warning { label: &self.nodes[i].label, text: &text });
@@ -334,7 +334,7 @@ impl<'r> Runner<'r> {
                 return true;
             }
         }
-        if engine.registry.stages()[self.graph.nodes[i].stage].scope == Scope::Shared {
+        if builder.registry.stages()[self.graph.nodes[i].stage].scope == Scope::Shared {
             match self.need(i) {
                 Need::Unasked | Need::Live => {}
                 Need::Unknown => return false,
@@ -352,7 +352,7 @@ impl<'r> Runner<'r> {
     /// What is there for a node's key. What is not as it should be is looked at a second time: where the
     /// cache is a network file system, what another machine has made may come late.
     fn look_up(&mut self, i: usize, key: &Key) -> Result<Lookup, FileError> {
-        let (cache, node) = (&self.engine.cache, &self.graph.nodes[i]);
+        let (cache, node) = (&self.builder.cache, &self.graph.nodes[i]);
         let found = cache.lookup(node.stage_name, key)?;
         let suspect = match found {
             Lookup::Whole(_) => return Ok(found),
@@ -365,7 +365,7 @@ impl<'r> Runner<'r> {
 
     /// Starts a node if there is room for it and nobody here computes the same key.
     fn start(&mut self, i: usize, resolved: resolve::Resolved, starter: &dyn Starter<'r>) -> bool {
-        let stage = &self.engine.registry.stages()[self.graph.nodes[i].stage];
+        let stage = &self.builder.registry.stages()[self.graph.nodes[i].stage];
         let jobs = self.options.jobs.max(1);
         let used_memory: u64 = self.running.values().map(|r| r.memory).sum();
         let used_cores: usize = self.running.values().map(|r| r.cores).sum();
@@ -396,7 +396,7 @@ impl<'r> Runner<'r> {
         self.phase[i] = Phase::Running;
         self.running.insert(i, Running { cores: threads, memory, key: resolved.key });
         let job = Job {
-            engine: self.engine,
+            builder: self.builder,
             pipeline: &self.graph.name,
             id: i,
             node: &self.graph.nodes[i],
@@ -450,7 +450,7 @@ impl<'r> Runner<'r> {
                 *times += 1;
                 if *times > 2 {
                     let whose = self.graph.nodes[maker].label();
-                    let root = self.engine.cache.root().display();
+                    let root = self.builder.cache.root().display();
                     let reason = format!(
                         "{whose} is damaged or removed again and again; check the disk, and what else cleans up in {root}"
                     );

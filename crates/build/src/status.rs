@@ -2,8 +2,8 @@
 
 use serde::Serialize;
 
-use super::Engine;
-use super::error::EngineError;
+use super::Builder;
+use super::error::BuildError;
 use super::graph::Graph;
 use super::key::{Difference, Key};
 use super::lease::Working;
@@ -127,7 +127,7 @@ impl Status {
 /// What changed in a node.
 #[derive(Clone, Debug, Serialize)]
 pub struct Why {
-    /// Scene, variant and stage in words.
+    /// BatchScene, variant and stage in words.
     pub label: String,
     /// Where it stands.
     pub standing: Standing,
@@ -145,9 +145,9 @@ pub struct Why {
     pub upstream: Vec<(String, Vec<Difference>)>,
 }
 
-impl Engine {
+impl Builder {
     /// Compares a node's ingredients with those of its most recent earlier record, field by field.
-    pub fn why(&self, graph: &Graph, scene: &str, variant: &str, stage: &str) -> Result<Why, EngineError> {
+    pub fn why(&self, graph: &Graph, scene: &str, variant: &str, stage: &str) -> Result<Why, BuildError> {
         self.registry.index(stage)?;
         let node = match graph.find(scene, variant, stage) {
             Some(node) => node,
@@ -157,9 +157,9 @@ impl Engine {
                 known.dedup();
                 if known.contains(&scene) {
                     let stages = graph.nodes.iter().filter(|n| n.scene == scene).map(|n| n.stage_name);
-                    return Err(EngineError::unknown("stage asked for by this scene", stage, stages));
+                    return Err(BuildError::unknown("stage asked for by this scene", stage, stages));
                 }
-                return Err(EngineError::unknown("scene", scene, known));
+                return Err(BuildError::unknown("scene", scene, known));
             }
         };
         let plan = self.plan(graph, None);

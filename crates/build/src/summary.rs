@@ -42,7 +42,7 @@ pub struct RanNode {
     pub scene: String,
     /// The variant; empty where there are none.
     pub variant: String,
-    /// Scene, variant and stage in words.
+    /// BatchScene, variant and stage in words.
     pub label: String,
     /// What became of it.
     #[serde(flatten)]

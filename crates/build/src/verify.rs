@@ -11,11 +11,11 @@ use std::sync::atomic::Ordering;
 
 use serde::Serialize;
 
-use super::Engine;
+use super::Builder;
 use super::agree;
 use super::cache::{Artifact, Cache, Lookup, first_difference};
 use super::digest::Encoder;
-use super::error::{EngineError, FileError, StageError};
+use super::error::{BuildError, FileError, StageError};
 use super::events::{Event, Listener};
 use super::files;
 use super::graph::Graph;
@@ -133,7 +133,7 @@ enum Again {
     Stopped,
 }
 
-impl Engine {
+impl Builder {
     /// Computes a share of the cached stages of `graph` again, in a scratch folder and from the cached
     /// inputs, and compares. The choice follows from the keys, so that it is the same everywhere; at
     /// least one stage is computed.
@@ -143,7 +143,7 @@ impl Engine {
         share: f64,
         options: &RunOptions,
         listener: &Arc<dyn Listener>,
-    ) -> Result<Verification, EngineError> {
+    ) -> Result<Verification, BuildError> {
         let (cached, outcomes) = self.cached_in_any_class(graph);
         let mut found = Verification { recomputed: Some(0), ..Verification::default() };
         let mut chosen: Vec<(f64, Made)> = Vec::new();
@@ -231,7 +231,7 @@ impl Engine {
         outcomes: &[Outcome],
         options: &RunOptions,
         listener: &Arc<dyn Listener>,
-    ) -> Result<Again, EngineError> {
+    ) -> Result<Again, BuildError> {
         let scratch = self.cache.scratch()?;
         let result = self.run_again(graph, made.node, outcomes, &scratch, options, listener);
         let again = result.map(|result| match result {

@@ -116,7 +116,7 @@ fn without_depth_is_there_as_the_authors_ran_it_and_with_the_prior_alone_off() {
 #[test]
 fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
     use use3d_build::plan::State;
-    use use3d_build::{Cache, Engine};
+    use use3d_build::{Builder, Cache};
     use use3d_pipeline::config::for_capture;
 
     let dir = tempfile::tempdir().expect("folder");
@@ -130,13 +130,13 @@ fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
     // What is in the file counts when it is read; that it is there decides.
     std::fs::write(small.join("depth_anything_v2_vits.pth"), "weights").expect("written");
     let state = |stage: &str, capture: &Path, models: &Path, sets: &[&str]| {
-        let engine =
-            Engine::new(registry().expect("table"), Cache::open(&at("cache"), false).expect("cache"));
+        let builder =
+            Builder::new(registry().expect("table"), Cache::open(&at("cache"), false).expect("cache"));
         let sets = sets.iter().map(ToString::to_string).collect();
         let options = LoadOptions { sets, models: Some(models.to_path_buf()), ..LoadOptions::default() };
-        let pipeline = for_capture(&engine.registry, capture, &options).expect("a pipeline");
-        let graph = Graph::new(&engine.registry, &pipeline.batch).expect("a graph");
-        let plan = engine.plan(&graph, None);
+        let pipeline = for_capture(&builder.registry, capture, &options).expect("a pipeline");
+        let graph = Graph::new(&builder.registry, &pipeline.batch).expect("a graph");
+        let plan = builder.plan(&graph, None);
         plan.nodes.into_iter().find(|n| n.stage == stage).map(|n| n.state)
     };
     let plan = |capture: &Path, models: &Path, sets: &[&str]| state("depth", capture, models, sets);

@@ -1,6 +1,6 @@
 //! The real table of stages: what its keys hold, and what they leave out.
 //!
-//! What the engine does with a table is tested on stages of its own; whether this table
+//! What the builder does with a table is tested on stages of its own; whether this table
 //! says the truth about itself, here.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -9,7 +9,9 @@ use std::sync::Arc;
 
 use serde_json::{Value, json};
 use use3d_build::code::CodeTable;
-use use3d_build::{Batch, Cache, Engine, Graph, Listener, Registry, RunOptions, Scene, Silent, Variant};
+use use3d_build::{
+    Batch, BatchScene, Builder, Cache, Graph, Listener, Registry, RunOptions, Silent, Variant,
+};
 use use3d_pipeline::code::{RULES, built_in};
 use use3d_pipeline::stages::registry;
 
@@ -355,10 +357,10 @@ fn one_seed_moves_every_stage_that_draws() {
     let mut batch = Batch { name: "two".into(), seed: 42, ..Batch::default() };
     batch.defaults.insert("targets".into(), json!({"proposer": "auto"}));
     let capture = Ok(PathBuf::from("/capture"));
-    batch.scenes.push(Scene {
+    batch.scenes.push(BatchScene {
         name: "reef".into(),
         externals: [("capture".into(), capture)].into(),
-        ..Scene::default()
+        ..BatchScene::default()
     });
     batch.variants = vec![
         Variant { name: "full".into(), ..Variant::default() },
@@ -373,18 +375,18 @@ fn one_seed_moves_every_stage_that_draws() {
 }
 
 fn run(cache: &Path, capture: &Path, parameters: &[(&str, Value)]) -> (Vec<String>, usize) {
-    let engine = Engine::new(table(), Cache::open(cache, false).expect("a cache"));
+    let builder = Builder::new(table(), Cache::open(cache, false).expect("a cache"));
     let mut batch = Batch { name: "tiny".into(), seed: 42, ..Batch::default() };
     let externals = [("capture".into(), Ok(capture.to_path_buf()))].into();
-    batch.scenes.push(Scene { name: "reef".into(), externals, ..Scene::default() });
+    batch.scenes.push(BatchScene { name: "reef".into(), externals, ..BatchScene::default() });
     batch.defaults.insert("reconstruct".into(), json!({"iterations": 3, "schedule": 3}));
     for (stage, value) in parameters {
         batch.forced.insert((*stage).into(), value.clone());
     }
-    let graph = Graph::new(&engine.registry, &batch).expect("a graph");
+    let graph = Graph::new(&builder.registry, &batch).expect("a graph");
     let listener: Arc<dyn Listener> = Arc::new(Silent);
     let options = RunOptions { until: Some(vec!["reconstruct".into()]), ..RunOptions::default() };
-    let summary = engine.run(&graph, &options, &listener);
+    let summary = builder.run(&graph, &options, &listener);
     assert_eq!(summary.exit_code(), 0, "{summary}");
     let keys = ["import", "reconstruct"].map(|stage| {
         let path = summary.artifact("reef", "", stage).expect("it ran").path.clone();
@@ -407,19 +409,19 @@ fn forecasts_of_memory_follow_the_size_of_the_pictures_and_change_no_key() {
             ..use3d_synth::CaptureParams::default()
         };
         use3d_synth::write_capture(&params, &capture, &mut |_, _| ()).expect("a capture");
-        let engine = Engine::new(table(), Cache::open(&dir.path().join("cache"), false).expect("a cache"));
+        let builder = Builder::new(table(), Cache::open(&dir.path().join("cache"), false).expect("a cache"));
         let mut batch = Batch { name: "sizes".into(), seed: 42, ..Batch::default() };
         let externals = [("capture".into(), Ok(capture))].into();
-        batch.scenes.push(Scene { name: format!("reef-{side}"), externals, ..Scene::default() });
-        let graph = Graph::new(&engine.registry, &batch).expect("a graph");
+        batch.scenes.push(BatchScene { name: format!("reef-{side}"), externals, ..BatchScene::default() });
+        let graph = Graph::new(&builder.registry, &batch).expect("a graph");
         let of = |plan: &use3d_build::Plan| -> BTreeMap<&'static str, Option<u64>> {
             plan.nodes.iter().map(|n| (n.stage, n.memory)).collect()
         };
-        let before = of(&engine.plan(&graph, None));
+        let before = of(&builder.plan(&graph, None));
         let options = RunOptions { until: Some(vec!["import".into()]), ..RunOptions::default() };
-        let summary = engine.run(&graph, &options, &(Arc::new(Silent) as Arc<dyn Listener>));
+        let summary = builder.run(&graph, &options, &(Arc::new(Silent) as Arc<dyn Listener>));
         assert_eq!(summary.exit_code(), 0, "{summary}");
-        (before, of(&engine.plan(&graph, None)))
+        (before, of(&builder.plan(&graph, None)))
     };
     let ((before, small), (_, large)) = (planned(64), planned(256));
     for stage in ["reconstruct", "targets", "enhance", "render", "evaluate"] {

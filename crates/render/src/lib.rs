@@ -32,7 +32,7 @@ pub use cpu::{Cpu, Looking, Processor};
 pub use error::RenderError;
 pub use film::{Film, FilmError};
 pub use framing::{cover, focus};
-pub use modes::{Frame, Mode, SceneRenderer};
+pub use modes::{Mode, Rendering, SceneRenderer};
 pub use pictures::{coefficient_picture, depth_picture, picture};
 pub use profile::{WaterSample, medium_along, medium_profile};
 pub use renderer::{Look, Renderer};

@@ -91,7 +91,7 @@ impl Mode {
 
 /// What a mode gives.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Frame {
+pub enum Rendering {
     /// A colour image, unclamped.
     Color(Image),
     /// One number per pixel.
@@ -146,9 +146,9 @@ impl<'a> SceneRenderer<'a> {
     ///
     /// # Errors
     /// What the backend's device says.
-    pub fn render(&mut self, camera: &Camera, modes: &[Mode]) -> Result<Vec<Frame>, RenderError> {
+    pub fn render(&mut self, camera: &Camera, modes: &[Mode]) -> Result<Vec<Rendering>, RenderError> {
         let lattice = Lattice::full(&camera.intrinsics);
-        let mut frames: Vec<Option<Frame>> = vec![None; modes.len()];
+        let mut frames: Vec<Option<Rendering>> = vec![None; modes.len()];
         if let Some(enhanced) = &mut self.enhanced {
             let wanted = |mode| modes.contains(&mode);
             match (wanted(Mode::Enhanced), wanted(Mode::EnhancedClear)) {
@@ -161,7 +161,7 @@ impl<'a> SceneRenderer<'a> {
                 // Rendered without water, the picture has no layers and is itself clear.
                 let clear = layers.as_ref().map_or(image, |layers| &layers.clear);
                 let shown = if *mode == Mode::Enhanced { image } else { clear };
-                *frame = Some(Frame::Color(shown.clone()));
+                *frame = Some(Rendering::Color(shown.clone()));
             }
         }
         if frames.iter().any(Option::is_none) {
@@ -198,23 +198,23 @@ impl<'a> SceneRenderer<'a> {
     /// What the backend's device says.
     pub fn color(&mut self, camera: &Camera, mode: Mode) -> Result<Image, RenderError> {
         Ok(match self.render(camera, &[mode])?.pop() {
-            Some(Frame::Color(image)) => image,
-            Some(Frame::Scalar(map)) => spread(&map),
+            Some(Rendering::Color(image)) => image,
+            Some(Rendering::Scalar(map)) => spread(&map),
             None => Image::new(0, 0),
         })
     }
 
-    fn frame(&self, mode: Mode) -> Frame {
+    fn frame(&self, mode: Mode) -> Rendering {
         let rendered = &self.rendered;
         let none = || Image::new(rendered.image.width(), rendered.image.height());
         let layer = |pick: fn(&Layers) -> &Image| {
-            Frame::Color(rendered.layers.as_ref().map_or_else(none, |l| pick(l).clone()))
+            Rendering::Color(rendered.layers.as_ref().map_or_else(none, |l| pick(l).clone()))
         };
         let water = |pick: fn(&MediumMaps) -> &Image| {
-            Frame::Color(self.plain.medium().map_or_else(none, |maps| pick(maps).clone()))
+            Rendering::Color(self.plain.medium().map_or_else(none, |maps| pick(maps).clone()))
         };
         match mode {
-            Mode::Reconstruction | Mode::Enhanced => Frame::Color(rendered.image.clone()),
+            Mode::Reconstruction | Mode::Enhanced => Rendering::Color(rendered.image.clone()),
             Mode::Clear | Mode::EnhancedClear => layer(|l| &l.clear),
             Mode::Object => layer(|l| &l.object),
             Mode::Medium => {
@@ -224,10 +224,10 @@ impl<'a> SceneRenderer<'a> {
                         *s += f;
                     }
                 }
-                Frame::Color(sum)
+                Rendering::Color(sum)
             }
-            Mode::Depth => Frame::Scalar(rendered.depth.clone()),
-            Mode::Alpha => Frame::Scalar(rendered.accumulation.clone()),
+            Mode::Depth => Rendering::Scalar(rendered.depth.clone()),
+            Mode::Alpha => Rendering::Scalar(rendered.accumulation.clone()),
             Mode::Backscatter => water(|maps| &maps.backscatter),
             Mode::Attenuation => water(|maps| &maps.attenuation),
         }
@@ -237,7 +237,7 @@ impl<'a> SceneRenderer<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use use3d_capture::{Frame as FrameOf, Intrinsics, Pose};
+    use use3d_capture::{Frame, Intrinsics, Pose};
     use use3d_medium::{MediumModel, MediumRbf};
     use use3d_splat::Gaussians;
 
@@ -253,7 +253,7 @@ mod tests {
         };
         let scene = Scene {
             gaussians,
-            frame: FrameOf::IDENTITY,
+            frame: Frame::IDENTITY,
             medium: MediumModel::Rbf(MediumRbf::new(8, 4)),
             medium_degree: 3,
             enhancement: None,
@@ -276,15 +276,16 @@ mod tests {
         let (scene, camera) = scene();
         let mut whole = SceneRenderer::new(&scene, 1.0).unwrap();
         let frames = whole.render(&camera, &Mode::ALL).unwrap();
-        let of =
-            |frames: &[Frame], mode: Mode| frames[Mode::ALL.iter().position(|m| *m == mode).unwrap()].clone();
+        let of = |frames: &[Rendering], mode: Mode| {
+            frames[Mode::ALL.iter().position(|m| *m == mode).unwrap()].clone()
+        };
         assert_ne!(of(&frames, Mode::Reconstruction), of(&frames, Mode::Clear));
         // Nothing is enhanced here.
         assert_eq!(of(&frames, Mode::Enhanced), of(&frames, Mode::Reconstruction));
         assert_eq!(of(&frames, Mode::EnhancedClear), of(&frames, Mode::Clear));
         for mode in [Mode::Reconstruction, Mode::Clear, Mode::Enhanced, Mode::EnhancedClear] {
             assert_eq!(
-                Frame::Color(whole.draw(&camera, mode).unwrap().clone()),
+                Rendering::Color(whole.draw(&camera, mode).unwrap().clone()),
                 of(&frames, mode),
                 "{}",
                 mode.name()

@@ -2,18 +2,18 @@
 
 use use3d_capture::{Image, Map};
 
-use crate::modes::{Frame, Mode};
+use crate::modes::{Mode, Rendering};
 
 /// A frame as people look at it: colours as they are, coefficients by their hue, depths by a colour map,
 /// opacity in grey.
-pub fn picture(mode: Mode, frame: &Frame) -> Image {
+pub fn picture(mode: Mode, frame: &Rendering) -> Image {
     match frame {
-        Frame::Color(image) if matches!(mode, Mode::Backscatter | Mode::Attenuation) => {
+        Rendering::Color(image) if matches!(mode, Mode::Backscatter | Mode::Attenuation) => {
             coefficient_picture(image)
         }
-        Frame::Color(image) => image.clone(),
-        Frame::Scalar(map) if mode == Mode::Depth => depth_picture(map),
-        Frame::Scalar(map) => spread(map),
+        Rendering::Color(image) => image.clone(),
+        Rendering::Scalar(map) if mode == Mode::Depth => depth_picture(map),
+        Rendering::Scalar(map) => spread(map),
     }
 }
 

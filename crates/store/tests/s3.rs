@@ -16,7 +16,9 @@ use std::sync::{Arc, Mutex};
 
 use use3d_build::code::CodeTable;
 use use3d_build::remote::{Remote, RemoteError, RemoteStore};
-use use3d_build::{Batch, Cache, Engine, Graph, Listener, Registry, RunOptions, Scene, Scope, Silent, Stage};
+use use3d_build::{
+    Batch, BatchScene, Builder, Cache, Graph, Listener, Registry, RunOptions, Scope, Silent, Stage,
+};
 
 fn remote() -> Option<Arc<dyn Remote>> {
     let Ok(address) = std::env::var("USE3D_S3") else {
@@ -32,7 +34,7 @@ fn read(remote: &dyn Remote, name: &str) -> Option<Vec<u8>> {
 }
 
 /// Two stages whose artifacts have a small file and one that goes in parts; their key is this process's own.
-fn engine(folder: &Path) -> Engine {
+fn builder(folder: &Path) -> Builder {
     type Nothing = BTreeMap<String, u8>;
     let number = std::process::id().to_string();
     let make = Stage::new("make", Scope::Scene, move |context, _: &Nothing| {
@@ -46,7 +48,7 @@ fn engine(folder: &Path) -> Engine {
     });
     let stages = vec![make.made_of(&[], &[]), copy.input("made", "make").made_of(&[], &[])];
     let registry = Registry::new(stages, &CodeTable::default()).expect("a table");
-    Engine::new(registry, Cache::open(folder, false).expect("a cache"))
+    Builder::new(registry, Cache::open(folder, false).expect("a cache"))
         .with_numeric_class(&format!("test {}", std::process::id()))
 }
 
@@ -57,18 +59,18 @@ fn what_is_computed_here_is_fetched_there() {
     let store = Arc::new(RemoteStore::new(remote));
     let listener: Arc<dyn Listener> = Arc::new(Silent);
     let mut batch = Batch { name: "words".to_string(), ..Batch::default() };
-    batch.scenes.push(Scene { name: "reef".to_string(), ..Scene::default() });
+    batch.scenes.push(BatchScene { name: "reef".to_string(), ..BatchScene::default() });
     let mut bytes = Vec::new();
     for (name, computed) in [("here", 2), ("there", 0)] {
-        let engine = engine(&folder.path().join(name)).with_remote(store.clone());
-        let graph = Graph::new(&engine.registry, &batch).expect("a graph");
-        let summary = engine.run(&graph, &RunOptions::default(), &listener);
+        let builder = builder(&folder.path().join(name)).with_remote(store.clone());
+        let graph = Graph::new(&builder.registry, &batch).expect("a graph");
+        let summary = builder.run(&graph, &RunOptions::default(), &listener);
         assert_eq!((summary.exit_code(), summary.done()), (0, computed), "{name}");
         let read = |(_, _, path): (String, _, std::path::PathBuf)| {
             ["manifest.json", "deep/number", "large", "copy"]
                 .map(|file| fs::read(path.join(file)).unwrap_or_default())
         };
-        bytes.push(engine.cache.artifacts().into_iter().map(read).collect::<Vec<_>>());
+        bytes.push(builder.cache.artifacts().into_iter().map(read).collect::<Vec<_>>());
     }
     assert!(bytes[0].len() == 2 && bytes[0] == bytes[1], "every byte, those of the manifests too");
 }

@@ -14,7 +14,7 @@ use image::{ExtendedColorType, ImageEncoder};
 use jpeg_encoder::{ColorType, Encoder};
 use rayon::ThreadPool;
 use use3d_capture::{Camera, Image};
-use use3d_render::{Frame, Mode, SceneRenderer, picture};
+use use3d_render::{Mode, Rendering, SceneRenderer, picture};
 
 use crate::live::Live;
 
@@ -250,7 +250,7 @@ impl Pace {
 }
 
 /// The picture of a look, of both sides of the divider.
-fn joined(look: &Look, modes: &[Mode], frames: &[Frame]) -> Image {
+fn joined(look: &Look, modes: &[Mode], frames: &[Rendering]) -> Image {
     let mut sides = modes.iter().zip(frames).map(|(mode, frame)| picture(*mode, frame));
     let Some(mut image) = sides.next() else { return Image::new(0, 0) };
     if let (Some(left), Some((_, at))) = (sides.next(), look.left) {
@@ -287,7 +287,7 @@ fn depth(renderer: &mut SceneRenderer<'_>, camera: &Camera) -> Drawn {
         Ok(frames) => frames,
         Err(error) => return Drawn::Failed(error.to_string()),
     };
-    let [Frame::Scalar(depth), Frame::Scalar(alpha)] = &frames[..] else { return Drawn::Depth(None) };
+    let [Rendering::Scalar(depth), Rendering::Scalar(alpha)] = &frames[..] else { return Drawn::Depth(None) };
     let there =
         depth.data().iter().zip(alpha.data()).filter(|(depth, alpha)| **depth > 0.0 && **alpha > 0.25);
     let mut depths: Vec<f32> = there.map(|(depth, _)| *depth).collect();

@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 
 use serde::Serialize;
 
-use super::super::Engine;
+use super::super::Builder;
 use super::super::cache::Lookup;
 use super::super::events::{Event, Listener};
 use super::super::graph::Graph;
@@ -86,7 +86,7 @@ fn listed(plan: &Plan) -> Vec<(&'static str, Option<Key>, bool)> {
     nodes.map(|n| (n.stage, n.key, n.state == State::Cached)).collect()
 }
 
-impl Engine {
+impl Builder {
     /// Sends everything that the cache has of a graph. `check` reads back what the store has, and
     /// replaces what is not as it should be.
     ///

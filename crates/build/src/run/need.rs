@@ -45,7 +45,7 @@ impl Runner<'_> {
     /// of them has been read in, which is quick beside a calibrator that nobody would use.
     pub(super) fn need(&self, shared: usize) -> Need {
         let nodes = &self.graph.nodes;
-        let scope = |i: usize| self.engine.registry.stages()[nodes[i].stage].scope;
+        let scope = |i: usize| self.builder.registry.stages()[nodes[i].stage].scope;
         // Inputs come before what reads them: one pass finds all that follows from this node, and how the
         // rest stands.
         let mut follows = vec![false; nodes.len()];

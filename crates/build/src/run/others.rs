@@ -26,7 +26,7 @@ pub(super) struct Held {
 
 impl Runner<'_> {
     pub(super) fn now(&self) -> Duration {
-        self.engine.cache.node().clock.now()
+        self.builder.cache.node().clock.now()
     }
 
     /// Ends the run when its time is over.
@@ -69,7 +69,7 @@ impl Runner<'_> {
 
     /// Waits until a job ends, a lease is to be asked for again, or it is time to show that this run lives.
     pub(super) fn wait(&mut self) {
-        let (clock, now) = (self.engine.cache.node().clock, self.now());
+        let (clock, now) = (self.builder.cache.node().clock, self.now());
         let asks = self.held.values().map(|held| held.again).filter(|_| self.has_room());
         let next = asks.chain(self.leave_at.filter(|_| !self.left)).min();
         let until = next.map_or(HEARTBEAT, |at| at.saturating_sub(now).min(HEARTBEAT));
@@ -92,7 +92,7 @@ impl Runner<'_> {
     /// A node turned out to be computed by another process: it is asked for again later, and
     /// meanwhile something else is done.
     pub(super) fn put_back(&mut self, i: usize, holder: String) {
-        let (now, node) = (self.now(), self.engine.cache.node());
+        let (now, node) = (self.now(), self.builder.cache.node());
         let times = self.held.get(&i).map_or(0, |held| held.times);
         if times == 0 {
             let label = &self.nodes[i].label;
@@ -110,7 +110,7 @@ impl Runner<'_> {
         if std::mem::replace(&mut self.spread, true) {
             return;
         }
-        let number = self.engine.cache.node().number();
+        let number = self.builder.cache.node().number();
         let nodes = &self.graph.nodes;
         let place = |i: &usize| {
             let scene = &nodes[*i].scene;
@@ -124,7 +124,7 @@ impl Runner<'_> {
     /// that has its whole time before it.
     pub(super) fn comes_too_late(&self, i: usize) -> bool {
         let node = &self.graph.nodes[i];
-        let stage = &self.engine.registry.stages()[node.stage];
+        let stage = &self.builder.registry.stages()[node.stage];
         let (Some(at), Some(timings)) = (self.leave_at, &self.timings) else { return false };
         let forecast = timings.forecast(stage.name, &node.scene, resolve::length(stage, node));
         let Some(forecast) = forecast.filter(|_| stage.length_like.is_empty()) else { return false };

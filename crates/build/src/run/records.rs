@@ -16,10 +16,10 @@ impl Runner<'_> {
     pub(super) fn fail(&mut self, i: usize, key: Option<Key>, reason: String) {
         self.held.remove(&i);
         let node = &self.graph.nodes[i];
-        let log = self.engine.cache.log_path(&self.graph.name, node);
+        let log = self.builder.cache.log_path(&self.graph.name, node);
         let label = self.nodes[i].label.clone();
         self.listener.event(&Event::Failed { node: i, label: &label, reason: &reason, log: &log });
-        let mut record = self.engine.cache.record(&self.graph.name, node);
+        let mut record = self.builder.cache.record(&self.graph.name, node);
         let at = machine::utc(machine::now());
         record.failure = Some(Failure { key, reason: reason.clone(), log: log.clone(), at });
         self.write_record(i, &record);
@@ -32,7 +32,7 @@ impl Runner<'_> {
     /// Remembers what a node's result follows from; what it followed from before
     /// is kept, to tell what changed.
     pub(super) fn record_made(&self, i: usize, ingredients: Ingredients, content: Digest) {
-        let mut record = self.engine.cache.record(&self.graph.name, &self.graph.nodes[i]);
+        let mut record = self.builder.cache.record(&self.graph.name, &self.graph.nodes[i]);
         let key = ingredients.key();
         let same = record.last.as_ref().is_some_and(|last| last.key == key && last.content == content);
         if same && record.failure.is_none() {
@@ -49,14 +49,14 @@ impl Runner<'_> {
 
     fn write_record(&self, i: usize, record: &Record) {
         // The artifact counts, not what is remembered about it.
-        if let Err(error) = self.engine.cache.write_record(&self.graph.name, &self.graph.nodes[i], record) {
+        if let Err(error) = self.builder.cache.write_record(&self.graph.name, &self.graph.nodes[i], record) {
             self.listener.event(&Event::Warning { label: &self.nodes[i].label, text: &error.to_string() });
         }
     }
 
     /// A key whose artifact was lost and came out different when it was made again.
     pub(super) fn warn_if_changed(&self, i: usize, artifact: &Artifact) {
-        let record = self.engine.cache.record(&self.graph.name, &self.graph.nodes[i]);
+        let record = self.builder.cache.record(&self.graph.name, &self.graph.nodes[i]);
         let other =
             |made: &Made| made.key == artifact.manifest.key && made.content != artifact.manifest.content;
         if record.last.as_ref().is_some_and(other) {

@@ -6,7 +6,7 @@ use std::path::Path;
 use serde_json::Value;
 use use3d_build::machine::seconds;
 use use3d_build::plan::State;
-use use3d_build::{Cache, Engine, Event, Graph, Plan, RunOptions, Summary, place};
+use use3d_build::{Builder, Cache, Event, Graph, Plan, RunOptions, Summary, place};
 use use3d_pipeline::bench::captures::{Capture, named};
 use use3d_pipeline::bench::figures::{FORMAT, Scored, TruthFigures, of_capture};
 use use3d_pipeline::bench::output;
@@ -43,7 +43,7 @@ struct Seed {
     seed: u64,
     text: String,
     pipeline: Pipeline,
-    engine: Engine,
+    builder: Builder,
     graph: Graph,
 }
 
@@ -85,7 +85,7 @@ pub(crate) fn truth(app: &App, args: &BenchTruthArgs) -> Done {
             stop: app.stop.clone(),
             ..RunOptions::default()
         };
-        let summary = seed.engine.run(&seed.graph, &options, &app.listener);
+        let summary = seed.builder.run(&seed.graph, &options, &app.listener);
         if summary.interrupted {
             return Err(CliError::Interrupted);
         }
@@ -169,7 +169,7 @@ impl<'a> Bench<'a> {
             from_text(&registry, &text, &out.join("truth.toml"), &options).map_err(CliError::input)?;
         let graph = Graph::new(&registry, &pipeline.batch).map_err(CliError::input)?;
         let cache = Cache::open(&pipeline.cache, self.args.cache.rehash).map_err(CliError::input)?;
-        Ok(Seed { seed, text, pipeline, engine: Engine::new(registry, cache), graph })
+        Ok(Seed { seed, text, pipeline, builder: Builder::new(registry, cache), graph })
     }
 
     fn open(&self, seed: u64, out: &Path) -> Result<Seed, CliError> {
@@ -183,7 +183,7 @@ impl<'a> Bench<'a> {
             return;
         }
         let until = STAGES.map(String::from);
-        let plans: Vec<Plan> = left.iter().map(|s| s.engine.plan(&s.graph, Some(&until))).collect();
+        let plans: Vec<Plan> = left.iter().map(|s| s.builder.plan(&s.graph, Some(&until))).collect();
         let (mut known, mut trainings, mut runs) = (0.0, 0.0, 0);
         for plan in &plans {
             known += plan.forecast().0;

@@ -28,7 +28,7 @@ pub(crate) fn gc(args: &GcArgs) -> Done {
     let mut keep = BTreeSet::new();
     for pipeline in &args.keep {
         let loaded = open(&PipelineArgs::of(pipeline, &args.cache), &[])?;
-        keep.extend(loaded.engine.plan(&loaded.graph, None).keys());
+        keep.extend(loaded.builder.plan(&loaded.graph, None).keys());
     }
     let options = CleanOptions { max_bytes, older_than, keep, dry_run: args.dry_run };
     let cleaning = cache(&args.cache)?.clean(&options);
@@ -62,7 +62,7 @@ pub(crate) fn verify(app: &App, args: &VerifyArgs) -> Done {
         let calibration = args.calibration.clone();
         let loaded = open(&PipelineArgs { calibration, ..PipelineArgs::of(target, &args.cache) }, &[])?;
         let options = RunOptions { cores: app.threads, stop: app.stop.clone(), ..RunOptions::default() };
-        let again = loaded.engine.verify_sample(&loaded.graph, share, &options, &app.listener);
+        let again = loaded.builder.verify_sample(&loaded.graph, share, &options, &app.listener);
         let again = again.map_err(CliError::failed)?;
         (found.recomputed, found.agreed) = (again.recomputed, again.agreed);
         found.problems.extend(again.problems);

@@ -27,17 +27,17 @@ fn loaded(args: &TransferArgs) -> Result<Loaded, CliError> {
 }
 
 pub(crate) fn push(app: &App, args: &PushArgs) -> Done {
-    let Loaded { engine, graph, .. } = loaded(&args.what)?;
+    let Loaded { builder, graph, .. } = loaded(&args.what)?;
     let store = probed(app, &args.what.remote)?;
-    let sent = engine.push(&graph, &store, args.check, &app.stop, &app.listener);
+    let sent = builder.push(&graph, &store, args.check, &app.stop, &app.listener);
     tell(&sent.map_err(CliError::failed)?, &args.what)
 }
 
 pub(crate) fn pull(app: &App, args: &TransferArgs) -> Done {
-    let Loaded { engine, graph, .. } = loaded(args)?;
+    let Loaded { builder, graph, .. } = loaded(args)?;
     // Whoever only fetches may have no right to write.
     let store = store(&args.remote)?;
-    let fetched = engine.pull(&graph, &store, &app.stop, &app.listener);
+    let fetched = builder.pull(&graph, &store, &app.stop, &app.listener);
     tell(&fetched.map_err(CliError::failed)?, args)
 }
 

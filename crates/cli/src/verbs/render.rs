@@ -10,7 +10,7 @@ use use3d_import::read_cameras;
 use use3d_io_image::{write_exr, write_exr_map, write_png, write_png_map};
 use use3d_pipeline::Drawn;
 use use3d_reconstruct::EngineChoice;
-use use3d_render::{Film, FilmError, Frame, Mode, SceneRenderer, cover, focus, picture};
+use use3d_render::{Film, FilmError, Mode, Rendering, SceneRenderer, cover, focus, picture};
 use use3d_scene::{Origin, Scene};
 
 use crate::App;
@@ -223,7 +223,13 @@ fn check_places(args: &RenderArgs, modes: &[Mode], files: &[FileName]) -> Done {
 }
 
 /// Writes a frame as FOLDER/FILE.
-pub(crate) fn write(folder: &Path, mode: Mode, file: &FileName, frame: &Frame, format: FrameFormat) -> Done {
+pub(crate) fn write(
+    folder: &Path,
+    mode: Mode,
+    file: &FileName,
+    frame: &Rendering,
+    format: FrameFormat,
+) -> Done {
     let path = file.below(folder);
     if let Some(parent) = path.parent() {
         std::fs::create_dir_all(parent)
@@ -231,9 +237,9 @@ pub(crate) fn write(folder: &Path, mode: Mode, file: &FileName, frame: &Frame, f
     }
     let channel = if mode == Mode::Alpha { "A" } else { "Z" };
     let written = match (format, frame) {
-        (FrameFormat::Exr, Frame::Color(image)) => write_exr(&path, image),
-        (FrameFormat::Exr, Frame::Scalar(map)) => write_exr_map(&path, map, channel),
-        (FrameFormat::Png, Frame::Scalar(map)) if mode == Mode::Alpha => write_png_map(&path, map),
+        (FrameFormat::Exr, Rendering::Color(image)) => write_exr(&path, image),
+        (FrameFormat::Exr, Rendering::Scalar(map)) => write_exr_map(&path, map, channel),
+        (FrameFormat::Png, Rendering::Scalar(map)) if mode == Mode::Alpha => write_png_map(&path, map),
         (FrameFormat::Png, frame) => write_png(&path, &picture(mode, frame)),
     };
     written.map_err(CliError::input)

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use use3d_build::machine::seconds;
 use use3d_build::place;
-use use3d_build::{Cache, Engine, Event, Graph, Listener, Plan, RunOptions, Summary, picture};
+use use3d_build::{Builder, Cache, Event, Graph, Listener, Plan, RunOptions, Summary, picture};
 use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
 use use3d_pipeline::results;
 
@@ -23,10 +23,10 @@ use crate::verbs::stages::{scratch, stages};
 use crate::verbs::synth::keep_capture;
 use crate::verbs::view::Watched;
 
-/// A pipeline with the engine and graph to work on it.
+/// A pipeline with the builder and graph to work on it.
 pub(crate) struct Loaded {
     pub(crate) pipeline: Pipeline,
-    pub(crate) engine: Engine,
+    pub(crate) builder: Builder,
     pub(crate) graph: Graph,
 }
 
@@ -58,7 +58,7 @@ pub(crate) fn open(
     let pipeline = pipeline.map_err(CliError::input)?;
     let cache = Cache::open(&pipeline.cache, cache.rehash).map_err(CliError::input)?;
     let graph = Graph::new(&registry, &pipeline.batch).map_err(CliError::input)?;
-    Ok(Loaded { pipeline, engine: Engine::new(registry, cache), graph })
+    Ok(Loaded { pipeline, builder: Builder::new(registry, cache), graph })
 }
 
 /// What a file is that is given where a pipeline file or a capture folder is
@@ -89,7 +89,7 @@ pub(crate) fn json(value: &impl Serialize) -> Done {
 
 fn planned(args: &PlanArgs) -> Result<(Loaded, Plan), CliError> {
     let loaded = open(&args.pipeline, &[])?;
-    let plan = loaded.engine.plan(&loaded.graph, None);
+    let plan = loaded.builder.plan(&loaded.graph, None);
     Ok((loaded, plan))
 }
 
@@ -127,7 +127,7 @@ pub(crate) fn why(args: &WhyArgs) -> Done {
     let loaded = open(&args.pipeline, &[])?;
     // `SCENE` or `SCENE@VARIANT`.
     let (scene, variant) = args.scene.split_once('@').unwrap_or((&args.scene, ""));
-    let why = loaded.engine.why(&loaded.graph, scene, variant, &args.stage).map_err(CliError::input)?;
+    let why = loaded.builder.why(&loaded.graph, scene, variant, &args.stage).map_err(CliError::input)?;
     if args.json {
         return json(&why);
     }
@@ -137,7 +137,7 @@ pub(crate) fn why(args: &WhyArgs) -> Done {
 
 pub(crate) fn graph(args: &GraphArgs) -> Done {
     let loaded = open(&args.pipeline, &[])?;
-    let plan = loaded.engine.plan(&loaded.graph, None);
+    let plan = loaded.builder.plan(&loaded.graph, None);
     match args.format {
         GraphFormat::Mermaid => print!("{}", picture::mermaid(&loaded.graph, &plan)),
         GraphFormat::Svg => print!("{}", picture::svg(&loaded.graph, &plan)),
@@ -149,10 +149,10 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     let loaded = open(&args.pipeline, &args.scene)?;
     let until = args.until.clone().map(|stage| vec![stage]);
     if let Some(stage) = &args.until {
-        loaded.engine.registry.stage(stage).map_err(CliError::input)?;
+        loaded.builder.registry.stage(stage).map_err(CliError::input)?;
     }
     if args.dry_run {
-        return show(&loaded.engine.plan(&loaded.graph, until.as_deref()), args.json);
+        return show(&loaded.builder.plan(&loaded.graph, until.as_deref()), args.json);
     }
     let only = only(&loaded.graph, &args.only)?;
     let out =
@@ -164,7 +164,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     let loaded = match &args.remote {
         Some(address) => {
             let store = probed(app, address)?;
-            Loaded { engine: loaded.engine.with_remote(store), ..loaded }
+            Loaded { builder: loaded.builder.with_remote(store), ..loaded }
         }
         None => loaded,
     };
@@ -216,7 +216,7 @@ fn only(graph: &Graph, named: &[String]) -> Result<Option<Vec<(String, String)>>
         let known: Vec<String> =
             cells.iter().map(|(s, v)| if v.is_empty() { s.clone() } else { format!("{s}@{v}") }).collect();
         let known = known.iter().map(String::as_str);
-        Err(CliError::input(use3d_build::EngineError::unknown("scene and variant", name, known)))
+        Err(CliError::input(use3d_build::BuildError::unknown("scene and variant", name, known)))
     };
     let found: Vec<(String, String)> = named.iter().map(find).collect::<Result<_, _>>()?;
     Ok((!found.is_empty()).then_some(found))
@@ -224,7 +224,7 @@ fn only(graph: &Graph, named: &[String]) -> Result<Option<Vec<(String, String)>>
 
 fn execute(app: &App, loaded: &Loaded, options: &RunOptions, out: Option<&Path>, as_json: bool) -> Done {
     let listener = out.map_or_else(|| app.listener.clone(), |out| delivering(app, out));
-    let summary = loaded.engine.run(&loaded.graph, options, &listener);
+    let summary = loaded.builder.run(&loaded.graph, options, &listener);
     // What an interrupted run has finished was delivered scene by scene.
     let delivered = match out {
         Some(out) if !summary.interrupted && !summary.left => results::deliver(&summary, out),

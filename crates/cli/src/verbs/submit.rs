@@ -94,13 +94,13 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
 
 fn prepare(app: &App, scheduler: &str, args: &SubmitArgs) -> Result<Option<Ready>, CliError> {
     let loaded = open(&args.pipeline, &[])?;
-    let Loaded { pipeline, engine, graph } = &loaded;
-    let stages: Vec<&str> = engine.registry.stages().iter().map(|s| s.name()).collect();
+    let Loaded { pipeline, builder, graph } = &loaded;
+    let stages: Vec<&str> = builder.registry.stages().iter().map(|s| s.name()).collect();
     let site = match &args.cluster {
         Some(file) => Site::read(file, &stages).map_err(CliError::input)?,
         None => Site::default(),
     };
-    let plan = engine.plan(graph, None);
+    let plan = builder.plan(graph, None);
     for node in plan.nodes.iter().filter(|n| n.shared_with.is_none() && !app.quiet) {
         if let State::Unavailable(reason) = &node.state {
             eprintln!("warning: {} {}: {reason}; it is not submitted", node.scene, node.stage);
@@ -110,7 +110,7 @@ fn prepare(app: &App, scheduler: &str, args: &SubmitArgs) -> Result<Option<Ready
         SubmitLayout::Workers => Layout::Workers,
         SubmitLayout::Stages => Layout::Stages,
     };
-    let jobs = jobs::of(&plan, &engine.registry, &site, layout, args.workers).map_err(CliError::input)?;
+    let jobs = jobs::of(&plan, &builder.registry, &site, layout, args.workers).map_err(CliError::input)?;
     if jobs.is_empty() {
         return Ok(None);
     }

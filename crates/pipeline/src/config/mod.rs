@@ -34,7 +34,7 @@ use serde_json::{Map, Value};
 
 use use3d_build::error::nearest;
 use use3d_build::graph::{External, Overrides};
-use use3d_build::{Batch, ParameterError, Registry, Scene, Variant, canonical};
+use use3d_build::{Batch, BatchScene, ParameterError, Registry, Variant, canonical};
 
 mod document;
 mod file;
@@ -102,7 +102,7 @@ pub fn for_capture(
     let name = whole.file_name().map_or_else(|| "capture".into(), |n| n.to_string_lossy());
     // It names folders and is printed; a pipeline file could not say it either.
     let name = name.replace(char::is_control, "_");
-    let mut scene = Scene { name: name.clone(), ..Scene::default() };
+    let mut scene = BatchScene { name: name.clone(), ..BatchScene::default() };
     scene.name_external("capture", Ok(whole), "the command line");
     let batch = Batch { name, seed: file::default_seed(), scenes: vec![scene], ..Batch::default() };
     finish(registry, batch, None, None, options)
@@ -153,8 +153,12 @@ fn parse(
         let entry: SceneEntry = reader.typed(&base, &rest, &reader.words("scene"))?;
         reader.unique(&base, &entry.name, batch.scenes.iter().map(|s| &s.name))?;
         let said = |key: &str| format!("`{key}` of scene {} in {}", entry.name, file.display());
-        let mut scene =
-            Scene { name: entry.name.clone(), group: entry.group.clone(), overrides, ..Scene::default() };
+        let mut scene = BatchScene {
+            name: entry.name.clone(),
+            group: entry.group.clone(),
+            overrides,
+            ..BatchScene::default()
+        };
         scene.name_external("capture", expand(&entry.capture, folder), said("capture"));
         if let Some(own) = &entry.calibrator {
             scene.name_external("calibrator", expand(&own.file, folder), said(key_of("calibrator")));

@@ -3,7 +3,7 @@
 
 use serde::Serialize;
 use serde_json::{Value, json};
-use use3d_build::{EngineError, Registry};
+use use3d_build::{BuildError, Registry};
 
 use super::schema::schema;
 
@@ -32,7 +32,7 @@ pub struct Parameter {
 }
 
 /// The parameters of all stages, or of one.
-pub fn parameters(registry: &Registry, stage: Option<&str>) -> Result<Vec<StageParameters>, EngineError> {
+pub fn parameters(registry: &Registry, stage: Option<&str>) -> Result<Vec<StageParameters>, BuildError> {
     if let Some(name) = stage {
         registry.stage(name)?;
     }

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use serde_json::{Map, Value};
-use use3d_build::error::EngineError;
+use use3d_build::error::BuildError;
 use use3d_build::graph::Overrides;
 use use3d_build::{Batch, ParameterError, Registry, Source, Stage};
 
@@ -163,7 +163,7 @@ fn place(
             };
             format!("a key is STAGE.PARAMETER; {hint}")
         })?;
-        let stage = registry.stage(stage).map_err(|e: EngineError| e.to_string())?;
+        let stage = registry.stage(stage).map_err(|e: BuildError| e.to_string())?;
         targets.push((stage.name(), parameter.to_string()));
     }
     for (stage, parameter) in targets {

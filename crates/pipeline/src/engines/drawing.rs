@@ -82,10 +82,10 @@ impl<'s> Drawn<'s> {
 
 #[cfg(all(test, feature = "gpu"))]
 mod tests {
-    use use3d_capture::{Appearance, Camera, Frame as FrameOf, Intrinsics, Pose};
+    use use3d_capture::{Appearance, Camera, Frame, Intrinsics, Pose};
     use use3d_medium::{MediumModel, MediumRbf};
     use use3d_numerics::random::{Purpose, Stream};
-    use use3d_render::{Frame, Mode};
+    use use3d_render::{Mode, Rendering};
     use use3d_splat::Gaussians;
     use use3d_ubaf::{Enhancement, Field, FieldBox, ObjectPass, Shape};
 
@@ -117,7 +117,7 @@ mod tests {
         let enhancement = Enhancement { centre: pass.mean(), field, appearance: Appearance::Water };
         Scene {
             gaussians,
-            frame: FrameOf::IDENTITY,
+            frame: Frame::IDENTITY,
             medium: MediumModel::Rbf(MediumRbf::new(8, 4)),
             medium_degree: 3,
             enhancement: Some(enhancement),
@@ -145,9 +145,9 @@ mod tests {
         assert_eq!(cpu.told(), "cpu");
         let intrinsics = Intrinsics { width: 72, height: 50, fx: 60.0, fy: 62.0, cx: 35.0, cy: 26.0 };
         let camera = Camera { intrinsics, pose: Pose::IDENTITY };
-        let values = |frame: &Frame| match frame {
-            Frame::Color(image) => image.data().to_vec(),
-            Frame::Scalar(map) => map.data().to_vec(),
+        let values = |frame: &Rendering| match frame {
+            Rendering::Color(image) => image.data().to_vec(),
+            Rendering::Scalar(map) => map.data().to_vec(),
         };
         for (strength, water) in [(1.0, 1.0), (0.6, 0.4)] {
             let draw = |drawn: &Drawn<'_>| {

@@ -17,11 +17,11 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::proposers::Proposer;
 use use3d_build::{Figure, Scope, Stage, StageContext, StageError, machine};
-use use3d_capture::{Appearance, Camera, Capture, Frame as FrameOf, Image, Map, View, path};
+use use3d_capture::{Appearance, Camera, Capture, Frame, Image, Map, View, path};
 use use3d_import::{load_mask, load_pixels};
 use use3d_io_image::write_png;
 use use3d_metrics::{Mask, mask_of};
-use use3d_render::{Frame, Mode, SceneRenderer};
+use use3d_render::{Mode, Rendering, SceneRenderer};
 use use3d_scene::Scene;
 
 use super::captured::capture;
@@ -168,19 +168,19 @@ impl Looker<'_> {
         let mut water = Vec::new();
         for (mode, frame) in modes.iter().zip(self.renderer.render(camera, &modes)?) {
             match (mode, frame) {
-                (Mode::Reconstruction, Frame::Color(image)) => {
+                (Mode::Reconstruction, Rendering::Color(image)) => {
                     if self.learnt == Method::Reconstruction {
                         let shown = image.map(|v| v.clamp(0.0, 1.0));
                         images.push((Method::ProposalOfRender, self.proposer.enhance(&shown)?));
                     }
                     images.push((self.learnt, image));
                 }
-                (Mode::Clear, Frame::Color(image)) => images.push((Method::Clear, image)),
-                (Mode::Enhanced, Frame::Color(image)) => images.push((Method::Enhanced, image)),
-                (Mode::EnhancedClear, Frame::Color(image)) => images.push((Method::EnhancedClear, image)),
-                (Mode::Depth, Frame::Scalar(map)) => depth = map,
-                (Mode::Alpha, Frame::Scalar(map)) => accumulation = map,
-                (Mode::Attenuation | Mode::Backscatter, Frame::Color(image)) => water.push(image),
+                (Mode::Clear, Rendering::Color(image)) => images.push((Method::Clear, image)),
+                (Mode::Enhanced, Rendering::Color(image)) => images.push((Method::Enhanced, image)),
+                (Mode::EnhancedClear, Rendering::Color(image)) => images.push((Method::EnhancedClear, image)),
+                (Mode::Depth, Rendering::Scalar(map)) => depth = map,
+                (Mode::Alpha, Rendering::Scalar(map)) => accumulation = map,
+                (Mode::Attenuation | Mode::Backscatter, Rendering::Color(image)) => water.push(image),
                 _ => {}
             }
         }
@@ -314,7 +314,7 @@ fn learnt_from(context: &StageContext) -> Method {
 struct Reference<'a> {
     renderer: SceneRenderer<'a>,
     /// The scored scene's frame and the reference's, where they differ.
-    between: Option<[FrameOf; 2]>,
+    between: Option<[Frame; 2]>,
 }
 
 impl<'a> Reference<'a> {
@@ -334,8 +334,8 @@ impl<'a> Reference<'a> {
         let (mut depth, mut image) = (Map::new(0, 0), Image::new(0, 0));
         for frame in self.renderer.render(&camera, &[Mode::Depth, Mode::Reconstruction])? {
             match frame {
-                Frame::Scalar(map) => depth = map,
-                Frame::Color(rendered) => image = rendered,
+                Rendering::Scalar(map) => depth = map,
+                Rendering::Color(rendered) => image = rendered,
             }
         }
         Ok(match unit {
@@ -544,7 +544,7 @@ mod tests {
         };
         Scene {
             gaussians,
-            frame: FrameOf { scale, ..FrameOf::IDENTITY },
+            frame: Frame { scale, ..Frame::IDENTITY },
             medium: MediumModel::None,
             medium_degree: 0,
             enhancement: None,

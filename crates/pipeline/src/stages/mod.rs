@@ -46,12 +46,12 @@ pub use depth::wanted as depth_wanted;
 pub use names::{CALIBRATOR, TARGETS};
 pub use proposer::{ProposerChoice, open as open_proposer};
 
-use use3d_build::{EngineError, Registry};
+use use3d_build::{BuildError, Registry};
 
 use crate::code::built_in;
 
 /// The table of stages with the short words of the pipeline file.
-pub fn registry() -> Result<Registry, EngineError> {
+pub fn registry() -> Result<Registry, BuildError> {
     let stages = vec![
         import::stage(),
         #[cfg(feature = "nets")]

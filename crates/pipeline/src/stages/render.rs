@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use use3d_build::{Scope, Stage, StageContext, StageError};
 use use3d_import::load_pixels;
 use use3d_io_image::{write_exr_map, write_png, write_png8};
-use use3d_render::{Frame, Mode, picture};
+use use3d_render::{Mode, Rendering, picture};
 
 use super::captured::capture;
 use super::common::folder;
@@ -92,7 +92,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         write_png8(&file("captured"), &load_pixels(view)?.to_image().to_8bit())?;
         for (mode, frame) in modes.iter().zip(renderer.render(&view.camera, &modes)?) {
             write_png(&file(mode.name()), &picture(*mode, &frame))?;
-            if let (Frame::Scalar(map), true) = (&frame, params.depth_exr) {
+            if let (Rendering::Scalar(map), true) = (&frame, params.depth_exr) {
                 write_exr_map(&out.join(mode.name()).join(format!("{stem}.exr")), map, "Z")?;
             }
         }

@@ -3,6 +3,6 @@
 mod config;
 mod named;
 mod shipped;
-#[path = "../../../build/tests/engine/stages.rs"]
+#[path = "../../../build/tests/builder/stages.rs"]
 #[allow(dead_code, reason = "the build system's own tests use the rest")]
 mod stages;

@@ -6,22 +6,22 @@ use std::path::Path;
 
 use use3d_build::plan::State;
 use use3d_build::run::{Became, RunOptions};
-use use3d_build::{Batch, Cache, Engine, Graph, Registry, Scope, Stage, StageContext, Variant};
+use use3d_build::{Batch, Builder, Cache, Graph, Registry, Scope, Stage, StageContext, Variant};
 use use3d_pipeline::config::{LoadOptions, from_text};
 
-use super::stages::{Strength, batch, code, engine, registry, run, run_with};
+use super::stages::{Strength, batch, builder, code, registry, run, run_with};
 
 #[test]
 fn an_optional_input_that_is_named_and_missing_fails_what_needs_it_and_nothing_else() {
     let dir = tempfile::tempdir().expect("folder");
     let mut batch = batch(&dir.path().join("data"), &["reef"]);
-    let engine = engine(&dir.path().join("cache"));
+    let builder = builder(&dir.path().join("cache"));
     let places =
         [Err("the environment variable UIEB is not set".to_string()), Ok(dir.path().join("typo/raw-890"))];
     for (place, reason) in places.into_iter().zip(["UIEB is not set", "raw-890 does not exist"]) {
         batch.name_external("pairs.input", place, "`calibrator.pairs.input` in reefs.toml");
-        let graph = Graph::new(&engine.registry, &batch).expect("graph");
-        let plan = engine.plan(&graph, None);
+        let graph = Graph::new(&builder.registry, &batch).expect("graph");
+        let plan = builder.plan(&graph, None);
         let planned = plan.nodes.iter().find(|n| n.stage == "calibrate").expect("planned");
         let State::Unavailable(why) = &planned.state else { panic!("{:?}", planned.state) };
         assert!(why.contains(reason) && why.contains("`calibrator.pairs.input` in reefs.toml"), "{why}");
@@ -29,7 +29,7 @@ fn an_optional_input_that_is_named_and_missing_fails_what_needs_it_and_nothing_e
         assert!(plan.blocked() >= 2 && plan.to_string().contains("1 cannot run"), "{plan}");
 
         let options = RunOptions { keep_going: true, ..RunOptions::default() };
-        let (summary, ..) = run_with(&engine, &batch, &options);
+        let (summary, ..) = run_with(&builder, &batch, &options);
         assert_eq!(summary.exit_code(), 1);
         let became =
             |stage: &str| summary.nodes.iter().find(|n| n.stage == stage).expect("ran").result.clone();
@@ -39,11 +39,11 @@ fn an_optional_input_that_is_named_and_missing_fails_what_needs_it_and_nothing_e
     }
     // Not named at all: done without. There: read.
     batch.externals.remove("pairs.input");
-    assert_eq!(run(&engine, &batch).0.exit_code(), 0);
+    assert_eq!(run(&builder, &batch).0.exit_code(), 0);
     fs::create_dir_all(dir.path().join("raw")).expect("folder");
     fs::write(dir.path().join("raw/a.txt"), "a").expect("file");
     batch.name_external("pairs.input", Ok(dir.path().join("raw")), "--pairs");
-    assert!(run(&engine, &batch).1.contains(&"calibrate".to_string()));
+    assert!(run(&builder, &batch).1.contains(&"calibrate".to_string()));
 }
 
 #[test]
@@ -166,17 +166,17 @@ fn words_about_learning_beside_a_finished_calibrator_are_refused() {
 fn nothing_is_computed_for_scenes_that_have_failed() {
     let dir = tempfile::tempdir().expect("folder");
     let mut batch = batch(&dir.path().join("data"), &["reef", "wall"]);
-    let engine = engine(&dir.path().join("cache"));
+    let builder = builder(&dir.path().join("cache"));
     let options = RunOptions { keep_going: true, ..RunOptions::default() };
     for scene in &mut batch.scenes {
         scene.name_external("capture", Ok(dir.path().join("typo")), "the command line");
     }
-    let (summary, ran, ..) = run_with(&engine, &batch, &options);
+    let (summary, ran, ..) = run_with(&builder, &batch, &options);
     assert_eq!(summary.exit_code(), 1);
     assert!(!ran.contains(&"calibrate".to_string()), "{ran:?}");
     // One scene that can be computed is reason enough.
     batch.scenes[1].name_external("capture", Ok(dir.path().join("data/wall")), "the command line");
-    let (summary, ran, ..) = run_with(&engine, &batch, &options);
+    let (summary, ran, ..) = run_with(&builder, &batch, &options);
     assert_eq!(summary.exit_code(), 1);
     assert!(ran.contains(&"calibrate".to_string()), "{ran:?}");
 }
@@ -187,9 +187,9 @@ fn a_finished_artifact_stands_in_for_its_stage_where_it_is_named() {
     let file = dir.path().join("calibrator.bin");
     fs::write(&file, "finished").expect("file");
     let mut batch = batch(&dir.path().join("data"), &["a", "b"]);
-    let engine = engine_with(&dir.path().join("cache"));
+    let builder = builder_with(&dir.path().join("cache"));
     let started = |batch: &Batch| {
-        let (summary, started, _) = run(&engine, batch);
+        let (summary, started, _) = run(&builder, batch);
         assert_eq!(summary.exit_code(), 0, "{summary}");
         started
     };
@@ -206,8 +206,8 @@ fn a_finished_artifact_stands_in_for_its_stage_where_it_is_named() {
     assert_eq!(started(&batch), ["report"]);
     assert!(started(&batch).is_empty());
     batch.name_external("calibrator", Ok(dir.path().join("gone.bin")), "--calibrator");
-    let graph = Graph::new(&engine.registry, &batch).expect("graph");
-    let plan = engine.plan(&graph, None);
+    let graph = Graph::new(&builder.registry, &batch).expect("graph");
+    let plan = builder.plan(&graph, None);
     assert_eq!(plan.nodes.iter().filter(|n| matches!(n.state, State::Unavailable(_))).count(), 3);
 }
 
@@ -220,23 +220,23 @@ fn a_variant_may_read_a_finished_calibrator_of_its_own() {
     let mut batch = batch(&dir.path().join("data"), &["a", "b"]);
     batch.variants = ["made", "read"].map(|name| Variant { name: name.into(), ..Variant::default() }).into();
     batch.variants[1].name_external("calibrator", Ok(theirs), "`calibrator.file` of variant read");
-    let engine = engine_with(&dir.path().join("cache"));
-    let graph = Graph::new(&engine.registry, &batch).expect("graph");
+    let builder = builder_with(&dir.path().join("cache"));
+    let graph = Graph::new(&builder.registry, &batch).expect("graph");
     let reads = |graph: &Graph, scene: &str, variant: &str| {
         let node = graph.find(scene, variant, "targets").expect("targets");
-        let plan = engine.plan(graph, None);
+        let plan = builder.plan(graph, None);
         (plan.nodes[node].state.clone(), plan.nodes[node].key)
     };
     // Only the variant that learns asks for it.
     let made = graph.nodes.iter().filter(|n| n.stage_name == "calibrate").map(|n| n.variant.as_str());
     assert_eq!(made.collect::<Vec<_>>(), ["made"]);
-    let (summary, started, _) = run(&engine, &batch);
+    let (summary, started, _) = run(&builder, &batch);
     assert_eq!(summary.exit_code(), 0, "{summary}");
     assert!(started.contains(&"a · made · targets".into()) && started.contains(&"a · read · targets".into()));
     // Its file wins over a scene's.
     let before = reads(&graph, "a", "read");
     batch.scenes[0].name_external("calibrator", Ok(own), "`calibrator.file` of scene a");
-    let graph = Graph::new(&engine.registry, &batch).expect("graph");
+    let graph = Graph::new(&builder.registry, &batch).expect("graph");
     assert_eq!(reads(&graph, "a", "read"), before);
     assert!(matches!(reads(&graph, "a", "made").0, State::Run(_)), "it reads the scene's now");
     // One that is missing is said with the variant's name.
@@ -245,13 +245,13 @@ fn a_variant_may_read_a_finished_calibrator_of_its_own() {
         Ok(dir.path().join("gone")),
         "`calibrator.file` of variant read",
     );
-    let graph = Graph::new(&engine.registry, &batch).expect("graph");
+    let graph = Graph::new(&builder.registry, &batch).expect("graph");
     let State::Unavailable(why) = reads(&graph, "b", "read").0 else { panic!("it is not there") };
     assert!(why.contains("of variant read") && why.contains("gone does not exist"), "{why}");
 }
 
 /// A small table in which `targets` and `report` read a calibrator, made or given.
-fn engine_with(cache: &Path) -> Engine {
+fn builder_with(cache: &Path) -> Builder {
     let write = |context: &StageContext, p: &Strength| {
         let read: Vec<&str> = context.inputs().iter().map(|i| i.role.as_str()).collect();
         Ok(fs::write(context.output().join("read.txt"), format!("{read:?} {}", p.strength))?)
@@ -267,5 +267,5 @@ fn engine_with(cache: &Path) -> Engine {
             .input("calibrator", "calibrate")
             .or_external("calibrator"),
     ];
-    Engine::new(Registry::new(stages, code()).expect("a table"), Cache::open(cache, false).expect("a cache"))
+    Builder::new(Registry::new(stages, code()).expect("a table"), Cache::open(cache, false).expect("a cache"))
 }

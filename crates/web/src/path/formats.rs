@@ -17,7 +17,7 @@ use crate::shot::Shot;
 /// What nerfstudio's render panel saves, as far as it is needed.
 #[derive(Deserialize)]
 struct Nerfstudio {
-    camera_path: Vec<Frame>,
+    camera_path: Vec<Keyframe>,
     #[serde(default)]
     fps: Option<f64>,
     #[serde(default)]
@@ -25,7 +25,7 @@ struct Nerfstudio {
 }
 
 #[derive(Deserialize)]
-struct Frame {
+struct Keyframe {
     camera_to_world: Vec<f64>,
     fov: f64,
 }

@@ -126,7 +126,7 @@ fn followed(args: &ViewArgs, target: &Path) -> Result<Followed, CliError> {
     }
     let settings = Settings { set: args.set.clone(), engine: None };
     let loaded = open(&PipelineArgs { settings, ..PipelineArgs::of(target, &args.cache) }, &[])?;
-    let plan = loaded.engine.plan(&loaded.graph, None);
+    let plan = loaded.builder.plan(&loaded.graph, None);
     let mut scenes =
         plan.nodes.iter().filter(|node| node.stage == "reconstruct").map(|node| node.scene.clone());
     let scene = match &args.scene {
@@ -171,14 +171,14 @@ fn newest(followed: &Followed) -> Option<Newest> {
             found.max_by_key(|file| modified(file)).map(|file| of(file, None))
         }
         Followed::Pipeline { loaded, scene } => {
-            let plan = loaded.engine.plan(&loaded.graph, None);
+            let plan = loaded.builder.plan(&loaded.graph, None);
             let node =
                 |stage: &str| plan.nodes.iter().find(|node| node.stage == stage && node.scene == *scene);
             let import = node("import").and_then(|node| node.artifact.clone());
             let made = ["enhance", "reconstruct"].iter().find_map(|stage| node(stage)?.artifact.clone());
             let unfinished = || {
                 let key = node("reconstruct")?.checkpoints?;
-                checkpoint(&loaded.engine.cache.checkpoint_path("reconstruct", &key))
+                checkpoint(&loaded.builder.cache.checkpoint_path("reconstruct", &key))
             };
             made.map(|folder| folder.join("scene.json")).or_else(unfinished).map(|file| of(file, import))
         }

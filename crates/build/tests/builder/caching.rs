@@ -12,7 +12,7 @@ use use3d_build::run::{Became, RunOptions};
 use use3d_build::status::Standing;
 use use3d_build::{Graph, Variant};
 
-use super::stages::{STEPS, batch, code, engine, payload, run, run_with};
+use super::stages::{STEPS, batch, builder, code, payload, run, run_with};
 
 const ALL: [&str; 7] = [
     "calibrate",
@@ -28,13 +28,13 @@ const ALL: [&str; 7] = [
 fn a_second_run_computes_nothing() {
     let dir = tempfile::tempdir().expect("folder");
     let batch = batch(&dir.path().join("data"), &["reef"]);
-    let engine = engine(&dir.path().join("cache"));
-    let (first, started, warnings) = run(&engine, &batch);
+    let builder = builder(&dir.path().join("cache"));
+    let (first, started, warnings) = run(&builder, &batch);
     assert_eq!(started, ALL);
     assert_eq!((first.done(), first.cached(), first.exit_code()), (7, 0, 0));
     assert!(warnings.is_empty(), "{warnings:?}");
     let start = std::time::Instant::now();
-    let (second, started, _) = run(&super::stages::engine(&dir.path().join("cache")), &batch);
+    let (second, started, _) = run(&super::stages::builder(&dir.path().join("cache")), &batch);
     println!("a cached run of 7 stages: {:.1} ms", start.elapsed().as_secs_f64() * 1e3);
     assert!(started.is_empty());
     assert_eq!((second.done(), second.cached(), second.exit_code()), (0, 7, 0));
@@ -74,25 +74,25 @@ fn a_parameter_reruns_its_stage_and_what_reads_its_changed_output() {
     ];
     let dir = tempfile::tempdir().expect("folder");
     let base = batch(&dir.path().join("data"), &["reef"]);
-    let engine = engine(&dir.path().join("cache"));
-    run(&engine, &base);
+    let builder = builder(&dir.path().join("cache"));
+    run(&builder, &base);
     for (stage, change, expected) in cases {
         let mut changed = base.clone();
         changed.defaults.insert(stage.to_string(), change.clone());
-        let graph = Graph::new(&engine.registry, &changed).expect("graph");
-        let plan = engine.plan(&graph, None);
+        let graph = Graph::new(&builder.registry, &changed).expect("graph");
+        let plan = builder.plan(&graph, None);
         let may_run = plan.nodes.iter().filter(|n| n.state != State::Cached).count();
-        let (summary, started, _) = run(&engine, &changed);
+        let (summary, started, _) = run(&builder, &changed);
         assert_eq!(started, expected, "{stage} {change}");
         assert!(may_run >= started.len());
         assert_eq!(summary.cached(), 7 - expected.len());
         // Back to the old parameters: everything is still there.
-        assert!(run(&engine, &base).1.is_empty());
+        assert!(run(&builder, &base).1.is_empty());
     }
     let mut seed = base.clone();
     seed.seed = 43;
-    assert_eq!(run(&engine, &seed).1.len(), 6, "all that draw random numbers, and below");
-    let other = engine.with_numeric_class("another machine");
+    assert_eq!(run(&builder, &seed).1.len(), 6, "all that draw random numbers, and below");
+    let other = builder.with_numeric_class("another machine");
     assert_eq!(run(&other, &base).1.len(), 7);
 }
 
@@ -100,12 +100,12 @@ fn a_parameter_reruns_its_stage_and_what_reads_its_changed_output() {
 fn touching_and_moving_inputs_and_other_thread_counts_rerun_nothing() {
     let dir = tempfile::tempdir().expect("folder");
     let mut batch = batch(&dir.path().join("data"), &["reef"]);
-    let engine = engine(&dir.path().join("cache"));
-    run(&engine, &batch);
+    let builder = builder(&dir.path().join("cache"));
+    run(&builder, &batch);
     let words = dir.path().join("data/reef/images/words.txt");
     let old = SystemTime::now() - Duration::from_secs(5000);
     fs::File::options().write(true).open(&words).and_then(|f| f.set_modified(old)).expect("touched");
-    let fresh = || super::stages::engine(&dir.path().join("cache"));
+    let fresh = || super::stages::builder(&dir.path().join("cache"));
     assert!(run(&fresh(), &batch).1.is_empty());
     fs::write(dir.path().join("data/reef/notes.txt"), "still not read").expect("file");
     assert!(run(&fresh(), &batch).1.is_empty(), "a file that the stage does not read");
@@ -128,12 +128,12 @@ fn touching_and_moving_inputs_and_other_thread_counts_rerun_nothing() {
 fn another_length_goes_on_from_the_checkpoints() {
     let dir = tempfile::tempdir().expect("folder");
     let mut batch = batch(&dir.path().join("data"), &["reef"]);
-    let engine = engine(&dir.path().join("cache"));
+    let builder = builder(&dir.path().join("cache"));
     let mut steps = |iterations: u64, rate: f64| {
         batch.defaults.insert("reconstruct".to_string(), json!({"iterations": iterations, "rate": rate}));
         let before = STEPS.load(Ordering::Relaxed);
         let (summary, ..) = run_with(
-            &engine,
+            &builder,
             &batch,
             &RunOptions { until: Some(vec!["reconstruct".to_string()]), ..RunOptions::default() },
         );
@@ -153,7 +153,7 @@ fn another_length_goes_on_from_the_checkpoints() {
     let (_, shorter, _) = steps(2995, 0.375);
     assert_ne!(shorter, extended);
     // Extended and uninterrupted are the same bytes.
-    let fresh = super::stages::engine(&dir.path().join("other-cache"));
+    let fresh = super::stages::builder(&dir.path().join("other-cache"));
     batch.defaults.insert("reconstruct".to_string(), json!({"iterations": 4000, "rate": 0.375}));
     let (summary, ..) = run(&fresh, &batch);
     let whole = fs::read(summary.artifact("reef", "", "reconstruct").expect("there").path.join("scene.bin"));
@@ -175,13 +175,13 @@ fn variants_share_what_they_do_not_change() {
         variant("weak", "enhance", json!({"strength": 0.5})),
         Variant { name: "seed-7".to_string(), seed: Some(7), ..Variant::default() },
     ];
-    let engine = engine(&dir.path().join("cache"));
-    let graph = Graph::new(&engine.registry, &batch).expect("graph");
-    let plan = engine.plan(&graph, None);
+    let builder = builder(&dir.path().join("cache"));
+    let graph = Graph::new(&builder.registry, &batch).expect("graph");
+    let plan = builder.plan(&graph, None);
     // full: 6; mlp: reconstruct, targets, enhance, evaluate; weak: enhance, evaluate; seed-7: all but import;
     // report.
     assert_eq!(plan.to_run(), 6 + 4 + 2 + 5 + 1);
-    let (summary, started, _) = run(&engine, &batch);
+    let (summary, started, _) = run(&builder, &batch);
     assert_eq!(started.len(), 18);
     assert_eq!((summary.done(), summary.exit_code()), (18, 0));
     let table = fs::read_to_string(summary.artifact("", "", "report").expect("made").path.join("table.txt"));
@@ -198,7 +198,7 @@ fn variants_share_what_they_do_not_change() {
             && same("full", "weak", "reconstruct")
             && !same("full", "mlp", "targets")
     );
-    let plan = engine.plan(&graph, None);
+    let plan = builder.plan(&graph, None);
     assert_eq!((plan.to_run(), plan.status().count(Standing::Cached)), (0, 4 * 6 + 1));
     let picture = use3d_build::picture::svg(&graph, &plan);
     assert!(picture.starts_with("<svg") && picture.contains("stroke-dasharray"));
@@ -209,10 +209,10 @@ fn variants_share_what_they_do_not_change() {
 fn optional_stages_are_there_when_asked_for() {
     let dir = tempfile::tempdir().expect("folder");
     let mut batch = batch(&dir.path().join("data"), &["reef"]);
-    let engine = engine(&dir.path().join("cache"));
-    run(&engine, &batch);
+    let builder = builder(&dir.path().join("cache"));
+    run(&builder, &batch);
     batch.defaults.insert("reconstruct".to_string(), json!({"depth_prior": "network"}));
-    let (_, started, _) = run(&engine, &batch);
+    let (_, started, _) = run(&builder, &batch);
     assert!(
         started.contains(&"reef · depth".to_string()) && started.contains(&"reef · reconstruct".to_string())
     );
@@ -220,43 +220,43 @@ fn optional_stages_are_there_when_asked_for() {
     fs::create_dir_all(dir.path().join("models")).expect("folder");
     fs::write(dir.path().join("models/weights"), "w").expect("file");
     batch.externals.insert("models".to_string(), Ok(dir.path().join("models")));
-    assert!(run(&engine, &batch).1.contains(&"reef · depth".to_string()));
+    assert!(run(&builder, &batch).1.contains(&"reef · depth".to_string()));
 }
 
 #[test]
 fn why_names_the_ingredients_that_changed() {
     let dir = tempfile::tempdir().expect("folder");
     let mut batch = batch(&dir.path().join("data"), &["reef"]);
-    let engine = engine(&dir.path().join("cache"));
-    let graph = Graph::new(&engine.registry, &batch).expect("graph");
-    let why = engine.why(&graph, "reef", "", "enhance").expect("why");
+    let builder = builder(&dir.path().join("cache"));
+    let graph = Graph::new(&builder.registry, &batch).expect("graph");
+    let why = builder.why(&graph, "reef", "", "enhance").expect("why");
     assert_eq!((why.standing, why.earlier), (Standing::Missing, None));
-    run(&engine, &batch);
-    let why = engine.why(&graph, "reef", "", "enhance").expect("why");
+    run(&builder, &batch);
+    let why = builder.why(&graph, "reef", "", "enhance").expect("why");
     assert_eq!((why.standing, why.changes.len()), (Standing::Cached, 0));
     batch.defaults.insert("enhance".to_string(), json!({"strength": 0.1}));
-    let graph = Graph::new(&engine.registry, &batch).expect("graph");
-    let why = engine.why(&graph, "reef", "", "enhance").expect("why");
+    let graph = Graph::new(&builder.registry, &batch).expect("graph");
+    let why = builder.why(&graph, "reef", "", "enhance").expect("why");
     assert_eq!(why.standing, Standing::Stale);
     assert_eq!(why.changes.len(), 1);
     assert_eq!(why.changes[0].to_string(), "parameter strength: 1 → 0.1");
-    let below = engine.why(&graph, "reef", "", "evaluate").expect("why");
+    let below = builder.why(&graph, "reef", "", "evaluate").expect("why");
     assert_eq!(below.standing, Standing::Stale);
     assert_eq!(below.upstream.len(), 1);
     assert_eq!(below.upstream[0].0, "reef · enhance");
     assert!(below.to_string().contains("strength"));
-    run(&engine, &batch);
-    let after = engine.why(&graph, "reef", "", "evaluate").expect("why");
+    run(&builder, &batch);
+    let after = builder.why(&graph, "reef", "", "evaluate").expect("why");
     assert_eq!(after.standing, Standing::Cached);
     assert_eq!(after.changes[0].ingredient, "input scene", "the last change is remembered");
-    let wrong = engine.why(&graph, "ref", "", "enhance").expect_err("no such scene").to_string();
+    let wrong = builder.why(&graph, "ref", "", "enhance").expect_err("no such scene").to_string();
     assert!(wrong.contains("did you mean `reef`"), "{wrong}");
-    let wrong = engine.why(&graph, "reef", "", "enhanse").expect_err("no such stage").to_string();
+    let wrong = builder.why(&graph, "reef", "", "enhanse").expect_err("no such stage").to_string();
     assert!(wrong.contains("did you mean `enhance`"), "{wrong}");
     // Everything is forecast after a run of it.
     batch.seed = 1;
-    let graph = Graph::new(&engine.registry, &batch).expect("graph");
-    let plan = engine.plan(&graph, None);
+    let graph = Graph::new(&builder.registry, &batch).expect("graph");
+    let plan = builder.plan(&graph, None);
     assert_eq!(plan.forecast().1, 0, "{plan}");
     let json = serde_json::to_value(&plan).expect("JSON");
     assert_eq!(json["nodes"][0]["state"], "run");
@@ -266,57 +266,57 @@ fn why_names_the_ingredients_that_changed() {
 fn cleaning_keeps_what_is_wanted_and_verifying_finds_flipped_bytes() {
     let dir = tempfile::tempdir().expect("folder");
     let mut batch = batch(&dir.path().join("data"), &["reef", "wreck"]);
-    let engine = engine(&dir.path().join("cache"));
-    run(&engine, &batch);
-    let graph = Graph::new(&engine.registry, &batch).expect("graph");
-    let keep = engine.plan(&graph, None).keys().collect();
-    let old = payload(&engine.cache);
+    let builder = builder(&dir.path().join("cache"));
+    run(&builder, &batch);
+    let graph = Graph::new(&builder.registry, &batch).expect("graph");
+    let keep = builder.plan(&graph, None).keys().collect();
+    let old = payload(&builder.cache);
     batch.defaults.insert("reconstruct".to_string(), json!({"rate": 0.75}));
-    run(&engine, &batch);
+    run(&builder, &batch);
     let options = CleanOptions { max_bytes: Some(0), keep, dry_run: true, ..CleanOptions::default() };
-    let dry = engine.cache.clean(&options);
+    let dry = builder.cache.clean(&options);
     assert_eq!(dry.removed.iter().filter(|r| r.kind == "artifact").count(), 2 * 4 + 1);
     assert!(dry.removed.iter().any(|r| r.name == "reconstruct of synthetic · wreck"), "{dry}");
-    assert_eq!(payload(&engine.cache).len(), old.len() + 2 * 7 + 1, "a dry run touches nothing");
-    let real = engine.cache.clean(&CleanOptions { dry_run: false, ..options });
+    assert_eq!(payload(&builder.cache).len(), old.len() + 2 * 7 + 1, "a dry run touches nothing");
+    let real = builder.cache.clean(&CleanOptions { dry_run: false, ..options });
     assert_eq!(real.removed.len(), dry.removed.len());
-    assert_eq!(payload(&engine.cache), old);
+    assert_eq!(payload(&builder.cache), old);
     let nothing = CleanOptions { older_than: Some(Duration::from_secs(3600)), ..CleanOptions::default() };
-    assert!(engine.cache.clean(&nothing).removed.is_empty());
+    assert!(builder.cache.clean(&nothing).removed.is_empty());
 
-    assert!(engine.cache.verify_all(false).problems.is_empty());
+    assert!(builder.cache.verify_all(false).problems.is_empty());
     let (name, _) = old.iter().find(|(name, _)| name.starts_with("targets")).expect("a file");
-    let path = engine.cache.root().join("artifacts").join(name);
+    let path = builder.cache.root().join("artifacts").join(name);
     let times = fs::metadata(&path).and_then(|m| m.modified()).expect("times");
     let mut bytes = fs::read(&path).expect("bytes");
     bytes[3] ^= 1;
     fs::write(&path, bytes).expect("flipped");
     fs::File::options().write(true).open(&path).and_then(|f| f.set_modified(times)).expect("times");
-    let found = engine.cache.verify_all(true);
+    let found = builder.cache.verify_all(true);
     assert_eq!((found.problems.len(), found.repaired), (1, 1), "{found}");
     assert!(found.problems[0].what.contains("bytes of"), "{found}");
     batch.defaults.clear();
-    assert_eq!(run(&engine, &batch).1.len(), 1, "only what was damaged is made again");
-    assert_eq!(payload(&engine.cache), old);
+    assert_eq!(run(&builder, &batch).1.len(), 1, "only what was damaged is made again");
+    assert_eq!(payload(&builder.cache), old);
 }
 
 #[test]
 fn a_sample_is_computed_again_and_compared() {
     let dir = tempfile::tempdir().expect("folder");
     let batch = batch(&dir.path().join("data"), &["reef"]);
-    let engine = engine(&dir.path().join("cache"));
-    run(&engine, &batch);
-    let graph = Graph::new(&engine.registry, &batch).expect("graph");
+    let builder = builder(&dir.path().join("cache"));
+    run(&builder, &batch);
+    let graph = Graph::new(&builder.registry, &batch).expect("graph");
     let listener: std::sync::Arc<dyn use3d_build::Listener> = std::sync::Arc::new(use3d_build::Silent);
-    let all = engine.verify_sample(&graph, 1.0, &RunOptions::default(), &listener).expect("sample");
+    let all = builder.verify_sample(&graph, 1.0, &RunOptions::default(), &listener).expect("sample");
     assert_eq!((all.recomputed, all.problems.len()), (Some(7), 0), "{all}");
-    let one = engine.verify_sample(&graph, 0.0, &RunOptions::default(), &listener).expect("sample");
+    let one = builder.verify_sample(&graph, 0.0, &RunOptions::default(), &listener).expect("sample");
     assert_eq!(one.recomputed, Some(1));
 }
 
 #[test]
 fn a_stage_that_is_not_deterministic_raises_an_alarm() {
-    use use3d_build::{Cache, Engine, Registry, Scope, Stage};
+    use use3d_build::{Builder, Cache, Registry, Scope, Stage};
     let dir = tempfile::tempdir().expect("folder");
     let batch = batch(&dir.path().join("data"), &["reef"]);
     let draw = std::sync::atomic::AtomicU64::new(0);
@@ -326,14 +326,14 @@ fn a_stage_that_is_not_deterministic_raises_an_alarm() {
     })
     .external("capture", "capture");
     let cache = Cache::open(&dir.path().join("cache"), false).expect("cache");
-    let engine = Engine::new(Registry::new(vec![stage], code()).expect("table"), cache);
-    let (first, ..) = run(&engine, &batch);
-    let graph = Graph::new(&engine.registry, &batch).expect("graph");
+    let builder = Builder::new(Registry::new(vec![stage], code()).expect("table"), cache);
+    let (first, ..) = run(&builder, &batch);
+    let graph = Graph::new(&builder.registry, &batch).expect("graph");
     let listener: std::sync::Arc<dyn use3d_build::Listener> = std::sync::Arc::new(use3d_build::Silent);
-    let found = engine.verify_sample(&graph, 1.0, &RunOptions::default(), &listener).expect("sample");
+    let found = builder.verify_sample(&graph, 1.0, &RunOptions::default(), &listener).expect("sample");
     assert!(found.problems[0].what.contains("number comes out different"), "{found}");
     fs::remove_dir_all(&first.artifact("reef", "", "dice").expect("there").path).expect("removed");
-    let (_, _, warnings) = run(&engine, &batch);
+    let (_, _, warnings) = run(&builder, &batch);
     assert!(warnings.iter().any(|w| w.contains("determinism alarm")), "{warnings:?}");
 }
 
@@ -341,9 +341,9 @@ fn a_stage_that_is_not_deterministic_raises_an_alarm() {
 fn an_interrupted_run_says_so_and_goes_on() {
     let dir = tempfile::tempdir().expect("folder");
     let batch = batch(&dir.path().join("data"), &["reef", "wreck"]);
-    let engine = engine(&dir.path().join("cache"));
+    let builder = builder(&dir.path().join("cache"));
     let options = RunOptions::default();
-    let graph = Graph::new(&engine.registry, &batch).expect("graph");
+    let graph = Graph::new(&builder.registry, &batch).expect("graph");
     let stop = options.stop.clone();
     let listener: std::sync::Arc<dyn use3d_build::Listener> =
         std::sync::Arc::new(move |event: &use3d_build::Event<'_>| {
@@ -351,13 +351,13 @@ fn an_interrupted_run_says_so_and_goes_on() {
                 stop.fetch_or(label.contains("targets"), Ordering::Relaxed);
             }
         });
-    let summary = engine.run(&graph, &options, &listener);
+    let summary = builder.run(&graph, &options, &listener);
     assert_eq!((summary.exit_code(), summary.interrupted), (130, true));
     assert!(summary.nodes.iter().any(|n| n.result == Became::NotRun));
     let done = summary.done();
-    let (second, ..) = run(&engine, &batch);
+    let (second, ..) = run(&builder, &batch);
     assert_eq!((second.exit_code(), second.cached()), (0, done));
-    let manifests: BTreeMap<_, _> = payload(&engine.cache);
+    let manifests: BTreeMap<_, _> = payload(&builder.cache);
     assert!(!manifests.is_empty());
 }
 
@@ -375,13 +375,13 @@ fn an_input_that_changes_while_it_is_read_makes_no_artifact() {
         Ok(fs::write(context.output().join("text"), text)?)
     })
     .external("capture", "capture");
-    let mut engine = engine(&dir.path().join("cache"));
-    engine.registry = Registry::new(vec![stage], code()).expect("table");
-    let (summary, ..) = run(&engine, &batch);
+    let mut builder = builder(&dir.path().join("cache"));
+    builder.registry = Registry::new(vec![stage], code()).expect("table");
+    let (summary, ..) = run(&builder, &batch);
     assert!(summary.to_string().contains("changed while it was being read"), "{summary}");
-    assert!(engine.cache.artifacts().is_empty());
-    engine.cache = super::stages::engine(&dir.path().join("cache")).cache;
-    assert_eq!(run(&engine, &batch).0.exit_code(), 0);
+    assert!(builder.cache.artifacts().is_empty());
+    builder.cache = super::stages::builder(&dir.path().join("cache")).cache;
+    assert_eq!(run(&builder, &batch).0.exit_code(), 0);
 }
 
 #[test]
@@ -389,9 +389,9 @@ fn one_stage_runs_by_itself_with_the_same_result() {
     use use3d_build::{Alone, Listener, Silent};
     let dir = tempfile::tempdir().expect("folder");
     let batch = batch(&dir.path().join("data"), &["reef"]);
-    let engine = engine(&dir.path().join("cache"));
-    let (summary, ..) = run(&engine, &batch);
-    let stage = engine.registry.stage("import").expect("there");
+    let builder = builder(&dir.path().join("cache"));
+    let (summary, ..) = run(&builder, &batch);
+    let stage = builder.registry.stage("import").expect("there");
     let parameters = stage.parameters(&serde_json::json!({})).expect("defaults");
     let listener: std::sync::Arc<dyn Listener> = std::sync::Arc::new(Silent);
     let out = dir.path().join("out/import");
@@ -423,14 +423,14 @@ fn artifacts_of_another_class_are_compared_as_their_stage_says() {
     use std::sync::Arc;
     use std::sync::atomic::AtomicU64;
 
-    use use3d_build::{Cache, DeviceClass, Digest, Engine, Figure, Registry, Scope, Stage};
+    use use3d_build::{Builder, Cache, DeviceClass, Digest, Figure, Registry, Scope, Stage};
 
     const FIGURES: [Figure; 1] = [Figure { file: "score.json", at: "/psnr", within: 0.1 }];
     let dir = tempfile::tempdir().expect("folder");
     let batch = batch(&dir.path().join("data"), &["reef"]);
     let driver = Arc::new(AtomicU64::new(1));
     let off = Arc::new(AtomicU64::new(0));
-    let engine = |figures: &'static [Figure]| {
+    let builder = |figures: &'static [Figure]| {
         let (here, noise) = (driver.clone(), off.clone());
         // Trains on a device: another score with every driver.
         let train = Stage::new("train", Scope::Scene, move |context, _: &super::stages::Strength| {
@@ -454,9 +454,9 @@ fn artifacts_of_another_class_are_compared_as_their_stage_says() {
         })
         .input("train", "train");
         let cache = Cache::open(&dir.path().join("cache"), false).expect("cache");
-        Engine::new(Registry::new(vec![train, judge], code()).expect("table"), cache)
+        Builder::new(Registry::new(vec![train, judge], code()).expect("table"), cache)
     };
-    let tolerant = engine(&FIGURES);
+    let tolerant = builder(&FIGURES);
     let (first, ..) = run(&tolerant, &batch);
     let class = |stage: &str| {
         first.artifact("reef", "", stage).expect("there").manifest.ingredients.numeric_class.clone()
@@ -466,9 +466,9 @@ fn artifacts_of_another_class_are_compared_as_their_stage_says() {
 
     let graph = Graph::new(&tolerant.registry, &batch).expect("graph");
     let listener: Arc<dyn use3d_build::Listener> = Arc::new(use3d_build::Silent);
-    let verify = |engine: &Engine, noise: u64| {
+    let verify = |builder: &Builder, noise: u64| {
         off.store(noise, Ordering::Relaxed);
-        engine.verify_sample(&graph, 1.0, &RunOptions::default(), &listener).expect("sample")
+        builder.verify_sample(&graph, 1.0, &RunOptions::default(), &listener).expect("sample")
     };
     // In its own class to the byte, however near.
     assert_eq!(verify(&tolerant, 0).problems, []);
@@ -488,7 +488,7 @@ fn artifacts_of_another_class_are_compared_as_their_stage_says() {
     let what = &far.problems[0].what;
     assert!(what.contains("driver 1") && what.contains("driver 2") && what.contains("/psnr is 30"), "{what}");
     // A stage that does not say so promises the same bytes in every class.
-    let strict = engine(&[]);
+    let strict = builder(&[]);
     let found = verify(&strict, 9);
     assert!(found.problems.iter().any(|p| p.what.contains("promises the same bytes everywhere")), "{found}");
 }

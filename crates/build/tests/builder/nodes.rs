@@ -14,9 +14,9 @@ use serde_json::json;
 use use3d_build::files::Files;
 use use3d_build::node::{Clock, Node};
 use use3d_build::run::{Became, RunOptions};
-use use3d_build::{Batch, Cache, Engine, Event, Graph, Listener, Summary};
+use use3d_build::{Batch, Builder, Cache, Event, Graph, Listener, Summary};
 
-use super::stages::{Fast, batch, engine, payload, registry, run};
+use super::stages::{Fast, batch, builder, payload, registry, run};
 
 /// How fast the clocks of these machines run: their minutes are parts of a second.
 const RATE: f64 = 200.0;
@@ -119,11 +119,11 @@ impl Files for Network {
 }
 
 /// A machine on the cache in `folder` whose stages take `delay` milliseconds.
-fn machine(folder: &Path, host: &str, files: Arc<dyn Files>, delay: u64) -> Engine {
+fn machine(folder: &Path, host: &str, files: Arc<dyn Files>, delay: u64) -> Builder {
     let year = Duration::from_secs(31_536_000);
     let clock = Clock::other(if host == "west" { year } else { Duration::ZERO }, RATE);
     let cache = Cache::with_files(folder, false, files).expect("cache");
-    Engine::new(registry(delay), cache.as_node(Node::elsewhere(host, clock)))
+    Builder::new(registry(delay), cache.as_node(Node::elsewhere(host, clock)))
 }
 
 #[derive(Default)]
@@ -135,12 +135,12 @@ struct Told {
 
 /// Runs a batch; `meddle` sees every event first.
 fn run_told(
-    engine: &Engine,
+    builder: &Builder,
     batch: &Batch,
     options: &RunOptions,
     meddle: impl Fn(&Event<'_>) + Send + Sync + 'static,
 ) -> (Summary, Told) {
-    let graph = Graph::new(&engine.registry, batch).expect("graph");
+    let graph = Graph::new(&builder.registry, batch).expect("graph");
     let told: Arc<Mutex<Told>> = Arc::default();
     let into = told.clone();
     let listener: Arc<dyn Listener> = Arc::new(move |event: &Event<'_>| {
@@ -154,13 +154,13 @@ fn run_told(
         }
         meddle(event);
     });
-    let summary = engine.run(&graph, options, &listener);
+    let summary = builder.run(&graph, options, &listener);
     let told = std::mem::take(&mut *told.lock().expect("lock"));
     (summary, told)
 }
 
 fn undisturbed(folder: &Path, batch: &Batch) -> BTreeMap<String, Vec<u8>> {
-    let alone = engine(&folder.join("alone"));
+    let alone = builder(&folder.join("alone"));
     assert_eq!(run(&alone, batch).0.exit_code(), 0);
     payload(&alone.cache)
 }
@@ -174,9 +174,9 @@ fn two_machines_share_the_work_and_compute_nothing_twice() {
         let folder = dir.path().join(format!("cache-{late}-{nth}"));
         let both: Vec<(Summary, Told)> = std::thread::scope(|scope| {
             let start = |host: &'static str| {
-                let engine = machine(&folder, host, Network::new(late, false, nth), 12);
+                let builder = machine(&folder, host, Network::new(late, false, nth), 12);
                 let batch = &batch;
-                scope.spawn(move || run_told(&engine, batch, &RunOptions::default(), |_| ()))
+                scope.spawn(move || run_told(&builder, batch, &RunOptions::default(), |_| ()))
             };
             let threads = ["east", "west"].map(start);
             threads.into_iter().map(|thread| thread.join().expect("runs")).collect()
@@ -359,18 +359,18 @@ fn who_computes_what_is_seen_from_another_machine() {
 fn a_part_of_a_batch_is_what_was_asked_for_and_what_it_needs() {
     let dir = tempfile::tempdir().expect("folder");
     let batch = batch(&dir.path().join("data"), &["reef", "wreck"]);
-    let engine = engine(&dir.path().join("cache"));
+    let builder = builder(&dir.path().join("cache"));
     let options = RunOptions {
         only: Some(vec![("wreck".to_string(), String::new())]),
         until: Some(vec!["targets".to_string()]),
         ..RunOptions::default()
     };
-    let (summary, told) = run_told(&engine, &batch, &options, |_| ());
+    let (summary, told) = run_told(&builder, &batch, &options, |_| ());
     assert_eq!(summary.exit_code(), 0, "{summary}");
     let mut started = told.started;
     started.sort();
     assert_eq!(started, ["calibrate", "wreck · import", "wreck · reconstruct", "wreck · targets"]);
-    let (summary, told) = run_told(&engine, &batch, &RunOptions { until: None, ..options }, |_| ());
+    let (summary, told) = run_told(&builder, &batch, &RunOptions { until: None, ..options }, |_| ());
     let of = |label: &String| label.starts_with("wreck");
     assert!(summary.exit_code() == 0 && told.started.iter().all(of), "{summary}{:?}", told.started);
 }

@@ -14,8 +14,8 @@ use use3d_build::code::{CodeRules, CodeTable};
 use use3d_build::files::{Disk, Files};
 use use3d_build::run::RunOptions;
 use use3d_build::{
-    Batch, Cache, Engine, Event, Graph, Listener, Registry, Scene, Scope, Stage, StageContext, StageError,
-    Summary,
+    Batch, BatchScene, Builder, Cache, Event, Graph, Listener, Registry, Scope, Stage, StageContext,
+    StageError, Summary,
 };
 
 /// How the frames are read.
@@ -295,9 +295,9 @@ impl Files for Fast {
     }
 }
 
-/// An engine on `folder` that does not wait for the disk.
-pub(crate) fn engine(folder: &Path) -> Engine {
-    Engine::new(registry(0), Cache::with_files(folder, false, Arc::new(Fast)).expect("a cache"))
+/// A builder on `folder` that does not wait for the disk.
+pub(crate) fn builder(folder: &Path) -> Builder {
+    Builder::new(registry(0), Cache::with_files(folder, false, Arc::new(Fast)).expect("a cache"))
 }
 
 /// Captures in `folder`, as a batch.
@@ -310,7 +310,7 @@ pub(crate) fn batch(folder: &Path, names: &[&str]) -> Batch {
 }
 
 /// A capture in `folder`, as a scene.
-pub(crate) fn scene(folder: &Path, name: &str) -> Scene {
+pub(crate) fn scene(folder: &Path, name: &str) -> BatchScene {
     let capture = folder.join(name);
     fs::create_dir_all(capture.join("images")).expect("folder");
     let words = capture.join("images/words.txt");
@@ -319,11 +319,11 @@ pub(crate) fn scene(folder: &Path, name: &str) -> Scene {
         fs::write(words, format!("some words of {name}\n")).expect("file");
         fs::write(capture.join("notes.txt"), "not read").expect("file");
     }
-    Scene {
+    BatchScene {
         name: name.to_string(),
         group: "Group".to_string(),
         externals: BTreeMap::from([("capture".to_string(), Ok(capture))]),
-        ..Scene::default()
+        ..BatchScene::default()
     }
 }
 
@@ -348,14 +348,14 @@ impl Listener for Witness {
 
 /// Runs a batch; the summary, the stages that were computed (sorted labels), the warnings.
 pub(crate) fn run_with(
-    engine: &Engine,
+    builder: &Builder,
     batch: &Batch,
     options: &RunOptions,
 ) -> (Summary, Vec<String>, Vec<String>) {
-    let graph = Graph::new(&engine.registry, batch).expect("a graph");
+    let graph = Graph::new(&builder.registry, batch).expect("a graph");
     let witness = Arc::new(Witness::default());
     let listener: Arc<dyn Listener> = witness.clone();
-    let summary = engine.run(&graph, options, &listener);
+    let summary = builder.run(&graph, options, &listener);
     let mut started = witness.started.lock().expect("lock").clone();
     started.sort();
     let warnings = witness.warnings.lock().expect("lock").clone();
@@ -363,8 +363,8 @@ pub(crate) fn run_with(
 }
 
 /// As [`run_with`], one stage after the other.
-pub(crate) fn run(engine: &Engine, batch: &Batch) -> (Summary, Vec<String>, Vec<String>) {
-    run_with(engine, batch, &RunOptions::default())
+pub(crate) fn run(builder: &Builder, batch: &Batch) -> (Summary, Vec<String>, Vec<String>) {
+    run_with(builder, batch, &RunOptions::default())
 }
 
 /// Every payload byte of a cache: `stage/key/file` to content. Manifests are left out, since they hold times.

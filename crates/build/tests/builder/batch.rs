@@ -10,7 +10,7 @@ use use3d_build::run::{Became, RunOptions};
 use use3d_build::status::Standing;
 use use3d_build::{Graph, Listener, Registry, Scope, Silent, Stage};
 
-use super::stages::{Strength, batch, code, engine, run_with, scene};
+use super::stages::{Strength, batch, builder, code, run_with, scene};
 
 /// The scenes of the large batch.
 fn names() -> Vec<String> {
@@ -25,10 +25,10 @@ fn a_broken_scene_spoils_no_other_and_another_scene_runs_only_its_stages() {
     let data = dir.path().join("data");
     let mut batch = batch(&data, &names);
     fs::write(data.join("A7/images/words.txt"), "a broken capture").expect("file");
-    let engine = engine(&dir.path().join("cache"));
+    let builder = builder(&dir.path().join("cache"));
     let options = RunOptions { jobs: 2, keep_going: true, ..RunOptions::default() };
     let start = Instant::now();
-    let (summary, ..) = run_with(&engine, &batch, &options);
+    let (summary, ..) = run_with(&builder, &batch, &options);
     println!("26 scenes, 132 stages: {:.2} s in all", start.elapsed().as_secs_f64());
     // Five stages per whole scene, calibrate, report.
     assert_eq!((summary.done(), summary.failed().count(), summary.exit_code()), (25 * 5 + 2, 1, 1));
@@ -52,8 +52,8 @@ fn a_broken_scene_spoils_no_other_and_another_scene_runs_only_its_stages() {
     assert_eq!(table.lines().count(), 26);
     assert!(table.ends_with("missing A7 · evaluate"), "{table}");
 
-    let graph = Graph::new(&engine.registry, &batch).expect("graph");
-    let plan = engine.plan(&graph, None);
+    let graph = Graph::new(&builder.registry, &batch).expect("graph");
+    let plan = builder.plan(&graph, None);
     let status = plan.status();
     assert_eq!(status.count(Standing::Failed), 1);
     assert_eq!(status.count(Standing::Cached), 25 * 5 + 1, "{status}");
@@ -61,16 +61,16 @@ fn a_broken_scene_spoils_no_other_and_another_scene_runs_only_its_stages() {
 
     // Adding a 27th scene runs its stages and the report.
     batch.scenes.push(scene(&data, "A27"));
-    let (summary, started, _) = run_with(&engine, &batch, &options);
+    let (summary, started, _) = run_with(&builder, &batch, &options);
     let own: Vec<&String> = started.iter().filter(|l| l.starts_with("A27")).collect();
     assert_eq!((own.len(), started.len()), (5, 7), "{started:?}");
     assert_eq!(summary.cached(), 25 * 5 + 1);
 
     // Repaired: only what failed runs.
     fs::write(data.join("A7/images/words.txt"), "a whole capture").expect("file");
-    let (summary, started, _) = run_with(&engine, &batch, &options);
+    let (summary, started, _) = run_with(&builder, &batch, &options);
     assert_eq!((started.len(), summary.exit_code()), (6, 0), "{started:?}");
-    let status = engine.plan(&Graph::new(&engine.registry, &batch).expect("graph"), None).status();
+    let status = builder.plan(&Graph::new(&builder.registry, &batch).expect("graph"), None).status();
     assert_eq!(status.count(Standing::Cached), 27 * 5 + 2);
 }
 
@@ -80,8 +80,8 @@ fn without_keep_going_the_first_failure_ends_the_run() {
     let data = dir.path().join("data");
     let mut batch = batch(&data, &["a", "b"]);
     fs::write(data.join("a/images/words.txt"), "broken").expect("file");
-    let engine = engine(&dir.path().join("cache"));
-    let (summary, ..) = run_with(&engine, &batch, &RunOptions::default());
+    let builder = builder(&dir.path().join("cache"));
+    let (summary, ..) = run_with(&builder, &batch, &RunOptions::default());
     assert_eq!(summary.exit_code(), 1);
     assert!(summary.nodes.iter().any(|n| n.scene == "b" && n.result == Became::NotRun));
     // A capture that is not there: the message says where it was looked for.
@@ -90,7 +90,7 @@ fn without_keep_going_the_first_failure_ends_the_run() {
         .externals
         .insert("capture".to_string(), Err("the environment variable REEF is not set".to_string()));
     let options = RunOptions { keep_going: true, ..RunOptions::default() };
-    let (summary, ..) = run_with(&engine, &batch, &options);
+    let (summary, ..) = run_with(&builder, &batch, &options);
     let text = summary.to_string();
     assert!(text.contains("absent does not exist") && text.contains("REEF is not set"), "{text}");
     assert_eq!(summary.failed().count(), 2);
@@ -109,10 +109,10 @@ fn a_panicking_and_an_idle_stage_fail_alone() {
         .external("capture", "capture"),
         Stage::new("idles", Scope::Scene, |_, _: &Strength| Ok(())).external("capture", "capture"),
     ];
-    let mut engine = engine(&dir.path().join("cache"));
-    engine.registry = Registry::new(stages, code()).expect("table");
+    let mut builder = builder(&dir.path().join("cache"));
+    builder.registry = Registry::new(stages, code()).expect("table");
     let options = RunOptions { keep_going: true, ..RunOptions::default() };
-    let (summary, ..) = run_with(&engine, &batch, &options);
+    let (summary, ..) = run_with(&builder, &batch, &options);
     let text = summary.to_string();
     assert!(text.contains("strength is 1") && text.contains("without writing anything"), "{text}");
     assert_eq!(summary.failed().count(), 2);
@@ -147,10 +147,10 @@ fn jobs_and_memory_bound_what_runs_at_once() {
     let run = |folder: &str, memory: u64, jobs: usize, expected: usize| {
         most.store(0, Ordering::SeqCst);
         threads.lock().expect("lock").clear();
-        let mut engine = engine(&dir.path().join(folder));
-        engine.registry = Registry::new(vec![stage(memory, expected)], code()).expect("table");
+        let mut builder = builder(&dir.path().join(folder));
+        builder.registry = Registry::new(vec![stage(memory, expected)], code()).expect("table");
         let options = RunOptions { jobs, cores: 8, memory: 1000, ..RunOptions::default() };
-        let (summary, ..) = run_with(&engine, &batch, &options);
+        let (summary, ..) = run_with(&builder, &batch, &options);
         assert_eq!(summary.done(), 8);
         (most.load(Ordering::SeqCst), threads.lock().expect("lock").clone())
     };
@@ -162,17 +162,17 @@ fn jobs_and_memory_bound_what_runs_at_once() {
     // What a stage reads may say better what it takes than its fixed figure.
     let told = |folder: &str, known: Option<u64>, expected: usize| {
         most.store(0, Ordering::SeqCst);
-        let mut engine = engine(&dir.path().join(folder));
+        let mut builder = builder(&dir.path().join(folder));
         let stage = stage(5000, expected).memory(move |_: &Strength, inputs| {
             assert!(inputs.iter().any(|i| i.role == "capture" && i.path.exists()));
             known
         });
-        engine.registry = Registry::new(vec![stage], code()).expect("table");
+        builder.registry = Registry::new(vec![stage], code()).expect("table");
         let options = RunOptions { jobs: 4, cores: 8, memory: 1000, ..RunOptions::default() };
-        assert_eq!(run_with(&engine, &batch, &options).0.done(), 8);
-        let graph = Graph::new(&engine.registry, &batch).expect("graph");
-        let mut fresh = super::stages::engine(&dir.path().join(format!("{folder}-plan")));
-        fresh.registry = engine.registry;
+        assert_eq!(run_with(&builder, &batch, &options).0.done(), 8);
+        let graph = Graph::new(&builder.registry, &batch).expect("graph");
+        let mut fresh = super::stages::builder(&dir.path().join(format!("{folder}-plan")));
+        fresh.registry = builder.registry;
         let plan = fresh.plan(&graph, None);
         assert!(plan.nodes.iter().all(|n| n.memory == Some(known.unwrap_or(5000))), "{plan:?}");
         most.load(Ordering::SeqCst)
@@ -209,18 +209,18 @@ fn planning_a_cached_batch_is_quick() {
         stages.push(stage.input("in", NAMES[i - 1]).made_of(&["use3d-nets", "use3d-splat"], &[]));
     }
     batch.defaults.insert("stage3".to_string(), json!({"strength": 0.5}));
-    let mut engine = engine(&dir.path().join("cache"));
-    engine.registry = Registry::new(stages.clone(), code()).expect("table");
-    let graph = Graph::new(&engine.registry, &batch).expect("graph");
+    let mut builder = builder(&dir.path().join("cache"));
+    builder.registry = Registry::new(stages.clone(), code()).expect("table");
+    let graph = Graph::new(&builder.registry, &batch).expect("graph");
     let listener: Arc<dyn Listener> = Arc::new(Silent);
     let options = RunOptions { jobs: 2, ..RunOptions::default() };
     let start = Instant::now();
-    let summary = engine.run(&graph, &options, &listener);
+    let summary = builder.run(&graph, &options, &listener);
     let spent = start.elapsed().as_secs_f64();
     println!("260 empty stages: {:.2} s, {:.1} ms each", spent, spent / 260.0 * 1e3);
     assert_eq!(summary.done(), 260);
     let start = Instant::now();
-    let mut fresh = super::stages::engine(&dir.path().join("cache"));
+    let mut fresh = super::stages::builder(&dir.path().join("cache"));
     fresh.registry = Registry::new(stages, code()).expect("table");
     let graph = Graph::new(&fresh.registry, &batch).expect("graph");
     let plan = fresh.plan(&graph, None);

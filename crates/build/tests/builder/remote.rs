@@ -11,9 +11,9 @@ use std::time::Duration;
 
 use use3d_build::cache::Lookup;
 use use3d_build::remote::{Folder, Memory, Remote, RemoteError, RemoteStore, Sent, Transferred};
-use use3d_build::{Batch, Digest, Engine, Graph, Listener, Silent};
+use use3d_build::{Batch, Builder, Digest, Graph, Listener, Silent};
 
-use super::stages::{batch, engine, payload, run};
+use super::stages::{batch, builder, payload, run};
 
 /// What a store does instead of what it was asked.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -150,38 +150,43 @@ impl World {
     fn new() -> Self {
         let dir = tempfile::tempdir().expect("a folder");
         let batch = batch(dir.path(), &["reef", "wreck"]);
-        let alone = engine(&dir.path().join("alone"));
+        let alone = builder(&dir.path().join("alone"));
         assert_eq!(run(&alone, &batch).0.exit_code(), 0);
         let whole = payload(&alone.cache);
         Self { dir, batch, whole }
     }
 
-    fn engine(&self, name: &str) -> Engine {
-        engine(&self.dir.path().join(name))
+    fn builder(&self, name: &str) -> Builder {
+        builder(&self.dir.path().join(name))
     }
 
-    fn pull(&self, engine: &Engine, store: &RemoteStore) -> Result<Transferred, RemoteError> {
+    fn pull(&self, builder: &Builder, store: &RemoteStore) -> Result<Transferred, RemoteError> {
         let listener: Arc<dyn Listener> = Arc::new(Silent);
-        let graph = Graph::new(&engine.registry, &self.batch).expect("graph");
-        engine.pull(&graph, store, &AtomicBool::new(false), &listener)
+        let graph = Graph::new(&builder.registry, &self.batch).expect("graph");
+        builder.pull(&graph, store, &AtomicBool::new(false), &listener)
     }
 
-    fn push(&self, engine: &Engine, store: &RemoteStore, check: bool) -> Result<Transferred, RemoteError> {
+    fn push(&self, builder: &Builder, store: &RemoteStore, check: bool) -> Result<Transferred, RemoteError> {
         let listener: Arc<dyn Listener> = Arc::new(Silent);
-        let graph = Graph::new(&engine.registry, &self.batch).expect("graph");
-        engine.push(&graph, store, check, &AtomicBool::new(false), &listener)
+        let graph = Graph::new(&builder.registry, &self.batch).expect("graph");
+        builder.push(&graph, store, check, &AtomicBool::new(false), &listener)
     }
 
     /// Nothing half is left in a cache.
-    fn assert_tidy(engine: &Engine) {
-        let tmp = fs::read_dir(engine.cache.root().join("tmp")).expect("folder").count();
-        assert!(tmp == 0 && !engine.cache.root().join("damaged").exists(), "{tmp}");
+    fn assert_tidy(builder: &Builder) {
+        let tmp = fs::read_dir(builder.cache.root().join("tmp")).expect("folder").count();
+        assert!(tmp == 0 && !builder.cache.root().join("damaged").exists(), "{tmp}");
     }
 }
 
-fn manifests(engine: &Engine) -> BTreeMap<String, Vec<u8>> {
+fn manifests(builder: &Builder) -> BTreeMap<String, Vec<u8>> {
     let read = |path: &Path| fs::read(path.join("manifest.json")).expect("a manifest");
-    engine.cache.artifacts().iter().map(|(stage, key, path)| (format!("{stage} {key}"), read(path))).collect()
+    builder
+        .cache
+        .artifacts()
+        .iter()
+        .map(|(stage, key, path)| (format!("{stage} {key}"), read(path)))
+        .collect()
 }
 
 #[test]
@@ -193,12 +198,12 @@ fn what_one_machine_computed_another_one_fetches_to_the_byte() {
         let name = |name: &str| format!("{name}-{}", place.len());
         let store = Arc::new(RemoteStore::new(remote));
         store.probe(&AtomicBool::new(false)).expect("a good store");
-        let first = world.engine(&name("first")).with_remote(store.clone());
+        let first = world.builder(&name("first")).with_remote(store.clone());
         let (summary, started, warnings) = run(&first, &world.batch);
         assert!(summary.exit_code() == 0 && warnings.is_empty(), "{place}: {warnings:?}");
         assert!(started.len() == summary.done() && payload(&first.cache) == world.whole, "{place}");
         // Another machine computes nothing, and has the same bytes, manifests too.
-        let second = world.engine(&name("second")).with_remote(store.clone());
+        let second = world.builder(&name("second")).with_remote(store.clone());
         let (summary, started, warnings) = run(&second, &world.batch);
         assert!(
             summary.exit_code() == 0 && warnings.is_empty() && started.is_empty(),
@@ -206,7 +211,7 @@ fn what_one_machine_computed_another_one_fetches_to_the_byte() {
         );
         assert!(payload(&second.cache) == world.whole && manifests(&second) == manifests(&first), "{place}");
         // A third one fetches everything at once, and sends back nothing.
-        let third = world.engine(&name("third"));
+        let third = world.builder(&name("third"));
         let pulled = world.pull(&third, &store).expect("pulled");
         let count = world.push(&first, &store, false).expect("pushed").already;
         let moved = (pulled.moved, pulled.already, pulled.missing, pulled.problems.len());
@@ -222,7 +227,7 @@ fn what_one_machine_computed_another_one_fetches_to_the_byte() {
     assert_eq!(tmp, 0, "nothing half stays in the store");
     // What a run without a store computed is sent afterwards.
     let late = store(Memory::default());
-    let alone = world.engine("alone");
+    let alone = world.builder("alone");
     let pushed = world.push(&alone, &late, false).expect("pushed");
     assert!(pushed.moved > 0 && pushed.already == 0 && pushed.missing == 0, "{pushed:?}");
 }
@@ -246,12 +251,12 @@ fn bytes_that_came_wrong_never_become_an_artifact() {
             let remote = Arc::new(Faulty::new(move |doing, name| {
                 (on.load(Ordering::Relaxed) && doing == "get" && name.starts_with(part)).then_some(fault)
             }));
-            assert!(world.push(&world.engine("alone"), &shared(&remote), false).is_ok());
+            assert!(world.push(&world.builder("alone"), &shared(&remote), false).is_ok());
             faulty.store(true, Ordering::Relaxed);
             let what = format!("{fault:?} {part}");
             let name = what.replace('/', "-");
             // Fetched alone: nothing comes of it, and it is said.
-            let pulling = world.engine(&format!("pull {name}"));
+            let pulling = world.builder(&format!("pull {name}"));
             let gone = fault == Fault::Missing && part == "v1/artifacts/";
             match world.pull(&pulling, &shared(&remote)) {
                 Ok(done) => {
@@ -268,7 +273,7 @@ fn bytes_that_came_wrong_never_become_an_artifact() {
             assert!(payload(&pulling.cache).is_empty(), "{what}");
             World::assert_tidy(&pulling);
             // In a run, all is computed.
-            let running = world.engine(&format!("run {name}")).with_remote(shared(&remote));
+            let running = world.builder(&format!("run {name}")).with_remote(shared(&remote));
             let (summary, _, warnings) = run(&running, &world.batch);
             assert!(
                 summary.exit_code() == 0 && payload(&running.cache) == world.whole,
@@ -290,14 +295,14 @@ fn a_store_that_fails_now_and_then_and_is_slow_gives_and_takes_everything() {
         let fault = fault[count.fetch_add(1, Ordering::Relaxed) % fault.len()];
         (doing == "get" || fault != Fault::BrokenOff).then_some(fault)
     }));
-    let first = world.engine("first").with_remote(shared(&remote));
+    let first = world.builder("first").with_remote(shared(&remote));
     let (summary, _, warnings) = run(&first, &world.batch);
     assert!(summary.exit_code() == 0, "{warnings:?}");
     let check = Arc::new(Memory::default());
     check.objects().extend(remote.inner.objects().clone());
     let pushed = world.push(&first, &shared(&check), true).expect("a store without faults");
     assert!(warnings.is_empty() && pushed.moved == 0, "{warnings:?} {pushed:?}");
-    let second = world.engine("second").with_remote(shared(&remote));
+    let second = world.builder("second").with_remote(shared(&remote));
     let (_, started, warnings) = run(&second, &world.batch);
     assert!(started.is_empty() && payload(&second.cache) == world.whole, "{started:?} {warnings:?}");
 }
@@ -311,9 +316,9 @@ fn a_store_that_is_gone_is_given_up_and_the_run_goes_on() {
         counted.fetch_add(1, Ordering::Relaxed);
         Some(Fault::Unavailable)
     });
-    let engine = world.engine("cache").with_remote(store(remote));
-    let (summary, _, warnings) = run(&engine, &world.batch);
-    assert!(summary.exit_code() == 0 && payload(&engine.cache) == world.whole);
+    let builder = world.builder("cache").with_remote(store(remote));
+    let (summary, _, warnings) = run(&builder, &world.batch);
+    assert!(summary.exit_code() == 0 && payload(&builder.cache) == world.whole);
     assert_eq!(warnings.len(), 4, "three times, and that it is enough: {warnings:?}");
     assert!(warnings[3].contains("going on without it"), "{warnings:?}");
     assert!(asked.load(Ordering::Relaxed) <= 12, "a few tries each");
@@ -348,7 +353,7 @@ fn a_store_that_cannot_be_relied_on_is_refused_when_it_is_opened() {
 #[test]
 fn a_manifest_from_elsewhere_cannot_write_outside_its_artifact_or_stand_for_another() {
     let world = World::new();
-    let alone = world.engine("alone");
+    let alone = world.builder("alone");
     let remote = Arc::new(Memory::default());
     assert!(world.push(&alone, &shared(&remote), false).is_ok());
     let good = remote.objects().clone();
@@ -362,11 +367,11 @@ fn a_manifest_from_elsewhere_cannot_write_outside_its_artifact_or_stand_for_anot
         evil.files[0].path = path.to_string();
         evil.content = evil.content_of_files();
         remote.objects().insert(names[1].clone(), serde_json::to_vec(&evil).expect("json"));
-        let engine = world.engine("cache");
-        let pulled = world.pull(&engine, &shared(&remote)).expect("the store answers");
+        let builder = world.builder("cache");
+        let pulled = world.pull(&builder, &shared(&remote)).expect("the store answers");
         assert_eq!(pulled.problems.len(), 2, "{path}: {pulled:?}");
         assert!(pulled.problems.iter().any(|p| p.what.contains("names a file")), "{path}: {pulled:?}");
-        let artifacts = engine.cache.artifacts();
+        let artifacts = builder.cache.artifacts();
         assert!(artifacts.iter().all(|(stage, _, _)| stage != "import"), "{path}: {artifacts:?}");
     }
     let escaped =
@@ -377,38 +382,38 @@ fn a_manifest_from_elsewhere_cannot_write_outside_its_artifact_or_stand_for_anot
 #[test]
 fn what_is_damaged_on_either_side_is_not_sent_and_a_check_repairs_the_store() {
     let world = World::new();
-    let engine = world.engine("alone");
+    let builder = world.builder("alone");
     let remote = Arc::new(Memory::default());
-    let (stage, key, path) = engine.cache.artifacts().into_iter().next().expect("an artifact");
-    let Ok(Lookup::Whole(artifact)) = engine.cache.lookup(&stage, &key) else { panic!("it is there") };
+    let (stage, key, path) = builder.cache.artifacts().into_iter().next().expect("an artifact");
+    let Ok(Lookup::Whole(artifact)) = builder.cache.lookup(&stage, &key) else { panic!("it is there") };
     let (stop, store) = (AtomicBool::new(false), shared(&remote));
     // Changed after it was last looked at, to bytes of the same number.
-    engine.cache.verify(&artifact, true).expect("whole");
+    builder.cache.verify(&artifact, true).expect("whole");
     let file = path.join(&artifact.manifest.files[0].path);
     let right = fs::read(&file).expect("read");
     fs::write(&file, vec![b'x'; right.len()]).expect("written");
-    let error = store.send(&engine.cache, &artifact, false, &stop).expect_err("damaged");
+    let error = store.send(&builder.cache, &artifact, false, &stop).expect_err("damaged");
     // Files go several at a time: whole ones may be there already, another one of the damaged one's former
     // bytes too. What is there is what its name says, and nothing names it.
     assert!(error.to_string().contains("damaged"), "{error}");
     let is_right = |(name, bytes): (&String, &Vec<u8>)| *name == format!("v1/blobs/{}", Digest::of(bytes));
     assert!(remote.objects().iter().all(is_right), "{error}");
     fs::write(&file, &right).expect("written");
-    assert_eq!(store.send(&engine.cache, &artifact, false, &stop).expect("sent"), Sent::Now);
+    assert_eq!(store.send(&builder.cache, &artifact, false, &stop).expect("sent"), Sent::Now);
     // The store's disk rots; only a check sees it, and mends it.
     let whole = remote.objects().clone();
     let name = format!("v1/blobs/{}", artifact.manifest.files[0].digest);
     remote.objects().insert(name, vec![b'y'; right.len()]);
-    assert_eq!(store.send(&engine.cache, &artifact, false, &stop).expect("sent"), Sent::Already);
-    assert_eq!(store.send(&engine.cache, &artifact, true, &stop).expect("sent"), Sent::Now);
+    assert_eq!(store.send(&builder.cache, &artifact, false, &stop).expect("sent"), Sent::Already);
+    assert_eq!(store.send(&builder.cache, &artifact, true, &stop).expect("sent"), Sent::Now);
     assert!(*remote.objects() == whole);
     // A run that was given damaged bytes mends the store as well.
     let name = remote.objects().keys().find(|n| n.starts_with("v1/artifacts")).cloned().expect("a manifest");
     remote.objects().insert(name, b"{".to_vec());
-    let running = world.engine("cache").with_remote(store.clone());
+    let running = world.builder("cache").with_remote(store.clone());
     let (_, _, warnings) = run(&running, &world.batch);
     assert_eq!(warnings.len(), 1, "{warnings:?}");
-    let third = world.engine("third").with_remote(store);
+    let third = world.builder("third").with_remote(store);
     let (_, started, warnings) = run(&third, &world.batch);
     assert!(started.is_empty() && warnings.is_empty(), "{started:?} {warnings:?}");
 }
@@ -425,13 +430,13 @@ fn one_that_is_asked_to_stop_leaves_in_the_middle_of_a_file() {
         }
         is_file.then_some(Fault::Slow)
     }));
-    assert!(world.push(&world.engine("alone"), &shared(&remote), false).is_ok());
-    let engine = world.engine("cache");
-    let graph = Graph::new(&engine.registry, &world.batch).expect("graph");
+    assert!(world.push(&world.builder("alone"), &shared(&remote), false).is_ok());
+    let builder = world.builder("cache");
+    let graph = Graph::new(&builder.registry, &world.batch).expect("graph");
     let listener: Arc<dyn Listener> = Arc::new(Silent);
-    let done = engine.pull(&graph, &shared(&remote), &stop, &listener).expect("no error");
-    assert!(done.interrupted && done.moved == 0 && payload(&engine.cache).is_empty(), "{done:?}");
-    World::assert_tidy(&engine);
+    let done = builder.pull(&graph, &shared(&remote), &stop, &listener).expect("no error");
+    assert!(done.interrupted && done.moved == 0 && payload(&builder.cache).is_empty(), "{done:?}");
+    World::assert_tidy(&builder);
 }
 
 #[test]

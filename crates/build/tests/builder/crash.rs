@@ -6,7 +6,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use use3d_build::run::RunOptions;
-use use3d_build::{Cache, Engine};
+use use3d_build::{Builder, Cache};
 
 use super::stages::{batch, payload, registry, run, run_with};
 
@@ -20,9 +20,9 @@ const DELAY: u64 = 12;
 fn child() {
     let Some(folder) = std::env::var_os(CHILD) else { return };
     let folder = Path::new(&folder);
-    let engine = Engine::new(registry(DELAY), Cache::open(&folder.join("cache"), false).expect("cache"));
+    let builder = Builder::new(registry(DELAY), Cache::open(&folder.join("cache"), false).expect("cache"));
     let options = RunOptions { jobs: 2, ..RunOptions::default() };
-    let (summary, _, warnings) = run_with(&engine, &batch(&folder.join("data"), &SCENES), &options);
+    let (summary, _, warnings) = run_with(&builder, &batch(&folder.join("data"), &SCENES), &options);
     println!("summary {} {} {}", summary.done(), summary.cached(), warnings.len());
     assert_eq!(summary.exit_code(), 0, "{summary}");
     assert!(warnings.is_empty(), "{warnings:?}");
@@ -39,9 +39,9 @@ fn spawn(folder: &Path) -> Child {
 }
 
 fn undisturbed(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    let engine = Engine::new(registry(0), Cache::open(&folder.join("undisturbed"), false).expect("cache"));
-    assert_eq!(run(&engine, &batch(&folder.join("data"), &SCENES)).0.exit_code(), 0);
-    payload(&engine.cache)
+    let builder = Builder::new(registry(0), Cache::open(&folder.join("undisturbed"), false).expect("cache"));
+    assert_eq!(run(&builder, &batch(&folder.join("data"), &SCENES)).0.exit_code(), 0);
+    payload(&builder.cache)
 }
 
 /// The keys being computed when a process was killed are left in its leases.

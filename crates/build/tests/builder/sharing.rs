@@ -10,19 +10,19 @@ use std::sync::{Arc, Mutex};
 use serde_json::json;
 use use3d_build::gc::CleanOptions;
 use use3d_build::run::{Became, RunOptions};
-use use3d_build::{Batch, Engine, Event, Graph, Listener, Summary};
+use use3d_build::{Batch, Builder, Event, Graph, Listener, Summary};
 
-use super::stages::{batch, engine, payload, run};
+use super::stages::{batch, builder, payload, run};
 
 /// Runs a batch and calls `meddle` once, at the first event that `when` picks.
 fn run_meddled(
-    engine: &Engine,
+    builder: &Builder,
     batch: &Batch,
     options: &RunOptions,
     when: impl Fn(&Event<'_>) -> bool + Send + Sync + 'static,
     meddle: impl Fn() + Send + Sync + 'static,
 ) -> (Summary, Vec<String>, Vec<String>) {
-    let graph = Graph::new(&engine.registry, batch).expect("graph");
+    let graph = Graph::new(&builder.registry, batch).expect("graph");
     let told: Arc<Mutex<(Vec<String>, Vec<String>)>> = Arc::default();
     let (done, into) = (AtomicBool::new(false), told.clone());
     let listener: Arc<dyn Listener> = Arc::new(move |event: &Event<'_>| {
@@ -35,7 +35,7 @@ fn run_meddled(
             meddle();
         }
     });
-    let summary = engine.run(&graph, options, &listener);
+    let summary = builder.run(&graph, options, &listener);
     let (started, warnings) = told.lock().expect("lock").clone();
     (summary, started, warnings)
 }
@@ -48,21 +48,21 @@ fn everything() -> CleanOptions {
     CleanOptions { max_bytes: Some(0), ..CleanOptions::default() }
 }
 
-fn checkpoints(engine: &Engine) -> usize {
-    fs::read_dir(engine.cache.root().join("checkpoints/reconstruct")).into_iter().flatten().count()
+fn checkpoints(builder: &Builder) -> usize {
+    fs::read_dir(builder.cache.root().join("checkpoints/reconstruct")).into_iter().flatten().count()
 }
 
 #[test]
 fn cleaning_up_takes_nothing_that_a_run_has_decided_on() {
     let dir = tempfile::tempdir().expect("folder");
     let batch = batch(&dir.path().join("data"), &["reef", "wreck"]);
-    let reference = engine(&dir.path().join("reference"));
+    let reference = builder(&dir.path().join("reference"));
     run(&reference, &batch);
     let whole = payload(&reference.cache);
     for stage in ["import", "calibrate", "reconstruct", "targets", "enhance", "evaluate", "report"] {
         let folder = dir.path().join(stage);
-        let own = engine(&folder);
-        let other = engine(&folder).cache;
+        let own = builder(&folder);
+        let other = builder(&folder).cache;
         let meddle = move || drop(other.clean(&everything()));
         let (summary, started, warnings) =
             run_meddled(&own, &batch, &RunOptions::default(), move |e| starts(e, stage), meddle);
@@ -81,7 +81,7 @@ fn cleaning_up_takes_nothing_that_a_run_has_decided_on() {
 fn an_artifact_that_vanishes_during_a_run_is_made_again() {
     let dir = tempfile::tempdir().expect("folder");
     let batch = batch(&dir.path().join("data"), &["reef"]);
-    let reference = engine(&dir.path().join("reference"));
+    let reference = builder(&dir.path().join("reference"));
     let (summary, ..) = run(&reference, &batch);
     let whole = payload(&reference.cache);
     // Known to be whole and read later; read by the stage that has just looked at it; everything that is
@@ -92,7 +92,7 @@ fn an_artifact_that_vanishes_during_a_run_is_made_again() {
         ("enhance", &["import", "reconstruct", "calibrate", "targets"][..]),
     ] {
         let folder = dir.path().join(format!("{at}-{}", stages.len())).join(stages[0]);
-        let own = engine(&folder);
+        let own = builder(&folder);
         let paths: Vec<_> = stages
             .iter()
             .map(|stage| {
@@ -118,12 +118,12 @@ fn checkpoints_of_kept_and_running_pipelines_stay() {
     let mut batch = batch(&dir.path().join("data"), &["reef"]);
     batch.defaults.insert("reconstruct".to_string(), json!({"iterations": 300}));
     let folder = dir.path().join("cache");
-    let own = engine(&folder);
+    let own = builder(&folder);
     let graph = Graph::new(&own.registry, &batch).expect("graph");
     let halfway = |e: &Event<'_>| matches!(e, Event::Progress { done: 150, .. });
 
     // While it runs.
-    let other = engine(&folder).cache;
+    let other = builder(&folder).cache;
     let options = RunOptions::default();
     let stop = options.stop.clone();
     let meddle = move || {
@@ -155,8 +155,8 @@ fn a_scene_is_told_when_it_is_over_and_not_when_the_batch_is() {
     let data = dir.path().join("data");
     let batch = batch(&data, &["reef", "wreck", "wall"]);
     fs::write(data.join("wall/images/words.txt"), "broken").expect("file");
-    let engine = engine(&dir.path().join("cache"));
-    let graph = Graph::new(&engine.registry, &batch).expect("graph");
+    let builder = builder(&dir.path().join("cache"));
+    let graph = Graph::new(&builder.registry, &batch).expect("graph");
     let told: Arc<Mutex<Vec<String>>> = Arc::default();
     let into = told.clone();
     let listener: Arc<dyn Listener> = Arc::new(move |event: &Event<'_>| match event {
@@ -169,7 +169,7 @@ fn a_scene_is_told_when_it_is_over_and_not_when_the_batch_is() {
         Event::Failed { label, .. } => into.lock().expect("lock").push(format!("{label} failed")),
         _ => {}
     });
-    let summary = engine.run(&graph, &RunOptions::default(), &listener);
+    let summary = builder.run(&graph, &RunOptions::default(), &listener);
     assert_eq!(summary.exit_code(), 1);
     let told = told.lock().expect("lock").clone();
     let at = |what: &str| told.iter().position(|t| t == what).unwrap_or_else(|| panic!("{what}: {told:?}"));
@@ -187,10 +187,10 @@ fn file(artifact: &Path) -> Option<Vec<u8>> {
 fn a_sample_that_is_stopped_reports_no_damage() {
     let dir = tempfile::tempdir().expect("folder");
     let batch = batch(&dir.path().join("data"), &["reef"]);
-    let quick = engine(&dir.path().join("cache"));
+    let quick = builder(&dir.path().join("cache"));
     run(&quick, &batch);
     // The same stages, which now take long enough to be stopped.
-    let slow = Engine::new(super::stages::registry(200), quick.cache);
+    let slow = Builder::new(super::stages::registry(200), quick.cache);
     let graph = Graph::new(&slow.registry, &batch).expect("graph");
     let options = RunOptions::default();
     let (stop, count) = (options.stop.clone(), Mutex::new(0));
@@ -212,17 +212,17 @@ fn a_sample_that_is_stopped_reports_no_damage() {
 fn what_does_not_belong_into_an_artifact_is_named_and_moved_aside() {
     let dir = tempfile::tempdir().expect("folder");
     let batch = batch(&dir.path().join("data"), &["reef"]);
-    let engine = engine(&dir.path().join("cache"));
-    let (summary, ..) = run(&engine, &batch);
+    let builder = builder(&dir.path().join("cache"));
+    let (summary, ..) = run(&builder, &batch);
     let path = summary.artifact("reef", "", "targets").expect("there").path.clone();
     fs::write(path.join("deep/notes.txt"), "mine").expect("written");
-    let found = engine.cache.verify_all(false);
+    let found = builder.cache.verify_all(false);
     assert_eq!((found.problems.len(), found.repaired), (1, 0), "{found}");
     assert!(found.problems[0].what.contains("deep/notes.txt does not belong there"), "{found}");
-    let found = engine.cache.verify_all(true);
+    let found = builder.cache.verify_all(true);
     assert_eq!((found.problems.len(), found.repaired), (1, 1), "{found}");
-    assert!(engine.cache.verify_all(true).problems.is_empty());
-    assert_eq!(run(&engine, &batch).0.cached(), 7, "nothing is made again for it");
-    let aside = fs::read_dir(engine.cache.root().join("damaged")).expect("folder").next().expect("one");
+    assert!(builder.cache.verify_all(true).problems.is_empty());
+    assert_eq!(run(&builder, &batch).0.cached(), 7, "nothing is made again for it");
+    let aside = fs::read_dir(builder.cache.root().join("damaged")).expect("folder").next().expect("one");
     assert_eq!(fs::read(aside.expect("entry").path().join("notes.txt")).expect("kept"), b"mine");
 }

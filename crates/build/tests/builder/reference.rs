@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
-use use3d_build::{Batch, Cache, Engine, Registry, Scene, Scope, Stage, Variant};
+use use3d_build::{Batch, BatchScene, Builder, Cache, Registry, Scope, Stage, Variant};
 
 use super::stages::{Fast, code, run};
 
@@ -59,16 +59,16 @@ fn all_variants_are_judged_by_the_first_that_is_no_copy_and_rerun_when_it_change
     let dir = tempfile::tempdir().expect("folder");
     let cache =
         |name: &str| Cache::with_files(&dir.path().join(name), false, Arc::new(Fast)).expect("a cache");
-    let engine = Engine::new(registry(), cache("cache"));
+    let builder = Builder::new(registry(), cache("cache"));
     let mut batch = Batch { name: "judged".into(), ..Batch::default() };
-    batch.scenes.push(Scene { name: "reef".into(), ..Scene::default() });
+    batch.scenes.push(BatchScene { name: "reef".into(), ..BatchScene::default() });
     batch.variants = vec![
         variant("copy", json!({"text": "copy", "copy": true})),
         variant("plain", json!({"text": "plain"})),
         variant("other", json!({"text": "other"})),
     ];
-    let judged = |engine: &Engine, batch: &Batch| {
-        let (summary, started, _) = run(engine, batch);
+    let judged = |builder: &Builder, batch: &Batch| {
+        let (summary, started, _) = run(builder, batch);
         assert_eq!(summary.exit_code(), 0);
         let of = |name: &str| {
             let artifact = summary.artifact("reef", name, "judge").expect("judged").clone();
@@ -77,23 +77,23 @@ fn all_variants_are_judged_by_the_first_that_is_no_copy_and_rerun_when_it_change
         };
         (["copy", "plain", "other"].map(of), started.iter().filter(|s| s.ends_with("judge")).count())
     };
-    let (first, started) = judged(&engine, &batch);
+    let (first, started) = judged(&builder, &batch);
     assert_eq!(first.clone().map(|f| f.0), ["copy by plain", "plain by plain", "other by plain"]);
     assert_eq!(started, 3);
     // Another time of the same judgement: other notes, the same artifact.
-    let (again, _) = judged(&Engine::new(registry(), cache("second")), &batch);
+    let (again, _) = judged(&Builder::new(registry(), cache("second")), &batch);
     for (a, b) in first.iter().zip(&again) {
         assert_ne!(a.1, b.1);
         assert_eq!(a.2, b.2);
     }
     // What all are judged by is part of every key.
     batch.variants[1] = variant("plain", json!({"text": "changed"}));
-    let (changed, started) = judged(&engine, &batch);
+    let (changed, started) = judged(&builder, &batch);
     assert_eq!(changed.map(|c| c.0), ["copy by changed", "changed by changed", "other by changed"]);
     assert_eq!(started, 3);
     // Without any, each stands for itself.
     batch.variants.truncate(1);
-    let (summary, _, _) = run(&engine, &batch);
+    let (summary, _, _) = run(&builder, &batch);
     let artifact = summary.artifact("reef", "copy", "judge").expect("judged");
     assert_eq!(fs::read_to_string(artifact.path.join("judged.txt")).expect("text"), "copy by nothing");
 }

@@ -9,9 +9,9 @@ use std::sync::atomic::{AtomicI64, Ordering};
 
 use use3d_build::files::Files;
 use use3d_build::plan::State;
-use use3d_build::{Cache, Engine, Graph, Registry, Variant};
+use use3d_build::{Builder, Cache, Graph, Registry, Variant};
 
-use super::stages::{Fast, batch, code, engine, payload, registry, run, stages};
+use super::stages::{Fast, batch, builder, code, payload, registry, run, stages};
 
 /// The stages that the faults are tried on.
 const FEW: [&str; 5] = ["import", "depth", "calibrate", "reconstruct", "targets"];
@@ -95,8 +95,8 @@ fn every_operation_fails_once(kind: io::ErrorKind, stays: bool) {
         Registry::new(stages(0).into_iter().filter(|s| FEW.contains(&s.name())).collect(), code())
             .expect("table")
     };
-    let engine = |folder: &Path| Engine::new(table(), engine(folder).cache);
-    let reference = engine(&dir.path().join("reference"));
+    let builder = |folder: &Path| Builder::new(table(), builder(folder).cache);
+    let reference = builder(&dir.path().join("reference"));
     run(&reference, &batch);
     let expected = payload(&reference.cache);
     let (mut tried, mut failed) = (0, 0);
@@ -110,7 +110,7 @@ fn every_operation_fails_once(kind: io::ErrorKind, stays: bool) {
                 failed += 1;
             }
             Ok(cache) => {
-                let (summary, ..) = run(&Engine::new(table(), cache), &batch);
+                let (summary, ..) = run(&Builder::new(table(), cache), &batch);
                 done = summary.done();
                 if summary.exit_code() != 0 {
                     failed += 1;
@@ -121,11 +121,11 @@ fn every_operation_fails_once(kind: io::ErrorKind, stays: bool) {
             }
         }
         // What was finished before is kept, what is there is whole, and the next run ends well.
-        let engine = engine(&folder);
-        let (summary, ..) = run(&engine, &batch);
+        let builder = builder(&folder);
+        let (summary, ..) = run(&builder, &batch);
         assert_eq!(summary.exit_code(), 0, "operation {n}: {summary}");
         assert!(summary.cached() >= done, "operation {n}: {done} were done, {} were kept", summary.cached());
-        assert_eq!(payload(&engine.cache), expected, "operation {n}");
+        assert_eq!(payload(&builder.cache), expected, "operation {n}");
         fs::remove_dir_all(&folder).expect("removed");
         tried += 1;
         if !faulty.happened() {
@@ -150,16 +150,16 @@ fn a_single_failing_operation_is_said_and_nothing_is_lost() {
 fn a_read_only_cache_can_be_planned_from_and_says_so_when_run() {
     let dir = tempfile::tempdir().expect("folder");
     let mut batch = batch(&dir.path().join("data"), &["reef"]);
-    run(&engine(&dir.path().join("cache")), &batch);
+    run(&builder(&dir.path().join("cache")), &batch);
     // Opening creates nothing in a cache that is there.
     let faulty = Faulty::new(1, io::ErrorKind::ReadOnlyFilesystem, true);
     let cache = Cache::with_files(&dir.path().join("cache"), false, faulty).expect("opened");
-    let engine = Engine::new(registry(0), cache);
-    let graph = Graph::new(&engine.registry, &batch).expect("graph");
-    assert_eq!(engine.plan(&graph, None).to_run(), 0);
-    assert_eq!(run(&engine, &batch).0.exit_code(), 0, "what is cached can be used");
+    let builder = Builder::new(registry(0), cache);
+    let graph = Graph::new(&builder.registry, &batch).expect("graph");
+    assert_eq!(builder.plan(&graph, None).to_run(), 0);
+    assert_eq!(run(&builder, &batch).0.exit_code(), 0, "what is cached can be used");
     batch.seed = 7;
-    let (summary, ..) = run(&engine, &batch);
+    let (summary, ..) = run(&builder, &batch);
     assert!(summary.to_string().contains("--cache"), "{summary}");
 }
 
@@ -168,8 +168,8 @@ fn damaged_artifacts_are_found_said_and_made_again() {
     let dir = tempfile::tempdir().expect("folder");
     let batch = batch(&dir.path().join("data"), &["reef"]);
     let folder = dir.path().join("cache");
-    let (summary, ..) = run(&engine(&folder), &batch);
-    let whole = payload(&engine(&folder).cache);
+    let (summary, ..) = run(&builder(&folder), &batch);
+    let whole = payload(&builder(&folder).cache);
     let path = |stage: &str| summary.artifact("reef", "", stage).expect("there").path.clone();
     type Damage = (&'static str, &'static str, fn(&Path));
     let damages: [Damage; 7] = [
@@ -192,24 +192,24 @@ fn damaged_artifacts_are_found_said_and_made_again() {
     ];
     for (stage, what, damage) in damages {
         damage(&path(stage));
-        let engine = engine(&folder);
-        let graph = Graph::new(&engine.registry, &batch).expect("graph");
-        let plan = engine.plan(&graph, None);
+        let builder = builder(&folder);
+        let graph = Graph::new(&builder.registry, &batch).expect("graph");
+        let plan = builder.plan(&graph, None);
         let damaged = plan.nodes.iter().find(|n| n.stage == stage).expect("planned");
         assert!(
             matches!(&damaged.state, State::Run(reason) if reason.contains(what)),
             "{stage}: {:?}",
             damaged.state
         );
-        let (summary, started, warnings) = run(&engine, &batch);
+        let (summary, started, warnings) = run(&builder, &batch);
         assert_eq!(started.len(), 1, "{stage}: only this one: {started:?}");
         assert!(warnings.iter().any(|w| w.contains("damaged") && w.contains("moved to")), "{warnings:?}");
         assert_eq!(summary.exit_code(), 0);
-        assert_eq!(payload(&engine.cache), whole);
+        assert_eq!(payload(&builder.cache), whole);
     }
     // The whole folder removed is only missing.
     fs::remove_dir_all(path("targets")).expect("removed");
-    let (_, started, warnings) = run(&engine(&folder), &batch);
+    let (_, started, warnings) = run(&builder(&folder), &batch);
     assert_eq!((started.len(), warnings.len()), (1, 0));
 }
 
@@ -218,7 +218,7 @@ fn a_byte_flipped_behind_the_systems_back_is_found_when_it_is_read() {
     let dir = tempfile::tempdir().expect("folder");
     let mut batch = batch(&dir.path().join("data"), &["reef"]);
     let folder = dir.path().join("cache");
-    let first = engine(&folder);
+    let first = builder(&folder);
     let (summary, ..) = run(&first, &batch);
     let path = summary.artifact("reef", "", "targets").expect("there").path.join("result.txt");
     let mut bytes = fs::read(&path).expect("bytes");
@@ -246,12 +246,12 @@ fn a_byte_flipped_behind_the_systems_back_is_found_when_it_is_read() {
         })
         .collect();
     fs::write(&table, lines.join("\n")).expect("table");
-    assert!(run(&engine(&folder), &batch).1.is_empty(), "nobody reads it, nobody sees it");
+    assert!(run(&builder(&folder), &batch).1.is_empty(), "nobody reads it, nobody sees it");
     // Read by a variant that shares it with another one.
     let variant = |name: &str| Variant { name: name.to_string(), ..Variant::default() };
     batch.variants = vec![variant("as-before"), variant("weak")];
     batch.variants[1].overrides.insert("enhance".to_string(), serde_json::json!({"strength": 0.3}));
-    let (summary, started, warnings) = run(&engine(&folder), &batch);
+    let (summary, started, warnings) = run(&builder(&folder), &batch);
     assert_eq!(summary.exit_code(), 0, "{summary}");
     assert!(warnings.iter().any(|w| w.contains("its input targets is damaged")), "{warnings:?}");
     let ran = |label: &str| started.iter().any(|l| l == label);

@@ -8,7 +8,7 @@ use use3d_build::Batch;
 use use3d_build::executor::{Executor, Starter, Task};
 use use3d_build::run::RunOptions;
 
-use super::stages::{batch, engine, payload, run, run_with};
+use super::stages::{batch, builder, payload, run, run_with};
 
 /// Does every task where it is started, and remembers them.
 #[derive(Debug, Default)]
@@ -29,7 +29,7 @@ impl<'t> Starter<'t> for Here {
     }
 }
 
-/// Has the artifact of every task made by another engine on the same cache, as another machine would, and
+/// Has the artifact of every task made by another builder on the same cache, as another machine would, and
 /// only then runs the task.
 #[derive(Debug)]
 struct Elsewhere {
@@ -45,7 +45,7 @@ impl Executor for Elsewhere {
 
 impl<'t> Starter<'t> for Elsewhere {
     fn start(&self, task: Task<'t>) {
-        let other = engine(&self.cache);
+        let other = builder(&self.cache);
         let options = RunOptions { until: Some(vec![task.stage.to_string()]), ..RunOptions::default() };
         let (summary, ..) = run_with(&other, &self.batch, &options);
         let made = other.cache.artifacts().into_iter().any(|(_, key, _)| key == task.key);
@@ -58,12 +58,12 @@ impl<'t> Starter<'t> for Elsewhere {
 fn wherever_jobs_are_done_the_artifacts_are_the_same() {
     let dir = tempfile::tempdir().expect("folder");
     let batch = batch(&dir.path().join("data"), &["reef"]);
-    let threads = engine(&dir.path().join("threads"));
+    let threads = builder(&dir.path().join("threads"));
     let (_, expected, _) = run(&threads, &batch);
     let whole = payload(&threads.cache);
 
     let here = Arc::new(Here::default());
-    let on_one = engine(&dir.path().join("here"));
+    let on_one = builder(&dir.path().join("here"));
     let options = RunOptions { jobs: 3, executor: here.clone(), ..RunOptions::default() };
     let (summary, started, _) = run_with(&on_one, &batch, &options);
     assert_eq!((summary.exit_code(), &started), (0, &expected));
@@ -73,7 +73,7 @@ fn wherever_jobs_are_done_the_artifacts_are_the_same() {
     assert_eq!(seen, expected, "every job went through the executor");
 
     let cache = dir.path().join("elsewhere");
-    let asked = engine(&cache);
+    let asked = builder(&cache);
     let executor = Arc::new(Elsewhere { cache, batch: batch.clone() });
     let options = RunOptions { executor, ..RunOptions::default() };
     let (summary, started, warnings) = run_with(&asked, &batch, &options);

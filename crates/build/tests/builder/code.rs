@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use use3d_build::code::{CodeError, CodeRules, CodeTable};
-use use3d_build::{Digest, EngineError, Registry};
+use use3d_build::{BuildError, Digest, Registry};
 
 use super::stages::{code as workspace, stages};
 
@@ -202,18 +202,18 @@ fn a_token_in_ubaf_makes_the_second_training_stale_and_leaves_the_first_alone() 
     let registry = |table: &CodeTable| Registry::new(stages(0), table).expect("table");
     let data = tempfile::tempdir().expect("folder");
     let batch = super::stages::batch(&data.path().join("data"), &["reef"]);
-    let mut engine = super::stages::engine(&data.path().join("cache"));
-    engine.registry = registry(&before);
-    super::stages::run(&engine, &batch);
-    engine.registry = registry(&after);
-    let graph = use3d_build::Graph::new(&engine.registry, &batch).expect("graph");
-    let plan = engine.plan(&graph, None);
+    let mut builder = super::stages::builder(&data.path().join("cache"));
+    builder.registry = registry(&before);
+    super::stages::run(&builder, &batch);
+    builder.registry = registry(&after);
+    let graph = use3d_build::Graph::new(&builder.registry, &batch).expect("graph");
+    let plan = builder.plan(&graph, None);
     let stale: Vec<&str> =
         plan.nodes.iter().filter(|n| n.state != use3d_build::plan::State::Cached).map(|n| n.stage).collect();
     assert_eq!(stale, ["enhance", "evaluate", "report"]);
     assert!(plan.to_string().contains("code use3d-ubaf"), "{plan}");
     // The bytes come out the same, so nothing below runs.
-    assert_eq!(super::stages::run(&engine, &batch).1, ["reef · enhance"]);
+    assert_eq!(super::stages::run(&builder, &batch).1, ["reef · enhance"]);
 }
 
 #[test]
@@ -221,12 +221,12 @@ fn a_stage_that_names_absent_code_is_refused() {
     let mut list = stages(0);
     let last = list.pop().expect("a stage").made_of(&["use3d-ubaff"], &[]);
     list.push(last);
-    assert!(matches!(Registry::new(list, workspace()), Err(EngineError::Code { .. })));
+    assert!(matches!(Registry::new(list, workspace()), Err(BuildError::Code { .. })));
     let mut list = stages(0);
     let last = list.pop().expect("a stage").made_of(&[], &["src/stages/absent.rs"]);
     list.push(last);
     assert!(Registry::new(list, workspace()).is_err());
     let mut list = stages(0);
     list.reverse();
-    assert!(matches!(Registry::new(list, workspace()), Err(EngineError::Registry(_))), "inputs come first");
+    assert!(matches!(Registry::new(list, workspace()), Err(BuildError::Registry(_))), "inputs come first");
 }
