@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use use3d_training::EngineError;
 
 use crate::profile::{self, Clock};
-use crate::scene::COLORS;
+use crate::scene::{COLORS, Row, SPLAT};
 use crate::variant::Variant;
 
 /// The engine's name in messages.
@@ -395,9 +395,14 @@ impl Gpu {
         self.report.binding.min(self.report.buffer)
     }
 
-    /// Most Gaussians whose arrays each lie in one buffer.
+    /// Most Gaussians whose splats one binding holds.
     pub fn most_gaussians(&self) -> usize {
-        (self.longest() / (4 * COLORS as u64)) as usize
+        (self.longest() / (SPLAT * size_of::<Row>()) as u64) as usize
+    }
+
+    /// Gaussians whose colours one binding holds: see [`crate::chunks`].
+    pub(crate) fn gaussians_of_chunk(&self) -> usize {
+        ((self.longest() / (4 * COLORS as u64)) as usize).max(1)
     }
 
     /// Refuses a buffer that no kernel could see whole, or that the device cannot hold.

@@ -9,6 +9,7 @@ use use3d_splat::{Gaussians, Layers, Rendered};
 use use3d_training::EngineError;
 
 use crate::buffer::{Array, read_together};
+use crate::chunks::Chunked;
 use crate::device::{Gpu, NAME};
 use crate::frame::{Frame, counts};
 use crate::kernel::submit;
@@ -41,7 +42,7 @@ pub struct Drawing {
     count: usize,
     sh_degree: usize,
     /// Colours of a view that come from the caller.
-    given: Array<f32>,
+    given: Chunked,
     lists: Lists,
     planes: Planes,
     /// `c_m`, and `k` of attenuation and backscatter.
@@ -63,7 +64,7 @@ impl Drawing {
             parameters: Parameters::of(gpu, gaussians)?,
             count: gaussians.len(),
             sh_degree: gaussians.sh_degree,
-            given: Array::new(gpu, "colours of a view", 1)?,
+            given: Chunked::new(gpu, "colours of a view", 3, 1)?,
             lists: Lists::new(gpu)?,
             planes: Planes::new(gpu)?,
             water: [plane("the water's colour")?, plane("attenuation")?, plane("backscatter")?],
@@ -97,8 +98,8 @@ impl Drawing {
             self.write_water(view.camera, view.lattice, maps)?;
         }
         if let Some(colors) = view.colors {
-            self.given.grow(&self.gpu, 3 * self.count)?;
-            self.given.write(&self.gpu, 0, colors.as_flattened());
+            self.given.grow(&self.gpu, self.count)?;
+            self.given.write(&self.gpu, colors.as_flattened());
             std::mem::swap(&mut self.given, &mut self.parameters.colors);
         }
         let drawn = self.compose(view);
@@ -246,6 +247,30 @@ mod tests {
             }
             close("distance", &away, &expected);
         }
+    }
+
+    /// More Gaussians than one binding holds the colours of: with their own colours and with given ones.
+    #[test]
+    fn gaussians_in_several_chunks_are_drawn_as_in_one() {
+        let Some(gpu) = software() else { return };
+        let (gaussians, camera, lattice) = (cloud(3000, -3.5, 0.5), camera(61, 47), Lattice::size(61, 47));
+        let given: Vec<[f32; 3]> =
+            (0..3000).map(|i| [0.01 * (i % 90) as f32, 0.4, 0.3 - 0.005 * (i % 70) as f32]).collect();
+        let draw = |gpu: &Gpu| {
+            let mut drawing = Drawing::new(gpu, &gaussians).unwrap();
+            [None, Some(&given[..]), None].map(|colors| {
+                let view =
+                    DrawnView { camera: &camera, lattice: &lattice, colors, medium: None, layers: false };
+                let mut out = Rendered::new();
+                drawing.draw(&view, &mut out).unwrap();
+                (out.image.data().to_vec(), out.depth.data().to_vec())
+            })
+        };
+        // 1,365 to a chunk.
+        let tight = gpu.clone().binding(262_144);
+        assert_eq!(tight.gaussians_of_chunk(), 1365);
+        let (one, several) = (draw(&gpu), draw(&tight));
+        assert!(one == several && one[0] == one[2] && one[0] != one[1]);
     }
 
     #[test]

@@ -12,7 +12,7 @@
 //! | buffer | items | what |
 //! |---|---|---|
 //! | geometry | N × 3 `vec4<f32>` | mean and opacity logit; log scales and 0; quaternion `w, x, y, z` |
-//! | colours | N × 12 `vec4<f32>` | 16 bands × rgb one after another |
+//! | colours | N × 48 `f32` | 16 bands × rgb one after another; in as many buffers as their bindings take |
 //! | first and second moments | as these two | Adam's |
 //! | statistics | N `vec2<u32>` | bits of the summed norm, renders |
 //! | splats | N × 3 `vec4<f32>` | `x, y, shear, steepness`; `steepness_y, log2_opacity, z, reach_y`; colour, and 1 where visible |
@@ -32,7 +32,7 @@
 //! | state | 3 n `f32` | the field's parameters, Adam's first and second moments |
 //! | sites | L × 2 `vec4<u32>` | bits of three fractions, and nodes; bits of three signed logs and 0, or of a fixed guide and 1 |
 //! | raw, slopes | 6 L `f32` | log-gain and bias, and the loss's derivatives by them |
-//! | codes | 2 R L `f32` | a lookup's code, and the derivatives by it |
+//! | codes, by codes | R L `f32` | a lookup's code, and the derivatives by it |
 //! | grade | 108 `f32` | the mean that is removed, the water's table of 16 × 6, two ratios |
 //! | records | E `vec4<f32>` | the derivative of an entry's colour |
 //!
@@ -47,6 +47,7 @@
 pub mod bench;
 mod buffer;
 mod check;
+mod chunks;
 mod device;
 mod drawing;
 mod frame;

@@ -22,7 +22,7 @@ use crate::stage2::colors_backward;
 const THREADS: u32 = 256;
 /// Channels that go through the passes together.
 const TOGETHER: usize = 3;
-/// First channel of a pass, how many, and how many there are in all.
+/// How many channels a pass has; the rest is 0.
 const PART: Binding = (Access::Uniform, "part", "vec4<u32>");
 
 fn spec(name: &'static str, bindings: &[Binding], body: &'static str) -> Spec {
@@ -55,8 +55,12 @@ pub(crate) fn specs() -> Vec<Spec> {
 #[derive(Debug)]
 struct Part {
     at: Array<[u32; 4]>,
+    /// How many.
+    channels: usize,
     /// `[3][height][width]`.
     planes: Array<f32>,
+    /// `[N][channels]`: what is splatted, or the sums of the adjoint.
+    values: Array<f32>,
 }
 
 /// Gaussians on a device, and one view of them at a time.
@@ -77,8 +81,6 @@ pub struct LinearSplat {
     tiles: usize,
     pixels: usize,
     parts: Vec<Part>,
-    /// `[N][channels]`: what is splatted, or the sums of the adjoint.
-    values: Array<f32>,
     records: Array<Row>,
     /// Stands for the water that there is not.
     nothing: Array<f32>,
@@ -105,7 +107,6 @@ impl LinearSplat {
             tiles: 0,
             pixels: 0,
             parts: Vec::new(),
-            values: Array::new(gpu, "values", 1)?,
             records: Array::new(gpu, "records", 1)?,
             nothing: Array::new(gpu, "no water", 1)?,
             gpu: gpu.clone(),
@@ -149,11 +150,15 @@ impl LinearSplat {
     pub fn splat(&mut self, channels: usize, values: &[f32], out: &mut [f32]) -> Result<(), EngineError> {
         self.check(channels, values.len(), out.len())?;
         self.prepare(channels)?;
-        self.values.write(&self.gpu, 0, values);
+        for (part, first) in self.parts.iter().zip((0..channels).step_by(TOGETHER)) {
+            let own = |row: &[f32]| row[first..first + part.channels].to_vec();
+            let own: Vec<f32> = values.chunks_exact(channels).flat_map(own).collect();
+            part.values.write(&self.gpu, 0, &own);
+        }
         let Self { lists, planes, parts, frame, .. } = self;
         submit(&self.gpu, "linear splat", |pass| {
             for part in &mut *parts {
-                let buffers = bound![*frame, part.at, self.values, lists.splats];
+                let buffers = bound![*frame, part.at, part.values, lists.splats];
                 self.tint.dispatch(pass, self.tint.grid(self.count), buffers);
                 std::mem::swap(&mut planes.image, &mut part.planes);
                 let drawn = lists.drawn();
@@ -192,11 +197,16 @@ impl LinearSplat {
                 let mut buffers = lists.drawn().buffers(frame);
                 buffers.extend(bound![self.nothing, self.planes.stop, part.planes, *records]);
                 self.adjoint.dispatch(pass, Grid::groups(self.tiles), buffers);
-                let buffers = bound![*frame, part.at, lists.runs, *records, self.values];
+                let buffers = bound![*frame, part.at, lists.runs, *records, part.values];
                 self.gather.dispatch(pass, self.gather.grid(self.count), buffers);
             }
         })?;
-        out.copy_from_slice(&self.values.read(&self.gpu, out.len())?);
+        for (part, first) in self.parts.iter().zip((0..channels).step_by(TOGETHER)) {
+            let own = part.values.read(&self.gpu, part.channels * self.count)?;
+            for (row, own) in out.chunks_exact_mut(channels).zip(own.chunks_exact(part.channels)) {
+                row[first..first + part.channels].copy_from_slice(own);
+            }
+        }
         Ok(())
     }
 
@@ -215,17 +225,18 @@ impl LinearSplat {
     /// Makes room for so many channels of the view.
     fn prepare(&mut self, channels: usize) -> Result<(), EngineError> {
         let gpu = &self.gpu;
-        self.values.grow(gpu, channels * self.count)?;
         let parts = channels.div_ceil(TOGETHER);
         self.parts.truncate(parts);
         while self.parts.len() < parts {
-            let (at, planes) = (Array::uniform(gpu, "channels")?, Array::new(gpu, "planes", 1)?);
-            self.parts.push(Part { at, planes });
+            let at = Array::uniform(gpu, "channels")?;
+            let (planes, values) = (Array::new(gpu, "planes", 1)?, Array::new(gpu, "values", 1)?);
+            self.parts.push(Part { at, channels: 0, planes, values });
         }
         for (first, part) in (0..channels).step_by(TOGETHER).zip(&mut self.parts) {
-            let count = TOGETHER.min(channels - first);
-            part.at.write(gpu, 0, &[[first as u32, count as u32, channels as u32, 0]]);
+            part.channels = TOGETHER.min(channels - first);
+            part.at.write(gpu, 0, &[[part.channels as u32, 0, 0, 0]]);
             part.planes.grow(gpu, TOGETHER * self.pixels)?;
+            part.values.grow(gpu, part.channels * self.count)?;
         }
         Ok(())
     }
@@ -283,6 +294,26 @@ mod tests {
                 assert!((one - other).abs() <= 1e-4 * (1.0 + one.abs()), "⟨Sx, y⟩ {one}, ⟨x, Sᵀy⟩ {other}");
             }
         }
+    }
+
+    /// More Gaussians than one binding holds the colours of, and more channels than a splat is wide.
+    #[test]
+    fn gaussians_in_several_chunks_are_splatted_as_in_one() {
+        let Some(gpu) = software() else { return };
+        let (gaussians, lattice, channels) = (cloud(3000, -3.5, 0.5), Lattice::size(33, 30), 14);
+        let (x, y) = (drawn("values", channels * 3000), drawn("planes", channels * 990));
+        let run = |gpu: &Gpu| {
+            let mut linear = LinearSplat::new(gpu, &gaussians).unwrap();
+            linear.view(&camera(33, 30), &lattice).unwrap();
+            let (mut seen, mut lifted) = (vec![f32::NAN; y.len()], vec![f32::NAN; x.len()]);
+            linear.splat(channels, &x, &mut seen).unwrap();
+            linear.adjoint(channels, &y, &mut lifted).unwrap();
+            (seen, lifted)
+        };
+        // 1,365 Gaussians to a chunk.
+        let tight = gpu.clone().binding(262_144);
+        assert_eq!(tight.gaussians_of_chunk(), 1365);
+        assert!(run(&gpu) == run(&tight));
     }
 
     #[test]

@@ -13,10 +13,11 @@ use use3d_capture::Lattice;
 use use3d_training::EngineError;
 
 use crate::buffer::Array;
+use crate::chunks::CHUNK;
 use crate::device::Gpu;
 use crate::frame::{FRAME, FRAME_BINDING, Frame, TILE, counts};
 use crate::kernel::{Access, Binding, Constant, Grid, Kernel, ROWS, Spec, U32S, bound, read};
-use crate::scene::{Parameters, Row};
+use crate::scene::{Parameters, Row, SPLAT};
 use crate::sort::{Items, Sort, SortKernels};
 
 /// Threads of a workgroup.
@@ -46,6 +47,7 @@ fn spec(name: &'static str, bindings: &[Binding], parts: &[&'static str], record
 
 fn project() -> Spec {
     let bindings = [
+        CHUNK,
         read("axes"),
         (Access::Read, "geometry", ROWS),
         read("colors"),
@@ -222,7 +224,7 @@ impl Lists {
     /// again when one of them changes.
     pub(crate) fn prepare(&mut self, gpu: &Gpu, frame: &Frame, lattice: &Lattice) -> Result<(), EngineError> {
         let n = frame.gaussians();
-        self.splats.grow(gpu, 3 * n)?;
+        self.splats.grow(gpu, SPLAT * n)?;
         self.tiles.grow(gpu, n)?;
         self.by_depth.grow(gpu, n)?;
         self.partial.grow(gpu, n.div_ceil((ITEMS * THREADS) as usize))?;
@@ -263,11 +265,13 @@ impl Lists {
         let Parameters { geometry, colors } = scene;
         let k = kernels;
         let keys = by_depth.input();
-        k.project.dispatch(
-            pass,
-            k.project.grid(n),
-            bound![*frame, *axes, *geometry, *colors, *splats, *keys, *met],
-        );
+        for (chunk, count) in colors.over(n) {
+            k.project.dispatch(
+                pass,
+                k.project.grid(count),
+                bound![*frame, chunk.place, *axes, *geometry, chunk.floats, *splats, *keys, *met],
+            );
+        }
         by_depth.record(&k.sort, pass, counts, DEPTH_BITS);
         let (_, order) = by_depth.output(DEPTH_BITS);
         let blocks = Grid::groups(n.div_ceil((ITEMS * THREADS) as usize));

@@ -5,6 +5,7 @@ use use3d_splat::Gaussians;
 use use3d_training::EngineError;
 
 use crate::buffer::Array;
+use crate::chunks::Chunked;
 use crate::device::{Gpu, NAME};
 
 /// Four floats.
@@ -13,6 +14,8 @@ pub(crate) type Row = [f32; 4];
 pub(crate) const GEOMETRY: usize = 3;
 /// Floats of colour per Gaussian.
 pub(crate) const COLORS: usize = 48;
+/// Rows of a splat, the widest that one binding holds of every Gaussian.
+pub(crate) const SPLAT: usize = 3;
 
 /// The parameters of N Gaussians, or one of their moments.
 #[derive(Debug)]
@@ -20,14 +23,14 @@ pub(crate) struct Parameters {
     /// Mean and opacity logit; log scales and 0; quaternion.
     pub(crate) geometry: Array<Row>,
     /// 16 bands × rgb.
-    pub(crate) colors: Array<f32>,
+    pub(crate) colors: Chunked,
 }
 
 impl Parameters {
     fn new(gpu: &Gpu, geometry: &'static str, colors: &'static str, n: usize) -> Result<Self, EngineError> {
         Ok(Self {
             geometry: Array::new(gpu, geometry, GEOMETRY * n)?,
-            colors: Array::new(gpu, colors, COLORS * n)?,
+            colors: Chunked::new(gpu, colors, COLORS, n)?,
         })
     }
 
@@ -40,8 +43,7 @@ impl Parameters {
 
     fn grow(&mut self, gpu: &Gpu, n: usize) -> Result<(), EngineError> {
         self.geometry.grow(gpu, GEOMETRY * n)?;
-        self.colors.grow(gpu, COLORS * n)?;
-        Ok(())
+        self.colors.grow(gpu, n)
     }
 
     /// Takes these Gaussians, for which there is room.
@@ -53,13 +55,13 @@ impl Parameters {
             })
             .collect();
         self.geometry.write(gpu, 0, &rows);
-        self.colors.write(gpu, 0, g.sh.as_flattened().as_flattened());
+        self.colors.write(gpu, g.sh.as_flattened().as_flattened());
     }
 
     /// The first `n` of them, waited for.
     pub(crate) fn read(&self, gpu: &Gpu, n: usize, sh_degree: usize) -> Result<Gaussians, EngineError> {
         let rows = self.geometry.read(gpu, GEOMETRY * n)?;
-        let colors = self.colors.read(gpu, COLORS * n)?;
+        let colors = self.colors.read(gpu, n)?;
         let mut g = Gaussians::empty(sh_degree);
         for row in rows.chunks_exact(GEOMETRY) {
             let [[x, y, z, logit], [a, b, c, _], q] = [row[0], row[1], row[2]];
@@ -118,9 +120,9 @@ impl DeviceScene {
         let n = gaussians.len();
         let most = gpu.most_gaussians();
         if n > most {
-            let (name, bytes) = (&gpu.adapter().name, 4 * COLORS * n);
+            let (name, bytes) = (&gpu.adapter().name, SPLAT * size_of::<Row>() * n);
             let what = format!(
-                "the colours of {n} Gaussians would take {bytes} bytes in one piece, `{name}` binds at most {}: {most} Gaussians (`max_gaussians`)",
+                "the splats of {n} Gaussians would take {bytes} bytes in one piece, `{name}` binds at most {}: {most} Gaussians (`max_gaussians`)",
                 gpu.longest()
             );
             return Err(EngineError::OutOfMemory { engine: NAME, what });

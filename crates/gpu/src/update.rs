@@ -7,6 +7,7 @@ use use3d_reconstruct::engine::StepRates;
 use use3d_training::EngineError;
 
 use crate::buffer::Array;
+use crate::chunks::CHUNK;
 use crate::device::Gpu;
 use crate::frame::{FRAME, FRAME_BINDING, Frame, counts};
 use crate::kernel::{Access, Grid, Kernel, ROWS, Spec, bound, write};
@@ -22,6 +23,7 @@ fn update() -> Spec {
         threads: THREADS,
         bindings: vec![
             FRAME_BINDING,
+            CHUNK,
             counts::SHARED,
             (Access::Read, "runs", "array<vec2<u32>>"),
             (Access::Read, "records", ROWS),
@@ -111,24 +113,29 @@ impl UpdateKernels {
         scene: &DeviceScene,
     ) {
         let DeviceScene { values, first, second, statistics, .. } = scene;
-        self.update.dispatch(
-            pass,
-            self.update.grid(scene.count),
-            bound![
-                *frame,
-                *counts,
-                lists.runs,
-                *records,
-                lists.splats,
-                values.geometry,
-                values.colors,
-                first.geometry,
-                first.colors,
-                second.geometry,
-                second.colors,
-                *statistics,
-            ],
-        );
+        let n = scene.count;
+        let moments = first.colors.over(n).zip(second.colors.over(n));
+        for ((chunk, count), ((first_colors, _), (second_colors, _))) in values.colors.over(n).zip(moments) {
+            self.update.dispatch(
+                pass,
+                self.update.grid(count),
+                bound![
+                    *frame,
+                    chunk.place,
+                    *counts,
+                    lists.runs,
+                    *records,
+                    lists.splats,
+                    values.geometry,
+                    chunk.floats,
+                    first.geometry,
+                    first_colors.floats,
+                    second.geometry,
+                    second_colors.floats,
+                    *statistics,
+                ],
+            );
+        }
     }
 
     /// Records a step's end: what was not finite stops what follows, and how it ended is noted.

@@ -1,4 +1,4 @@
-// One thread per Gaussian: three channels of what its entries gathered, added up in their order.
+// One thread per Gaussian: up to three channels of what its entries gathered, added up in their order.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,
@@ -10,5 +10,5 @@ fn main(
     let run = runs[i];
     var sum = vec3<f32>();
     for (var k = 0u; k < run.y; k++) { sum += records[run.x + k].xyz; }
-    for (var c = 0u; c < part.y; c++) { sums[part.z * i + part.x + c] = sum[c]; }
+    for (var c = 0u; c < part.x; c++) { sums[part.x * i + c] = sum[c]; }
 }

@@ -1,4 +1,4 @@
-// One thread per Gaussian: three of its values take the place of its colour.
+// One thread per Gaussian: its values, up to three, take the place of its colour.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,
@@ -8,6 +8,6 @@ fn main(
     let i = group_of(wid, nwg) * WG + lid;
     if (i >= frame.counts.x) { return; }
     var value = vec3<f32>();
-    for (var c = 0u; c < part.y; c++) { value[c] = values[part.z * i + part.x + c]; }
+    for (var c = 0u; c < part.x; c++) { value[c] = values[part.x * i + c]; }
     splats[3u * i + 2u] = vec4<f32>(value, splats[3u * i + 2u].w);
 }

@@ -259,25 +259,52 @@ fn what_is_not_finite_is_named_and_stops_the_steps_after_it() {
 #[test]
 fn what_no_binding_holds_is_refused_with_its_size() {
     let Some(gpu) = software() else { return };
-    let tight = gpu.clone().binding(300_000);
+    let tight = gpu.clone().binding(100_000);
     let mut ours = with_views(Stage1::new(&tight).unwrap());
     let refused = ours.load(state(2600, 0.5)).unwrap_err().to_string();
     assert!(
-        refused.contains("499200 bytes") && refused.contains("at most 300000: 1562 Gaussians"),
+        refused.contains("124800 bytes") && refused.contains("at most 100000: 2083 Gaussians"),
         "{refused}"
     );
     let tight = gpu.binding(900_000);
     let mut ours = with_views(Stage1::new(&tight).unwrap());
     // What was there before is still there.
-    ours.load(state(4687, 0.5)).unwrap();
-    let rows: Vec<_> = (0..4687).chain([3]).map(Origin::Kept).collect();
+    ours.load(state(18_750, 0.5)).unwrap();
+    let rows: Vec<_> = (0..18_750).chain([3]).map(Origin::Kept).collect();
     let refused = ours.rebuild(&rows, &Draws { seed: 1, step: 2, shrink: 1.6 }).unwrap_err().to_string();
-    assert!(refused.contains("4688 Gaussians") && refused.contains("max_gaussians"), "{refused}");
-    assert_eq!(ours.save().unwrap().gaussians.len(), 4687);
+    assert!(refused.contains("18751 Gaussians") && refused.contains("max_gaussians"), "{refused}");
+    assert_eq!(ours.save().unwrap().gaussians.len(), 18_750);
     ours.load(state(2600, 0.5)).unwrap();
     ours.step(0, &StepPlan { divisor: 1, ..plan(0) }).unwrap();
     let refused = ours.drain(Drain::All).unwrap_err().to_string();
     assert!(refused.contains("records would take") && refused.contains("at most 900000"), "{refused}");
+}
+
+/// More Gaussians than one binding holds the colours of: steps, refinement, opacity ceiling and a picture, to
+/// the bit what they are where it holds them all.
+#[test]
+fn gaussians_in_several_chunks_are_trained_as_in_one() {
+    let Some(gpu) = software() else { return };
+    let run = |gpu: &Gpu, chunks: usize| {
+        let mut ours = with_views(Stage1::new(gpu).unwrap());
+        ours.load(state(10_000, -4.5)).unwrap();
+        assert_eq!(ours.scene.first.colors.over(10_000).count(), chunks);
+        for step in 0..3 {
+            ours.step(step as usize, &plan(step)).unwrap();
+        }
+        let rows: Vec<_> = (0..9000).map(Origin::Kept).chain((0..400).map(Origin::Twin)).collect();
+        ours.rebuild(&rows, &Draws { seed: 1, step: 2, shrink: 1.6 }).unwrap();
+        ours.limit_opacity(0.3).unwrap();
+        ours.step(1, &StepPlan { divisor: 1, ..plan(3) }).unwrap();
+        let reports = ours.drain(Drain::All).unwrap();
+        assert_eq!(reports.len(), 4);
+        let mut image = Image::new(0, 0);
+        ours.render(&camera(33, 70), Degrees { colors: 2, water: 1 }, &mut image).unwrap();
+        (reports, ours.save().unwrap().into_owned(), image)
+    };
+    // 4,687 Gaussians to a chunk.
+    let (one, several) = (run(&gpu, 1), run(&gpu.clone().binding(900_000), 3));
+    assert!(one == several);
 }
 
 #[test]

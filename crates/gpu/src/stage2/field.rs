@@ -113,7 +113,9 @@ pub(super) struct DeviceField {
     pub(super) raw: Array<f32>,
     pub(super) grade: Array<f32>,
     slopes: Array<f32>,
+    /// The codes of lookups, and the derivatives by them.
     codes: Array<f32>,
+    by_codes: Array<f32>,
     records: Array<Row>,
     totals: Array<f32>,
     of_mean: Array<Row>,
@@ -143,6 +145,7 @@ impl DeviceField {
             grade: floats("mean, table and ratios", GRADE)?,
             slopes: floats("slopes of outputs", 1)?,
             codes: floats("codes", 1)?,
+            by_codes: floats("slopes of codes", 1)?,
             records: Array::new(gpu, "records of colours", 1)?,
             totals: floats("totals", COLOR_SUMS + WATER_SUMS + GUIDE_SUMS)?,
             of_mean: Array::new(gpu, "sums of outputs", 1)?,
@@ -192,7 +195,8 @@ impl DeviceField {
         for (array, items) in [
             (&mut self.raw, OUTPUTS * lookups),
             (&mut self.slopes, OUTPUTS * lookups),
-            (&mut self.codes, 2 * self.shape.rank * lookups),
+            (&mut self.codes, self.shape.rank * lookups),
+            (&mut self.by_codes, self.shape.rank * lookups),
             (&mut self.of_colors, COLOR_SUMS * groups),
             (&mut self.of_water, WATER_SUMS * water_groups),
             (&mut self.of_guide, GUIDE_SUMS * groups),
@@ -329,7 +333,16 @@ impl DeviceField {
         k.lookup_back.dispatch(
             pass,
             Grid::groups(self.now.lookup_groups as usize),
-            bound![*constants, self.state, view.sites, self.totals, self.slopes, self.codes, self.of_guide,],
+            bound![
+                *constants,
+                self.state,
+                view.sites,
+                self.totals,
+                self.slopes,
+                self.codes,
+                self.by_codes,
+                self.of_guide,
+            ],
         );
         total(pass, Of::Guide, &self.of_guide, &self.totals, GUIDE_SUMS);
         let Constants { blocks, unit_groups, node_groups, output_bias, parameters, .. } = self.now;
@@ -341,7 +354,7 @@ impl DeviceField {
         k.nodes.dispatch(
             pass,
             Grid::groups((blocks * node_groups) as usize),
-            bound![*constants, self.state, view.sites, self.codes, self.of_parameters],
+            bound![*constants, self.state, view.sites, self.by_codes, self.of_parameters],
         );
         total(pass, Of::Parameters, &self.of_parameters, &self.gradient, output_bias as usize);
         let gradient = &k.gradient[usize::from(view.water.is_some())];
@@ -369,6 +382,7 @@ impl DeviceField {
             &self.grade,
             &self.slopes,
             &self.codes,
+            &self.by_codes,
             &self.totals,
             &self.of_colors,
             &self.of_water,

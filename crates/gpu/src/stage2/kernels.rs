@@ -173,6 +173,7 @@ impl Variant {
             read("totals"),
             write("slopes"),
             write("codes"),
+            write("by_codes"),
             write("partial"),
         ];
         let parts = [FIELD, GUIDE, SITES, DECODER, SUM_ROWS, include_str!("lookup_back.wgsl")];
@@ -185,7 +186,7 @@ impl Variant {
     }
 
     fn nodes(&self) -> Spec {
-        let bindings = [CONSTANTS, read("state"), SITE_ROWS, read("codes"), write("partial")];
+        let bindings = [CONSTANTS, read("state"), SITE_ROWS, read("by_codes"), write("partial")];
         let parts = [FIELD, GUIDE, SITES, include_str!("nodes.wgsl")];
         self.spec("factor nodes", LOOKUPS as u32, &bindings, &parts)
     }

@@ -40,8 +40,8 @@ fn main(
         }
         var rise = 0.0f;
         for (var r = 0u; r < RANK; r++) {
-            codes[2u * RANK * i + r] = z[r];
-            codes[2u * RANK * i + RANK + r] = by_z[r];
+            codes[RANK * i + r] = z[r];
+            by_codes[RANK * i + r] = by_z[r];
             let others = factor(0u, places[0], r) * factor(1u, places[1], r) * factor(2u, places[2], r);
             let at = (3u * field.resolution + places[3].node) * RANK + r;
             rise += by_z[r] * others * (state[at + RANK] - state[at]);

@@ -27,7 +27,7 @@ fn main(
         if (i < end) {
             var places = places_of(i, gamma_of(i));
             for (var r = 0u; r < RANK; r++) {
-                let d = codes[2u * RANK * i + RANK + r];
+                let d = by_codes[RANK * i + r];
                 let x = factor(0u, places[0], r);
                 let y = factor(1u, places[1], r);
                 let w = factor(2u, places[2], r);

@@ -287,12 +287,16 @@ fn a_hundred_steps_on_its_own_go_where_the_processors_go_and_runs_change_engines
 
 /// What a few steps come to with so much memory for views.
 fn state_after_steps(gpu: &crate::Gpu, cache_mib: usize) -> (FieldState, Vec<FieldReport>, usize) {
-    let scene = scene(200, MediumKind::Rbf);
-    let targets = targets(&scene, Appearance::Water);
+    state_of(gpu, &scene(200, MediumKind::Rbf), cache_mib)
+}
+
+/// The same of any scene.
+fn state_of(gpu: &crate::Gpu, scene: &Scene, cache_mib: usize) -> (FieldState, Vec<FieldReport>, usize) {
+    let targets = targets(scene, Appearance::Water);
     let (guidance, views) = (Guidance::Targets(&targets), views());
     let params = EnhanceParams { cache_mib, ..params() };
-    let mut ours = Stage2::new(gpu, &scene, &views, guidance, &params, &mut Silent).unwrap();
-    ours.load(FieldState::new(&moved(&scene, guidance, &params))).unwrap();
+    let mut ours = Stage2::new(gpu, scene, &views, guidance, &params, &mut Silent).unwrap();
+    ours.load(FieldState::new(&moved(scene, guidance, &params))).unwrap();
     let reports = run(&mut ours, 0..5);
     (ours.save().unwrap(), reports, ours.coverage().views_in_memory)
 }
@@ -303,6 +307,19 @@ fn views_that_are_made_again_give_the_same_bytes() {
     let (kept, again) = (state_after_steps(&gpu, 64), state_after_steps(&gpu, 0));
     assert_eq!((kept.2, again.2), (3, 0));
     assert!(kept.0 == again.0 && kept.1 == again.1);
+}
+
+/// More Gaussians than one binding holds the colours of.
+#[test]
+fn gaussians_in_several_chunks_are_enhanced_as_in_one() {
+    let Some(gpu) = software() else { return };
+    let mut scene = scene(10, MediumKind::Rbf);
+    scene.gaussians = cloud(4500, -4.5, 0.5);
+    // 2,083 to a chunk.
+    let tight = gpu.clone().binding(400_000);
+    assert_eq!(tight.gaussians_of_chunk(), 2083);
+    let (one, several) = (state_of(&gpu, &scene, 64), state_of(&tight, &scene, 64));
+    assert!(one.0 == several.0 && one.1 == several.1);
 }
 
 #[test]

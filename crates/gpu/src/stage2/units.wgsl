@@ -35,7 +35,7 @@ fn main(
         workgroupBarrier();
         let i = first + lid;
         if (i < end) {
-            for (var r = 0u; r < RANK; r++) { tile_codes[lid * RANK + r] = codes[2u * RANK * i + r]; }
+            for (var r = 0u; r < RANK; r++) { tile_codes[lid * RANK + r] = codes[RANK * i + r]; }
             let at = OUTPUTS * i;
             tile_gains[lid] = vec4<f32>(slopes[at], slopes[at + 1u], slopes[at + 2u], 0.0f);
             tile_biases[lid] = vec4<f32>(slopes[at + 3u], slopes[at + 4u], slopes[at + 5u], 0.0f);

@@ -1,4 +1,4 @@
-// One thread per Gaussian: its records are added in the order of its tiles, go back through the projection to its parameters, and
+// One thread per Gaussian of a chunk: its records are added in the order of its tiles, go back through the projection to its parameters, and
 // Adam moves them; no gradient is ever stored. Gaussians that were not seen have a gradient of zero, and their moments decay.
 const BLOCK: u32 = 64u;
 
@@ -114,8 +114,9 @@ fn main(
     @builtin(num_workgroups) nwg: vec3<u32>,
     @builtin(local_invocation_index) lid: u32,
 ) {
-    let i = group_of(wid, nwg) * WG + lid;
-    if (i >= frame.counts.x || atomicLoad(&counts[STOP]) != 0u) { return; }
+    let own = group_of(wid, nwg) * WG + lid;
+    let i = chunk.x + own;
+    if (own >= chunk.y || i >= frame.counts.x || atomicLoad(&counts[STOP]) != 0u) { return; }
     bad = 0u;
     var g0 = geometry[3u * i];
     var g1 = geometry[3u * i + 1u];
@@ -166,7 +167,7 @@ fn main(
     for (var k = 0u; k < bands; k++) {
         let rate = select(frame.color_rates.y, frame.color_rates.x, k == 0u);
         for (var c = 0u; c < 3u; c++) {
-            let at = 48u * i + 3u * k + c;
+            let at = 48u * own + 3u * k + c;
             var first = colors_first[at];
             var second = colors_second[at];
             colors[at] = adam(colors[at], y[k] * by_color[c], &first, &second, rate, 16u);

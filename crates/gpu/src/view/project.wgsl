@@ -1,4 +1,4 @@
-// One thread per Gaussian: its splat, its key for the order by depth, and how many tiles it meets.
+// One thread per Gaussian of a chunk: its splat, its key for the order by depth, and how many tiles it meets.
 const HIDDEN: u32 = 0x0fffffffu;
 
 fn hide(i: u32) {
@@ -23,8 +23,9 @@ fn main(
     @builtin(num_workgroups) nwg: vec3<u32>,
     @builtin(local_invocation_index) lid: u32,
 ) {
-    let i = group_of(wid, nwg) * WG + lid;
-    if (i >= frame.counts.x) { return; }
+    let own = group_of(wid, nwg) * WG + lid;
+    let i = chunk.x + own;
+    if (own >= chunk.y || i >= frame.counts.x) { return; }
     let g0 = geometry[3u * i];
     let g1 = geometry[3u * i + 1u];
     let q = geometry[3u * i + 2u];
@@ -59,12 +60,12 @@ fn main(
     let bands = frame.counts.y;
     var color: vec3<f32>;
     if (bands == 0u) {
-        color = vec3<f32>(colors[3u * i], colors[3u * i + 1u], colors[3u * i + 2u]);
+        color = vec3<f32>(colors[3u * own], colors[3u * own + 1u], colors[3u * own + 2u]);
     } else {
         var y = harmonics(bands, direction_to(g0.xyz));
         color = vec3<f32>(0.5f);
         for (var k = 0u; k < bands; k++) {
-            let at = 48u * i + 3u * k;
+            let at = 48u * own + 3u * k;
             color = fma(vec3<f32>(y[k]), vec3<f32>(colors[at], colors[at + 1u], colors[at + 2u]), color);
         }
         color = max(color, vec3<f32>(0.0f));
