@@ -36,6 +36,9 @@
 //! | grade | 108 `f32` | the mean that is removed, the water's table of 16 × 6, two ratios |
 //! | records | E `vec4<f32>` | the derivative of an entry's colour |
 //!
+//! Photographs, opacities and masks lie as they are stored, four values of 8 bits or two of 16 in a word,
+//! depth priors in 16 bits, and a step's first kernel makes the floats of its view; smaller sizes are floats.
+//!
 //! The water in front of a pixel enters as `e = 2^(−k z)` with `k = β |d| log₂e`.
 //!
 //! # Determinism
@@ -89,5 +92,5 @@ pub fn kernel_sources() -> Vec<String> {
 fn specs() -> Vec<kernel::Spec> {
     let own = [sort::specs(), lists::specs(), raster::specs(), update::specs()].concat();
     let further = own.into_iter().chain(losses::specs()).chain(water::specs());
-    further.chain(stage2::specs()).chain(linear::specs()).collect()
+    further.chain(stage1::specs()).chain(stage2::specs()).chain(linear::specs()).collect()
 }

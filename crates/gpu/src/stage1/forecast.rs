@@ -7,7 +7,7 @@
 //! | Gaussian | 720 | parameters and both moments |
 //! | | 88 | statistics, splat, tiles, depth order, offsets, run |
 //! | entry there is room for | 68 | records, owners, order by tile |
-//! | pixel of the largest view | 100 | image, slopes, sums along rays, water |
+//! | pixel of the largest view | 120 | image, slopes, sums along rays, water, photograph with mask and prior |
 //! | | 83 | three levels of the similarity |
 //!
 //! Room for entries is half as much again as the fullest view needs. Views come on top.
@@ -16,8 +16,8 @@
 const PER_GAUSSIAN: f64 = 3.0 * 240.0 + 8.0 + 48.0 + 4.0 + 16.0 + 4.0 + 8.0 + 0.3;
 /// Bytes of an entry: record, owner, and what orders it by tile.
 const PER_ENTRY: f64 = 48.0 + 4.0 + 16.0 + 0.3;
-/// Bytes of a pixel: forward pass, slopes, water.
-const PER_PIXEL: f64 = 64.0 + 16.0 + 36.0 + 0.6;
+/// Bytes of a pixel: forward pass, slopes, water, the photograph's floats with mask and prior.
+const PER_PIXEL: f64 = 64.0 + 16.0 + 36.0 + 20.0 + 0.6;
 /// Bytes of a pixel in the levels of the similarity: the first, and those after it.
 const PER_LEVEL_PIXEL: f64 = 60.0 + 72.0 / 4.0 + 72.0 / 16.0 + 0.2;
 /// Tables, reports, and buffers that are made with some room at first.

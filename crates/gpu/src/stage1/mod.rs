@@ -8,6 +8,7 @@
 
 mod forecast;
 mod step;
+mod stored;
 mod targets;
 #[cfg(test)]
 mod tests;
@@ -37,6 +38,8 @@ use crate::scene::{DeviceScene, Row};
 use crate::update::UpdateKernels;
 use crate::water::Water;
 pub use forecast::training_bytes;
+use stored::Unpacked;
+pub(crate) use stored::specs;
 use targets::Targets;
 
 /// Reports there is room for on the device.
@@ -76,8 +79,8 @@ pub struct Stage1 {
     losses: Losses,
     water: Option<Water>,
     gains: Gains,
-    /// The photograph of a step that lies over the water.
-    over_water: Array<f32>,
+    /// The floats of a step's view.
+    unpacked: Unpacked,
     image_slope: Array<f32>,
     depth_slope: Array<f32>,
     records: Array<Row>,
@@ -108,7 +111,7 @@ impl Stage1 {
             losses: Losses::new(gpu)?,
             water: None,
             gains: Gains::new(gpu, &Exposures::default())?,
-            over_water: Array::new(gpu, "photograph over water", 1)?,
+            unpacked: Unpacked::new(gpu)?,
             image_slope: Array::new(gpu, "slopes of the image", 1)?,
             depth_slope: Array::new(gpu, "slopes of depth", 1)?,
             records: Array::new(gpu, "records", 1)?,
@@ -332,7 +335,8 @@ impl Engine for Stage1 {
 
 impl Diagnostics for Stage1 {
     fn memory(&self) -> usize {
-        let planes = self.planes.size() + self.image_slope.size() + self.depth_slope.size();
+        let slopes = self.image_slope.size() + self.depth_slope.size();
+        let planes = self.planes.size() + self.unpacked.size() + slopes;
         let water = self.water.as_ref().map_or(0, Water::memory);
         let step = self.lists.size() + self.records.size() + self.losses.memory() + water + planes;
         self.scene.size() + step + self.targets.size()

@@ -4,6 +4,7 @@ use use3d_capture::{Camera, Lattice};
 use use3d_reconstruct::engine::{Degrees, StepPlan, StepReport};
 use use3d_training::EngineError;
 
+use super::stored::Floats;
 use super::{Asked, RING, Stage1};
 use crate::frame::{Frame, counts};
 use crate::kernel::submit;
@@ -80,11 +81,8 @@ impl Stage1 {
         }
         self.losses.resize(&self.gpu, width, height)?;
         let target = self.targets.at(place);
-        if target.alpha.is_some() {
-            self.over_water.grow(&self.gpu, 3 * width * height)?;
-        }
-        let photograph = if target.alpha.is_some() { &self.over_water } else { &target.photograph };
-        let (mask, prior) = (target.mask.as_ref(), target.prior.as_ref());
+        target.prepare(&self.gpu, &mut self.unpacked)?;
+        let Floats { photograph, alpha, mask, prior } = target.floats(&self.unpacked);
         let (image, depth) = (&self.planes.image, &self.planes.depth);
         let seen = Seen { image, depth, photograph, mask, prior };
         let exposed = plan.exposure.is_some();
@@ -100,17 +98,15 @@ impl Stage1 {
         let gains = exposed.then_some(&self.gains);
         let label = Some("step");
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label });
-        if target.alpha.is_some() {
-            let (from, to) = (target.photograph.raw(), self.over_water.raw());
-            encoder.copy_buffer_to_buffer(from, 0, to, 0, from.size());
-        }
+        target.copy(&mut encoder, &self.unpacked);
         {
             let descriptor = wgpu::ComputePassDescriptor { label, timestamp_writes: None };
             let pass = &mut encoder.begin_compute_pass(&descriptor);
+            target.record(pass, &self.unpacked);
             if let Some(water) = &self.water {
                 water.record_maps(pass);
             }
-            if let Some(alpha) = &target.alpha {
+            if let Some(alpha) = alpha {
                 let color = self.water.as_ref().map(|w| &w.color);
                 self.losses.over_water(pass, photograph, alpha, color, gains);
             }

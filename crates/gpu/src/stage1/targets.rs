@@ -6,22 +6,57 @@ use use3d_capture::{Camera, Map};
 use use3d_reconstruct::{Target, TrainingView};
 use use3d_training::EngineError;
 
+use super::stored::{Floats, StoredView, Unpacked};
 use crate::buffer::Array;
 use crate::device::Gpu;
 
 /// Bytes of photographs kept on the device; the oldest make room for new ones.
 const KEPT: usize = 3 << 29;
 
+/// A view at a smaller size: means, which are floats.
+#[derive(Debug)]
+pub(super) struct Reduced {
+    /// Colour planes.
+    photograph: Array<f32>,
+    alpha: Option<Array<f32>>,
+    mask: Option<Array<f32>>,
+    prior: Option<Array<f32>>,
+}
+
+/// What of a view is on the device.
+#[derive(Debug)]
+pub(super) enum Values {
+    /// At full size, as it is stored.
+    Stored(StoredView),
+    /// At a smaller one.
+    Reduced(Reduced),
+}
+
 /// A view at the size of a step.
 #[derive(Debug)]
 pub(super) struct DeviceTarget {
     pub(super) camera: Camera,
-    /// Colour planes.
-    pub(super) photograph: Array<f32>,
-    /// Its opacity; its transparent pixels take the water's colour in every step anew.
-    pub(super) alpha: Option<Array<f32>>,
-    pub(super) mask: Option<Array<f32>>,
-    pub(super) prior: Option<Array<f32>>,
+    pub(super) values: Values,
+}
+
+impl Reduced {
+    fn new(gpu: &Gpu, target: &Target) -> Result<Self, EngineError> {
+        let map = |what, map: &Option<Map>| match map {
+            Some(map) => Array::from(gpu, what, map.data()).map(Some),
+            None => Ok(None),
+        };
+        Ok(Self {
+            photograph: Array::from(gpu, "photograph", target.image.data())?,
+            alpha: map("opacity of a photograph", &target.alpha)?,
+            mask: map("mask", &target.mask)?,
+            prior: map("depth prior", &target.prior)?,
+        })
+    }
+
+    fn size(&self) -> usize {
+        let maps = [&self.alpha, &self.mask, &self.prior];
+        self.photograph.size() + maps.into_iter().flatten().map(Array::size).sum::<usize>()
+    }
 }
 
 impl DeviceTarget {
@@ -31,23 +66,62 @@ impl DeviceTarget {
         divisor: usize,
         scratch: &mut Target,
     ) -> Result<Self, EngineError> {
-        let camera = view.target(divisor, scratch);
-        let map = |what, map: &Option<Map>| match map {
-            Some(map) => Array::from(gpu, what, map.data()).map(Some),
-            None => Ok(None),
+        let (camera, divisor) = view.camera_over(divisor);
+        let values = if divisor == 1 {
+            Values::Stored(StoredView::new(gpu, view)?)
+        } else {
+            view.target(divisor, scratch);
+            Values::Reduced(Reduced::new(gpu, scratch)?)
         };
-        Ok(Self {
-            camera,
-            photograph: Array::from(gpu, "photograph", scratch.image.data())?,
-            alpha: map("opacity of a photograph", &scratch.alpha)?,
-            mask: map("mask", &scratch.mask)?,
-            prior: map("depth prior", &scratch.prior)?,
-        })
+        Ok(Self { camera, values })
     }
 
     fn size(&self) -> usize {
-        let maps = [&self.alpha, &self.mask, &self.prior];
-        self.photograph.size() + maps.into_iter().flatten().map(Array::size).sum::<usize>()
+        match &self.values {
+            Values::Stored(view) => view.size(),
+            Values::Reduced(view) => view.size(),
+        }
+    }
+
+    /// Makes room for what [`DeviceTarget::record`] makes.
+    pub(super) fn prepare(&self, gpu: &Gpu, unpacked: &mut Unpacked) -> Result<(), EngineError> {
+        match &self.values {
+            Values::Stored(view) => unpacked.grow(gpu, view),
+            // Water is laid behind a copy.
+            Values::Reduced(Reduced { photograph, alpha: Some(_), .. }) => {
+                unpacked.photograph.grow(gpu, photograph.capacity()).map(|_| ())
+            }
+            Values::Reduced(_) => Ok(()),
+        }
+    }
+
+    /// Records what has to be copied of it before a step's kernels.
+    pub(super) fn copy(&self, encoder: &mut wgpu::CommandEncoder, unpacked: &Unpacked) {
+        if let Values::Reduced(Reduced { photograph, alpha: Some(_), .. }) = &self.values {
+            let from = photograph.raw();
+            encoder.copy_buffer_to_buffer(from, 0, unpacked.photograph.raw(), 0, from.size());
+        }
+    }
+
+    /// Records the making of its floats where it is not stored as such.
+    pub(super) fn record(&self, pass: &mut wgpu::ComputePass<'_>, unpacked: &Unpacked) {
+        if let Values::Stored(view) = &self.values {
+            unpacked.record(pass, view);
+        }
+    }
+
+    /// What kernels of the loss read of it, after [`DeviceTarget::record`]. A photograph with transparent
+    /// pixels is a copy that the water may be laid behind, in every step anew.
+    pub(super) fn floats<'a>(&'a self, unpacked: &'a Unpacked) -> Floats<'a> {
+        match &self.values {
+            Values::Stored(view) => unpacked.floats(view),
+            Values::Reduced(Reduced { photograph, alpha, mask, prior }) => Floats {
+                photograph: if alpha.is_some() { &unpacked.photograph } else { photograph },
+                alpha: alpha.as_ref(),
+                mask: mask.as_ref(),
+                prior: prior.as_ref(),
+            },
+        }
     }
 }
 
