@@ -68,10 +68,11 @@
 //!
 //! # Where things are
 //!
-//! [`cache`]: the folder layout, publishing, verification. [`code`]: token-level code digests. [`content`]: digests of
-//! inputs that are not read twice. [`graph`]: scenes × stages × variants. [`plan`], [`run`]: what would
-//! happen, making it happen. [`executor`]: where its jobs run. [`history`]: what happened, forecasts.
-//! [`place`]: results outside the cache, and what of them may be replaced. [`remote`]: a store beside the cache.
+//! [`cache`]: the folder layout, publishing, verification. [`code`]: token-level code digests. [`content`]:
+//! digests of inputs that are not read twice. [`graph`]: scenes × stages × variants. [`plan`], [`run`]: what
+//! would happen, making it happen. [`executor`]: where its jobs run. [`history`]: what happened, forecasts.
+//! [`place`]: results outside the cache, and what of them may be replaced.
+//! [`remote`]: a store beside the cache.
 
 mod agree;
 mod alone;
@@ -143,8 +144,8 @@ impl Builder {
         Self { registry, cache, numeric_class: key::numeric_class(), remote: None }
     }
 
-    /// The same builder, which asks a store for what the cache does not have before it computes it, and sends it
-    /// what it has computed.
+    /// The same builder, which asks a store for what the cache does not have before it computes it, and
+    /// sends it what it has computed.
     #[must_use]
     pub fn with_remote(self, remote: std::sync::Arc<remote::RemoteStore>) -> Self {
         Self { remote: Some(remote), ..self }

@@ -30,7 +30,8 @@ pub struct Site {
     pub longest: String,
     /// Tasks of an array that run at once, at the most.
     pub at_once: usize,
-    /// Tasks of an array, at the most: Slurm's `MaxArraySize` less one. What has more is cut into several arrays.
+    /// Tasks of an array, at the most: Slurm's `MaxArraySize` less one. What has
+    /// more is cut into several arrays.
     pub largest_array: usize,
     /// How often a task that ran out of time is put into the queue again.
     pub requeues: usize,
@@ -40,7 +41,8 @@ pub struct Site {
     pub options: Vec<String>,
     /// The command, where it is not `use3d`.
     pub command: String,
-    /// What tasks of a stage need that others do not, by its name; for the workers of `--layout workers`, `run`.
+    /// What tasks of a stage need that others do not, by its name; for the
+    /// workers of `--layout workers`, `run`.
     pub stage: BTreeMap<String, Needs>,
 }
 

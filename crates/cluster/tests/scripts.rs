@@ -1,5 +1,5 @@
-//! What is written for schedulers, word for word (`USE3D_UPDATE_SNAPSHOTS=1` writes `golden/` anew), and whether
-//! a shell does with it what it should.
+//! What is written for schedulers, word for word (`USE3D_UPDATE_SNAPSHOTS=1` writes `golden/` anew), and
+//! whether a shell does with it what it should.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;

@@ -17,7 +17,8 @@ pub enum Objective {
     GlobalOnly,
     /// The local term alone (ablation).
     LocalOnly,
-    /// The proposer's images, view by view, as colours to reproduce: the baseline that the method is compared with.
+    /// The proposer's images, view by view, as colours to reproduce: the baseline
+    /// that the method is compared with.
     PseudoLabels,
 }
 
@@ -38,8 +39,9 @@ pub enum PixelLoss {
 pub enum Start {
     /// At the identity: the paper.
     Identity,
-    /// With the scene's affine at the global target. A composite is linear in its colours, so the global target is nearly met at once,
-    /// and the field's local part does not have to learn it first and unlearn it later. Without a global term as `identity`.
+    /// With the scene's affine at the global target. A composite is linear in its colours, so the global
+    /// target is nearly met at once, and the field's local part does not have to learn it first and unlearn
+    /// it later. Without a global term as `identity`.
     #[default]
     Operator,
 }
@@ -60,11 +62,12 @@ pub struct EnhanceParams {
     pub lambda_local: f64,
     /// Weight λ_tv of the factors' total variation.
     pub lambda_variation: f64,
-    /// In a step, a training view is sampled at its nearest pixels to at most this long side; 0 renders all that the extractor
-    /// weighs. How near the targets came is always measured as the extractor reads an image.
+    /// In a step, a training view is sampled at its nearest pixels to at most this long side;
+    /// 0 renders all that the extractor weighs. How near the targets came is always measured
+    /// as the extractor reads an image.
     pub sample_side: usize,
-    /// The field's constant mode is the mean over at most this many Gaussians, evenly chosen from all (0: over all). A step looks
-    /// the field up at those and at what its view sees.
+    /// The field's constant mode is the mean over at most this many Gaussians, evenly chosen from all (0:
+    /// over all). A step looks the field up at those and at what its view sees.
     pub centre_sample: usize,
     /// How pseudo-labels are compared (objective `pseudo-labels` only).
     pub pixel_loss: PixelLoss,
@@ -85,10 +88,12 @@ pub struct EnhanceParams {
     pub checkpoint_every: u64,
     /// Steps that one line of the log averages over.
     pub log_every: u64,
-    /// Memory for what is constant per view, MiB. Views beyond it are prepared anew in every step that uses them.
+    /// Memory for what is constant per view, MiB. Views beyond it are prepared
+    /// anew in every step that uses them.
     pub cache_mib: usize,
-    /// What computes: `cpu`, `gpu` (the best graphics card), `gpu:NAME` (any part of an adapter's name), or `auto`: a graphics card that
-    /// passes its check, else the processor. Results of different devices are kept apart.
+    /// What computes: `cpu`, `gpu` (the best graphics card), `gpu:NAME` (any part of an adapter's
+    /// name), or `auto`: a graphics card that passes its check, else the processor. Results of
+    /// different devices are kept apart.
     #[schemars(with = "String")]
     pub engine: EngineChoice,
 }

@@ -240,8 +240,8 @@ impl Planes {
         buffers
     }
 
-    /// Records the forward pass of `tiles` tiles. With [`Outputs::Layers`] object, clear and far go into `veil`,
-    /// `object_moment` and `veil_moment`.
+    /// Records the forward pass of `tiles` tiles. With [`Outputs::Layers`] object, clear and far go into
+    /// `veil`, `object_moment` and `veil_moment`.
     pub(crate) fn record_forward(
         &self,
         kernels: &RasterKernels,

@@ -9,14 +9,17 @@ use use3d_numerics::range::OutOfRange;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ImportParams {
-    /// The image folder, relative to the capture. Default: `images`, `images_wb`, `Images_wb` or `input`, whichever holds
-    /// most of the model's images.
+    /// The image folder, relative to the capture. Default: `images`, `images_wb`, `Images_wb` or `input`,
+    /// whichever holds most of the model's images.
     pub image_dir: Option<String>,
-    /// The model's folder, relative to the capture. Default: the largest of `sparse/0`, `sparse`, `colmap/sparse/0`, `sparse/*`.
+    /// The model's folder, relative to the capture. Default: the largest of `sparse/0`, `sparse`,
+    /// `colmap/sparse/0`, `sparse/*`.
     pub model_dir: Option<String>,
-    /// The mask folder, relative to the capture. Default: `masks` if it is there. 0 is ignored, white counts fully.
+    /// The mask folder, relative to the capture. Default: `masks` if it is there. 0
+    /// is ignored, white counts fully.
     pub mask_dir: Option<String>,
-    /// The depth-prior folder, relative to the capture. Default: `depth`, `depths` or `depthAnythingV2_u16` if there.
+    /// The depth-prior folder, relative to the capture. Default: `depth`, `depths` or
+    /// `depthAnythingV2_u16` if there.
     pub depth_dir: Option<String>,
     /// `"WxH"`: scale to cover this size and crop centrally; the intrinsics follow.
     pub size: Option<ImageSize>,

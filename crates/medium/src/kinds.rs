@@ -1,5 +1,5 @@
-//! The one table of media. A medium is a file that implements [`Medium`], and a row here; what it is called in files and parameters, the
-//! enum of models, and every call that goes to one of them follow from the row.
+//! The one table of media. A medium is a file that implements [`Medium`], and a row here; what it is called
+//! in files and parameters, the enum of models, and every call that goes to one of them follow from the row.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -79,13 +79,15 @@ pub(crate) trait Medium: Sized {
     /// The model from its tensors; `top_k` matters to anchored ones.
     fn read(top_k: usize, tensors: &Tensors) -> Result<Self, MediumError>;
 
-    /// Its harmonics, if it is made of such. Water without them is taken by viewers to vary with the direction alone.
+    /// Its harmonics, if it is made of such. Water without them is taken by viewers to
+    /// vary with the direction alone.
     fn harmonics(&self) -> Option<Harmonics<'_>> {
         None
     }
 }
 
-/// Makes models, kinds and calls of the table's rows. No water is in no row: it has no parameters and nothing to compute.
+/// Makes models, kinds and calls of the table's rows. No water is in no row: it has no
+/// parameters and nothing to compute.
 macro_rules! media {
     ($($(#[$doc:meta])* $kind:ident($model:ty) = $name:literal;)+) => {
         /// A model of the water.
@@ -145,7 +147,8 @@ macro_rules! media {
                 })
             }
 
-            /// One that is the same harmonics everywhere at the start; `None` if its kind is not made of such.
+            /// One that is the same harmonics everywhere at the start; `None`
+            /// if its kind is not made of such.
             pub fn start_from(
                 kind: MediumKind,
                 start: &MediumStart,
@@ -170,8 +173,9 @@ macro_rules! media {
                 }
             }
 
-            /// The maps of one view on a lattice of its pixels. Spherical-harmonic bands above `active_degree` (0 to 3) are left out; a
-            /// model without bands knows no such limit. Without water all maps are zero.
+            /// The maps of one view on a lattice of its pixels. Spherical-harmonic bands above
+            /// `active_degree` (0 to 3) are left out; a model without bands knows no such limit.
+            /// Without water all maps are zero.
             pub fn maps(&self, camera: &Camera, lattice: &Lattice, active_degree: usize, out: &mut MediumMaps) {
                 out.formation = self.kind().formation();
                 match self {
@@ -185,9 +189,9 @@ macro_rules! media {
                 }
             }
 
-            /// Adds to `gradient` the gradient of `<d_maps, maps>` with respect to every parameter. `maps` are those that
-            /// [`MediumModel::maps`] made with the same arguments; `gradient` has this model's kind and size
-            /// ([`MediumModel::zeros_like`]).
+            /// Adds to `gradient` the gradient of `<d_maps, maps>` with respect to every parameter. `maps`
+            /// are those that [`MediumModel::maps`] made with the same arguments; `gradient` has this model's
+            /// kind and size ([`MediumModel::zeros_like`]).
             pub fn backward(
                 &self,
                 camera: &Camera,
@@ -236,7 +240,8 @@ macro_rules! media {
                 tensors
             }
 
-            /// The model of `kind` from its tensors; `top_k` matters to anchored ones only. Shapes and finiteness are checked.
+            /// The model of `kind` from its tensors; `top_k` matters to anchored ones only.
+            /// Shapes and finiteness are checked.
             pub fn from_tensors(kind: MediumKind, top_k: usize, tensors: &Tensors) -> Result<Self, MediumError> {
                 Ok(match kind {
                     $(MediumKind::$kind => Self::$kind(Medium::read(top_k, tensors)?),)+
@@ -262,7 +267,8 @@ media! {
     Mlp(MediumMlp) = "mlp";
     /// One set of spherical harmonics (Plenodium's water).
     Global(MediumGlobal) = "global";
-    /// One set of spherical harmonics, laid over the finished image at its depth (SeaSplat's and 3D-UIR's formation).
+    /// One set of spherical harmonics, laid over the finished image at its depth
+    /// (SeaSplat's and 3D-UIR's formation).
     Image(MediumImage) = "image";
 }
 

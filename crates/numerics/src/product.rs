@@ -4,15 +4,15 @@
 //! sums[r][c] += Σ_k left[r, k] · right[k, c]        r < R rows,  c < 16 V columns
 //! ```
 //!
-//! Every element is one chain of fused multiply-adds over `k` ascending, started from what `sums` holds. So the
-//! size of a tile, the order of tiles, the packing and the number of threads change no bit, and the plain loop
-//! over [`f32::mul_add`] is the twin of every product made of tiles (without fused multiply-add in the
+//! Every element is one chain of fused multiply-adds over `k` ascending, started from what `sums` holds. So
+//! the size of a tile, the order of tiles, the packing and the number of threads change no bit, and the plain
+//! loop over [`f32::mul_add`] is the twin of every product made of tiles (without fused multiply-add in the
 //! processor the two differ by rounding).
 //!
 //! The loops around the tile stay with their products, which differ there and nowhere else: networks gather
 //! windows of pictures into the right factor, the calibrator reads transposes through strides, the network of
-//! the water keeps a block of pixels in the first-level cache. So does the choice of `R` and `V`: what fits the
-//! registers with the left factor as it lies.
+//! the water keeps a block of pixels in the first-level cache. So does the choice of `R` and `V`: what fits
+//! the registers with the left factor as it lies.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16};

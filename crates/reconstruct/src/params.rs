@@ -14,8 +14,8 @@ pub(crate) const MOST_DIVISOR: usize = 1024;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum DepthPrior {
-    /// The capture's own files where it has a depth folder, else Depth Anything V2 where its weights are in the models folder, else
-    /// no depth term; said aloud.
+    /// The capture's own files where it has a depth folder, else Depth Anything V2 where its weights are in
+    /// the models folder, else no depth term; said aloud.
     #[default]
     Auto,
     /// No depth term.
@@ -35,8 +35,8 @@ pub enum MediumPrior {
     Auto,
     /// Nothing: the water starts as the paper has it and is learnt from the first step on.
     Off,
-    /// What the capture's tracks tell, where they do; else as `off`, and the log says why. For the `rbf`, `global` and `image`
-    /// waters.
+    /// What the capture's tracks tell, where they do; else as `off`, and the log says why. For the
+    /// `rbf`, `global` and `image` waters.
     Tracks,
 }
 
@@ -47,8 +47,8 @@ pub enum Exposure {
     /// All views show the scene with one exposure, as the method has it.
     #[default]
     Off,
-    /// Every training view has a gain per channel, learnt with the scene and left out of what is rendered; held-out views are also scored after
-    /// a gain that is fitted on their other half.
+    /// Every training view has a gain per channel, learnt with the scene and left out of what is rendered;
+    /// held-out views are also scored after a gain that is fitted on their other half.
     PerView,
 }
 
@@ -59,7 +59,8 @@ pub enum Images {
     /// The photographs.
     #[default]
     Captured,
-    /// Each photograph enhanced on its own, for comparison: what such images disagree about ends up in the scene.
+    /// Each photograph enhanced on its own, for comparison: what such images
+    /// disagree about ends up in the scene.
     Proposed,
 }
 
@@ -95,14 +96,15 @@ pub struct LearningRates {
     pub scales: Rate,
     /// Quaternions.
     pub quaternions: Rate,
-    /// The water's constant coefficients. Rates of the water are for a whole `schedule`; a compressed run multiplies them by what it is
-    /// shorter, at most tenfold.
+    /// The water's constant coefficients. Rates of the water are for a whole `schedule`; a compressed run
+    /// multiplies them by what it is shorter, at most tenfold.
     pub medium_constant: Rate,
     /// The water's directional coefficients, anchor centres and log widths.
     pub medium_directional: Rate,
     /// The weights of the `mlp` water.
     pub medium_network: Rate,
-    /// The views' log-gains, where `exposure` lets them have some; a compressed run multiplies them as those of the water.
+    /// The views' log-gains, where `exposure` lets them have some; a compressed run
+    /// multiplies them as those of the water.
     pub exposure: Rate,
 }
 
@@ -137,16 +139,17 @@ pub struct Densify {
     pub every: u64,
     /// Steps between opacity ceilings.
     pub period: u64,
-    /// Longest pause after a ceiling: densification waits until `step mod period` reaches the smaller of this and the number of
-    /// training views + `every`.
+    /// Longest pause after a ceiling: densification waits until `step mod period` reaches the smaller of this
+    /// and the number of training views + `every`.
     pub pause: u64,
     /// Share of the run after which nothing is added any more.
     pub until: f64,
     /// Mean absolute screen gradient above which a Gaussian is split or duplicated.
     pub gradient_threshold: f64,
-    /// Pixels of the training images for which `gradient_threshold` is meant (the method's 1400×933). The pull of a Gaussian of a given
-    /// size in pixels falls with the images' side; for other images it is scaled by √(pixels / this), so that a scene grows to
-    /// about as many Gaussians per pixel at any size. 0: never scaled.
+    /// Pixels of the training images for which `gradient_threshold` is meant (the method's
+    /// 1400×933). The pull of a Gaussian of a given size in pixels falls with the images' side; for
+    /// other images it is scaled by √(pixels / this), so that a scene grows to about as many
+    /// Gaussians per pixel at any size. 0: never scaled.
     pub reference_pixels: u64,
     /// Largest standard deviation up to which it is duplicated rather than split, scene units.
     pub split_scale: f64,
@@ -199,8 +202,9 @@ impl Default for Densify {
 pub struct ReconstructParams {
     /// Training steps, one view each.
     pub iterations: u64,
-    /// Steps over which rates, resolution, degrees and density control run their course. A shorter run compresses them; a longer
-    /// one goes on with their last values, so that its first steps are those of the shorter run.
+    /// Steps over which rates, resolution, degrees and density control run their course. A
+    /// shorter run compresses them; a longer one goes on with their last values, so that its
+    /// first steps are those of the shorter run.
     pub schedule: u64,
     /// What the scene is learnt from.
     pub images: Images,
@@ -232,7 +236,8 @@ pub struct ReconstructParams {
     pub sh_degree: usize,
     /// Share of the run after which the active degree grows by one, again and again.
     pub sh_every: f64,
-    /// Image divisors (1 to 1024) and the share of the run from which each holds (R11); the first starts at 0.
+    /// Image divisors (1 to 1024) and the share of the run from which each
+    /// holds (R11); the first starts at 0.
     pub resolution_schedule: Vec<(f64, usize)>,
     /// Opacity of the initial Gaussians.
     pub initial_opacity: f64,
@@ -242,8 +247,9 @@ pub struct ReconstructParams {
     pub learning_rates: LearningRates,
     /// Density control.
     pub densify: Densify,
-    /// Most Gaussians, the initial ones included: of more sparse points a random choice stays. 0: one for every eight pixels of the
-    /// training views or four for every sparse point, whichever are more; from 250,000 to four million.
+    /// Most Gaussians, the initial ones included: of more sparse points a random choice stays. 0: one
+    /// for every eight pixels of the training views or four for every sparse point, whichever are
+    /// more; from 250,000 to four million.
     pub max_gaussians: usize,
     /// Seed of every random draw. Not read from settings: the caller sets it.
     #[serde(skip)]
@@ -256,8 +262,9 @@ pub struct ReconstructParams {
     pub checkpoint_steps: u64,
     /// Most minutes between checkpoints.
     pub checkpoint_minutes: f64,
-    /// What computes: `cpu`, `gpu` (the best graphics card), `gpu:NAME` (any part of an adapter's name), or `auto`: a graphics card that
-    /// passes its check and can do what is asked, else the processor. Results of different devices are kept apart.
+    /// What computes: `cpu`, `gpu` (the best graphics card), `gpu:NAME` (any part of an adapter's name), or
+    /// `auto`: a graphics card that passes its check and can do what is asked, else the processor. Results of
+    /// different devices are kept apart.
     #[schemars(with = "String")]
     pub engine: EngineChoice,
 }
@@ -404,8 +411,9 @@ impl ReconstructParams {
         reached.map_or(1, |s| s.1)
     }
 
-    /// What a step costs beside one on whole images, for telling the time left. Between two measurements: from a quarter to the whole
-    /// side, a run's steps grew five times in a small scene and twelve times in a large one.
+    /// What a step costs beside one on whole images, for telling the time left. Between two
+    /// measurements: from a quarter to the whole side, a run's steps grew five times in a small scene
+    /// and twelve times in a large one.
     pub(crate) fn step_work(&self, step: u64) -> f64 {
         math::powf(self.divisor(step) as f64, -1.5)
     }

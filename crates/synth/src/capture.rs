@@ -10,8 +10,8 @@
 //! masks/frame_0001.png …       white counts, 0 is a fish; only where fish were asked for
 //! ```
 //!
-//! With [`Physics::Spectral`] the photographs follow [`crate::physics`], and `truth/clean` is the scene under white light at one
-//! exposure for the whole capture.
+//! With [`Physics::Spectral`] the photographs follow [`crate::physics`], and `truth/clean` is the scene under
+//! white light at one exposure for the whole capture.
 
 use std::path::Path;
 
@@ -50,11 +50,13 @@ pub struct CaptureParams {
     pub water: WaterType,
     /// Depth below the surface, metres, 0 to 60: sets the colour of the daylight.
     pub depth: f32,
-    /// Share of the colour cast that the camera removes, 0 to 1: of the daylight's (display), of the picture's mean (spectral).
+    /// Share of the colour cast that the camera removes, 0 to 1: of the daylight's (display), of
+    /// the picture's mean (spectral).
     pub white_balance: f32,
     /// Sensor noise of a middle tone, standard deviation in display range, 0 to 0.2.
     pub noise: f32,
-    /// Strength of the moving light pattern on the ground, 0 (off) to 1. It breaks the assumption that the scene does not change.
+    /// Strength of the moving light pattern on the ground, 0 (off) to 1. It breaks the assumption
+    /// that the scene does not change.
     pub caustics: f32,
     /// Sparse points wanted, about.
     pub points: usize,
@@ -71,11 +73,12 @@ pub struct CaptureParams {
     /// No water at all: the scene in air. Spectral physics only.
     #[serde(skip_serializing_if = "is_default")]
     pub air: bool,
-    /// Light of two lamps at the camera on a white surface a metre ahead, in units of daylight at the surface, 0 (off) to 20.
-    /// Spectral physics only.
+    /// Light of two lamps at the camera on a white surface a metre ahead, in units of daylight at the
+    /// surface, 0 (off) to 20. Spectral physics only.
     #[serde(skip_serializing_if = "is_default")]
     pub lamps: f32,
-    /// How far exposure and white balance are set for each view on its own, 0 (one setting for all) to 1. Spectral physics only.
+    /// How far exposure and white balance are set for each view on its own, 0 (one setting for
+    /// all) to 1. Spectral physics only.
     #[serde(skip_serializing_if = "is_default")]
     pub auto_exposure: f32,
     /// Particles before the lens, 0 (none) to 1. Spectral physics only.
@@ -86,7 +89,8 @@ pub struct CaptureParams {
     pub fish: usize,
 }
 
-/// Whether a value is its type's default: such fields are left out, so that files keep their bytes when a field is added.
+/// Whether a value is its type's default: such fields are left out, so that files keep
+/// their bytes when a field is added.
 pub(crate) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }
@@ -152,7 +156,8 @@ impl CaptureParams {
     }
 }
 
-/// The truth of a synthetic capture (`truth/water.json`). Everything but `*_per_metre` is in COLMAP's frame and unit.
+/// The truth of a synthetic capture (`truth/water.json`). Everything but `*_per_metre`
+/// is in COLMAP's frame and unit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CaptureTruth {
     /// `"3d-use synthetic capture"`.
@@ -161,8 +166,8 @@ pub struct CaptureTruth {
     pub version: u32,
     /// What was asked for.
     pub parameters: CaptureParams,
-    /// Coefficients per COLMAP unit, veiling light over ray directions in COLMAP's frame. Spectral water has no such
-    /// coefficients: absent then.
+    /// Coefficients per COLMAP unit, veiling light over ray directions in COLMAP's frame. Spectral water has
+    /// no such coefficients: absent then.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub water: Option<Water>,
     /// `β_attn`, 1/m.
@@ -171,8 +176,9 @@ pub struct CaptureTruth {
     /// `β_bs`, 1/m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub backscatter_per_metre: Option<[f32; 3]>,
-    /// Spectral water: mean attenuation of white light over the first five metres, per channel of linear light, 1/m. Not what a
-    /// model of display values should find (their exponent is about 1/2.2 of it), and no constant of the water.
+    /// Spectral water: mean attenuation of white light over the first five metres, per channel of
+    /// linear light, 1/m. Not what a model of display values should find (their exponent is about 1/2.2
+    /// of it), and no constant of the water.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub effective_attenuation_per_metre: Option<[f32; 3]>,
     /// What the camera set for every view, where it set itself.
@@ -180,7 +186,8 @@ pub struct CaptureTruth {
     pub gains: Vec<ViewGains>,
     /// COLMAP units per metre.
     pub units_per_metre: f64,
-    /// Metres to COLMAP: `x_colmap = units_per_metre R x_metres + t`, R row-major. In metres, z is up and the swim goes along y.
+    /// Metres to COLMAP: `x_colmap = units_per_metre R x_metres + t`, R row-major. In metres, z
+    /// is up and the swim goes along y.
     pub rotation: [f64; 9],
     /// `t`, COLMAP units.
     pub translation: [f64; 3],
@@ -200,7 +207,8 @@ pub struct ViewGains {
 /// Views rendered at a time: bounds memory, and feeds the threads while others write files.
 const BATCH: usize = 4;
 
-/// An arbitrary frame, as structure from motion leaves it: y roughly down, some tilt, any heading, scale and origin.
+/// An arbitrary frame, as structure from motion leaves it: y roughly down, some tilt,
+/// any heading, scale and origin.
 fn colmap_frame(seed: u64) -> Frame {
     let stream = Stream::new(seed, Purpose::new("COLMAP frame"), 0);
     let number = |i: u64| 2.0 * stream.uniform(i) - 1.0;
@@ -366,7 +374,8 @@ fn file(view: usize) -> String {
     format!("{}.png", stem(view))
 }
 
-/// A prior as a monocular network gives it: disparity up to an unknown scale, a power, a slowly varying error and a little noise.
+/// A prior as a monocular network gives it: disparity up to an unknown scale, a power, a slowly
+/// varying error and a little noise.
 fn depth_prior(depth: &Map, seed: u64, view: usize) -> Map {
     let nearest = depth.data().iter().filter(|&&z| z > 0.0).fold(f32::INFINITY, |m, &z| m.min(z));
     let mut draws = Draws::new(seed, "depth prior", view as u64);
@@ -385,12 +394,12 @@ fn depth_prior(depth: &Map, seed: u64, view: usize) -> Map {
     prior
 }
 
-/// Writes a synthetic capture to `out`, a folder that must not exist (or be empty). `progress` is told (views done, views in all)
-/// and may answer that the work is to stop.
+/// Writes a synthetic capture to `out`, a folder that must not exist (or be empty). `progress` is told (views
+/// done, views in all) and may answer that the work is to stop.
 ///
 /// # Errors
-/// A parameter out of range, an output that exists, a file that cannot be written, or a stop that `progress` asked for;
-/// nothing is left at `out` then.
+/// A parameter out of range, an output that exists, a file that cannot be written, or a stop that `progress`
+/// asked for; nothing is left at `out` then.
 pub fn write_capture<A: Answer>(
     params: &CaptureParams,
     out: &Path,

@@ -1,9 +1,10 @@
 //! `synth pairs`: the same picture through a body of water and as one would wish to see it.
 //!
-//! `input/pair_0001.png` is taken through one of Jerlov's waters at some depth; `reference/pair_0001.png` is the same view in
-//! neutral daylight through very clear water, well exposed, with a little more contrast and colour: it defines what "enhanced" means
-//! to a calibrator that is trained on these pairs. With [`Physics::Spectral`] inputs follow [`crate::physics`] instead, and a camera sets
-//! itself for each of them. Pairs cycle through the water types; each dozen shares a scene.
+//! `input/pair_0001.png` is taken through one of Jerlov's waters at some depth; `reference/pair_0001.png` is
+//! the same view in neutral daylight through very clear water, well exposed, with a little more contrast and
+//! colour: it defines what "enhanced" means to a calibrator that is trained on these pairs. With
+//! [`Physics::Spectral`] inputs follow [`crate::physics`] instead, and a camera sets itself for each of them.
+//! Pairs cycle through the water types; each dozen shares a scene.
 
 use std::path::Path;
 
@@ -39,7 +40,8 @@ pub struct PairsParams {
     pub noise: f32,
     /// Triangle density of the scenes, 0.1 to 1.
     pub detail: f32,
-    /// The image formation of the inputs; `spectral` has a camera that exposes and balances every picture on its own.
+    /// The image formation of the inputs; `spectral` has a camera that exposes and
+    /// balances every picture on its own.
     #[serde(skip_serializing_if = "crate::capture::is_default")]
     pub physics: Physics,
 }
@@ -97,12 +99,12 @@ fn grade(image: &mut Image) {
     }
 }
 
-/// Writes `input/` and `reference/` with equal file names to `out`, a folder that must not exist (or be empty). `progress` is told
-/// (pairs done, pairs in all) and may answer that the work is to stop.
+/// Writes `input/` and `reference/` with equal file names to `out`, a folder that must not exist (or be
+/// empty). `progress` is told (pairs done, pairs in all) and may answer that the work is to stop.
 ///
 /// # Errors
-/// A parameter out of range, an output that exists, a file that cannot be written, or a stop that `progress` asked for;
-/// nothing is left at `out` then.
+/// A parameter out of range, an output that exists, a file that cannot be written, or a stop that `progress`
+/// asked for; nothing is left at `out` then.
 pub fn write_pairs<A: Answer>(
     params: &PairsParams,
     out: &Path,

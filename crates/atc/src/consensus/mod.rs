@@ -112,7 +112,8 @@ pub fn build_targets(
     targets_from_records(lift, &records, Appearance::Water, proposals.id(), calibrator, params, watch)
 }
 
-/// The second half of [`build_targets`], for a caller that keeps the records, of pictures in `appearance`, and chooses what lifts.
+/// The second half of [`build_targets`], for a caller that keeps the records, of pictures in
+/// `appearance`, and chooses what lifts.
 pub fn targets_from_records(
     lift: &mut Lift<'_>,
     records: &[ViewRecord],

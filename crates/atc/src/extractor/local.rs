@@ -154,8 +154,8 @@ impl Band<'_> {
         }
     }
 
-    /// RenderGradients of the operators to those of the pooled target (`[8][3][columns]`, overwritten); returns
-    /// the derivative by the global operator through `x'`.
+    /// RenderGradients of the operators to those of the pooled target (`[8][3][columns]`, overwritten);
+    /// returns the derivative by the global operator through `x'`.
     #[inline(always)]
     pub(crate) fn backward(
         &self,

@@ -1,4 +1,5 @@
-//! Variants judged by one of them: what the reference is, that it is part of the key, and that what is measured beside an artifact is not.
+//! Variants judged by one of them: what the reference is, that it is part of the key, and that what is
+//! measured beside an artifact is not.
 
 use std::fs;
 use std::sync::Arc;

@@ -12,7 +12,8 @@ const MAX_VIEWS: u64 = 10_000;
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Bench {
-    /// Synthetic captures, the whole pipeline and simple ways around it on each, and one table against the true clean scenes.
+    /// Synthetic captures, the whole pipeline and simple ways around it on each, and one table
+    /// against the true clean scenes.
     #[command(
         after_help = "Examples:\n  use3d bench truth --out bench/                        all captures, seeds 1, 2 and 3\n  \
         use3d bench truth --out quick/ --captures display-III,air --seeds 1 --iterations 600 --baselines simple\n\n\
@@ -31,7 +32,8 @@ pub(crate) struct BenchGpuArgs {
     /// The file that is written.
     #[arg(long, value_name = "FILE.json")]
     pub(crate) out: PathBuf,
-    /// Any part of an adapter's name, in any case; software adapters are taken only so (default: the best card).
+    /// Any part of an adapter's name, in any case; software adapters are taken
+    /// only so (default: the best card).
     #[arg(long, value_name = "NAME")]
     pub(crate) device: Option<String>,
     /// Sizes of views that kernels are timed at.
@@ -56,7 +58,8 @@ pub(crate) enum Baselines {
     /// All.
     #[default]
     All,
-    /// Only what needs no training of its own: photographs, and the 2D enhancer on them and on stage-1 renders.
+    /// Only what needs no training of its own: photographs, and the 2D enhancer
+    /// on them and on stage-1 renders.
     Simple,
 }
 

@@ -39,7 +39,8 @@ pub(crate) struct SynthArgs {
 pub(crate) struct SynthPairsArgs {
     #[command(flatten)]
     pub(crate) common: SynthArgs,
-    /// Image formation of the underwater images: `display`, or `spectral` with a camera that sets itself for every picture.
+    /// Image formation of the underwater images: `display`, or `spectral` with a camera that
+    /// sets itself for every picture.
     #[arg(long, value_name = "NAME", default_value = "display")]
     pub(crate) physics: String,
 }
@@ -54,8 +55,8 @@ pub(crate) struct SynthCaptureArgs {
     /// Where it is taken: `reef`, or `pool`, a tiled basin of even surfaces.
     #[arg(long, value_name = "NAME", default_value = "reef")]
     pub(crate) place: String,
-    /// Image formation: `display` is the method's own, on display values; `spectral` is not: wavelengths in linear light, a
-    /// camera that sets itself for every view.
+    /// Image formation: `display` is the method's own, on display values; `spectral` is not: wavelengths in
+    /// linear light, a camera that sets itself for every view.
     #[arg(long, value_name = "NAME", default_value = "display")]
     pub(crate) physics: String,
     /// Depth below the surface, metres, 0 to 60.
@@ -70,7 +71,8 @@ pub(crate) struct SynthCaptureArgs {
     /// Spectral: how far exposure and white balance are set for each view on its own, 0 to 1.
     #[arg(long, value_name = "SHARE")]
     pub(crate) auto_exposure: Option<f32>,
-    /// Spectral: two lamps at the camera, their light a metre ahead in units of daylight at the surface, 0 to 20.
+    /// Spectral: two lamps at the camera, their light a metre ahead in units of
+    /// daylight at the surface, 0 to 20.
     #[arg(long, value_name = "LIGHT")]
     pub(crate) lamps: Option<f32>,
     /// Spectral: marine snow before the lens, 0 to 1.

@@ -30,8 +30,8 @@ use shared::count;
 
 /// Underwater 3D scenes that look clear, from any viewpoint, reproducibly.
 ///
-/// Reconstructs a scene together with its water, learns from image pairs what "enhanced" means, and stores that
-/// enhancement in the scene itself, so that every new view comes out enhanced and consistent.
+/// Reconstructs a scene together with its water, learns from image pairs what "enhanced" means, and stores
+/// that enhancement in the scene itself, so that every new view comes out enhanced and consistent.
 #[derive(Debug, Parser)]
 #[command(
     name = "use3d",
@@ -167,7 +167,8 @@ pub(crate) enum Verb {
         #[command(subcommand)]
         what: Bench,
     },
-    /// What water a capture was taken in: attenuation, backscatter and veil from its sparse points, with error bars.
+    /// What water a capture was taken in: attenuation, backscatter and veil from its
+    /// sparse points, with error bars.
     #[command(
         after_help = "Examples:\n  use3d water my-reef/\n  use3d water my-reef/ --set image_dir=images_2 --json"
     )]

@@ -57,8 +57,8 @@ pub(crate) struct RenderArgs {
     /// The folder for the frames; each mode gets a folder of its own.
     #[arg(long, value_name = "DIR", required_unless_present_any = ["video", "fps"])]
     pub(crate) out: Option<PathBuf>,
-    /// What to render: reconstruction, clear, enhanced, enhanced-clear, depth, alpha, object, medium, backscatter, attenuation.
-    /// Left out, it is reconstruction, or what a path file asks for.
+    /// What to render: reconstruction, clear, enhanced, enhanced-clear, depth, alpha, object, medium,
+    /// backscatter, attenuation. Left out, it is reconstruction, or what a path file asks for.
     #[arg(long, value_delimiter = ',', value_name = "MODE,...")]
     pub(crate) modes: Vec<String>,
     /// How to write the frames.
@@ -70,9 +70,10 @@ pub(crate) struct RenderArgs {
     /// Only the capture's held-out views.
     #[arg(long)]
     pub(crate) held_out: bool,
-    /// Follow a path instead of the cameras themselves: `interpolate` and `spiral` are made from them; a file saved by a
-    /// scene's page has its own cameras, looks and frames per second. Also nerfstudio's camera_path.json (with its model's
-    /// dataparser_transforms.json beside it) and COLMAP's images.txt (with cameras.txt beside it), at --frame-rate.
+    /// Follow a path instead of the cameras themselves: `interpolate` and `spiral` are made from them; a file
+    /// saved by a scene's page has its own cameras, looks and frames per second. Also nerfstudio's
+    /// camera_path.json (with its model's dataparser_transforms.json beside it) and COLMAP's images.txt (with
+    /// cameras.txt beside it), at --frame-rate.
     #[arg(long, value_name = "interpolate|spiral|FILE.json|images.txt")]
     pub(crate) path: Option<CameraPath>,
     /// Frames of the path.
@@ -84,19 +85,22 @@ pub(crate) struct RenderArgs {
     /// Frames per second of the video.
     #[arg(long, default_value_t = 30, value_name = "N")]
     pub(crate) frame_rate: u32,
-    /// Measure frames per second on the held-out views (all given ones where none are held out); no picture is written.
+    /// Measure frames per second on the held-out views (all given ones where none are
+    /// held out); no picture is written.
     #[arg(long, conflicts_with_all = ["out", "video", "path", "modes", "held_out"])]
     pub(crate) fps: bool,
     /// With --fps: one JSON document on stdout.
     #[arg(long, requires = "fps")]
     pub(crate) json: bool,
-    /// What draws: auto, cpu, gpu or gpu:NAME (`use3d devices` lists them). A card shows what the processor shows, to 1e-5.
+    /// What draws: auto, cpu, gpu or gpu:NAME (`use3d devices` lists them). A card shows
+    /// what the processor shows, to 1e-5.
     #[arg(long, default_value_t, value_name = "ENGINE")]
     pub(crate) engine: EngineChoice,
     /// How much of the enhancement to apply, 0 (reconstruction) to 1.
     #[arg(long, default_value_t = 1.0, value_name = "0..1")]
     pub(crate) strength: f32,
-    /// How much of the water to leave in reconstruction and enhanced, 0 (they are clear and enhanced-clear) to 1.
+    /// How much of the water to leave in reconstruction and enhanced, 0 (they are
+    /// clear and enhanced-clear) to 1.
     #[arg(long, default_value_t = 1.0, value_name = "0..1")]
     pub(crate) water: f32,
     #[command(flatten)]
@@ -147,10 +151,12 @@ pub(crate) struct ExportArgs {
     /// A compressed PLY, for PlayCanvas and SuperSplat.
     #[arg(long, value_name = "FILE.ply")]
     pub(crate) compressed_ply: Option<PathBuf>,
-    /// A page that shows the scene in a browser, with its water and enhancement: one file up to 32 MB, else with a folder.
+    /// A page that shows the scene in a browser, with its water and enhancement: one file
+    /// up to 32 MB, else with a folder.
     #[arg(long, value_name = "FILE.html")]
     pub(crate) web: Option<PathBuf>,
-    /// With --web: the capture whose photographs and places the page offers (or cameras alone, as `use3d render` reads them).
+    /// With --web: the capture whose photographs and places the page offers (or cameras alone,
+    /// as `use3d render` reads them).
     #[arg(long, value_name = "CAPTURE", requires = "web")]
     pub(crate) cameras: Option<PathBuf>,
     /// With --web: views that somebody saved from the page, with their names (the page's "Save file").

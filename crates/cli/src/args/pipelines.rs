@@ -50,30 +50,30 @@ pub(crate) struct RunArgs {
     /// Go on with the other scenes when one fails.
     #[arg(long)]
     pub(crate) keep_going: bool,
-    /// Only this scene in this variant and what it needs, where there are variants; may be repeated. Unlike `--scene`, it leaves the
-    /// batch as it is.
+    /// Only this scene in this variant and what it needs, where there are variants; may be repeated. Unlike
+    /// `--scene`, it leaves the batch as it is.
     #[arg(long, value_name = "SCENE[@VARIANT]", conflicts_with = "scene")]
     pub(crate) only: Vec<String>,
-    /// Leave before so much time has passed, e.g. `3h`, `90min` or `3:50:00`: trainings write checkpoints, and the exit code is 75
-    /// unless all is done. The same command goes on from there.
+    /// Leave before so much time has passed, e.g. `3h`, `90min` or `3:50:00`: trainings write checkpoints,
+    /// and the exit code is 75 unless all is done. The same command goes on from there.
     #[arg(long, value_name = "TIME", value_parser = time)]
     pub(crate) max_time: Option<Duration>,
-    /// Leave what other processes on the same cache compute to them, once there was nothing else to do for a minute, instead of
-    /// waiting for it.
+    /// Leave what other processes on the same cache compute to them, once there was nothing else to do for a
+    /// minute, instead of waiting for it.
     #[arg(long)]
     pub(crate) until_empty: bool,
     /// Fill the cache and put no results into a folder.
     #[arg(long, conflicts_with = "out")]
     pub(crate) cache_only: bool,
-    /// A store beside the cache (a folder, or s3://BUCKET/PREFIX): what it has is fetched instead of computed, what is computed is sent
-    /// to it. It may fail: the run goes on without it.
+    /// A store beside the cache (a folder, or s3://BUCKET/PREFIX): what it has is fetched instead of
+    /// computed, what is computed is sent to it. It may fail: the run goes on without it.
     #[arg(long, env = "USE3D_REMOTE", value_name = "URL", hide_env_values = true)]
     pub(crate) remote: Option<String>,
     /// Only say what would run (the same as `use3d plan`).
     #[arg(long)]
     pub(crate) dry_run: bool,
-    /// Where results go (default: ./use3d-out/NAME). Results of earlier runs there are brought up to date; what is not a result
-    /// of this program is never replaced.
+    /// Where results go (default: ./use3d-out/NAME). Results of earlier runs there are brought up to date;
+    /// what is not a result of this program is never replaced.
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
     #[command(flatten)]

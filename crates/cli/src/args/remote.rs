@@ -17,8 +17,8 @@ pub(crate) struct PushArgs {
 pub(crate) struct TransferArgs {
     #[command(flatten)]
     pub(crate) pipeline: PipelineArgs,
-    /// The store: a folder, or s3://BUCKET/PREFIX where this program was built with S3. Keys and server come from the usual AWS_…
-    /// variables.
+    /// The store: a folder, or s3://BUCKET/PREFIX where this program was built with S3. Keys and server come
+    /// from the usual AWS_… variables.
     #[arg(long, env = "USE3D_REMOTE", value_name = "URL", hide_env_values = true)]
     pub(crate) remote: String,
     /// One JSON document on stdout.

@@ -10,16 +10,19 @@ use use3d_reconstruct::EngineChoice;
 /// `--set` of a whole pipeline.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct Settings {
-    /// What trains both stages and draws: auto, cpu, gpu or gpu:NAME (`use3d devices` lists them; default: the pipeline's, or cpu).
+    /// What trains both stages and draws: auto, cpu, gpu or gpu:NAME (`use3d devices` lists them;
+    /// default: the pipeline's, or cpu).
     #[arg(long, value_name = "ENGINE")]
     pub(crate) engine: Option<EngineChoice>,
-    /// Set a parameter of a stage, e.g. `reconstruct.iterations=3000`; may be repeated. `use3d params` lists them.
+    /// Set a parameter of a stage, e.g. `reconstruct.iterations=3000`; may be
+    /// repeated. `use3d params` lists them.
     #[arg(long = "set", value_name = "STAGE.PARAMETER=VALUE")]
     pub(crate) set: Vec<String>,
 }
 
 impl Settings {
-    /// All settings as `--set` has them; the engine is a parameter like any other, and one that is set for a stage wins.
+    /// All settings as `--set` has them; the engine is a parameter like any other, and
+    /// one that is set for a stage wins.
     pub(crate) fn sets(&self) -> Vec<String> {
         let stages = ["reconstruct", "targets", "enhance", "render", "evaluate"];
         let engine =
@@ -31,8 +34,8 @@ impl Settings {
 /// `--set` of one stage.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct StageSettings {
-    /// Set a parameter of this stage, or `STAGE.PARAMETER` of one that it needs; may be repeated. `use3d params` lists
-    /// them.
+    /// Set a parameter of this stage, or `STAGE.PARAMETER` of one that it needs; may be
+    /// repeated. `use3d params` lists them.
     #[arg(long = "set", value_name = "PARAMETER=VALUE")]
     pub(crate) set: Vec<String>,
 }
@@ -40,10 +43,12 @@ pub(crate) struct StageSettings {
 /// What "enhanced" is learnt from, on the command line.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct CalibrationArgs {
-    /// Learn from these pairs: two folders of images with equal file stems (they win over the pipeline file's).
+    /// Learn from these pairs: two folders of images with equal file stems (they
+    /// win over the pipeline file's).
     #[arg(long, num_args = 2, value_names = ["INPUT", "TARGET"], conflicts_with = "calibrator")]
     pairs: Vec<PathBuf>,
-    /// Use this finished calibrator: `use3d calibrate`'s, or the authors' transition_calibrator.pth. Nothing is learnt then.
+    /// Use this finished calibrator: `use3d calibrate`'s, or the authors'
+    /// transition_calibrator.pth. Nothing is learnt then.
     #[arg(long, value_name = "FILE")]
     pub(crate) calibrator: Option<PathBuf>,
 }

@@ -76,8 +76,8 @@ pub(crate) struct TargetsArgs {
     /// The capture it was made from.
     #[arg(value_name = "CAPTURE_DIR")]
     pub(crate) capture: PathBuf,
-    /// A calibrator: 2D enhancements of the photographs are then what is proposed. Without one it is what stage 1 knows of the
-    /// scene.
+    /// A calibrator: 2D enhancements of the photographs are then what is proposed. Without one it is
+    /// what stage 1 knows of the scene.
     #[arg(long, value_name = "FILE")]
     pub(crate) calibrator: Option<PathBuf>,
     /// The targets file.
@@ -140,8 +140,8 @@ pub(crate) struct EvaluateArgs {
     /// The capture whose held-out views are scored.
     #[arg(value_name = "CAPTURE_DIR")]
     pub(crate) capture: Option<PathBuf>,
-    /// Compare neighbouring views by the depth of this scene (stage 1 of the same capture) instead of the scene's own, so that
-    /// several scenes are judged by the same pixels.
+    /// Compare neighbouring views by the depth of this scene (stage 1 of the same capture) instead of the
+    /// scene's own, so that several scenes are judged by the same pixels.
     #[arg(long, value_name = "SCENE_DIR", conflicts_with = "images")]
     pub(crate) warp_by: Option<PathBuf>,
     /// Score a plain folder of images instead.

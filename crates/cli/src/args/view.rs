@@ -43,14 +43,15 @@ pub(crate) struct ViewArgs {
     /// A scene, or a capture: its sparse points and cameras.
     #[arg(value_name = "SCENE_DIR|CAPTURE", required_unless_present = "follow", conflicts_with = "follow")]
     pub(crate) target: Option<PathBuf>,
-    /// Follow a training that another process does, by its files: a pipeline file or capture folder that is being run, the --out of
-    /// `use3d reconstruct`, a folder of checkpoints, or one checkpoint.
+    /// Follow a training that another process does, by its files: a pipeline file or capture folder that is
+    /// being run, the --out of `use3d reconstruct`, a folder of checkpoints, or one checkpoint.
     #[arg(long, value_name = "PIPELINE.toml|CAPTURE|SCENE_DIR|FILE")]
     pub(crate) follow: Option<PathBuf>,
     /// With --follow of a pipeline: which scene (default: the first).
     #[arg(long, value_name = "NAME", requires = "follow")]
     pub(crate) scene: Option<String>,
-    /// The capture whose photographs and places the page offers (or cameras alone, as `use3d render` reads them).
+    /// The capture whose photographs and places the page offers (or cameras alone,
+    /// as `use3d render` reads them).
     #[arg(long, value_name = "CAPTURE")]
     pub(crate) cameras: Option<PathBuf>,
     /// Views that somebody saved from the page, with their names (the page's "Save file").

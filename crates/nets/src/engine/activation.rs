@@ -2,8 +2,8 @@
 //! processor at hand: branch-free, fused multiply-adds only where written, so that every instruction set
 //! gives the same bits.
 //!
-//! Accuracy against exact arithmetic (tested): sigmoid, tanh, ELU and GELU 2e-7 absolute per unit. They are made
-//! of the ground's exponential ([`use3d_numerics::lanes::exp`]).
+//! Accuracy against exact arithmetic (tested): sigmoid, tanh, ELU and GELU 2e-7 absolute per unit. They are
+//! made of the ground's exponential ([`use3d_numerics::lanes::exp`]).
 
 use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;

@@ -1,4 +1,5 @@
-//! The pipeline file's own tables, as the JSON schema describes them. Stages add theirs, see [`super::schema`].
+//! The pipeline file's own tables, as the JSON schema describes them. Stages add
+//! theirs, see [`super::schema`].
 
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -49,8 +50,8 @@ pub(crate) struct Calibrator {
     /// Two folders of images with equal file stems.
     #[serde(default)]
     pub(crate) pairs: Option<Pairs>,
-    /// A calibrator that was made before, by `use3d calibrate` or by the paper's authors (`transition_calibrator.pth`);
-    /// nothing is learnt then.
+    /// A calibrator that was made before, by `use3d calibrate` or by the paper's authors
+    /// (`transition_calibrator.pth`); nothing is learnt then.
     #[serde(default)]
     pub(crate) file: Option<String>,
 }
@@ -59,8 +60,8 @@ pub(crate) struct Calibrator {
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct OwnCalibrator {
-    /// A calibrator that was made before, read here in place of what the others use; a variant's wins over a scene's. Pairs are for
-    /// all scenes and variants.
+    /// A calibrator that was made before, read here in place of what the others use; a variant's wins over a
+    /// scene's. Pairs are for all scenes and variants.
     pub(crate) file: String,
 }
 

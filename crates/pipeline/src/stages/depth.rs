@@ -1,5 +1,5 @@
-//! Depth priors by Depth Anything V2 (R14): where they are asked for, and, left to choose, where the capture has none of its own and
-//! the weights are in the models folder.
+//! Depth priors by Depth Anything V2 (R14): where they are asked for, and, left to choose, where the capture
+//! has none of its own and the weights are in the models folder.
 
 use std::path::Path;
 
@@ -77,7 +77,8 @@ pub(super) fn stage() -> Stage {
         .cost(0, 4 << 30)
 }
 
-/// Whether a scene's priors are to be made, from its parameters and from what lies in its capture and in the models folder.
+/// Whether a scene's priors are to be made, from its parameters and from what lies in its
+/// capture and in the models folder.
 fn asked_for(all: &AllParameters, named: &Named) -> bool {
     let of = |stage: &str| all.get(stage).cloned().unwrap_or_default();
     let import = serde_json::from_value(of("import")).unwrap_or_default();
@@ -89,7 +90,8 @@ fn asked_for(all: &AllParameters, named: &Named) -> bool {
     )
 }
 
-/// Whether priors are to be made for a capture (with the parameters of its import), by the parameters of `reconstruct` and `depth`.
+/// Whether priors are to be made for a capture (with the parameters of its import), by the
+/// parameters of `reconstruct` and `depth`.
 pub fn wanted(
     reconstruct: &Value,
     depth: &Value,
@@ -118,7 +120,8 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         context.alive()?;
         context.progress(i as u64, views.len() as u64, "views");
         let mut disparity = network.disparity(&load_pixels(view)?.to_image())?;
-        // The scale is arbitrary; 16 bits of the range between the 1 % and 99 % quantiles, larger is nearer, 0 is unknown.
+        // The scale is arbitrary; 16 bits of the range between the 1 % and 99 % quantiles,
+        // larger is nearer, 0 is unknown.
         let mut sorted: Vec<f32> =
             disparity.data().iter().copied().filter(|v| v.is_finite() && *v > 1e-8).collect();
         sorted.sort_unstable_by(f32::total_cmp);

@@ -1,15 +1,18 @@
-//! Held-out views scored: stage 1 against the photographs, every appearance for itself; and neighbouring views for consistency.
+//! Held-out views scored: stage 1 against the photographs, every appearance for itself; and
+//! neighbouring views for consistency.
 //!
 //! The 2D enhancer's images of the held-out photographs are kept, for the report to show beside the scene's.
 //!
-//! Rendered images are scored as they are rendered (f32, clamped to the display range), not from files; the `render` stage shows
-//! the same images, and both are functions of the same artifacts. Where the capture has its truth beside it, appearances, depth and
-//! water are also measured against that ([`crate::judge::truth`]).
+//! Rendered images are scored as they are rendered (f32, clamped to the display range), not from
+//! files; the `render` stage shows the same images, and both are functions of the same artifacts.
+//! Where the capture has its truth beside it, appearances, depth and water are also measured against
+//! that ([`crate::judge::truth`]).
 //!
-//! Consistency has two forms, both over views that lie next to each other. *Neighbours* are captured views that follow one another
-//! in the capture: only there are photographs, so only there can the 2D enhancer be tried on photographs. The *path* swims through the
-//! training cameras with several frames from one to the next: what a film of the scene shows. Depth, masks and raw inputs come from the
-//! reference variant's stage 1, the same for all variants of a scene, so that no variant is judged by its own geometry.
+//! Consistency has two forms, both over views that lie next to each other. *Neighbours* are captured views
+//! that follow one another in the capture: only there are photographs, so only there can the 2D enhancer be
+//! tried on photographs. The *path* swims through the training cameras with several frames from one to the
+//! next: what a film of the scene shows. Depth, masks and raw inputs come from the reference variant's stage
+//! 1, the same for all variants of a scene, so that no variant is judged by its own geometry.
 
 use std::path::Path;
 
@@ -53,7 +56,8 @@ pub(super) struct Params {
     pub(super) path_pairs: usize,
     /// Frames of that path from one training view to the next.
     pub(super) path_steps: usize,
-    /// What draws the scenes: `cpu`; `auto` (a graphics card that passed its check, else the processor); `gpu`; `gpu:NAME`.
+    /// What draws the scenes: `cpu`; `auto` (a graphics card that passed its check, else the
+    /// processor); `gpu`; `gpu:NAME`.
     #[schemars(with = "String")]
     pub(super) engine: EngineChoice,
 }
@@ -309,8 +313,8 @@ fn learnt_from(context: &StageContext) -> Method {
     }
 }
 
-/// The reference variant's stage 1, seen from cameras of the scene that is scored. A variant that is imported in another way lies in another
-/// frame; both frames come from the same model.
+/// The reference variant's stage 1, seen from cameras of the scene that is scored. A variant that is imported
+/// in another way lies in another frame; both frames come from the same model.
 struct Reference<'a> {
     renderer: SceneRenderer<'a>,
     /// The scored scene's frame and the reference's, where they differ.

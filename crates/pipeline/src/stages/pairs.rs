@@ -1,4 +1,5 @@
-//! The paired images in operator space: what the extractor says about each pair and about the proposal for it.
+//! The paired images in operator space: what the extractor says about each pair
+//! and about the proposal for it.
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};

@@ -46,8 +46,8 @@ mod network {
 
     /// Long side of proposals, pixels, as 3D-USE makes them.
     const PROPOSAL: usize = 384;
-    /// Longest side at which pictures are enhanced at full detail, pixels: about 5 GB of memory. Larger ones are enhanced at this size
-    /// and brought back to their own.
+    /// Longest side at which pictures are enhanced at full detail, pixels: about 5 GB of memory. Larger ones
+    /// are enhanced at this size and brought back to their own.
     const LONGEST: usize = 2048;
 
     impl Network {
@@ -82,7 +82,8 @@ mod network {
     }
 }
 
-/// Opens a proposer. `models` is the models folder, if there is one; `say` hears which was taken when the choice was left open.
+/// Opens a proposer. `models` is the models folder, if there is one; `say` hears which was taken
+/// when the choice was left open.
 pub fn open(
     choice: ProposerChoice,
     models: Option<&Path>,
@@ -106,7 +107,8 @@ pub fn open(
     }
 }
 
-/// The proposer that a calibrator was fitted for, by the name it records; another one that is asked for by name is an error (R25).
+/// The proposer that a calibrator was fitted for, by the name it records; another one that is asked
+/// for by name is an error (R25).
 pub(super) fn of_calibrator(
     choice: ProposerChoice,
     recorded: &str,

@@ -1,4 +1,5 @@
-//! The held-out views as pictures: captured, reconstruction, clear, enhanced, enhanced-clear, depth, and the water's maps.
+//! The held-out views as pictures: captured, reconstruction, clear, enhanced,
+//! enhanced-clear, depth, and the water's maps.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -19,11 +20,13 @@ use crate::engines::{self, ChoosesEngine, EngineChoice};
 pub(super) struct Params {
     /// How much of the enhancement is shown, 0 to 1.
     pub(super) strength: f32,
-    /// How much of the water is left in `reconstruction` and `enhanced`, 0 (none: they are `clear` and `enhanced-clear`) to 1.
+    /// How much of the water is left in `reconstruction` and `enhanced`, 0 (none: they are
+    /// `clear` and `enhanced-clear`) to 1.
     pub(super) water: f32,
     /// Whether depth is also written as EXR, in normalised scene units.
     pub(super) depth_exr: bool,
-    /// What draws: `cpu`; `auto` (a graphics card that passed its check, else the processor); `gpu`; `gpu:NAME`.
+    /// What draws: `cpu`; `auto` (a graphics card that passed its check, else the
+    /// processor); `gpu`; `gpu:NAME`.
     #[schemars(with = "String")]
     pub(super) engine: EngineChoice,
 }

@@ -141,7 +141,8 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     write_text(&context.output().join("index.html"), &page.html()?)
 }
 
-/// What a batch comes to: the sentences of a scene that is alone, else how many scenes turn out how; and what is missing.
+/// What a batch comes to: the sentences of a scene that is alone, else how many scenes
+/// turn out how; and what is missing.
 fn overall(scenes: &[SceneSection], missing: &[String]) -> Vec<Sentence> {
     let mut out = Vec::new();
     if scenes.len() > 1 {
@@ -344,8 +345,8 @@ fn inline(svg: &str) -> String {
     svg.find("<svg").map_or_else(String::new, |start| svg[start..].to_string())
 }
 
-/// The look that a scene leads with: the one that its enhancement was learnt in. Colours that were learnt to look right through water
-/// are too strong without it.
+/// The look that a scene leads with: the one that its enhancement was learnt in. Colours that were learnt to
+/// look right through water are too strong without it.
 fn best_look(enhanced: Option<&Path>) -> Result<Mode, StageError> {
     let Some(folder) = enhanced else { return Ok(Mode::Clear) };
     let appearance = Scene::load(folder)?.enhancement.map(|e| e.appearance);
@@ -356,7 +357,8 @@ fn best_look(enhanced: Option<&Path>) -> Result<Mode, StageError> {
     })
 }
 
-/// The held-out views: what was captured, what a 2D enhancer makes of it and what the scene makes of it lead, the other pictures follow.
+/// The held-out views: what was captured, what a 2D enhancer makes of it and what the scene makes of it
+/// lead, the other pictures follow.
 fn views(
     renders: &Path,
     evaluated: Option<&Path>,
@@ -427,8 +429,8 @@ fn view_scores(stem: &str, scores: Option<&SceneScores>) -> Vec<String> {
     wanted.into_iter().filter_map(text).collect()
 }
 
-/// The water by direction (along the horizontal of the first training view) and by position (along the training cameras, looking one
-/// way).
+/// The water by direction (along the horizontal of the first training view) and by position (along the
+/// training cameras, looking one way).
 fn water(parts: &Parts<'_>) -> Result<Vec<PlotFigure>, StageError> {
     let (Some(scene), Some(import)) = (parts.path("scene"), parts.path("import")) else {
         return Ok(Vec::new());

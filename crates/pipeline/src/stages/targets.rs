@@ -1,4 +1,5 @@
-//! The scene's targets: one global operator and one local operator per Gaussian, agreed by all training views.
+//! The scene's targets: one global operator and one local operator per
+//! Gaussian, agreed by all training views.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -23,14 +24,16 @@ use crate::engines::{self, ChoosesEngine, EngineChoice};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct Params {
-    /// What proposes. `scene`, unless pairs or a calibrator are named: stage 1's own knowledge of the views, in clear radiance; it needs no
-    /// calibrator. A 2D enhancer: `auto` is the one that the calibrator was fitted for, another one is refused.
+    /// What proposes. `scene`, unless pairs or a calibrator are named: stage 1's own knowledge of the views,
+    /// in clear radiance; it needs no calibrator. A 2D enhancer: `auto` is the one that the calibrator was
+    /// fitted for, another one is refused.
     pub(super) proposer: ProposerChoice,
     /// The consensus.
     pub(super) consensus: TargetsParams,
     /// Views shown side by side: captured (or clear), proposal, calibrated on its own, consensus.
     pub(super) previews: usize,
-    /// What lifts views to the Gaussians: `cpu`; `auto` (a graphics card that passed its check, else the processor); `gpu`; `gpu:NAME`.
+    /// What lifts views to the Gaussians: `cpu`; `auto` (a graphics card that passed its check, else the
+    /// processor); `gpu`; `gpu:NAME`.
     #[schemars(with = "String")]
     pub(super) engine: EngineChoice,
 }
@@ -52,7 +55,8 @@ impl ChoosesEngine for Params {
     }
 }
 
-/// How near two classes of arithmetic are: a Gaussian at the edge of what is seen may be seen by one of them only.
+/// How near two classes of arithmetic are: a Gaussian at the edge of what is seen
+/// may be seen by one of them only.
 const FIGURES: [Figure; 1] = [Figure { file: "report.json", at: "/supported", within: 20.0 }];
 
 pub(super) fn stage() -> Stage {
