@@ -96,7 +96,15 @@ impl Bucket {
             sent.map_err(|e| self.refused("write", name, &e))?;
             first = part(from)?;
         }
-        upload.complete().await.map(drop).map_err(|e| self.refused("write", name, &e))
+        match upload.complete().await {
+            // The answer to a first try may have been lost, and with it the upload is over; so is one that
+            // the bucket has swept.
+            Err(Error::NotFound { source, .. }) => {
+                let error = Error::Generic { store: "S3", source };
+                Err(self.refused("write", name, &error))
+            }
+            done => done.map(drop).map_err(|e| self.refused("write", name, &e)),
+        }
     }
 }
 

@@ -5,20 +5,30 @@
 //! AWS_ENDPOINT_URL=http://127.0.0.1:5555 AWS_ACCESS_KEY_ID=any AWS_SECRET_ACCESS_KEY=any AWS_REGION=us-east-1 \
 //!     USE3D_S3=s3://use3d-test/here cargo test -p use3d-store --features s3 --test s3 -- --nocapture
 //! ```
+//!
+//! What is computed here and fetched there is then done again through a [server that fails](faults) in all
+//! the ways that servers do.
 #![cfg(feature = "s3")]
+
+mod faults;
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, Read};
 use std::path::Path;
+use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 
+use faults::{Fault, Proxy};
 use use3d_build::code::CodeTable;
 use use3d_build::remote::{Remote, RemoteError, RemoteStore};
 use use3d_build::{
     Batch, BatchScene, Builder, Cache, Graph, Listener, Registry, RunOptions, Scope, Silent, Stage,
 };
+
+/// Set where nothing can be had from the server: all is computed.
+const USELESS: &str = "USE3D_S3_USELESS";
 
 fn remote() -> Option<Arc<dyn Remote>> {
     let Ok(address) = std::env::var("USE3D_S3") else {
@@ -57,22 +67,52 @@ fn what_is_computed_here_is_fetched_there() {
     let Some(remote) = remote() else { return };
     let folder = tempfile::tempdir().expect("a folder");
     let store = Arc::new(RemoteStore::new(remote));
+    let useless = std::env::var_os(USELESS).is_some();
+    let probed = store.probe(&AtomicBool::new(false));
+    assert_eq!(probed.is_err(), useless, "{probed:?}");
     let listener: Arc<dyn Listener> = Arc::new(Silent);
     let mut batch = Batch { name: "words".to_string(), ..Batch::default() };
     batch.scenes.push(BatchScene { name: "reef".to_string(), ..BatchScene::default() });
     let mut bytes = Vec::new();
-    for (name, computed) in [("here", 2), ("there", 0)] {
+    for (name, computed) in [("here", 2), ("there", if useless { 2 } else { 0 })] {
         let builder = builder(&folder.path().join(name)).with_remote(store.clone());
         let graph = Graph::new(&builder.registry, &batch).expect("a graph");
         let summary = builder.run(&graph, &RunOptions::default(), &listener);
         assert_eq!((summary.exit_code(), summary.done()), (0, computed), "{name}");
+        // Manifests tell when something was computed: the same where it was computed once.
+        let manifest = if useless { "" } else { "manifest.json" };
         let read = |(_, _, path): (String, _, std::path::PathBuf)| {
-            ["manifest.json", "deep/number", "large", "copy"]
+            [manifest, "deep/number", "large", "copy"]
                 .map(|file| fs::read(path.join(file)).unwrap_or_default())
         };
         bytes.push(builder.cache.artifacts().into_iter().map(read).collect::<Vec<_>>());
     }
-    assert!(bytes[0].len() == 2 && bytes[0] == bytes[1], "every byte, those of the manifests too");
+    assert!(bytes[0].len() == 2 && bytes[0] == bytes[1], "every byte");
+}
+
+#[test]
+fn whatever_a_server_does_results_are_right() {
+    if remote().is_none() {
+        return;
+    }
+    let endpoint = std::env::var("AWS_ENDPOINT_URL")
+        .expect("the server of USE3D_S3, without TLS: AWS_ENDPOINT_URL=http://…");
+    for fault in Fault::ALL {
+        let proxy = Proxy::start(&endpoint, fault);
+        let start = std::time::Instant::now();
+        let mut child = Command::new(std::env::current_exe().expect("this test"));
+        child.args(["--exact", "what_is_computed_here_is_fetched_there", "--nocapture"]);
+        child.env("AWS_ENDPOINT_URL", proxy.address());
+        if fault.is_lasting() {
+            child.env(USELESS, "1");
+        }
+        let output = child.output().expect("the test starts");
+        let said = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
+        let (requests, failed) = proxy.counts();
+        println!("{fault:?}: {failed} of {requests} requests failed, {:.0} s", start.elapsed().as_secs_f64());
+        assert!(output.status.success(), "{fault:?}: {said}");
+        assert!(failed > 0, "{fault:?}: nothing was done to it");
+    }
 }
 
 #[test]

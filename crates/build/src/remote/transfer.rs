@@ -98,17 +98,22 @@ impl RemoteStore {
             // What stays behind is a few bytes.
             let _ = self.remote.remove(&name);
             let (again, there) = (again?, there?);
-            // A client that asks again by itself when an answer is lost is told that the name
-            // is there: by its own first try.
-            if !(first || there && found == bytes) {
-                return Err(refused("create", "it says that a new name is there already"));
-            }
-            if again || (there && found != bytes) {
+            if again || found == b"again" {
                 let reason = "it lets a name be created twice (it takes no notice of `If-None-Match: *`), so that two machines could \
                     replace each other's artifacts; take a store that refuses, or a folder that all machines see";
                 return Err(refused("rely on", reason));
             }
-            if found == bytes { Ok(()) } else { Err(refused("read", "what was just written is not there")) }
+            if there && found != bytes {
+                // Nobody wrote these: they were changed on the way, and may be right the next time.
+                let reason = "comes back with other bytes than were written".to_string();
+                return Err(RemoteError::Wrong { place: self.place(), name: name.clone(), reason });
+            }
+            // A client that asks again by itself when an answer is lost is told that the name
+            // is there: by its own first try.
+            if !(first || there) {
+                return Err(refused("create", "it says that a new name is there already"));
+            }
+            if there { Ok(()) } else { Err(refused("read", "what was just written is not there")) }
         })
     }
 

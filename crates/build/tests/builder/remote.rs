@@ -331,6 +331,7 @@ fn a_store_that_cannot_be_relied_on_is_refused_when_it_is_opened() {
         (Some(Fault::Forbidden), "403"),
         (Some(Fault::Unavailable), "503"),
         (Some(Fault::Missing), "not there"),
+        (Some(Fault::Wrong), "other bytes"),
         (None, ""),
     ] {
         let remote = Arc::new(Faulty::new(move |_, _| fault));
@@ -342,10 +343,17 @@ fn a_store_that_cannot_be_relied_on_is_refused_when_it_is_opened() {
         }
         assert!(remote.inner.objects().is_empty(), "{fault:?}: what it was tried with is gone");
     }
-    // An answer that is lost once is no reason.
-    for fault in [Fault::AnswerLost, Fault::AskedTwice] {
+    // An answer that is lost once is no reason, nor one that arrives with a wrong byte.
+    for (fault, at) in [
+        (Fault::AnswerLost, "create"),
+        (Fault::AskedTwice, "create"),
+        (Fault::Wrong, "get"),
+        (Fault::Truncated, "get"),
+    ] {
         let count = AtomicUsize::new(0);
-        let remote = Faulty::new(move |_, _| (count.fetch_add(1, Ordering::Relaxed) == 0).then_some(fault));
+        let remote = Faulty::new(move |doing, _| {
+            (doing == at && count.fetch_add(1, Ordering::Relaxed) == 0).then_some(fault)
+        });
         store(remote).probe(&AtomicBool::new(false)).expect("a good store");
     }
 }
