@@ -10,10 +10,11 @@ use serde::Serialize;
 use use3d_reconstruct::engine::{Diagnostics, Engine, TrainingState};
 use use3d_training::{Drain, EngineError};
 
+use crate::ceilings::{Ceilings, measure, need};
 use crate::check::check;
 use crate::device::{AdapterReport, Gpu};
 use crate::profile::KernelTime;
-use crate::stage1::Stage1;
+use crate::stage1::{Stage1, ViewWork};
 use crate::twins::{self, Agreement, LossCase, Packed, WaterCase};
 
 /// What is run.
@@ -27,6 +28,8 @@ pub struct BenchPlan {
     pub gaussians: Vec<usize>,
     /// Steps of each training that are timed; as many as there are views warm up.
     pub steps: u64,
+    /// Bytes that are copied at once to find out how fast it goes.
+    pub copied: u64,
 }
 
 /// The record.
@@ -42,6 +45,8 @@ pub struct BenchRecord {
     pub variant: String,
     /// What the check at the start says.
     pub check: CheckRecord,
+    /// What it does at best.
+    pub ceilings: CeilingsRecord,
     /// Kernels beside the processor's functions, and whole steps in every variant.
     pub twins: Vec<TwinRecord>,
     /// Whether three runs give the same bits, in every variant.
@@ -75,7 +80,11 @@ pub struct TrainingRecord {
     pub dispatches_per_step: Option<f64>,
     /// Per kernel, over a few steps more.
     pub kernels: BTreeMap<&'static str, KernelRecord>,
-    /// Mean time of the backward pass in every variant, milliseconds.
+    /// The view of the last of them; `None` where the device has no clock.
+    pub view: Option<ViewRecord>,
+    /// Per kernel, what a step of that view needs at least.
+    pub roofline: BTreeMap<&'static str, RooflineRecord>,
+    /// Mean time of the backward pass in every variant, with every number of pixels to a thread, milliseconds.
     pub backward_milliseconds: BTreeMap<String, f64>,
     /// Why there are no figures: the device has too little memory, say.
     pub refusal: Option<String>,
@@ -166,6 +175,59 @@ pub struct TimesRecord {
     pub kernels: BTreeMap<&'static str, KernelRecord>,
 }
 
+/// What a device does at best, by two kernels that do nothing else.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct CeilingsRecord {
+    /// Bytes read and written in a second by a copy, 10⁹.
+    pub copy_gigabytes_per_second: f64,
+    /// Operations in a second by multiply-adds in single precision, two each, 10⁹.
+    pub multiply_add_gigaflops: f64,
+}
+
+impl From<Ceilings> for CeilingsRecord {
+    fn from(Ceilings { bytes, flops }: Ceilings) -> Self {
+        Self { copy_gigabytes_per_second: 1e-9 * bytes, multiply_add_gigaflops: 1e-9 * flops }
+    }
+}
+
+/// How much there is to do in a view.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct ViewRecord {
+    /// Gaussians on the screen.
+    pub visible: usize,
+    /// (tile, Gaussian) entries.
+    pub entries: usize,
+    /// Gaussians that a pixel looks at before it stops, mean.
+    pub tested_per_pixel: f64,
+    /// Of them, those with a part in it.
+    pub live_per_pixel: f64,
+}
+
+impl From<&ViewWork> for ViewRecord {
+    fn from(work: &ViewWork) -> Self {
+        let per_pixel = |pairs: u64| pairs as f64 / work.pixels.max(1) as f64;
+        Self {
+            visible: work.visible,
+            entries: work.entries,
+            tested_per_pixel: per_pixel(work.tested),
+            live_per_pixel: per_pixel(work.live),
+        }
+    }
+}
+
+/// A kernel beside what it needs at least.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct RooflineRecord {
+    /// Bytes of a step, every buffer once, 10⁶.
+    pub megabytes: f64,
+    /// Operations of a step, 10⁶.
+    pub megaflops: f64,
+    /// Least milliseconds for these, by what the device does at best.
+    pub least_milliseconds: f64,
+    /// That over the time that the kernel took; a buffer that stays in the device's caches can bring it above 1.
+    pub share: f64,
+}
+
 /// One kernel.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct KernelRecord {
@@ -192,6 +254,8 @@ fn run_twins(gpu: &Gpu, size: (usize, usize)) -> Result<Vec<(String, Agreement)>
 
 /// Views of a training here.
 const VIEWS: usize = 4;
+/// Seconds that a measurement of what a device does at best takes at least.
+const LEAST: f64 = 0.02;
 /// Steps whose kernels are timed by the device's clock.
 const PROFILED: u64 = 20;
 
@@ -251,8 +315,32 @@ fn kernel_records(times: BTreeMap<&'static str, KernelTime>) -> BTreeMap<&'stati
     times.into_iter().map(|(name, time)| (name, record(time))).collect()
 }
 
+/// Kernels of `steps` steps beside what they need at least.
+fn roofline(
+    kernels: &BTreeMap<&'static str, KernelRecord>,
+    steps: u64,
+    work: &ViewWork,
+    ceilings: &Ceilings,
+) -> BTreeMap<&'static str, RooflineRecord> {
+    let record = |(name, kernel): (&&'static str, &KernelRecord)| {
+        let needed = need(name, work)?;
+        let least = 1e3 * ceilings.least(needed);
+        let taken = kernel.milliseconds * kernel.dispatches as f64 / steps.max(1) as f64;
+        let [bytes, flops] = needed;
+        let share = if taken > 0.0 { least / taken } else { 0.0 };
+        let record = RooflineRecord {
+            megabytes: 1e-6 * bytes,
+            megaflops: 1e-6 * flops,
+            least_milliseconds: least,
+            share,
+        };
+        Some((*name, record))
+    };
+    kernels.iter().filter_map(record).collect()
+}
+
 /// Trains on a packed scene: first against the processor's clock, then with the device's.
-fn train(gpu: &Gpu, scene: &Packed, steps: u64) -> Result<TrainingRecord, EngineError> {
+fn train(gpu: &Gpu, scene: &Packed, steps: u64, ceilings: &Ceilings) -> Result<TrainingRecord, EngineError> {
     let views = scene.views as u64;
     let mut engine = begun(gpu, scene)?;
     let (started, submits) = (Instant::now(), gpu.submits());
@@ -277,14 +365,15 @@ fn train(gpu: &Gpu, scene: &Packed, steps: u64) -> Result<TrainingRecord, Engine
             go_on(&mut engine, scene, step..step + 1)?;
             timed.read_times(&mut times)?;
         }
-        Ok::<_, EngineError>(times)
+        let work = engine.last_view([scene.width, scene.height])?;
+        Ok::<_, EngineError>((times, work))
     };
-    let times = profile(gpu.variant())?;
+    let (times, work) = profile(gpu.variant())?;
     let dispatches: u64 = times.values().map(|time| time.dispatches).sum();
     let kernels = kernel_records(times);
     let mut backward_milliseconds = BTreeMap::new();
-    for variant in gpu.variants() {
-        let own = if variant == gpu.variant() { None } else { Some(kernel_records(profile(variant)?)) };
+    for variant in gpu.trials() {
+        let own = if variant == gpu.variant() { None } else { Some(kernel_records(profile(variant)?.0)) };
         if let Some(record) = own.as_ref().unwrap_or(&kernels).get("backward") {
             backward_milliseconds.insert(variant.to_string(), record.milliseconds);
         }
@@ -298,6 +387,8 @@ fn train(gpu: &Gpu, scene: &Packed, steps: u64) -> Result<TrainingRecord, Engine
         bytes,
         submits_per_step: submits as f64 / steps.max(1) as f64,
         dispatches_per_step: (dispatches > 0).then(|| dispatches as f64 / profiled.max(1) as f64),
+        view: (dispatches > 0).then(|| (&work).into()),
+        roofline: roofline(&kernels, profiled, &work, ceilings),
         kernels,
         backward_milliseconds,
         refusal: None,
@@ -315,12 +406,14 @@ pub fn bench(gpu: &Gpu, plan: &BenchPlan, mut tell: impl FnMut(&str)) -> Result<
         seconds: started.elapsed().as_secs_f64(),
     };
 
+    tell("what it does at best");
+    let ceilings = measure(gpu, plan.copied, LEAST)?;
     tell("kernels beside the processor's functions");
     let mut found = Vec::new();
     for size in [(61, 47), (96, 64), (257, 33)] {
         found.extend(run_twins(gpu, size)?);
     }
-    for variant in gpu.variants() {
+    for variant in gpu.trials() {
         let scene = Packed { width: 61, height: 47, gaussians: 600, views: 2, seed: 3 };
         let mut engine = Stage1::new(&gpu.clone().with(variant))?;
         let case = format!("step, {variant}, {scene:?}");
@@ -379,7 +472,7 @@ pub fn bench(gpu: &Gpu, plan: &BenchPlan, mut tell: impl FnMut(&str)) -> Result<
         for &gaussians in &plan.gaussians {
             tell(&format!("{} steps at {width} x {height} with {gaussians} Gaussians", plan.steps));
             let scene = Packed { width, height, gaussians, views: VIEWS, seed: 7 };
-            trainings.push(match train(gpu, &scene, plan.steps) {
+            trainings.push(match train(gpu, &scene, plan.steps, &ceilings) {
                 // The others may fit.
                 Err(error @ EngineError::OutOfMemory { .. }) => TrainingRecord {
                     size: [width, height],
@@ -391,6 +484,8 @@ pub fn bench(gpu: &Gpu, plan: &BenchPlan, mut tell: impl FnMut(&str)) -> Result<
                     submits_per_step: 0.0,
                     dispatches_per_step: None,
                     kernels: BTreeMap::new(),
+                    view: None,
+                    roofline: BTreeMap::new(),
                     backward_milliseconds: BTreeMap::new(),
                     refusal: Some(error.to_string()),
                 },
@@ -400,10 +495,11 @@ pub fn bench(gpu: &Gpu, plan: &BenchPlan, mut tell: impl FnMut(&str)) -> Result<
     }
     Ok(BenchRecord {
         format: "3d-use gpu bench",
-        version: 3,
+        version: 4,
         adapter: gpu.adapter().into(),
         variant: gpu.variant().to_string(),
         check,
+        ceilings: ceilings.into(),
         twins,
         determinism,
         times,
@@ -420,11 +516,13 @@ mod tests {
     #[test]
     fn a_record_has_all_its_parts() {
         let Some(gpu) = software() else { return };
-        let plan = BenchPlan { sizes: vec![(33, 20)], rounds: 2, gaussians: vec![60], steps: 5 };
+        let plan =
+            BenchPlan { sizes: vec![(33, 20)], rounds: 2, gaussians: vec![60], steps: 5, copied: 1 << 20 };
         let mut told = Vec::new();
         let record = bench(&gpu, &plan, |what| told.push(what.to_string())).unwrap();
         assert!(record.check.passed && record.determinism.iter().all(|runs| runs.same), "{record:?}");
         assert_eq!(record.determinism.len(), 2, "both variants");
+        assert!(record.ceilings.copy_gigabytes_per_second > 0.0, "{record:?}");
         assert!(record.twins.iter().all(|twin| twin.holds), "{record:?}");
         let kernels = &record.times[0].kernels;
         assert!(kernels.contains_key("gather") && kernels["weigh"].dispatches == 1, "{kernels:?}");
@@ -434,8 +532,14 @@ mod tests {
             "{record:?}"
         );
         assert_eq!((training.submits_per_step, training.kernels["update"].dispatches), (1.0, 5));
-        assert_eq!(training.backward_milliseconds.len(), 2, "{training:?}");
+        // The portable one, and one, two and four pixels to a thread.
+        assert_eq!(training.backward_milliseconds.len(), 4, "{training:?}");
+        let view = training.view.unwrap();
+        assert!(view.visible > 0 && view.visible <= 60 && view.entries > 0, "{view:?}");
+        assert!(0.0 < view.live_per_pixel && view.live_per_pixel <= view.tested_per_pixel, "{view:?}");
+        let needs = &training.roofline;
+        assert!(needs.contains_key("backward") && needs.values().all(|need| need.share > 0.0), "{needs:?}");
         assert!(training.dispatches_per_step.is_some_and(|n| n <= 60.0), "{training:?}");
-        assert!(told.len() == 5 && serde_json::to_string(&record).unwrap().contains("llvmpipe"));
+        assert!(told.len() == 6 && serde_json::to_string(&record).unwrap().contains("llvmpipe"));
     }
 }

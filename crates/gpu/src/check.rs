@@ -119,7 +119,11 @@ mod tests {
             let gpu = sound(gpu.clone().with(variant)).unwrap();
             assert_eq!(gpu.variant(), variant);
         }
-        assert_eq!(gpu.with(Variant::Subgroups(64)).variant(), Variant::Portable, "not its width");
+        assert_eq!(
+            gpu.with(Variant::Subgroups { width: 64, pixels: 2 }).variant(),
+            Variant::Portable,
+            "not its width"
+        );
     }
 
     #[test]

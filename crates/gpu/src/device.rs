@@ -318,10 +318,15 @@ impl Gpu {
         Variant::of_subgroups(has, self.report.subgroup)
     }
 
+    /// The same with every number of pixels to a thread: what is measured on a card before one is taken.
+    pub fn trials(&self) -> Vec<Variant> {
+        self.variants().into_iter().flat_map(Variant::each).collect()
+    }
+
     /// The same device for kernels of another variant; the portable one where it cannot do this one.
     #[must_use]
     pub fn with(mut self, variant: Variant) -> Self {
-        self.variant = if self.variants().contains(&variant) { variant } else { Variant::Portable };
+        self.variant = if self.trials().contains(&variant) { variant } else { Variant::Portable };
         self
     }
 

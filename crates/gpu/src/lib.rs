@@ -49,6 +49,7 @@
 
 pub mod bench;
 mod buffer;
+mod ceilings;
 mod check;
 mod chunks;
 mod device;

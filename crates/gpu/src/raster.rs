@@ -15,14 +15,14 @@ use crate::frame::{FRAME, FRAME_BINDING, Frame};
 use crate::kernel::{Access, Binding, Constant, Grid, Kernel, ROWS, Spec, U32S, bound, read, write};
 use crate::lists::Drawn;
 use crate::scene::Row;
-use crate::variant::{Variant, WIDTHS};
+use crate::variant::{EACH, Variant, WIDTHS};
 
 /// Threads of the forward pass: the pixels of a tile.
 const FORWARD: u32 = 256;
 /// Threads of the portable backward pass: Gaussians of a round.
 const BACKWARD: u32 = 64;
-/// Threads of the one with subgroups, two pixels to each.
-const BACKWARD_PIXELS: u32 = 128;
+/// Pixels of a tile.
+const PIXELS: u32 = 256;
 
 /// What WGSL text both passes share.
 pub(crate) const SHARED: &str = include_str!("raster/shared.wgsl");
@@ -98,10 +98,14 @@ fn backward(water: bool, variant: Variant) -> Spec {
     let water = [("WATER", water)];
     match variant {
         Variant::Portable => spec("backward", BACKWARD, &more, &water, include_str!("raster/backward.wgsl")),
-        Variant::Subgroups(width) => {
+        Variant::Subgroups { width, pixels } => {
             let body = include_str!("raster/backward_subgroups.wgsl");
-            let mut spec = spec("backward", BACKWARD_PIXELS, &more, &water, body);
-            spec.constants.push(("WIDTH", Constant::Count(width)));
+            let threads = PIXELS / pixels;
+            let mut spec = spec("backward", threads, &more, &water, body);
+            // A round is loaded by one thread each, and its sums lie in workgroup memory.
+            let halves = if pixels == 1 || 2 * width > threads { 1 } else { 2 };
+            let counts = [("WIDTH", width), ("EACH", pixels), ("HALVES", halves)];
+            spec.constants.extend(counts.map(|(name, count)| (name, Constant::Count(count))));
             spec
         }
     }
@@ -111,7 +115,8 @@ fn backward(water: bool, variant: Variant) -> Spec {
 pub(crate) fn specs() -> Vec<Spec> {
     let both = [false, true];
     let mut specs: Vec<Spec> = both.iter().flat_map(|w| OUTPUTS.map(|k| forward(*w, k))).collect();
-    let variants = [Variant::Portable].into_iter().chain(WIDTHS.map(Variant::Subgroups));
+    let subgroups = WIDTHS.iter().flat_map(|&width| EACH.map(|pixels| Variant::Subgroups { width, pixels }));
+    let variants = [Variant::Portable].into_iter().chain(subgroups);
     specs.extend(variants.flat_map(|variant| both.map(|water| backward(water, variant))));
     specs
 }

@@ -16,6 +16,7 @@ use crate::raster::{Outputs, Planes, RasterKernels, WaterPlanes};
 use crate::scene::{DeviceScene, Row};
 use crate::testing::{camera, cloud, elsewhere, relative, software, water};
 use crate::update::UpdateKernels;
+use crate::variant::Variant;
 
 const RATES: StepRates = StepRates {
     means: 1e-3,
@@ -114,6 +115,10 @@ impl Case {
 impl Bench {
     /// In each variant of the software adapter; none without one.
     fn each() -> Vec<Self> {
+        Self::of(|gpu| gpu.variants())
+    }
+
+    fn of(variants: impl Fn(&Gpu) -> Vec<Variant>) -> Vec<Self> {
         let Some(gpu) = software() else { return Vec::new() };
         let with = |variant| {
             let gpu = gpu.clone().with(variant);
@@ -124,7 +129,7 @@ impl Bench {
                 gpu,
             }
         };
-        gpu.variants().into_iter().map(with).collect()
+        variants(&gpu).into_iter().map(with).collect()
     }
 
     /// Draws and differentiates with every buffer poisoned; `room` entries, more where they do not suffice.
@@ -335,9 +340,9 @@ fn the_same_view_is_the_same_bytes() {
 /// What [`subgroups_of_every_width_agree`] runs in processes of other widths.
 #[test]
 fn subgroups_of_this_width_agree() {
-    for bench in Bench::each() {
+    for bench in Bench::of(Gpu::trials) {
         agree(&bench, &Case::new(cloud(600, -2.5, 0.5), 75, 58, true), 1, "600");
-        println!("\nagrees with {}", bench.gpu.variant());
+        println!("\nagrees with {}.", bench.gpu.variant());
     }
 }
 
@@ -349,7 +354,9 @@ fn subgroups_of_every_width_agree() {
     for width in [4, 8, 16] {
         let width_in_bits = (32 * width).to_string();
         let (well, text) = elsewhere("tests::subgroups_of_this_width_agree", "2", &width_in_bits);
-        let told = format!("agrees with subgroups of {width}");
-        assert!(well && text.contains(&told), "{width}: {text}");
+        for pixels in ["", ", 1 pixel a thread", ", 4 pixels a thread"] {
+            let told = format!("agrees with subgroups of {width}{pixels}.");
+            assert!(well && text.contains(&told), "{width}: {text}");
+        }
     }
 }

@@ -9,17 +9,33 @@ pub enum Variant {
     /// same however many run in step.
     #[default]
     Portable,
-    /// B: threads have pixels, and so many of them, which run in step, add up together.
-    Subgroups(u32),
+    /// B: threads have pixels, and those that run in step add up together.
+    Subgroups {
+        /// Threads that run in step.
+        width: u32,
+        /// Pixels of a thread.
+        pixels: u32,
+    },
 }
 
 /// Threads in step that there are kernels for.
 pub(crate) const WIDTHS: [u32; 5] = [4, 8, 16, 32, 64];
+/// Pixels of a thread that there are kernels for, the one that is taken first.
+pub(crate) const EACH: [u32; 3] = [2, 1, 4];
 
 impl Variant {
     /// B for a device that has operations across threads and always as many in step; `None` for any other.
     pub(crate) fn of_subgroups(has: bool, [least, most]: [u32; 2]) -> Option<Self> {
-        (has && least == most && WIDTHS.contains(&least)).then_some(Self::Subgroups(least))
+        let able = has && least == most && WIDTHS.contains(&least);
+        able.then_some(Self::Subgroups { width: least, pixels: EACH[0] })
+    }
+
+    /// B with every number of pixels to a thread; A alone.
+    pub(crate) fn each(self) -> Vec<Self> {
+        match self {
+            Self::Portable => vec![self],
+            Self::Subgroups { width, .. } => EACH.map(|pixels| Self::Subgroups { width, pixels }).into(),
+        }
     }
 }
 
@@ -27,7 +43,9 @@ impl fmt::Display for Variant {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Portable => f.write_str("portable"),
-            Self::Subgroups(width) => write!(f, "subgroups of {width}"),
+            Self::Subgroups { width, pixels } if *pixels == EACH[0] => write!(f, "subgroups of {width}"),
+            Self::Subgroups { width, pixels: 1 } => write!(f, "subgroups of {width}, 1 pixel a thread"),
+            Self::Subgroups { width, pixels } => write!(f, "subgroups of {width}, {pixels} pixels a thread"),
         }
     }
 }
@@ -38,10 +56,15 @@ mod tests {
 
     #[test]
     fn a_width_that_varies_or_has_no_kernel_is_left_to_the_portable_one() {
-        assert_eq!(Variant::of_subgroups(true, [32, 32]), Some(Variant::Subgroups(32)));
+        let two = |width| Variant::Subgroups { width, pixels: 2 };
+        assert_eq!(Variant::of_subgroups(true, [32, 32]), Some(two(32)));
         for (has, widths) in [(false, [32, 32]), (true, [32, 64]), (true, [1, 1]), (true, [128, 128])] {
             assert_eq!(Variant::of_subgroups(has, widths), None, "{has} {widths:?}");
         }
-        assert_eq!(Variant::Subgroups(8).to_string(), "subgroups of 8");
+        let names: Vec<String> = two(8).each().iter().map(Variant::to_string).collect();
+        let expected =
+            ["subgroups of 8", "subgroups of 8, 1 pixel a thread", "subgroups of 8, 4 pixels a thread"];
+        assert_eq!(names, expected);
+        assert_eq!(Variant::Portable.each(), [Variant::Portable]);
     }
 }

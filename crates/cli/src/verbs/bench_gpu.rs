@@ -24,8 +24,14 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
         }
     };
     say(&format!("{} ({})", gpu.adapter().name, gpu.adapter().driver));
-    let plan =
-        BenchPlan { sizes, rounds: args.rounds, gaussians: args.gaussians.clone(), steps: args.steps as u64 };
+    let plan = BenchPlan {
+        sizes,
+        rounds: args.rounds,
+        gaussians: args.gaussians.clone(),
+        steps: args.steps as u64,
+        // What every adapter binds, and more than its caches hold.
+        copied: 128 << 20,
+    };
     let record = bench(&gpu, &plan, say).map_err(CliError::failed)?;
     write_file("--out", &args.out, |writer| {
         serde_json::to_writer_pretty(&mut *writer, &record)?;
@@ -45,6 +51,13 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
             each.iter().map(|(variant, time)| format!("{variant} {time:.2} ms")).collect();
         if !each.is_empty() {
             say(&format!("  backward pass: {}", each.join(", ")));
+        }
+        let share = |name: &str| {
+            training.roofline.get(name).map(|need| format!("{name} {:.0} %", 100.0 * need.share))
+        };
+        let shares: Vec<String> = ["forward", "backward", "update"].into_iter().filter_map(share).collect();
+        if !shares.is_empty() {
+            say(&format!("  of what the card does at best: {}", shares.join(", ")));
         }
     }
     say(&format!("written to {} in {}", path_text(&args.out), seconds(record.seconds)));

@@ -1,18 +1,18 @@
-// One workgroup per tile, two pixels side by side to a thread. Threads that run in step, a team, have a rectangle of the tile: threads
-// are numbered along a Z-curve, so any such run of them lies together.
+// One workgroup per tile, one, two or four pixels that lie together to a thread. Threads that run in step, a team, have a rectangle of the
+// tile: pixels are numbered along a Z-curve, so any such run of them lies together.
 //
 // Of a round of Gaussians each team leaves out those that miss its rectangle, and walks over the others from the farthest to the
 // nearest: what a team adds up comes from one operation across its threads, and the teams' sums are added in their order.
 const TEAMS: u32 = WG / WIDTH;
-const ROUND: u32 = 2u * WIDTH;
+const ROUND: u32 = HALVES * WIDTH;
 const WORDS: u32 = (WIDTH + 31u) / 32u;
 
 var<workgroup> near: array<vec4<f32>, ROUND>;
 var<workgroup> far: array<vec4<f32>, ROUND>;
 var<workgroup> tint: array<vec4<f32>, ROUND>;
 var<workgroup> parts: array<vec4<f32>, 3u * TEAMS * ROUND>;
-// By team, by half of the round: which Gaussians have a part.
-var<workgroup> hits: array<u32, 2u * TEAMS * WORDS>;
+// By team, by part of the round: which Gaussians have a part.
+var<workgroup> hits: array<u32, HALVES * TEAMS * WORDS>;
 var<workgroup> last: atomic<u32>;
 var<workgroup> last_entry: u32;
 
@@ -32,15 +32,13 @@ struct Pixel {
 
 struct Record { r0: vec4<f32>, r1: vec4<f32>, r2: vec4<f32> }
 
-// Every second bit of seven, the lowest first.
+// Every second bit of eight, the lowest first.
 fn compact(bits: u32) -> u32 {
     return (bits & 1u) | ((bits >> 1u) & 2u) | ((bits >> 2u) & 4u) | ((bits >> 3u) & 8u);
 }
 
-// Where the first pixel of a thread lies in its tile.
-fn place_of(thread: u32) -> vec2<u32> {
-    return vec2<u32>(2u * compact(thread >> 1u), compact(thread));
-}
+// Where a pixel along the curve lies in its tile.
+fn place_of(number: u32) -> vec2<u32> { return vec2<u32>(compact(number), compact(number >> 1u)); }
 
 fn pixel_at(tile: u32, at: vec2<u32>) -> Pixel {
     let column = (tile % frame.size.z) * TILE + at.x;
@@ -149,14 +147,29 @@ fn main(
     if (lid == 0u) { atomicStore(&last, 0u); }
     workgroupBarrier();
     // A team's own number and not the thread's: teams need not be numbered as threads are.
-    let at = place_of(team * WIDTH + lane);
-    var left_pixel = pixel_at(tile, at);
-    var right_pixel = pixel_at(tile, at + vec2<u32>(1u, 0u));
-    let furthest = max(left_pixel.end, right_pixel.end);
+    let own = EACH * (team * WIDTH + lane);
+    // By name: a thread's pixels stay in registers.
+    var one = pixel_at(tile, place_of(own));
+    var two = Pixel();
+    var three = Pixel();
+    var four = Pixel();
+    var furthest = one.end;
+    var corner = vec2<f32>(one.x, one.y);
+    if (EACH > 1u) {
+        two = pixel_at(tile, place_of(own + 1u));
+        furthest = max(furthest, two.end);
+        corner = vec2<f32>(two.x, two.y);
+    }
+    if (EACH > 2u) {
+        three = pixel_at(tile, place_of(own + 2u));
+        four = pixel_at(tile, place_of(own + 3u));
+        furthest = max(furthest, max(three.end, four.end));
+        corner = vec2<f32>(four.x, four.y);
+    }
     atomicMax(&last, furthest);
     let team_end = subgroupMax(furthest);
-    let low = subgroupMin(vec2<f32>(left_pixel.x, left_pixel.y));
-    let high = subgroupMax(vec2<f32>(right_pixel.x, right_pixel.y));
+    let low = subgroupMin(vec2<f32>(one.x, one.y));
+    let high = subgroupMax(corner);
     workgroupBarrier();
     if (lid == 0u) { last_entry = min(count, atomicLoad(&last)); }
     let end = workgroupUniformLoad(&last_entry);
@@ -176,7 +189,7 @@ fn main(
             tint[lid] = splats[3u * i + 2u];
         }
         workgroupBarrier();
-        for (var half = 0u; half < 2u; half++) {
+        for (var half = 0u; half < HALVES; half++) {
             let mine = half * WIDTH + lane;
             var meets = false;
             if (mine < size) {
@@ -196,9 +209,13 @@ fn main(
                     let b = far[j];
                     let color = tint[j].xyz;
                     var record = Record();
-                    let one = pass_by(&left_pixel, k, a, b, color, s_gradient, &record);
-                    let two = pass_by(&right_pixel, k, a, b, color, s_gradient, &record);
-                    if (subgroupAny(one || two)) {
+                    var met = pass_by(&one, k, a, b, color, s_gradient, &record);
+                    if (EACH > 1u) { met = pass_by(&two, k, a, b, color, s_gradient, &record) || met; }
+                    if (EACH > 2u) {
+                        met = pass_by(&three, k, a, b, color, s_gradient, &record) || met;
+                        met = pass_by(&four, k, a, b, color, s_gradient, &record) || met;
+                    }
+                    if (subgroupAny(met)) {
                         hit |= 1u << bit;
                         let r0 = subgroupAdd(record.r0);
                         let r1 = subgroupAdd(record.r1);
@@ -211,7 +228,7 @@ fn main(
                         }
                     }
                 }
-                if (lane == 0u) { hits[(2u * team + half) * WORDS + word] = hit; }
+                if (lane == 0u) { hits[(HALVES * team + half) * WORDS + word] = hit; }
             }
         }
         workgroupBarrier();
@@ -220,7 +237,7 @@ fn main(
             let at = lid % WIDTH;
             var record = Record();
             for (var t = 0u; t < TEAMS; t++) {
-                if (((hits[(2u * t + half) * WORDS + at / 32u] >> (at % 32u)) & 1u) == 1u) {
+                if (((hits[(HALVES * t + half) * WORDS + at / 32u] >> (at % 32u)) & 1u) == 1u) {
                     let place = 3u * (t * ROUND + lid);
                     record.r0 += parts[place];
                     record.r1 += parts[place + 1u];

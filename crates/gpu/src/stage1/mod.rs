@@ -6,6 +6,7 @@
 //! made and the same steps are asked for again: a step is a function of its plan, so the run goes on as if
 //! there had been room from the start.
 
+mod counted;
 mod forecast;
 mod step;
 mod stored;
@@ -37,6 +38,7 @@ use crate::raster::{Planes, RasterKernels, WaterPlanes};
 use crate::scene::{DeviceScene, Row};
 use crate::update::UpdateKernels;
 use crate::water::Water;
+pub(crate) use counted::ViewWork;
 pub use forecast::training_bytes;
 use stored::Unpacked;
 pub(crate) use stored::specs;

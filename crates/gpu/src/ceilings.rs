@@ -1,0 +1,191 @@
+//! What a card can do at best, measured, and what a step's kernels need at least, counted: the time that
+//! follows is a kernel's roofline, and its share of the time taken says how much there is to win.
+//!
+//! Two kernels find the ceilings: one copies, one multiplies and adds. What a kernel needs is every buffer
+//! read and written once, and the operations of its text (a multiply-add is two, an exponential one), from
+//! the sizes of the view that was drawn last and the pairs of pixel and Gaussian in it.
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use use3d_training::EngineError;
+
+use crate::buffer::Array;
+use crate::device::Gpu;
+use crate::kernel::{Access, Kernel, ROWS, Spec, bound, submit};
+use crate::scene::Row;
+use crate::stage1::ViewWork;
+
+/// Threads of a workgroup.
+const THREADS: u32 = 256;
+/// Threads that multiply, and operations of each in a round: sixteen multiply-adds of four.
+const MULTIPLIERS: usize = 1 << 18;
+const PER_ROUND: f64 = 16.0 * 4.0 * 2.0;
+/// Times that each is measured; the best counts.
+const TIMES: usize = 3;
+
+fn copy() -> Spec {
+    Spec {
+        name: "copy",
+        threads: THREADS,
+        bindings: vec![(Access::Read, "origin", ROWS), (Access::Write, "copied", ROWS)],
+        constants: vec![],
+        parts: vec![include_str!("ceilings/copy.wgsl")],
+    }
+}
+
+fn multiply() -> Spec {
+    Spec {
+        name: "multiply",
+        threads: THREADS,
+        bindings: vec![(Access::Uniform, "rounds", "vec4<u32>"), (Access::Write, "sums", ROWS)],
+        constants: vec![],
+        parts: vec![include_str!("ceilings/multiply.wgsl")],
+    }
+}
+
+/// What a device did at best.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Ceilings {
+    /// Bytes a second, read and written together.
+    pub(crate) bytes: f64,
+    /// Operations in single precision a second.
+    pub(crate) flops: f64,
+}
+
+/// Seconds of some dispatches, by the device's clock where it has one.
+fn seconds(gpu: &Gpu, record: impl FnOnce(&mut wgpu::ComputePass<'_>)) -> Result<f64, EngineError> {
+    gpu.wait()?;
+    gpu.read_times(&mut BTreeMap::new())?;
+    let started = Instant::now();
+    submit(gpu, "ceiling", record)?;
+    gpu.wait()?;
+    let waited = started.elapsed().as_secs_f64();
+    let mut times = BTreeMap::new();
+    gpu.read_times(&mut times)?;
+    let own: f64 = times.values().map(|time| time.seconds).sum();
+    Ok(if own > 0.0 { own } else { waited })
+}
+
+/// The best rate of work whose size is doubled until it takes `least` seconds or is `most`.
+fn best(
+    least: f64,
+    most: u32,
+    mut run: impl FnMut(u32) -> Result<(f64, f64), EngineError>,
+) -> Result<f64, EngineError> {
+    let mut size = 1;
+    while size < most && run(size)?.1 < least {
+        size *= 2;
+    }
+    let mut rate = 0.0f64;
+    for _ in 0..TIMES {
+        let (work, time) = run(size)?;
+        rate = rate.max(work / time.max(f64::MIN_POSITIVE));
+    }
+    Ok(rate)
+}
+
+/// Measures a device: buffers of `bytes`, at least `least` seconds for a measurement.
+pub(crate) fn measure(gpu: &Gpu, bytes: u64, least: f64) -> Result<Ceilings, EngineError> {
+    let gpu = &gpu.clone().timed();
+    let (copy, multiply) = (Kernel::new(gpu, &copy())?, Kernel::new(gpu, &multiply())?);
+    let rows = (bytes.min(gpu.longest()) as usize / size_of::<Row>()).max(1);
+    let (from, to) = (Array::<Row>::new(gpu, "rows", rows)?, Array::<Row>::new(gpu, "copied rows", rows)?);
+    // No more dispatches at once than the clock has places for.
+    let bytes = best(least, 1024, |size| {
+        let time = seconds(gpu, |pass| {
+            (0..size).for_each(|_| copy.dispatch(pass, copy.grid(rows), bound![from, to]));
+        })?;
+        Ok((2.0 * (rows * size_of::<Row>()) as f64 * f64::from(size), time))
+    })?;
+    let (rounds, sums) = (Array::uniform(gpu, "rounds")?, Array::<Row>::new(gpu, "sums", MULTIPLIERS)?);
+    let flops = best(least, 1 << 20, |size| {
+        rounds.write(gpu, 0, &[[size, 0.999f32.to_bits(), 0.001f32.to_bits(), 0]]);
+        let time =
+            seconds(gpu, |pass| multiply.dispatch(pass, multiply.grid(MULTIPLIERS), bound![rounds, sums]))?;
+        Ok((PER_ROUND * MULTIPLIERS as f64 * f64::from(size), time))
+    })?;
+    Ok(Ceilings { bytes, flops })
+}
+
+/// What a kernel needs in one step of stage 1, everything switched on: bytes and operations; `None` for
+/// kernels of one workgroup, whose time is a launch.
+pub(crate) fn need(kernel: &str, work: &ViewWork) -> Option<[f64; 2]> {
+    let ViewWork { gaussians, visible, entries, tested, live, pixels, tile_passes } = *work;
+    let (n, seen, e, p) = (gaussians as f64, visible as f64, entries as f64, pixels as f64);
+    let (tested, live) = (tested as f64, live as f64);
+    // Depth has four digits, the tile's number as many as it needs.
+    let (by_depth, by_tile) = (4.0, tile_passes as f64);
+    // Three levels, a quarter of the pixels each time.
+    let levels = 1.0 + 1.0 / 4.0 + 1.0 / 16.0;
+    Some(match kernel {
+        "unpack" => [26.0 * p, 6.0 * p],
+        // Geometry of all, colours of what is visible; a splat, a key, a count.
+        "project" => [104.0 * n + 192.0 * seen, 250.0 * n + 130.0 * seen],
+        "sort: histogram" => [4.0 * (by_depth * n + by_tile * e), 0.0],
+        "sort: scatter" => [16.0 * (by_depth * n + by_tile * e) - 4.0 * (n + e), 0.0],
+        "reduce" => [8.0 * n, 0.0],
+        "offsets" => [20.0 * n, 0.0],
+        "emit" => [8.0 * n + 32.0 * seen + 8.0 * e, 60.0 * e],
+        // Entry, owner and splat once a tile; water and sums of every pixel.
+        "forward" => [56.0 * e + 100.0 * p, 10.0 * tested + 47.0 * live],
+        "backward" => [104.0 * e + 68.0 * p, 10.0 * tested + 79.0 * live],
+        // Values and both moments of 60 numbers, read and written; splat, run, statistics; records.
+        "update" => [1512.0 * n + 48.0 * e, (59.0 * 12.0 + 300.0) * n + 12.0 * e],
+        "weigh" => [52.0 * p, 36.0 * p],
+        "pool" => [24.0 * p * (1.0 + 1.0 / 4.0 + 1.0 / 4.0 + 1.0 / 16.0), 6.0 * p],
+        // Two passes of eleven taps over four moments, the first with the margin of 26 × 16 for 16 × 16.
+        "compare" => [60.0 * p * levels, 3.0 * (11.0 * (12.0 * 1.6 + 8.0) + 30.0) * p * levels],
+        "blur_back" => [75.0 * p * levels, 3.0 * (11.0 * (6.0 * 1.6 + 6.0) + 12.0) * p * levels],
+        "pull" => [64.0 * p, 36.0 * p],
+        "depth_means" | "depth_deviations" => [8.0 * p, 10.0 * p],
+        "depth_slopes" => [12.0 * p, 12.0 * p],
+        // Basis, nine sums of sixteen bands, two soft signs a channel; and back.
+        "look" => [36.0 * p, (60.0 + 288.0 + 6.0 * 25.0) * p],
+        "gather" => [84.0 * p, (60.0 + 288.0 + 6.0 * 25.0) * p],
+        _ => return None,
+    })
+}
+
+impl Ceilings {
+    /// Least seconds for so many bytes and operations.
+    pub(crate) fn least(&self, [bytes, flops]: [f64; 2]) -> f64 {
+        (bytes / self.bytes).max(flops / self.flops)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernel::tests::validate;
+    use crate::testing::software;
+
+    #[test]
+    fn the_kernels_are_valid() {
+        [copy(), multiply()].iter().for_each(validate);
+    }
+
+    #[test]
+    fn ceilings_are_found_and_least_times_follow() {
+        let Some(gpu) = software() else { return };
+        let found = measure(&gpu, 1 << 20, 1e-4).unwrap();
+        assert!(
+            found.bytes > 1e6 && found.bytes < 1e14 && found.flops > 1e6 && found.flops < 1e16,
+            "{found:?}"
+        );
+        let ceilings = Ceilings { bytes: 100.0, flops: 1000.0 };
+        assert_eq!((ceilings.least([200.0, 10.0]), ceilings.least([1.0, 3000.0])), (2.0, 3.0));
+    }
+
+    /// The terms of a kernel's need that can be told apart.
+    #[test]
+    fn needs_follow_from_sizes() {
+        let none = ViewWork { tile_passes: 1, ..ViewWork::default() };
+        assert_eq!(need("backward", &none), Some([0.0, 0.0]));
+        let pairs = ViewWork { tested: 10, live: 2, ..none };
+        assert_eq!(need("forward", &pairs), Some([0.0, 194.0]));
+        let sorted = ViewWork { gaussians: 100, entries: 50, tile_passes: 2, ..none };
+        assert_eq!(need("sort: histogram", &sorted), Some([2000.0, 0.0]));
+        assert_eq!(need("tell", &sorted), None);
+    }
+}

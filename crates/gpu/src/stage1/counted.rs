@@ -1,0 +1,75 @@
+//! How much there was to do in the view that was drawn last, counted in main memory from what the device left.
+
+use use3d_training::EngineError;
+
+use super::Stage1;
+use crate::buffer::read_together;
+use crate::frame::{TILE, counts};
+use crate::scene::SPLAT;
+
+/// Sizes of a view, and its pairs of pixel and Gaussian.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct ViewWork {
+    pub(crate) gaussians: usize,
+    /// Of them, on the screen.
+    pub(crate) visible: usize,
+    /// (tile, Gaussian) entries.
+    pub(crate) entries: usize,
+    /// Pairs that a pixel looks at before it stops.
+    pub(crate) tested: u64,
+    /// Of them, those with a part in the pixel.
+    pub(crate) live: u64,
+    pub(crate) pixels: usize,
+    /// Passes of the order by tile.
+    pub(crate) tile_passes: u32,
+}
+
+/// log2 of the least opacity that counts, with the opposite sign: the kernels' threshold.
+const LOG2_255: f32 = 7.994_353_3;
+
+impl Stage1 {
+    /// Counts the view of the last step, which had so many pixels across and down; waited for.
+    pub(crate) fn last_view(&self, [width, height]: [usize; 2]) -> Result<ViewWork, EngineError> {
+        let (gpu, n, pixels) = (&self.gpu, self.scene.count, width * height);
+        let side = TILE as usize;
+        let [across, down] = [width.div_ceil(side), height.div_ceil(side)];
+        let entries = self.counts.read(gpu, counts::WORDS)?[counts::ENTRIES] as usize;
+        let drawn = self.lists.drawn();
+        let [splats, starts, lists, owners, stops, axes] = read_together(
+            gpu,
+            [
+                (drawn.splats.raw(), 4 * SPLAT * n),
+                (drawn.starts.raw(), across * down + 1),
+                (drawn.lists.raw(), entries),
+                (drawn.owners.raw(), entries),
+                (self.planes.stop.raw(), pixels),
+                (drawn.axes.raw(), side * (across + down)),
+            ],
+        )?;
+        let splats: &[f32] = bytemuck::cast_slice(&splats);
+        let (columns, rows) = bytemuck::cast_slice::<u32, f32>(&axes).split_at(side * across);
+        let splat = |i: u32| splats.get(4 * SPLAT * i as usize..)?.first_chunk::<12>();
+        let (mut tested, mut live) = (0, 0);
+        for (tile, ends) in starts.windows(2).enumerate() {
+            let listed = lists.get(ends[0] as usize..ends[1] as usize).unwrap_or_default();
+            let own: Vec<&[f32; 12]> =
+                listed.iter().filter_map(|&at| splat(*owners.get(at as usize)?)).collect();
+            let (left, top) = (side * (tile % across), side * (tile / across));
+            for y in top..(top + side).min(height) {
+                for x in left..(left + side).min(width) {
+                    let until = (stops[y * width + x] as usize).saturating_add(1).min(own.len());
+                    tested += until as u64;
+                    let meets = |s: &&&[f32; 12]| {
+                        let dy = rows[y] - s[1];
+                        let t = columns[x] - (s[0] - s[2] * dy);
+                        s[5] - s[4] * dy * dy - s[3] * t * t >= -LOG2_255
+                    };
+                    live += own[..until].iter().filter(meets).count() as u64;
+                }
+            }
+        }
+        let visible = splats.chunks_exact(4 * SPLAT).filter(|splat| splat[11] == 1.0).count();
+        let tile_passes = (usize::BITS - (across * down).leading_zeros()).div_ceil(8);
+        Ok(ViewWork { gaussians: n, visible, entries, tested, live, pixels, tile_passes })
+    }
+}
