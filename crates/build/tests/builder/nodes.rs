@@ -200,7 +200,8 @@ fn two_machines_share_the_work_and_compute_nothing_twice() {
     }
 }
 
-/// Where the first machine waits for the second: it has begun a stage, and goes on when it is told.
+/// Where the first machine waits for the second: it has begun a stage, and goes on when it is told, or when
+/// the sender is gone. Let it go inside the scope of the threads: a test that fails would wait for ever.
 fn gate(stage: &'static str) -> (impl Fn(&Event<'_>) + Send + Sync, Receiver<()>, Sender<()>) {
     let ((begun, begins), (go, goes)) = (mpsc::channel(), mpsc::channel::<()>());
     let goes = Mutex::new(goes);
@@ -271,6 +272,7 @@ fn while_another_one_computes_something_else_is_done() {
         let import = summary.nodes.iter().find(of).expect("there");
         assert!(matches!(&import.result, Became::Elsewhere(who) if who.contains("east")), "{import:?}");
         go.send(()).expect("goes on");
+        drop(go);
         let (summary, told) = first.join().expect("runs");
         assert_eq!(summary.exit_code(), 0, "{summary}");
         assert!(told.started.iter().all(|l| l.starts_with("reef") || l == "report"), "{:?}", told.started);
@@ -349,6 +351,7 @@ fn who_computes_what_is_seen_from_another_machine() {
         let text = status.to_string();
         assert!(text.contains("running") && text.contains("reef · import: on east (process 1)"), "{text}");
         go.send(()).expect("goes on");
+        drop(go);
         first.join().expect("runs");
     });
     let text = west.plan(&graph, None).status().to_string();
