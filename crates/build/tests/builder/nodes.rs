@@ -18,8 +18,11 @@ use use3d_build::{Batch, Builder, Cache, Event, Graph, Listener, Summary};
 
 use super::stages::{Fast, batch, builder, payload, registry, run};
 
-/// How fast the clocks of these machines run: their minutes are parts of a second.
-const RATE: f64 = 200.0;
+/// How fast the clocks of these machines run: their minutes are seconds. No faster: whoever shows no sign of
+/// life for five of their minutes is taken for dead, and a thread may be kept from running for a second or two.
+const RATE: f64 = 20.0;
+/// The clock of a machine that nobody waits for.
+const HASTE: f64 = 200.0;
 
 /// A machine's view of the files: for `late` after it has looked for an artifact in vain it does not see it
 /// come, unless it asks anew and `stubborn` is not set; of every `nth` rename and creation it hears that it
@@ -120,8 +123,12 @@ impl Files for Network {
 
 /// A machine on the cache in `folder` whose stages take `delay` milliseconds.
 fn machine(folder: &Path, host: &str, files: Arc<dyn Files>, delay: u64) -> Builder {
+    machine_at(RATE, folder, host, files, delay)
+}
+
+fn machine_at(rate: f64, folder: &Path, host: &str, files: Arc<dyn Files>, delay: u64) -> Builder {
     let year = Duration::from_secs(31_536_000);
-    let clock = Clock::other(if host == "west" { year } else { Duration::ZERO }, RATE);
+    let clock = Clock::other(if host == "west" { year } else { Duration::ZERO }, rate);
     let cache = Cache::with_files(folder, false, files).expect("cache");
     Builder::new(registry(delay), cache.as_node(Node::elsewhere(host, clock)))
 }
@@ -286,8 +293,8 @@ fn a_run_whose_time_is_over_leaves_its_checkpoints_to_the_next() {
     let mut batch = batch(&dir.path().join("data"), &["reef"]);
     batch.defaults.insert("reconstruct".to_string(), json!({"iterations": 1200}));
     let expected = undisturbed(dir.path(), &batch);
-    let east = machine(&dir.path().join("cache"), "east", Arc::new(Fast), 6);
     // By a clock that runs two hundred times as fast.
+    let east = machine_at(HASTE, &dir.path().join("cache"), "east", Arc::new(Fast), 6);
     let limited =
         |seconds: u64| RunOptions { limit: Some(Duration::from_secs(seconds)), ..RunOptions::default() };
     let (mut codes, mut resumed) = (Vec::new(), 0);
@@ -311,7 +318,7 @@ fn what_would_be_cut_off_is_left_for_a_run_with_more_time() {
     let dir = tempfile::tempdir().expect("folder");
     let batch = batch(&dir.path().join("data"), &["reef"]);
     let folder = dir.path().join("cache");
-    let east = machine(&folder, "east", Arc::new(Fast), 12);
+    let east = machine_at(HASTE, &folder, "east", Arc::new(Fast), 12);
     // Everything else is quick; by what is known, this one takes nearly all of the
     // time, and leaves no checkpoints.
     let timing = json!({"stage": "targets", "scene": "reef", "length": 1.0, "bytes": 0, "seconds": 17_999.9,
