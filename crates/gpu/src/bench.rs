@@ -165,10 +165,11 @@ fn train(gpu: &Gpu, scene: &Packed, steps: u64, ceilings: &Ceilings) -> Result<T
             go_on(&mut engine, scene, step..step + 1)?;
             timed.read_times(&mut times)?;
         }
-        let work = engine.last_view([scene.width, scene.height])?;
-        Ok::<_, EngineError>((times, work))
+        Ok::<_, EngineError>((times, engine))
     };
-    let (times, work) = profile(gpu.variant())?;
+    let (times, engine) = profile(gpu.variant())?;
+    let work = engine.last_view([scene.width, scene.height])?;
+    drop(engine);
     let dispatches: u64 = times.values().map(|time| time.dispatches).sum();
     let kernels = kernel_records(times);
     let mut backward_milliseconds = BTreeMap::new();

@@ -151,8 +151,8 @@ impl LinearSplat {
         self.check(channels, values.len(), out.len())?;
         self.prepare(channels)?;
         for (part, first) in self.parts.iter().zip((0..channels).step_by(TOGETHER)) {
-            let own = |row: &[f32]| row[first..first + part.channels].to_vec();
-            let own: Vec<f32> = values.chunks_exact(channels).flat_map(own).collect();
+            let rows = values.chunks_exact(channels);
+            let own: Vec<f32> = rows.flat_map(|row| &row[first..first + part.channels]).copied().collect();
             part.values.write(&self.gpu, 0, &own);
         }
         let Self { lists, planes, parts, frame, .. } = self;

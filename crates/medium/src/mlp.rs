@@ -304,16 +304,10 @@ impl Gradients {
 /// hold a whole one, else by one.
 const ROWS: usize = 4;
 
-/// Whether a register holds 16 numbers. Known when compiled.
-#[inline(always)]
-fn wide<S: Simd>() -> bool {
-    <S::f32s as SimdBase<S>>::LEN == LANES
-}
-
 /// `out = weights · input (+ bias)`: `[out][in] × [in][BLOCK]`.
 #[inline(always)]
 fn product<S: Simd>(simd: S, weights: &[f32], bias: Option<&[f32]>, input: &[f32], out: &mut [f32]) {
-    if wide::<S>() {
+    if product::is_wide::<S>() {
         product_tiles::<S, 2>(simd, weights, bias, input, out);
     } else {
         product_tiles::<S, 1>(simd, weights, bias, input, out);
@@ -373,7 +367,7 @@ fn accumulate<S: Simd>(
         }
     }
     // The first layer has one vector of inputs only.
-    if wide::<S>() && inputs > LANES {
+    if product::is_wide::<S>() && inputs > LANES {
         accumulate_tiles::<S, 2>(simd, d_out, turned, inputs, weights);
     } else {
         accumulate_tiles::<S, 1>(simd, d_out, turned, inputs, weights);

@@ -13,3 +13,5 @@ pub mod range;
 pub mod rows;
 pub mod spherical_harmonics;
 pub mod sums;
+#[cfg(test)]
+mod testing;

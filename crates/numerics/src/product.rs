@@ -20,6 +20,13 @@ use fearless_simd::{Simd, f32x16};
 /// Numbers of a vector: a tile is a multiple of it wide.
 pub const LANES: usize = 16;
 
+/// Whether one register holds [`LANES`] numbers, so that there are 32 of such registers (AVX-512), or several are
+/// needed for a vector and the tile must be smaller. Known when compiled.
+#[inline(always)]
+pub const fn is_wide<S: Simd>() -> bool {
+    <S::f32s as SimdBase<S>>::LEN == LANES
+}
+
 /// The left factor of a tile.
 pub trait Left {
     /// The factor of row `r` in term `k`.
@@ -98,6 +105,7 @@ pub fn tile<S: Simd, const R: usize, const V: usize>(
 mod tests {
     use super::*;
     use crate::random::{Purpose, Stream};
+    use crate::testing::fuses;
     use fearless_simd::{Level, dispatch};
 
     const TERMS: usize = 137;
@@ -132,10 +140,7 @@ mod tests {
                 .map(|(r, c)| element(r, c))
                 .collect()
         };
-        #[cfg(target_arch = "x86_64")]
-        let is_fused = std::arch::is_x86_feature_detected!("fma");
-        #[cfg(not(target_arch = "x86_64"))]
-        let is_fused = cfg!(target_arch = "aarch64");
+        let is_fused = fuses();
         let check = |found: Vec<f32>, expected: Vec<f32>, what: &str| {
             assert_eq!(found.len(), expected.len(), "{what}");
             for (f, e) in found.iter().zip(&expected) {

@@ -31,5 +31,5 @@ mod view;
 pub use compose::{Pairs, Rasterizer};
 pub use gaussians::{GaussianGradients, Gaussians, GaussiansError};
 pub use lists::Prepared;
-pub use project::{BLUR, FAR, NEAR, view_colors};
+pub use project::{BLUR, FAR, LOG2_255, NEAR, view_colors};
 pub use view::{Colors, Gradients, Layers, Options, RenderGradients, Rendered, ViewOf};

@@ -1,5 +1,6 @@
 //! How much there was to do in the view that was drawn last, counted in main memory from what the device left.
 
+use use3d_splat::LOG2_255;
 use use3d_training::EngineError;
 
 use super::Stage1;
@@ -23,9 +24,6 @@ pub(crate) struct ViewWork {
     /// Passes of the order by tile.
     pub(crate) tile_passes: u32,
 }
-
-/// log2 of the least opacity that counts, with the opposite sign: the kernels' threshold.
-const LOG2_255: f32 = 7.994_353_3;
 
 impl Stage1 {
     /// Counts the view of the last step, which had so many pixels across and down; waited for.

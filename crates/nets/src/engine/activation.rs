@@ -188,6 +188,15 @@ mod tests {
     }
 
     #[test]
+    fn what_is_not_a_number_stays_so() {
+        for activation in [Activation::Elu, Activation::Gelu, Activation::Tanh, Activation::Sigmoid] {
+            let mut row = [1.0, f32::NAN, 2.0];
+            finish(Level::new(), activation, 0.0, &mut row);
+            assert_eq!(row.map(f32::is_nan), [false, true, false], "{activation:?}");
+        }
+    }
+
+    #[test]
     fn softmax_columns_sum_to_one() {
         let mut rows: Vec<[f32; 4]> =
             (0..300).map(|r| std::array::from_fn(|c| math::sin((r * 7 + c * 13) as f32) * 9.0)).collect();

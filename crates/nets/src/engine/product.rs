@@ -11,7 +11,7 @@
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 use rayon::prelude::*;
-use use3d_numerics::product::{Panel, tile};
+use use3d_numerics::product::{Panel, is_wide, tile};
 
 use super::activation::{self, Activation};
 
@@ -87,18 +87,16 @@ pub(crate) struct Finish<'a> {
 
 /// Adds `a · b` to one tile: `a` is `[k][ROWS]`, `b` is `[k][LANES]`, `tile` is `[ROWS][LANES]`.
 pub(crate) fn multiply_tile(level: Level, a: &[f32], b: &[f32], tile: &mut [f32]) {
-    let wide = wide_registers(level);
-    dispatch!(level, simd => if wide { tile_kernel::<_, 8>(simd, a, b, tile) } else { tile_kernel::<_, 2>(simd, a, b, tile) });
+    dispatch!(level, simd => tile_of_level(simd, a, b, tile));
 }
 
-/// Whether the registers hold a whole tile (32 of 512 bits); otherwise two rows at a time.
-fn wide_registers(level: Level) -> bool {
-    #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
-    return matches!(level, Level::Avx512(_));
-    #[cfg(not(any(target_arch = "x86", target_arch = "x86_64")))]
-    {
-        let _ = level;
-        false
+/// The registers hold a whole tile, or two rows of it at a time.
+#[inline(always)]
+fn tile_of_level<S: Simd>(simd: S, a: &[f32], b: &[f32], tile: &mut [f32]) {
+    if is_wide::<S>() {
+        tile_kernel::<_, ROWS>(simd, a, b, tile);
+    } else {
+        tile_kernel::<_, 2>(simd, a, b, tile);
     }
 }
 

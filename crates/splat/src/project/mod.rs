@@ -8,4 +8,5 @@ mod splat;
 pub use color::view_colors;
 pub(crate) use passes::{ColorSource, Drawn, HIDDEN, Projecting, backward};
 pub use projection::{BLUR, FAR, NEAR};
-pub(crate) use splat::{LOG2_255, Record, Splat, SplatGradient};
+pub use splat::LOG2_255;
+pub(crate) use splat::{Record, Splat, SplatGradient};

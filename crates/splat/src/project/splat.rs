@@ -11,7 +11,7 @@ use use3d_numerics::math;
 use super::projection::Projection;
 
 /// `log₂ 255`: a Gaussian contributes where `log₂ α ≥ −LOG2_255`.
-pub(crate) const LOG2_255: f32 = 7.994_353_3;
+pub const LOG2_255: f32 = 7.994_353_3;
 
 /// A projected Gaussian as the compositor reads it.
 ///
