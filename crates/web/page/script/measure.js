@@ -64,6 +64,8 @@ function makeMeasure(viewer, overlay) {
     say(`Metres now: ${element('scale').textContent}`);
   };
   overlay.add(canvas => {
+    // Where Enter takes a point.
+    if (measure.tool) canvas.cross('#ffd166');
     measure.points.forEach(point => canvas.dot(point, '#ffd166'));
     measure.distances.forEach(([a, b]) => {
       canvas.line([a, b], '#ffd166', 2.5);

@@ -31,6 +31,14 @@ function makeOverlay(canvas, viewer) {
       context.fill();
       context.stroke();
     },
+    // The middle of the picture.
+    cross(style, radius = 9) {
+      const [x, y] = [width / 2, height / 2];
+      context.setLineDash([]);
+      context.beginPath();
+      for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) { context.moveTo(x + 3 * dx, y + 3 * dy); context.lineTo(x + radius * dx, y + radius * dy); }
+      for (const [color, thickness] of [['#06202bcc', 4], [style, 2]]) { context.strokeStyle = color; context.lineWidth = thickness; context.stroke(); }
+    },
     label(point, text) {
       const p = camera.project(point, width, height);
       if (!p) return;

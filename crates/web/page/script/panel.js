@@ -45,7 +45,12 @@ function makePanel(viewer, navigation) {
     left.append(make('option', { value: name, selected: i === 0 }, MODES[name].title));
   });
   const compare = element('compare');
-  compare.onchange = () => { viewer.setCompare(compare.checked ? left.value : null); if (compare.checked) say(`${MODES[left.value].title} on the left, ${MODES[viewer.look.mode].title} on the right`); };
+  compare.onchange = () => {
+    // Two equal halves compare nothing.
+    if (compare.checked && left.value === viewer.look.mode) left.value = modes[(modes.indexOf(viewer.look.mode) + 1) % modes.length];
+    viewer.setCompare(compare.checked ? left.value : null);
+    if (compare.checked) say(`${MODES[left.value].title} on the left, ${MODES[viewer.look.mode].title} on the right`);
+  };
   left.onchange = () => { if (compare.checked) viewer.setCompare(left.value); };
 
   const percent = (id, name) => {

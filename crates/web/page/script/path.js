@@ -60,6 +60,7 @@ function colmapPath(keys, frame, framesPerSecond, width, height) {
 }
 
 function keysOfFile(file, frame) {
+  if (file?.camera_path) throw new Error("this is nerfstudio's path, a camera per frame: draw it with use3d render SCENE --path FILE --out FOLDER");
   checkFile(file, PATH_FORMAT, 'camera path', 'keys');
   if (!file.keys.length) throw new Error('the camera path has no keys');
   const keys = file.keys.map((key, i) => {
@@ -92,7 +93,7 @@ function makePath(viewer, overlay) {
     path.changed();
   };
   path.add = () => {
-    const last = path.keys[path.keys.length - 1], time = last ? last.time + Number(element('key-seconds').value || 3) : 0;
+    const last = path.keys[path.keys.length - 1], seconds = Number(element('key-seconds').value), time = last ? last.time + (seconds > 0 ? seconds : 3) : 0;
     path.keys.push({ ...camera.state(), ...viewer.look, time });
     path.changed();
     say(`Key ${path.keys.length} added`);

@@ -6,7 +6,9 @@ function makeServer() {
   const [token, where] = location.hash.slice(1).split(',');
   const server = { page: Math.random().toString(36).slice(2), where, lost: false, generation: null };
   server.ask = async (path, body = {}) => {
-    const answer = await fetch(path, { method: 'POST', headers: { Authorization: `Bearer ${token}` }, body: JSON.stringify(body), cache: 'no-store' });
+    // Browsers have words of their own for an address at which nobody listens, which tell a visitor nothing.
+    const answer = await fetch(path, { method: 'POST', headers: { Authorization: `Bearer ${token}` }, body: JSON.stringify(body), cache: 'no-store' })
+      .catch(() => { throw new Error('The program does not answer'); });
     if (!answer.ok) throw Object.assign(new Error(await answer.text()), { status: answer.status });
     return answer;
   };
@@ -44,7 +46,12 @@ function makeServerRenderer(canvas, server, shown) {
       try {
         const answer = await server.ask('/frame', asked);
         [server.lost, patience] = [false, 500];
-        if (answer.status !== 200) continue;
+        if (answer.status !== 200) {
+          // Too many pages wanted pictures: what is on the screen is still the one before.
+          await new Promise(done => setTimeout(done, patience));
+          wanted ??= asked;
+          continue;
+        }
         const picture = await createImageBitmap(await answer.blob());
         [canvas.width, canvas.height] = [picture.width, picture.height];
         context.drawImage(picture, 0, 0);

@@ -13,7 +13,7 @@ function makeTraining(viewer, server) {
   const number = (value, digits) => (Number.isFinite(value) ? value.toFixed(digits) : '–');
   const minutes = seconds => (!Number.isFinite(seconds) ? '–' : seconds < 90 ? `${Math.round(seconds)} s` : seconds < 5400 ? `${Math.round(seconds / 60)} min` : `${(seconds / 3600).toFixed(1)} h`);
   const command = async (name, share) => {
-    try { show(await server.json('/do', { name, share })); } catch (error) { say(error.message || 'The program does not answer'); }
+    try { show(await server.json('/do', { name, share })); } catch (error) { say(error.message); }
   };
   element('pause').onclick = () => command(training.status?.paused ? 'resume' : 'pause');
   element('stop').onclick = () => element('confirm-stop').showModal();
@@ -33,8 +33,7 @@ function makeTraining(viewer, server) {
     element('tab-training').hidden = !watched;
     if (!watched) return;
     element('training-stage').textContent = status.label || '';
-    element('training-state').textContent = server.lost ? 'The program does not answer: it may have ended.'
-      : status.ended ? status.words : status.stopping ? 'Stopping: writing a checkpoint…' : status.paused ? 'Paused' : status.training ? 'Training' : status.words || 'Between two stages';
+    element('training-state').textContent = status.ended ? status.words : status.stopping ? 'Stopping: writing a checkpoint…' : status.paused ? 'Paused' : status.training ? 'Training' : status.words || 'Between two stages';
     const bar = element('training-bar');
     [bar.max, bar.value] = [Math.max(1, status.steps), status.step];
     element('training-step').textContent = `${status.step.toLocaleString('en')} of ${status.steps.toLocaleString('en')} steps`;
@@ -72,15 +71,23 @@ function makeTraining(viewer, server) {
     box.setAttribute('aria-label', `${figure.querySelector('.what').textContent}: from ${text(good[0][1])} to ${text(good[good.length - 1][1])}`);
   }
 
+  // A program that was asked to stop and is gone has stopped.
+  const gone = () => (training.status?.stopping ? 'It was stopped, and the program has ended; the same command goes on from its checkpoint.' : 'The program does not answer: it may have ended.');
+
   async function watch() {
     // A page that nobody sees asks nothing, and so costs the training nothing.
     if (!document.hidden) {
-      try { show(await server.json('/state')); server.lost = false; } catch (error) {
+      try {
+        const status = await server.json('/state');
+        server.lost = false;
+        show(status);
+      } catch (error) {
         server.lost = !error.status;
-        element('training-state').textContent = error.status ? error.message : 'The program does not answer: it may have ended.';
+        // How it ended is known for good.
+        if (!training.status?.ended) element('training-state').textContent = error.status ? error.message : gone();
       }
     }
-    setTimeout(watch, server.lost ? 10000 : training.status?.training ? 1000 : 2000);
+    setTimeout(watch, server.lost ? 4000 : training.status?.training ? 1000 : 2000);
   }
   watch();
   return training;

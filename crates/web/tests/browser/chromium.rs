@@ -187,6 +187,14 @@ impl Chromium {
         self.ask("Emulation.setEmulatedMedia", feature);
     }
 
+    /// Cuts the page off from every address, or lets it reach them again.
+    pub(crate) fn offline(&mut self, offline: bool) {
+        self.ask("Network.enable", json!({}));
+        let conditions =
+            json!({ "offline": offline, "latency": 0, "downloadThroughput": -1, "uploadThroughput": -1 });
+        self.ask("Network.emulateNetworkConditions", conditions);
+    }
+
     /// Presses and releases a key.
     pub(crate) fn key(&mut self, key: &str, code: &str) {
         for kind in ["keyDown", "keyUp"] {

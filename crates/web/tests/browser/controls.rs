@@ -117,6 +117,10 @@ fn two_looks_are_compared_and_photographs_stand_beside() {
     );
     assert_eq!(same, json!(0));
 
+    // A look is not compared with itself.
+    browser.evaluate("use3d.viewer.setLook({ mode: 'reconstruction' }), document.getElementById('compare-mode').value = 'reconstruction', document.getElementById('compare').click()");
+    assert_eq!(browser.evaluate("use3d.viewer.compare"), json!("clear"));
+
     browser.evaluate("use3d.views.go(1)");
     browser.evaluate("use3d.settled()");
     assert_eq!(browser.evaluate("document.getElementById('photo').hidden"), json!(false));
@@ -169,7 +173,7 @@ fn paths_come_back_as_they_were_and_lengths_become_metres() {
         })()",
     );
     assert!(number(&read["worst"]) < 1e-9, "{read}");
-    assert_eq!(read["modes"], json!(["enhanced-clear", "clear", "clear"]));
+    assert_eq!(read["modes"], json!(["enhanced", "clear", "clear"]));
     assert!(read["refused"].as_str().expect("text").contains("camera path"));
     // Files are in the COLMAP frame.
     let [center, eye] = ["center", "eye"].map(|name| glam::DVec3::from_slice(&numbers(&read[name])));
@@ -202,6 +206,18 @@ fn paths_come_back_as_they_were_and_lengths_become_metres() {
         }
     }
 
+    // Whatever stands in the field of seconds, times rise; a path that only the program
+    // draws is said to be one.
+    let times = browser.evaluate(
+        "(() => { document.getElementById('key-seconds').value = -5; use3d.path.add(); use3d.path.read(use3d.path.json());
+          const times = use3d.path.keys.map(key => key.time); use3d.path.keys.pop(); use3d.path.changed(); return times; })()",
+    );
+    assert_eq!(times, json!([0, 3, 6, 9]));
+    let refused = browser.evaluate(
+        "(() => { try { use3d.path.read('{\"camera_path\":[]}'); } catch (e) { return e.message; } })()",
+    );
+    assert!(refused.as_str().expect("text").contains("use3d render SCENE --path"), "{refused}");
+
     // Played in the page, it becomes a film.
     let film = browser.evaluate(
         "use3d.path.keys.forEach((key, i) => { key.time = i; }), use3d.recorder.record().then(film => [film.type, film.size > 500])",
@@ -219,8 +235,20 @@ fn paths_come_back_as_they_were_and_lengths_become_metres() {
     assert!(text[1].as_str().expect("text").contains("3.00 m"), "{text}");
     assert!((number(&text[2]) - 1.5).abs() < 1e-9);
     // A click finds the surface that the depth tells of.
-    let point = browser.evaluate("(() => { const v = document.getElementById('view'); use3d.viewer.camera.set(use3d.viewer.camera.home()); return use3d.settled().then(() => use3d.viewer.pointAt(v.clientWidth / 2, v.clientHeight / 2)); })()");
+    let point = browser.evaluate("(() => { const v = document.getElementById('view'); use3d.viewer.camera.set(use3d.viewer.camera.home()); return use3d.settled().then(() => use3d.viewer.pointAt(v.clientWidth / 2, v.clientHeight / 2)).then(point => window.point = point); })()");
     assert_eq!(numbers(&point).len(), 3);
+    // Without a pointer Enter takes the middle: a point while one measures, else it goes there.
+    browser.evaluate(
+        "document.getElementById('view').focus(), use3d.measure.tool ?? use3d.measure.choose('distance')",
+    );
+    browser.key("Enter", "Enter");
+    browser.until("use3d.measure.points.length === 1");
+    let apart = browser.evaluate("Math.hypot(...use3d.measure.points[0].map((v, i) => v - window.point[i]))");
+    assert!(number(&apart) < 1e-9, "{apart}");
+    browser.key("Escape", "Escape");
+    browser.evaluate("window.far = use3d.viewer.camera.state().focus");
+    browser.key("Enter", "Enter");
+    browser.until("use3d.viewer.camera.state().focus < window.far");
     assert_eq!(browser.complaints, Vec::<String>::new());
 }
 
@@ -261,7 +289,9 @@ fn everything_has_a_name_and_room_on_every_screen() {
     }
     for scheme in ["light", "dark"] {
         browser.scheme(scheme);
-        for (width, height, phone) in [(320, 640, true), (390, 780, true), (1280, 720, false)] {
+        for (width, height, phone) in
+            [(320, 640, true), (390, 780, true), (568, 320, true), (640, 320, true), (1280, 720, false)]
+        {
             browser.resize(width, height, phone);
             for tab in ["look", "views", "path", "measure"] {
                 browser.evaluate(&format!("document.getElementById('tab-{tab}').click()"));
@@ -276,6 +306,32 @@ fn everything_has_a_name_and_room_on_every_screen() {
                 );
             }
         }
+        // Every button below the picture can be reached, and hides nothing; nor does the one that unfolds.
+        for (width, height) in [(320, 480), (320, 640), (390, 780), (568, 320), (640, 320)] {
+            browser.resize(width, height, true);
+            browser.evaluate("document.getElementById('tab-path').click(), use3d.viewer.setCompare('clear')");
+            for folded in [false, true] {
+                browser.evaluate(&format!(
+                    "document.body.classList.contains('folded') === {folded} || document.getElementById('fold').click()"
+                ));
+                let wrong = browser.evaluate(
+                    "(() => { const box = e => e.getBoundingClientRect(), main = box(document.querySelector('main')), buttons = [...document.querySelectorAll('#tools button')], wrong = [];
+                      const over = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
+                      const names = [...document.querySelectorAll('p.name')].filter(e => e.offsetParent);
+                      if (names.length !== 2) wrong.push('names');
+                      for (const e of buttons.filter(e => e.offsetParent)) { const b = box(e);
+                        if (b.left < main.left || b.right > main.right || b.top < main.top || b.bottom > main.bottom) wrong.push(`${e.id} outside`); }
+                      for (const e of [document.getElementById('tools'), ...(document.body.classList.contains('folded') ? [document.getElementById('panel')] : [])])
+                        for (const name of names) if (over(box(e), box(name))) wrong.push(`${e.id} over ${name.id}`);
+                      for (const id of ['do-level', 'do-picture', 'do-help']) if (!document.getElementById(id).offsetParent) wrong.push(`${id} hidden`);
+                      for (const id of ['save-path', 'play']) if (document.getElementById(id).offsetHeight > 44) wrong.push(`${id} in two lines`);
+                      return wrong; })()",
+                );
+                assert_eq!(wrong, json!([]), "{width}x{height}, folded {folded}");
+            }
+        }
+        browser.resize(1280, 720, false);
+        browser.evaluate("document.getElementById('tab-look').click(), use3d.viewer.setCompare(null)");
         // Text against its ground, as WCAG counts.
         let faint = browser.evaluate(
             "(() => { const channel = v => { v /= 255; return v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4; };

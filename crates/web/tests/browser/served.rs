@@ -114,12 +114,44 @@ fn the_program_draws_for_the_page_and_a_training_is_watched() {
     }
     browser.resize(320, 640, true);
     browser.until("document.documentElement.scrollWidth <= 320 && innerWidth === 320");
-    // How it ended stays on the page when the program has gone.
+    let bar = number(&browser.evaluate("document.getElementById('training-bar').offsetHeight"));
+    assert!(bar >= 8.0, "the bar is {bar} px high");
+
+    // A picture that was refused for now is asked for again.
+    browser.evaluate(
+        "(() => { const real = window.fetch; [window.refused, window.frames] = [0, 0];
+          window.fetch = (path, how) => (path === '/frame' && !window.refused++ ? Promise.resolve(new Response(null, { status: 204 })) : real(path, how));
+          use3d.viewer.on('frame', () => { window.frames++; }); use3d.viewer.invalidate(); })()",
+    );
+    browser.until("window.refused > 1 && window.frames > 0");
+    // Cut off, the page says so in its own words; reached again, it goes on by itself.
+    let state = "document.getElementById('training-state').textContent";
+    browser.until(&format!("{state} === 'Training'"));
+    browser.offline(true);
+    let said = browser.evaluate("use3d.viewer.pointAt(1, 1).catch(error => error.message)");
+    assert_eq!(said, json!("The program does not answer"));
+    browser.evaluate("use3d.viewer.invalidate()");
+    browser.until(&format!("{state}.includes('does not answer')"));
+    browser.offline(false);
+    live.show(shown(60));
+    browser.evaluate("window.frames = 0");
+    browser.until(&format!(
+        "{state} === 'Training' && use3d.training.status.shownStep === 60 && window.frames > 0"
+    ));
+    // One that was stopped and is gone is said to have stopped; how it ended stays.
+    browser.evaluate("document.getElementById('stop').click(), document.getElementById('do-stop').click()");
+    browser.until("use3d.training.status.stopping");
+    browser.offline(true);
+    browser.until(&format!("{state}.startsWith('It was stopped')"));
+    browser.offline(false);
     live.end("Done.");
-    browser.until("document.getElementById('training-state').textContent === 'Done.'");
+    browser.until(&format!("{state} === 'Done.'"));
+    browser.offline(true);
+    browser.evaluate("new Promise(done => setTimeout(() => done(true), 3000))");
+    assert_eq!(browser.evaluate(state), json!("Done."));
     drop(server);
     assert_eq!(
-        browser.complaints.iter().filter(|c| !c.contains("ERR_CONNECTION")).count(),
+        browser.complaints.iter().filter(|c| !c.contains("net::ERR_")).count(),
         0,
         "{:?}",
         browser.complaints
