@@ -111,7 +111,7 @@ mod summary;
 mod text;
 pub mod verify;
 
-pub use agree::Figure;
+pub use agree::{Agreement, AlikeFiles, Figure};
 pub use alone::Alone;
 pub use cache::{Artifact, Cache};
 pub use context::{Notes, StageContext, StageInput};

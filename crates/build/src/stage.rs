@@ -9,7 +9,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
-use super::agree::Figure;
+use super::agree::{Agreement, AlikeFiles, Figure};
 use super::canonical;
 use super::context::{StageContext, StageInput};
 use super::error::{ParameterError, StageError};
@@ -117,7 +117,7 @@ pub struct Stage {
     pub(crate) length_like: &'static [&'static str],
     pub(crate) without_effect: &'static [&'static str],
     pub(crate) device: Option<Device>,
-    pub(crate) figures: &'static [Figure],
+    pub(crate) agreement: Option<Agreement>,
     pub(crate) cores: usize,
     pub(crate) memory: u64,
     pub(crate) memory_of: Option<Memory>,
@@ -153,7 +153,7 @@ impl Stage {
             length_like: &[],
             without_effect: &[],
             device: None,
-            figures: &[],
+            agreement: None,
             cores: 0,
             memory: 0,
             memory_of: None,
@@ -341,7 +341,15 @@ impl Stage {
     /// artifact agree.
     #[must_use]
     pub fn agrees_across_classes(mut self, figures: &'static [Figure]) -> Self {
-        self.figures = figures;
+        self.agreement = (!figures.is_empty()).then_some(Agreement::Figures(figures));
+        self
+    }
+
+    /// As [`Self::agrees_across_classes`], for an artifact whose files of these kinds are alike between two classes of
+    /// arithmetic, and all others equal.
+    #[must_use]
+    pub fn files_agree_across_classes(mut self, kinds: &'static [AlikeFiles]) -> Self {
+        self.agreement = (!kinds.is_empty()).then_some(Agreement::Files(kinds));
         self
     }
 
@@ -408,6 +416,16 @@ impl Stage {
             Ok(value)
         });
         self
+    }
+
+    /// How its artifacts of two classes of arithmetic agree; `None` promises the same bytes everywhere.
+    pub fn agreement(&self) -> Option<Agreement> {
+        self.agreement
+    }
+
+    /// Whether it may compute on another device than the processor.
+    pub fn may_use_a_device(&self) -> bool {
+        self.device.is_some()
     }
 
     /// Its name.

@@ -219,11 +219,17 @@ impl Display for Verification {
             writeln!(f, "{}: {}", problem.name, problem.what)?;
         }
         write!(f, "{} artifacts, {} read and compared", self.artifacts, bytes(self.bytes))?;
+        if let Some(held) = self.held {
+            write!(f, "; of {} stages of this pipeline {} are in the cache", held.stages, held.cached)?;
+        }
         if let Some(recomputed) = self.recomputed {
             write!(f, ", {recomputed} computed again")?;
         }
         if self.agreed > 0 {
-            write!(f, " ({} in another numeric class: by their figures)", self.agreed)?;
+            write!(f, " ({} in another numeric class: within their stage's tolerances)", self.agreed)?;
+        }
+        if self.not_compared > 0 {
+            write!(f, " ({} could not be compared: see above)", self.not_compared)?;
         }
         let aside =
             if self.repaired > 0 { format!(", {} moved aside", self.repaired) } else { String::new() };

@@ -12,7 +12,7 @@ use std::sync::atomic::Ordering;
 use serde::Serialize;
 
 use super::Builder;
-use super::agree;
+use super::agree::{self, Folder, Verdict};
 use super::cache::{Artifact, Cache, Lookup, first_difference};
 use super::digest::Encoder;
 use super::error::{BuildError, FileError, StageError};
@@ -41,17 +41,31 @@ pub struct Verification {
     pub artifacts: usize,
     /// Bytes that were read.
     pub bytes: u64,
+    /// How much of the pipeline was there to be computed again; none when that was not asked for.
+    pub held: Option<Held>,
     /// Stages that were computed again; none when that was not asked for.
     pub recomputed: Option<usize>,
     /// Those of them that were made in another class of arithmetic and agree by
     /// their figures, not to the byte.
     pub agreed: usize,
+    /// Those that were made in another class and have none of the figures by which
+    /// their stage compares; not in `agreed`.
+    pub not_compared: usize,
     /// What is wrong.
     pub problems: Vec<Problem>,
     /// Damaged artifacts, and files that did not belong into an artifact, that were moved aside.
     pub repaired: usize,
     /// Whether it was asked to stop before it was done.
     pub interrupted: bool,
+}
+
+/// What a cache holds of a pipeline.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Held {
+    /// Stages whose artifact is there, of whatever class of arithmetic.
+    pub cached: usize,
+    /// Stages in all, each counted once for every artifact that it makes.
+    pub stages: usize,
 }
 
 impl Cache {
@@ -127,6 +141,8 @@ enum Again {
     Same,
     /// In another class of arithmetic: other bytes, figures within their tolerances.
     Agrees,
+    /// In another class of arithmetic, and without anything that could be compared; in words.
+    NotCompared(String),
     /// In words.
     Wrong(String),
     /// It was asked to stop.
@@ -145,7 +161,9 @@ impl Builder {
         listener: &Arc<dyn Listener>,
     ) -> Result<Verification, BuildError> {
         let (cached, outcomes) = self.cached_in_any_class(graph);
-        let mut found = Verification { recomputed: Some(0), ..Verification::default() };
+        let stages = graph.nodes.iter().filter(|node| node.same_as.is_none()).count();
+        let held = Some(Held { cached: cached.len(), stages });
+        let mut found = Verification { held, recomputed: Some(0), ..Verification::default() };
         let mut chosen: Vec<(f64, Made)> = Vec::new();
         for made in cached {
             let draw = Encoder::new("use3d 2026 verification sample v1")
@@ -182,6 +200,10 @@ impl Builder {
             match self.recompute(graph, &made, &outcomes, options, listener)? {
                 Again::Same => {}
                 Again::Agrees => found.agreed += 1,
+                Again::NotCompared(what) => {
+                    listener.event(&Event::Note { label: &label, text: &what });
+                    found.not_compared += 1;
+                }
                 Again::Wrong(what) => found.problems.push(Problem { name: label, what }),
                 // This says nothing about the artifact.
                 Again::Stopped => {
@@ -241,27 +263,26 @@ impl Builder {
             Err(error) => Again::Wrong(format!("cannot be computed again: {error}")),
             Ok(files) if content_digest(&files) == made.artifact.manifest.content => Again::Same,
             Ok(files) => {
-                let figures = self.registry.stages()[graph.nodes[made.node].stage].figures;
+                let agreement = self.registry.stages()[graph.nodes[made.node].stage].agreement;
                 let different = first_difference(&made.artifact.manifest.files, &files);
-                match made.in_another_class() {
-                    None => Again::Wrong(format!(
+                let Some(class) = made.in_another_class() else {
+                    return Again::Wrong(format!(
                         "determinism alarm: computed again, {different} comes out different"
-                    )),
-                    Some(class) if figures.is_empty() => Again::Wrong(format!(
-                        "determinism alarm: made as {class} and computed again as {}, {different} comes out different, although the stage \
-                         promises the same bytes everywhere",
-                        made.class
-                    )),
-                    Some(class) => {
-                        let folder = scratch.join("artifact");
-                        match agree::disagreement(figures, &made.artifact.path, &folder) {
-                            None => Again::Agrees,
-                            Some(what) => Again::Wrong(format!(
-                                "made as {class} and computed again as {}, {what}",
-                                made.class
-                            )),
-                        }
-                    }
+                    ));
+                };
+                let as_what = format!("made as {class} and computed again as {}", made.class);
+                let Some(agreement) = agreement else {
+                    return Again::Wrong(format!(
+                        "determinism alarm: {as_what}, {different} comes out different, although the stage promises \
+                         the same bytes everywhere"
+                    ));
+                };
+                let folder = scratch.join("artifact");
+                let before = Folder { path: &made.artifact.path, files: &made.artifact.manifest.files };
+                match agree::compare(&agreement, before, Folder { path: &folder, files: &files }) {
+                    Verdict::Agree => Again::Agrees,
+                    Verdict::Apart(what) => Again::Wrong(format!("{as_what}, {what}")),
+                    Verdict::NothingToCompare(what) => Again::NotCompared(format!("{as_what}: {what}")),
                 }
             }
         });

@@ -24,6 +24,24 @@ fn without_pairs_proposals_stay_as_they_are() {
     // Nothing is fitted that would be thrown away; the pairs give the scales.
     assert_eq!((report["steps"].as_u64(), report["pairs"].as_u64()), (Some(0), Some(8)), "{report}");
     assert!(report["held_out"].is_null(), "{report}");
+
+    // A sample of this cache needs the settings of the run; nothing looked at is no success.
+    let verify = |more: &[&str]| {
+        let mut verify = command();
+        verify
+            .args(["verify", &place.at("tiny"), "--sample", "1%", "--cache", &place.at("cache")])
+            .args(more);
+        let output = verify.output().expect("the command starts");
+        let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+        (output.status.code(), text.concat())
+    };
+    let sets: Vec<&str> = TINY.iter().filter(|s| !s.contains("trust")).flat_map(|s| ["--set", s]).collect();
+    let (code, said) = verify(&sets);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.contains("of 9 stages of this pipeline 2 are in the cache, 1 computed again"), "{said}");
+    let (code, said) = verify(&["--set", "import.downscale=2", "--set", "pairs.synthetic.pairs=7"]);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(said.contains("nothing of this pipeline is in the cache"), "{said}");
 }
 
 #[test]

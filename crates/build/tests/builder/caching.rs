@@ -480,7 +480,8 @@ fn artifacts_of_another_class_are_compared_as_their_stage_says() {
     let near = verify(&tolerant, 9);
     assert_eq!((near.recomputed, near.agreed, near.problems.len()), (Some(2), 1, 0), "{near}");
     assert!(
-        near.to_string().contains("2 computed again (1 in another numeric class: by their figures)"),
+        near.to_string()
+            .contains("2 computed again (1 in another numeric class: within their stage's tolerances)"),
         "{near}"
     );
     let far = verify(&tolerant, 11);

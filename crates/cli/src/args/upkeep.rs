@@ -1,10 +1,10 @@
 //! The cache, the models folder, and the command itself.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::shared::{CacheArgs, CalibrationArgs};
+use super::shared::{CacheArgs, CalibrationArgs, PipelineArgs, Settings};
 
 #[derive(Debug, Args)]
 pub(crate) struct ModelsArgs {
@@ -53,12 +53,26 @@ pub(crate) struct VerifyArgs {
     #[arg(long, value_name = "SHARE")]
     pub(crate) sample: Option<String>,
     #[command(flatten)]
+    pub(crate) settings: Settings,
+    #[command(flatten)]
     pub(crate) calibration: CalibrationArgs,
     #[command(flatten)]
     pub(crate) cache: CacheArgs,
     /// One JSON document on stdout.
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+impl VerifyArgs {
+    /// `target` as it was run.
+    pub(crate) fn pipeline(&self, target: &Path) -> PipelineArgs {
+        PipelineArgs {
+            target: target.to_path_buf(),
+            settings: self.settings.clone(),
+            calibration: self.calibration.clone(),
+            cache: self.cache.clone(),
+        }
+    }
 }
 
 #[derive(Debug, Args)]

@@ -52,19 +52,33 @@ fn share(text: &str) -> Result<f64, CliError> {
 }
 
 pub(crate) fn verify(app: &App, args: &VerifyArgs) -> Done {
-    let mut found = cache(&args.cache)?.verify_all(true);
-    if let Some(sample) = &args.sample {
-        let share = share(sample)?;
-        let Some(target) = &args.target else {
-            let what = "recomputing needs the pipeline file or capture whose stages may be computed again";
-            return Err(CliError::Input(format!("--sample {sample}: {what}")));
-        };
-        let calibration = args.calibration.clone();
-        let loaded = open(&PipelineArgs { calibration, ..PipelineArgs::of(target, &args.cache) }, &[])?;
+    let share = args.sample.as_deref().map(share).transpose()?;
+    let loaded = match &args.target {
+        Some(target) => Some(open(&args.pipeline(target), &[])?),
+        None => {
+            if let Some(sample) = &args.sample {
+                let what =
+                    "recomputing needs the pipeline file or capture whose stages may be computed again";
+                return Err(CliError::Input(format!("--sample {sample}: {what}")));
+            }
+            if !args.settings.sets().is_empty() {
+                let what = "--set and --engine belong to a pipeline file or capture: name it, too";
+                return Err(CliError::Input(what.into()));
+            }
+            None
+        }
+    };
+    let mut found = match &loaded {
+        // The cache that its file names.
+        Some(loaded) => loaded.builder.cache.verify_all(true),
+        None => cache(&args.cache)?.verify_all(true),
+    };
+    if let (Some(loaded), Some(share)) = (&loaded, share) {
         let options = RunOptions { cores: app.threads, stop: app.stop.clone(), ..RunOptions::default() };
         let again = loaded.builder.verify_sample(&loaded.graph, share, &options, &app.listener);
         let again = again.map_err(CliError::failed)?;
-        (found.recomputed, found.agreed) = (again.recomputed, again.agreed);
+        (found.held, found.recomputed) = (again.held, again.recomputed);
+        (found.agreed, found.not_compared) = (again.agreed, again.not_compared);
         found.problems.extend(again.problems);
         found.interrupted = again.interrupted;
     }
@@ -72,6 +86,13 @@ pub(crate) fn verify(app: &App, args: &VerifyArgs) -> Done {
         json(&found)?;
     } else {
         print!("{found}");
+    }
+    if found.held.is_some_and(|held| held.cached == 0) && !found.interrupted {
+        return Err(CliError::Failed(
+            "nothing of this pipeline is in the cache, so nothing was computed again; was it run with other settings \
+             (--set, --engine, --pairs, --calibrator) or into another --cache?"
+                .into(),
+        ));
     }
     match (found.problems.is_empty(), found.interrupted, found.repaired) {
         (true, true, _) => Err(CliError::Stopped),

@@ -96,7 +96,7 @@ impl Params {
             ("path_steps", self.path_steps, 1),
         ] {
             if !(least..=MOST).contains(&value) {
-                return Err((name.into(), format!("{value}: expected {least} to {MOST}")));
+                return Err((name.into(), format!("is {value}; expected {least} to {MOST}")));
             }
         }
         Ok(())

@@ -1,11 +1,13 @@
 //! The held-out views as pictures: captured, reconstruction, clear, enhanced,
 //! enhanced-clear, depth, and the water's maps.
 
+use std::path::Path;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use use3d_build::{Scope, Stage, StageContext, StageError};
+use use3d_build::{AlikeFiles, Scope, Stage, StageContext, StageError};
 use use3d_import::load_pixels;
-use use3d_io_image::{write_exr_map, write_png, write_png8};
+use use3d_io_image::{read_image, read_map, write_exr_map, write_png, write_png8};
 use use3d_render::{Mode, Rendering, picture};
 
 use super::captured::capture;
@@ -13,6 +15,13 @@ use super::common::folder;
 use super::drawn::drawn;
 use super::scenes::scene;
 use crate::engines::{self, ChoosesEngine, EngineChoice};
+
+/// How near two drawings of one scene in two classes of arithmetic are: last bits of a kernel, and now and
+/// then a pixel on an edge.
+const ALIKE: [AlikeFiles; 2] = [
+    AlikeFiles { ending: ".png", distance: apart, unit: "in the mean of display values", within: 1e-3 },
+    AlikeFiles { ending: ".exr", distance: depths_apart, unit: "of the mean depth", within: 1e-3 },
+];
 
 /// Parameters of the pictures.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -57,11 +66,51 @@ pub(super) fn stage() -> Stage {
         })
         .check(engines::check::<Params>)
         .computes_on(engines::class::<Params>)
+        .files_agree_across_classes(&ALIKE)
         .without_effect(&["engine"])
         .input("import", "import")
         .input("scene", "reconstruct")
         .optional_input("enhanced", "enhance")
         .cost(0, 1 << 30)
+}
+
+/// The mean absolute difference of two pictures, in display range.
+fn apart(a: &Path, b: &Path) -> Result<f64, String> {
+    let read = |path| read_image(path).map_err(|e| e.to_string());
+    let (a, b) = (read(a)?, read(b)?);
+    if (a.width(), a.height()) != (b.width(), b.height()) {
+        return Err(format!(
+            "{} by {} pixels, and again {} by {}",
+            a.width(),
+            a.height(),
+            b.width(),
+            b.height()
+        ));
+    }
+    Ok(mean(a.data().iter().zip(b.data()).map(|(a, b)| f64::from((a - b).abs()))))
+}
+
+/// The mean absolute difference of two depth maps over the mean of the first.
+fn depths_apart(a: &Path, b: &Path) -> Result<f64, String> {
+    let read = |path| read_map(path).map_err(|e| e.to_string());
+    let (a, b) = (read(a)?, read(b)?);
+    if (a.width(), a.height()) != (b.width(), b.height()) {
+        return Err(format!(
+            "{} by {} pixels, and again {} by {}",
+            a.width(),
+            a.height(),
+            b.width(),
+            b.height()
+        ));
+    }
+    let difference = mean(a.data().iter().zip(b.data()).map(|(a, b)| f64::from((a - b).abs())));
+    // Where nothing is seen, both are 0.
+    Ok(difference / mean(a.data().iter().map(|v| f64::from(v.abs()))).max(f64::MIN_POSITIVE))
+}
+
+fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let count = values.len().max(1);
+    values.sum::<f64>() / count as f64
 }
 
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
