@@ -43,7 +43,7 @@ fn numbers_without_a_sensible_meaning_are_refused() {
         (&["run", "reef", "--jobs", "99999999"], 2, &["1..=256"]),
         (&["render", "s", "--cameras", "c", "--out", "o", "--frames", "0"], 2, &["--frames", "1..=1000000"]),
         (&["render", "s", "--cameras", "c", "--out", "o", "--frames", "99999999999"], 2, &["1..=1000000"]),
-        (&["synth", "pairs", "--out", "p", "--views", "0"], 2, &["pairs is 0", "1 to 100000"]),
+        (&["synth", "pairs", "--out", "p", "--views", "0"], 2, &["--views is 0", "1 to 100000"]),
     ]);
 }
 

@@ -61,15 +61,20 @@ fn the_messages_that_a_beginner_meets() {
     write("key.toml", &format!("name = \"x\"\n[defaults.reconstruct]\niteratons = 3\n{scene}"));
     write("value.toml", &format!("name = \"x\"\n[defaults.reconstruct]\nsh_degree = 4\n{scene}"));
     write("preset.toml", &format!("name = \"x\"\npreset = \"vanila\"\n{scene}"));
+    write("pairs.toml", &format!("name = \"x\"\n[defaults.pairs]\nsynthetic.width = 3\n{scene}"));
+    write("place.toml", &format!("name = \"x\"\n{scene}preset = \"paper\"\n"));
     write("empty.toml", "name = \"x\"\n");
     std::fs::create_dir(folder.path().join("photographs")).expect("a folder");
-    let runs: [&[&str]; 9] = [
+    let runs: [&[&str]; 12] = [
         &["rnu"],
         &["run"],
         &["run", "nowhere.toml"],
         &["run", "key.toml"],
         &["run", "value.toml"],
         &["run", "preset.toml"],
+        &["run", "pairs.toml"],
+        &["run", "place.toml"],
+        &["verify", "--set", "reconstruct.iterations=3"],
         &["run", "empty.toml"],
         &["import", "photographs", "--out", "out"],
         &["render", "photographs", "--cameras", "photographs", "--out", "out"],

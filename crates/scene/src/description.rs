@@ -120,8 +120,13 @@ impl Description {
         }
         if description.version != VERSION {
             return Err(wrong(format!(
-                "version is {}; this program reads version {VERSION}; a newer program wrote it",
-                description.version
+                "version is {}; this program reads version {VERSION}{}",
+                description.version,
+                if description.version > VERSION {
+                    ": a newer program wrote the scene; use that one, or train it again with this one"
+                } else {
+                    ", the first there was: the file is damaged; train the scene again"
+                }
             )));
         }
         if description.sh_degree > 3 {

@@ -23,8 +23,9 @@ use use3d_capture::{Camera, FileName, Frame, Map};
 use use3d_io_image::{write_exr_map, write_png_map, write_png_map16, write_png8};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
+use use3d_numerics::range::OutOfRange;
 
-use crate::error::{Answer, SynthError, whole_folder};
+use crate::error::{Answer, SynthError, check, whole_folder};
 use crate::geometry::noise::Noise;
 use crate::physics::spectral::{Lamps, Spectral};
 use crate::physics::{Physics, camera, passers, sideways};
@@ -123,34 +124,29 @@ impl Default for CaptureParams {
 
 impl CaptureParams {
     /// Checks every range.
-    pub fn validate(&self) -> Result<(), SynthError> {
-        SynthError::check("views", self.views, (2..=10_000).contains(&self.views), "2 to 10000")?;
+    pub fn validate(&self) -> Result<(), OutOfRange> {
+        check("views", self.views, (2..=10_000).contains(&self.views), "2 to 10000")?;
         for (field, side) in [("width", self.width), ("height", self.height)] {
-            SynthError::check(field, side, (16..=8192).contains(&side), "16 to 8192 pixels")?;
+            check(field, side, (16..=8192).contains(&side), "16 to 8192 pixels")?;
         }
-        SynthError::check("depth", self.depth, (0.0..=60.0).contains(&self.depth), "0 to 60 metres")?;
-        SynthError::check(
-            "white_balance",
-            self.white_balance,
-            (0.0..=1.0).contains(&self.white_balance),
-            "0 to 1",
-        )?;
-        SynthError::check("noise", self.noise, (0.0..=0.2).contains(&self.noise), "0 to 0.2")?;
-        SynthError::check("caustics", self.caustics, (0.0..=1.0).contains(&self.caustics), "0 to 1")?;
-        SynthError::check("points", self.points, self.points <= 2_000_000, "at most 2000000")?;
-        SynthError::check("detail", self.detail, (0.1..=1.0).contains(&self.detail), "0.1 to 1")?;
-        SynthError::check("lamps", self.lamps, (0.0..=20.0).contains(&self.lamps), "0 to 20")?;
+        check("depth", self.depth, (0.0..=60.0).contains(&self.depth), "0 to 60 metres")?;
+        check("white_balance", self.white_balance, (0.0..=1.0).contains(&self.white_balance), "0 to 1")?;
+        check("noise", self.noise, (0.0..=0.2).contains(&self.noise), "0 to 0.2")?;
+        check("caustics", self.caustics, (0.0..=1.0).contains(&self.caustics), "0 to 1")?;
+        check("points", self.points, self.points <= 2_000_000, "at most 2000000")?;
+        check("detail", self.detail, (0.1..=1.0).contains(&self.detail), "0.1 to 1")?;
+        check("lamps", self.lamps, (0.0..=20.0).contains(&self.lamps), "0 to 20")?;
         let share = (0.0..=1.0).contains(&self.auto_exposure);
-        SynthError::check("auto_exposure", self.auto_exposure, share, "0 to 1")?;
-        SynthError::check("snow", self.snow, (0.0..=1.0).contains(&self.snow), "0 to 1")?;
-        SynthError::check("fish", self.fish, self.fish <= 50, "at most 50")?;
+        check("auto_exposure", self.auto_exposure, share, "0 to 1")?;
+        check("snow", self.snow, (0.0..=1.0).contains(&self.snow), "0 to 1")?;
+        check("fish", self.fish, self.fish <= 50, "at most 50")?;
         if self.physics == Physics::Display {
             let only = "nothing but its default with physics = \"display\"; ask for physics = \"spectral\"";
-            SynthError::check("air", self.air, !self.air, only)?;
-            SynthError::check("lamps", self.lamps, self.lamps == 0.0, only)?;
-            SynthError::check("auto_exposure", self.auto_exposure, self.auto_exposure == 0.0, only)?;
-            SynthError::check("snow", self.snow, self.snow == 0.0, only)?;
-            SynthError::check("fish", self.fish, self.fish == 0, only)?;
+            check("air", self.air, !self.air, only)?;
+            check("lamps", self.lamps, self.lamps == 0.0, only)?;
+            check("auto_exposure", self.auto_exposure, self.auto_exposure == 0.0, only)?;
+            check("snow", self.snow, self.snow == 0.0, only)?;
+            check("fish", self.fish, self.fish == 0, only)?;
         }
         Ok(())
     }

@@ -3,19 +3,14 @@
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
+use use3d_numerics::range::OutOfRange;
+
 /// A data set that cannot be made or written. Nothing is left behind under its name.
 #[derive(Debug, thiserror::Error)]
 pub enum SynthError {
     /// A parameter out of its range.
-    #[error("{field} is {value}; expected {expected}")]
-    Parameter {
-        /// The parameter's name.
-        field: &'static str,
-        /// Its value.
-        value: String,
-        /// The range, in words.
-        expected: &'static str,
-    },
+    #[error(transparent)]
+    Parameter(#[from] OutOfRange),
     /// The output is there already.
     #[error("{}: already there; choose another output folder or remove this one first", path.display())]
     OutputExists {
@@ -48,15 +43,16 @@ impl SynthError {
     pub(crate) fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self + '_ {
         move |source| Self::Io { path: path.to_path_buf(), source }
     }
+}
 
-    pub(crate) fn check(
-        field: &'static str,
-        value: impl std::fmt::Display,
-        good: bool,
-        expected: &'static str,
-    ) -> Result<(), Self> {
-        if good { Ok(()) } else { Err(Self::Parameter { field, value: value.to_string(), expected }) }
-    }
+/// Refuses a parameter that is not `good`, with what is expected in words.
+pub(crate) fn check(
+    parameter: &str,
+    value: impl std::fmt::Display,
+    good: bool,
+    expected: &str,
+) -> Result<(), OutOfRange> {
+    if good { Ok(()) } else { Err(OutOfRange::new(parameter, value, expected)) }
 }
 
 /// What whoever watches the progress answers: nothing, or whether to go on.

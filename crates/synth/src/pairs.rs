@@ -13,8 +13,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_capture::Image;
 use use3d_io_image::write_png;
+use use3d_numerics::range::OutOfRange;
 
-use crate::error::{Answer, SynthError, whole_folder};
+use crate::error::{Answer, SynthError, check, whole_folder};
 use crate::physics::camera::{self as develop, Automatic};
 use crate::physics::spectral::Spectral;
 use crate::physics::{Physics, sideways};
@@ -62,13 +63,13 @@ impl Default for PairsParams {
 
 impl PairsParams {
     /// Checks every range.
-    pub fn validate(&self) -> Result<(), SynthError> {
-        SynthError::check("pairs", self.pairs, (1..=100_000).contains(&self.pairs), "1 to 100000")?;
+    pub fn validate(&self) -> Result<(), OutOfRange> {
+        check("pairs", self.pairs, (1..=100_000).contains(&self.pairs), "1 to 100000")?;
         for (field, side) in [("width", self.width), ("height", self.height)] {
-            SynthError::check(field, side, (16..=8192).contains(&side), "16 to 8192 pixels")?;
+            check(field, side, (16..=8192).contains(&side), "16 to 8192 pixels")?;
         }
-        SynthError::check("noise", self.noise, (0.0..=0.2).contains(&self.noise), "0 to 0.2")?;
-        SynthError::check("detail", self.detail, (0.1..=1.0).contains(&self.detail), "0.1 to 1")
+        check("noise", self.noise, (0.0..=0.2).contains(&self.noise), "0 to 0.2")?;
+        check("detail", self.detail, (0.1..=1.0).contains(&self.detail), "0.1 to 1")
     }
 }
 

@@ -41,7 +41,16 @@ pub(crate) fn tell<'a>(app: &'a App, label: &'a str) -> impl FnMut(usize, usize)
 pub(crate) fn error(error: SynthError) -> CliError {
     match error {
         SynthError::Interrupted => CliError::Stopped,
-        SynthError::Parameter { .. } | SynthError::OutputExists { .. } => CliError::input(error),
+        SynthError::Parameter(wrong) => {
+            let flag = match wrong.path.as_str() {
+                "pairs" => "views".to_string(),
+                "width" | "height" => format!("size: {}", wrong.path),
+                "air" => "water air".to_string(),
+                parameter => parameter.replace('_', "-"),
+            };
+            CliError::Input(format!("--{flag} {}", wrong.words()))
+        }
+        SynthError::OutputExists { .. } => CliError::input(error),
         SynthError::Io { .. } | SynthError::Name(_) | SynthError::Image(_) | SynthError::Model(_) => {
             CliError::failed(error)
         }

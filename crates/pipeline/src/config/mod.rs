@@ -339,6 +339,11 @@ impl Reader<'_> {
                 return self.document.error(&join(base, &error.path), format!("{place} needs {missing}"));
             }
             let unknown = error.unknown.as_deref().filter(|_| error.message.starts_with("unknown field"));
+            if unknown == Some("preset") && base.starts_with("scene") {
+                let message =
+                    "`preset` stands at the top of the file or in a [[variant]], not in a [[scene]]";
+                return self.document.key_error(&join(base, &error.path), message);
+            }
             // Tables below have words of their own.
             let unknown = unknown.filter(|_| !error.path.contains('.'));
             let known = || more.iter().copied().chain(error.known.iter().map(String::as_str));

@@ -13,7 +13,7 @@ use use3d_build::{Scope, Stage, StageContext, StageError, leftovers};
 use use3d_io_image::read_image;
 
 use super::calibrated::is_calibrated;
-use super::common::write_json;
+use super::common::{out_of_range, write_json};
 use super::names::DATASET;
 use super::proposer::{ProposerChoice, open};
 
@@ -33,6 +33,10 @@ pub(super) fn stage() -> Stage {
     Stage::new("pairs", Scope::Shared, run)
         .about("transitions and proposals of the paired images")
         .made_of(&[], &["src/stages/pairs.rs"])
+        .check(|p: &PairsParams| {
+            p.extractor.validate().map_err(|wrong| out_of_range(wrong.within("extractor")))?;
+            p.synthetic.validate().map_err(|wrong| out_of_range(wrong.within("synthetic")))
+        })
         .optional_external("input", "pairs.input")
         .optional_external("target", "pairs.target")
         .optional_external("models", "models")
