@@ -323,7 +323,7 @@ fn a_killed_run_goes_on_as_if_it_had_not_been() {
     assert!(watcher.notices.iter().any(|n| n.contains("step 17")), "{:?}", watcher.notices);
     same(&whole, &resumed);
 
-    // Another parameter is another run; a damaged file is said aloud. Neither goes on from it.
+    // Another parameter is another run; a damaged file is named. Neither goes on from it.
     let other = EnhanceParams { learning_rate: 4e-3, ..params.clone() };
     let mut watcher = Watcher::new(u64::MAX);
     enhance(&scene, &views, guidance, &other, Some(dir.path()), &mut watcher).unwrap();

@@ -9,7 +9,7 @@ use use3d_splat::Gaussians;
 
 use crate::device::Gpu;
 
-/// The software adapter, on a device of its own. Without one the test is left out, aloud; an
+/// The software adapter, on a device of its own. Without one the test is left out with a word; an
 /// error where `USE3D_REQUIRE_GPU=1`.
 pub(crate) fn software() -> Option<Gpu> {
     match Gpu::open(Some("llvmpipe")) {

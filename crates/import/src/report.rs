@@ -1,4 +1,4 @@
-//! What an import chose and did, said aloud and stored.
+//! What an import chose and did, printed and stored.
 
 use std::fmt;
 

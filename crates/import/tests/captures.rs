@@ -157,7 +157,7 @@ fn captures_may_live_in_many_places() {
 }
 
 #[test]
-fn the_largest_model_and_the_fullest_folder_win_aloud() {
+fn the_largest_model_and_the_fullest_folder_win_and_the_report_says_so() {
     let fixture = Fixture::new(6, pinhole(1));
     let whole = read_model(&fixture.path("sparse/0")).unwrap();
     let mut small = whole.clone();

@@ -1,4 +1,4 @@
-//! Real captures, where the folder with them is given in `USE3D_DATA`. Says aloud whether it runs.
+//! Real captures, where the folder with them is given in `USE3D_DATA`. Says whether it runs.
 
 use std::path::PathBuf;
 

@@ -15,12 +15,12 @@ pub(crate) const MOST_DIVISOR: usize = 1024;
 #[serde(rename_all = "kebab-case")]
 pub enum DepthPrior {
     /// The capture's own files where it has a depth folder, else Depth Anything V2 where its weights are in
-    /// the models folder, else no depth term; said aloud.
+    /// the models folder, else no depth term, and the run says so.
     #[default]
     Auto,
     /// No depth term.
     Off,
-    /// Files beside the images; none there: no depth term, said aloud.
+    /// Files beside the images; none there: no depth term, and the run says so.
     Folder,
     /// Made by Depth Anything V2 before training.
     DepthAnythingV2,

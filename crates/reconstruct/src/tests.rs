@@ -390,7 +390,7 @@ fn a_run_that_diverges_says_where_and_keeps_the_last_checkpoint() {
 }
 
 #[test]
-fn the_cap_bites_aloud_and_masks_hide_pixels() {
+fn the_cap_bites_with_a_word_and_masks_hide_pixels() {
     let (capture, mut loaded) = tiny_capture(6);
     let params = ReconstructParams { max_gaussians: 270, ..tiny_params(60) };
     let mut watcher = Watcher::default();

@@ -5,7 +5,7 @@
 //! checkpoint needs no memory of its own size. A new one is written to a sibling of its own, synced and
 //! renamed over the old one, so that the machine may die at any moment, and several processes may write the
 //! same one at once, and a good file remains. A file that is cut short, altered, or of another version is
-//! an error that says so; the loop then starts anew (and the caller says so aloud), never from half a state.
+//! an error that says so; the loop then starts anew (and the caller says so), never from half a state.
 //! Internal state only: exchange formats are open ones.
 
 use std::collections::{BTreeMap, BTreeSet};

@@ -1,7 +1,7 @@
 //! A scene as a page for a browser, and as files that other 3D Gaussian splatting viewers open.
 //!
 //! The colours of the latter are asked for by the names of `use3d render`'s modes. They hold Gaussians and no
-//! water, so a mode with water is written as the one without, said aloud and in the file's header.
+//! water, so a mode with water is written as the one without, which is said and stands in the file's header.
 
 use std::path::Path;
 

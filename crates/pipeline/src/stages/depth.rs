@@ -17,7 +17,7 @@ use super::captured::capture;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Encoder {
-    /// The largest whose weights are in the models folder; said aloud.
+    /// The largest whose weights are in the models folder; the run says which.
     #[default]
     Auto,
     /// 25 M parameters.

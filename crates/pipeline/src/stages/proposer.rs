@@ -10,7 +10,7 @@ use use3d_atc::proposers::{Fusion, Proposer};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ProposerChoice {
-    /// `nu2net` when its weights are in the models folder, else `fusion`; said aloud.
+    /// `nu2net` when its weights are in the models folder, else `fusion`; the run says which.
     #[default]
     Auto,
     /// Nu2Net; an error when its weights are not there.

@@ -122,7 +122,7 @@ fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
     assert!(watcher.notices.iter().any(|n| n.contains("going on from step 60")), "{:?}", watcher.notices);
     assert!(same(&run_longer(None, &mut Watcher::default()), &extended), "extending changes the scene");
 
-    // A checkpoint of other parameters, and a damaged one, are left alone aloud.
+    // A checkpoint of other parameters, and a damaged one, are left alone, which is said.
     let other = ReconstructParams { seed: 7, iterations: 90, ..params.clone() };
     let mut watcher = Watcher::default();
     reconstruct(&capture, &loader(&loaded), &other, Some(dir.path()), &mut watcher).unwrap();

@@ -37,7 +37,7 @@ fn program() -> Option<String> {
 }
 
 impl Chromium {
-    /// Starts it with an empty page; `None`, said aloud, where there is no Chromium.
+    /// Starts it with an empty page; `None`, with a word on why, where there is no Chromium.
     /// With `CI=1` that is a failure.
     pub(crate) fn start() -> Option<Self> {
         let Some(program) = program() else {

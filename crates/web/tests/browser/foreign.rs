@@ -73,7 +73,7 @@ window.show = async (name, text, view) => {
 window.loaded = true;
 </script>"#;
 
-/// Where the viewers are; `None`, said aloud, where they are not. With `CI=1` that is a failure.
+/// Where the viewers are; `None`, with a word on why, where they are not. With `CI=1` that is a failure.
 fn modules() -> Option<PathBuf> {
     let named = std::env::var_os("USE3D_FOREIGN_VIEWERS").map(PathBuf::from);
     let folder = named.unwrap_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/foreign"));
