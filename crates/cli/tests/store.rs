@@ -29,7 +29,19 @@ fn what_was_computed_in_one_cache_is_fetched_into_another() {
     assert_eq!(code, Some(0), "{said}");
     let whole = many.artifacts("first");
 
+    // An address with nothing at it, and one of nothing at all.
+    fs::create_dir(many.at("empty")).expect("folder");
+    for (address, code, words) in [
+        ("empty", 0, "has none of what is missing here; is the address right?"),
+        ("nowhere", 1, "nowhere: there is no such folder"),
+    ] {
+        let mut pull = many.command(&["pull"], "second");
+        pull.args(["--remote", address]);
+        let (ended, said) = ended(pull);
+        assert!(ended == Some(code) && said.contains(words), "{address}: {said}");
+    }
     let (code, said) = ended(command("pull", "second", &[]));
+    assert!(!said.contains("is the address right"), "{said}");
     assert!(code == Some(0) && said.contains(" 0 missing"), "{said}");
     assert!(many.artifacts("second") == whole);
     // Another machine's run finds all of it as well, computes nothing, and delivers results.

@@ -7,10 +7,20 @@
 #[cfg(feature = "s3")]
 mod bucket;
 
-use std::path::{Component, Path};
+use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 use use3d_build::remote::{Folder, Remote};
+
+/// The folder that an address names, if it is one.
+pub fn folder(address: &str) -> Option<PathBuf> {
+    match address.split_once("://") {
+        None if address.is_empty() => None,
+        None => std::path::absolute(address).ok(),
+        Some(("file", rest)) => Some(PathBuf::from(rest)).filter(|path| path.has_root()),
+        Some(_) => None,
+    }
+}
 
 /// The store at an address.
 ///
@@ -81,6 +91,9 @@ mod tests {
         assert_eq!(open("/somewhere/store").expect("a folder").place(), "/somewhere/store");
         assert_eq!(open("file:///somewhere/store").expect("a folder").place(), "/somewhere/store");
         assert!(Path::new(&open("store").expect("a folder").place()).is_absolute());
+        assert_eq!(folder("file:///somewhere/store"), Some(PathBuf::from("/somewhere/store")));
+        assert!(folder("store").is_some_and(|path| path.is_absolute() && path.ends_with("store")));
+        assert_eq!(["", "s3://bucket/store", "file://store"].map(folder), [None, None, None]);
         for (wrong, words) in [
             ("", "empty"),
             ("file://store", "file:///ABSOLUTE/PATH"),

@@ -37,8 +37,21 @@ pub(crate) fn pull(app: &App, args: &TransferArgs) -> Done {
     let Loaded { builder, graph, .. } = loaded(args)?;
     // Whoever only fetches may have no right to write.
     let store = store(&args.remote)?;
+    if let Some(folder) = use3d_store::folder(&args.remote).filter(|folder| !folder.is_dir()) {
+        return Err(CliError::Failed(format!(
+            "--remote: {}: there is no such folder; give the one that `push` or `run --remote` filled, or mount it",
+            folder.display()
+        )));
+    }
     let fetched = builder.pull(&graph, &store, &app.stop, &app.listener);
-    tell(&fetched.map_err(CliError::failed)?, args)
+    let done = fetched.map_err(CliError::failed)?;
+    if done.moved == 0 && done.missing > 0 && done.problems.is_empty() && !done.interrupted && !app.quiet {
+        eprintln!(
+            "warning: the store at {} has none of what is missing here; is the address right?",
+            store.place()
+        );
+    }
+    tell(&done, args)
 }
 
 fn tell(done: &Transferred, args: &TransferArgs) -> Done {
@@ -50,6 +63,7 @@ fn tell(done: &Transferred, args: &TransferArgs) -> Done {
     match (done.interrupted, done.problems.len()) {
         (true, _) => Err(CliError::Interrupted),
         (false, 0) => Ok(()),
+        (false, 1) => Err(CliError::Failed("1 artifact is not as it should be, see above".into())),
         (false, n) => Err(CliError::Failed(format!("{n} artifacts are not as they should be, see above"))),
     }
 }
