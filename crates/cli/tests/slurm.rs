@@ -197,10 +197,10 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
         site += &format!("[stage.{stage}]\nmemory = \"900MB\"\n");
     }
     fs::write(many.at("cluster.toml"), site).expect("written");
-    let mut kills = 0;
     for layout in ["workers", "stages"] {
         let start = Instant::now();
-        let (mut rounds, mut signals) = (0, 0);
+        let (mut rounds, mut signals, mut kills) = (0, 0, 0);
+        let (mut drained, mut restarted) = (false, false);
         // Again, until there is nothing to submit: what was killed is repaired by the same command.
         loop {
             rounds += 1;
@@ -209,7 +209,6 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
                 break;
             }
             assert!(rounds < 20, "{text}");
-            let mut restarted = false;
             let mut looks = 0;
             while !slurm.queue().is_empty() {
                 looks += 1;
@@ -217,7 +216,8 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
                 std::thread::sleep(Duration::from_millis(500));
                 if rounds == 1 {
                     let workers = workers(&many.at(layout).to_string_lossy());
-                    if let Some(pid) = workers.get(looks % 2).filter(|_| looks % 8 == 0 && kills < 4) {
+                    let one = workers.get(looks % workers.len().max(1));
+                    if let Some(pid) = one.filter(|_| looks % 8 == 0 && kills < 3) {
                         kills += usize::from(
                             Command::new("kill")
                                 .args(["-9", &pid.to_string()])
@@ -238,6 +238,9 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
                     }
                     if looks == 10 {
                         slurm.ask("scontrol", &["update", "nodename=n2", "state=drain", "reason=test"]);
+                    } else if (11..24).contains(&looks) && !drained {
+                        let state = slurm.ask("sinfo", &["--noheader", "--nodes=n2", "--format=%T"]);
+                        drained = state.starts_with("drain");
                     } else if looks == 24 {
                         slurm.ask("scontrol", &["update", "nodename=n2", "state=resume"]);
                     }
@@ -249,10 +252,15 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
                 }
             }
         }
+        let happened = [kills > 0, signals > 0, drained, restarted];
+        assert_eq!(
+            happened, [true; 4],
+            "{layout}: killed, signalled, drained, restarted: what is not true was not tested"
+        );
         assert!(many.artifacts(layout) == whole, "{layout}: the artifacts are not those of one process");
         assert_eq!(many.scores(format!("out-{layout}").as_ref()).len(), count);
         println!(
-            "{layout}: {rounds} submissions, {:.0} s, {kills} workers killed so far, {signals} told that its time is over",
+            "{layout}: {rounds} submissions, {:.0} s, {kills} workers killed, {signals} told that its time is over",
             start.elapsed().as_secs_f64()
         );
     }
