@@ -73,7 +73,7 @@ impl Error for ParameterError {}
 
 /// What a deserialiser says, in words that are not its own: `invalid type: integer `-5`, expected u64` and
 /// the like.
-fn plain(message: &str) -> String {
+pub fn plain(message: &str) -> String {
     if let Some(rest) = message.strip_prefix("unknown variant ") {
         return rest.replacen(", expected ", " is not known here; expected ", 1);
     }

@@ -106,6 +106,74 @@ impl Drop for HyperQueue {
     }
 }
 
+/// Submits what is missing; the command's exit code, what it said, and the job's number where there is one.
+fn submit(
+    hyperqueue: &HyperQueue,
+    many: &Many,
+    cache: &str,
+    layout: &str,
+) -> (Option<i32>, String, Option<String>) {
+    let mut submit = hyperqueue.with(many.command(&["submit", "hq"], cache));
+    submit.args(["--cluster", "cluster.toml", "--layout", layout, "--out"]);
+    let output = submit.arg(format!("out-{cache}")).output().expect("the command starts");
+    let text =
+        [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).into_owned()).concat();
+    let id = text.lines().find_map(|line| line.strip_prefix("submitted ")?.split(" as job ").nth(1));
+    let id = id.map(String::from);
+    (output.status.code(), text, id)
+}
+
+/// `cluster.toml` for workers of one processor.
+fn write_site(many: &Many) {
+    let site =
+        format!("command = \"{}\"\ncpus = 1\nat_once = 2\nmemory = \"900MB\"\n", env!("CARGO_BIN_EXE_use3d"));
+    fs::write(many.at("cluster.toml"), site).expect("written");
+}
+
+/// One scene fails for good: the others are delivered all the same, and it is said how to get there where a
+/// job of HyperQueue cannot.
+#[test]
+fn a_scene_that_cannot_be_done_keeps_the_others_from_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let hyperqueue = match HyperQueue::start(folder.path()) {
+        Ok(started) => started,
+        Err(reason) => {
+            println!("SKIPPED, nothing was tested with a real HyperQueue: {reason}");
+            return;
+        }
+    };
+    let many = Many::new(&["s1".to_string(), "s2".to_string()]);
+    write_site(&many);
+    let images = many.at("s2/images");
+    for image in fs::read_dir(images).expect("images").flatten() {
+        // Its beginning, which plans look at, is right.
+        let bytes = fs::read(image.path()).expect("an image");
+        fs::write(image.path(), &bytes[..bytes.len() / 2]).expect("damaged");
+    }
+    for layout in ["workers", "stages"] {
+        let out = format!("out-{layout}");
+        let (code, text, id) = submit(&hyperqueue, &many, layout, layout);
+        assert_eq!(code, Some(0), "{text}");
+        // Beside a job that is not over nothing is submitted.
+        let (code, again, _) = submit(&hyperqueue, &many, layout, layout);
+        assert!(code == Some(2) && again.contains("still in the queue"), "{again}");
+        let id = id.expect("a number");
+        let mut wait = hyperqueue.hq(&["job", "wait", &id]);
+        let _ = wait.stdout(Stdio::null()).stderr(Stdio::null()).status().expect("hq starts");
+        let finished = many.at(&format!("{out}-submit/logs/finish.log")).exists();
+        assert_eq!(finished, layout == "workers", "{text}");
+        if layout == "stages" {
+            assert!(text.contains("then: use3d run ") && text.contains(" --keep-going"), "{text}");
+            let mut run = many.command(&["run", "--keep-going", "--out", &out], layout);
+            assert_eq!(run.output().expect("the command starts").status.code(), Some(1));
+        }
+        let said = fs::read_to_string(many.at(&format!("{out}-submit/logs/finish.err"))).unwrap_or_default();
+        assert!(layout == "stages" || said.contains("error: failed: s2"), "{said}");
+        assert_eq!(many.scores(out.as_ref()).len(), 1, "{layout}: {text}{said}");
+        println!("{layout}: the other scene was delivered");
+    }
+}
+
 #[test]
 fn a_batch_through_a_real_hyperqueue_ends_like_a_run_of_one_process() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -119,24 +187,20 @@ fn a_batch_through_a_real_hyperqueue_ends_like_a_run_of_one_process() {
     let many = Many::asked(3);
     let count = many.count;
     let whole = many.alone();
-    let site = format!("command = \"{}\"\ncpus = 1\nat_once = 2\n", env!("CARGO_BIN_EXE_use3d"));
-    fs::write(many.at("cluster.toml"), site).expect("written");
+    write_site(&many);
     for layout in ["workers", "stages"] {
         let (start, mut rounds, mut kills) = (Instant::now(), 0, 0);
         // Again, until there is nothing to submit: what was killed is repaired by the same command.
         loop {
             rounds += 1;
-            let mut submit = hyperqueue.with(many.command(&["submit", "hq"], layout));
-            submit.args(["--cluster", "cluster.toml", "--layout", layout, "--out"]);
-            let output = submit.arg(format!("out-{layout}")).output().expect("the command starts");
-            let text = String::from_utf8_lossy(&output.stdout).into_owned();
-            assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
+            let (code, text, id) = submit(&hyperqueue, &many, layout, layout);
+            assert_eq!(code, Some(0), "{text}");
             if text.contains("nothing to submit") {
                 break;
             }
             assert!(rounds < 20, "{text}");
-            let id = text.lines().find_map(|line| line.split("job ID: ").nth(1)).expect("a number");
-            let mut wait = hyperqueue.hq(&["job", "wait", id.trim()]);
+            let id = id.expect("a number");
+            let mut wait = hyperqueue.hq(&["job", "wait", &id]);
             let mut wait = wait.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("hq starts");
             let mut looks = 0;
             while wait.try_wait().expect("a state").is_none() {
@@ -144,12 +208,16 @@ fn a_batch_through_a_real_hyperqueue_ends_like_a_run_of_one_process() {
                 assert!(start.elapsed() < Duration::from_secs(3600), "{layout}: it does not end");
                 std::thread::sleep(Duration::from_millis(500));
                 let running = workers(&many.at(layout).to_string_lossy());
-                if let Some(pid) = running.get(looks % 2).filter(|_| looks % 8 == 0 && rounds < 3) {
+                // Early enough that there is one, and whichever there is.
+                if let Some(pid) =
+                    running.get(looks % running.len().max(1)).filter(|_| looks % 4 == 0 && kills < 4)
+                {
                     let killed = Command::new("kill").args(["-9", &pid.to_string()]).status().expect("kill");
                     kills += usize::from(killed.success());
                 }
             }
         }
+        assert!(kills > 0, "{layout}: no task was killed, so that nothing was tested");
         let logs = || -> Vec<(PathBuf, String)> {
             let files = tiny::files(&many.at(&format!("out-{layout}-submit/logs")));
             files

@@ -126,6 +126,142 @@ fn tasks_get_every_setting_the_engine_too_and_status_is_asked_with_the_same() {
     assert!(status.contains("use3d status") && status.contains(engines), "{text}");
 }
 
+/// `use3d submit` of these words, with the stand-ins; exit code, and what was said.
+fn submit(many: &Many, path: &str, scheduler: &str, cache: &str, extra: &[&str]) -> (Option<i32>, String) {
+    let mut command = many.command(&["submit", scheduler], cache);
+    let output = command.args(extra).env("PATH", path).output().expect("the command starts");
+    (output.status.code(), said(&output))
+}
+
+#[test]
+fn what_has_no_capture_is_said_and_is_no_success() {
+    let many = Many::new(&["s1".to_string(), "gone".to_string()]);
+    fs::remove_dir_all(many.at("gone")).expect("removed");
+    let path = stand_ins(&many);
+    fs::write(many.at("cluster.toml"), format!("command = \"{}\"\n", env!("CARGO_BIN_EXE_use3d")))
+        .expect("written");
+    let words = ["-q", "--cluster", "cluster.toml"];
+    let (code, text) = submit(&many, &path, "slurm", "cache", &[&words[..], &["--dry-run"]].concat());
+    assert!(code == Some(1) && text.contains("warning: gone import: "), "{text}");
+    // The rest is submitted, and done.
+    let (code, text) = submit(&many, &path, "slurm", "cache", &words);
+    let rest =
+        text.contains("submitted finish as job") && text.contains("error: what needs them is not submitted");
+    assert!(code == Some(1) && rest && text.contains("1 input is missing, see above"), "{text}");
+    assert_eq!(many.scores("use3d-out/many".as_ref()).len(), 1);
+    // Where nothing is left that could be submitted, it is not said that everything is there.
+    let alone = "name = \"many\"\n[[scene]]\nname = \"gone\"\ncapture = \"gone\"\n";
+    fs::write(many.at("alone.toml"), alone).expect("written");
+    let mut command = tiny::command();
+    command.args(["-q", "submit", "slurm", "alone.toml", "--cache", "cache"]).current_dir(many.at(""));
+    let output = command.env("PATH", &path).output().expect("the command starts");
+    let text = said(&output);
+    assert!(output.status.code() == Some(1) && text.contains("warning: gone import: "), "{text}");
+    let end = "error: nothing can be submitted: 1 input is missing, see above";
+    assert!(text.contains(end) && !text.contains("everything is there"), "{text}");
+}
+
+#[test]
+fn tasks_get_the_variables_that_the_pipeline_names_and_no_secrets() {
+    let many = Many::new(&["s1".to_string()]);
+    let text = fs::read_to_string(many.at("many.toml")).expect("a file");
+    let named = "capture = \"${REEF_DATA}/s1\"\n[[scene]]\nname = \"s2\"\ncapture = \"${REEF_TOKEN}/s1\"";
+    fs::write(many.at("many.toml"), text.replace("capture = \"s1\"", named)).expect("written");
+    let here = many.at("").to_string_lossy().into_owned();
+    for scheduler in ["slurm", "hq"] {
+        let dry_run = |remote: &str| {
+            let mut command = many.command(&["submit", scheduler, "--dry-run"], "cache");
+            command.env("REEF_DATA", format!("{here}/my data/..")).env("REEF_TOKEN", &here);
+            command
+                .env("USE3D_REMOTE", remote)
+                .env("AWS_SECRET_ACCESS_KEY", "hidden")
+                .env("UNUSED", "unused");
+            let output = command.output().expect("the command starts");
+            (output.status.code(), said(&output))
+        };
+        fs::create_dir_all(many.at("my data")).expect("folder");
+        let (code, text) = dry_run("/mnt/share/use3d");
+        assert_eq!(code, Some(0), "{text}");
+        let scripts = text.matches("#!/bin/bash").count();
+        for line in [
+            format!("export REEF_DATA='{here}/my data/..'"),
+            "export USE3D_REMOTE=/mnt/share/use3d".to_string(),
+        ] {
+            assert_eq!(text.lines().filter(|l| **l == line).count(), scripts, "{line}: {text}");
+        }
+        assert!(text.contains("warning: the environment variable REEF_TOKEN is not written"), "{text}");
+        assert!(
+            !text.contains("export REEF_TOKEN") && !text.contains("hidden") && !text.contains("unused"),
+            "{text}"
+        );
+        let (code, text) = dry_run("s3://AKIA:password@bucket/use3d");
+        assert!(code == Some(2) && text.contains("USE3D_REMOTE: ") && !text.contains("password"), "{text}");
+    }
+}
+
+#[test]
+fn words_without_effect_and_answers_that_are_none_are_refused() {
+    let many = Many::new(&["s1".to_string()]);
+    let path = stand_ins(&many);
+    let stages = ["--layout", "stages", "--workers", "3"];
+    let (code, text) = submit(&many, &path, "slurm", "cache", &stages);
+    assert!(code == Some(2) && text.contains("--workers 3: --layout stages has a task for every"), "{text}");
+    let (code, text) = submit(&many, &path, "slurm", "cache", &["--cluster", "nowhere.toml"]);
+    assert!(
+        code == Some(2) && text.contains("nowhere.toml: ") && text.contains("--cluster expects"),
+        "{text}"
+    );
+    // No scheduler here: the scripts lie there all the same.
+    let scripts = many.at("use3d-out/many-submit");
+    for (scheduler, file) in [("slurm", "workers.sbatch"), ("hq", "job.toml")] {
+        let (code, text) = submit(&many, "/nowhere", scheduler, "cache", &[]);
+        assert!(code == Some(1) && text.contains(&scripts.display().to_string()), "{text}");
+        assert!(!text.contains("--dry-run") && scripts.join(file).is_file(), "{text}");
+    }
+    // The second job is answered with something else than a number: the first is taken back.
+    for answer in ["", "Welcome to reef", "7b"] {
+        let body = format!(
+            "#!/bin/bash\n[ -e once ] && {{ echo '{answer}'; exit 0; }}; touch once; echo '7;reef'\n"
+        );
+        fs::write(many.at("bin/sbatch"), body).expect("written");
+        let (code, text) = submit(&many, &path, "slurm", "cache", &[]);
+        assert!(
+            code == Some(1) && text.contains("expected the number of a job") && text.contains(answer),
+            "{text}"
+        );
+        assert!(!text.contains("submitted "), "{text}");
+        assert_eq!(read(&many.at("bin/scancel.log")), "7\n");
+        for file in ["once", "bin/scancel.log"] {
+            fs::remove_file(many.at(file)).expect("removed");
+        }
+    }
+}
+
+#[test]
+fn hyperqueue_is_asked_whether_the_last_job_is_over() {
+    let many = Many::new(&["s1".to_string()]);
+    let path = stand_ins(&many);
+    // What the real one prints with `--output-mode quiet`.
+    let body = "#!/bin/bash\necho \"$*\" >> hq.log\ncase \"$*\" in\n*'job list') cat open; exit 0 ;;\n*) echo 12 ;;\nesac\n";
+    fs::write(many.at("bin/hq"), body).expect("written");
+    fs::set_permissions(many.at("bin/hq"), fs::Permissions::from_mode(0o755)).expect("executable");
+    fs::write(many.at("cluster.toml"), "partition = \"cpu\"\n[stage.run]\noptions = [\"--gres=gpu:1\"]\n")
+        .expect("written");
+    let (code, text) = submit(&many, &path, "hq", "cache", &["--cluster", "cluster.toml"]);
+    assert!(code == Some(0) && text.contains("submitted many as job 12"), "{text}");
+    assert!(text.contains("HyperQueue has no place for partition, stage.run.options"), "{text}");
+    assert!(!text.contains("HyperQueue begins nothing"), "{text}");
+    fs::write(many.at("open"), "3 RUNNING\n12 WAITING\n").expect("written");
+    let (code, text) = submit(&many, &path, "hq", "cache", &[]);
+    assert!(code == Some(2) && text.contains("12 (many)") && text.contains("hq job cancel"), "{text}");
+    let (code, text) = submit(&many, &path, "hq", "cache", &["--again", "--layout", "stages"]);
+    assert!(code == Some(0) && text.contains("`finish` neither; then: use3d run "), "{text}");
+    fs::write(many.at("open"), "").expect("written");
+    assert_eq!(submit(&many, &path, "hq", "cache", &[]).0, Some(0));
+    let asked = read(&many.at("hq.log"));
+    assert_eq!(asked.lines().filter(|line| line.contains("job submit-file")).count(), 3, "{asked}");
+}
+
 #[test]
 fn a_wrong_site_file_is_said_before_anything_is_written() {
     let many = Many::new(&["s1".to_string()]);

@@ -2,8 +2,9 @@
 //! through.
 //!
 //! HyperQueue starts a task again whose worker was lost, and the task goes on from its last checkpoint, so
-//! that no limit and no signal is needed. It knows no "when that is over, whatever became of it": the last
-//! task runs when all others are done; after a failure the same submission does what is missing.
+//! that no limit and no signal is needed. It knows no "when that is over, whatever became of it": a task for
+//! which only `finish` waits therefore ends with 0 even where it failed, and `finish`, which tries it once
+//! more, says how the batch ended. A stage for which another one waits fails, and what waits is not begun.
 
 use std::path::PathBuf;
 
@@ -13,7 +14,7 @@ use super::ClusterError;
 use super::jobs::{After, Job};
 use super::quote::{word, words};
 use super::site::Site;
-use super::slurm::{Submission, create_logs, put};
+use super::slurm::{Submission, Submitted, create_logs, put};
 
 /// How often a task is started again whose worker was lost.
 const CRASHES: u32 = 50;
@@ -53,18 +54,46 @@ pub fn script_path(submission: &Submission) -> PathBuf {
     submission.folder.join("task.sh")
 }
 
-/// The script: what the site says, then `use3d` with the words it is given.
+/// For the script: who waits for this task begins when it is done.
+const AFTER_OK: &str = "afterok";
+/// For the script: who waits for this task begins when it is over, whatever became of it.
+const AFTER_ANY: &str = "afterany";
+
+/// The script: what the site says, then `use3d` with the words it is given behind the first.
 pub fn script(submission: &Submission, site: &Site) -> String {
     let mut lines = vec![
         "#!/bin/bash".to_string(),
         "# What every task of job.toml goes through.".to_string(),
         format!("# Written by `{}`; to be read and edited.", submission.by),
+        format!(
+            "# Its first word: `{AFTER_OK}`, or `{AFTER_ANY}` where `finish` begins whatever becomes of the task."
+        ),
+        "after=$1; shift".to_string(),
         format!("cd {} || exit 1", word(&submission.place.to_string_lossy())),
     ];
+    lines.extend(submission.exports());
     lines.extend(site.setup.iter().cloned());
     lines.push(r#"echo "$(date -u +%FT%TZ) $(hostname), attempt $((${HQ_INSTANCE_ID:-0} + 1))""#.to_string());
-    lines.push(format!(r#"exec {} "$@""#, word(&site.command)));
+    let command = words(&site.command);
+    lines.push(format!(r#"[ "$after" = {AFTER_ANY} ] || exec {command} "$@""#));
+    lines.push(format!(r#"code=0; {command} "$@" || code=$?"#));
+    // Who is interrupted is not to be followed by anything.
+    lines.push(r#"if [ "$code" = 0 ] || [ "$code" = 130 ]; then exit "$code"; fi"#.to_string());
+    lines.push(r#"echo "ended with exit code $code; the task finish tries it once more" >&2"#.to_string());
     lines.join("\n") + "\n"
+}
+
+/// Whether only the last job waits for this one, so that it may begin whatever became of it.
+fn only_last_waits(jobs: &[Job], at: usize) -> bool {
+    let waits = |job: &Job| {
+        job.after.iter().any(|after| matches!(after, After::Done(of) | After::Same(of) if *of == at))
+    };
+    !jobs[at].delivers && !jobs.iter().any(waits)
+}
+
+/// Whether after a failure the last task is not begun, since HyperQueue does not begin what waits for what failed.
+pub fn ends_with_a_failure(jobs: &[Job]) -> bool {
+    (0..jobs.len()).any(|at| !jobs[at].delivers && !only_last_waits(jobs, at))
 }
 
 /// The job file of `hq job submit-file`.
@@ -72,7 +101,8 @@ pub fn file(jobs: &[Job], submission: &Submission) -> String {
     let mut tasks: Vec<Task> = Vec::new();
     // The numbers of every job's tasks.
     let mut numbers: Vec<Vec<usize>> = Vec::new();
-    for job in jobs {
+    for (which, job) in jobs.iter().enumerate() {
+        let after = if only_last_waits(jobs, which) { AFTER_ANY } else { AFTER_OK };
         let mut own = Vec::new();
         for at in 0..job.tasks.unwrap_or(1) {
             let id = tasks.len();
@@ -82,8 +112,8 @@ pub fn file(jobs: &[Job], submission: &Submission) -> String {
             });
             let deps = deps.collect();
             let script = script_path(submission).to_string_lossy().into_owned();
-            let mut command =
-                vec!["bash".to_string(), script, "--threads".to_string(), job.asks.cpus.to_string()];
+            let mut command = vec!["bash".to_string(), script, after.to_string()];
+            command.extend(["--threads".to_string(), job.asks.cpus.to_string()]);
             command.extend(submission.task(job));
             command
                 .extend(job.cells.get(at).into_iter().flat_map(|cell| ["--only".to_string(), cell.clone()]));
@@ -91,6 +121,9 @@ pub fn file(jobs: &[Job], submission: &Submission) -> String {
             let log = submission.folder.join("logs").join(format!("{}{number}.log", job.name));
             let mut resources = job.asks.needs.resources.clone();
             resources.insert("cpus".to_string(), job.asks.cpus as u64);
+            // In megabytes, as its workers find it out; a site may name it otherwise, or say that it is not asked for.
+            resources.entry("mem".to_string()).or_insert(job.asks.memory.div_ceil(1_048_576));
+            resources.retain(|_, amount| *amount > 0);
             let request = Request { time_request: format!("{}s", job.asks.time.as_secs()), resources };
             tasks.push(Task {
                 id,
@@ -122,22 +155,54 @@ pub fn write(jobs: &[Job], submission: &Submission, site: &Site) -> Result<(), C
     put(&file_path(submission), &file(jobs, submission))
 }
 
-/// Hands the written file to HyperQueue; what it says.
+/// Hands the written file to HyperQueue; the job's number.
 ///
 /// # Errors
-/// `hq` that is not there or refuses.
-pub fn submit(submission: &Submission) -> Result<String, ClusterError> {
+/// `hq` that is not there, refuses, or does not say a number.
+pub fn submit(submission: &Submission) -> Result<Submitted, ClusterError> {
     let file = file_path(submission).to_string_lossy().into_owned();
-    let arguments = ["job".to_string(), "submit-file".to_string(), file];
-    let wrong = |reason: String| ClusterError::Command { command: "hq".to_string(), reason };
-    let output = std::process::Command::new("hq").args(&arguments).output().map_err(|e| {
-        wrong(format!(
-            "{e}; install HyperQueue and start `hq server start`, or write the file with --dry-run"
-        ))
-    })?;
+    let scripts = format!("; the job file is {file}");
+    let said = call(&["job".to_string(), "submit-file".to_string(), file], &scripts)?;
+    let number = said.trim();
+    if number.is_empty() || !number.bytes().all(|b| b.is_ascii_digit()) {
+        return Err(wrong(format!(
+            "expected the number of a job, and it said: {number:?}; see with `hq job list` whether it took the job"
+        )));
+    }
+    let submitted = Submitted { jobs: vec![(submission.name.clone(), number.to_string())] };
+    submission.keep(&submitted)?;
+    Ok(submitted)
+}
+
+/// The job of the last submission from this folder, where HyperQueue still has work of it, by name and number.
+///
+/// # Errors
+/// `hq` that is not there or whose server does not answer.
+pub fn queued(submission: &Submission) -> Result<Vec<(String, String)>, ClusterError> {
+    let last = submission.submitted().jobs;
+    if last.is_empty() {
+        return Ok(Vec::new());
+    }
+    // A line for each job that is not over: its number, its state.
+    let said = call(&["job", "list"].map(String::from), "")?;
+    let open: Vec<&str> = said.lines().filter_map(|line| line.split_whitespace().next()).collect();
+    Ok(last.into_iter().filter(|(_, number)| open.contains(&number.as_str())).collect())
+}
+
+fn wrong(reason: String) -> ClusterError {
+    ClusterError::Command { command: "hq".to_string(), reason }
+}
+
+/// What `hq` prints where only what scripts need is asked for. `more` is said where there is no such command.
+fn call(arguments: &[String], more: &str) -> Result<String, ClusterError> {
+    let mut command = std::process::Command::new("hq");
+    command.args(["--output-mode", "quiet"]).args(arguments);
+    let output = command
+        .output()
+        .map_err(|e| wrong(format!("{e}; install HyperQueue and start `hq server start`{more}")))?;
     if output.status.success() {
-        return Ok(String::from_utf8_lossy(&output.stdout).trim().to_string());
+        return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
     }
     let said = String::from_utf8_lossy(&output.stderr);
-    Err(wrong(format!("{}: {}", words(&arguments), said.trim())))
+    Err(wrong(format!("{}: {}", words(arguments), said.trim())))
 }

@@ -154,7 +154,15 @@ fn workers_of(todo: &[&PlannedNode], site: &Site, cells: &[String], most: usize)
     };
     vec![Job {
         name: "workers".to_string(),
-        about: format!("{tasks} equal tasks share what is missing of {} scenes and variants.", cells.len()),
+        about: format!(
+            "{} what is missing of {}.",
+            if tasks == 1 { "One task does".to_string() } else { format!("{tasks} equal tasks share") },
+            if cells.len() == 1 {
+                "one scene and variant".to_string()
+            } else {
+                format!("{} scenes and variants", cells.len())
+            }
+        ),
         tasks: Some(tasks),
         cells: Vec::new(),
         after: Vec::new(),

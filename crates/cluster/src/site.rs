@@ -5,8 +5,8 @@ use std::path::Path;
 use std::time::Duration;
 
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-use use3d_build::FileError;
+use serde::{Deserialize, Serialize, de};
+use use3d_build::error::plain;
 use use3d_build::gc::parse_bytes;
 
 use super::ClusterError;
@@ -39,8 +39,11 @@ pub struct Site {
     pub setup: Vec<String>,
     /// Further options of the scheduler, e.g. `--qos=low`.
     pub options: Vec<String>,
-    /// The command, where it is not `use3d`.
-    pub command: String,
+    /// The command, where it is not `use3d`: its name or path, or a list of words such as
+    /// `["apptainer", "exec", "use3d.sif", "use3d"]`.
+    #[serde(deserialize_with = "one_word_or_several")]
+    #[schemars(with = "Vec<String>")]
+    pub command: Vec<String>,
     /// What tasks of a stage need that others do not, by its name; for the
     /// workers of `--layout workers`, `run`.
     pub stage: BTreeMap<String, Needs>,
@@ -60,7 +63,8 @@ pub struct Needs {
     pub time: Option<String>,
     /// More options, e.g. `--gres=gpu:1`.
     pub options: Vec<String>,
-    /// HyperQueue's resources besides processors and memory, e.g. `{ "gpus/nvidia" = 1 }`.
+    /// HyperQueue's resources besides processors, e.g. `{ "gpus/nvidia" = 1 }`. Memory is asked for as `mem`, in
+    /// megabytes, unless it is named here; what is 0 is not asked for.
     pub resources: BTreeMap<String, u64>,
     /// More settings of `use3d run`, e.g. `["--set", "reconstruct.engine=gpu"]`.
     pub arguments: Vec<String>,
@@ -80,7 +84,7 @@ impl Default for Site {
             requeues: 50,
             setup: Vec::new(),
             options: Vec::new(),
-            command: "use3d".to_string(),
+            command: vec!["use3d".to_string()],
             stage: BTreeMap::new(),
         }
     }
@@ -92,10 +96,14 @@ impl Site {
     /// # Errors
     /// What is wrong with it: file, field, expectation.
     pub fn read(path: &Path, stages: &[&str]) -> Result<Self, ClusterError> {
-        let text = std::fs::read_to_string(path);
-        let text = text.map_err(|source| FileError { path: path.to_path_buf(), doing: "read", source })?;
-        Self::parse(&text, stages)
-            .map_err(|reason| ClusterError::Site { file: path.display().to_string(), reason })
+        let wrong = |reason| ClusterError::Site { file: path.display().to_string(), reason };
+        let text = std::fs::read_to_string(path).map_err(|e| {
+            wrong(format!(
+                "{e}; --cluster expects the file with the facts of the site (docs/cluster.md shows one), without it the \
+                 defaults hold"
+            ))
+        })?;
+        Self::parse(&text, stages).map_err(wrong)
     }
 
     /// Of a site file's text.
@@ -106,7 +114,7 @@ impl Site {
         let read = toml::Deserializer::parse(text).map_err(|e| e.to_string())?;
         let site: Self = serde_path_to_error::deserialize(read).map_err(|e| {
             let path = e.path().to_string();
-            format!("`{path}`: {}", e.inner().message())
+            format!("`{path}`: {}", plain(e.inner().message()))
         })?;
         site.check(stages)?;
         Ok(site)
@@ -116,7 +124,15 @@ impl Site {
         let positive = |field: &str, n: usize| {
             if n == 0 { Err(format!("`{field}` is 0; expected 1 or more")) } else { Ok(()) }
         };
-        positive("cpus", self.cpus)?;
+        let cpus = |field: &str, n: usize| {
+            positive(field, n)?;
+            if n > MOST_CPUS {
+                Err(format!("`{field}` is {n}; expected {MOST_CPUS} or fewer"))
+            } else {
+                Ok(())
+            }
+        };
+        cpus("cpus", self.cpus)?;
         positive("at_once", self.at_once)?;
         positive("largest_array", self.largest_array)?;
         let bytes = |field: &str, text: &str| match parse_bytes(text) {
@@ -137,13 +153,42 @@ impl Site {
                 let known = stages.join(", ");
                 return Err(format!("`stage.{name}`: there is no such stage; there are: {known}, {WORKERS}"));
             }
-            needs.cpus.map_or(Ok(()), |n| positive(&format!("stage.{name}.cpus"), n))?;
+            needs.cpus.map_or(Ok(()), |n| cpus(&format!("stage.{name}.cpus"), n))?;
             needs.memory.as_ref().map_or(Ok(()), |m| bytes(&format!("stage.{name}.memory"), m))?;
             needs.time.as_ref().map_or(Ok(()), |t| long(&format!("stage.{name}.time"), t))?;
         }
+        self.check_words()
+    }
+
+    /// That every text can stand where it is written.
+    fn check_words(&self) -> Result<(), String> {
+        let of_stages =
+            |field: &str| self.stage.keys().map(|name| format!("stage.{name}.{field}")).collect::<Vec<_>>();
+        let partitions = of_stages("partition").into_iter().zip(self.stage.values().map(|n| &n.partition));
+        let named = [("account", &self.account), ("partition", &self.partition)];
+        let named = named.map(|(field, name)| (field.to_string(), name)).into_iter().chain(partitions);
+        for (field, name) in named {
+            if name.as_ref().is_some_and(|name| name.trim().is_empty()) {
+                return Err(format!("`{field}` is empty; expected a name, or leave it out"));
+            }
+        }
+        let options = of_stages("options").into_iter().zip(self.stage.values().map(|n| &n.options));
+        for (field, options) in [("options".to_string(), &self.options)].into_iter().chain(options) {
+            if let Some(option) = options.iter().find(|option| !option.starts_with('-')) {
+                return Err(format!(
+                    "`{field}`: `{option}` is no option of sbatch; expected one such as --gres=gpu:1"
+                ));
+            }
+        }
+        if self.command.is_empty() || self.command.iter().any(|word| word.trim().is_empty()) {
+            return Err(
+                "`command` is empty or has an empty word; expected a name such as use3d, or leave it out"
+                    .to_string(),
+            );
+        }
         // Whatever stands in a script stands in a line of its own.
         let lines = [&self.account, &self.partition].into_iter().flatten();
-        let lines = lines.chain(&self.options).chain(&self.setup).chain([&self.command]);
+        let lines = lines.chain(&self.options).chain(&self.setup).chain(&self.command);
         let needs =
             self.stage.values().flat_map(|n| n.partition.iter().chain(&n.options).chain(&n.arguments));
         match lines.chain(needs).find(|line| line.chars().any(char::is_control)) {
@@ -160,6 +205,76 @@ impl Site {
     }
 }
 
+/// A scheduler, where a site's fields are not for all of them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scheduler {
+    /// Slurm.
+    Slurm,
+    /// HyperQueue.
+    HyperQueue,
+}
+
+impl Site {
+    /// The fields that say something and that this scheduler has no place for.
+    pub fn unused(&self, scheduler: Scheduler) -> Vec<String> {
+        let usual = Self::default();
+        let of_all = [
+            ("account", self.account.is_some()),
+            ("partition", self.partition.is_some()),
+            ("options", !self.options.is_empty()),
+            ("requeues", self.requeues != usual.requeues),
+        ];
+        let slurms = of_all.into_iter().filter(|(_, said)| *said).map(|(field, _)| field.to_string());
+        let of_stages = self.stage.iter().flat_map(|(name, needs)| {
+            let fields = match scheduler {
+                Scheduler::Slurm => vec![("resources", !needs.resources.is_empty())],
+                Scheduler::HyperQueue => {
+                    vec![("partition", needs.partition.is_some()), ("options", !needs.options.is_empty())]
+                }
+            };
+            fields
+                .into_iter()
+                .filter(|(_, said)| *said)
+                .map(move |(field, _)| format!("stage.{name}.{field}"))
+        });
+        match scheduler {
+            Scheduler::Slurm => of_stages.collect(),
+            Scheduler::HyperQueue => slurms.chain(of_stages).collect(),
+        }
+    }
+}
+
+/// A command as one word, or as a list of them. One with spaces in it is refused: a shell would look for a file of
+/// that name.
+fn one_word_or_several<'de, D: de::Deserializer<'de>>(from: D) -> Result<Vec<String>, D::Error> {
+    struct Words;
+    impl<'de> de::Visitor<'de> for Words {
+        type Value = Vec<String>;
+        fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+            f.write_str("the command's name or path, or a list of its words")
+        }
+        fn visit_str<E: de::Error>(self, text: &str) -> Result<Self::Value, E> {
+            if text.trim().contains(char::is_whitespace) {
+                let words: Vec<&str> = text.split_whitespace().collect();
+                return Err(E::custom(format!(
+                    "`{text}` has spaces in it; write its words as a list: command = {words:?}"
+                )));
+            }
+            Ok(vec![text.to_string()])
+        }
+        fn visit_seq<A: de::SeqAccess<'de>>(self, mut list: A) -> Result<Self::Value, A::Error> {
+            let mut words = Vec::new();
+            while let Some(word) = list.next_element()? {
+                words.push(word);
+            }
+            Ok(words)
+        }
+    }
+    from.deserialize_any(Words)
+}
+
+/// As many processors as `use3d --threads` takes.
+const MOST_CPUS: usize = 1024;
 /// The name under which the tasks of `--layout workers`, and the one that ends a batch, stand in a site file.
 pub const WORKERS: &str = "run";
 /// No job asks for less: schedulers, modules and checkpoints take their time.
@@ -168,6 +283,21 @@ pub(crate) const SHORTEST: Duration = Duration::from_secs(300);
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_a_scheduler_has_no_place_for_is_named() {
+        let text = r#"
+            account = "reef"
+            options = ["--qos=low"]
+            [stage.import]
+            partition = "gpu"
+            resources = { "gpus/nvidia" = 1 }
+        "#;
+        let site = Site::parse(text, &["import"]).expect("right");
+        assert_eq!(site.unused(Scheduler::HyperQueue), ["account", "options", "stage.import.partition"]);
+        assert_eq!(site.unused(Scheduler::Slurm), ["stage.import.resources"]);
+        assert_eq!(Site::default().unused(Scheduler::HyperQueue), Vec::<String>::new());
+    }
 
     #[test]
     fn a_site_is_read_and_what_is_wrong_is_named() {
@@ -183,11 +313,29 @@ mod tests {
         assert_eq!((site.cpus, site.needs("reconstruct").partition.as_deref()), (16, Some("gpu")));
         assert_eq!(site.needs("import"), Needs::default());
         assert_eq!(Site::parse("", &[]), Ok(Site::default()));
+        let command = |text| Site::parse(text, &[]).expect("right").command;
+        assert_eq!(command("command = \"/proj/bin/use3d\""), ["/proj/bin/use3d"]);
+        assert_eq!(command("command = [\"srun\", \"my tools/use3d\"]"), ["srun", "my tools/use3d"]);
         for (text, words) in [
             ("cpu = 3", "cpu"),
             ("cpus = 0", "`cpus` is 0"),
             ("largest_array = 0", "`largest_array` is 0"),
-            ("cpus = \"many\"", "`cpus`"),
+            ("cpus = \"many\"", "`cpus`: expected a whole number, 0 or more, found \"many\""),
+            ("cpus = 99999999999", "expected 1024 or fewer"),
+            ("account = \"\"", "`account` is empty"),
+            ("[stage.import]\npartition = \" \"", "`stage.import.partition` is empty"),
+            ("options = [\"gres=gpu:1\"]", "`options`: `gres=gpu:1` is no option of sbatch"),
+            ("[stage.import]\noptions = [\"gpu\"]", "`stage.import.options`"),
+            (
+                "command = \"apptainer exec use3d.sif use3d\"",
+                r#"command = ["apptainer", "exec", "use3d.sif", "use3d"]"#,
+            ),
+            ("command = \"\"", "`command` is empty"),
+            ("command = []", "`command` is empty"),
+            (
+                "command = 3",
+                "`command`: expected the command's name or path, or a list of its words, found 3",
+            ),
             ("memory = \"much\"", "`memory`: `much` is not a size"),
             ("time = \"soon\"", "`time`: `soon` is not a time"),
             ("longest = \"1min\"", "expected 5min or more"),

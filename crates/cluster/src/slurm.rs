@@ -42,12 +42,14 @@ pub struct Submission {
     pub results: Vec<String>,
     /// The folder of the scripts, lists and logs.
     pub folder: PathBuf,
+    /// Environment variables that tasks need and that a scheduler may not hand on, with their values.
+    pub variables: Vec<(String, String)>,
 }
 
-/// The jobs of a submission that Slurm knows.
+/// The jobs of a submission that the scheduler knows.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Submitted {
-    /// Name and Slurm's number of each.
+    /// Name and the scheduler's number of each.
     pub jobs: Vec<(String, String)>,
 }
 
@@ -62,8 +64,21 @@ impl Submission {
         self.folder.join(format!("{}.tasks", job.name))
     }
 
-    fn submitted_path(&self) -> PathBuf {
-        self.folder.join("submitted.json")
+    /// The jobs of the last submission from this folder.
+    pub(crate) fn submitted(&self) -> Submitted {
+        let text = std::fs::read_to_string(self.folder.join("submitted.json")).unwrap_or_default();
+        serde_json::from_str(&text).unwrap_or_default()
+    }
+
+    /// Keeps what was submitted, for [`Self::submitted`].
+    pub(crate) fn keep(&self, submitted: &Submitted) -> Result<(), ClusterError> {
+        let text = serde_json::to_string_pretty(submitted).unwrap_or_default();
+        put(&self.folder.join("submitted.json"), &text)
+    }
+
+    /// A script's lines for the variables.
+    pub(crate) fn exports(&self) -> Vec<String> {
+        self.variables.iter().map(|(name, value)| format!("export {name}={}", word(value))).collect()
     }
 
     /// The words of a task of a job after the command's name; the task's own scene and variant come last.
@@ -86,8 +101,9 @@ pub fn script(job: &Job, submission: &Submission, site: &Site) -> String {
     let mut option = |text: String| lines.push(format!("#SBATCH {text}"));
     option(format!("--job-name={}", word(&format!("{}-{}", submission.name, job.name))));
     let number = if job.tasks.is_some() { "%A_%a" } else { "%j" };
-    let log = submission.folder.join("logs").join(format!("{}-{number}.log", job.name));
-    option(format!("--output={}", word(&log.to_string_lossy())));
+    // In a name of a log, Slurm reads `%` as the beginning of a number.
+    let log = submission.folder.join("logs").join(&job.name).to_string_lossy().replace('%', "%%");
+    option(format!("--output={}", word(&format!("{log}-{number}.log"))));
     option("--open-mode=append".to_string());
     if let Some(tasks) = job.tasks {
         option(format!("--array=0-{}%{}", tasks.saturating_sub(1), site.at_once));
@@ -107,6 +123,7 @@ pub fn script(job: &Job, submission: &Submission, site: &Site) -> String {
     site.options.iter().chain(&job.asks.needs.options).for_each(|o| option(o.clone()));
     lines.push(String::new());
     lines.push(format!("cd {} || exit 1", word(&submission.place.to_string_lossy())));
+    lines.extend(submission.exports());
     lines.extend(site.setup.iter().cloned());
     if !job.cells.is_empty() {
         let list = word(&submission.list_path(job).to_string_lossy());
@@ -120,7 +137,7 @@ pub fn script(job: &Job, submission: &Submission, site: &Site) -> String {
     let most = job.asks.time.saturating_sub(SPARE).as_secs();
     let task = words(&submission.task(job));
     let cell = if job.cells.is_empty() { "" } else { r#" --only "$cell""# };
-    lines.push(format!("{} {threads} {task} --max-time {most}s{cell} &", word(&site.command)));
+    lines.push(format!("{} {threads} {task} --max-time {most}s{cell} &", words(&site.command)));
     lines.push("child=$!".to_string());
     lines.push(
         "# Shortly before the limit, and when it is cancelled: a checkpoint, then the end.".to_string(),
@@ -174,20 +191,20 @@ pub fn write(jobs: &[Job], submission: &Submission, site: &Site) -> Result<(), C
 /// Hands the written jobs to Slurm, one after the other; their numbers in the same order.
 ///
 /// # Errors
-/// `sbatch` that is not there or refuses; what it had taken before is cancelled.
+/// `sbatch` that is not there, refuses or does not say a job's number; what it had taken before is cancelled.
 pub fn submit(jobs: &[Job], submission: &Submission) -> Result<Submitted, ClusterError> {
     let mut numbers: Vec<String> = Vec::new();
+    let scripts = format!("; the scripts lie in {}", submission.folder.display());
     for job in jobs {
         let script = submission.script_path(job).to_string_lossy().into_owned();
         let arguments =
             ["--parsable".to_string()].into_iter().chain(dependency(job, &numbers)).chain([script]);
-        match call("sbatch", &arguments.collect::<Vec<_>>()) {
-            // The number, and behind a semicolon the cluster where there are several.
-            Ok(text) => numbers.push(text.trim().split(';').next().unwrap_or_default().to_string()),
+        match call("sbatch", &arguments.collect::<Vec<_>>(), &scripts).and_then(|said| number(&said)) {
+            Ok(number) => numbers.push(number),
             Err(error) => {
                 if !numbers.is_empty() {
                     // Half a batch would only wait for the rest.
-                    let _ = call("scancel", &numbers);
+                    let _ = call("scancel", &numbers, "");
                 }
                 return Err(error);
             }
@@ -195,9 +212,21 @@ pub fn submit(jobs: &[Job], submission: &Submission) -> Result<Submitted, Cluste
     }
     let jobs = jobs.iter().map(|job| job.name.clone()).zip(numbers).collect();
     let submitted = Submitted { jobs };
-    let text = serde_json::to_string_pretty(&submitted).unwrap_or_default();
-    put(&submission.submitted_path(), &text)?;
+    submission.keep(&submitted)?;
     Ok(submitted)
+}
+
+/// The job's number in what `sbatch --parsable` prints: behind a semicolon stands the cluster where there are several.
+fn number(said: &str) -> Result<String, ClusterError> {
+    let number = said.trim().split(';').next().unwrap_or_default();
+    if !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit()) {
+        return Ok(number.to_string());
+    }
+    let reason = format!(
+        "expected the number of a job, and it said: {:?}; see with `squeue --me` whether it took the job",
+        said.trim()
+    );
+    Err(ClusterError::Command { command: "sbatch".to_string(), reason })
 }
 
 /// The jobs of the last submission from this folder that Slurm still has in its queue, by name and number.
@@ -206,13 +235,11 @@ pub fn submit(jobs: &[Job], submission: &Submission) -> Result<Submitted, Cluste
 /// # Errors
 /// `squeue` that is not there.
 pub fn queued(submission: &Submission) -> Result<Vec<(String, String)>, ClusterError> {
-    let text = std::fs::read_to_string(submission.submitted_path()).unwrap_or_default();
-    let Ok(last) = serde_json::from_str::<Submitted>(&text) else { return Ok(Vec::new()) };
     let mut found = Vec::new();
-    for (name, number) in last.jobs {
+    for (name, number) in submission.submitted().jobs {
         // Asked for one by one: a number that Slurm has forgotten is an error of the whole call.
         let arguments = ["--noheader", "--format=%i", "--jobs", &number].map(String::from);
-        match call("squeue", &arguments) {
+        match call("squeue", &arguments, "") {
             Ok(lines) if !lines.trim().is_empty() => found.push((name, number)),
             Ok(_) => {}
             Err(ClusterError::Command { reason, .. }) if reason.contains("Invalid job id") => {}
@@ -222,13 +249,13 @@ pub fn queued(submission: &Submission) -> Result<Vec<(String, String)>, ClusterE
     Ok(found)
 }
 
-fn call(command: &str, arguments: &[String]) -> Result<String, ClusterError> {
+/// What a command of Slurm's prints. `more` is said where there is no such command.
+fn call(command: &str, arguments: &[String], more: &str) -> Result<String, ClusterError> {
     let wrong = |reason: String| ClusterError::Command { command: command.to_string(), reason };
-    let output = Command::new(command).args(arguments).output().map_err(|e| {
-        wrong(format!(
-            "{e}; submit where Slurm's commands are, such as a login node, or write the scripts with --dry-run"
-        ))
-    })?;
+    let output = Command::new(command)
+        .args(arguments)
+        .output()
+        .map_err(|e| wrong(format!("{e}; submit where Slurm's commands are, such as a login node{more}")))?;
     if output.status.success() {
         return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
     }

@@ -120,6 +120,7 @@ fn submission() -> Submission {
             .to_vec(),
         results: ["--out", "/proj/reef work/use3d-out/use26"].map(String::from).to_vec(),
         folder: PathBuf::from("/proj/reef work/use3d-out/use26-submit"),
+        variables: vec![("SEATHRU".to_string(), "/proj/reef data/SeaThru".to_string())],
     }
 }
 
@@ -171,6 +172,40 @@ fn what_a_task_says_goes_into_the_folder_of_logs_whatever_the_folder_is_called()
     for name in ["workers-0.log", "workers-0.err", "finish.log", "finish.err"] {
         assert!(file.contains(&format!("\"/proj/my.log.dir/logs/{name}\"")), "{name}: {file}");
     }
+}
+
+#[test]
+fn a_percent_sign_in_a_folders_name_is_no_pattern_of_slurms() {
+    let folder = PathBuf::from("/proj/10%j");
+    let jobs = of(Layout::Workers);
+    let text = slurm::script(&jobs[0], &Submission { folder, ..submission() }, &site());
+    assert!(text.contains("#SBATCH --output=/proj/10%%j/logs/workers-%A_%a.log\n"), "{text}");
+}
+
+#[test]
+fn a_command_of_several_words_stays_several_words() {
+    let command = ["apptainer", "exec", "my tools/use3d.sif", "use3d"].map(String::from).to_vec();
+    let site = Site { command, ..site() };
+    let words = "apptainer exec 'my tools/use3d.sif' use3d ";
+    let slurm = slurm::script(&of(Layout::Workers)[0], &submission(), &site);
+    assert!(slurm.lines().any(|line| line.starts_with(words)), "{slurm}");
+    let hq = hyperqueue::script(&submission(), &site);
+    assert_eq!(hq.matches(&format!("{words}\"$@\"")).count(), 2, "{hq}");
+}
+
+#[test]
+fn hyperqueue_is_asked_for_memory_unless_a_site_says_otherwise() {
+    let asked = |own: &[(&str, u64)]| {
+        let mut jobs = of(Layout::Workers);
+        jobs[0].asks.needs.resources = own.iter().map(|(name, n)| ((*name).to_string(), *n)).collect();
+        let file = hyperqueue::file(&jobs[..1], &submission());
+        let at = file.find("resources]").expect("resources");
+        file[at..].lines().skip(1).take_while(|l| !l.is_empty()).collect::<Vec<_>>().join(", ")
+    };
+    let memory = of(Layout::Workers)[0].asks.memory.div_ceil(1 << 20);
+    assert_eq!(asked(&[]), format!("cpus = 8, mem = {memory}"));
+    assert_eq!(asked(&[("mem", 77)]), "cpus = 8, mem = 77");
+    assert_eq!(asked(&[("mem", 0), ("fpga", 1)]), "cpus = 8, fpga = 1");
 }
 
 #[test]
@@ -318,6 +353,38 @@ fn a_task_runs_its_own_scene_and_tells_how_it_ended() {
         assert_eq!(words[..3], ["--threads", "3", "run"]);
         assert_eq!(words[words.len() - 2..], ["--only", "Curaçao north@full"], "{words:?}");
         assert_eq!(stand_in.read("scontrol.log"), "");
+    }
+}
+
+/// HyperQueue begins nothing that waits for a task that failed.
+#[test]
+fn what_only_finish_waits_for_keeps_it_from_nothing_in_hyperqueue() {
+    let file = hyperqueue::file(&of(Layout::Workers), &submission());
+    let starts: Vec<&str> = file.lines().filter(|line| line.starts_with("command = ")).collect();
+    let (workers, finish) = starts.split_at(4);
+    assert!(workers.iter().all(|line| line.contains("task.sh\", \"afterany\", \"--threads\"")), "{file}");
+    assert!(finish.len() == 1 && finish[0].contains("task.sh\", \"afterok\", \"--threads\""), "{file}");
+    assert!(!hyperqueue::ends_with_a_failure(&of(Layout::Workers)));
+    assert!(hyperqueue::ends_with_a_failure(&of(Layout::Stages)));
+
+    for (setup, code, shown) in [("", 0, 0), ("", 1, 0), ("", 2, 0), ("", 130, 130), ("set -e", 1, 0)] {
+        let stand_in = StandIn::new(&format!("printf '%s\\n' \"$@\" > words; exit {code}"));
+        let mut own = submission();
+        own.place = stand_in.dir.path().to_path_buf();
+        let site = Site { setup: vec![setup.to_string()], ..site() };
+        fs::write(stand_in.dir.path().join("task.sh"), hyperqueue::script(&own, &site)).expect("written");
+        let path = format!("{}:{}", stand_in.dir.path().display(), std::env::var("PATH").unwrap_or_default());
+        let ended = |after: &str| {
+            let mut command = Command::new("bash");
+            command
+                .arg(stand_in.dir.path().join("task.sh"))
+                .args([after, "run", "two words"])
+                .env("PATH", &path);
+            let status = command.stdout(Stdio::null()).stderr(Stdio::null()).status();
+            assert_eq!(stand_in.read("words"), "run\ntwo words\n");
+            status.expect("a shell").code()
+        };
+        assert_eq!((ended("afterany"), ended("afterok")), (Some(shown), Some(code)), "{setup}");
     }
 }
 

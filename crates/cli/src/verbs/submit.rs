@@ -3,12 +3,14 @@
 
 use std::path::{Path, PathBuf};
 
+use use3d_build::Plan;
 use use3d_build::machine::seconds;
 use use3d_build::plan::State;
 use use3d_cluster::jobs::{self, Job, Layout};
-use use3d_cluster::site::Site;
+use use3d_cluster::site::{Scheduler, Site};
 use use3d_cluster::slurm::{self, Submission};
-use use3d_cluster::{hyperqueue, quote, time};
+use use3d_cluster::{ClusterError, hyperqueue, quote, time};
+use use3d_pipeline::config::Pipeline;
 use use3d_pipeline::results;
 
 use crate::App;
@@ -21,20 +23,26 @@ struct Ready {
     jobs: Vec<Job>,
     submission: Submission,
     site: Site,
+    /// Inputs that the pipeline names and that are not there.
+    missing: usize,
 }
 
 pub(crate) fn run(app: &App, what: &Submit) -> Done {
     let (scheduler, args) = match what {
-        Submit::Slurm(args) => ("slurm", args),
-        Submit::Hq(args) => ("hq", args),
+        Submit::Slurm(args) => (Scheduler::Slurm, args),
+        Submit::Hq(args) => (Scheduler::HyperQueue, args),
     };
-    let Some(ready) = prepare(app, scheduler, args)? else {
-        println!("everything is there: nothing to submit");
-        return Ok(());
-    };
-    let Ready { jobs, submission, site } = &ready;
+    if let (SubmitLayout::Stages, Some(workers)) = (args.layout, args.workers) {
+        return Err(CliError::Input(format!(
+            "--workers {workers}: --layout stages has a task for every scene and variant; leave one of them out (how many run at \
+             once says `at_once` of the site)"
+        )));
+    }
+    let Some(ready) = prepare(app, scheduler, args)? else { return Ok(()) };
+    let Ready { jobs, submission, site, missing } = &ready;
     for job in jobs {
-        let tasks = job.tasks.map_or_else(|| "1 task".to_string(), |n| format!("{n} tasks"));
+        let tasks =
+            job.tasks.filter(|n| *n != 1).map_or_else(|| "1 task".to_string(), |n| format!("{n} tasks"));
         println!(
             "{:<12} {tasks}, {} processors, {} MB, up to {}",
             job.name,
@@ -55,25 +63,17 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
                     println!("--- {}: {cell}", submission.list_path(job).display());
                 }
             }
-            return Ok(());
+            return end(WITHOUT, *missing);
         }
         Submit::Hq(_) if args.dry_run => {
             println!("\n--- {}", hyperqueue::script_path(submission).display());
             print!("{}", hyperqueue::script(submission, site));
             println!("\n--- hq job submit-file {}", hyperqueue::file_path(submission).display());
             print!("{}", hyperqueue::file(jobs, submission));
-            return Ok(());
+            return end(WITHOUT, *missing);
         }
         Submit::Slurm(_) => {
-            let queued = slurm::queued(submission).map_err(CliError::failed)?;
-            if !queued.is_empty() && !args.again {
-                let named: Vec<String> = queued.iter().map(|(name, id)| format!("{id} ({name})")).collect();
-                return Err(CliError::Input(format!(
-                    "jobs of the last submission are still in the queue: {}; wait for them, end them with `scancel`, or pass \
-                     --again to submit beside them",
-                    named.join(", ")
-                )));
-            }
+            refuse_twice(args, slurm::queued(submission), "scancel")?;
             slurm::write(jobs, submission, site).map_err(CliError::failed)?;
             let submitted = slurm::submit(jobs, submission).map_err(CliError::failed)?;
             for (name, id) in &submitted.jobs {
@@ -81,43 +81,150 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
             }
         }
         Submit::Hq(_) => {
+            refuse_twice(args, hyperqueue::queued(submission), "hq job cancel")?;
             hyperqueue::write(jobs, submission, site).map_err(CliError::failed)?;
-            println!("{}", hyperqueue::submit(submission).map_err(CliError::failed)?);
+            let submitted = hyperqueue::submit(submission).map_err(CliError::failed)?;
+            for (name, id) in &submitted.jobs {
+                println!("submitted {name} as job {id}");
+            }
+            if hyperqueue::ends_with_a_failure(jobs) {
+                let run =
+                    [&["use3d".to_string(), "run".to_string()][..], &submission.run, &submission.results];
+                println!(
+                    "if a task fails, HyperQueue begins nothing that waits for it, `finish` neither; then: {} --keep-going",
+                    quote::words(&run.concat())
+                );
+            }
         }
     }
     println!("logs: {}", submission.folder.join("logs").display());
     // With all that makes keys what they are: other words would tell of other work.
     let told = [&["use3d".to_string(), "status".to_string()][..], &submission.run[..]];
     println!("how far they are: {}", quote::words(&told.concat()));
-    Ok(())
+    end(WITHOUT, *missing)
 }
 
-fn prepare(app: &App, scheduler: &str, args: &SubmitArgs) -> Result<Option<Ready>, CliError> {
-    let loaded = open(&args.pipeline, &[])?;
-    let Loaded { pipeline, builder, graph } = &loaded;
-    let stages: Vec<&str> = builder.registry.stages().iter().map(|s| s.name()).collect();
-    let site = match &args.cluster {
-        Some(file) => Site::read(file, &stages).map_err(CliError::input)?,
-        None => Site::default(),
+/// What is said of a batch of which a part was submitted.
+const WITHOUT: &str = "what needs them is not submitted";
+
+/// Ends as the run would: with a failure where inputs are missing.
+fn end(what: &str, missing: usize) -> Done {
+    let are = match missing {
+        0 => return Ok(()),
+        1 => "1 input is".to_string(),
+        n => format!("{n} inputs are"),
     };
-    let plan = builder.plan(graph, None);
-    for node in plan.nodes.iter().filter(|n| n.shared_with.is_none() && !app.quiet) {
+    Err(CliError::Failed(format!("{what}: {are} missing, see above")))
+}
+
+/// Refuses to submit beside jobs that are not over, unless it is asked for.
+fn refuse_twice(
+    args: &SubmitArgs,
+    queued: Result<Vec<(String, String)>, ClusterError>,
+    cancel: &str,
+) -> Result<(), CliError> {
+    let queued = queued.map_err(CliError::failed)?;
+    if queued.is_empty() || args.again {
+        return Ok(());
+    }
+    let named: Vec<String> = queued.iter().map(|(name, id)| format!("{id} ({name})")).collect();
+    Err(CliError::Input(format!(
+        "jobs of the last submission are still in the queue: {}; wait for them, end them with `{cancel}`, or pass --again to \
+         submit beside them",
+        named.join(", ")
+    )))
+}
+
+/// The inputs that are missing, each with its reason: also where only what went wrong is to be said.
+fn tell_missing(plan: &Plan) {
+    for node in plan.nodes.iter().filter(|n| n.shared_with.is_none()) {
         if let State::Unavailable(reason) = &node.state {
             eprintln!("warning: {} {}: {reason}; it is not submitted", node.scene, node.stage);
         }
     }
+}
+
+/// The site, and what of it the scheduler has no place for said.
+fn site(app: &App, scheduler: Scheduler, args: &SubmitArgs, stages: &[&str]) -> Result<Site, CliError> {
+    let Some(file) = &args.cluster else { return Ok(Site::default()) };
+    let site = Site::read(file, stages).map_err(CliError::input)?;
+    let unused = site.unused(scheduler);
+    if !unused.is_empty() && !app.quiet {
+        let name = match scheduler {
+            Scheduler::Slurm => "Slurm",
+            Scheduler::HyperQueue => "HyperQueue",
+        };
+        eprintln!("warning: {}: {name} has no place for {}: not used", file.display(), unused.join(", "));
+    }
+    Ok(site)
+}
+
+/// The variables that tasks need, with their values: schedulers may start them without. What may be a key to
+/// something is left out: scripts are files that others may read.
+fn variables(pipeline: &Pipeline) -> Result<Vec<(String, String)>, CliError> {
+    let mut found = Vec::new();
+    for name in pipeline.variables.iter().map(String::as_str).chain(["USE3D_REMOTE"]) {
+        let Some(value) = std::env::var(name).ok().filter(|value| !value.is_empty()) else { continue };
+        if may_be_secret(name) || !is_shell_name(name) {
+            eprintln!(
+                "warning: the environment variable {name} is not written into scripts{}; see that tasks get it, for instance by \
+                 `setup` of the site",
+                if may_be_secret(name) { ", it may be a secret" } else { ", no shell knows such a name" }
+            );
+            continue;
+        }
+        if name == "USE3D_REMOTE" {
+            // As a run would; what is refused may have a key in it.
+            use3d_store::open(&value).map_err(|e| CliError::Input(format!("{name}: {e}")))?;
+        }
+        if value.chars().any(char::is_control) {
+            return Err(CliError::Input(format!(
+                "the environment variable {name} has a control character in it; a script cannot hold it"
+            )));
+        }
+        found.push((name.to_string(), value));
+    }
+    Ok(found)
+}
+
+fn may_be_secret(name: &str) -> bool {
+    let name = name.to_uppercase();
+    name.starts_with("AWS_")
+        || ["SECRET", "TOKEN", "PASSWORD", "CREDENTIAL", "_KEY"].iter().any(|part| name.contains(part))
+}
+
+fn is_shell_name(name: &str) -> bool {
+    !name.starts_with(|c: char| c.is_ascii_digit())
+        && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
+}
+
+/// Everything that there is to submit; nothing where there is nothing to do.
+fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<Ready>, CliError> {
+    let loaded = open(&args.pipeline, &[])?;
+    let Loaded { pipeline, builder, graph } = &loaded;
+    let stages: Vec<&str> = builder.registry.stages().iter().map(|s| s.name()).collect();
+    let site = site(app, scheduler, args, &stages)?;
+    let plan = builder.plan(graph, None);
+    tell_missing(&plan);
     let layout = match args.layout {
         SubmitLayout::Workers => Layout::Workers,
         SubmitLayout::Stages => Layout::Stages,
     };
     let jobs = jobs::of(&plan, &builder.registry, &site, layout, args.workers).map_err(CliError::input)?;
+    let missing = plan.unavailable();
     if jobs.is_empty() {
-        return Ok(None);
+        if missing == 0 {
+            println!("everything is there: nothing to submit");
+        }
+        return end("nothing can be submitted", missing).map(|()| None);
     }
     let (forecast, without) = plan.forecast();
     if !app.quiet {
-        let unknown =
-            if without > 0 { format!(", and {without} stages never ran before") } else { String::new() };
+        let unknown = match without {
+            0 => String::new(),
+            1 => ", and 1 stage never ran before".to_string(),
+            n => format!(", and {n} stages never ran before"),
+        };
         println!(
             "{}: {} to run, {} cached; about {}{unknown}",
             plan.pipeline,
@@ -156,15 +263,20 @@ fn prepare(app: &App, scheduler: &str, args: &SubmitArgs) -> Result<Option<Ready
         .collect();
     let folder =
         out.with_file_name(format!("{}-submit", out.file_name().unwrap_or_default().to_string_lossy()));
+    let verb = match scheduler {
+        Scheduler::Slurm => "slurm",
+        Scheduler::HyperQueue => "hq",
+    };
     let submission = Submission {
         name,
-        by: format!("use3d submit {scheduler} {}", quote::word(&run[0])),
+        by: format!("use3d submit {verb} {}", quote::word(&run[0])),
         place,
         run,
         results: vec!["--out".to_string(), text(&out)?],
         folder,
+        variables: variables(pipeline)?,
     };
-    Ok(Some(Ready { jobs, submission, site }))
+    Ok(Some(Ready { jobs, submission, site, missing }))
 }
 
 fn absolute(path: &Path) -> Result<PathBuf, CliError> {

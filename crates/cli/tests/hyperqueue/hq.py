@@ -2,8 +2,12 @@
 the server, its scheduler and its workers are the real ones.
 
     hq.py server start          a server with two workers of one processor each; ends when its stdin does
-    hq.py job submit-file FILE
+    hq.py --output-mode quiet job submit-file FILE
+    hq.py --output-mode quiet job list
     hq.py job wait ID
+
+It differs from the command in two things: the workers of the package offer processors alone, so that memory is looked for in the file and
+not asked for; and what is submitted is read here, so that the command's own reader of job files is not tried.
 
 The folder of the server is in HQ_SERVER_DIR, as for `hq`.
 """
@@ -35,7 +39,8 @@ def submit(client, path):
         (request,) = task["request"]
         seconds = int(re.fullmatch(r"(\d+)s", request["time_request"]).group(1))
         resources = dict(request["resources"])
-        cpus = resources.pop("cpus")
+        cpus, memory = resources.pop("cpus"), resources.pop("mem")
+        assert memory > 0, request
         made[task["id"]] = job.program(
             task["command"],
             cwd=task["cwd"],
@@ -45,15 +50,40 @@ def submit(client, path):
             resources=ResourceRequest(cpus=cpus, resources=resources, min_time=timedelta(seconds=seconds)),
             crash_limit=task["crash_limit"],
         )
-    print(f"Job submitted successfully, job ID: {client.submit(job).id}")
+    number = client.submit(job).id
+    with open(numbers(), "a") as file:
+        print(number, file=file)
+    print(number)
+
+
+def numbers():
+    """The file with the numbers of all jobs that were submitted."""
+    return os.path.join(os.environ["HQ_SERVER_DIR"], "submitted")
+
+
+def show_open(client):
+    """A line for every job that is not over. The package tells it of jobs that are waited for: one look is enough."""
+    def look(jobs):
+        for number, job in jobs.items():
+            if not job["completed"]:
+                print(number, "RUNNING")
+        sys.stdout.flush()
+        os._exit(0)
+
+    with open(numbers()) as file:
+        client.connection.wait_for_jobs([int(line) for line in file], look)
 
 
 def main():
     folder, words = os.environ["HQ_SERVER_DIR"], sys.argv[1:]
+    if words[:2] == ["--output-mode", "quiet"]:
+        words = words[2:]
     if words == ["server", "start"]:
         serve(folder)
     elif words[:2] == ["job", "submit-file"]:
         submit(Client(folder), words[2])
+    elif words == ["job", "list"]:
+        show_open(Client(folder))
     elif words[:2] == ["job", "wait"]:
         Client(folder).connection.wait_for_jobs([int(words[2])], lambda _: None)
     else:

@@ -27,6 +27,7 @@
 //! known key. Relative paths start at the file's folder. An environment variable that is not set only
 //! hurts the scenes that need it.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
@@ -78,6 +79,8 @@ pub struct Pipeline {
     pub batch: Batch,
     /// The cache folder.
     pub cache: PathBuf,
+    /// The environment variables that the file and `--set` name, as `${NAME}` in paths.
+    pub variables: BTreeSet<String>,
 }
 
 /// Loads a pipeline file.
@@ -186,7 +189,10 @@ fn parse(
     }
     let models = own.models.dir.map(|dir| (expand(&dir, folder), said(key_of("models"))));
     let cache = own.cache.map(|text| expand(&text, folder));
-    finish(registry, batch, cache, models, options)
+    let variables = places::variables(&reader.document.value);
+    let mut pipeline = finish(registry, batch, cache, models, options)?;
+    pipeline.variables.extend(variables);
+    Ok(pipeline)
 }
 
 /// What files and single captures have in common: the command line, the cache,
@@ -227,7 +233,8 @@ fn finish(
         (None, Some(place)) => place.map_err(|e| ConfigError::plain(format!("`cache`: {e}")))?,
         (None, None) => default_cache()?,
     };
-    Ok(Pipeline { batch, cache })
+    let sets = options.sets.iter().map(|set| Value::String(set.clone())).collect();
+    Ok(Pipeline { batch, cache, variables: places::variables(&Value::Array(sets)) })
 }
 
 /// Where the cache is unless somebody says otherwise: `$XDG_CACHE_HOME/use3d` or `~/.cache/use3d`.

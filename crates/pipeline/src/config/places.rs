@@ -1,5 +1,6 @@
 //! Files and folders that a pipeline names: which key names which input, and how a path is written there.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value};
@@ -135,6 +136,19 @@ pub(super) fn home() -> Option<PathBuf> {
         .iter()
         .find_map(|n| std::env::var_os(n).filter(|v| !v.is_empty()))
         .map(PathBuf::from)
+}
+
+/// The environment variables that texts of a document or of the command line name.
+pub(super) fn variables(value: &Value) -> BTreeSet<String> {
+    match value {
+        Value::String(text) => {
+            let names = text.split("${").skip(1).filter_map(|rest| rest.split_once('}'));
+            names.map(|(name, _)| name.to_string()).collect()
+        }
+        Value::Array(items) => items.iter().flat_map(variables).collect(),
+        Value::Object(fields) => fields.values().flat_map(variables).collect(),
+        _ => BTreeSet::new(),
+    }
 }
 
 /// A path of the file: `${NAME}` is an environment variable, `~` the home folder,
