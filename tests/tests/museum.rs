@@ -4,9 +4,15 @@ use std::path::{Path, PathBuf};
 
 use use3d_atc::calibrator::{Calibrator, Dataset};
 use use3d_atc::consensus::Targets;
+use use3d_build::key::Key;
 use use3d_build::manifest::Manifest;
+use use3d_build::place::{self, Look, Standing};
+use use3d_capture::Appearance;
 use use3d_import::load_prepared;
+use use3d_pipeline::judge::scores::{Method, SceneScores};
 use use3d_scene::Scene;
+use use3d_web::SavedViews;
+use use3d_web::path::CameraPath;
 
 fn exhibit(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("museum").join(name)
@@ -22,6 +28,53 @@ fn scenes() {
     assert_eq!((scene.gaussians.len(), scene.medium.kind().name()), (40, "rbf"));
     assert_eq!(scene.medium.anchors().map(|a| (a.centers.len(), a.top_k)), Some((8, 4)));
     assert!(scene.enhancement.is_some());
+}
+
+#[test]
+fn waters_of_every_kind() {
+    for kind in ["mlp", "global", "image"] {
+        let scene = Scene::load(&exhibit(&format!("water-{kind}-v1"))).expect(kind);
+        assert_eq!((scene.gaussians.len(), scene.medium.kind().name()), (28, kind));
+        assert!(scene.medium.anchors().is_none() && scene.enhancement.is_none(), "{kind}");
+    }
+}
+
+/// Learnt from the scene without its water; the one of `scene-v1` through it.
+#[test]
+fn enhancements_of_both_appearances() {
+    let appearance = |folder: &str| {
+        Scene::load(&exhibit(folder)).expect(folder).enhancement.expect("an enhancement").appearance
+    };
+    assert_eq!(appearance("enhancement-clear-v1"), Appearance::Clear);
+    assert_eq!(appearance("scene-v1"), Appearance::Water);
+}
+
+/// What a stage that was run by hand leaves beside its result, so that nothing else is ever replaced.
+#[test]
+fn results() {
+    match place::look(&exhibit("water-global-v1"), Look::Close).expect("looked at") {
+        Standing::Ours(ours) => assert!(ours.whole),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn scores() {
+    let scores = SceneScores::parse(&bytes("scores-v2/scores.json")).expect("scores v2");
+    assert_eq!((scores.training_views, scores.held_out_views, scores.size), (4, 2, (48, 32)));
+    let psnr = scores.mean(Method::Reconstruction, "psnr").and_then(|score| score.value());
+    assert!(psnr.is_some_and(|psnr| psnr > 5.0), "{psnr:?}");
+}
+
+#[test]
+fn what_a_page_saved() {
+    let text = |name: &str| String::from_utf8(bytes(name)).expect("UTF-8");
+    let path = CameraPath::read(&text("camera-path-v1/path.json")).expect("path v1");
+    assert_eq!((path.keys.len(), path.keys[1].time, path.frames_per_second), (2, 1.5, 30.0));
+    assert_eq!(path.keys[1].shot.mode, "enhanced-clear");
+    let views = SavedViews::read(&text("views-v1/views.json")).expect("views v1");
+    assert_eq!((views.views[0].name.as_str(), views.metres_per_unit), ("the wreck", Some(1.25)));
+    assert_eq!(views.views[0].compare.as_deref(), Some("reconstruction"));
 }
 
 #[test]
@@ -45,9 +98,10 @@ fn calibration() {
 
 #[test]
 fn artifacts() {
-    let manifest: Manifest =
-        serde_json::from_slice(&bytes("artifact-v1/manifest.json")).expect("manifest v1");
-    assert_eq!((manifest.format.as_str(), manifest.schema), ("use3d artifact", 1));
+    let bytes = bytes("artifact-v1/manifest.json");
+    let read: serde_json::Value = serde_json::from_slice(&bytes).expect("JSON");
+    let key: Key = serde_json::from_value(read["key"].clone()).expect("a key");
     // A key that came out differently would leave every cache behind.
-    assert_eq!(manifest.ingredients.key(), manifest.key);
+    let manifest = Manifest::parse(&bytes, key).expect("manifest v1");
+    assert_eq!((manifest.format.as_str(), manifest.schema), ("use3d artifact", 1));
 }

@@ -112,7 +112,10 @@ impl Manifest {
     }
 
     /// Parses and checks what can be checked without the files.
-    pub(crate) fn parse(bytes: &[u8], key: Key) -> Result<Self, String> {
+    ///
+    /// # Errors
+    /// Another format, another key, or digests that do not fit; in words.
+    pub fn parse(bytes: &[u8], key: Key) -> Result<Self, String> {
         let manifest: Self =
             serde_json::from_slice(bytes).map_err(|e| format!("{MANIFEST} is damaged: {e}"))?;
         if manifest.format != FORMAT || manifest.schema != 1 {
