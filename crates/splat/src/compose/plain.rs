@@ -29,7 +29,7 @@
 use use3d_numerics::lanes::{SMALL_COEFFICIENTS, exp2, exp2_unclamped, sum};
 
 use super::tile::{
-    ALPHA_MAX, BackwardTile, CHANNELS, ForwardTile, Input, Lanes, STOP, Sink, TileWater, moments,
+    ALPHA_MAX, BackwardTile, CHANNELS, ColumnSums, ForwardTile, Input, Lanes, STOP, Sink, TileWater, moments,
 };
 use crate::lists::TILE;
 use crate::project::{LOG2_255, Record, Splat, SplatGradient};
@@ -136,7 +136,7 @@ pub(crate) fn backward<const WATER: bool, const EXTRAS: bool>(
         let (span, splat) = input.entry(k);
         let decay = WATER.then(|| Decay::new(water, splat.z));
         let (kappa, inverse) = splat.conic_terms();
-        let mut lanes = [[0.0f32; TILE]; 9];
+        let mut sums = ColumnSums::zeros([0.0f32; TILE]);
         for r in 0..input.filled_rows {
             let (terms, row, water) = (splat.row(input.rows[r]), &mut tile.rows[r], &water.rows[r]);
             let eta = input.rows[r] - origin[1];
@@ -173,52 +173,51 @@ pub(crate) fn backward<const WATER: bool, const EXTRAS: bool>(
                             color += row.clear[c][l];
                             v = row.clear[c][l].mul_add(splat.color[c], v);
                         }
-                        lanes[4 + c][l] = w.mul_add(color, lanes[4 + c][l]);
+                        sums.color[c][l] = w.mul_add(color, sums.color[c][l]);
                         row.object_moment[c][l] = wz.mul_add(colored, row.object_moment[c][l]);
                         row.veil_moment[c][l] = wz.mul_add(veiled, row.veil_moment[c][l]);
                         row.veil[c][l] = w.mul_add(veil, row.veil[c][l]);
                     } else {
                         let color = if EXTRAS { g + row.clear[c][l] } else { g };
                         v = color.mul_add(splat.color[c], v);
-                        lanes[4 + c][l] = w.mul_add(color, lanes[4 + c][l]);
+                        sums.color[c][l] = w.mul_add(color, sums.color[c][l]);
                     }
                 }
                 slope *= s_gradient;
                 if EXTRAS {
                     slope = row.depth[l].mul_add(std::f32::consts::LOG2_E, slope);
                 }
-                lanes[3][l] = w.mul_add(slope, lanes[3][l]);
+                sums.z[l] = w.mul_add(slope, sums.z[l]);
                 let wv = w * v;
                 let ratio = alpha * over;
                 let g = ratio.mul_add(row.behind[l], wv);
                 row.behind[l] -= wv;
                 let g = if raw <= ALPHA_MAX { g } else { 0.0 };
-                lanes[0][l] += g;
-                lanes[1][l] = g.mul_add(eta, lanes[1][l]);
-                lanes[2][l] = g.mul_add(eta * eta, lanes[2][l]);
-                lanes[7][l] = g.abs().mul_add(t.abs(), lanes[7][l]);
-                lanes[8][l] = g.abs().mul_add(t.mul_add(kappa, dy_term).abs(), lanes[8][l]);
+                sums.weight[l] += g;
+                sums.eta[l] = g.mul_add(eta, sums.eta[l]);
+                sums.eta_eta[l] = g.mul_add(eta * eta, sums.eta_eta[l]);
+                sums.screen[0][l] = g.abs().mul_add(t.abs(), sums.screen[0][l]);
+                sums.screen[1][l] = g.abs().mul_add(t.mul_add(kappa, dy_term).abs(), sums.screen[1][l]);
             }
         }
-        sink.put(span, finish(splat, origin, &offset, &lanes));
+        sink.put(span, finish(splat, origin, &offset, &sums));
     }
 }
 
 /// Sums over the columns and turns them into a record.
-pub(crate) fn finish(splat: &Splat, origin: [f32; 2], offset: &Lanes, lanes: &[Lanes; 9]) -> Record {
+pub(crate) fn finish(splat: &Splat, origin: [f32; 2], offset: &Lanes, sums: &ColumnSums<Lanes>) -> Record {
     let weighted = |a: &Lanes| -> Lanes { std::array::from_fn(|l| a[l] * offset[l]) };
-    let x0 = weighted(&lanes[0]);
-    let sums = [
-        sum(&lanes[0]),
+    let x0 = weighted(&sums.weight);
+    let in_tile = [
+        sum(&sums.weight),
         sum(&x0),
         sum(&weighted(&x0)),
-        sum(&lanes[1]),
-        sum(&weighted(&lanes[1])),
-        sum(&lanes[2]),
+        sum(&sums.eta),
+        sum(&weighted(&sums.eta)),
+        sum(&sums.eta_eta),
     ];
-    let [s0, t, y, tt, ty, yy] = moments(splat, origin, sums);
-    let [z, r, g, b, x, y_slope] = std::array::from_fn(|i| sum(&lanes[3 + i]));
-    let (color, screen) = ([r, g, b], [x, y_slope]);
+    let [s0, t, y, tt, ty, yy] = moments(splat, origin, in_tile);
+    let (z, color, screen) = (sum(&sums.z), sums.color.map(|c| sum(&c)), sums.screen.map(|v| sum(&v)));
     SplatGradient { weight: s0, t, dy: y, t_t: tt, t_dy: ty, dy_dy: yy, z, color, screen }.record()
 }
 

@@ -270,6 +270,31 @@ impl Splat {
     }
 }
 
+/// What a Gaussian's gradient sums over the rows of a tile, column by column: `G = ∂L/∂log₂ α` of a pixel, `η` the
+/// pixel's row from the sums' origin. `V` holds the 16 columns.
+#[derive(Clone, Copy)]
+pub(crate) struct ColumnSums<V> {
+    /// `ΣG`.
+    pub(crate) weight: V,
+    /// `ΣG η`.
+    pub(crate) eta: V,
+    /// `ΣG η²`.
+    pub(crate) eta_eta: V,
+    /// `∂L/∂z / ln 2`.
+    pub(crate) z: V,
+    /// `∂L/∂c`.
+    pub(crate) color: [V; 3],
+    /// `Σ|G t|` and `Σ|G v_y|`, for density control.
+    pub(crate) screen: [V; 2],
+}
+
+impl<V: Copy> ColumnSums<V> {
+    #[inline(always)]
+    pub(crate) fn zeros(zero: V) -> Self {
+        Self { weight: zero, eta: zero, eta_eta: zero, z: zero, color: [zero; 3], screen: [zero; 2] }
+    }
+}
+
 /// Turns sums over a tile in tile coordinates into moments about the Gaussian.
 ///
 /// `s0 = ΣG`, `sx = ΣG X`, `sxx = ΣG X²`, `s1 = ΣG η`, `sx1 = ΣG X η`, `s2 = ΣG η²`, with `X, η` the pixel

@@ -7,7 +7,7 @@ use super::decay::{Attenuate, ThroughWater, through};
 use super::entries::{Entry, Pass, walk};
 use super::sums::finish;
 use super::{accumulate, load, select};
-use crate::compose::tile::{ALPHA_MAX, BackwardTile, Input, Lanes, NEVER, Sink, TileWater};
+use crate::compose::tile::{ALPHA_MAX, BackwardTile, ColumnSums, Input, Lanes, NEVER, Sink, TileWater};
 use crate::lists::{Span, TILE};
 use crate::project::LOG2_255;
 
@@ -62,8 +62,8 @@ impl<S: Simd, const WATER: bool, const EXTRAS: bool> Pass<S> for Backward<'_, '_
 
     #[inline(always)]
     fn meet(&mut self, simd: S, entry: &Entry<'_, S>) {
-        let lanes = through::<_, WATER, _>(simd, self.water, [1.0; 3], entry, self);
-        self.sink.put(entry.span, finish(simd, entry.splat, self.origin, self.offset, lanes));
+        let sums = through::<_, WATER, _>(simd, self.water, [1.0; 3], entry, self);
+        self.sink.put(entry.span, finish(simd, entry.splat, self.origin, self.offset, sums));
     }
 
     #[inline(always)]
@@ -73,16 +73,16 @@ impl<S: Simd, const WATER: bool, const EXTRAS: bool> Pass<S> for Backward<'_, '_
 }
 
 impl<S: Simd, const WATER: bool, const EXTRAS: bool> ThroughWater<S> for Backward<'_, '_, S, WATER, EXTRAS> {
-    type Out = [f32x16<S>; 9];
+    type Out = ColumnSums<f32x16<S>>;
 
     #[inline(always)]
-    fn rows<A: Attenuate<S>>(&mut self, simd: S, entry: &Entry<'_, S>, decay: &A) -> [f32x16<S>; 9] {
+    fn rows<A: Attenuate<S>>(&mut self, simd: S, entry: &Entry<'_, S>, decay: &A) -> ColumnSums<f32x16<S>> {
         let c = |v: f32| f32x16::splat(simd, v);
         let (splat, water) = (entry.splat, self.water);
         let (steepness, z) = (c(splat.steepness), c(splat.z));
         let (kappa, inverse) = splat.conic_terms();
         let (kappa, s_gradient) = (c(kappa), c(self.s_gradient));
-        let mut lanes = [c(0.0); 9];
+        let mut sums = ColumnSums::zeros(c(0.0));
         for r in entry.rows() {
             let row = &mut self.tile.rows[r];
             let (power, t) = entry.log2_alpha(simd, steepness, r);
@@ -116,14 +116,14 @@ impl<S: Simd, const WATER: bool, const EXTRAS: bool> ThroughWater<S> for Backwar
                         color += clear;
                         v = clear.mul_add(c(splat.color[q]), v);
                     }
-                    lanes[4 + q] = w.mul_add(color, lanes[4 + q]);
+                    sums.color[q] = w.mul_add(color, sums.color[q]);
                     accumulate(simd, &mut row.object_moment[q], wz, colored);
                     accumulate(simd, &mut row.veil_moment[q], wz, veiled);
                     accumulate(simd, &mut row.veil[q], w, veil);
                 } else {
                     let color = if EXTRAS { g + load(simd, &row.clear[q]) } else { g };
                     v = color.mul_add(c(splat.color[q]), v);
-                    lanes[4 + q] = w.mul_add(color, lanes[4 + q]);
+                    sums.color[q] = w.mul_add(color, sums.color[q]);
                 }
             }
             slope *= s_gradient;
@@ -131,7 +131,7 @@ impl<S: Simd, const WATER: bool, const EXTRAS: bool> ThroughWater<S> for Backwar
                 slope = load(simd, &row.depth).mul_add(c(std::f32::consts::LOG2_E), slope);
             }
             if EXTRAS || WATER {
-                lanes[3] = w.mul_add(slope, lanes[3]);
+                sums.z = w.mul_add(slope, sums.z);
             }
             let wv = w * v;
             let behind = load(simd, &row.behind);
@@ -139,14 +139,14 @@ impl<S: Simd, const WATER: bool, const EXTRAS: bool> ThroughWater<S> for Backwar
             (behind - wv).store_array(&mut row.behind);
             let g = select(raw.simd_le(c(ALPHA_MAX)), g, c(0.0));
             let height = c(self.eta[r]);
-            lanes[0] += g;
-            lanes[1] = g.mul_add(height, lanes[1]);
-            lanes[2] = g.mul_add(height * height, lanes[2]);
+            sums.weight += g;
+            sums.eta = g.mul_add(height, sums.eta);
+            sums.eta_eta = g.mul_add(height * height, sums.eta_eta);
             let size = g.abs();
-            lanes[7] = size.mul_add(t.abs(), lanes[7]);
+            sums.screen[0] = size.mul_add(t.abs(), sums.screen[0]);
             let dy_term = (self.heights[r] - splat.y) * inverse;
-            lanes[8] = size.mul_add(t.mul_add(kappa, c(dy_term)).abs(), lanes[8]);
+            sums.screen[1] = size.mul_add(t.mul_add(kappa, c(dy_term)).abs(), sums.screen[1]);
         }
-        lanes
+        sums
     }
 }

@@ -2,7 +2,7 @@
 
 use fearless_simd::{Simd, SimdBase, f32x4, f32x16};
 
-use crate::compose::tile::moments;
+use crate::compose::tile::{ColumnSums, moments};
 use crate::project::{Record, Splat, SplatGradient};
 
 /// Sums of lanes four apart, in the order of [`use3d_numerics::lanes::sum`].
@@ -31,14 +31,14 @@ pub(super) fn finish<S: Simd>(
     splat: &Splat,
     origin: [f32; 2],
     offset: f32x16<S>,
-    lanes: [f32x16<S>; 9],
+    of: ColumnSums<f32x16<S>>,
 ) -> Record {
-    let [p0, p1, p2, slope, r, g, b, ax, ay] = lanes;
-    let x0 = p0 * offset;
-    let [s0, sx, sxx, s1] = sums(simd, [p0, x0, x0 * offset, p1]);
-    let [sx1, s2, slope, r] = sums(simd, [p1 * offset, p2, slope, r]);
-    let [g, b, ax, ay] = sums(simd, [g, b, ax, ay]);
+    let ColumnSums { weight, eta, eta_eta, z, color: [r, g, b], screen: [x, y_slope] } = of;
+    let x0 = weight * offset;
+    let [s0, sx, sxx, s1] = sums(simd, [weight, x0, x0 * offset, eta]);
+    let [sx1, s2, z, r] = sums(simd, [eta * offset, eta_eta, z, r]);
+    let [g, b, x, y_slope] = sums(simd, [g, b, x, y_slope]);
     let [s0, t, y, tt, ty, yy] = moments(splat, origin, [s0, sx, sxx, s1, sx1, s2]);
-    let (color, screen) = ([r, g, b], [ax, ay]);
-    SplatGradient { weight: s0, t, dy: y, t_t: tt, t_dy: ty, dy_dy: yy, z: slope, color, screen }.record()
+    let (color, screen) = ([r, g, b], [x, y_slope]);
+    SplatGradient { weight: s0, t, dy: y, t_t: tt, t_dy: ty, dy_dy: yy, z, color, screen }.record()
 }
