@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
 """A wheel that carries the `use3d` program and the Python module beside this file.
 
-    packaging/wheel.py BINARY --out dist/ [--platform TAG[.TAG…]]
+    packaging/wheel.py BINARY --licences THIRDPARTY.txt --out dist/ [--platform TAG[.TAG…]]
 
+THIRDPARTY.txt is what `packaging/licences.py` writes for the binary's target and features: the notices of others that go with it.
 Of a static Linux binary (the default tags) it installs on every Linux of that processor; of any other binary say which platform
 it runs on, e.g. `--platform linux_x86_64` for this machine, `macosx_11_0_arm64`, `win_amd64`. The same inputs give the same bytes.
 Only the standard library is needed.
@@ -36,7 +37,7 @@ def is_static(binary):
     return 3 not in kinds
 
 
-def wheel(binary, out, platform):
+def wheel(binary, licences, out, platform):
     number = version()
     name = f"use3d-{number}"
     tags = [f"py3-none-{tag}" for tag in platform.split(".")]
@@ -55,6 +56,7 @@ def wheel(binary, out, platform):
     files[f"{name}.data/scripts/{program}"] = binary.read_bytes()
     for licence in ("LICENSE-MIT", "LICENSE-APACHE"):
         files[f"{name}.dist-info/{licence}"] = (HERE.parent / licence).read_bytes()
+    files[f"{name}.dist-info/THIRDPARTY.txt"] = licences.read_bytes()
     files[f"{name}.dist-info/METADATA"] = metadata.encode()
     files[f"{name}.dist-info/WHEEL"] = (
         f"Wheel-Version: 1.0\nGenerator: packaging/wheel.py\nRoot-Is-Purelib: false\n{tags_text}".encode()
@@ -80,14 +82,17 @@ def wheel(binary, out, platform):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("binary", type=Path)
+    parser.add_argument("--licences", type=Path, required=True)
     parser.add_argument("--out", type=Path, default=Path("dist"))
     parser.add_argument("--platform")
     words = parser.parse_args()
     if not words.binary.is_file():
         sys.exit(f"{words.binary}: there is no such program; build it first")
+    if not words.licences.is_file():
+        sys.exit(f"{words.licences}: there are no such notices; write them with packaging/licences.py first")
     if words.platform is None and not is_static(words.binary):
         sys.exit(f"{words.binary}: not a static Linux binary; say with --platform where it runs")
-    print(wheel(words.binary, words.out, words.platform or STATIC))
+    print(wheel(words.binary, words.licences, words.out, words.platform or STATIC))
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ import use3d  # noqa: E402
 
 
 def safetensors(header, data=b""):
-    text = json.dumps(header).encode()
+    text = (header if isinstance(header, str) else json.dumps(header)).encode()
     return struct.pack("<Q", len(text)) + text + data
 
 
@@ -56,6 +56,19 @@ class Files(unittest.TestCase):
             safetensors({"a": {**good, "data_offsets": [4, 12]}}, bytes(8)),
             safetensors({"a": {**good, "data_offsets": [-8, 0]}}, bytes(8)),
             safetensors({"a": 1}, bytes(8)),
+            # Counts that 64 bits do not hold, or that are no counts; descriptions that go deeper than anybody reads.
+            safetensors({"a": {**good, "shape": [2**40, 2**40], "data_offsets": [0, 0]}}),
+            safetensors({"a": {**good, "shape": [2**32, 2**32], "data_offsets": [0, 0]}}),
+            safetensors({"a": {**good, "shape": [0, 2**70], "data_offsets": [0, 0]}}),
+            safetensors({"a": {**good, "shape": [1] * 65, "data_offsets": [0, 4]}}, bytes(8)),
+            safetensors({"a": {**good, "shape": [2.0]}}, bytes(8)),
+            safetensors({"a": {**good, "shape": "2"}}, bytes(8)),
+            safetensors({"a": {**good, "dtype": ["F32"]}}, bytes(8)),
+            safetensors('{"a": {"dtype": "F32", "shape": [1e999], "data_offsets": [0, 8]}}', bytes(8)),
+            safetensors('{"a": {"dtype": "F32", "shape": [2], "data_offsets": [0, 1e999]}}', bytes(8)),
+            safetensors('{"a": {"dtype": "F32", "shape": [NaN], "data_offsets": [0, 8]}}', bytes(8)),
+            safetensors("[" * 100_000),
+            safetensors('{"a":' * 100_000),
         ]
         for data in wrong:
             self.path.write_bytes(data)
@@ -76,10 +89,23 @@ class Files(unittest.TestCase):
             (b"element vertex", b"element face"),
             (b"property float x", b"property list uchar int x"),
             (b"end_header\n", b""),
+            (b"format binary_little_endian 1.0\n", b""),
+            (b"vertex 2", b"vertex"),
+            (b"vertex 2", b"vertex two"),
+            (b"vertex 2", b"vertex -1"),
+            (b"vertex 2", b"vertex 2 3"),
+            (b"vertex 2", b"vertex 4611686018427387904"),
+            (b"vertex 2", b"vertex " + b"9" * 1000),
+            (b"vertex 2\n", b"vertex 2\nelement vertex 1\n"),
+            (b"property uchar r", b"property uchar x"),
+            (b"property uchar r", b"property uchar"),
+            (b"comment by\n", b"comment " + b"y" * (1 << 13) + b"\n"),
+            (b"comment by\n", b"comment by\n" * 100_000),
         ]:
             self.path.write_bytes((head + struct.pack("<fBfB", 1.5, 2, -3.0, 4)).replace(old, new))
-            with self.assertRaises(use3d.FormatError, msg=repr(new)):
+            with self.assertRaises(use3d.FormatError, msg=repr(new)[:80]) as caught:
                 use3d.read_ply(self.path)
+            self.assertIn(str(self.path), str(caught.exception))
 
     def test_folders_that_are_none_are_said(self):
         with self.assertRaises(use3d.FormatError):
@@ -89,6 +115,35 @@ class Files(unittest.TestCase):
             use3d.Scene(self.path.parent)
         with self.assertRaises(FileNotFoundError):
             use3d.Results(self.path)
+
+    def test_a_description_that_is_none_is_said_with_its_field(self):
+        scene = {"format": "3d-use scene", "medium": {"kind": "rbf", "file": "medium.safetensors"}, "enhancement": None}
+        path = self.path.parent / "scene.json"
+        for text, field in [
+            ("[]", "a list"),
+            ("3", "a number"),
+            ("[" * 100_000, "not JSON"),
+            ({"medium": "none"}, "`medium`"),
+            ({"medium": [1]}, "`medium`"),
+            ({"enhancement": True}, "`enhancement`"),
+            ({"enhancement": {"file": 3}}, "`enhancement.file`"),
+            ({"medium": {"file": "/etc/passwd"}}, "`medium.file`"),
+            ({"medium": {"file": "../medium.safetensors"}}, "`medium.file`"),
+            ({"medium": {"file": ".."}}, "`medium.file`"),
+            ({"medium": {"file": ""}}, "`medium.file`"),
+            ({"medium": {"file": "a\0b"}}, "`medium.file`"),
+            ({"gaussians": "/dev/zero"}, "`gaussians`"),
+            ({"gaussians": None}, "`gaussians`"),
+        ]:
+            path.write_text(text if isinstance(text, str) else json.dumps({**scene, **text}))
+            with self.assertRaises(use3d.FormatError, msg=str(text)[:80]) as caught:
+                use3d.Scene(path.parent)
+            self.assertIn(str(path), str(caught.exception))
+            self.assertIn(field, str(caught.exception))
+        path.write_text(json.dumps({**scene, "medium": {"kind": "none"}}))
+        self.assertEqual(use3d.Scene(path.parent).medium, {})
+        path.write_text(json.dumps({**scene, "medium": {"kind": "none", "file": None}}))
+        self.assertEqual(use3d.Scene(path.parent).enhancement, {})
 
 
 @unittest.skipUnless(os.environ.get("USE3D_COMMAND"), "SKIPPED: set USE3D_COMMAND to a `use3d` to test with it")
@@ -107,7 +162,7 @@ class Command(unittest.TestCase):
             self.assertEqual(scene.medium["coefficients"].shape[1:], (3, 16, 3))
             self.assertEqual(scene.enhancement["factors"].shape[:2], (4, 16))
             self.assertEqual(results.scores("reef")["format"], "3d-use scores")
-            self.assertIn("<iframe srcdoc=", scene.show()._repr_html_())
+            self.assertIn("<iframe srcdoc=", scene.show(force=True, metres_per_unit=2.5, cameras=None)._repr_html_())
             plan = use3d.run("plan", folder / "reef", "--cache", folder / "cache", "--json", *words)
             self.assertTrue(all(node["state"] == "cached" for node in plan["nodes"]))
             with self.assertRaises(use3d.CommandFailed) as caught:

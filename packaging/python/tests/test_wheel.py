@@ -33,7 +33,9 @@ class Wheel(unittest.TestCase):
 
     def test_it_carries_the_program_and_the_module_and_lists_every_file(self):
         self.binary.write_bytes(b"a program")
-        made = wheel.wheel(self.binary, self.folder / "dist", "linux_x86_64")
+        notices = self.folder / "THIRDPARTY.txt"
+        notices.write_bytes(b"notices of others")
+        made = wheel.wheel(self.binary, notices, self.folder / "dist", "linux_x86_64")
         self.assertEqual(made.name, f"use3d-{wheel.version()}-py3-none-linux_x86_64.whl")
         with zipfile.ZipFile(made) as archive:
             names = {entry.filename: entry for entry in archive.infolist()}
@@ -42,6 +44,8 @@ class Wheel(unittest.TestCase):
             mode = names[program].external_attr >> 16
             self.assertTrue(stat.S_ISREG(mode) and mode & 0o111)
             self.assertIn("use3d/__init__.py", names)
+            (beside,) = (name for name in names if name.endswith(".dist-info/THIRDPARTY.txt"))
+            self.assertEqual(archive.read(beside), notices.read_bytes())
             (record,) = (name for name in names if name.endswith("/RECORD"))
             listed = [line.split(",") for line in archive.read(record).decode().splitlines()]
             self.assertEqual(sorted(path for path, _, _ in listed), sorted(names))
@@ -50,7 +54,7 @@ class Wheel(unittest.TestCase):
                     data = archive.read(path)
                     found = base64.urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b"=").decode()
                     self.assertEqual((digest, size), (f"sha256={found}", str(len(data))), path)
-        again = wheel.wheel(self.binary, self.folder / "again", "linux_x86_64")
+        again = wheel.wheel(self.binary, notices, self.folder / "again", "linux_x86_64")
         self.assertEqual(made.read_bytes(), again.read_bytes())
 
     def test_only_what_needs_nothing_of_the_system_counts_as_static(self):

@@ -1,15 +1,23 @@
 """Finding and starting the command."""
 
+import collections
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import sysconfig
+import threading
+
+# Lines of stderr that `CommandFailed` holds.
+_REMEMBERED = 200
+# Seconds that a command has for its checkpoint when time is over.
+_PATIENCE = 60
 
 
 class CommandFailed(RuntimeError):
-    """The command ended with another exit code than 0; `code` is that, `said` what it wrote to stderr."""
+    """The command ended with another exit code than 0; `code` is that, `said` the last lines it wrote to stderr."""
 
     def __init__(self, words, code, said):
         super().__init__(f"{' '.join(words)}: exit code {code}\n{said.strip()}")
@@ -39,16 +47,78 @@ def command():
     return found
 
 
-def run(*words, parse=None, **options):
+def run(*words, parse=None, timeout=None, **options):
     """Runs `use3d WORDS…` and gives back what it wrote to stdout, parsed where `--json` is among the words.
 
-    `parse` says so otherwise; `options` go to `subprocess.run` (such as `cwd`, `env`, `timeout`). Progress goes to
-    stderr as always. Raises `CommandFailed` with the command's own message where it fails.
+    `parse` says so otherwise. What the command writes to stderr, its progress, is passed on to `sys.stderr` line by line while it runs;
+    `stderr=None` lets it write there itself, so that a terminal shows its bars. `timeout` is in seconds; other `options` go to
+    `subprocess.Popen` (such as `cwd`, `env`).
+
+    Raises `CommandFailed` with the command's own message where it fails. On `KeyboardInterrupt`, and when time is over
+    (`subprocess.TimeoutExpired`), the command is asked to write a checkpoint and waited for; a second interrupt ends it at once.
     """
-    words = [command(), *map(os.fspath, words)]
-    done = subprocess.run(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
-    if done.returncode != 0:
-        raise CommandFailed(words, done.returncode, done.stderr)
+    words = [command(), *map(_word, words)]
+    if os.name == "posix":
+        # Ctrl-C in a terminal would reach the command a second time, which ends it without a checkpoint.
+        options.setdefault("start_new_session", True)
+    options.setdefault("stderr", subprocess.PIPE)
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, encoding="utf-8", errors="replace", **options)
+    written, said = [], collections.deque(maxlen=_REMEMBERED)
+    readers = [threading.Thread(target=lambda: written.append(process.stdout.read()), daemon=True)]
+    if process.stderr is not None:
+        readers.append(threading.Thread(target=_pass_on, args=(process.stderr, said), daemon=True))
+    for reader in readers:
+        reader.start()
+    try:
+        process.wait(timeout)
+    except KeyboardInterrupt:
+        _leave(process, None)
+        raise
+    except subprocess.TimeoutExpired:
+        _leave(process, _PATIENCE)
+        raise
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+        for reader in readers:
+            reader.join()
+        for pipe in filter(None, (process.stdout, process.stderr)):
+            pipe.close()
+    if process.returncode != 0:
+        raise CommandFailed(words, process.returncode, "".join(said))
     if parse if parse is not None else "--json" in words:
-        return json.loads(done.stdout)
-    return done.stdout
+        return json.loads(written[0])
+    return written[0]
+
+
+def _word(value):
+    """A word of the command line: text, a path or a number."""
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return str(value)
+    return os.fspath(value)
+
+
+def _pass_on(lines, said):
+    for line in lines:
+        said.append(line)
+        try:
+            sys.stderr.write(line)
+            sys.stderr.flush()
+        except (AttributeError, OSError, ValueError):
+            # Nobody listens, or no longer; the command must not wait for that.
+            pass
+
+
+def _leave(process, patience):
+    """Asks the command to write a checkpoint and end, and waits for that."""
+    try:
+        if os.name == "posix":
+            # On Windows Ctrl-C has reached it already.
+            process.send_signal(signal.SIGINT)
+        process.wait(patience)
+    except KeyboardInterrupt:
+        process.send_signal(signal.SIGINT if os.name == "posix" else signal.SIGTERM)
+        process.wait()
+    except subprocess.TimeoutExpired:
+        process.kill()

@@ -1,6 +1,7 @@
 """The open formats that artifacts are made of, as NumPy arrays."""
 
 import json
+import math
 import os
 
 import numpy as np
@@ -20,6 +21,8 @@ _PLY = {
     "uint16": "<u2", "int": "<i4", "int32": "<i4", "uint": "<u4", "uint32": "<u4", "float": "<f4", "float32": "<f4",
     "double": "<f8", "float64": "<f8",
 }  # fmt: skip
+# The header of a scene's PLY has some sixty lines.
+_PLY_LINE, _PLY_HEADER = 1 << 12, 1 << 20
 
 
 def read_safetensors(path):
@@ -32,53 +35,84 @@ def read_safetensors(path):
         try:
             header = json.loads(file.read(length))
             entries = {name: entry for name, entry in header.items() if name != "__metadata__"}
-        except (ValueError, AttributeError) as error:
-            raise FormatError(f"{path}: its header is not JSON: {error}") from error
+        except (ValueError, AttributeError, RecursionError) as error:
+            raise FormatError(f"{path}: its header is not JSON of the names and places of tensors: {error}") from error
         data = file.read()
     tensors = {}
     for name, entry in entries.items():
         try:
             kind = np.dtype(_SAFETENSORS[entry["dtype"]])
-            shape = tuple(int(n) for n in entry["shape"])
-            start, end = (int(n) for n in entry["data_offsets"])
+            shape = tuple(_whole(n) for n in entry["shape"])
+            if len(shape) > 64:
+                raise ValueError(f"{len(shape)} dimensions; at most 64 are expected")
+            start, end = (_whole(n) for n in entry["data_offsets"])
         except (KeyError, TypeError, ValueError) as error:
             raise FormatError(f"{path}: tensor {name!r} is not described as it should be: {error!r}") from error
-        count = int(np.prod(shape, dtype=np.int64))
-        if not 0 <= start <= end <= len(data) or min(shape, default=0) < 0 or end - start != count * kind.itemsize:
+        # Counted without an upper limit: a product of 64 bits may come out small again.
+        if not start <= end <= len(data) or end - start != math.prod(shape) * kind.itemsize:
             raise FormatError(f"{path}: tensor {name!r} has {end - start} bytes at {start}, of shape {shape} and {kind}")
-        tensors[name] = np.frombuffer(data[start:end], kind).reshape(shape)
+        try:
+            tensors[name] = np.frombuffer(memoryview(data)[start:end], kind).reshape(shape)
+        except (ValueError, OverflowError, MemoryError) as error:
+            raise FormatError(f"{path}: tensor {name!r} has shape {shape}, which no array has: {error}") from error
     return tensors
+
+
+def _whole(number):
+    if type(number) is not int or number < 0:
+        raise ValueError(f"{number!r} where a whole number is expected")
+    return number
 
 
 def read_ply(path):
     """The vertices of a binary little-endian PLY (a scene's Gaussians) as a structured array, one field a property."""
+    size = os.path.getsize(path)
     with open(path, "rb") as file:
-        if file.readline().strip() != b"ply":
+        if file.readline(_PLY_LINE).strip() != b"ply":
             raise FormatError(f"{path}: not a PLY file")
-        count, fields, here = None, [], False
+        count, fields, here, form = None, {}, False, None
         while True:
-            line = file.readline()
+            line = file.readline(_PLY_LINE)
             words = line.decode("ascii", "replace").split()
-            if not line:
+            if not line.endswith(b"\n") or file.tell() > _PLY_HEADER:
                 raise FormatError(f"{path}: its header has no end")
             if words[:1] == ["end_header"]:
                 break
-            if words[:1] == ["format"] and words[1:2] != ["binary_little_endian"]:
-                raise FormatError(f"{path}: format {' '.join(words[1:])}; binary_little_endian is expected")
+            if words[:1] == ["format"]:
+                form = words[1:]
+                if form[:1] != ["binary_little_endian"]:
+                    raise FormatError(f"{path}: format {' '.join(form)}; binary_little_endian is expected")
             if words[:1] == ["element"]:
                 here = words[1:2] == ["vertex"]
                 if not here and count is None:
                     raise FormatError(f"{path}: the first element is {' '.join(words[1:])}; vertices are expected")
+                if here and count is not None:
+                    raise FormatError(f"{path}: it has vertices twice")
                 if here:
-                    count = int(words[2])
+                    count = _count(path, words[2:])
             if words[:1] == ["property"] and here:
                 if len(words) != 3 or words[1] not in _PLY:
                     raise FormatError(f"{path}: property {' '.join(words[1:])}, which no Gaussian has")
-                fields.append((words[2], _PLY[words[1]]))
+                if words[2] in fields:
+                    raise FormatError(f"{path}: property {words[2]} is there twice")
+                fields[words[2]] = _PLY[words[1]]
+        if form is None:
+            raise FormatError(f"{path}: its header names no format; binary_little_endian is expected")
         if not fields or count is None:
             raise FormatError(f"{path}: it has no vertices")
-        kind = np.dtype(fields)
+        kind = np.dtype(list(fields.items()))
+        left = size - file.tell()
+        # Before memory is asked for: a header can name any number.
+        if left < count * kind.itemsize:
+            raise FormatError(f"{path}: cut off: {left} bytes of {count} vertices of {kind.itemsize} bytes")
         data = file.read(count * kind.itemsize)
     if len(data) != count * kind.itemsize:
         raise FormatError(f"{path}: cut off: {len(data)} bytes of {count} vertices of {kind.itemsize} bytes")
     return np.frombuffer(data, kind)
+
+
+def _count(path, words):
+    # More digits than 64 bits have are no count, and slow to read.
+    if len(words) != 1 or not words[0].isdecimal() or not words[0].isascii() or len(words[0]) > 19:
+        raise FormatError(f"{path}: element vertex {' '.join(words)}; a number of vertices is expected")
+    return int(words[0])

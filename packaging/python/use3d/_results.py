@@ -2,19 +2,24 @@
 
 import html
 import json
-import os
 import tempfile
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from ._command import run
 from ._files import FormatError, read_ply, read_safetensors
+
+
+def _kind(value):
+    """What a value is called in JSON."""
+    kinds = {dict: "an object", list: "a list", str: "text", bool: "true or false", type(None): "null"}
+    return kinds.get(type(value), "a number")
 
 
 def _json(path):
     try:
         with open(path, encoding="utf-8") as file:
             return json.load(file)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise FormatError(f"{path}: not JSON: {error}") from error
 
 
@@ -27,9 +32,31 @@ class Scene:
         if not path.is_file():
             raise FormatError(f"{self.folder}: no scene folder, there is no scene.json in it")
         self.description = _json(path)
+        if not isinstance(self.description, dict):
+            raise FormatError(f"{path}: it holds {_kind(self.description)}; a description of a scene is expected")
         if self.description.get("format") != "3d-use scene":
             raise FormatError(f"{path}: format {self.description.get('format')!r}; '3d-use scene' is expected")
         self._read = {}
+        self._gaussians = self._file("gaussians", self.description.get("gaussians", "gaussians.ply"))
+        self._medium, self._enhancement = self._part("medium"), self._part("enhancement")
+
+    def _part(self, part):
+        """The file that a part's entry names, if there is one."""
+        entry = self.description.get(part)
+        if entry is None:
+            return None
+        if not isinstance(entry, dict):
+            raise FormatError(f"{self.folder / 'scene.json'}: `{part}` is {_kind(entry)}; an object with `file` is expected")
+        return None if entry.get("file") is None else self._file(f"{part}.file", entry["file"])
+
+    def _file(self, field, name):
+        plain = isinstance(name, str) and name not in ("", ".", "..") and PurePath(name).name == name
+        if not plain or "\\" in name or "\0" in name:
+            shown = repr(name) if isinstance(name, str) else _kind(name)
+            raise FormatError(
+                f"{self.folder / 'scene.json'}: `{field}` is {shown}; the plain name of a file in the scene folder is expected"
+            )
+        return self.folder / name
 
     def _once(self, name, read):
         if name not in self._read:
@@ -39,29 +66,29 @@ class Scene:
     @property
     def gaussians(self):
         """The Gaussians, a structured array: x, y, z, f_dc_0 …, opacity, scale_0 …, rot_0 … as 3DGS files have them."""
-        return self._once("gaussians", lambda: read_ply(self.folder / "gaussians.ply"))
-
-    def _tensors(self, part):
-        named = self.description.get(part) or {}
-        file = named.get("file")
-        return self._once(part, lambda: read_safetensors(self.folder / file)) if file else {}
+        return self._once("gaussians", lambda: read_ply(self._gaussians))
 
     @property
     def medium(self):
         """The water's tensors by name; none where there is no water."""
-        return self._tensors("medium")
+        return self._once("medium", lambda: read_safetensors(self._medium)) if self._medium else {}
 
     @property
     def enhancement(self):
         """The enhancement's tensors by name; none in a scene of stage 1."""
-        return self._tensors("enhancement")
+        return self._once("enhancement", lambda: read_safetensors(self._enhancement)) if self._enhancement else {}
 
     def show(self, height=600, **options):
-        """The scene to walk through, in a notebook. `options` are those of `use3d export`, such as `cameras="my-reef/"`."""
+        """The scene to walk through, in a notebook. `options` are those of `use3d export`, such as `cameras="my-reef/"`;
+        one that takes no value is `True`, and `None` or `False` leaves one out.
+        """
         return _Page(self._page(options), height)
 
     def _page(self, options):
-        words = [word for name, value in options.items() for word in (f"--{name.replace('_', '-')}", os.fspath(value))]
+        words = []
+        for name, value in options.items():
+            if value is not None and value is not False:
+                words += [f"--{name.replace('_', '-')}"] + ([] if value is True else [value])
         with tempfile.TemporaryDirectory() as folder:
             page = Path(folder) / "scene.html"
             run("export", self.folder, "--web", page, *words)

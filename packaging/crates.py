@@ -1,0 +1,77 @@
+"""Which crates the `use3d` program is made of: what `cargo tree` says of its own features and target. `cargo metadata` alone knows the
+features of the whole workspace, tests included, and would name crates that are not in the program.
+"""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+NAME = "use3d"
+
+
+def add_arguments(parser):
+    """The words that say which program is meant: the same that cargo builds it with."""
+    parser.add_argument("--target", help="a target triple; this machine's where none is given")
+    parser.add_argument("--no-default-features", action="store_true")
+    parser.add_argument("--features", default="", help="with commas between them")
+
+
+def asked(command):
+    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, check=False)
+    if done.returncode != 0:
+        sys.exit(f"{' '.join(command)}: exit code {done.returncode}")
+    return done.stdout.decode()
+
+
+def host():
+    """The target triple of this machine."""
+    return re.search(r"^host: (\S+)$", asked(["rustc", "-vV"]), re.MULTILINE).group(1)
+
+
+class Program:
+    """Crates by (name, version): `crates` as `cargo metadata` describes them, `linked` those whose code may be in the program, procedural
+    macros included, `needs` from each to those that it needs to be built; `root` is the program itself.
+    """
+
+    def __init__(self, target=None, no_default_features=False, features=""):
+        self.target = target or host()
+        self.features = [name for name in features.split(",") if name]
+        self.default_features = not no_default_features
+        self.needs = self._tree("normal,build")
+        self.linked = set(self._tree("normal"))
+        self.root = next(key for key in self.needs if key[0] == NAME)
+        # Procedural macros and what builds others run on this machine, whatever the program is for.
+        platforms = [word for triple in sorted({self.target, host()}) for word in ("--filter-platform", triple)]
+        features = ["--features", ",".join(f"{NAME}/{name}" for name in self.features)] if self.features else []
+        metadata = json.loads(asked(["cargo", "metadata", "--format-version", "1", "--locked", *platforms, *features]))
+        described = {(package["name"], package["version"]): package for package in metadata["packages"]}
+        self.crates = {key: described[key] for key in self.needs}
+
+    def _tree(self, edges):
+        command = ["cargo", "tree", "--locked", "--package", NAME, "--target", self.target, "--edges", edges]
+        command += [] if self.default_features else ["--no-default-features"]
+        command += ["--features", ",".join(self.features)] if self.features else []
+        # Each crate's own dependencies are listed where it comes first; later it has a star.
+        needs, path = {}, []
+        for line in filter(None, asked([*command, "--prefix", "depth", "--format", " {p}"]).splitlines()):
+            depth, name, version = line.split()[:3]
+            key = (name, version.removeprefix("v"))
+            del path[int(depth) :]
+            needs.setdefault(key, set())
+            if path:
+                needs[path[-1]].add(key)
+            path.append(key)
+        # Where cargo is told to unify the features of a workspace, it lists the workspace's other members as well.
+        root = next(key for key in needs if key[0] == NAME)
+        reached, open_ = set(), {root}
+        while open_:
+            reached |= open_
+            open_ = set().union(*(needs[key] for key in open_)) - reached
+        return {key: needs[key] for key in needs if key in reached}
+
+    def others(self):
+        """The linked crates that are not the workspace's own."""
+        return sorted(key for key in self.linked if self.crates[key]["source"] is not None)
