@@ -151,6 +151,21 @@ impl Checkpoints {
         Ok(Look::Nothing(notices))
     }
 
+    /// How far this run is, of how many steps, under another key: in a cache the folder's name is a key, and
+    /// those beside it are of the same stage. None where there is anything of this run in its own folder.
+    pub(crate) fn apart(&self) -> Option<(u64, u64)> {
+        let is_key = |name: &std::ffi::OsStr| {
+            name.to_str().is_some_and(|name| name.len() == 64 && name.bytes().all(|b| b.is_ascii_hexdigit()))
+        };
+        if !is_key(self.dir.file_name()?) || self.entries().iter().any(|entry| entry.ours) {
+            return None;
+        }
+        let folders = fs::read_dir(self.dir.parent()?).ok()?.filter_map(Result::ok);
+        let others = folders.filter(|folder| is_key(&folder.file_name()) && folder.path() != self.dir);
+        let entries = others.flat_map(|folder| Self { dir: folder.path(), ..self.clone() }.entries());
+        entries.filter(|e| e.ours && e.step > 0).map(|e| (e.step, e.length)).max()
+    }
+
     /// This loop's checkpoints in the folder, of whatever run.
     fn entries(&self) -> Vec<Entry> {
         let run = self.run();

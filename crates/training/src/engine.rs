@@ -2,8 +2,8 @@
 //!
 //! A training loop decides *what* happens; an engine holds parameters, moments and buffers and does it, on
 //! the processor or on another device. The seams are traits of `reconstruct` and `enhance`; both fail in the
-//! same ways, and a loop treats them alike: the run ends with the error, and the checkpoints that were
-//! written before stay, so that any engine can go on from there.
+//! same ways, and a loop treats them alike: the run ends with the error, and says which checkpoint, written
+//! before, any engine can go on from.
 
 use std::error::Error;
 
@@ -12,7 +12,7 @@ use std::error::Error;
 pub enum EngineError {
     /// The device's memory does not suffice.
     #[error(
-        "the engine `{engine}` is out of memory: {what}; use smaller images or fewer Gaussians, or another engine (checkpoints are kept)"
+        "the engine `{engine}` is out of memory: {what}; use smaller images or fewer Gaussians, or another engine"
     )]
     OutOfMemory {
         /// The engine's name.
@@ -21,9 +21,7 @@ pub enum EngineError {
         what: String,
     },
     /// The device does not answer any more: it was reset or removed, or its driver gave up.
-    #[error(
-        "the engine `{engine}` lost its device ({reason}); checkpoints are kept: run again to go on from there"
-    )]
+    #[error("the engine `{engine}` lost its device ({reason})")]
     DeviceLost {
         /// The engine's name.
         engine: &'static str,

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 /// A loss, gradient or parameter that is infinite or not a number: where it was first seen.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "step {step}, view `{view}`: {what} is not finite{}; checkpoints that were written before are kept",
+    "step {step}, view `{view}`: {what} is not finite{}",
     match index { Some(i) => format!(" at element {i}"), None => String::new() }
 )]
 pub struct NonFinite {

@@ -77,9 +77,18 @@ impl Session {
     /// The furthest state that can be gone on from. What a person should know is told to the observer: files
     /// that cannot be read, are damaged, or belong to other runs; the run then starts anew.
     pub fn furthest<T: Resumable>(&self, observer: &mut dyn Observer) -> Option<T> {
-        match self.checkpoints.as_ref()?.load::<T>() {
+        let checkpoints = self.checkpoints.as_ref()?;
+        match checkpoints.load::<T>() {
             Ok(found) => {
                 found.notices.iter().for_each(|notice| observer.notice(notice));
+                if found.state.is_none()
+                    && let Some((step, length)) = checkpoints.apart()
+                {
+                    observer.notice(&format!(
+                        "the same training is at step {step} of {length} with another engine or another version of this program; \
+                         that one is kept apart, and this one starts anew (`use3d reconstruct` and `use3d enhance` go on across engines)"
+                    ));
+                }
                 found.state
             }
             Err(error) => {
@@ -94,16 +103,36 @@ impl Session {
         observer.notice(&format!("going on from step {done} of {}", self.steps));
     }
 
-    /// Does the steps that are left after the first `done`.
+    /// Does the steps that are left after the first `done`. Where that fails, the observer is told what is kept.
     pub fn run<S: Steps>(
         &self,
         done: u64,
         work: &mut S,
         observer: &mut dyn Observer,
     ) -> Result<Ended, S::Error> {
+        let mut saved = done;
+        let ended = self.advance(done, &mut saved, work, observer);
+        if ended.is_err() {
+            observer.notice(&match (&self.checkpoints, saved) {
+                (None, _) | (_, 0) => "nothing was saved yet: the same command starts anew".to_string(),
+                (Some(_), saved) => {
+                    format!("the checkpoint of step {saved} is kept; the same command goes on from there")
+                }
+            });
+        }
+        ended
+    }
+
+    fn advance<S: Steps>(
+        &self,
+        done: u64,
+        saved: &mut u64,
+        work: &mut S,
+        observer: &mut dyn Observer,
+    ) -> Result<Ended, S::Error> {
         let mut left = work.work(done..self.steps.max(done));
         let mut pace = Pace::start();
-        let (mut saved_at, mut saved) = (Instant::now(), done);
+        let mut saved_at = Instant::now();
         for step in done..self.steps {
             work.step(step, observer)?;
             let done = step + 1;
@@ -124,13 +153,13 @@ impl Session {
             }
             let last = done == self.steps;
             let stop = !last && observer.should_stop();
-            let due = done - saved >= self.every_steps
+            let due = done - *saved >= self.every_steps
                 || saved_at.elapsed().as_secs_f64() >= 60.0 * self.every_minutes;
             if (due || stop || last)
                 && let Some(checkpoints) = &self.checkpoints
             {
                 work.save(done, checkpoints)?;
-                (saved_at, saved) = (Instant::now(), done);
+                (saved_at, *saved) = (Instant::now(), done);
             }
             if stop {
                 return Ok(Ended::Stopped { step: done, saved: self.checkpoints.is_some() });
@@ -150,11 +179,18 @@ mod tests {
     struct Counter {
         steps: Vec<u64>,
         saved: Vec<u64>,
+        fails_at: Option<u64>,
     }
 
     impl Steps for Counter {
         type Error = CheckpointError;
         fn step(&mut self, step: u64, _: &mut dyn Observer) -> Result<(), CheckpointError> {
+            if self.fails_at == Some(step) {
+                return Err(CheckpointError::Damaged {
+                    path: "x".into(),
+                    reason: "the device is gone".into(),
+                });
+            }
             self.steps.push(step);
             Ok(())
         }
@@ -230,6 +266,59 @@ mod tests {
         let state = session.furthest::<State>(&mut watcher).expect("the last checkpoint stays");
         assert_eq!(session.run(state.step, &mut third, &mut watcher).unwrap(), Ended::Done);
         assert!(third.steps.is_empty() && third.saved.is_empty());
+    }
+
+    #[test]
+    fn a_run_that_fails_says_what_is_kept_of_it() {
+        let dir = tempfile::tempdir().unwrap();
+        let session =
+            |checkpoints| Session { steps: 10, checkpoints, every_steps: 4, every_minutes: f64::INFINITY };
+        let own = || Some(Checkpoints::new(dir.path(), "count", &[1; 32], 10));
+        for (checkpoints, fails_at, expected) in [
+            (own(), 3, "nothing was saved yet"),
+            (None, 9, "nothing was saved yet"),
+            (own(), 6, "the checkpoint of step 4 is kept; the same command goes on from there"),
+        ] {
+            let mut watcher = Watcher::default();
+            let mut work = Counter { fails_at: Some(fails_at), ..Counter::default() };
+            session(checkpoints).run(0, &mut work, &mut watcher).unwrap_err();
+            assert!(
+                watcher.notices.len() == 1 && watcher.notices[0].contains(expected),
+                "{:?}",
+                watcher.notices
+            );
+        }
+        // Gone on from and lost before the next one is due: the same one is kept.
+        let mut watcher = Watcher::default();
+        let mut work = Counter { fails_at: Some(5), ..Counter::default() };
+        session(own()).run(4, &mut work, &mut watcher).unwrap_err();
+        assert!(watcher.notices[0].contains("step 4 is kept"), "{:?}", watcher.notices);
+    }
+
+    #[test]
+    fn the_same_run_under_another_key_is_told_and_left_alone() {
+        let dir = tempfile::tempdir().unwrap();
+        let place = |key: &str| dir.path().join(key.repeat(64));
+        let of = |key: &str, run: u8| Session {
+            steps: 10,
+            checkpoints: Some(Checkpoints::new(&place(key), "count", &[run; 32], 10)),
+            every_steps: 4,
+            every_minutes: f64::INFINITY,
+        };
+        of("a", 1)
+            .run(0, &mut Counter { fails_at: Some(6), ..Counter::default() }, &mut Watcher::default())
+            .unwrap_err();
+        let told = |session: Session| {
+            let mut watcher = Watcher::default();
+            assert!(session.furthest::<State>(&mut watcher).is_none());
+            watcher.notices.join("\n")
+        };
+        let said = told(of("b", 1));
+        assert!(
+            said.contains("at step 4 of 10 with another engine") && said.contains("starts anew"),
+            "{said}"
+        );
+        assert_eq!(told(of("b", 2)), "", "another run");
     }
 
     #[test]
