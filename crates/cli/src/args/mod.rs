@@ -19,7 +19,7 @@ pub(crate) use cluster::{Submit, SubmitArgs, SubmitLayout};
 pub(crate) use pictures::{CameraPath, ExportArgs, ExportFrame, ExportWhat, FrameFormat, RenderArgs};
 pub(crate) use pipelines::{DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, RunArgs, WhyArgs};
 pub(crate) use remote::{PushArgs, TransferArgs};
-pub(crate) use shared::{CacheArgs, PipelineArgs, Settings};
+pub(crate) use shared::{CacheArgs, PipelineArgs, Settings, as_typed};
 pub(crate) use stages::{
     CalibrateArgs, EnhanceArgs, EvaluateArgs, ImportArgs, ReconstructArgs, TableFormat, TargetsArgs,
 };

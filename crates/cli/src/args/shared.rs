@@ -31,6 +31,21 @@ impl Settings {
     }
 }
 
+/// A message about a setting that `--engine` stands for, by the flag that was typed.
+pub(crate) fn as_typed(message: &str, engine: Option<&EngineChoice>) -> String {
+    let Some(engine) = engine else { return message.to_string() };
+    let typed = format!("--engine {engine}: ");
+    let told = message.strip_prefix("--set ").and_then(|rest| {
+        let (setting, rest) = rest.split_once(&format!("engine={engine}: "))?;
+        let stage = setting.is_empty() || setting.ends_with('.') && !setting.contains(' ');
+        // The parameter's name says nothing more.
+        let parameter = [format!("`{setting}engine`: "), "`engine`: ".to_string()];
+        let rest = parameter.iter().find_map(|name| rest.strip_prefix(name.as_str())).unwrap_or(rest);
+        stage.then(|| typed + rest)
+    });
+    told.unwrap_or_else(|| message.to_string())
+}
+
 /// `--set` of one stage.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct StageSettings {
@@ -121,4 +136,20 @@ pub(crate) fn count(most: u64) -> impl TypedValueParser<Value = usize> {
 pub(crate) fn time(text: &str) -> Result<Duration, String> {
     let time = use3d_cluster::time::parse(text)?;
     if time.is_zero() { Err("no time at all: give more than 0".to_string()) } else { Ok(time) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_engine_is_refused_by_the_flag_that_was_typed() {
+        let engine = EngineChoice::Gpu(Some("vega".into()));
+        let said = |message: &str| as_typed(message, Some(&engine));
+        assert_eq!(said("--set engine=gpu:vega: `engine`: none"), "--engine gpu:vega: none");
+        assert_eq!(said("--set reconstruct.engine=gpu:vega: `engine`: none"), "--engine gpu:vega: none");
+        for other in ["--set iterations=x: a number", "scene.toml: engine=gpu:vega: none"] {
+            assert_eq!((said(other), as_typed(other, None)), (other.to_string(), other.to_string()));
+        }
+    }
 }

@@ -14,7 +14,8 @@ use use3d_pipeline::results;
 
 use crate::App;
 use crate::args::{
-    CacheArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PipelineArgs, PlanArgs, RunArgs, Settings, WhyArgs,
+    CacheArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PipelineArgs, PlanArgs, RunArgs, Settings,
+    WhyArgs, as_typed,
 };
 use crate::error::{CliError, Done};
 use crate::verbs::outcome::{self, Outcome};
@@ -55,7 +56,8 @@ pub(crate) fn open(
         let what = "there is no such pipeline file (.toml) or capture folder";
         return Err(CliError::Input(format!("{}: {what}", target.display())));
     };
-    let pipeline = pipeline.map_err(CliError::input)?;
+    let pipeline =
+        pipeline.map_err(|error| CliError::Input(as_typed(&error.to_string(), settings.engine.as_ref())))?;
     let cache = Cache::open(&pipeline.cache, cache.rehash).map_err(CliError::input)?;
     let graph = Graph::new(&registry, &pipeline.batch).map_err(CliError::input)?;
     Ok(Loaded { pipeline, builder: Builder::new(registry, cache), graph })

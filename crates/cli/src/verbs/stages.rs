@@ -10,10 +10,11 @@ use use3d_build::machine::{bytes, seconds};
 use use3d_build::{Alone, Event, Registry, Stage, StageError, leftovers};
 use use3d_pipeline::config::stage_parameters;
 use use3d_pipeline::stages::{CALIBRATOR, TARGETS, registry};
+use use3d_reconstruct::EngineChoice;
 use use3d_scene::Origin;
 
 use crate::App;
-use crate::args::{CalibrateArgs, EnhanceArgs, ImportArgs, ReconstructArgs, TargetsArgs};
+use crate::args::{CalibrateArgs, EnhanceArgs, ImportArgs, ReconstructArgs, TargetsArgs, as_typed};
 use crate::destination::{check_file, check_folder, copy_file, copy_folder, path_text, word};
 use crate::error::{CliError, Done};
 use crate::verbs::view::Watched;
@@ -135,6 +136,14 @@ pub(crate) fn parameters(
         sorted[named.or(has).unwrap_or(0)].push(set.clone());
     }
     stages.iter().zip(&sorted).map(|(s, sets)| stage_parameters(s, sets).map_err(CliError::input)).collect()
+}
+
+/// A refusal of `--engine` by that name.
+fn typed(error: CliError, engine: Option<&EngineChoice>) -> CliError {
+    match error {
+        CliError::Input(message) => CliError::Input(as_typed(&message, engine)),
+        other => other,
+    }
 }
 
 /// Says where a result is, how large it is, how long it took, and what comes next.
@@ -272,7 +281,7 @@ pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
     names.extend(registry.stage("depth").ok().map(|_| "depth"));
     let mut sets = args.settings.set.clone();
     sets.extend(args.engine.iter().map(|engine| format!("engine={engine}")));
-    let parameters = parameters(&registry, &names, &sets)?;
+    let parameters = parameters(&registry, &names, &sets).map_err(|e| typed(e, args.engine.as_ref()))?;
     let scratch = scratch()?;
     let import = imported(app, &registry, &args.capture, &parameters[1], scratch.path())?;
     let mut inputs = vec![("import", import.clone())];
@@ -389,7 +398,8 @@ pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
     let registry = stages()?;
     let mut sets = args.settings.set.clone();
     sets.extend(args.engine.iter().map(|engine| format!("engine={engine}")));
-    let parameters = parameters(&registry, &["enhance", "import"], &sets)?;
+    let parameters =
+        parameters(&registry, &["enhance", "import"], &sets).map_err(|e| typed(e, args.engine.as_ref()))?;
     let scratch = scratch()?;
     let import = imported(app, &registry, &args.capture, &parameters[1], scratch.path())?;
     check_origin(&args.scene, &import, false)?;
