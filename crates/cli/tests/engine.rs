@@ -37,7 +37,7 @@ fn an_engine_that_cannot_be_had_is_refused_and_nothing_is_written() {
         [("VK_DRIVER_FILES", "/nonexistent/icd.json"), ("VK_ICD_FILENAMES", "/nonexistent/icd.json")];
     for (engine, parts) in [
         ("gpu", &["engine", "no graphics card was found", "--engine cpu"][..]),
-        ("gpu:vega", &["engine", "vega"]),
+        ("gpu:vega", &["error: --engine gpu:vega: no adapter", "libvulkan", "--engine cpu"]),
         ("cuda", &["cuda", "gpu"]),
     ] {
         let output = reconstruct(&place, "refused", engine, &nothing);
@@ -186,4 +186,35 @@ fn a_whole_run_on_a_software_card_trains_and_draws_there() {
     for (card, cpu) in errors("card").iter().zip(errors("processor")) {
         assert!((card - cpu).abs() < 1e-3 * cpu, "{card} on the card, {cpu} on the processor");
     }
+}
+
+/// What is there to know of a software card: `devices`, and the smallest benchmark into a file.
+#[test]
+fn a_software_card_is_listed_and_measured_in_one_file() {
+    let listed = tiny::command().args(["devices", "--json"]).output().expect("the command starts");
+    let list: serde_json::Value = serde_json::from_slice(&listed.stdout).expect("JSON");
+    let adapters = list["adapters"].as_array().expect("adapters");
+    let has = |name: &serde_json::Value| name.as_str().is_some_and(|name| name.contains("llvmpipe"));
+    let Some(card) = adapters.iter().find(|adapter| has(&adapter["name"])) else {
+        assert!(std::env::var("USE3D_REQUIRE_GPU").as_deref() != Ok("1"), "{list}");
+        eprintln!("SKIPPED: no software card on this machine (package mesa-vulkan-drivers)");
+        return;
+    };
+    assert!(card["passed"] == true && card["kernels"] == "portable", "{card}");
+    let text = tiny::command().arg("devices").output().expect("the command starts");
+    assert!(String::from_utf8_lossy(&text.stdout).contains("kernels: portable"), "{text:?}");
+
+    let dir = tempfile::tempdir().expect("a folder");
+    let out = dir.path().join("card.json");
+    let mut command = tiny::command();
+    command.args(["bench", "gpu", "--device", "llvmpipe", "--sizes", "32x24", "--rounds", "2"]);
+    let output = command.args(["--gaussians", "100", "--steps", "3", "--out"]).arg(&out).output();
+    let output = output.expect("the command starts");
+    assert_eq!(output.status.code(), Some(0), "{}", said(&output));
+    assert!(said(&output).contains("of the time idle"), "{}", said(&output));
+    let record = std::fs::read_to_string(&out).expect("a file");
+    let record: serde_json::Value = serde_json::from_str(&record).expect("JSON");
+    let training = &record["trainings"][0];
+    assert!(record["complete"] == true && record["failed"] == serde_json::json!([]), "{record}");
+    assert!(training["steps"] == 3 && training["busy_milliseconds_per_step"].is_f64(), "{training}");
 }

@@ -1,6 +1,9 @@
 //! One run that says what there is to know of an adapter: its limits, whether its kernels agree with the
 //! processor, whether they give the same bits each time, how long they take, and how many steps of a training
 //! it does in a second. No network, minutes at most; the record is one document.
+//!
+//! A card may be lent for a day or hang in one kernel. So whatever fails is written down and the rest goes on,
+//! and the record is handed over after every part; only a lost device ends it.
 
 mod records;
 
@@ -12,14 +15,14 @@ use use3d_reconstruct::engine::{Diagnostics, Engine, TrainingState};
 use use3d_training::{Drain, EngineError};
 
 use crate::ceilings::{Ceilings, measure, need};
-use crate::check::check;
+use crate::check::{CheckError, check};
 use crate::device::Gpu;
 use crate::profile::KernelTime;
 use crate::stage1::{Stage1, ViewWork};
 use crate::twins::{self, Agreement, LossCase, Packed, WaterCase};
 pub use records::{
-    AdapterRecord, BenchRecord, CeilingsRecord, CheckRecord, DeterminismRecord, KernelRecord, RooflineRecord,
-    TimesRecord, TrainingRecord, TwinRecord, ViewRecord,
+    AdapterRecord, BenchRecord, CeilingsRecord, CheckRecord, DeterminismRecord, FailedRecord, KernelRecord,
+    RooflineRecord, TimesRecord, TrainingRecord, TwinRecord, ViewRecord,
 };
 
 /// What is run.
@@ -33,8 +36,26 @@ pub struct BenchPlan {
     pub gaussians: Vec<usize>,
     /// Steps of each training that are timed; as many as there are views warm up.
     pub steps: u64,
-    /// Bytes that are copied at once to find out how fast it goes.
+    /// The same of the training at the middle size with the middle number of Gaussians, if it is another number.
+    pub long: Option<u64>,
+    /// Bytes that are copied at once to find out how fast it goes, less where memory is short.
     pub copied: u64,
+}
+
+impl BenchPlan {
+    /// Scenes of the trainings, with their steps.
+    fn trainings(&self) -> Vec<(Packed, u64)> {
+        let middle = (self.sizes.len() / 2, self.gaussians.len() / 2);
+        let mut all = Vec::new();
+        for (i, &(width, height)) in self.sizes.iter().enumerate() {
+            for (k, &gaussians) in self.gaussians.iter().enumerate() {
+                let long = self.long.filter(|_| (i, k) == middle);
+                let scene = Packed { width, height, gaussians, views: VIEWS, seed: 7 };
+                all.push((scene, long.unwrap_or(self.steps)));
+            }
+        }
+        all
+    }
 }
 
 fn cases(width: usize, height: usize) -> (LossCase, WaterCase) {
@@ -58,6 +79,8 @@ const VIEWS: usize = 4;
 const LEAST: f64 = 0.02;
 /// Steps whose kernels are timed by the device's clock.
 const PROFILED: u64 = 20;
+/// Steps after which the clock of whole steps is read: half its places, since steps may be done twice.
+const READ: usize = 1000;
 
 /// Stage 1 on a packed scene, a step of each view done.
 fn begun(gpu: &Gpu, scene: &Packed) -> Result<Stage1, EngineError> {
@@ -139,22 +162,51 @@ fn roofline(
     kernels.iter().filter_map(record).collect()
 }
 
-/// Trains on a packed scene: first against the processor's clock, then with the device's.
-fn train(gpu: &Gpu, scene: &Packed, steps: u64, ceilings: &Ceilings) -> Result<TrainingRecord, EngineError> {
+/// Steps of a packed scene against the processor's clock, with the device's around every whole step.
+fn race(gpu: &Gpu, scene: &Packed, steps: u64, record: &mut TrainingRecord) -> Result<(), EngineError> {
     let views = scene.views as u64;
+    let gpu = &gpu.clone().timed_steps();
     let mut engine = begun(gpu, scene)?;
-    let (started, submits) = (Instant::now(), gpu.submits());
-    for step in views..views + steps {
-        engine.step((step % views.max(1)) as usize, &Packed::plan(step))?;
+    gpu.read_times(&mut BTreeMap::new())?;
+    let (mut times, mut losses) = (BTreeMap::new(), Vec::new());
+    let (mut seconds, mut submits) = (0.0, 0);
+    let end = views + steps;
+    for first in (views..end).step_by(READ) {
+        let (started, submitted) = (Instant::now(), gpu.submits());
+        for step in first..end.min(first + READ as u64) {
+            engine.step((step % views.max(1)) as usize, &Packed::plan(step))?;
+        }
+        submits += gpu.submits() - submitted;
+        losses.extend(go_on(&mut engine, scene, 0..0)?);
+        seconds += started.elapsed().as_secs_f64();
+        gpu.read_times(&mut times)?;
     }
-    let submits = gpu.submits() - submits;
-    let losses = go_on(&mut engine, scene, 0..0)?;
-    let seconds = started.elapsed().as_secs_f64();
     let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len().max(1) as f64;
     let few = scene.views.min(losses.len());
-    let bytes = engine.memory();
-    drop(engine);
+    let per_step = |total: f64| total / steps.max(1) as f64;
+    record.steps = steps;
+    record.steps_per_second = steps as f64 / seconds;
+    record.loss = [mean(&losses[..few]), mean(&losses[losses.len() - few..])];
+    record.bytes = engine.memory();
+    record.submits_per_step = per_step(submits as f64);
+    if let Some(KernelTime { seconds: busy, .. }) = times.get("step") {
+        record.busy_milliseconds_per_step = Some(1e3 * per_step(*busy));
+        record.idle_share = Some((1.0 - busy / seconds).max(0.0));
+    }
+    Ok(())
+}
 
+/// Trains on a packed scene: first against the processor's clock, then with the device's around every kernel.
+/// What was found before a failure stays in the record.
+fn train(
+    gpu: &Gpu,
+    scene: &Packed,
+    steps: u64,
+    ceilings: Option<&Ceilings>,
+    record: &mut TrainingRecord,
+) -> Result<(), EngineError> {
+    race(gpu, scene, steps, record)?;
+    let views = scene.views as u64;
     let profiled = steps.min(PROFILED);
     let profile = |variant| {
         let timed = gpu.clone().with(variant).timed();
@@ -171,142 +223,202 @@ fn train(gpu: &Gpu, scene: &Packed, steps: u64, ceilings: &Ceilings) -> Result<T
     let work = engine.last_view([scene.width, scene.height])?;
     drop(engine);
     let dispatches: u64 = times.values().map(|time| time.dispatches).sum();
-    let kernels = kernel_records(times);
-    let mut backward_milliseconds = BTreeMap::new();
+    record.kernels = kernel_records(times);
+    if dispatches > 0 {
+        record.dispatches_per_step = Some(dispatches as f64 / profiled.max(1) as f64);
+        record.view = Some((&work).into());
+    }
+    if let Some(ceilings) = ceilings {
+        record.roofline = roofline(&record.kernels, profiled, &work, ceilings);
+    }
     for variant in gpu.trials() {
         let own = if variant == gpu.variant() { None } else { Some(kernel_records(profile(variant)?.0)) };
-        if let Some(record) = own.as_ref().unwrap_or(&kernels).get("backward") {
-            backward_milliseconds.insert(variant.to_string(), record.milliseconds);
+        if let Some(kernel) = own.as_ref().unwrap_or(&record.kernels).get("backward") {
+            record.backward_milliseconds.insert(variant.to_string(), kernel.milliseconds);
         }
     }
-    Ok(TrainingRecord {
-        size: [scene.width, scene.height],
-        gaussians: scene.gaussians,
-        steps,
-        steps_per_second: steps as f64 / seconds,
-        loss: [mean(&losses[..few]), mean(&losses[losses.len() - few..])],
-        bytes,
-        submits_per_step: submits as f64 / steps.max(1) as f64,
-        dispatches_per_step: (dispatches > 0).then(|| dispatches as f64 / profiled.max(1) as f64),
-        view: (dispatches > 0).then(|| (&work).into()),
-        roofline: roofline(&kernels, profiled, &work, ceilings),
-        kernels,
-        backward_milliseconds,
-        refusal: None,
-    })
+    Ok(())
 }
 
-/// Runs all of it; `tell` hears what is under way.
-pub fn bench(gpu: &Gpu, plan: &BenchPlan, mut tell: impl FnMut(&str)) -> Result<BenchRecord, EngineError> {
-    let started = Instant::now();
-    tell("check");
-    let said = check(gpu);
-    let check = CheckRecord {
-        passed: said.is_ok(),
-        refusal: said.err().map(|e| e.to_string()),
-        seconds: started.elapsed().as_secs_f64(),
-    };
+/// A benchmark under way.
+struct Bench<'a> {
+    gpu: &'a Gpu,
+    record: BenchRecord,
+    started: Instant,
+    /// Nothing more can be asked of the device.
+    lost: bool,
+    tell: &'a mut dyn FnMut(&str),
+    keep: &'a mut dyn FnMut(&BenchRecord),
+}
 
-    tell("what it does at best");
-    let ceilings = measure(gpu, plan.copied, LEAST)?;
-    tell("kernels beside the processor's functions");
-    let mut found = Vec::new();
-    for size in [(61, 47), (96, 64), (257, 33)] {
-        found.extend(run_twins(gpu, size)?);
+impl Bench<'_> {
+    /// Hands over the record as it is.
+    fn hand_over(&mut self) {
+        self.record.seconds = self.started.elapsed().as_secs_f64();
+        (self.keep)(&self.record);
     }
-    for variant in gpu.trials() {
-        let scene = Packed { width: 61, height: 47, gaussians: 600, views: 2, seed: 3 };
-        let mut engine = Stage1::new(&gpu.clone().with(variant))?;
-        let case = format!("step, {variant}, {scene:?}");
-        found.extend(twins::step(&mut engine, &scene)?.into_iter().map(|a| (case.clone(), a)));
-    }
-    let record = |(case, agreement): (String, Agreement)| {
-        let holds = agreement.holds();
-        let Agreement { what, error, bar, .. } = agreement;
-        TwinRecord { case, what, error: error.is_finite().then_some(error), bar, holds }
-    };
-    let twins = found.into_iter().map(record).collect();
 
-    tell("the same bits three times");
-    let mut determinism = Vec::new();
-    for variant in gpu.variants() {
-        let gpu = gpu.clone().with(variant);
-        let mut digests = Vec::new();
-        for _ in 0..3 {
-            let mut hasher = blake3::Hasher::new();
-            for (case, agreement) in run_twins(&gpu, (96, 64))? {
-                hasher.update(case.as_bytes());
-                hasher.update(&agreement.digest);
-            }
-            let scene = Packed { width: 96, height: 64, gaussians: 2000, views: 3, seed: 5 };
-            let mut engine = begun(&gpu, &scene)?;
-            go_on(&mut engine, &scene, 3..12)?;
-            hasher.update(digest(engine.save()?.as_ref()).as_bytes());
-            digests.push(hasher.finalize().to_hex().to_string());
+    fn fail(&mut self, section: &str, error: &EngineError) {
+        self.lost |= matches!(error, EngineError::DeviceLost { .. });
+        self.record.failed.push(FailedRecord { section: section.to_string(), why: error.to_string() });
+    }
+
+    /// Does a part of it: `None` where it failed, or the device is lost.
+    fn section<T>(&mut self, name: &str, work: impl FnOnce(&Gpu) -> Result<T, EngineError>) -> Option<T> {
+        if self.lost {
+            return None;
         }
-        let same = digests.iter().all(|digest| *digest == digests[0]);
-        determinism.push(DeterminismRecord { variant: variant.to_string(), digests, same });
+        (self.tell)(name);
+        work(self.gpu).map_err(|error| self.fail(name, &error)).ok()
     }
 
-    let timed = gpu.clone().timed();
-    let mut times = Vec::new();
-    for &(width, height) in &plan.sizes {
-        tell(&format!("times at {width} x {height}"));
-        let mut kernels = BTreeMap::new();
-        for round in 0..plan.rounds.max(2) {
-            run_twins(&timed, (width, height))?;
-            let mut own = BTreeMap::new();
-            timed.read_times(&mut own)?;
-            if round > 0 {
-                for (name, time) in own {
-                    let all: &mut KernelTime = kernels.entry(name).or_default();
-                    all.dispatches += time.dispatches;
-                    all.seconds += time.seconds;
+    fn check(&mut self) {
+        (self.tell)("check");
+        let (began, said) = (Instant::now(), check(self.gpu));
+        if let Err(CheckError::Failed { error, .. }) = &said {
+            self.fail("check", error);
+        }
+        self.record.check = Some(CheckRecord {
+            passed: said.is_ok(),
+            refusal: said.err().map(|e| e.to_string()),
+            seconds: began.elapsed().as_secs_f64(),
+        });
+        self.hand_over();
+    }
+
+    /// Kernels beside the processor's functions, and whole steps in every variant.
+    fn twins(&mut self) {
+        let mut found = Vec::new();
+        self.section("kernels beside the processor's functions", |gpu| {
+            for size in [(61, 47), (96, 64), (257, 33)] {
+                found.extend(run_twins(gpu, size)?);
+            }
+            for variant in gpu.trials() {
+                let scene = Packed { width: 61, height: 47, gaussians: 600, views: 2, seed: 3 };
+                let mut engine = Stage1::new(&gpu.clone().with(variant))?;
+                let case = format!("step, {variant}, {scene:?}");
+                found.extend(twins::step(&mut engine, &scene)?.into_iter().map(|a| (case.clone(), a)));
+            }
+            Ok(())
+        });
+        let record = |(case, agreement): (String, Agreement)| {
+            let holds = agreement.holds();
+            let Agreement { what, error, bar, .. } = agreement;
+            TwinRecord { case, what, error: error.is_finite().then_some(error), bar, holds }
+        };
+        self.record.twins = found.into_iter().map(record).collect();
+        self.hand_over();
+    }
+
+    /// Three runs of the same work in every variant.
+    fn determinism(&mut self) {
+        for variant in self.gpu.variants() {
+            let name = format!("the same bits three times, {variant}");
+            let digests = self.section(&name, |gpu| {
+                let gpu = gpu.clone().with(variant);
+                let mut digests = Vec::new();
+                for _ in 0..3 {
+                    let mut hasher = blake3::Hasher::new();
+                    for (case, agreement) in run_twins(&gpu, (96, 64))? {
+                        hasher.update(case.as_bytes());
+                        hasher.update(&agreement.digest);
+                    }
+                    let scene = Packed { width: 96, height: 64, gaussians: 2000, views: 3, seed: 5 };
+                    let mut engine = begun(&gpu, &scene)?;
+                    go_on(&mut engine, &scene, 3..12)?;
+                    hasher.update(digest(engine.save()?.as_ref()).as_bytes());
+                    digests.push(hasher.finalize().to_hex().to_string());
+                }
+                Ok(digests)
+            });
+            let Some(digests) = digests else { continue };
+            let same = digests.iter().all(|digest| *digest == digests[0]);
+            self.record.determinism.push(DeterminismRecord { variant: variant.to_string(), digests, same });
+        }
+        self.hand_over();
+    }
+
+    /// Times of the kernels at a size.
+    fn times(&mut self, (width, height): (usize, usize), rounds: usize) {
+        let kernels = self.section(&format!("times at {width} x {height}"), |gpu| {
+            let timed = gpu.clone().timed();
+            let mut kernels = BTreeMap::new();
+            for round in 0..rounds.max(2) {
+                run_twins(&timed, (width, height))?;
+                let mut own = BTreeMap::new();
+                timed.read_times(&mut own)?;
+                if round > 0 {
+                    for (name, time) in own {
+                        let all: &mut KernelTime = kernels.entry(name).or_default();
+                        all.dispatches += time.dispatches;
+                        all.seconds += time.seconds;
+                    }
                 }
             }
-        }
-        times.push(TimesRecord { size: [width, height], kernels: kernel_records(kernels) });
+            Ok(kernel_records(kernels))
+        });
+        self.record.times.extend(kernels.map(|kernels| TimesRecord { size: [width, height], kernels }));
+        self.hand_over();
     }
 
-    let mut trainings = Vec::new();
-    for &(width, height) in &plan.sizes {
-        for &gaussians in &plan.gaussians {
-            tell(&format!("{} steps at {width} x {height} with {gaussians} Gaussians", plan.steps));
-            let scene = Packed { width, height, gaussians, views: VIEWS, seed: 7 };
-            trainings.push(match train(gpu, &scene, plan.steps, &ceilings) {
-                // The others may fit.
-                Err(error @ EngineError::OutOfMemory { .. }) => TrainingRecord {
-                    size: [width, height],
-                    gaussians,
-                    steps: 0,
-                    steps_per_second: 0.0,
-                    loss: [0.0; 2],
-                    bytes: 0,
-                    submits_per_step: 0.0,
-                    dispatches_per_step: None,
-                    kernels: BTreeMap::new(),
-                    view: None,
-                    roofline: BTreeMap::new(),
-                    backward_milliseconds: BTreeMap::new(),
-                    refusal: Some(error.to_string()),
-                },
-                trained => trained?,
-            });
+    fn training(&mut self, scene: &Packed, steps: u64, ceilings: Option<&Ceilings>) {
+        if self.lost {
+            return;
         }
+        let Packed { width, height, gaussians, .. } = *scene;
+        let name = format!("{steps} steps at {width} x {height} with {gaussians} Gaussians");
+        (self.tell)(&name);
+        let mut record = TrainingRecord { size: [width, height], gaussians, ..TrainingRecord::default() };
+        if let Err(error) = train(self.gpu, scene, steps, ceilings, &mut record) {
+            record.refusal = Some(error.to_string());
+            // Too much for this card is an answer; the others may fit.
+            if !matches!(error, EngineError::OutOfMemory { .. }) {
+                self.fail(&name, &error);
+            }
+        }
+        self.record.trainings.push(record);
+        self.hand_over();
     }
-    Ok(BenchRecord {
+}
+
+/// Runs all of it. `tell` hears what is under way, `keep` is given the record after every part.
+pub fn bench(
+    gpu: &Gpu,
+    plan: &BenchPlan,
+    mut tell: impl FnMut(&str),
+    mut keep: impl FnMut(&BenchRecord),
+) -> BenchRecord {
+    let record = BenchRecord {
         format: "3d-use gpu bench",
-        version: 4,
+        version: 5,
         adapter: gpu.adapter().into(),
-        variant: gpu.variant().to_string(),
-        check,
-        ceilings: ceilings.into(),
-        twins,
-        determinism,
-        times,
-        trainings,
-        seconds: started.elapsed().as_secs_f64(),
-    })
+        variant: gpu.kernels(),
+        check: None,
+        ceilings: None,
+        twins: Vec::new(),
+        determinism: Vec::new(),
+        times: Vec::new(),
+        trainings: Vec::new(),
+        failed: Vec::new(),
+        complete: false,
+        seconds: 0.0,
+    };
+    let (tell, keep): (&mut dyn FnMut(&str), &mut dyn FnMut(&BenchRecord)) = (&mut tell, &mut keep);
+    let mut bench = Bench { gpu, record, started: Instant::now(), lost: false, tell, keep };
+    bench.check();
+    let ceilings = bench.section("what it does at best", |gpu| measure(gpu, plan.copied, LEAST));
+    bench.record.ceilings = ceilings.map(Into::into);
+    bench.twins();
+    bench.determinism();
+    for &size in &plan.sizes {
+        bench.times(size, plan.rounds);
+    }
+    for (scene, steps) in plan.trainings() {
+        bench.training(&scene, steps, ceilings.as_ref());
+    }
+    bench.record.complete = !bench.lost;
+    bench.hand_over();
+    bench.record
 }
 
 #[cfg(test)]
@@ -314,16 +426,57 @@ mod tests {
     use super::*;
     use crate::testing::software;
 
+    fn plan() -> BenchPlan {
+        BenchPlan {
+            sizes: vec![(33, 20)],
+            rounds: 2,
+            gaussians: vec![60],
+            steps: 2,
+            long: None,
+            copied: 1 << 20,
+        }
+    }
+
+    #[test]
+    fn the_middle_training_is_the_long_one() {
+        let sizes = vec![(10, 10), (20, 20), (30, 30)];
+        let plan = BenchPlan { sizes, gaussians: vec![1, 2], steps: 5, long: Some(50), ..plan() };
+        let steps: Vec<u64> = plan.trainings().iter().map(|(_, steps)| *steps).collect();
+        assert_eq!(steps, [5, 5, 5, 50, 5, 5]);
+    }
+
+    #[test]
+    fn a_device_that_is_lost_on_the_way_keeps_what_was_found() {
+        let Some(gpu) = software() else { return };
+        let lose = |what: &str| {
+            if what == "kernels beside the processor's functions" {
+                gpu.lose();
+            }
+        };
+        let mut kept = None;
+        let record = bench(&gpu, &plan(), lose, |record| kept = Some(record.clone()));
+        assert!(record.check.is_some_and(|check| check.passed) && record.ceilings.is_some());
+        let [failed] = &record.failed[..] else { panic!("{:?}", record.failed) };
+        assert!(failed.section.contains("kernels beside") && failed.why.contains("lost"), "{failed:?}");
+        let kept = kept.unwrap();
+        assert!(!kept.complete && kept.trainings.is_empty() && kept.failed.len() == 1, "{kept:?}");
+    }
+
     #[test]
     fn a_record_has_all_its_parts() {
         let Some(gpu) = software() else { return };
-        let plan =
-            BenchPlan { sizes: vec![(33, 20)], rounds: 2, gaussians: vec![60], steps: 5, copied: 1 << 20 };
-        let mut told = Vec::new();
-        let record = bench(&gpu, &plan, |what| told.push(what.to_string())).unwrap();
-        assert!(record.check.passed && record.determinism.iter().all(|runs| runs.same), "{record:?}");
+        let plan = BenchPlan { long: Some(5), ..plan() };
+        let (mut told, mut kept) = (Vec::new(), 0);
+        let record = bench(&gpu, &plan, |what| told.push(what.to_string()), |_| kept += 1);
+        assert!(record.failed.is_empty() && record.complete && kept == 6, "{kept} {record:?}");
+        assert!(
+            record.check.as_ref().is_some_and(|check| check.passed)
+                && record.determinism.iter().all(|runs| runs.same),
+            "{record:?}"
+        );
         assert_eq!(record.determinism.len(), 2, "both variants");
-        assert!(record.ceilings.copy_gigabytes_per_second > 0.0, "{record:?}");
+        let ceilings = record.ceilings.unwrap();
+        assert!(ceilings.copy_gigabytes_per_second > 0.0 && ceilings.copied_bytes == 1 << 20, "{record:?}");
         assert!(record.twins.iter().all(|twin| twin.holds), "{record:?}");
         let kernels = &record.times[0].kernels;
         assert!(kernels.contains_key("gather") && kernels["weigh"].dispatches == 1, "{kernels:?}");
@@ -335,12 +488,15 @@ mod tests {
         assert_eq!((training.submits_per_step, training.kernels["update"].dispatches), (1.0, 5));
         // The portable one, and one, two and four pixels to a thread.
         assert_eq!(training.backward_milliseconds.len(), 4, "{training:?}");
+        let (busy, idle) = (training.busy_milliseconds_per_step.unwrap(), training.idle_share.unwrap());
+        assert!(busy > 0.0 && busy <= 1e3 / training.steps_per_second, "{training:?}");
+        assert!((0.0..1.0).contains(&idle), "{training:?}");
         let view = training.view.unwrap();
         assert!(view.visible > 0 && view.visible <= 60 && view.entries > 0, "{view:?}");
         assert!(0.0 < view.live_per_pixel && view.live_per_pixel <= view.tested_per_pixel, "{view:?}");
         let needs = &training.roofline;
         assert!(needs.contains_key("backward") && needs.values().all(|need| need.share > 0.0), "{needs:?}");
         assert!(training.dispatches_per_step.is_some_and(|n| n <= 60.0), "{training:?}");
-        assert!(told.len() == 6 && serde_json::to_string(&record).unwrap().contains("llvmpipe"));
+        assert!(told.len() == 7 && serde_json::to_string(&record).unwrap().contains("llvmpipe"));
     }
 }

@@ -23,6 +23,8 @@ const MULTIPLIERS: usize = 1 << 18;
 const PER_ROUND: f64 = 16.0 * 4.0 * 2.0;
 /// Times that each is measured; the best counts.
 const TIMES: usize = 3;
+/// Rows of a copy that is not halved any more.
+const FEWEST_ROWS: usize = 1 << 12;
 
 fn copy() -> Spec {
     Spec {
@@ -51,6 +53,8 @@ pub(crate) struct Ceilings {
     pub(crate) bytes: f64,
     /// Operations in single precision a second.
     pub(crate) flops: f64,
+    /// Bytes that were copied at once.
+    pub(crate) copied: u64,
 }
 
 /// Seconds of some dispatches, by the device's clock where it has one.
@@ -85,12 +89,25 @@ fn best(
     Ok(rate)
 }
 
+/// Two buffers of so many rows; half as many, again and again, where memory does not suffice.
+fn pair(gpu: &Gpu, mut rows: usize) -> Result<[Array<Row>; 2], EngineError> {
+    loop {
+        let both =
+            Array::new(gpu, "rows", rows).and_then(|from| Ok([from, Array::new(gpu, "copied rows", rows)?]));
+        match both {
+            Err(EngineError::OutOfMemory { .. }) if rows > FEWEST_ROWS => rows /= 2,
+            both => return both,
+        }
+    }
+}
+
 /// Measures a device: buffers of `bytes`, at least `least` seconds for a measurement.
 pub(crate) fn measure(gpu: &Gpu, bytes: u64, least: f64) -> Result<Ceilings, EngineError> {
     let gpu = &gpu.clone().timed();
     let (copy, multiply) = (Kernel::new(gpu, &copy())?, Kernel::new(gpu, &multiply())?);
     let rows = (bytes.min(gpu.longest()) as usize / size_of::<Row>()).max(1);
-    let (from, to) = (Array::<Row>::new(gpu, "rows", rows)?, Array::<Row>::new(gpu, "copied rows", rows)?);
+    let [from, to] = pair(gpu, rows)?;
+    let (rows, copied) = (from.capacity(), from.size() as u64);
     // No more dispatches at once than the clock has places for.
     let bytes = best(least, 1024, |size| {
         let time = seconds(gpu, |pass| {
@@ -105,7 +122,7 @@ pub(crate) fn measure(gpu: &Gpu, bytes: u64, least: f64) -> Result<Ceilings, Eng
             seconds(gpu, |pass| multiply.dispatch(pass, multiply.grid(MULTIPLIERS), bound![rounds, sums]))?;
         Ok((PER_ROUND * MULTIPLIERS as f64 * f64::from(size), time))
     })?;
-    Ok(Ceilings { bytes, flops })
+    Ok(Ceilings { bytes, flops, copied })
 }
 
 /// What a kernel needs in one step of stage 1, everything switched on: bytes and operations; `None` for
@@ -173,8 +190,18 @@ mod tests {
             found.bytes > 1e6 && found.bytes < 1e14 && found.flops > 1e6 && found.flops < 1e16,
             "{found:?}"
         );
-        let ceilings = Ceilings { bytes: 100.0, flops: 1000.0 };
+        let ceilings = Ceilings { bytes: 100.0, flops: 1000.0, copied: 1 };
         assert_eq!((ceilings.least([200.0, 10.0]), ceilings.least([1.0, 3000.0])), (2.0, 3.0));
+    }
+
+    #[test]
+    fn a_copy_that_does_not_fit_is_halved() {
+        let Some(gpu) = software() else { return };
+        gpu.run_out_of_memory();
+        let [from, to] = pair(&gpu, 1 << 16).unwrap();
+        assert_eq!((from.capacity(), to.capacity()), (1 << 15, 1 << 15));
+        gpu.run_out_of_memory();
+        assert!(pair(&gpu, FEWEST_ROWS).is_err());
     }
 
     /// The terms of a kernel's need that can be told apart.

@@ -6,7 +6,7 @@
 
 use use3d_training::EngineError;
 
-use crate::device::{DeviceError, Gpu, adapters};
+use crate::device::{DeviceError, Found, Gpu, found, listed, take_first};
 use crate::twins::{self, Agreement};
 use crate::variant::Variant;
 
@@ -44,6 +44,22 @@ pub enum CheckError {
         /// The most it may be.
         bar: f64,
     },
+    /// Several were tried.
+    #[error("{}", listed(.0))]
+    Several(Vec<CheckError>),
+}
+
+impl CheckError {
+    /// What is wrong, where the adapter's name was told before.
+    fn reason(&self) -> String {
+        match self {
+            Self::Failed { error, .. } => error.to_string(),
+            Self::Wrong { what, error, bar, .. } => {
+                format!("{what} differ from the processor's by {error:.1e}, at most {bar:.0e} is right")
+            }
+            Self::Device(_) | Self::Several(_) => self.to_string(),
+        }
+    }
 }
 
 /// What does not hold, if anything.
@@ -65,35 +81,42 @@ pub fn check(gpu: &Gpu) -> Result<(), CheckError> {
     verdict(gpu, twins::small(gpu))
 }
 
-/// Opens the adapter whose name contains `name`, without a name the best that is no software, and checks it.
-/// One that computes wrongly with operations across threads is taken without them if it is sound then.
+/// Opens the first adapter that passes its check: of those of the name `name`, else of those whose names contain
+/// it, without a name of all that are no software. One that computes wrongly with operations across threads
+/// is taken without them if it is sound then.
 pub fn open_checked(name: Option<&str>) -> Result<Gpu, CheckError> {
-    sound(Gpu::open(name)?)
+    take_first(name, open_sound, CheckError::Several)
 }
 
-fn sound(gpu: Gpu) -> Result<Gpu, CheckError> {
-    match check(&gpu) {
+fn open_sound(found: &Found) -> Result<Gpu, CheckError> {
+    sound(|| Ok(Gpu::of(found)?), check)
+}
+
+/// A device that passes `test`, with the portable kernels where it must be. It is opened anew for these:
+/// the others may have cost the device.
+fn sound(
+    open: impl Fn() -> Result<Gpu, CheckError>,
+    test: impl Fn(&Gpu) -> Result<(), CheckError>,
+) -> Result<Gpu, CheckError> {
+    let gpu = open()?;
+    match test(&gpu) {
         Ok(()) => Ok(gpu),
         Err(wrong) if gpu.variant() == Variant::Portable => Err(wrong),
-        Err(_) => {
-            let gpu = gpu.with(Variant::Portable);
-            check(&gpu).map(|()| gpu)
+        Err(wrong) => {
+            let gpu = open()?.fallen_back(&wrong.reason());
+            test(&gpu).map(|()| gpu)
         }
     }
 }
 
-/// Every adapter of this machine, the likeliest first, with what the check says of it.
-pub fn checked_adapters() -> Vec<(crate::AdapterReport, Result<(), CheckError>)> {
-    adapters()
-        .into_iter()
-        .map(|report| {
-            let said = match &report.refusal {
-                Some(refusal) => Err(refusal.clone().into()),
-                None => open_checked(Some(&report.name)).map(|_| ()),
-            };
-            (report, said)
-        })
-        .collect()
+/// Every adapter of this machine, the likeliest first, with what the check says of it: how its kernels add up
+/// ([`Gpu::kernels`]), or why it is refused.
+pub fn checked_adapters() -> Vec<(crate::AdapterReport, Result<String, CheckError>)> {
+    let said = |found: Found| {
+        let said = open_sound(&found).map(|gpu| gpu.kernels());
+        (found.report, said)
+    };
+    found().into_iter().map(said).collect()
 }
 
 #[cfg(test)]
@@ -116,14 +139,31 @@ mod tests {
         let variants = gpu.variants();
         assert!(variants.len() == 2 && gpu.variant() == Variant::Portable, "{variants:?}");
         for variant in variants {
-            let gpu = sound(gpu.clone().with(variant)).unwrap();
-            assert_eq!(gpu.variant(), variant);
+            let gpu = sound(|| Ok(gpu.clone().with(variant)), check).unwrap();
+            assert_eq!((gpu.variant(), gpu.kernels()), (variant, variant.to_string()));
         }
         assert_eq!(
             gpu.with(Variant::Subgroups { width: 64, pixels: 2 }).variant(),
             Variant::Portable,
             "not its width"
         );
+    }
+
+    #[test]
+    fn a_device_that_fails_with_subgroups_alone_says_so() {
+        let Some(gpu) = software() else { return };
+        let wide = gpu.variants().pop().unwrap();
+        let test = |gpu: &Gpu| match gpu.variant() {
+            Variant::Portable => Ok(()),
+            Variant::Subgroups { .. } => {
+                let error = EngineError::Failed("the driver does not compile them".into());
+                verdict(gpu, Err(error))
+            }
+        };
+        let taken = sound(|| Ok(gpu.clone().with(wide)), test).unwrap();
+        assert_eq!(taken.kernels(), "portable (with subgroups: the driver does not compile them)");
+        let never = |gpu: &Gpu| verdict(gpu, Err(EngineError::Failed("nothing works".into())));
+        assert!(sound(|| Ok(gpu.clone().with(wide)), never).is_err());
     }
 
     #[test]

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use use3d_training::EngineError;
 
-use crate::profile::{self, Clock};
+use crate::profile::{self, Clock, Timed};
 use crate::scene::{COLORS, Row, SPLAT};
 use crate::variant::Variant;
 
@@ -21,13 +21,15 @@ const STORAGE_BUFFERS: u32 = 16;
 const WORKGROUP_BYTES: u32 = 20 * 1024;
 const BINDING_BYTES: u64 = 128 << 20;
 
+/// Bytes that wgpu takes of a device at once when it is opened, at most: a block of its allocator for buffers
+/// and one for what passes through main memory.
+const OPENING: u64 = 192 << 20;
+
 /// Why there is no device.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DeviceError {
     /// Nothing to choose from.
-    #[error(
-        "no graphics card was found: neither Vulkan's loader (`libvulkan.so.1`, package `libvulkan1`) nor another driver answered; install the card's driver, or use the processor (`--engine cpu`)"
-    )]
+    #[error("{NOTHING}")]
     None,
     /// Only software adapters, and none was named.
     #[error(
@@ -38,7 +40,7 @@ pub enum DeviceError {
         found: Vec<String>,
     },
     /// No adapter has such a name.
-    #[error("no adapter's name has `{name}` in it; there are: {}", if .found.is_empty() { "none".to_string() } else { .found.join(", ") })]
+    #[error("no adapter's name has `{name}` in it{}", others(.found))]
     Named {
         /// What was asked for.
         name: String,
@@ -61,7 +63,7 @@ pub enum DeviceError {
     },
     /// The driver did not open it.
     #[error(
-        "the adapter `{adapter}` could not be opened: {reason}; free some of its memory if that is short, update its driver, or use another engine"
+        "the adapter `{adapter}` could not be opened: {reason}; free some of its memory if that is short (opening takes up to {} MiB of it), update its driver, or use another engine", OPENING >> 20
     )]
     Open {
         /// Its name.
@@ -69,6 +71,24 @@ pub enum DeviceError {
         /// What the driver said.
         reason: String,
     },
+    /// Several were tried.
+    #[error("{}", listed(.0))]
+    Several(Vec<DeviceError>),
+}
+
+/// What is said where no adapter answers.
+const NOTHING: &str = "no graphics card was found: neither Vulkan's loader (`libvulkan.so.1`, package `libvulkan1`) nor another driver answered; install the card's driver, or use the processor (`--engine cpu`)";
+
+/// The adapters that there are instead of one that was named.
+fn others(found: &[String]) -> String {
+    if found.is_empty() { format!(": {NOTHING}") } else { format!("; there are: {}", found.join(", ")) }
+}
+
+/// Why each of several adapters is not to be used.
+pub(crate) fn listed(refusals: &[impl std::fmt::Display]) -> String {
+    let each = refusals.iter().zip(1..).map(|(refusal, at)| format!("({at}) {refusal}"));
+    let each: Vec<String> = each.collect();
+    format!("none of {} adapters can be used: {}", each.len(), each.join("; "))
 }
 
 fn first_word(names: &[String]) -> &str {
@@ -171,25 +191,71 @@ pub fn adapters() -> Vec<AdapterReport> {
     enumerate().into_iter().map(|(report, _)| report).collect()
 }
 
-/// Which of some adapters is meant: the first whose name contains `name` in any case, or without a
-/// name the best that is no software.
-fn choose(reports: &[AdapterReport], name: Option<&str>) -> Result<usize, DeviceError> {
+/// Which of some adapters are meant, in the order in which they are tried: those of exactly this name in any
+/// case, else those with the name in theirs; without a name all that are no software.
+fn order(reports: &[AdapterReport], name: Option<&str>) -> Result<Vec<usize>, DeviceError> {
     let found = || reports.iter().map(|report| report.name.clone()).collect::<Vec<_>>();
-    let at = match name {
-        Some(name) => {
-            let wanted = name.to_lowercase();
-            let position = reports.iter().position(|r| r.name.to_lowercase().contains(&wanted));
-            position.ok_or_else(|| DeviceError::Named { name: name.to_string(), found: found() })?
-        }
-        None if reports.is_empty() => return Err(DeviceError::None),
-        None => {
-            let position = reports.iter().position(|r| !r.is_software());
-            position.ok_or_else(|| DeviceError::OnlySoftware { found: found() })?
-        }
+    let all = |fits: &dyn Fn(&AdapterReport) -> bool| {
+        (0..reports.len()).filter(|at| fits(&reports[*at])).collect::<Vec<_>>()
     };
-    match &reports[at].refusal {
-        Some(refusal) => Err(refusal.clone()),
-        None => Ok(at),
+    let Some(name) = name else {
+        let cards = all(&|report| !report.is_software());
+        return match (cards.is_empty(), reports.is_empty()) {
+            (false, _) => Ok(cards),
+            (true, true) => Err(DeviceError::None),
+            (true, false) => Err(DeviceError::OnlySoftware { found: found() }),
+        };
+    };
+    let wanted = name.to_lowercase();
+    // Else a card whose name begins another's could never be reached.
+    let exact = all(&|report| report.name.to_lowercase() == wanted);
+    let fitting = if exact.is_empty() { all(&|r| r.name.to_lowercase().contains(&wanted)) } else { exact };
+    if fitting.is_empty() {
+        return Err(DeviceError::Named { name: name.to_string(), found: found() });
+    }
+    Ok(fitting)
+}
+
+/// The first that can be had, and why those before it cannot; every refusal where none can.
+fn first<T, E>(
+    order: Vec<usize>,
+    mut take: impl FnMut(usize) -> Result<T, E>,
+) -> Result<(T, Vec<E>), Vec<E>> {
+    let mut refusals = Vec::new();
+    for at in order {
+        match take(at) {
+            Ok(taken) => return Ok((taken, refusals)),
+            Err(refusal) => refusals.push(refusal),
+        }
+    }
+    Err(refusals)
+}
+
+/// An adapter that may be opened, as often as it takes.
+#[derive(Debug)]
+pub(crate) struct Found {
+    pub(crate) report: AdapterReport,
+    adapter: wgpu::Adapter,
+}
+
+/// All adapters of this machine, the likeliest first.
+pub(crate) fn found() -> Vec<Found> {
+    enumerate().into_iter().map(|(report, adapter)| Found { report, adapter }).collect()
+}
+
+/// The first of the adapters that are meant by `name` that `take` takes, with what it said of those
+/// before; what `several` makes of the refusals where there is none.
+pub(crate) fn take_first<E: From<DeviceError> + std::fmt::Display>(
+    name: Option<&str>,
+    take: impl Fn(&Found) -> Result<Gpu, E>,
+    several: impl FnOnce(Vec<E>) -> E,
+) -> Result<Gpu, E> {
+    let all = found();
+    let reports: Vec<AdapterReport> = all.iter().map(|found| found.report.clone()).collect();
+    match first(order(&reports, name)?, |at| take(&all[at])) {
+        Ok((gpu, refusals)) => Ok(gpu.passed_over(refusals.iter().map(ToString::to_string).collect())),
+        Err(mut refusals) if refusals.len() == 1 => Err(refusals.remove(0)),
+        Err(refusals) => Err(several(refusals)),
     }
 }
 
@@ -216,6 +282,10 @@ pub struct Gpu {
     submits: Arc<AtomicU64>,
     /// How kernels made for it add up.
     variant: Variant,
+    /// Why it has portable kernels, where it could have others.
+    fallback: Option<Arc<str>>,
+    /// Why adapters before it were not taken.
+    passed_over: Arc<[String]>,
     /// Bytes of buffers that are there now.
     held: Arc<AtomicU64>,
 }
@@ -245,11 +315,18 @@ fn lock(trouble: &Mutex<Trouble>) -> MutexGuard<'_, Trouble> {
 }
 
 impl Gpu {
-    /// Opens the adapter whose name contains `name` in any case; without a name the best that is no software.
+    /// Opens the first adapter that can be opened: of those of the name `name` in any case, else of those whose
+    /// names contain it; without a name of all that are no software.
     pub fn open(name: Option<&str>) -> Result<Self, DeviceError> {
-        let mut all = enumerate();
-        let reports: Vec<AdapterReport> = all.iter().map(|(report, _)| report.clone()).collect();
-        let (report, adapter) = all.swap_remove(choose(&reports, name)?);
+        take_first(name, Self::of, DeviceError::Several)
+    }
+
+    /// Opens an adapter.
+    pub(crate) fn of(Found { report, adapter }: &Found) -> Result<Self, DeviceError> {
+        if let Some(refusal) = &report.refusal {
+            return Err(refusal.clone());
+        }
+        let report = report.clone();
         let limits = adapter.limits();
         let wanted = wgpu::Limits {
             max_storage_buffers_per_shader_stage: limits.max_storage_buffers_per_shader_stage.min(32),
@@ -292,6 +369,8 @@ impl Gpu {
             clock: None,
             submits: Arc::default(),
             variant: Variant::Portable,
+            fallback: None,
+            passed_over: Arc::from([]),
             held: Arc::default(),
         };
         // Software takes the portable one, whose bits no vector width changes.
@@ -306,6 +385,33 @@ impl Gpu {
     /// How kernels made for this device add up.
     pub fn variant(&self) -> Variant {
         self.variant
+    }
+
+    /// The same with portable kernels, since those of its variant do not serve.
+    #[must_use]
+    pub(crate) fn fallen_back(self, why: &str) -> Self {
+        let mut gpu = self.with(Variant::Portable);
+        gpu.fallback = Some(why.into());
+        gpu
+    }
+
+    fn passed_over(mut self, refusals: Vec<String>) -> Self {
+        self.passed_over = refusals.into();
+        self
+    }
+
+    /// Why adapters that would have been taken before it were not.
+    pub fn refused_before(&self) -> &[String] {
+        &self.passed_over
+    }
+
+    /// How its kernels add up as a person is told: where they are the portable ones although it has operations
+    /// across threads, with the reason.
+    pub fn kernels(&self) -> String {
+        match &self.fallback {
+            Some(why) => format!("{} (with subgroups: {why})", self.variant),
+            None => self.variant.to_string(),
+        }
     }
 
     /// The variants that this device can do, the portable one first.
@@ -336,9 +442,18 @@ impl Gpu {
     }
 
     /// The same device with every dispatch of kernels made for it timed, where the device can.
-    pub(crate) fn timed(mut self) -> Self {
-        if self.device.features().contains(profile::features()) {
-            self.clock = Some(Arc::new(Clock::new(&self.device)));
+    pub(crate) fn timed(self) -> Self {
+        self.with_clock(Timed::Dispatches)
+    }
+
+    /// The same device with every step's pass timed as a whole, where the device can.
+    pub(crate) fn timed_steps(self) -> Self {
+        self.with_clock(Timed::Passes)
+    }
+
+    fn with_clock(mut self, timed: Timed) -> Self {
+        if self.device.features().contains(timed.features()) {
+            self.clock = Some(Arc::new(Clock::new(&self.device, timed)));
         }
         self
     }
@@ -473,15 +588,45 @@ mod tests {
     fn software_is_taken_by_name_alone() {
         let soft = report("llvmpipe (LLVM 15)", "software");
         let card = report("GeForce RTX 3090", "discrete");
-        assert_eq!(choose(&[card.clone(), soft.clone()], None), Ok(0));
-        assert_eq!(choose(&[card.clone(), soft.clone()], Some("LLVMPIPE")), Ok(1));
-        assert_eq!(choose(&[card.clone(), soft.clone()], Some("3090")), Ok(0));
-        let only = choose(std::slice::from_ref(&soft), None).unwrap_err().to_string();
+        let both = [card, soft.clone()];
+        assert_eq!(order(&both, None), Ok(vec![0]));
+        assert_eq!(order(&both, Some("LLVMPIPE")), Ok(vec![1]));
+        assert_eq!(order(&both, Some("3090")), Ok(vec![0]));
+        let only = order(std::slice::from_ref(&soft), None).unwrap_err().to_string();
         assert!(only.contains("gpu:llvmpipe") && only.contains("--engine cpu"), "{only}");
-        let none = choose(&[], None).unwrap_err().to_string();
-        assert!(none.contains("libvulkan"), "{none}");
-        let wrong = choose(&[card, soft], Some("radeon")).unwrap_err().to_string();
+        for name in [None, Some("vega")] {
+            let none = order(&[], name).unwrap_err().to_string();
+            assert!(none.contains("libvulkan") && none.contains("--engine cpu"), "{none}");
+            assert!(name.is_none_or(|name| none.contains(name)), "{none}");
+        }
+        let wrong = order(&both, Some("radeon")).unwrap_err().to_string();
         assert!(wrong.contains("radeon") && wrong.contains("3090") && wrong.contains("llvmpipe"), "{wrong}");
+    }
+
+    #[test]
+    fn a_whole_name_wins_before_a_part_and_every_card_that_fits_is_tried() {
+        let all = [
+            report("RTX 3090 Ti", "discrete"),
+            report("RTX 3090", "discrete"),
+            report("RTX 3090", "discrete"),
+            report("Radeon", "integrated"),
+            report("llvmpipe", "software"),
+        ];
+        assert_eq!(order(&all, Some("rtx 3090")), Ok(vec![1, 2]));
+        assert_eq!(order(&all, Some("rtx 3090 ti")), Ok(vec![0]));
+        assert_eq!(order(&all, Some("3090")), Ok(vec![0, 1, 2]));
+        assert_eq!(order(&all, None), Ok(vec![0, 1, 2, 3]));
+    }
+
+    #[test]
+    fn the_first_that_serves_is_taken_and_all_refusals_are_told_where_none_does() {
+        let sound = |at: usize| if at == 2 { Ok(at) } else { Err(format!("card {at} is unsound")) };
+        let (taken, before) = first(vec![0, 1, 2, 3], sound).unwrap();
+        assert_eq!((taken, before.len()), (2, 2));
+        let refusals = first(vec![0, 1], sound).unwrap_err();
+        let said = listed(&refusals);
+        assert!(said.contains("none of 2 adapters") && said.contains("(1) card 0 is unsound"), "{said}");
+        assert!(said.contains("(2) card 1 is unsound"), "{said}");
     }
 
     #[test]
@@ -500,8 +645,7 @@ mod tests {
             ),
             (AdapterReport { buffers: 8, ..fits }, "8 storage buffers per kernel", "16"),
         ] {
-            let refusal = small.check().err();
-            let refusal = choose(&[AdapterReport { refusal, ..small }], None).unwrap_err().to_string();
+            let refusal = small.check().unwrap_err().to_string();
             assert!(refusal.contains(found) && refusal.contains(needed), "{refusal}");
         }
     }

@@ -26,8 +26,28 @@ pub(crate) struct Clock {
     set: wgpu::QuerySet,
     resolved: wgpu::Buffer,
     staging: wgpu::Buffer,
-    /// The kernel of every second place.
+    /// The kernel or pass of every second place.
     names: Mutex<Vec<&'static str>>,
+    timed: Timed,
+}
+
+/// What a clock is read before and after.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Timed {
+    /// Every dispatch, which keeps those of a pass apart.
+    Dispatches,
+    /// Every pass of steps, which costs them nothing.
+    Passes,
+}
+
+impl Timed {
+    /// Features that a clock of this needs.
+    pub(crate) fn features(self) -> wgpu::Features {
+        match self {
+            Self::Dispatches => features(),
+            Self::Passes => wgpu::Features::TIMESTAMP_QUERY,
+        }
+    }
 }
 
 /// Features that a clock needs.
@@ -36,8 +56,8 @@ pub(crate) fn features() -> wgpu::Features {
 }
 
 impl Clock {
-    /// A clock of a device that has [`features`].
-    pub(crate) fn new(device: &wgpu::Device) -> Self {
+    /// A clock of a device that has the features for it.
+    pub(crate) fn new(device: &wgpu::Device, timed: Timed) -> Self {
         let size = 8 * u64::from(PLACES);
         let buffer = |usage| {
             let label = Some("times");
@@ -53,19 +73,36 @@ impl Clock {
             resolved: buffer(Usage::QUERY_RESOLVE | Usage::COPY_SRC),
             staging: buffer(Usage::MAP_READ | Usage::COPY_DST),
             names: Mutex::default(),
+            timed,
         }
     }
 
     /// Notes the time before a dispatch; what to give to [`Clock::after`].
     pub(crate) fn before(&self, pass: &mut wgpu::ComputePass<'_>, name: &'static str) -> Option<u32> {
+        let place = self.place(Timed::Dispatches, name)?;
+        pass.write_timestamp(&self.set, place);
+        Some(place + 1)
+    }
+
+    /// A place for the times around a kernel or a pass.
+    fn place(&self, timed: Timed, name: &'static str) -> Option<u32> {
         let mut names = self.names.lock().unwrap_or_else(PoisonError::into_inner);
         let place = 2 * names.len() as u32;
-        if place + 1 >= PLACES {
+        if self.timed != timed || place + 1 >= PLACES {
             return None; // not read for long: the rest goes untimed
         }
         names.push(name);
-        pass.write_timestamp(&self.set, place);
-        Some(place + 1)
+        Some(place)
+    }
+
+    /// The times at which a pass begins and ends.
+    pub(crate) fn around(&self, name: &'static str) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
+        let place = self.place(Timed::Passes, name)?;
+        Some(wgpu::ComputePassTimestampWrites {
+            query_set: &self.set,
+            beginning_of_pass_write_index: Some(place),
+            end_of_pass_write_index: Some(place + 1),
+        })
     }
 
     /// Notes the time after it.

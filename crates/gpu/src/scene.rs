@@ -60,8 +60,18 @@ impl Parameters {
 
     /// The first `n` of them, waited for.
     pub(crate) fn read(&self, gpu: &Gpu, n: usize, sh_degree: usize) -> Result<Gaussians, EngineError> {
-        let rows = self.geometry.read(gpu, GEOMETRY * n)?;
+        let mut g = self.shapes(gpu, n, sh_degree)?;
         let colors = self.colors.read(gpu, n)?;
+        g.sh = colors
+            .chunks_exact(COLORS)
+            .map(|c| std::array::from_fn(|k| std::array::from_fn(|channel| c[3 * k + channel])))
+            .collect();
+        Ok(g)
+    }
+
+    /// The same without their colours, a fifth of the bytes.
+    fn shapes(&self, gpu: &Gpu, n: usize, sh_degree: usize) -> Result<Gaussians, EngineError> {
+        let rows = self.geometry.read(gpu, GEOMETRY * n)?;
         let mut g = Gaussians::empty(sh_degree);
         for row in rows.chunks_exact(GEOMETRY) {
             let [[x, y, z, logit], [a, b, c, _], q] = [row[0], row[1], row[2]];
@@ -70,10 +80,6 @@ impl Parameters {
             g.quaternions.push(q);
             g.opacity_logits.push(logit);
         }
-        g.sh = colors
-            .chunks_exact(COLORS)
-            .map(|c| std::array::from_fn(|k| std::array::from_fn(|channel| c[3 * k + channel])))
-            .collect();
         Ok(g)
     }
 
@@ -153,6 +159,11 @@ impl DeviceScene {
         self.values.read(gpu, self.count, self.sh_degree)
     }
 
+    /// The Gaussians without their colours, waited for.
+    pub(crate) fn shapes(&self, gpu: &Gpu) -> Result<Gaussians, EngineError> {
+        self.values.shapes(gpu, self.count, self.sh_degree)
+    }
+
     /// Their moments, waited for.
     pub(crate) fn moments(&self, gpu: &Gpu) -> Result<Moments, EngineError> {
         Ok(Moments {
@@ -195,6 +206,8 @@ mod tests {
             };
             scene.write(&gpu, &gaussians, &moments, &statistics).unwrap();
             assert!(scene.gaussians(&gpu).unwrap() == gaussians);
+            let shapes = scene.shapes(&gpu).unwrap();
+            assert!(shapes.sh.is_empty() && shapes == Gaussians { sh: Vec::new(), ..gaussians.clone() });
             assert!(scene.moments(&gpu).unwrap() == moments);
             assert!(scene.statistics(&gpu).unwrap() == statistics);
         }

@@ -45,9 +45,10 @@ pub(crate) struct BenchGpuArgs {
     /// Numbers of Gaussians that trainings have at each size; each is timed.
     #[arg(long, value_delimiter = ',', default_value = "50000,200000,500000", value_name = "N,...", value_parser = count(100_000_000))]
     pub(crate) gaussians: Vec<usize>,
-    /// Steps of each training that are timed.
-    #[arg(long, default_value_t = 200, value_name = "N", value_parser = count(1_000_000))]
-    pub(crate) steps: usize,
+    /// Steps of each training that are timed (default: 200, and 1000 at the middle size with the middle number of
+    /// Gaussians; 10 on software).
+    #[arg(long, value_name = "N", value_parser = count(1_000_000))]
+    pub(crate) steps: Option<usize>,
     #[command(flatten)]
     pub(crate) replace: Replace,
 }

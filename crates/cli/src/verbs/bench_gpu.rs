@@ -10,7 +10,7 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
 
     use use3d_build::machine::seconds;
     use use3d_gpu::Gpu;
-    use use3d_gpu::bench::{BenchPlan, bench};
+    use use3d_gpu::bench::{BenchPlan, BenchRecord, bench};
 
     use crate::destination::{check_file, path_text, write_file};
     use crate::size::parse_size;
@@ -24,28 +24,51 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
         }
     };
     say(&format!("{} ({})", gpu.adapter().name, gpu.adapter().driver));
+    say(&format!("kernels: {}", gpu.kernels()));
+    for refusal in gpu.refused_before() {
+        say(&format!("passed over: {refusal}"));
+    }
+    // A card does all of it in minutes; software takes as long for a few steps.
+    let (steps, long) = match (args.steps, gpu.adapter().is_software()) {
+        (Some(steps), _) => (steps as u64, None),
+        (None, false) => (200, Some(1000)),
+        (None, true) => (10, None),
+    };
     let plan = BenchPlan {
         sizes,
         rounds: args.rounds,
         gaussians: args.gaussians.clone(),
-        steps: args.steps as u64,
+        steps,
+        long,
         // What every adapter binds, and more than its caches hold.
         copied: 128 << 20,
     };
-    let record = bench(&gpu, &plan, say).map_err(CliError::failed)?;
-    write_file("--out", &args.out, |writer| {
-        serde_json::to_writer_pretty(&mut *writer, &record)?;
-        writeln!(writer)
-    })?;
+    let write = |record: &BenchRecord| {
+        write_file("--out", &args.out, |writer| {
+            serde_json::to_writer_pretty(&mut *writer, record)?;
+            writeln!(writer)
+        })
+    };
+    // What was found so far outlives whatever comes; only the last writing may not fail.
+    let mut written = Ok(());
+    let record = bench(&gpu, &plan, say, |record| written = write(record));
+    written?;
     let wrong: Vec<String> = record
         .twins
         .iter()
         .filter(|twin| !twin.holds)
         .map(|twin| format!("{}: {}", twin.case, twin.what))
         .collect();
-    for training in record.trainings.iter().filter(|training| training.refusal.is_none()) {
+    for training in &record.trainings {
         let ([width, height], n, rate) = (training.size, training.gaussians, training.steps_per_second);
-        say(&format!("{width} x {height}, {n} Gaussians: {rate:.1} steps a second"));
+        if training.steps > 0 {
+            let idle = training.idle_share.map(|idle| format!(", {:.0} % of the time idle", 100.0 * idle));
+            let idle = idle.unwrap_or_default();
+            say(&format!("{width} x {height}, {n} Gaussians: {rate:.1} steps a second{idle}"));
+        }
+        if let Some(refusal) = &training.refusal {
+            say(&format!("{width} x {height}, {n} Gaussians: {refusal}"));
+        }
         let each = &training.backward_milliseconds;
         let each: Vec<String> =
             each.iter().map(|(variant, time)| format!("{variant} {time:.2} ms")).collect();
@@ -61,8 +84,13 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
         }
     }
     say(&format!("written to {} in {}", path_text(&args.out), seconds(record.seconds)));
-    if let Some(refusal) = record.check.refusal {
+    if let Some(refusal) = record.check.and_then(|check| check.refusal) {
         return Err(CliError::Failed(refusal));
+    }
+    if !record.failed.is_empty() {
+        let each: Vec<String> =
+            record.failed.iter().map(|failed| format!("{}: {}", failed.section, failed.why)).collect();
+        return Err(CliError::Failed(format!("not everything could be measured: {}", each.join("; "))));
     }
     if !wrong.is_empty() {
         let what = wrong.join("; ");

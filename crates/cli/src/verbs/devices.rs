@@ -18,6 +18,8 @@ pub(crate) fn run(args: &DevicesArgs) -> Done {
         #[serde(flatten)]
         adapter: AdapterRecord,
         passed: bool,
+        /// How its kernels add up, where it passed.
+        kernels: Option<String>,
         refusal: Option<String>,
     }
 
@@ -28,6 +30,7 @@ pub(crate) fn run(args: &DevicesArgs) -> Done {
             .map(|(report, said)| Checked {
                 adapter: report.into(),
                 passed: said.is_ok(),
+                kernels: said.as_ref().ok().cloned(),
                 refusal: said.as_ref().err().map(ToString::to_string),
             })
             .collect();
@@ -48,13 +51,16 @@ pub(crate) fn run(args: &DevicesArgs) -> Done {
             bytes(*buffer),
             bytes((*workgroup).into())
         );
+        if let Ok(kernels) = said {
+            println!("         kernels: {kernels}");
+        }
         match said {
             Err(refusal) => println!("         {refusal}\n"),
-            Ok(()) if report.is_software() => println!(
+            Ok(_) if report.is_software() => println!(
                 "         its kernels agree with the processor's functions; as software it is taken only by name: --engine gpu:{}\n",
                 name.split_whitespace().next().unwrap_or("NAME")
             ),
-            Ok(()) => println!("         its kernels agree with the processor's functions\n"),
+            Ok(_) => println!("         its kernels agree with the processor's functions\n"),
         }
     }
     Ok(())

@@ -20,9 +20,9 @@ pub struct BenchRecord {
     /// Which variant of the kernels its trainings take.
     pub variant: String,
     /// What the check at the start says.
-    pub check: CheckRecord,
+    pub check: Option<CheckRecord>,
     /// What it does at best.
-    pub ceilings: CeilingsRecord,
+    pub ceilings: Option<CeilingsRecord>,
     /// Kernels beside the processor's functions, and whole steps in every variant.
     pub twins: Vec<TwinRecord>,
     /// Whether three runs give the same bits, in every variant.
@@ -31,12 +31,25 @@ pub struct BenchRecord {
     pub times: Vec<TimesRecord>,
     /// Trainings of stage 1 on packed scenes: every size with every number of Gaussians.
     pub trainings: Vec<TrainingRecord>,
+    /// What could not be done; where the device was lost, the last of these, after which nothing was tried.
+    pub failed: Vec<FailedRecord>,
+    /// Whether everything was tried; a file of a run that is under way or was cut off says no.
+    pub complete: bool,
     /// Seconds that all of it took.
     pub seconds: f64,
 }
 
-/// A training of stage 1, everything switched on.
+/// A part of the benchmark that failed.
 #[derive(Clone, Debug, Serialize)]
+pub struct FailedRecord {
+    /// Which.
+    pub section: String,
+    /// Why.
+    pub why: String,
+}
+
+/// A training of stage 1, everything switched on.
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct TrainingRecord {
     /// Pixels across and down.
     pub size: [usize; 2],
@@ -46,6 +59,11 @@ pub struct TrainingRecord {
     pub steps: u64,
     /// Of them in a second, by the processor's clock, reports waited for; without the device's own clock.
     pub steps_per_second: f64,
+    /// Time of the same steps in which the device was at work by its own clock, per step, milliseconds; `None`
+    /// where it has none.
+    pub busy_milliseconds_per_step: Option<f64>,
+    /// The share of the same steps' time in which it was not.
+    pub idle_share: Option<f64>,
     /// Mean loss of the first steps that were timed, one of each view, and of the last.
     pub loss: [f64; 2],
     /// Bytes on the device.
@@ -62,7 +80,7 @@ pub struct TrainingRecord {
     pub roofline: BTreeMap<&'static str, RooflineRecord>,
     /// Mean time of the backward pass in every variant, with every number of pixels to a thread, milliseconds.
     pub backward_milliseconds: BTreeMap<String, f64>,
-    /// Why there are no figures: the device has too little memory, say.
+    /// Why figures are missing, all or those of kernels: the device has too little memory, say.
     pub refusal: Option<String>,
 }
 
@@ -158,11 +176,17 @@ pub struct CeilingsRecord {
     pub copy_gigabytes_per_second: f64,
     /// Operations in a second by multiply-adds in single precision, two each, 10⁹.
     pub multiply_add_gigaflops: f64,
+    /// Bytes that were copied at once: fewer where memory was short.
+    pub copied_bytes: u64,
 }
 
 impl From<Ceilings> for CeilingsRecord {
-    fn from(Ceilings { bytes, flops }: Ceilings) -> Self {
-        Self { copy_gigabytes_per_second: 1e-9 * bytes, multiply_add_gigaflops: 1e-9 * flops }
+    fn from(Ceilings { bytes, flops, copied }: Ceilings) -> Self {
+        Self {
+            copy_gigabytes_per_second: 1e-9 * bytes,
+            multiply_add_gigaflops: 1e-9 * flops,
+            copied_bytes: copied,
+        }
     }
 }
 

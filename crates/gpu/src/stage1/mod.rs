@@ -280,7 +280,7 @@ impl Engine for Stage1 {
 
     fn survey(&mut self) -> Result<Survey, EngineError> {
         self.settle()?;
-        Ok(Survey::of(&self.scene.gaussians(&self.gpu)?, &self.scene.statistics(&self.gpu)?))
+        Ok(Survey::of(&self.scene.shapes(&self.gpu)?, &self.scene.statistics(&self.gpu)?))
     }
 
     fn forget_statistics(&mut self) -> Result<(), EngineError> {

@@ -100,7 +100,8 @@ impl Stage1 {
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label });
         target.copy(&mut encoder, &self.unpacked);
         {
-            let descriptor = wgpu::ComputePassDescriptor { label, timestamp_writes: None };
+            let timestamp_writes = self.gpu.clock().and_then(|clock| clock.around("step"));
+            let descriptor = wgpu::ComputePassDescriptor { label, timestamp_writes };
             let pass = &mut encoder.begin_compute_pass(&descriptor);
             target.record(pass, &self.unpacked);
             if let Some(water) = &self.water {

@@ -52,6 +52,15 @@ impl Card {
         self.0.adapter().name.clone()
     }
 
+    /// The adapter as a person is told of it: how its kernels add up, and why others were not taken.
+    pub(super) fn told(&self) -> String {
+        let passed_over = match self.0.refused_before() {
+            [] => String::new(),
+            refusals => format!("; passed over: {}", refusals.join("; ")),
+        };
+        format!("{} (kernels: {}){passed_over}", self.name(), self.0.kernels())
+    }
+
     /// Most Gaussians that it can hold.
     pub(super) fn most_gaussians(&self) -> usize {
         self.0.most_gaussians()

@@ -35,8 +35,8 @@ impl<'s> Drawn<'s> {
             (EngineChoice::Gpu(name), None) => Some(open(name.as_deref())?),
         };
         let name = card.as_ref().map(Card::name);
-        let told = match (&name, engine) {
-            (Some(name), _) => format!("gpu, {name}"),
+        let told = match (&card, engine) {
+            (Some(card), _) => format!("gpu, {}", card.told()),
             (None, EngineChoice::Auto) => {
                 let why = processors.or_else(|| open(None).err());
                 format!("cpu ({})", why.unwrap_or_default())

@@ -56,6 +56,10 @@ mod cards {
             match *self {}
         }
 
+        pub(super) fn told(&self) -> String {
+            match *self {}
+        }
+
         pub(super) fn most_gaussians(&self) -> usize {
             match *self {}
         }
@@ -175,7 +179,7 @@ fn card(params: &impl ChoosesEngine) -> Result<Option<Card>, String> {
 fn chosen(params: &impl ChoosesEngine) -> Result<(Option<Card>, Option<String>), EngineError> {
     let card = card(params).map_err(|what| EngineError::Request { engine: "gpu", what })?;
     let said = match &card {
-        Some(card) => Some(format!("engine: gpu, {}", card.name())),
+        Some(card) => Some(format!("engine: gpu, {}", card.told())),
         None if *params.engine() == EngineChoice::Cpu => None,
         None => {
             let why = able(params, None).err().unwrap_or_default();
@@ -195,14 +199,31 @@ pub(crate) fn class<T: ChoosesEngine>(params: &T) -> Option<DeviceClass> {
     card(params).ok().flatten().map(|card| card.class())
 }
 
-/// The engine of stage 1, and what a person is told of the choice.
-pub(crate) fn stage1(params: &ReconstructParams) -> Result<(Box<dyn Engine>, Option<String>), EngineError> {
+/// The engine of stage 1 for a capture that may come to `most` Gaussians, and what a person is told of the
+/// choice.
+pub(crate) fn stage1(
+    params: &ReconstructParams,
+    most: usize,
+) -> Result<(Box<dyn Engine>, Option<String>), EngineError> {
     let (card, said) = chosen(params)?;
+    // What a capture comes to is found out on the way, and the key was made with the card: so it is said here.
+    let room = card.as_ref().map_or(usize::MAX, Card::most_gaussians);
+    let said = said.map(|said| said + &narrow(most, room));
     let engine = match card {
         Some(card) => card.stage1()?,
         None => Box::new(CpuEngine::new()),
     };
     Ok((engine, said))
+}
+
+/// What is told where a training may grow beyond the Gaussians that a card has room for.
+fn narrow(most: usize, room: usize) -> String {
+    if most <= room {
+        return String::new();
+    }
+    format!(
+        "; it has room for {room} Gaussians in one binding and this capture may come to {most}, where the training would end: max_gaussians={room} keeps it below, cpu has no such bound"
+    )
 }
 
 /// The engine of stage 2, and what a person is told of the choice.
@@ -246,7 +267,14 @@ mod tests {
     fn the_processor_is_the_default_and_asks_for_nothing() {
         let params = ReconstructParams::default();
         assert_eq!((check(&params), class(&params)), (Ok(()), None));
-        assert!(stage1(&params).unwrap().1.is_none());
+        assert!(stage1(&params, usize::MAX).unwrap().1.is_none());
+    }
+
+    #[test]
+    fn a_capture_that_may_outgrow_its_card_is_told_so() {
+        assert_eq!(narrow(100, 100), "");
+        let said = narrow(4_000_000, 2_796_202);
+        assert!(said.contains("may come to 4000000") && said.contains("max_gaussians=2796202"), "{said}");
     }
 
     #[test]
@@ -257,7 +285,7 @@ mod tests {
         }
         let auto = asking("auto", Medium::Mlp);
         assert_eq!((check(&auto), class(&auto)), (Ok(()), None));
-        let (_, said) = stage1(&auto).unwrap();
+        let (_, said) = stage1(&auto, 1000).unwrap();
         assert!(said.unwrap().contains("engine: cpu (expected cpu for the water `mlp`"));
     }
 

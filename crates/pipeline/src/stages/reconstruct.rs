@@ -8,7 +8,7 @@ use use3d_io_image::write_png;
 use use3d_metrics::Score;
 use use3d_reconstruct::{
     DepthPrior, Evaluation, Exposure, Images, Known, LoadedView, Medium, MediumPrior, ReconstructError,
-    ReconstructParams, growth, memory_need, reconstruct_in,
+    ReconstructParams, growth, memory_need, most_gaussians, reconstruct_in,
 };
 use use3d_scene::Origin;
 use use3d_water::WaterParams;
@@ -174,7 +174,8 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     let outcome = {
         // It goes with this block: what is drawn and written below needs no
         // moments, views or buffers beside it.
-        let (mut engine, chosen) = engines::stage1(&params).map_err(StageError::failed)?;
+        let (mut engine, chosen) =
+            engines::stage1(&params, most_gaussians(&capture, &params)).map_err(StageError::failed)?;
         if let Some(chosen) = chosen {
             context.say(chosen);
         }
