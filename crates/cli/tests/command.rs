@@ -174,6 +174,12 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     assert!(json.contains("96×") && json.contains("threads"), "{json}");
     assert!(!text.contains("fps"), "a time in an artifact");
     let page = std::fs::read_to_string(Path::new(&out).join("report.html")).unwrap();
+    // The same look in the captions; what a cell came from stands in the table of costs; and what made it all.
+    assert!(page.contains("UCIQE enhanced ") && !page.contains("UCIQE enhanced-clear"));
+    let source = page.split("from the scores of tiny ").nth(1).and_then(|s| s.split('"').next()).unwrap();
+    assert!(source.len() == 12 && page.contains(&format!("<code>{source}</code>")), "{source}");
+    assert!(page.contains(" cores). This page was written by ") && page.contains(" run "), "who made it");
+    assert!(page.matches("<title>frame_").count() > 2, "dots tell their views");
     assert!(page.contains("path_pairs") && page.contains("FPS") && page.contains("training view"));
     assert!(page.contains("href=\"tiny/view.html\""), "the report links to the scene's own page");
     assert!(
@@ -195,8 +201,24 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     for file in ["gaussians.ply", "medium.safetensors"] {
         assert_eq!(bytes("scene", file), bytes("enhanced-scene", file), "{file}");
     }
+    // The page of a scene that another program wrote is written anew.
+    let view = Path::new(&out).join("tiny/view.html");
+    let written = std::fs::read_to_string(&view).unwrap();
+    let (_, by) = written.rsplit_once("<!-- of ").and_then(|(_, rest)| rest.split_once(" by ")).unwrap();
+    let other = written.replace(by.split(' ').next().unwrap(), "another");
+    let stamp = other.rfind("<!-- written by use3d, blake3 ").unwrap();
+    let digest = use3d_build::Digest::of(other[..stamp].as_bytes());
+    let other = format!("{}<!-- written by use3d, blake3 {digest} -->\n", &other[..stamp]);
+    std::fs::write(&view, other).unwrap();
     let second = run(&[]);
+    assert_eq!(std::fs::read_to_string(&view).unwrap(), written, "by this program again");
     assert!(second.contains("0 done, 9 cached"), "{second}");
+    // People are told by the look that the report leads with.
+    let mut aloud = vec!["run", &capture, "--cache", &cache, "--out", &out];
+    TINY.iter().for_each(|set| aloud.extend(["--set", set]));
+    let (told, _) = expect(0, &aloud);
+    let line = told.lines().find(|line| line.contains("against the true scene")).unwrap_or_default();
+    assert!(line.contains(", enhanced ") && !line.contains("enhanced-clear"), "{told}");
     for setting in ["render.water=1.5", "render.water=-0.1"] {
         let (_, err) = expect(2, &["run", &capture, "--cache", &cache, "--out", &out, "--set", setting]);
         assert!(err.contains("water") && err.contains("expected 0 to 1"), "{err}");
@@ -282,7 +304,7 @@ fn one_word_for_each_look(scene: &str, capture: &str, dir: &Path) {
     for (mode, clear) in [("reconstruction", "clear"), ("enhanced", "enhanced-clear")] {
         let ((with, said), (without, _)) = (export(mode), export(clear));
         assert_eq!(with, without, "a PLY holds no water");
-        assert!(said.contains("holds no water") && said.contains(clear), "{said}");
+        assert!(said.contains("hold no water") && said.contains(clear), "{said}");
         let header = String::from_utf8_lossy(&with[..400]).into_owned();
         assert!(header.contains(&format!("comment what: {clear}\n")), "{header}");
     }

@@ -4,6 +4,7 @@
 mod tiny;
 mod viewer;
 
+use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -137,7 +138,29 @@ fn scenes_and_captures_are_looked_at_and_bad_cases_are_said() {
     };
     assert!(said(&["view", &scene, "--port", &port]).contains("--port N"));
     assert!(said(&["view", &place.at("nowhere")]).contains("no such folder"));
+    assert!(said(&["view", &place.at("tiny/sparse/0/images.bin")]).contains("this is a file"));
+    assert!(said(&["view", "--follow", &place.at("nowhere/scene")]).contains("there is no folder"));
     assert!(said(&["view"]).contains("SCENE_DIR"));
+    // Files of views: which file, what is wrong, what was expected.
+    let file = place.at("views.json");
+    for (bytes, wrong) in [
+        (None, "there is no such file"),
+        (Some(&b"\xff"[..]), "no text in UTF-8"),
+        (Some(b"{}"), "missing field"),
+    ] {
+        bytes.map(|bytes| std::fs::write(&file, bytes).expect("written"));
+        let told = said(&["view", &scene, "--views", &file]);
+        assert!(told.contains("--views") && told.contains(wrong) && told.contains("Save file"), "{told}");
+    }
+    // What is not there yet is waited for, and said to be.
+    let mut waits = command();
+    waits
+        .args(["view", "--follow", &place.at("soon"), "--no-open"])
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped());
+    let mut waits = Ended(waits.spawn().expect("the command starts"));
+    let lines = BufReader::new(waits.0.stderr.take().expect("a pipe")).lines();
+    assert!(lines.map_while(Result::ok).any(|line| line.starts_with("nothing there yet; waiting for")));
     assert!(said(&["view", &scene, "--metres-per-unit", "0"]).contains("positive"));
     assert!(said(&["reconstruct", &capture, "--out", &place.at("x"), "--port", "7007"]).contains("--view"));
 }

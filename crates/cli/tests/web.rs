@@ -39,6 +39,15 @@ fn a_scene_goes_to_browsers_and_viewers_and_follows_a_path() {
     expect(0, &["export", &scene, "--glb", &glb, "--spz", &spz, "--compressed-ply", &compressed]);
     let begins = |path: &str, bytes: &[u8]| std::fs::read(path).unwrap().starts_with(bytes);
     assert!(begins(&glb, b"glTF") && begins(&spz, &[0x1f, 0x8b]) && begins(&compressed, b"ply\n"));
+    // What cannot travel is said in every file that has room for words.
+    let plain = place.at("plain.ply");
+    let said = expect(0, &["export", &scene, "--ply", &plain, "--what", "reconstruction"]);
+    assert!(said.contains("these files hold no water"), "{said}");
+    for path in [&plain, &compressed, &glb] {
+        let bytes = std::fs::read(path).unwrap();
+        let words = use3d_web::foreign::NO_WATER.as_bytes();
+        assert!(bytes.windows(words.len()).any(|w| w == words), "{path}");
+    }
     let newer = place.at("b.spz");
     expect(0, &["export", &scene, "--spz", &newer, "--spz-version", "4"]);
     assert!(begins(&newer, b"NGSP\x04"));
@@ -109,6 +118,16 @@ fn a_scene_goes_to_browsers_and_viewers_and_follows_a_path() {
     assert!(go(2, &["--out", &place.at("no")]).contains("use3d enhance"));
     std::fs::write(&path, text("sunny")).unwrap();
     assert!(go(2, &["--out", &place.at("no")]).contains("sunny"));
+    for (bytes, wrong) in [(&b"\xff"[..], "no text in UTF-8"), (b"{}", "missing field")] {
+        std::fs::write(&path, bytes).unwrap();
+        let said = go(2, &["--out", &place.at("no")]);
+        assert!(
+            said.contains("--path") && said.contains(wrong) && said.contains("camera_path.json"),
+            "{said}"
+        );
+    }
+    std::fs::remove_file(&path).unwrap();
+    assert!(go(2, &["--out", &place.at("no")]).contains("there is no such file"));
     assert!(
         expect(2, &["render", &scene, "--path", "spiral", "--out", &place.at("no")]).contains("--cameras")
     );

@@ -14,7 +14,7 @@ use use3d_build::place::{self, Look, PlaceError, Standing};
 use use3d_build::run::RanNode;
 use use3d_build::{Digest, Graph, Summary};
 
-use crate::judge::report::{StageRow, with_costs, with_tables, with_views};
+use crate::judge::report::{StageRow, shortened, with_costs, with_tables, with_views};
 use crate::judge::scores::ScoredScene;
 use crate::judge::tables::{Table, paper};
 use crate::scene_page;
@@ -129,7 +129,7 @@ pub fn deliver(summary: &Summary, out: &Path) -> Result<Vec<Delivered>, PlaceErr
         check_page(&page)?;
         let timed = timed_tables(summary, &report.path);
         let html = timed.as_ref().map_or_else(|| html.clone(), |tables| with_tables(&html, tables));
-        let html = with_costs(&html, &rows(summary), &parameters(summary));
+        let html = with_costs(&html, &rows(summary), &made(summary), &parameters(summary));
         let links =
             views.iter().map(|view| (view.scene.as_str(), view.variant.as_str(), view.path.as_path()));
         let html =
@@ -172,8 +172,8 @@ fn pages(summary: &Summary, out: &Path) -> Result<Vec<Delivered>, PlaceError> {
             variant: variant.into(),
             path: page.clone(),
         };
-        // The page says which scene it was made of; made of the same one, it is the same.
-        let source = format!("<!-- of {} -->\n", shown.manifest.key);
+        // The page says which scene it was made of, and by what; made of the same one by the same, it is the same.
+        let source = format!("<!-- of {} by {} -->\n", shown.manifest.key, use3d_web::page::digest());
         check_page(&page)?;
         if fs::read_to_string(&page).is_ok_and(|text| text.contains(&source)) {
             pages.push(delivered);
@@ -212,8 +212,8 @@ fn relative(path: &Path, out: &Path) -> String {
     parts.collect::<Vec<_>>().join("/")
 }
 
-/// The report's tables with how fast the scenes are drawn, which their evaluations noted beside their
-/// artifacts; `None` where nobody did.
+/// The report's tables with what belongs to no artifact: how fast the scenes are drawn, which their
+/// evaluations noted, and under which keys their scores lie in the cache. `None` of a report without scores.
 fn timed_tables(summary: &Summary, report: &Path) -> Option<Vec<Table>> {
     let mut scored: Vec<ScoredScene> =
         serde_json::from_slice(&fs::read(report.join("scores.json")).ok()?).ok()?;
@@ -223,8 +223,34 @@ fn timed_tables(summary: &Summary, report: &Path) -> Option<Vec<Table>> {
         let artifact = summary.nodes.iter().find(evaluated).and_then(|n| n.artifact.as_ref());
         let note = artifact.and_then(|a| a.manifest.notes.get(SPEED).cloned());
         scene.speed = note.and_then(|note| serde_json::from_value(note).ok());
+        if let Some(artifact) = artifact {
+            // The key that stands in the table of costs, as far as it is shown there.
+            let name = scene.source.rsplit_once(' ').map_or("", |(name, _)| name);
+            scene.source = format!("{name} {}", shortened(&artifact.manifest.key.to_string()));
+        }
     }
-    scored.iter().any(|s| s.speed.is_some()).then(|| paper::tables(&scored))
+    (!scored.is_empty()).then(|| paper::tables(&scored))
+}
+
+/// What made the results, when and where, in a line.
+fn made(summary: &Summary) -> String {
+    let manifests = || summary.nodes.iter().filter_map(|n| Some(&n.artifact.as_ref()?.manifest));
+    let mut machines: Vec<String> = manifests()
+        .map(|m| format!("{} ({}, {} cores)", m.machine.host, m.machine.system, m.machine.cores))
+        .collect();
+    machines.sort();
+    machines.dedup();
+    let last = manifests().map(|m| m.finished.as_str()).max().unwrap_or("?");
+    let command: Vec<String> = std::env::args_os()
+        .map(|word| word.to_string_lossy().into_owned())
+        .map(|word| if word.contains(char::is_whitespace) { format!("'{word}'") } else { word })
+        .collect();
+    format!(
+        "Pipeline {}. The last stage was finished at {last}; computed on {}. This page was written by {}",
+        summary.pipeline,
+        machines.join(", "),
+        command.join(" ")
+    )
 }
 
 /// The parameters of every stage of the run, equal ones once, as text.

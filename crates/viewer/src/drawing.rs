@@ -294,3 +294,91 @@ fn depth(renderer: &mut SceneRenderer<'_>, camera: &Camera) -> Drawn {
     depths.sort_unstable_by(f32::total_cmp);
     Drawn::Depth(depths.get(depths.len() / 2).copied())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use use3d_capture::{Frame, Intrinsics, Pose};
+    use use3d_medium::MediumModel;
+    use use3d_scene::Scene;
+    use use3d_splat::Gaussians;
+
+    use crate::live::Shown;
+
+    fn look(width: usize) -> Look {
+        let intrinsics = Intrinsics { width, height: 48, fx: 40.0, fy: 40.0, cx: 32.0, cy: 24.0 };
+        Look {
+            camera: Camera { intrinsics, pose: Pose::IDENTITY },
+            mode: Mode::Clear,
+            left: None,
+            strength: 1.0,
+            water: 1.0,
+            moving: false,
+        }
+    }
+
+    #[test]
+    fn of_many_looks_of_a_page_the_newest_is_drawn_and_the_others_are_told() {
+        let live = Arc::new(Live::new("", None));
+        let gaussians = Gaussians {
+            sh_degree: 0,
+            means: vec![[0.0, 0.0, 2.0]],
+            log_scales: vec![[-1.5; 3]],
+            quaternions: vec![[1.0, 0.0, 0.0, 0.0]],
+            opacity_logits: vec![2.0],
+            sh: vec![[[0.5, 0.2, -0.3]; 16]],
+        };
+        let medium = MediumModel::None;
+        let scene = Scene { gaussians, frame: Frame::IDENTITY, medium, medium_degree: 0, enhancement: None };
+        live.show(Shown {
+            name: "reef".into(),
+            scene: Arc::new(scene),
+            views: Arc::default(),
+            metres_per_unit: None,
+            saved: None,
+            step: None,
+        });
+        // Nothing is drawn yet, as if one large picture took all this time.
+        let drawing = Drawing::new(live);
+        let mut asked: Vec<_> =
+            (64..84).map(|width| drawing.ask("a", Wanted::Picture(look(width)))).collect();
+        // Another page, and a depth of the same one, take nobody's place.
+        let other = drawing.ask("b", Wanted::Picture(look(30)));
+        let depth = drawing.ask("a", Wanted::Depth(look(9).camera));
+        let newest = asked.pop().expect("the last one");
+        assert!(asked.iter().all(|older| older.try_recv() == Ok(Drawn::Dropped)));
+        let worker = drawing.clone();
+        let works = std::thread::spawn(move || worker.work());
+        for (drawn, width) in [(newest, 83), (other, 30)] {
+            let Ok(Drawn::Picture { bytes, kind, divisor, .. }) = drawn.recv() else { panic!("no picture") };
+            assert_eq!((kind, divisor), ("image/png", 1));
+            assert_eq!(bytes[16..20], u32::to_be_bytes(width));
+        }
+        assert!(matches!(depth.recv(), Ok(Drawn::Depth(_))));
+        drawing.close();
+        works.join().expect("it ends");
+    }
+
+    #[test]
+    fn a_picture_is_as_small_as_its_time_asks_for() {
+        let still = look(100);
+        let moving = Look { moving: true, ..still.clone() };
+        let both = Look { left: Some((Mode::Depth, 0.5)), ..moving.clone() };
+        // Of 4800 pixels; how long all of them take, as a share of the time of a moving picture.
+        let pace = |share: f64| {
+            let one = Some(share * MOVING.as_secs_f64() / 4800.0);
+            Pace { per_pixel: [one, one] }
+        };
+        for (share, alone, halves) in [(0.4, 1, 1), (0.9, 1, 2), (3.9, 2, 3), (8.9, 3, 4), (100.0, 4, 4)] {
+            assert_eq!(pace(share).divisor(&moving, false), alone, "{share}");
+            assert_eq!(pace(share).divisor(&both, false), halves, "{share}");
+        }
+        // A still one is whole, and beside a training has more time than a moving one.
+        assert_eq!(pace(100.0).divisor(&still, false), 1);
+        assert_eq!(pace(4.9).divisor(&still, true), 1);
+        assert_eq!(pace(5.1).divisor(&still, true), 2);
+        // As long as nobody knows the pace, half: but never of a still one alone.
+        assert_eq!(Pace::default().divisor(&moving, false), 2);
+        assert_eq!(Pace::default().divisor(&still, false), 1);
+    }
+}

@@ -87,6 +87,20 @@ struct State {
     copying: Duration,
 }
 
+impl State {
+    /// Whether this is another state of the scene that is shown: it can take its
+    /// place under the visitor's eyes.
+    fn continues(&self, shown: &Shown) -> bool {
+        self.data.is_none()
+            && self.shown.as_ref().is_some_and(|old| {
+                old.name == shown.name
+                    && Arc::ptr_eq(&old.views, &shown.views)
+                    && old.scene.enhancement.is_some() == shown.scene.enhancement.is_some()
+                    && old.scene.medium.kind() == shown.scene.medium.kind()
+            })
+    }
+}
+
 /// What is shown, shared by a server and whoever makes the scene.
 #[derive(Debug)]
 pub struct Live {
@@ -157,7 +171,8 @@ impl Live {
 
     /// Waits a moment for the page to learn how it ended, if there is one.
     pub fn let_them_know(&self) {
-        const MOMENT: Duration = Duration::from_secs(2);
+        // Between two stages a page asks every two seconds.
+        const MOMENT: Duration = Duration::from_secs(4);
         let ended = Instant::now();
         let waits = |state: &State| {
             let looked = state.looked.filter(|at| at.elapsed() < LOOKING);
@@ -210,22 +225,17 @@ impl Live {
 
     /// Shows a scene from now on, drawn here.
     pub fn show(&self, shown: Shown) {
-        // What the page was told holds for another state of the same scene, too.
-        let header = (!self.continues(&shown)).then(|| use3d_web::header(&shown.page()));
-        self.put(shown, header, None);
-    }
-
-    /// Whether this is another state of the scene that is shown: it can take its
-    /// place under the visitor's eyes.
-    fn continues(&self, shown: &Shown) -> bool {
-        let state = self.state();
-        state.data.is_none()
-            && state.shown.as_ref().is_some_and(|old| {
-                old.name == shown.name
-                    && Arc::ptr_eq(&old.views, &shown.views)
-                    && old.scene.enhancement.is_some() == shown.scene.enhancement.is_some()
-                    && old.scene.medium.kind() == shown.scene.medium.kind()
-            })
+        let mut header = None;
+        loop {
+            let state = self.state();
+            // What the page was told holds for another state of the same scene, too; somebody
+            // else may have shown another one while a header was made.
+            if header.is_some() || state.continues(&shown) {
+                return self.put(state, shown, header, None);
+            }
+            drop(state);
+            header = Some(use3d_web::header(&shown.page()));
+        }
     }
 
     /// Shows a scene that stays as it is, drawn in the browser where that can.
@@ -235,12 +245,17 @@ impl Live {
     pub fn hand_over(&self, shown: Shown) -> Result<(), WebError> {
         let data = use3d_web::data(&shown.page())?;
         let header = data.header.clone();
-        self.put(shown, Some(header), Some(Arc::new(data)));
+        self.put(self.state(), shown, Some(header), Some(Arc::new(data)));
         Ok(())
     }
 
-    fn put(&self, shown: Shown, header: Option<Value>, data: Option<Arc<PageData>>) {
-        let mut state = self.state();
+    fn put(
+        &self,
+        mut state: MutexGuard<'_, State>,
+        shown: Shown,
+        header: Option<Value>,
+        data: Option<Arc<PageData>>,
+    ) {
         if let Some(header) = header {
             state.header = header;
             state.generation += 1;

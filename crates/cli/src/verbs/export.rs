@@ -1,7 +1,8 @@
 //! A scene as a page for a browser, and as files that other 3D Gaussian splatting viewers open.
 //!
 //! The colours of the latter are asked for by the names of `use3d render`'s modes. They hold Gaussians and no
-//! water, so a mode with water is written as the one without, which is said and stands in the file's header.
+//! water, so a mode with water is written as the one without, which is said and stands in the file's header
+//! (SPZ has no room for words).
 
 use std::path::Path;
 
@@ -11,7 +12,7 @@ use use3d_build::machine::bytes;
 use use3d_capture::Frame;
 use use3d_scene::{Scene, similarity};
 use use3d_splat::{Gaussians, ply};
-use use3d_web::foreign::{compressed_ply, glb, spz};
+use use3d_web::foreign::{NO_WATER, compressed_ply, glb, spz};
 
 use crate::App;
 use crate::args::{ExportArgs, ExportFrame, ExportWhat};
@@ -98,7 +99,7 @@ fn shown(args: &ExportArgs, scene: &Scene) -> Result<(String, Gaussians), CliErr
     }
     if what != args.what {
         eprintln!(
-            "a PLY holds no water: instead of `{}` this is `{}`, the same without it; `use3d render` shows it with water",
+            "these files hold no water: instead of `{}` this is `{}`, the same without it; `use3d render` shows it with water",
             name(&args.what),
             name(&what)
         );
@@ -147,11 +148,15 @@ fn write(
     };
     let gaussians = turned.as_ref().unwrap_or(colmap);
     let frame = if format == Format::Glb { ExportFrame::YUp } else { frame };
-    let comments = [
+    let mut comments = vec![
         format!("use3d {}", env!("CARGO_PKG_VERSION")),
         format!("what: {what}"),
         format!("frame: {}", name(&frame)),
     ];
+    // The other formats' writers say it themselves; SPZ has no room for words.
+    if format == Format::Ply {
+        comments.push(NO_WATER.into());
+    }
     write_file(format.flag(), path, |writer| match format {
         Format::Ply => ply::write_with_comments(gaussians, &comments, writer),
         Format::CompressedPly => compressed_ply::write(gaussians, &comments, writer),
@@ -159,7 +164,7 @@ fn write(
         Format::Spz => spz::write(gaussians, spz_version(args), writer),
     })?;
     if !app.quiet {
-        let [_, what, frame] = &comments;
+        let (what, frame) = (&comments[1], &comments[2]);
         let size = std::fs::metadata(path).map_or(0, |m| m.len());
         eprintln!("{}: {} Gaussians, {what}, {frame}, {}", path_text(path), gaussians.len(), bytes(size));
     }

@@ -18,6 +18,7 @@ use crate::error::{CliError, Done};
 use crate::interrupt;
 use crate::size::parse_size;
 use crate::verbs::render::{film, modes, not_filmed, write};
+use crate::verbs::web::text_of;
 
 /// The folder of frames whose looks are the path's own.
 const OWN: &str = "path";
@@ -30,7 +31,7 @@ fn read(args: &RenderArgs, file: &Path, quiet: bool) -> Result<CameraPath, Strin
         let cameras = read_images_txt(file).map_err(|e| e.to_string())?;
         return CameraPath::of_cameras(&cameras, f64::from(args.frame_rate));
     }
-    let text = std::fs::read_to_string(file).map_err(|e| e.to_string())?;
+    let text = text_of(file)?;
     if !CameraPath::is_nerfstudio(&text) {
         return CameraPath::read(&text);
     }
@@ -53,7 +54,11 @@ fn read(args: &RenderArgs, file: &Path, quiet: bool) -> Result<CameraPath, Strin
 /// `use3d render SCENE --path FILE`.
 pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene, drawn: &Drawn<'_>, file: &Path) -> Done {
     let wrong = |what: &str| CliError::Input(format!("--path {}: {what}", path_text(file)));
-    let path = read(args, file, app.quiet).map_err(|what| wrong(&what))?;
+    let path = read(args, file, app.quiet).map_err(|what| {
+        wrong(&format!(
+            "{what}; expected a camera path as the page saves it, nerfstudio's camera_path.json or COLMAP's images.txt (docs/browser.md)"
+        ))
+    })?;
     let (width, height) = args.size.as_deref().map(parse_size).transpose()?.unwrap_or(SIZE);
     let given = modes(&args.modes)?;
     let frames = path.frames(width, height);

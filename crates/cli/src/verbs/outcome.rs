@@ -7,7 +7,7 @@ use use3d_build::Summary;
 use use3d_build::place::PlaceError;
 use use3d_pipeline::judge::scores::{Method, MethodScores, SceneScores, Scores};
 use use3d_pipeline::results::Delivered;
-use use3d_pipeline::stages::{evaluate::SCORES, read_json};
+use use3d_pipeline::stages::{evaluate::SCORES, read_json, report::best_method};
 
 /// The document of `run --json`.
 #[derive(Serialize)]
@@ -90,14 +90,16 @@ pub(crate) fn tell(delivered: &[Delivered]) {
         if let Some(psnr) = mean(Method::Reconstruction, "psnr") {
             println!("{of}: views that no training saw are reconstructed at {psnr:.2} dB PSNR");
         }
-        let against_truth: Vec<String> = [
-            (Method::Captured, "photographs"),
-            (Method::Proposal, "2D enhancer"),
-            (Method::EnhancedClear, "enhanced-clear"),
-        ]
-        .into_iter()
-        .filter_map(|(method, name)| Some(format!("{name} {:.2} dB", mean(method, "truth_psnr")?)))
-        .collect();
+        // The look that the report leads with, too.
+        let enhanced = delivered
+            .iter()
+            .find(|r| r.what == "enhance" && (&r.scene, &r.variant) == (&result.scene, &result.variant));
+        let best = best_method(enhanced.map(|r| r.path.as_path())).unwrap_or(Method::EnhancedClear);
+        let against_truth: Vec<String> =
+            [(Method::Captured, "photographs"), (Method::Proposal, "2D enhancer"), (best, best.name())]
+                .into_iter()
+                .filter_map(|(method, name)| Some(format!("{name} {:.2} dB", mean(method, "truth_psnr")?)))
+                .collect();
         if !against_truth.is_empty() {
             println!("{of}: against the true scene without water: {}", against_truth.join(", "));
         }

@@ -66,8 +66,21 @@ pub(crate) fn write(app: &App, args: &ExportArgs, path: &Path, scene: &Scene) ->
 pub(crate) fn saved_views(file: Option<&Path>) -> Result<Option<SavedViews>, CliError> {
     let Some(file) = file else { return Ok(None) };
     let wrong = |what: String| CliError::Input(format!("--views {}: {what}", path_text(file)));
-    let text = std::fs::read_to_string(file).map_err(|e| wrong(e.to_string()))?;
-    SavedViews::read(&text).map(Some).map_err(wrong)
+    let next = "expected what the page's \"Save file\" below its views writes (docs/browser.md)";
+    let text = text_of(file).map_err(|what| wrong(format!("{what}; {next}")))?;
+    SavedViews::read(&text).map(Some).map_err(|what| wrong(format!("{what}; {next}")))
+}
+
+/// The text of a file that a page wrote, or in words why there is none.
+pub(crate) fn text_of(file: &Path) -> Result<String, String> {
+    if file.is_dir() {
+        return Err("it is a folder, not a file".into());
+    }
+    let bytes = std::fs::read(file).map_err(|error| match error.kind() {
+        std::io::ErrorKind::NotFound => "there is no such file".to_string(),
+        _ => format!("it cannot be read: {error}"),
+    })?;
+    String::from_utf8(bytes).map_err(|_| "it is no text in UTF-8".into())
 }
 
 /// What a scene folder is called: `reef/enhanced-scene` is the reef.

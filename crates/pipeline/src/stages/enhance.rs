@@ -111,6 +111,7 @@ fn curves(log: &[LogEntry]) -> Vec<Series> {
             color,
             points: log.iter().map(|e| (e.step as f64, e.terms[at].loss)).collect(),
             dots: false,
+            names: Vec::new(),
         })
         .collect()
 }

@@ -250,14 +250,7 @@ fn section(
     }
     let best = best_look(parts.path("enhanced"))?;
     if let Some(scores) = scores {
-        section.verdict = verdict(
-            scores,
-            match best {
-                Mode::Enhanced => Method::Enhanced,
-                Mode::EnhancedClear => Method::EnhancedClear,
-                _ => Method::Clear,
-            },
-        );
+        section.verdict = verdict(scores, scored_as(best));
     }
     if let Some(renders) = parts.path("renders") {
         section.views = views(renders, parts.path("scores"), scores, best, params.views)?;
@@ -292,7 +285,7 @@ fn stage_1(log: &str) -> Vec<PlotFigure> {
         let event = if evaluated { "evaluation" } else { "steps" };
         let points = entries.iter().filter(|e| e["event"] == event);
         let points = points.filter_map(|e| Some((e["step"].as_f64()?, e[name].as_f64()?))).collect();
-        Series { label: label.into(), color, points, dots: evaluated }
+        Series { label: label.into(), color, points, dots: evaluated, names: Vec::new() }
     };
     let plot = |title: &str, log_y: bool, series: Vec<Series>, caption: &str| {
         let plot = Plot { title: title.into(), x_label: "step".into(), log_y, series };
@@ -357,6 +350,23 @@ fn best_look(enhanced: Option<&Path>) -> Result<Mode, StageError> {
     })
 }
 
+/// That look among what is scored.
+fn scored_as(best: Mode) -> Method {
+    match best {
+        Mode::Enhanced => Method::Enhanced,
+        Mode::EnhancedClear => Method::EnhancedClear,
+        _ => Method::Clear,
+    }
+}
+
+/// By which scores a scene is told of: those of the look that its report leads with.
+///
+/// # Errors
+/// An enhanced scene that cannot be read.
+pub fn best_method(enhanced: Option<&Path>) -> Result<Method, StageError> {
+    best_look(enhanced).map(scored_as)
+}
+
 /// The held-out views: what was captured, what a 2D enhancer makes of it and what the scene makes of it
 /// lead, the other pictures follow.
 fn views(
@@ -406,18 +416,25 @@ fn views(
         let images = others.into_iter().filter(|mode| *mode != best).map(rendered);
         let images = images.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect();
         let lead = lead.into_iter().flatten().collect();
-        sections.push(ViewSection { scores: view_scores(&stem, scores), name: stem, lead, images });
+        sections.push(ViewSection {
+            scores: view_scores(&stem, scores, scored_as(best)),
+            name: stem,
+            lead,
+            images,
+        });
     }
     Ok(sections)
 }
 
-fn view_scores(stem: &str, scores: Option<&SceneScores>) -> Vec<String> {
+fn view_scores(stem: &str, scores: Option<&SceneScores>, best: Method) -> Vec<String> {
+    let [colours, truth] =
+        [format!("UCIQE {}", best.name()), format!("PSNR {} against the truth", best.name())];
     let wanted = [
         (Method::Reconstruction, "psnr", "PSNR", 2),
         (Method::Reconstruction, "ssim", "SSIM", 3),
         (Method::Captured, "uciqe", "UCIQE captured", 3),
-        (Method::EnhancedClear, "uciqe", "UCIQE enhanced-clear", 3),
-        (Method::EnhancedClear, "truth_psnr", "PSNR enhanced-clear against the truth", 2),
+        (best, "uciqe", &colours, 3),
+        (best, "truth_psnr", &truth, 2),
     ];
     let of = |method: Method, metric: &str| -> Option<f64> {
         let views = &scores?.methods.iter().find(|m| m.method == method)?.views;
@@ -448,6 +465,7 @@ fn water(parts: &Parts<'_>) -> Result<Vec<PlotFigure>, StageError> {
             color: RGB[c],
             points: samples.iter().map(|s| (s.at, f64::from(pick(s)[c]))).collect(),
             dots: false,
+            names: Vec::new(),
         });
         let plot =
             Plot { title: title.into(), x_label: x_label.into(), log_y: false, series: series.collect() };
@@ -506,11 +524,12 @@ fn strip(scores: &Path) -> Result<Option<Picture>, StageError> {
 
 fn dispersion(report: &TargetsReport) -> PlotFigure {
     let points = report.views.iter().enumerate().map(|(i, v)| (i as f64, v.distance)).collect();
+    let names = report.views.iter().map(|v| v.name.clone()).collect();
     let plot = Plot {
         title: "How far each view is from the consensus".into(),
         x_label: "training view".into(),
         log_y: false,
-        series: vec![Series { label: String::new(), color: "#0b7285", points, dots: true }],
+        series: vec![Series { label: String::new(), color: "#0b7285", points, dots: true, names }],
     };
     let made = match (report.appearance, report.calibrated) {
         (Appearance::Clear, _) => " Transitions of clear radiance, proposed by `scene`; not calibrated.",

@@ -1,6 +1,8 @@
 //! A scene's Gaussians as files that other people's viewers open. None of them can hold water: they are given
 //! Gaussians whose colours are what should be seen without it.
 //!
+//! All but SPZ, which has no room for words, say so in their header ([`NO_WATER`]).
+//!
 //! | file | up | what is lost |
 //! |---|---|---|
 //! | [`glb`]: glTF with `KHR_gaussian_splatting` | y, by the node | nothing |
@@ -13,7 +15,7 @@ pub mod spz;
 
 use use3d_numerics::math;
 
-/// What every file says of its contents.
+/// What every file says of its contents that has room for words; SPZ has none.
 pub const NO_WATER: &str = "object radiance without water: this format cannot hold the water";
 
 /// A unit quaternion from any but zero, wxyz; the identity for that one.

@@ -73,8 +73,7 @@ impl CameraPath {
         let keys = path.camera_path.iter().enumerate().map(|(i, frame)| {
             let m: [f64; 16] = frame.camera_to_world.as_slice().try_into().map_err(|_| {
                 format!(
-                    "camera {}: camera_to_world has {} numbers; expected 16",
-                    i + 1,
+                    "camera_path[{i}].camera_to_world has {} numbers; expected 16",
                     frame.camera_to_world.len()
                 )
             })?;
@@ -89,7 +88,24 @@ impl CameraPath {
                 frame.fov,
             ))
         });
-        Self::of_keys(rate, keys.collect::<Result<_, String>>()?)
+        let keys = keys.collect::<Result<Vec<Key>, String>>()?;
+        // What may be wrong with a key is said in the words of the file.
+        if let Some(i) = keys
+            .iter()
+            .position(|k| !(k.shot.vertical_fov_degrees > 0.0 && k.shot.vertical_fov_degrees < 180.0))
+        {
+            return Err(format!(
+                "camera_path[{i}].fov is {}; expected more than 0 and less than 180",
+                keys[i].shot.vertical_fov_degrees
+            ));
+        }
+        if let Some((i, what)) = keys.iter().enumerate().find_map(|(i, k)| Some((i, k.shot.check().err()?))) {
+            return Err(format!("camera_path[{i}].camera_to_world is no pose: {what}"));
+        }
+        if !(rate > 0.0 && rate <= 1000.0) {
+            return Err(format!("fps is {rate}; expected a positive number up to 1000"));
+        }
+        Self::of_keys(rate, keys)
     }
 
     /// A path of one frame per camera, in COLMAP's frame; of their lenses the
@@ -175,8 +191,14 @@ mod tests {
         // Told by its content, and refused with the camera that is wrong.
         assert!(CameraPath::read(&text).is_ok());
         for (from, to, said) in [
-            ("\"camera_to_world\":[", "\"camera_to_world\":[1.0,", "camera 1"),
-            ("\"fps\":24", "\"fps\":0", "frames_per_second"),
+            ("\"camera_to_world\":[", "\"camera_to_world\":[1.0,", "camera_path[0]"),
+            ("\"fps\":24", "\"fps\":0", "fps is 0"),
+            ("\"fov\":", "\"fov\":-", "camera_path[0].fov is -"),
+            (
+                "\"camera_to_world\":[",
+                "\"camera_to_world\":[0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0],\"was\":[",
+                "camera_path[0].camera_to_world",
+            ),
         ] {
             assert!(text.contains(from), "{text}");
             let error = CameraPath::read(&text.replacen(from, to, 1)).unwrap_err();

@@ -17,6 +17,7 @@ use use3d_web::PageView;
 use super::{Told, WAIT, serve};
 use crate::App;
 use crate::args::{PipelineArgs, Settings, ViewArgs};
+use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::verbs::run::{Loaded, open};
 use crate::verbs::web::{saved_views, scene_name};
@@ -61,6 +62,14 @@ pub(super) fn run(app: &App, args: &ViewArgs, target: &Path, live: &Arc<Live>) -
     let saved = saved_views(args.views.as_deref())?.map(Arc::new);
     live.wait_for(&format!("Waiting for the first checkpoint of {name}"));
     let _server = serve(app, &args.viewer, live, Told::Result)?;
+    if !app.quiet && newest(&followed).is_none() {
+        let wanted = match &followed {
+            Followed::Scene { folder, .. } => format!("a training whose --out is {}", path_text(folder)),
+            Followed::Checkpoints(path) => format!("a checkpoint in {}", path_text(path)),
+            Followed::Pipeline { scene, .. } => format!("the training of {scene}"),
+        };
+        eprintln!("nothing there yet; waiting for {wanted}");
+    }
     let every = if matches!(followed, Followed::Pipeline { .. }) { PLAN_EVERY } else { EVERY };
     let (mut shown, mut looked): (Option<Newest>, Option<Instant>) = (None, None);
     let mut places: Option<(Option<PathBuf>, Frame, Arc<Vec<PageView>>)> = None;
@@ -120,6 +129,15 @@ fn followed(args: &ViewArgs, target: &Path) -> Result<Followed, CliError> {
     };
     if is_checkpoint(target) || target.is_dir() && files(target).any(|file| is_checkpoint(&file)) {
         return Ok(Followed::Checkpoints(target.to_path_buf()));
+    }
+    // A training that has not begun yet may be waited for, but not below a folder that is not there.
+    let parent = target.parent().filter(|parent| !parent.as_os_str().is_empty());
+    if let Some(parent) = parent.filter(|parent| !target.exists() && !parent.is_dir()) {
+        return Err(CliError::Input(format!(
+            "--follow {}: there is no folder {}; expected a pipeline file, a capture, a checkpoint, or the --out of `use3d reconstruct`",
+            path_text(target),
+            path_text(parent)
+        )));
     }
     if Scene::is_scene(target) || beside.is_dir() || !target.exists() {
         return Ok(Followed::Scene { folder: target.to_path_buf(), checkpoints: beside });

@@ -70,7 +70,10 @@ fn shown(target: &Path, args: &ViewArgs) -> Result<Shown, CliError> {
         });
     }
     if !target.is_dir() {
-        let what = "there is no such folder; expected a scene (`use3d reconstruct` makes one) or a capture";
+        let there = if target.exists() { "this is a file" } else { "there is no such folder" };
+        let what = format!(
+            "{there}; expected the folder of a scene (`use3d reconstruct` makes one) or of a capture"
+        );
         return Err(CliError::Input(format!("{}: {what}", target.display())));
     }
     if args.cameras.is_some() {

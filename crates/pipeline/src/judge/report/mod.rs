@@ -195,6 +195,7 @@ struct ViewLink<'a> {
 #[template(path = "costs.html")]
 struct CostsTemplate<'a> {
     stages: Vec<StageView>,
+    made: &'a str,
     parameters: &'a str,
 }
 
@@ -383,9 +384,14 @@ pub fn with_views<'a>(html: &str, views: impl Iterator<Item = (&'a str, &'a str,
     })
 }
 
-/// A page with what its stages cost and with which parameters they ran, as text: known only after the
-/// run, and no part of any artifact.
-pub fn with_costs(html: &str, rows: &[StageRow], parameters: &str) -> String {
+/// As much of a key as tells it from others.
+pub fn shortened(key: &str) -> String {
+    key.chars().take(12).collect()
+}
+
+/// A page with what its stages cost, in one line what made them when and where, and with which parameters
+/// they ran, as text: known only after the run, and no part of any artifact.
+pub fn with_costs(html: &str, rows: &[StageRow], made: &str, parameters: &str) -> String {
     let longest = rows.iter().map(|s| s.seconds).fold(1e-9, f64::max);
     let stages = rows.iter().map(|s| StageView {
         scene: s.scene.clone(),
@@ -395,10 +401,10 @@ pub fn with_costs(html: &str, rows: &[StageRow], parameters: &str) -> String {
         bar: (120.0 * s.seconds / longest).round().max(1.0) as u32,
         memory: s.memory.map_or_else(|| "–".into(), |m| format!("{m:.0}")),
         size: format!("{:.1}", s.size),
-        key: s.key.chars().take(12).collect(),
+        key: shortened(&s.key),
     });
     // A template of plain strings cannot fail to render; without its table the page is still whole.
-    let costs = CostsTemplate { stages: stages.collect(), parameters }.render().unwrap_or_default();
+    let costs = CostsTemplate { stages: stages.collect(), made, parameters }.render().unwrap_or_default();
     html.replacen(COSTS, &costs, 1)
 }
 
@@ -458,9 +464,9 @@ mod tests {
         let linked = with_views(&html, views.into_iter());
         assert!(linked.contains("href=\"reef/view.html\"") && !linked.contains("gone"));
         let parameters = "reef: evaluate\n{ \"path_pairs\": 8 } <&>";
-        let whole = with_costs(&html, &[row], parameters);
+        let whole = with_costs(&html, &[row], "by `use3d run <a>`", parameters);
         assert!(whole.contains("<code>0123456789ab</code>") && whole.contains("path_pairs"));
-        assert!(!whole.contains("<&>"));
+        assert!(!whole.contains("<&>") && whole.contains("by `use3d run &#60;a&#62;`"));
         let timed = Table {
             name: "t".into(),
             caption: "another caption".into(),

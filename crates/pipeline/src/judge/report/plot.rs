@@ -16,6 +16,8 @@ pub struct Series {
     pub points: Vec<(f64, f64)>,
     /// Dots instead of a line.
     pub dots: bool,
+    /// What each dot is, in the order of the points; empty where its place says it.
+    pub names: Vec<String>,
 }
 
 /// A plot.
@@ -105,13 +107,15 @@ impl Plot {
             let points: Vec<(f64, f64)> =
                 series.points.iter().filter(usable).map(|p| (px(p.0), py(y_of(p.1)))).collect();
             if series.dots {
-                for ((x, y), (at, value)) in points.iter().zip(series.points.iter().filter(usable)) {
+                let shown = series.points.iter().enumerate().filter(|(_, point)| usable(point));
+                for ((x, y), (i, (at, value))) in points.iter().zip(shown) {
+                    let place = || format!("{} {}", self.x_label, short(*at));
+                    let name = series.names.get(i).cloned().unwrap_or_else(place);
                     let _ = write!(
                         out,
-                        "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"2.6\" fill=\"{}\" fill-opacity=\".75\"><title>{} {}: {}</title></circle>",
+                        "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"2.6\" fill=\"{}\" fill-opacity=\".75\"><title>{}: {}</title></circle>",
                         series.color,
-                        escape(&self.x_label),
-                        short(*at),
+                        escape(&name),
                         short(*value)
                     );
                 }
@@ -192,11 +196,22 @@ mod tests {
     #[test]
     fn a_plot_draws_finite_points_inside_its_frame_and_escapes_text() {
         let points = vec![(0.0, 1.0), (1.0, f64::NAN), (2.0, 100.0), (3.0, -1.0)];
-        let series = Series { label: "a<b".into(), color: RGB[0], points, dots: true };
+        let series = Series {
+            label: "a<b".into(),
+            color: RGB[0],
+            points,
+            dots: true,
+            names: ["one", "two", "thr<ee"].map(String::from).into(),
+        };
         let plot = Plot { title: "t & u".into(), x_label: "step".into(), log_y: true, series: vec![series] };
         let svg = plot.svg();
         assert_eq!(svg.matches("<circle").count(), 2);
-        assert!(svg.contains("t &amp; u") && svg.contains("a&lt;b") && !svg.contains("NaN"));
+        assert!(
+            svg.contains("t &amp; u")
+                && svg.contains("a&lt;b")
+                && svg.contains("<title>thr&lt;ee: 100</title>")
+                && !svg.contains("NaN")
+        );
         let empty = Plot { series: Vec::new(), ..plot }.svg();
         assert!(empty.contains("no data"));
     }

@@ -1,0 +1,116 @@
+//! The report in a real Chromium: on phones nothing is wider than the screen, and the divider follows a
+//! finger, by day and by night.
+
+#[expect(dead_code, reason = "shared with the tests of the scene's page, which do more with it")]
+#[path = "../../web/tests/browser/chromium.rs"]
+mod chromium;
+
+use chromium::Chromium;
+use serde_json::json;
+use use3d_capture::Image;
+use use3d_pipeline::judge::report::plot::{Plot, Series};
+use use3d_pipeline::judge::report::{
+    Page, Picture, PlotFigure, SceneSection, StageRow, ViewSection, with_costs, with_views,
+};
+use use3d_pipeline::judge::tables::{Better, Cell, Column, Row, Table};
+use use3d_pipeline::judge::verdict::{Sentence, Tone};
+
+/// A report with everything that may be wide in it.
+fn report() -> String {
+    let long = "a_photograph_whose_name_is_longer_than_the_screen_of_any_phone_and_has_no_space.jpeg";
+    let picture = |label: &str| Picture::embed(label, "", &Image::filled(480, 270, 0.4)).expect("a picture");
+    let sentence = Sentence { tone: Tone::Good, text: format!("The weakest view is {long} by far.") };
+    let series = Series {
+        label: "one".into(),
+        color: "#0b7285",
+        points: vec![(0.0, 1.0), (1.0, 2.0)],
+        dots: false,
+        names: Vec::new(),
+    };
+    let plot = Plot { title: "Loss".into(), x_label: "step".into(), log_y: false, series: vec![series] };
+    let number = Cell::Number { value: 12.345, source: "reef 0123456789ab".into() };
+    let table = Table {
+        name: "t".into(),
+        caption: format!("A caption about {long}"),
+        columns: (0..12).map(|k| Column::new("Group", &format!("Column {k}"), Better::Higher, 2)).collect(),
+        rows: vec![Row { label: "a row".into(), published: false, cells: vec![number; 12] }],
+    };
+    let scene = SceneSection {
+        name: "reef".into(),
+        summary: format!("Made of {long}."),
+        verdict: vec![sentence.clone()],
+        notes: vec![long.into()],
+        views: vec![ViewSection {
+            name: long.into(),
+            lead: vec![picture("captured"), picture("enhanced")],
+            images: vec![picture("clear"), picture("depth")],
+            scores: vec!["PSNR 24.10".into()],
+        }],
+        plots: vec![PlotFigure { svg: plot.svg(), caption: long.into() }],
+        sheets: vec![picture("sheet")],
+        ..SceneSection::default()
+    };
+    let page = Page {
+        title: format!("A report on {long}"),
+        verdict: vec![sentence],
+        tables: vec![table],
+        scenes: vec![scene],
+        ..Page::default()
+    };
+    let row = StageRow {
+        scene: "reef".into(),
+        stage: "reconstruct".into(),
+        state: "computed".into(),
+        seconds: 1234.5,
+        memory: Some(2345.0),
+        size: 12.0,
+        key: "0123456789abcdef".into(),
+    };
+    let html = with_costs(&page.html().expect("a page"), &[row], long, &format!("reef:\n{long}{long}"));
+    with_views(&html, [("reef", "", "reef/view.html".to_string())].into_iter())
+}
+
+#[test]
+fn a_phone_shows_all_of_the_report_and_its_divider_follows_a_finger() {
+    let Some(mut browser) = Chromium::start() else { return };
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("report.html");
+    std::fs::write(&path, report()).expect("written");
+    for (scheme, dark) in [("light", false), ("dark", true)] {
+        browser.scheme(scheme);
+        for width in [320, 360, 1280] {
+            browser.resize(width, 700, width < 1000);
+            browser.go(&format!("file://{}", path.display()));
+            browser.until("document.readyState === 'complete' && document.querySelector('.compare')");
+            browser.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })");
+            // A page that is too wide makes a phone's layout wider than its screen.
+            let wide = browser.evaluate(
+                "[innerWidth, document.documentElement.scrollWidth, [...document.querySelectorAll('main *')].filter(e => !e.closest('.scroll, pre, svg, .compare') && e.getBoundingClientRect().right > document.documentElement.clientWidth + 1).map(e => e.tagName + '.' + e.className)]",
+            );
+            assert_eq!(wide[0], json!(width), "{wide}");
+            assert!(wide[1].as_u64() <= Some(width.into()) && wide[2] == json!([]), "{width} px: {wide}");
+            // The divider, under a finger and under a mouse.
+            let at = "parseFloat(document.querySelector('.compare').style.getPropertyValue('--at'))";
+            let place = browser.evaluate(
+                "(() => { const box = document.querySelector('.compare'); box.scrollIntoView({ block: 'center' }); const b = box.getBoundingClientRect(); return [b.left, b.top, b.width, b.height]; })()",
+            );
+            let [left, top, across, down] = std::array::from_fn(|k| place[k].as_f64().expect("a number"));
+            let y = top + down / 2.0;
+            let (from, to) = ([left + 0.5 * across, y], [left + 0.25 * across, y]);
+            if width < 1000 {
+                browser.touch(&[(from, to)])
+            } else {
+                browser.drag(from, to)
+            }
+            browser.until(&format!("Math.abs({at} - 25) < 2"));
+            // Ground and words are of the scheme that was asked for.
+            let light = browser.evaluate(
+                "['backgroundColor', 'color'].map(name => getComputedStyle(document.body)[name].match(/[\\d.]+/g).slice(0, 3).reduce((a, v) => a + v / 765, 0))",
+            );
+            let [ground, words] = [0, 1].map(|k| light[k].as_f64().expect("a number"));
+            assert_eq!(ground < 0.3 && words > 0.7, dark, "{scheme}: {light}");
+            assert_eq!(ground > 0.7 && words < 0.3, !dark, "{scheme}: {light}");
+        }
+    }
+    assert_eq!(browser.complaints, Vec::<String>::new());
+}
