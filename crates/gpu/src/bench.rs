@@ -403,8 +403,8 @@ pub fn bench(
         complete: false,
         seconds: 0.0,
     };
-    let (tell, keep): (&mut dyn FnMut(&str), &mut dyn FnMut(&BenchRecord)) = (&mut tell, &mut keep);
-    let mut bench = Bench { gpu, record, started: Instant::now(), lost: false, tell, keep };
+    let started = Instant::now();
+    let mut bench = Bench { gpu, record, started, lost: false, tell: &mut tell, keep: &mut keep };
     bench.check();
     let ceilings = bench.section("what it does at best", |gpu| measure(gpu, plan.copied, LEAST));
     bench.record.ceilings = ceilings.map(Into::into);
