@@ -98,9 +98,9 @@ fn a_phone_shows_all_of_the_report_and_its_divider_follows_a_finger() {
             let y = top + down / 2.0;
             let (from, to) = ([left + 0.5 * across, y], [left + 0.25 * across, y]);
             if width < 1000 {
-                browser.touch(&[(from, to)])
+                browser.touch(&[(from, to)]);
             } else {
-                browser.drag(from, to)
+                browser.drag(from, to);
             }
             browser.until(&format!("Math.abs({at} - 25) < 2"));
             // Ground and words are of the scheme that was asked for.
