@@ -362,8 +362,8 @@ mod tests {
     #[test]
     fn a_picture_is_as_small_as_its_time_asks_for() {
         let still = look(100);
-        let moving = Look { moving: true, ..still.clone() };
-        let both = Look { left: Some((Mode::Depth, 0.5)), ..moving.clone() };
+        let moving = Look { moving: true, ..still };
+        let both = Look { left: Some((Mode::Depth, 0.5)), ..moving };
         // Of 4800 pixels; how long all of them take, as a share of the time of a moving picture.
         let pace = |share: f64| {
             let one = Some(share * MOVING.as_secs_f64() / 4800.0);

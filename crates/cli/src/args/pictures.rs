@@ -109,12 +109,12 @@ pub(crate) struct RenderArgs {
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ExportWhat {
-    /// As clear: a PLY holds no water.
+    /// As clear: these files hold no water.
     Reconstruction,
     /// Object radiance without water.
     #[default]
     Clear,
-    /// As enhanced-clear: a PLY holds no water.
+    /// As enhanced-clear: these files hold no water.
     Enhanced,
     /// Enhanced object radiance without water: the enhancement is baked into the colours.
     EnhancedClear,
