@@ -1,9 +1,10 @@
 //! The pipeline files that come with the project, against the real stages; and the schema beside them.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use use3d_build::Graph;
-use use3d_pipeline::config::{LoadOptions, from_text, load, presets, schema_text};
+use use3d_pipeline::config::{LoadOptions, from_text, load, parameters, presets, schema_text};
 use use3d_pipeline::stages::registry;
 
 fn folder() -> PathBuf {
@@ -293,7 +294,14 @@ fn whoever_names_pairs_or_a_calibrator_has_photographs_enhanced() {
 
 #[test]
 fn a_value_out_of_range_is_pointed_at_in_every_stage() {
-    for (stage, line, words) in [
+    let bad = [
+        ("depth", "encoder = \"vitx\"", "`encoder`"),
+        ("pairs", "extractor.cells = 0", "`extractor.cells` is 0; expected 2 to 256"),
+        ("pairs", "synthetic.width = 3", "`synthetic.width` is 3; expected 16 to 8192 pixels"),
+        ("propose", "proposer = \"scene\"", "choose auto, nu2net or fusion here"),
+        ("targets", "proposer = \"nowhere\"", "`proposer`"),
+        ("evaluate", "path_steps = 0", "`path_steps` is 0; expected 1 to 10000"),
+        ("report", "views = -1", "`views`"),
         ("reconstruct", "iterations = 0", "`iterations` is 0; expected 1 to"),
         ("reconstruct", "sh_degree = 4", "`sh_degree` is 4; expected 0 to 3"),
         ("reconstruct", "densify.opacity_ceiling = 1.0", "`densify.opacity_ceiling` is 1;"),
@@ -304,9 +312,39 @@ fn a_value_out_of_range_is_pointed_at_in_every_stage() {
         ("calibrate", "trust = 5.0", "`trust` is 5; expected 0 to 1"),
         ("import", "downscale = 0", "`downscale` is 0; expected 1"),
         ("render", "strength = 3.0", "`strength` is 3; expected 0 to 1"),
-    ] {
+    ];
+    let all = parameters(&registry().expect("the stage table"), None).expect("parameters");
+    let with_parameters = all.iter().filter(|stage| !stage.parameters.is_empty()).map(|stage| stage.stage);
+    let of_bad: BTreeSet<&str> = bad.iter().map(|(stage, ..)| *stage).collect();
+    assert_eq!(of_bad, with_parameters.collect());
+    for (stage, line, words) in bad {
         // The table begins in line 2: what is wrong stands in line 4.
         let error = graph_of(&format!("[defaults.{stage}]\n\n{line}"), &[]).unwrap_err();
         assert!(error.starts_with("x.toml:4:") && error.contains(words), "{stage}: {error}");
     }
+}
+
+#[test]
+fn defaults_are_shown_as_people_write_them_and_mean_the_same_when_given() {
+    let registry = registry().expect("the stage table");
+    let mut numbers = 0;
+    for stage in parameters(&registry, None).expect("parameters") {
+        let mut given = serde_json::json!({});
+        for parameter in stage.parameters.iter().filter(|p| !p.default.is_null()) {
+            let table = parameter.name.split('.').fold(&mut given, |table, key| &mut table[key]);
+            *table = parameter.default.clone();
+            if let Some(number) = parameter.default.as_f64() {
+                numbers += 1;
+                let text = number.to_string();
+                // Of 32 bits, or without a remainder in them.
+                let single = f64::from(number as f32) == number;
+                assert!(!single || text.len() <= 10, "{}.{} = {text}", stage.stage, parameter.name);
+            }
+        }
+        let stage = registry.stage(stage.stage).expect("a stage");
+        let canonical = |given| stage.parameters(given).expect("parameters of the stage");
+        // What enters the keys.
+        assert_eq!(canonical(&given), canonical(&serde_json::json!({})), "{}", stage.name());
+    }
+    assert!(numbers > 30, "{numbers}");
 }

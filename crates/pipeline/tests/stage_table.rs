@@ -13,7 +13,6 @@ use use3d_build::{
     Batch, BatchScene, Builder, Cache, Graph, Listener, Registry, RunOptions, Silent, Variant,
 };
 use use3d_pipeline::code::{RULES, built_in};
-use use3d_pipeline::config::{LoadOptions, from_text, parameters};
 use use3d_pipeline::stages::registry;
 
 fn table() -> Registry {
@@ -44,37 +43,6 @@ fn every_stage_that_may_use_a_card_says_how_its_artifacts_agree_with_the_process
     assert_eq!(on_cards, ["reconstruct", "targets", "enhance", "render", "evaluate"]);
     for stage in table.stages() {
         assert_eq!(stage.agreement().is_some(), stage.may_use_a_device(), "{}", stage.name());
-    }
-}
-
-/// Before anything runs, with its line: one bad value for every stage that has parameters.
-#[test]
-fn a_bad_value_of_any_stage_is_refused_where_it_stands() {
-    let bad = [
-        ("import", "downscale = 0"),
-        ("depth", "encoder = \"vitx\""),
-        ("pairs", "extractor.cells = 0"),
-        ("pairs", "synthetic.width = 3"),
-        ("calibrate", "held_out = 2.0"),
-        ("propose", "proposer = \"scene\""),
-        ("reconstruct", "densify.until = 2.0"),
-        ("targets", "proposer = \"nowhere\""),
-        ("enhance", "learning_rate = 0.0"),
-        ("render", "strength = 2.0"),
-        ("evaluate", "path_steps = 0"),
-        ("report", "views = -1"),
-    ];
-    let of_bad: BTreeSet<&str> = bad.iter().map(|(stage, _)| *stage).collect();
-    let all = parameters(&table(), None).expect("parameters");
-    let with_parameters: BTreeSet<&str> =
-        all.iter().filter(|of| !of.parameters.is_empty()).map(|of| of.stage).collect();
-    assert_eq!(of_bad, with_parameters);
-    for (stage, line) in bad {
-        let text =
-            format!("name = \"x\"\n[defaults.{stage}]\n{line}\n[[scene]]\nname = \"a\"\ncapture = \"a\"\n");
-        let options = LoadOptions::default();
-        let error = from_text(&table(), &text, Path::new("p.toml"), &options).expect_err(line).to_string();
-        assert!(error.starts_with("p.toml:3:"), "{stage}.{line}: {error}");
     }
 }
 

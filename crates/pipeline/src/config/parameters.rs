@@ -5,7 +5,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 use use3d_build::{BuildError, Registry};
 
-use super::schema::schema;
+use super::schema::{resolved, schema, shortest};
 
 /// The parameters of a stage.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -78,18 +78,6 @@ pub(super) fn meant<'k>(
     homes(registry, key).into_iter().find(|(_, name)| near(name) > best.max(0.9))
 }
 
-/// The schema that a reference leads to, through options that may be left out.
-fn resolved<'s>(schema: &'s Value, entry: &'s Value) -> &'s Value {
-    if let Some(name) = entry["$ref"].as_str().and_then(|r| r.strip_prefix("#/$defs/")) {
-        return resolved(schema, &schema["$defs"][name]);
-    }
-    let given = |e: &&Value| e["type"] != "null";
-    match entry["anyOf"].as_array().and_then(|options| options.iter().find(given)) {
-        Some(option) => resolved(schema, option),
-        None => entry,
-    }
-}
-
 fn list(schema: &Value, table: &Value, defaults: &Value, base: &str, into: &mut Vec<Parameter>) {
     let Some(properties) = resolved(schema, table)["properties"].as_object() else { return };
     for (key, entry) in properties {
@@ -101,7 +89,8 @@ fn list(schema: &Value, table: &Value, defaults: &Value, base: &str, into: &mut 
         }
         let meaning = entry["description"].as_str().or(what["description"].as_str()).unwrap_or_default();
         let meaning = meaning.split_whitespace().collect::<Vec<_>>().join(" ");
-        into.push(Parameter { name, kind: kind(what), default: defaults[key].clone(), meaning });
+        let default = shortest(schema, entry, &defaults[key]);
+        into.push(Parameter { name, kind: kind(what), default, meaning });
     }
 }
 

@@ -57,7 +57,54 @@ pub fn schema(registry: &Registry) -> Value {
             "title": "use3d pipeline", "$defs": definitions
         }),
     );
+    let whole = top.clone();
+    shorten_defaults(&whole, &mut top);
     top
+}
+
+/// A default as people write it: a number of 32 bits with the fewest digits that give it back, where JSON
+/// has those of the same number in 64 bits. `entry` is what `schema` says of the value.
+pub(super) fn shortest(schema: &Value, entry: &Value, default: &Value) -> Value {
+    let entry = resolved(schema, entry);
+    match default {
+        Value::Object(fields) => {
+            let short = |(name, value): (&String, &Value)| {
+                (name.clone(), shortest(schema, &entry["properties"][name], value))
+            };
+            Value::Object(fields.iter().map(short).collect())
+        }
+        Value::Array(items) => items.iter().map(|item| shortest(schema, &entry["items"], item)).collect(),
+        Value::Number(number) if entry["format"] == "float" => {
+            let single = number.as_f64().map(|double| (double as f32).to_string());
+            single.and_then(|text| text.parse::<f64>().ok()).map_or_else(|| default.clone(), Value::from)
+        }
+        other => other.clone(),
+    }
+}
+
+fn shorten_defaults(schema: &Value, entry: &mut Value) {
+    if let Some(default) = entry.get("default").map(|default| shortest(schema, entry, default)) {
+        entry["default"] = default;
+    }
+    match entry {
+        Value::Object(fields) => {
+            fields.values_mut().for_each(|inner| shorten_defaults(schema, inner));
+        }
+        Value::Array(items) => items.iter_mut().for_each(|inner| shorten_defaults(schema, inner)),
+        _ => {}
+    }
+}
+
+/// The schema that a reference leads to, through options that may be left out.
+pub(super) fn resolved<'s>(schema: &'s Value, entry: &'s Value) -> &'s Value {
+    if let Some(name) = entry["$ref"].as_str().and_then(|r| r.strip_prefix("#/$defs/")) {
+        return resolved(schema, &schema["$defs"][name]);
+    }
+    let given = |e: &&Value| e["type"] != "null";
+    match entry["anyOf"].as_array().and_then(|options| options.iter().find(given)) {
+        Some(option) => resolved(schema, option),
+        None => entry,
+    }
 }
 
 /// The schema as the file `pipelines/schema.json` holds it.
