@@ -1,5 +1,5 @@
-// One level of the structure measure backward: its derivatives pulled to the pixels, times the level's factor, and what the coarser level
-// asks for.
+// One level of the structure measure backward: its derivatives pulled to the pixels, times the level's
+// factor, and what the coarser level asks for.
 
 // The third quantity's tile.
 var<workgroup> tile_c: array<f32, 676>;

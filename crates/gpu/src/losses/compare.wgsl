@@ -1,5 +1,5 @@
-// One level of the structure measure forward: moments blurred with the 11-tap window over the valid region, the sum of the level's values,
-// and its derivatives by the mean, the mean square and the mean product.
+// One level of the structure measure forward: moments blurred with the 11-tap window over the valid region,
+// the sum of the level's values, and its derivatives by the mean, the mean square and the mean product.
 
 const C1: f32 = 0.01 * 0.01;
 const C2: f32 = 0.03 * 0.03;

@@ -1,6 +1,6 @@
-// The Pearson loss against a depth prior. Two passes of sums, the second around the means of the first: f32 then suffices where the
-// processor sums in f64. The results between passes:
-// 0 count, 1 mean of disparities, 2 mean of priors, 3 slope of the own deviation, 4 slope of the other, 5 loss.
+// The Pearson loss against a depth prior. Two passes of sums, the second around the means of the first: f32
+// then suffices where the processor sums in f64. The results between passes: 0 count, 1 mean of disparities,
+// 2 mean of priors, 3 slope of the own deviation, 4 slope of the other, 5 loss.
 
 const FEWEST_PIXELS: f32 = 32.0;
 const DEPTH_SCALE: f32 = 10.0;

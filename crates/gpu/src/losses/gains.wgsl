@@ -1,5 +1,5 @@
-// Adam on the gain of one view, then the views' common gain is taken out. One workgroup. Three log-gains per view, their first and their
-// second moments: three runs of 3 × views.
+// Adam on the gain of one view, then the views' common gain is taken out. One workgroup. Three log-gains per
+// view, their first and their second moments: three runs of 3 × views.
 
 const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;

@@ -1,4 +1,5 @@
-// What both ways through a level share: the window, and the tiles that a workgroup blurs: 16 × 16 places look at 26 × 26 cells.
+// What both ways through a level share: the window, and the tiles that a workgroup blurs: 16 × 16 places look
+// at 26 × 26 cells.
 
 const MARGIN: u32 = 10u;
 const SIDE: u32 = 26u;
@@ -12,7 +13,8 @@ fn tap(k: u32) -> f32 {
     return view.taps[k >> 2u][k & 3u];
 }
 
-// Which tile of 16 × 16 places and which channel a workgroup owns, of an image with so many tiles across and in all.
+// Which tile of 16 × 16 places and which channel a workgroup owns, of an image with so many tiles across and
+// in all.
 fn tile_of(group: u32, across: u32, all: u32) -> vec3<u32> {
     let tile = group % all;
     return vec3<u32>(tile % across, tile / across, group / all);

@@ -1,4 +1,5 @@
-// A photograph's transparent pixels take the water's colour, black without water, as the view's gain shows it.
+// A photograph's transparent pixels take the water's colour, black without water, as the view's gain shows
+// it.
 
 @compute @workgroup_size(WG)
 fn main(

@@ -1,4 +1,5 @@
-// 2 × 2 means of both images for the next level; an odd side gets one black pixel at both ends, which is −1 in images less one.
+// 2 × 2 means of both images for the next level; an odd side gets one black pixel at both ends, which is −1
+// in images less one.
 
 // Where a fine pixel lies, one past the end for one that is not there: an odd side is shifted by one.
 fn place(column: u32, row: u32, dx: u32, dy: u32) -> vec2<u32> {

@@ -1,4 +1,5 @@
-// After the structure measure: its slope becomes the derivative by the rendered image, before the view's gain.
+// After the structure measure: its slope becomes the derivative by the rendered image, before the view's
+// gain.
 
 const EPSILON: f32 = 1e-3;
 

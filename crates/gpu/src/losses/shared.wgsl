@@ -26,7 +26,8 @@ struct View {
     level_first: vec4<u32>,
     // The window, eleven taps.
     taps: array<vec4<f32>, 3>,
-    // Adam on the gains: step size, one over the root of the second correction, pull towards one, whether they move.
+    // Adam on the gains: step size, one over the root of the second correction, pull towards one, whether
+    // they move.
     gains: vec4<f32>,
     // The step modulo 2^32, and the place of its report.
     step: u32,
@@ -52,7 +53,8 @@ fn place_of(group: u32) -> Place {
     return Place(group % view.groups, group / view.groups);
 }
 
-// Runs of `sums`, one number per channel and workgroup each: |W (Î − I)|, the squared error, the squared mask, Ĩ ∂L/∂Ĩ.
+// Runs of `sums`, one number per channel and workgroup each: |W (Î − I)|, the squared error, the squared
+// mask, Ĩ ∂L/∂Ĩ.
 fn run_of(quantity: u32) -> u32 {
     return 3u * quantity * view.groups;
 }

@@ -1,5 +1,5 @@
-// What is told of a view, one workgroup: the loss, its values reg_l1, reg_ms_ssim and depth_loss, the squared error and the pixels that count. A
-// loss that is not finite stops the run before anything is updated.
+// What is told of a view, one workgroup: the loss, its values reg_l1, reg_ms_ssim and depth_loss, the squared
+// error and the pixels that count. A loss that is not finite stops the run before anything is updated.
 
 // Of all channels.
 fn total_over(quantity: u32, lane: u32) -> f32 {

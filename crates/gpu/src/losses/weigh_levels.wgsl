@@ -1,5 +1,5 @@
-// The structure measure, and every level's factor on its way back. One workgroup. Factors are three channels per level; the measure
-// stands at 9.
+// The structure measure, and every level's factor on its way back. One workgroup. Factors are three channels
+// per level; the measure stands at 9.
 
 var<workgroup> level_means: array<f32, 12>;
 

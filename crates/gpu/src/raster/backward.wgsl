@@ -1,6 +1,6 @@
-// One workgroup per tile, one thread per Gaussian: each walks over the tile's pixels one behind the other, so that every pixel sees
-// its Gaussians from the farthest to the nearest and every thread adds up its own Gaussian's record. No sum leaves its thread, so the
-// bits do not depend on how many threads run in step.
+// One workgroup per tile, one thread per Gaussian: each walks over the tile's pixels one behind the other, so
+// that every pixel sees its Gaussians from the farthest to the nearest and every thread adds up its own
+// Gaussian's record. No sum leaves its thread, so the bits do not depend on how many threads run in step.
 //
 // Of a pixel only the transmittance and `-sum w v` of what lies behind change on the way.
 var<workgroup> pull: array<vec4<f32>, 256>;

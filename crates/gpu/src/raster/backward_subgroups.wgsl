@@ -1,8 +1,10 @@
-// One workgroup per tile, one, two or four pixels that lie together to a thread. Threads that run in step, a team, have a rectangle of the
-// tile: pixels are numbered along a Z-curve, so any such run of them lies together.
+// One workgroup per tile, one, two or four pixels that lie together to a thread. Threads that run in step, a
+// team, have a rectangle of the tile: pixels are numbered along a Z-curve, so any such run of them lies
+// together.
 //
-// Of a round of Gaussians each team leaves out those that miss its rectangle, and walks over the others from the farthest to the
-// nearest: what a team adds up comes from one operation across its threads, and the teams' sums are added in their order.
+// Of a round of Gaussians each team leaves out those that miss its rectangle, and walks over the others from
+// the farthest to the nearest: what a team adds up comes from one operation across its threads, and the
+// teams' sums are added in their order.
 const TEAMS: u32 = WG / WIDTH;
 const ROUND: u32 = HALVES * WIDTH;
 const WORDS: u32 = (WIDTH + 31u) / 32u;
@@ -65,7 +67,8 @@ fn pixel_at(tile: u32, at: vec2<u32>) -> Pixel {
     return p;
 }
 
-// Takes a pixel past the Gaussian in place `k` of its list, and adds what it gives to the record; whether it gives anything.
+// Takes a pixel past the Gaussian in place `k` of its list, and adds what it gives to the record; whether it
+// gives anything.
 fn pass_by(
     p: ptr<function, Pixel>,
     k: u32,
@@ -120,7 +123,8 @@ fn least_square(low: f32, high: f32) -> f32 {
     return nearest * nearest;
 }
 
-// Whether a Gaussian may reach 1/255 in a rectangle. More generous than the pixels' own test by more than rounding.
+// Whether a Gaussian may reach 1/255 in a rectangle. More generous than the pixels' own test by more than
+// rounding.
 fn reaches(a: vec4<f32>, b: vec4<f32>, low: vec2<f32>, high: vec2<f32>) -> bool {
     let y = vec2<f32>(low.y - a.y, high.y - a.y);
     let sheared = a.z * y;

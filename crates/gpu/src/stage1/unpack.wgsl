@@ -1,6 +1,7 @@
-// One thread per pixel: a view as it is stored, 8 or 16 bits to a value, becomes the floats that the processor makes of it, to the bit.
-// Values of the photograph, opacity and mask are products with one rounding. The prior is a quotient, which a card need not round as a
-// processor does: v / 65535 has the binary digits of v for ever, so its float is put together from them.
+// One thread per pixel: a view as it is stored, 8 or 16 bits to a value, becomes the floats that the
+// processor makes of it, to the bit. Values of the photograph, opacity and mask are products with one
+// rounding. The prior is a quotient, which a card need not round as a processor does: v / 65535 has the
+// binary digits of v for ever, so its float is put together from them.
 const BYTE: f32 = 0.003921568859368563f;
 const SHORT: f32 = 1.5259021893143654e-05f;
 

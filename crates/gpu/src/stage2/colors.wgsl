@@ -1,6 +1,7 @@
-// One workgroup per tile, one thread per Gaussian: the derivative of the loss by its colour, summed over the tile's pixels. Each thread walks
-// over the pixels one step behind its neighbour, from the nearest Gaussian to the farthest, so that a pixel's transmittance is what
-// the forward pass had. No sum leaves its thread: the bits do not depend on how many threads run in step.
+// One workgroup per tile, one thread per Gaussian: the derivative of the loss by its colour, summed over the
+// tile's pixels. Each thread walks over the pixels one step behind its neighbour, from the nearest Gaussian
+// to the farthest, so that a pixel's transmittance is what the forward pass had. No sum leaves its thread:
+// the bits do not depend on how many threads run in step.
 var<workgroup> pull: array<vec4<f32>, 256>;
 var<workgroup> fog: array<vec4<f32>, 256>;
 var<workgroup> left: array<f32, 256>;

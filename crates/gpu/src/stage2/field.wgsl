@@ -1,4 +1,5 @@
-// The field: its sizes, the places of its groups in the flat vector of parameters, and functions that several kernels use.
+// The field: its sizes, the places of its groups in the flat vector of parameters, and functions that several
+// kernels use.
 struct Field {
     // Nodes per axis, hidden units, Gaussians listed, how many of them define the mean.
     resolution: u32,
@@ -45,7 +46,8 @@ const WATER_GUIDE: u32 = 108u;
 const WATER_RATIOS: u32 = 112u;
 const WATER_SUMS: u32 = 114u;
 
-// The hyperbolic tangent to its last digits: a polynomial (Cephes) where a quotient of exponentials would cancel. Nothing overflows.
+// The hyperbolic tangent to its last digits: a polynomial (Cephes) where a quotient of exponentials would
+// cancel. Nothing overflows.
 fn squash(x: f32) -> f32 {
     if (abs(x) < 0.625f) {
         let y = x * x;

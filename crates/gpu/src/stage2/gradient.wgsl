@@ -1,5 +1,5 @@
-// One thread per parameter: its derivative, put together from what the other kernels summed and from the terms of the loss that read the field
-// itself. The first that is not finite is noted.
+// One thread per parameter: its derivative, put together from what the other kernels summed and from the
+// terms of the loss that read the field itself. The first that is not finite is noted.
 
 @compute @workgroup_size(WG)
 fn main(

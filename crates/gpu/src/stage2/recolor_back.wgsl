@@ -1,5 +1,5 @@
-// One thread per listed Gaussian: the derivative by its colour, added up over its entries in their order; by its six outputs; and per
-// workgroup the sums of these and of the affine's derivatives.
+// One thread per listed Gaussian: the derivative by its colour, added up over its entries in their order; by
+// its six outputs; and per workgroup the sums of these and of the affine's derivatives.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,

@@ -1,6 +1,6 @@
-// One workgroup per tile, one thread per entry: whether some pixel that is still being composed when its turn comes lies within its
-// contour. What no pixel sees is skipped by the compositor anyway; a little is added to the contour, so that what its test rounds
-// otherwise is kept.
+// One workgroup per tile, one thread per entry: whether some pixel that is still being composed when its turn
+// comes lies within its contour. What no pixel sees is skipped by the compositor anyway; a little is added to
+// the contour, so that what its test rounds otherwise is kept.
 const MARGIN: f32 = 1e-3f;
 
 var<workgroup> ends: array<u32, 256>;

@@ -1,5 +1,5 @@
-// Where a lookup looks, in words: bits of the fractions on x, y, z, and the nodes, eight bits each; bits of the signed logs of its
-// colour and 0, or of a guide coordinate that nothing moves and 1.
+// Where a lookup looks, in words: bits of the fractions on x, y, z, and the nodes, eight bits each; bits of
+// the signed logs of its colour and 0, or of a guide coordinate that nothing moves and 1.
 fn is_fixed(i: u32) -> bool { return sites[2u * i + 1u].w != 0u; }
 
 fn gamma_of(i: u32) -> f32 {

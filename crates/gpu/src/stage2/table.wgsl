@@ -1,4 +1,5 @@
-// What the water's table says at a guide coordinate: gain and bias, and their rise from its lower row to the next.
+// What the water's table says at a guide coordinate: gain and bias, and their rise from its lower row to the
+// next.
 struct Graded {
     place: Place,
     gain: vec3<f32>,

@@ -2,8 +2,9 @@
 //
 //   by c    = g (1 - V)      by k_bs = g c MB ln 2      by k_attn = -g MA ln 2
 //
-// with V = sum w e_bs (`veil`), MB = sum w z e_bs (`veil_by_depth`), MA = sum w z c e_attn (`light_by_depth`). A workgroup takes 256
-// pixels, 64 at a time; each of its threads owns one sum: 16 x 6 of the table, 12 of the affine, 4 of the guide, 2 of the ratios.
+// with V = sum w e_bs (`veil`), MB = sum w z e_bs (`veil_by_depth`), MA = sum w z c e_attn
+// (`light_by_depth`). A workgroup takes 256 pixels, 64 at a time; each of its threads owns one sum: 16 x 6 of
+// the table, 12 of the affine, 4 of the guide, 2 of the ratios.
 const LN_2: f32 = 0.69314718f;
 const SPAN: u32 = 256u;
 const AT_ONCE: u32 = 64u;

@@ -1,5 +1,6 @@
-// One thread per Gaussian of a chunk: its records are added in the order of its tiles, go back through the projection to its parameters, and
-// Adam moves them; no gradient is ever stored. Gaussians that were not seen have a gradient of zero, and their moments decay.
+// One thread per Gaussian of a chunk: its records are added in the order of its tiles, go back through the
+// projection to its parameters, and Adam moves them; no gradient is ever stored. Gaussians that were not seen
+// have a gradient of zero, and their moments decay.
 const BLOCK: u32 = 64u;
 
 var<private> bad: u32;
@@ -47,9 +48,10 @@ struct Pull {
     quaternion: vec4<f32>,
 }
 
-// From sums over pixels to the geometry. With v = conic (pixel - centre) = (a t, shear a t + b dy) and u_k the projected axes, the
-// gradient along axis k is a sum of G v (v . u_k): the product v . u_k = a t m_k + b dy b_k is formed with m_k = a_k + shear b_k written
-// through the cross products, in which the axis itself, that of a needle, drops out.
+// From sums over pixels to the geometry. With v = conic (pixel - centre) = (a t, shear a t + b dy) and u_k
+// the projected axes, the gradient along axis k is a sum of G v (v . u_k): the product v . u_k = a t m_k + b
+// dy b_k is formed with m_k = a_k + shear b_k written through the cross products, in which the axis itself,
+// that of a needle, drops out.
 fn pull_back(x: vec3<f32>, s: Screen, splat0: vec4<f32>, splat1: vec4<f32>, sum: array<vec4<f32>, 3>) -> Pull {
     var sums = sum;
     let k = splat0.z;

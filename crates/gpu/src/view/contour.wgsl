@@ -1,4 +1,5 @@
-// The exact tiles of a Gaussian, row by row of tiles: those with a pixel centre within the box of its 1/255 contour along the row.
+// The exact tiles of a Gaussian, row by row of tiles: those with a pixel centre within the box of its 1/255
+// contour along the row.
 const TILE: u32 = 16u;
 
 struct Contour {

@@ -1,8 +1,9 @@
 // What forward and backward of the projection share.
 //
-// The axes a, b of a Gaussian on the screen have the cross product c = a x b = (Rq)^T n times jx jy, with n = r2 + sx r0 + sy r1 the
-// direction to the Gaussian: no difference of nearly equal numbers, however thin it is. The determinant of its covariance is a sum
-// of squares of c, and so is what the backward pass needs of the inverse: f32 suffices where the textbook's form asks for f64.
+// The axes a, b of a Gaussian on the screen have the cross product c = a x b = (Rq)^T n times jx jy, with n =
+// r2 + sx r0 + sy r1 the direction to the Gaussian: no difference of nearly equal numbers, however thin it
+// is. The determinant of its covariance is a sum of squares of c, and so is what the backward pass needs of
+// the inverse: f32 suffices where the textbook's form asks for f64.
 const NEAR: f32 = 0.01f;
 const FAR: f32 = 10000.0f;
 const BLUR: f32 = 0.3f;

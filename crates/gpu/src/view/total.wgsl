@@ -1,4 +1,5 @@
-// One workgroup: where every block's entries begin, and how many there are. Too many are none, and stop what follows.
+// One workgroup: where every block's entries begin, and how many there are. Too many are none, and stop what
+// follows.
 @compute @workgroup_size(WG)
 fn main(@builtin(local_invocation_index) lid: u32) {
     let n = frame.counts.x;

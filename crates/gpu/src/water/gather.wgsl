@@ -2,8 +2,8 @@
 //
 //   ∂c = g (1 − V)      ∂β_bs = g c MB |d|      ∂β_attn = −g MA |d|
 //
-// with V = Σ w e_bs (`veil`), MB = Σ w z e_bs (`veil_by_depth`), MA = Σ w z c e_attn (`light_by_depth`). Basis × slope, summed over 1024
-// pixels a workgroup, 128 at a time, each sum in one lane.
+// with V = Σ w e_bs (`veil`), MB = Σ w z e_bs (`veil_by_depth`), MA = Σ w z c e_attn (`light_by_depth`).
+// Basis × slope, summed over 1024 pixels a workgroup, 128 at a time, each sum in one lane.
 
 const LOG2_E: f32 = 1.4426950408889634;
 const SPAN: u32 = 1024u;

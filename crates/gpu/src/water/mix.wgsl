@@ -1,5 +1,5 @@
-// The anchors around the camera, nearest first by affinity, and the sum of their coefficients. One workgroup. After the 144 mixed
-// coefficients stand, per place, the anchor and its share.
+// The anchors around the camera, nearest first by affinity, and the sum of their coefficients. One workgroup.
+// After the 144 mixed coefficients stand, per place, the anchor and its share.
 
 const WIDTH_FLOOR: f32 = 1e-4;
 const FARTHEST: f32 = -3e38;

@@ -1,5 +1,6 @@
-// What all kernels of the water share. Its parameters lie flat as the processor's model has them: with anchors 3 n centres, n log widths,
-// then per anchor 144 coefficients `[quantity][band][channel]`; without anchors the 144 alone.
+// What all kernels of the water share. Its parameters lie flat as the processor's model has them: with
+// anchors 3 n centres, n log widths, then per anchor 144 coefficients `[quantity][band][channel]`; without
+// anchors the 144 alone.
 
 struct Water {
     width: u32,
@@ -19,7 +20,8 @@ struct Water {
     to_world_z: vec4<f32>,
     // One over both focal lengths, and the principal point.
     lens: vec4<f32>,
-    // Adam: step size of constants, of directions and anchors, one over the root of the second correction; spare.
+    // Adam: step size of constants, of directions and anchors, one over the root of the second correction;
+    // spare.
     adam: vec4<f32>,
 }
 

@@ -2,8 +2,8 @@
 
 const WIDTH_FLOOR: f32 = 1e-4;
 
-// How an anchor's share pulls the loss, less the mean of that over all shares: the mean is the pull of the mixed coefficients, which are
-// taken off before they are summed, not after.
+// How an anchor's share pulls the loss, less the mean of that over all shares: the mean is the pull of the
+// mixed coefficients, which are taken off before they are summed, not after.
 fn by_share(anchor: u32, lane: u32) -> f32 {
     var product = 0.0;
     if (lane < COEFFICIENTS) {

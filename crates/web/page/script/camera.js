@@ -1,5 +1,6 @@
-// Where the visitor stands: eye, rotation, vertical field of view, and the point of interest in front, around which one orbits. World up is +z
-// unless it was levelled, and `upright` is the up that one comes back to; ups and views belong to the page, never to the scene.
+// Where the visitor stands: eye, rotation, vertical field of view, and the point of interest in front, around
+// which one orbits. World up is +z unless it was levelled, and `upright` is the up that one comes back to;
+// ups and views belong to the page, never to the scene.
 
 const DEGREE = Math.PI / 180;
 

@@ -1,7 +1,8 @@
 // The scene's data: parts in base64 -> gzip -> sections of bytes -> textures.
 //
-// Numbers are stored byte by byte in planes (the first byte of every Gaussian, then the second ...), which packs better; here they are put
-// side by side again, in the layout that the shaders read. The header says which section lies where.
+// Numbers are stored byte by byte in planes (the first byte of every Gaussian, then the second ...), which
+// packs better; here they are put side by side again, in the layout that the shaders read. The header says
+// which section lies where.
 
 const GEOMETRY_BYTES = 48, HARMONIC_BYTES = 48, PER_ROW = 512;
 
@@ -40,8 +41,8 @@ function sceneData(header, sections) {
   return { header, count, rows, geometry, harmonics, centres, cube: sections.cube };
 }
 
-// Parts are elements of the page, or scripts beside it have put them into a list; either way in the order of the sections. A page that was served
-// has them from its server, or has the server draw.
+// Parts are elements of the page, or scripts beside it have put them into a list; either way in the order of
+// the sections. A page that was served has them from its server, or has the server draw.
 async function loadScene(server) {
   if (server) {
     const { header, drawn } = await server.begin();

@@ -1,4 +1,5 @@
-// Flying from one view to another: a second and a half, easing in and out; at once for who asked for less motion.
+// Flying from one view to another: a second and a half, easing in and out; at once for who asked for less
+// motion.
 
 const calm = () => matchMedia('(prefers-reduced-motion: reduce)').matches;
 

@@ -18,7 +18,8 @@ function makeProgram(gl, vertex, fragment) {
     throw new Error(`${vertex} with ${fragment}: ${gl.getProgramInfoLog(program)}`);
   const places = {};
   const place = name => (places[name] ??= gl.getUniformLocation(program, name));
-  // Values by their form: numbers and booleans are ints or floats by the names given here, arrays are vectors.
+  // Values by their form: numbers and booleans are ints or floats by the names given here, arrays are
+  // vectors.
   return {
     use() { gl.useProgram(program); },
     ints(values) { for (const name in values) gl.uniform1i(place(name), Number(values[name])); },

@@ -8,7 +8,8 @@ function makeKeys(viewer, navigation, panel, views, path, measure) {
     c: () => { element('compare').click(); }, m: () => measure.choose('distance'), g: () => measure.choose('ground'),
     k: path.add, ' ': () => { if (path.keys.length > 1) (path.playing ? path.stop() : path.play()); },
     n: () => views.go(views.current + 1), b: () => views.go(views.current - 1),
-    // Without a pointer: what a click does, in the middle of the picture; where there is nothing to click, one goes there.
+    // Without a pointer: what a click does, in the middle of the picture; where there is nothing to click,
+    // one goes there.
     Enter: async () => {
       const { canvas } = viewer.renderer.gl, [x, y] = [canvas.clientWidth / 2, canvas.clientHeight / 2];
       if (!navigation.click(x, y) && !(await navigation.goTo(x, y))) say('There is no surface here');

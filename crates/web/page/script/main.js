@@ -1,4 +1,5 @@
-// Puts the page together. `window.use3d` is for scripts that steer it: `ready` resolves once a picture is shown.
+// Puts the page together. `window.use3d` is for scripts that steer it: `ready` resolves once a picture is
+// shown.
 
 async function start() {
   const canvas = element('view'), progress = element('progress');
@@ -32,7 +33,8 @@ async function start() {
       await new Promise(done => setTimeout(done, 5));
     }
   };
-  // The float picture (RGBA, rows from the top) of a camera { eye, rotation, lens, width, height } and a look { mode, strength, water }.
+  // The float picture (RGBA, rows from the top) of a camera { eye, rotation, lens, width, height } and a look
+  // { mode, strength, water }.
   async function picture(view, look) {
     const { held } = viewer;
     viewer.held = true;

@@ -1,5 +1,6 @@
-// Measuring: two points make a distance; three points of the ground make the horizon level. A point is where the mean depth of the picture
-// says that the surface is. Lengths are in units of the COLMAP model, or in metres once one length is known.
+// Measuring: two points make a distance; three points of the ground make the horizon level. A point is where
+// the mean depth of the picture says that the surface is. Lengths are in units of the COLMAP model, or in
+// metres once one length is known.
 
 function makeMeasure(viewer, overlay) {
   const { header, camera } = viewer, measure = { tool: null, points: [], distances: [], metresPerUnit: header.metresPerUnit ?? null };
@@ -31,7 +32,8 @@ function makeMeasure(viewer, overlay) {
     element('scale').textContent = measure.metresPerUnit ? `1 unit is ${measure.metresPerUnit.toPrecision(4)} m.` : 'Lengths are in units of the COLMAP model. Give one true length to have metres.';
     viewer.invalidate();
   };
-  // A point of the scene was picked. What three points of the ground do: their normal, on the eye's side, becomes up.
+  // A point of the scene was picked. What three points of the ground do: their normal, on the eye's side,
+  // becomes up.
   measure.take = point => {
     measure.points.push(point);
     if (measure.tool === 'distance' && measure.points.length === 2) {

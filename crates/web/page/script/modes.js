@@ -10,7 +10,8 @@ const MODES = {
   depth: { title: 'Depth', about: 'Near is bright, far is dark', graded: false, water: false, objects: 0, veil: 0, depth: true },
 };
 
-// What a scene opens with: the look that its enhancement was learnt in. Colours that look right through water are too strong without it.
+// What a scene opens with: the look that its enhancement was learnt in. Colours that look right through water
+// are too strong without it.
 const openingMode = header => (header.enhancement ? (header.enhancement.water ? 'enhanced' : 'enhanced-clear') : 'reconstruction');
 
 // The modes that a scene has.

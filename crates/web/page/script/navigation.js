@@ -1,5 +1,6 @@
-// Moving about, as in other viewers: left drag orbits (looks around when flying), right drag looks, middle drag or Shift and drag pans, the
-// wheel zooms to the pointer, a double click goes there. One finger orbits, two pan, zoom and roll. WASD with Q and E fly.
+// Moving about, as in other viewers: left drag orbits (looks around when flying), right drag looks, middle
+// drag or Shift and drag pans, the wheel zooms to the pointer, a double click goes there. One finger orbits,
+// two pan, zoom and roll. WASD with Q and E fly.
 
 function makeNavigation(canvas, viewer) {
   const { camera } = viewer, pointers = new Map(), pressed = new Set();

@@ -1,4 +1,5 @@
-// What is drawn over the picture: the cameras as small pyramids, measured points with their lines, the path. Positions follow the camera.
+// What is drawn over the picture: the cameras as small pyramids, measured points with their lines, the path.
+// Positions follow the camera.
 
 function makeOverlay(canvas, viewer) {
   const context = canvas.getContext('2d'), drawers = [], { camera } = viewer;

@@ -1,4 +1,5 @@
-// The panel: its tabs, what is shown and how strongly, facts about the scene; and the row of buttons below the picture.
+// The panel: its tabs, what is shown and how strongly, facts about the scene; and the row of buttons below
+// the picture.
 
 function makePanel(viewer, navigation) {
   const { header, camera } = viewer, modes = modesOf(header);

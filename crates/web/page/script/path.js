@@ -1,6 +1,7 @@
-// Camera paths: keys with a time, a pose, a field of view and a look. Between two keys the eye follows a cubic through all keys (Hermite, with
-// the slope (p_{i+1} - p_{i-1}) / (t_{i+1} - t_{i-1}) at key i), the rotation turns at constant speed, field of view, strength and water change
-// linearly, and the mode is that of the key before. `use3d render --path` reads the same file and draws the same frames.
+// Camera paths: keys with a time, a pose, a field of view and a look. Between two keys the eye follows a
+// cubic through all keys (Hermite, with the slope (p_{i+1} - p_{i-1}) / (t_{i+1} - t_{i-1}) at key i), the
+// rotation turns at constant speed, field of view, strength and water change linearly, and the mode is that
+// of the key before. `use3d render --path` reads the same file and draws the same frames.
 
 const PATH_FORMAT = '3d-use camera path';
 
@@ -30,8 +31,9 @@ function pathFile(keys, frame, framesPerSecond) {
   };
 }
 
-// What other programs read: every frame of the path as a camera of its own, in the COLMAP frame. nerfstudio has camera-to-world matrices with y up and
-// z back; COLMAP's images.txt has quaternions, its lens in cameras.txt, and no points.
+// What other programs read: every frame of the path as a camera of its own, in the COLMAP frame. nerfstudio
+// has camera-to-world matrices with y up and z back; COLMAP's images.txt has quaternions, its lens in
+// cameras.txt, and no points.
 function framesOf(keys, framesPerSecond) {
   const start = keys[0].time, count = Math.round((keys[keys.length - 1].time - start) * framesPerSecond) + 1;
   return Array.from({ length: count }, (_, i) => betweenKeys(keys, start + i / framesPerSecond));

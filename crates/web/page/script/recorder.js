@@ -1,4 +1,5 @@
-// The path as a film, recorded from the canvas while it plays (WebM, as the browser encodes it). Exact frames are `use3d render --path`'s.
+// The path as a film, recorded from the canvas while it plays (WebM, as the browser encodes it). Exact frames
+// are `use3d render --path`'s.
 
 function makeRecorder(viewer, path) {
   const button = element('record'), canvas = viewer.renderer.gl.canvas;

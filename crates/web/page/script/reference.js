@@ -1,5 +1,5 @@
-// The program's own picture in the place of the browser's, and how far the two are apart. Only where the program serves the page; it goes away with the
-// next move or change of look.
+// The program's own picture in the place of the browser's, and how far the two are apart. Only where the
+// program serves the page; it goes away with the next move or change of look.
 
 const REFERENCE_SIDE = 1600;
 
@@ -19,7 +19,8 @@ function makeReference(viewer, server, picture) {
   viewer.on('frame', () => { if (of !== null && of !== state()) reference.hide(); });
   viewer.on('look', () => { if (of !== null && of !== state()) reference.hide(); });
 
-  // Mean and 99.9 % quantile of the differences of colours in 8 bits, in the display range; of depths there is none, since each side has a range of its own.
+  // Mean and 99.9 % quantile of the differences of colours in 8 bits, in the display range; of depths there
+  // is none, since each side has a range of its own.
   const apart = (ours, theirs) => {
     const counts = new Uint32Array(256);
     let sum = 0, n = 0;

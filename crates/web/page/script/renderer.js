@@ -1,9 +1,11 @@
-// Draws the scene: water maps, open water, Gaussians back to front, then to the screen. A picture may have two halves that show different
-// modes; each is drawn for itself inside a scissor.
+// Draws the scene: water maps, open water, Gaussians back to front, then to the screen. A picture may have
+// two halves that show different modes; each is drawn for itself inside a scissor.
 //
-// A camera is { eye, rotation, lens: [fx, fy, cx, cy], width, height } in pixels; a look is { mode, strength, water }.
+// A camera is { eye, rotation, lens: [fx, fy, cx, cy], width, height } in pixels; a look is { mode, strength,
+// water }.
 
-const NO_LIMITS = 0.3;          // share of half a picture by which slopes in the projection's derivative may leave it
+// Share of half a picture by which slopes in the projection's derivative may leave it.
+const NO_LIMITS = 0.3;
 
 function makeRenderer(canvas, scene) {
   const gl = canvas.getContext('webgl2', { antialias: false, alpha: false, depth: false, preserveDrawingBuffer: true, powerPreference: 'high-performance' });
@@ -122,7 +124,8 @@ function makeRenderer(canvas, scene) {
       }
       gl.disable(gl.SCISSOR_TEST);
     },
-    // The float picture of one look: RGBA per pixel, rows from the top; for depth the mean depth, 0 where nothing is.
+    // The float picture of one look: RGBA per pixel, rows from the top; for depth the mean depth, 0 where
+    // nothing is.
     picture(camera, look) {
       compose(camera, look, null, 0);
       gl.disable(gl.SCISSOR_TEST);
@@ -136,7 +139,8 @@ function makeRenderer(canvas, scene) {
   };
 }
 
-// The three cubes of a water that is a network of the direction, baked by the exporter: per quantity six faces of half floats, RGBA.
+// The three cubes of a water that is a network of the direction, baked by the exporter: per quantity six
+// faces of half floats, RGBA.
 function bakedWater(gl, bytes, side) {
   const halves = new Uint16Array(bytes.slice().buffer), face = 4 * side * side;
   return [0, 1, 2].map(quantity => {

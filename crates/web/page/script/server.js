@@ -1,5 +1,6 @@
-// The program that this page came from, where it came from one: `use3d view`, or a training that is watched. Requests carry the token that stands
-// behind `#` in the address, which browsers send to nobody. `#TOKEN,server` has pictures drawn by the program, `#TOKEN,browser` here.
+// The program that this page came from, where it came from one: `use3d view`, or a training that is watched.
+// Requests carry the token that stands behind `#` in the address, which browsers send to nobody.
+// `#TOKEN,server` has pictures drawn by the program, `#TOKEN,browser` here.
 
 function makeServer() {
   if (JSON.parse(element('scene').textContent) !== null) return null;
@@ -33,8 +34,8 @@ function drawsInSoftware() {
   return !gl || /swiftshader|llvmpipe|softpipe|software/i.test(name);
 }
 
-// Pictures by the program, in the place of a renderer. One is asked for at a time; of what is wanted meanwhile only the newest counts, and the next
-// request goes out when the picture before is on the screen.
+// Pictures by the program, in the place of a renderer. One is asked for at a time; of what is wanted
+// meanwhile only the newest counts, and the next request goes out when the picture before is on the screen.
 function makeServerRenderer(canvas, server, shown) {
   const context = canvas.getContext('2d');
   let wanted = null, busy = false, patience = 500;

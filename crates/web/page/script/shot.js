@@ -1,4 +1,5 @@
-// A place and its look as files have them. Files are in the COLMAP frame, x_scene = scale (R x) + t, so that they outlive a scene that is trained again.
+// A place and its look as files have them. Files are in the COLMAP frame, x_scene = scale (R x) + t, so that
+// they outlive a scene that is trained again.
 
 // Rotation rows and centre in the COLMAP frame, and back.
 function toColmap(frame, { eye, rotation }) {

@@ -1,8 +1,9 @@
 // Puts Gaussians in order of depth along the optical axis, farthest first, in a thread of its own.
 //
-// Positive floats order as their bits do. Depths lie in [0.01, 1e4], so the 24 bits above the lowest four, counted from those of 0.01, tell
-// them apart to one part in half a million: two counting passes of 12 bits each. Both read what they move in the order in which it lies, and
-// write to as many places at a time as there are buckets, which the processor's caches hold.
+// Positive floats order as their bits do. Depths lie in [0.01, 1e4], so the 24 bits above the lowest four,
+// counted from those of 0.01, tell them apart to one part in half a million: two counting passes of 12 bits
+// each. Both read what they move in the order in which it lies, and write to as many places at a time as
+// there are buckets, which the processor's caches hold.
 'use strict';
 const NEAR = 0.01, FAR = 1e4, BUCKETS = 4096;
 const LOWEST = new Uint32Array(new Float32Array([NEAR]).buffer)[0];

@@ -1,4 +1,5 @@
-// Asks the worker for the order of a pose; one question is under way at a time, and of the waiting ones only the newest counts.
+// Asks the worker for the order of a pose; one question is under way at a time, and of the waiting ones only
+// the newest counts.
 
 function makeSorter(centres, sorted) {
   const source = document.getElementById('sort-worker').textContent;

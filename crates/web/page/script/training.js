@@ -1,5 +1,5 @@
-// The training that this page watches: how far it is, its curves, and what can be asked of it. Another scene, or another stage of it, opens the page
-// anew where one stands.
+// The training that this page watches: how far it is, its curves, and what can be asked of it. Another scene,
+// or another stage of it, opens the page anew where one stands.
 
 const PLACE = 'use3d place';
 

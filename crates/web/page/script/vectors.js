@@ -1,5 +1,5 @@
-// Vectors of three numbers as arrays, rotations as three rows [right, down, forward] in world coordinates (COLMAP's camera axes), and
-// quaternions [w, x, y, z] for turning smoothly from one rotation to another.
+// Vectors of three numbers as arrays, rotations as three rows [right, down, forward] in world coordinates
+// (COLMAP's camera axes), and quaternions [w, x, y, z] for turning smoothly from one rotation to another.
 
 const add = (a, b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
 const subtract = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];

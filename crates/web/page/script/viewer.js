@@ -1,5 +1,5 @@
-// The picture on the screen and when it is drawn anew: only when something changed, at a lower resolution while moving if the machine is
-// too slow for the full one, and at the full one once still.
+// The picture on the screen and when it is drawn anew: only when something changed, at a lower resolution
+// while moving if the machine is too slow for the full one, and at the full one once still.
 
 const SCALES = [1, 0.75, 0.5, 0.35, 0.25], SLOW = 45, FAST = 18, STILL = 160;
 
@@ -28,7 +28,8 @@ function makeViewer(canvas, scene) {
     steps: [],                // what moves the camera by itself, asked before every frame
   };
 
-  // Depth is shown between the 2 % and 98 % quantiles of what is in the picture, looked up in a small one of its own.
+  // Depth is shown between the 2 % and 98 % quantiles of what is in the picture, looked up in a small one of
+  // its own.
   function depthRange() {
     const aspect = canvas.clientWidth / Math.max(1, canvas.clientHeight), height = 54, width = Math.max(8, Math.round(height * aspect));
     const small = renderer.picture(camera.pinhole(width, height), { mode: 'depth', strength: 0, water: 0 });
@@ -48,7 +49,8 @@ function makeViewer(canvas, scene) {
       if (moving) setTimeout(invalidate, STILL + 10);
       return;
     }
-    // While moving, a frame that came late asks for a smaller picture; one that came early may have a larger one.
+    // While moving, a frame that came late asks for a smaller picture; one that came early may have a larger
+    // one.
     if (moving && now - shownAt < 400) {
       const took = now - shownAt;
       if (took > SLOW) rung = Math.min(rung + 1, SCALES.length - 1); else if (took < FAST && now - lastFrame > 800) { rung = Math.max(rung - 1, 0); lastFrame = now; }

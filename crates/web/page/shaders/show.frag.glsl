@@ -1,6 +1,6 @@
 #version 300 es
-// From the summed picture to the screen: colours are clamped; depth is the mean z = sum w z / sum w, near bright, far dark blue, scaled in
-// inverse depth as the eye reads distance, unknown black.
+// From the summed picture to the screen: colours are clamped; depth is the mean z = sum w z / sum w, near
+// bright, far dark blue, scaled in inverse depth as the eye reads distance, unknown black.
 precision highp float;
 uniform sampler2D picture;
 uniform bool depthOnly;

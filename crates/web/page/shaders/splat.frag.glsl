@@ -3,8 +3,9 @@
 //
 //   rgb = a (1 - sum w) c_m + sum w (c e^{-b_attn s} + c_m (1 - e^{-b_bs s})),    s = z |d(pixel)|
 //
-// so every Gaussian is drawn in the colour f = c e^{-b_attn s} + c_m (1 - e^{-b_bs s}) over the open water. The coefficients arrive with
-// the share a of the water that is left in them. Which parts are shown is a matter of two weights.
+// so every Gaussian is drawn in the colour f = c e^{-b_attn s} + c_m (1 - e^{-b_bs s}) over the open water.
+// The coefficients arrive with the share a of the water that is left in them. Which parts are shown is a
+// matter of two weights.
 precision highp float;
 in vec2 offset;
 flat in vec3 color;

@@ -1,13 +1,15 @@
 #version 300 es
-// What the water does along each pixel's ray: its colour at infinity c_m and the coefficients of backscatter and attenuation
-// (1 / scene unit), evaluated once per pixel into three targets.
+// What the water does along each pixel's ray: its colour at infinity c_m and the coefficients of backscatter
+// and attenuation (1 / scene unit), evaluated once per pixel into three targets.
 //
 //   kind 1 (harmonics):  raw_q = sum_b Y_b(w) A_qb,   c_m = max(raw + 0.5, 0),   beta = softplus(raw)
 //   kind 2 (baked):      the nine numbers are read from a cube of directions, which the exporter filled
 //
-// An enhanced water has its colour graded by a table over the guide gamma(c_m), and its coefficients scaled by two ratios:
+// An enhanced water has its colour graded by a table over the guide gamma(c_m), and its coefficients scaled
+// by two ratios:
 //
-//   h = sign(c) ln(1 + |c|),  gamma = tanh(w.h + b),  c+ = gain(gamma) (c + dA c + b_g) + bias(gamma),  beta+ = ratio beta
+//   h = sign(c) ln(1 + |c|),  gamma = tanh(w.h + b),
+//   c+ = gain(gamma) (c + dA c + b_g) + bias(gamma),  beta+ = ratio beta
 //
 // `amount` in [0, 1] is how much of the water is left: it scales both coefficients.
 precision highp float;
