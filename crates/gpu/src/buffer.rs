@@ -111,6 +111,11 @@ impl<T: Pod> Array<T> {
         Ok(array)
     }
 
+    /// Another of the same kind.
+    pub(crate) fn another(&self, gpu: &Gpu, capacity: usize) -> Result<Self, EngineError> {
+        Self::new(gpu, self.what, capacity)
+    }
+
     /// Bytes of so many items, padded to what the device copies at once.
     fn bytes(items: usize) -> u64 {
         (items * size_of::<T>()).next_multiple_of(16) as u64
@@ -137,9 +142,7 @@ impl<T: Pod> Array<T> {
             return Ok(false);
         }
         gpu.fits(self.what, Self::bytes(items))?;
-        gpu.forget_bindings();
-        self.buffer.destroy();
-        self.held.let_go();
+        self.let_go(gpu);
         (self.buffer, self.held) = create(gpu, self.what, Self::bytes(items), false)?;
         self.capacity = items;
         Ok(true)
@@ -154,6 +157,21 @@ impl<T: Pod> Array<T> {
         let bytes: &[u8] = bytemuck::cast_slice(items);
         let offset = (first * size_of::<T>()) as u64;
         gpu.queue.write_buffer(&self.buffer, offset, bytes);
+    }
+
+    /// Gives its room back. Bindings may name it until they are asked for again; they keep no room.
+    pub(crate) fn let_go(&mut self, gpu: &Gpu) {
+        gpu.forget_bindings();
+        self.buffer.destroy();
+        self.held.let_go();
+        self.capacity = 0;
+    }
+
+    /// Makes every item zero.
+    pub(crate) fn clear(&self, gpu: &Gpu) {
+        let mut encoder = gpu.device.create_command_encoder(&Default::default());
+        encoder.clear_buffer(&self.buffer, 0, None);
+        gpu.submit(encoder);
     }
 
     /// The first items, waited for.
@@ -188,6 +206,8 @@ mod tests {
         array.write(&gpu, 0, &[6]);
         let together = read_together(&gpu, [(array.raw(), 1), (array.raw(), 0), (other.raw(), 900)]).unwrap();
         assert_eq!(together, [vec![6], vec![], vec![0.5f32.to_bits(), 0.25f32.to_bits(), 0, 0]]);
+        array.clear(&gpu);
+        assert_eq!(array.read(&gpu, 5).unwrap(), [0; 5]);
         assert!(!array.grow(&gpu, 5).unwrap() && array.grow(&gpu, 700).unwrap());
         assert_eq!((array.capacity(), array.read(&gpu, 700).unwrap()), (700, vec![0; 700]));
     }
@@ -202,6 +222,9 @@ mod tests {
         let mut array = Array::<u32>::new(&gpu, "records", 1000).unwrap();
         array.grow(&gpu, 3000).unwrap();
         assert_eq!(gpu.held(), held + 12_000);
+        array.let_go(&gpu);
+        assert_eq!((gpu.held(), array.capacity()), (held, 0));
+        assert!(array.grow(&gpu, 9).unwrap() && gpu.held() == held + 48);
         drop(array);
         assert_eq!(gpu.held(), held);
         gpu.run_out_of_memory();

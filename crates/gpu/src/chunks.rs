@@ -42,6 +42,16 @@ impl Chunked {
         Ok(all)
     }
 
+    /// Another of the same kind, for so many Gaussians.
+    pub(crate) fn another(&self, gpu: &Gpu, n: usize) -> Result<Self, EngineError> {
+        Self::new(gpu, self.what, self.width, n)
+    }
+
+    /// Gives its room back.
+    pub(crate) fn let_go(&mut self, gpu: &Gpu) {
+        self.chunks.iter_mut().for_each(|chunk| chunk.floats.let_go(gpu));
+    }
+
     /// Makes room.
     pub(crate) fn grow(&mut self, gpu: &Gpu, n: usize) -> Result<(), EngineError> {
         let Self { what, width, most, chunks } = self;

@@ -288,6 +288,8 @@ pub struct Gpu {
     passed_over: Arc<[String]>,
     /// Bytes of buffers that are there now.
     held: Arc<AtomicU64>,
+    /// The most that there were.
+    peak: Arc<AtomicU64>,
 }
 
 /// Bytes of a buffer, counted as long as it is there.
@@ -372,6 +374,7 @@ impl Gpu {
             fallback: None,
             passed_over: Arc::from([]),
             held: Arc::default(),
+            peak: Arc::default(),
         };
         // Software takes the portable one, whose bits no vector width changes.
         if !gpu.report.is_software()
@@ -501,13 +504,20 @@ impl Gpu {
 
     /// Counts a buffer.
     pub(crate) fn hold(&self, bytes: u64) -> Held {
-        self.held.fetch_add(bytes, Ordering::Relaxed);
+        let held = bytes + self.held.fetch_add(bytes, Ordering::Relaxed);
+        self.peak.fetch_max(held, Ordering::Relaxed);
         Held { all: self.held.clone(), bytes }
     }
 
     /// Bytes of all buffers.
     pub(crate) fn held(&self) -> u64 {
         self.held.load(Ordering::Relaxed)
+    }
+
+    /// The most bytes that all buffers had since this was asked last.
+    #[cfg(test)]
+    pub(crate) fn peak(&self) -> u64 {
+        self.peak.swap(self.held(), Ordering::Relaxed)
     }
 
     /// Bytes of the longest buffer that a kernel can see.

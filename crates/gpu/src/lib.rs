@@ -61,6 +61,7 @@ mod lists;
 mod losses;
 mod profile;
 mod raster;
+mod rebuild;
 mod scene;
 mod sort;
 mod stage1;
@@ -91,7 +92,7 @@ pub fn kernel_sources() -> Vec<String> {
 
 /// Every kernel in every variant.
 fn specs() -> Vec<kernel::Spec> {
-    let own = [sort::specs(), lists::specs(), raster::specs(), update::specs()].concat();
+    let own = [sort::specs(), lists::specs(), raster::specs(), update::specs(), rebuild::specs()].concat();
     let further = own.into_iter().chain(losses::specs()).chain(water::specs());
     further.chain(stage1::specs()).chain(stage2::specs()).chain(linear::specs()).collect()
 }

@@ -46,13 +46,20 @@ impl Parameters {
         self.colors.grow(gpu, n)
     }
 
+    /// The geometry of a Gaussian.
+    pub(crate) fn rows(
+        [x, y, z]: [f32; 3],
+        [a, b, c]: [f32; 3],
+        quaternion: [f32; 4],
+        logit: f32,
+    ) -> [Row; GEOMETRY] {
+        [[x, y, z, logit], [a, b, c, 0.0], quaternion]
+    }
+
     /// Takes these Gaussians, for which there is room.
     pub(crate) fn write(&self, gpu: &Gpu, g: &Gaussians) {
         let rows: Vec<Row> = (0..g.len())
-            .flat_map(|i| {
-                let ([x, y, z], [a, b, c]) = (g.means[i], g.log_scales[i]);
-                [[x, y, z, g.opacity_logits[i]], [a, b, c, 0.0], g.quaternions[i]]
-            })
+            .flat_map(|i| Self::rows(g.means[i], g.log_scales[i], g.quaternions[i], g.opacity_logits[i]))
             .collect();
         self.geometry.write(gpu, 0, &rows);
         self.colors.write(gpu, g.sh.as_flattened().as_flattened());
@@ -115,6 +122,20 @@ impl DeviceScene {
         })
     }
 
+    /// Refuses more Gaussians than there can be.
+    pub(crate) fn refuse_more(gpu: &Gpu, n: usize) -> Result<(), EngineError> {
+        let most = gpu.most_gaussians();
+        if n <= most {
+            return Ok(());
+        }
+        let (name, bytes) = (&gpu.adapter().name, SPLAT * size_of::<Row>() * n);
+        let what = format!(
+            "the splats of {n} Gaussians would take {bytes} bytes in one piece, `{name}` binds at most {}: {most} Gaussians (`max_gaussians`)",
+            gpu.longest()
+        );
+        Err(EngineError::OutOfMemory { engine: NAME, what })
+    }
+
     /// Takes a scene from main memory. All have one length.
     pub(crate) fn write(
         &mut self,
@@ -124,15 +145,7 @@ impl DeviceScene {
         statistics: &Statistics,
     ) -> Result<(), EngineError> {
         let n = gaussians.len();
-        let most = gpu.most_gaussians();
-        if n > most {
-            let (name, bytes) = (&gpu.adapter().name, SPLAT * size_of::<Row>() * n);
-            let what = format!(
-                "the splats of {n} Gaussians would take {bytes} bytes in one piece, `{name}` binds at most {}: {most} Gaussians (`max_gaussians`)",
-                gpu.longest()
-            );
-            return Err(EngineError::OutOfMemory { engine: NAME, what });
-        }
+        Self::refuse_more(gpu, n)?;
         (self.count, self.sh_degree) = (n, gaussians.sh_degree);
         for (to, from) in [
             (&mut self.values, gaussians),
@@ -147,8 +160,13 @@ impl DeviceScene {
         Ok(())
     }
 
+    /// Statistics of Gaussians that were not seen yet.
+    pub(crate) fn forget_statistics(&self, gpu: &Gpu) {
+        self.statistics.clear(gpu);
+    }
+
     /// Takes other statistics of the same Gaussians.
-    pub(crate) fn write_statistics(&self, gpu: &Gpu, statistics: &Statistics) {
+    fn write_statistics(&self, gpu: &Gpu, statistics: &Statistics) {
         let rows: Vec<[u32; 2]> =
             statistics.norms.iter().zip(&statistics.renders).map(|(n, r)| [n.to_bits(), *r]).collect();
         self.statistics.write(gpu, 0, &rows);

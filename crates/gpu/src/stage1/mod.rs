@@ -20,9 +20,7 @@ use std::collections::VecDeque;
 use use3d_capture::{Camera, Image};
 use use3d_medium::MediumModel;
 use use3d_reconstruct::density::{self, Draws, Origin, Survey};
-use use3d_reconstruct::engine::{
-    Degrees, Diagnostics, Engine, Statistics, StepPlan, StepReport, TrainingState,
-};
+use use3d_reconstruct::engine::{Degrees, Diagnostics, Engine, StepPlan, StepReport, TrainingState};
 use use3d_reconstruct::{Exposures, TrainingView};
 use use3d_splat::Gaussians;
 use use3d_training::guard::first_non_finite;
@@ -35,6 +33,7 @@ use crate::kernel::submit;
 use crate::lists::{ListKernels, Lists};
 use crate::losses::{Gains, Losses};
 use crate::raster::{Planes, RasterKernels, WaterPlanes};
+use crate::rebuild::RebuildKernel;
 use crate::scene::{DeviceScene, Row};
 use crate::update::UpdateKernels;
 use crate::water::Water;
@@ -58,6 +57,7 @@ struct Kernels {
     lists: ListKernels,
     raster: RasterKernels,
     update: UpdateKernels,
+    rebuild: RebuildKernel,
 }
 
 /// A step that was asked for and not reported yet.
@@ -95,6 +95,8 @@ pub struct Stage1 {
     asked: VecDeque<Asked>,
     slot: usize,
     done: Vec<StepReport>,
+    /// Shapes that a survey read, as long as they are the scene's.
+    surveyed: Option<Gaussians>,
 }
 
 impl Stage1 {
@@ -105,6 +107,7 @@ impl Stage1 {
                 lists: ListKernels::new(gpu)?,
                 raster: RasterKernels::new(gpu)?,
                 update: UpdateKernels::new(gpu)?,
+                rebuild: RebuildKernel::new(gpu)?,
             },
             targets: Targets::default(),
             scene: DeviceScene::new(gpu)?,
@@ -125,6 +128,7 @@ impl Stage1 {
             asked: VecDeque::new(),
             slot: 0,
             done: Vec::new(),
+            surveyed: None,
             gpu: gpu.clone(),
         })
     }
@@ -232,6 +236,7 @@ impl Engine for Stage1 {
         state.check(self.targets.views.len())?;
         self.asked.clear();
         self.done.clear();
+        self.surveyed = None;
         let TrainingState { gaussians, moments, statistics, medium, medium_moments, exposures, .. } = &state;
         self.water = Water::new(&self.gpu, medium, [&medium_moments[0], &medium_moments[1]])?;
         self.gains = Gains::new(&self.gpu, exposures)?;
@@ -265,6 +270,7 @@ impl Engine for Stage1 {
         if view >= views {
             return self.refused(format!("view {view} was not uploaded; there are {views}"));
         }
+        self.surveyed = None;
         if self.asked.len() >= UNDER_WAY {
             self.settle()?;
         }
@@ -280,16 +286,19 @@ impl Engine for Stage1 {
 
     fn survey(&mut self) -> Result<Survey, EngineError> {
         self.settle()?;
-        Ok(Survey::of(&self.scene.shapes(&self.gpu)?, &self.scene.statistics(&self.gpu)?))
+        let shapes = self.scene.shapes(&self.gpu)?;
+        let survey = Survey::of(&shapes, &self.scene.statistics(&self.gpu)?);
+        self.surveyed = Some(shapes);
+        Ok(survey)
     }
 
     fn forget_statistics(&mut self) -> Result<(), EngineError> {
         self.settle()?;
-        self.scene.write_statistics(&self.gpu, &Statistics::new(self.scene.count));
+        self.scene.forget_statistics(&self.gpu);
         self.gpu.check()
     }
 
-    /// Through main memory: refinements are rare, and rows that are made there are the same for every engine.
+    /// On the device, but for the shapes of children, so that these are the same for every engine.
     fn rebuild(&mut self, rows: &[Origin], draws: &Draws) -> Result<(), EngineError> {
         self.settle()?;
         let n = self.scene.count;
@@ -297,20 +306,27 @@ impl Engine for Stage1 {
             let from = rows[row].source();
             return self.refused(format!("row {row} comes from Gaussian {from}; there are {n}"));
         }
-        let statistics = Statistics::new(rows.len());
+        let shapes = self.surveyed.take();
         let same = |(i, row): (usize, &Origin)| *row == Origin::Kept(i);
         if rows.len() == n && rows.iter().enumerate().all(same) {
-            self.scene.write_statistics(&self.gpu, &statistics);
+            self.scene.forget_statistics(&self.gpu);
             return self.gpu.check();
         }
-        let gaussians = density::rebuilt(&self.scene.gaussians(&self.gpu)?, rows, draws);
-        let moments = self.scene.moments(&self.gpu)?.rebuilt(rows);
-        self.scene.write(&self.gpu, &gaussians, &moments, &statistics)?;
+        let shapes = match shapes {
+            Some(shapes) => shapes,
+            None => self.scene.shapes(&self.gpu)?,
+        };
+        DeviceScene::refuse_more(&self.gpu, rows.len())?;
+        // The records of a step are no longer needed: their room is lent to rows on their way.
+        self.records.let_go(&self.gpu);
+        self.scene.rebuild(&self.gpu, &self.kernels.rebuild, &shapes, rows, draws)?;
+        self.records.grow(&self.gpu, 3 * self.lists.capacity())?;
         self.gpu.check()
     }
 
     fn limit_opacity(&mut self, ceiling: f64) -> Result<(), EngineError> {
         self.settle()?;
+        self.surveyed = None;
         let (update, scene, gpu) = (&self.kernels.update, &self.scene, &self.gpu);
         let logit = density::logit(ceiling);
         submit(gpu, "opacity ceiling", |pass| update.record_limit(gpu, pass, scene, logit))

@@ -49,6 +49,16 @@ impl Draws {
     pub fn smaller(&self) -> f32 {
         math::ln(self.shrink) as f32
     }
+
+    /// Mean and log scales of a child. Everything else it has of its parent. Colours are not looked at.
+    pub fn child(&self, gaussians: &Gaussians, parent: usize, child: usize) -> ([f32; 3], [f32; 3]) {
+        let (place, smaller) = (self.place(parent, child), self.smaller());
+        let (mean, log_scales) = (gaussians.means[parent], gaussians.log_scales[parent]);
+        let local = std::array::from_fn(|axis| math::exp(f64::from(log_scales[axis])) * place[axis]);
+        let offset = rotate(gaussians.quaternions[parent], local);
+        let mean = std::array::from_fn(|axis| mean[axis] + offset[axis] as f32);
+        (mean, log_scales.map(|s| s - smaller))
+    }
 }
 
 /// The Gaussians of these rows: what is kept and twins as they are, children drawn
@@ -56,17 +66,9 @@ impl Draws {
 pub fn rebuilt(gaussians: &Gaussians, rows: &[Origin], draws: &Draws) -> Gaussians {
     let sources: Vec<usize> = rows.iter().map(|row| row.source()).collect();
     let mut refined = gaussians.select(&sources);
-    let smaller = draws.smaller();
     for (row, origin) in rows.iter().enumerate() {
-        let Origin::Child(parent, child) = *origin else { continue };
-        let place = draws.place(parent, child);
-        let local: [f64; 3] = std::array::from_fn(|axis| {
-            math::exp(f64::from(gaussians.log_scales[parent][axis])) * place[axis]
-        });
-        let offset = rotate(gaussians.quaternions[parent], local);
-        for axis in 0..3 {
-            refined.means[row][axis] += offset[axis] as f32;
-            refined.log_scales[row][axis] -= smaller;
+        if let Origin::Child(parent, child) = *origin {
+            (refined.means[row], refined.log_scales[row]) = draws.child(gaussians, parent, child);
         }
     }
     refined
