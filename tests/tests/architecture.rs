@@ -44,6 +44,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "medium",
             "metrics",
             "ubaf",
+            "atc",
             "training",
             "scene",
             "reconstruct",

@@ -11,18 +11,22 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::time::Instant;
 
+use use3d_enhance::engine::{FieldEngine, FieldPlan, FieldReport, FieldState, initial_field};
+use use3d_enhance::{EnhanceParams, Guidance};
+use use3d_reconstruct::density::{Draws, Origin};
 use use3d_reconstruct::engine::{Diagnostics, Engine, TrainingState};
-use use3d_training::{Drain, EngineError};
+use use3d_training::{Drain, EngineError, Silent};
 
 use crate::ceilings::{Ceilings, measure, need};
 use crate::check::{CheckError, check};
 use crate::device::Gpu;
 use crate::profile::KernelTime;
 use crate::stage1::{Stage1, ViewWork};
+use crate::stage2::Stage2;
 use crate::twins::{self, Agreement, LossCase, Packed, WaterCase};
 pub use records::{
-    AdapterRecord, BenchRecord, CeilingsRecord, CheckRecord, DeterminismRecord, FailedRecord, KernelRecord,
-    RooflineRecord, TimesRecord, TrainingRecord, TwinRecord, ViewRecord,
+    AdapterRecord, BenchRecord, CeilingsRecord, CheckRecord, DeterminismRecord, EnhancementRecord,
+    FailedRecord, KernelRecord, RooflineRecord, TimesRecord, TrainingRecord, TwinRecord, ViewRecord,
 };
 
 /// What is run.
@@ -196,6 +200,49 @@ fn race(gpu: &Gpu, scene: &Packed, steps: u64, record: &mut TrainingRecord) -> R
     Ok(())
 }
 
+/// Milliseconds of a refinement that replaces every twentieth Gaussian by two.
+fn refine(engine: &mut Stage1, scene: &Packed) -> Result<f64, EngineError> {
+    let split = |i: &usize| i.is_multiple_of(20);
+    let kept = (0..scene.gaussians).filter(|i| !split(i)).map(Origin::Kept);
+    let children = (0..scene.gaussians).filter(split).flat_map(|i| [0, 1].map(|k| Origin::Child(i, k)));
+    let rows: Vec<Origin> = kept.chain(children).collect();
+    let started = Instant::now();
+    engine.survey()?;
+    engine.rebuild(&rows, &Draws { seed: scene.seed, step: 100, shrink: 1.6 })?;
+    Ok(1e3 * started.elapsed().as_secs_f64())
+}
+
+/// Steps of stage 2 on a packed scene against the processor's clock, after one of each view.
+fn enhance(gpu: &Gpu, scene: &Packed, steps: u64) -> Result<EnhancementRecord, EngineError> {
+    let (packed, targets, views) = (scene.scene(), scene.targets(), scene.enhance_views()?);
+    let (guidance, params) = (Guidance::Targets(&targets), EnhanceParams::default());
+    let mut engine =
+        Stage2::new(gpu, &packed, &views, guidance, &params, &mut Silent).map_err(twins::failed)?;
+    let field = initial_field(&packed, guidance, &params).map_err(twins::failed)?;
+    engine.load(FieldState::new(&field))?;
+    let count = scene.views.max(1) as u64;
+    let mut go_on = |steps: Range<u64>| {
+        for step in steps {
+            let plan = FieldPlan { step, rate: 5e-3, transport_rate: 1e-3 };
+            engine.step((step % count) as usize, &plan)?;
+        }
+        engine.drain(Drain::All)
+    };
+    go_on(0..count)?;
+    let started = Instant::now();
+    let reports = go_on(count..count + steps)?;
+    let seconds = started.elapsed().as_secs_f64();
+    if let Some((what, _)) = reports.iter().find_map(|report| report.non_finite) {
+        return Err(EngineError::Failed(format!("{what} of a packed scene is not finite").into()));
+    }
+    let mean = |reports: &[FieldReport]| {
+        reports.iter().map(|report| report.losses.total).sum::<f64>() / reports.len().max(1) as f64
+    };
+    let few = scene.views.min(reports.len());
+    let loss = [mean(&reports[..few]), mean(&reports[reports.len() - few..])];
+    Ok(EnhancementRecord { steps, steps_per_second: steps as f64 / seconds, loss })
+}
+
 /// Trains on a packed scene: first against the processor's clock, then with the device's around every kernel.
 /// What was found before a failure stays in the record.
 fn train(
@@ -219,8 +266,9 @@ fn train(
         }
         Ok::<_, EngineError>((times, engine))
     };
-    let (times, engine) = profile(gpu.variant())?;
+    let (times, mut engine) = profile(gpu.variant())?;
     let work = engine.last_view([scene.width, scene.height])?;
+    record.refinement_milliseconds = Some(refine(&mut engine, scene)?);
     drop(engine);
     let dispatches: u64 = times.values().map(|time| time.dispatches).sum();
     record.kernels = kernel_records(times);
@@ -237,6 +285,7 @@ fn train(
             record.backward_milliseconds.insert(variant.to_string(), kernel.milliseconds);
         }
     }
+    record.enhancement = Some(enhance(gpu, scene, steps)?);
     Ok(())
 }
 
@@ -299,6 +348,9 @@ impl Bench<'_> {
                 let case = format!("step, {variant}, {scene:?}");
                 found.extend(twins::step(&mut engine, &scene)?.into_iter().map(|a| (case.clone(), a)));
             }
+            let scene = Packed { width: 61, height: 47, gaussians: 600, views: 2, seed: 3 };
+            let further = twins::pictures(gpu, &scene)?.into_iter().chain(twins::field(gpu, &scene)?);
+            found.extend(further.map(|a| (format!("{scene:?}"), a)));
             Ok(())
         });
         let record = |(case, agreement): (String, Agreement)| {
@@ -324,6 +376,11 @@ impl Bench<'_> {
                         hasher.update(&agreement.digest);
                     }
                     let scene = Packed { width: 96, height: 64, gaussians: 2000, views: 3, seed: 5 };
+                    for agreement in
+                        twins::pictures(&gpu, &scene)?.into_iter().chain(twins::field(&gpu, &scene)?)
+                    {
+                        hasher.update(&agreement.digest);
+                    }
                     let mut engine = begun(&gpu, &scene)?;
                     go_on(&mut engine, &scene, 3..12)?;
                     hasher.update(digest(engine.save()?.as_ref()).as_bytes());
@@ -390,7 +447,7 @@ pub fn bench(
 ) -> BenchRecord {
     let record = BenchRecord {
         format: "3d-use gpu bench",
-        version: 5,
+        version: 6,
         adapter: gpu.adapter().into(),
         variant: gpu.kernels(),
         check: None,
@@ -491,6 +548,10 @@ mod tests {
         let (busy, idle) = (training.busy_milliseconds_per_step.unwrap(), training.idle_share.unwrap());
         assert!(busy > 0.0 && busy <= 1e3 / training.steps_per_second, "{training:?}");
         assert!((0.0..1.0).contains(&idle), "{training:?}");
+        assert!(training.refinement_milliseconds.is_some_and(|time| time > 0.0), "{training:?}");
+        let enhancement = training.enhancement.as_ref().unwrap();
+        assert!(enhancement.steps == 5 && enhancement.steps_per_second > 0.0, "{enhancement:?}");
+        assert!(enhancement.loss.iter().all(|loss| *loss > 0.0), "{enhancement:?}");
         let view = training.view.unwrap();
         assert!(view.visible > 0 && view.visible <= 60 && view.entries > 0, "{view:?}");
         assert!(0.0 < view.live_per_pixel && view.live_per_pixel <= view.tested_per_pixel, "{view:?}");

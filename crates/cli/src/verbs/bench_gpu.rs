@@ -66,6 +66,12 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
             let idle = idle.unwrap_or_default();
             say(&format!("{width} x {height}, {n} Gaussians: {rate:.1} steps a second{idle}"));
         }
+        if let Some(time) = training.refinement_milliseconds {
+            say(&format!("  a refinement: {time:.1} ms"));
+        }
+        if let Some(enhancement) = &training.enhancement {
+            say(&format!("  stage 2: {:.1} steps a second", enhancement.steps_per_second));
+        }
         if let Some(refusal) = &training.refusal {
             say(&format!("{width} x {height}, {n} Gaussians: {refusal}"));
         }

@@ -48,7 +48,7 @@ pub struct FailedRecord {
     pub why: String,
 }
 
-/// A training of stage 1, everything switched on.
+/// A training of stage 1, everything switched on, and one of stage 2 on the scene that it began with.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct TrainingRecord {
     /// Pixels across and down.
@@ -80,8 +80,24 @@ pub struct TrainingRecord {
     pub roofline: BTreeMap<&'static str, RooflineRecord>,
     /// Mean time of the backward pass in every variant, with every number of pixels to a thread, milliseconds.
     pub backward_milliseconds: BTreeMap<String, f64>,
+    /// A refinement that replaces every twentieth Gaussian by two: survey and rebuilt scene, by the processor's
+    /// clock, milliseconds.
+    pub refinement_milliseconds: Option<f64>,
+    /// The training of stage 2.
+    pub enhancement: Option<EnhancementRecord>,
     /// Why figures are missing, all or those of kernels: the device has too little memory, say.
     pub refusal: Option<String>,
+}
+
+/// A training of stage 2 with transition targets, whose extractor is on the processor.
+#[derive(Clone, Debug, Serialize)]
+pub struct EnhancementRecord {
+    /// Steps that were timed.
+    pub steps: u64,
+    /// Of them in a second, by the processor's clock.
+    pub steps_per_second: f64,
+    /// Mean loss of the first steps that were timed, one of each view, and of the last.
+    pub loss: [f64; 2],
 }
 
 /// An adapter and its limits.

@@ -3,7 +3,9 @@
 //! The tests hold them to their bars over many sizes; the check at the start and the benchmark run some of
 //! them on the adapter at hand, so that a driver that computes wrongly is found before a training is.
 
+mod field;
 mod losses;
+mod pictures;
 mod scene;
 mod steps;
 mod water;
@@ -14,7 +16,10 @@ use use3d_training::EngineError;
 use crate::device::Gpu;
 use crate::stage1::Stage1;
 
+pub(crate) use field::failed;
+pub use field::field;
 pub use losses::{LossCase, losses};
+pub use pictures::pictures;
 pub use scene::Packed;
 pub use steps::step;
 pub use water::{WaterCase, water};
@@ -67,13 +72,15 @@ impl Agreement {
     }
 }
 
-/// Every twin at a small size, and a whole step of stage 1: what the check at the start runs.
+/// Every twin at a small size, a picture, and a whole step of each stage: what the check at the start runs.
 pub fn small(gpu: &Gpu) -> Result<Vec<Agreement>, EngineError> {
     let mut all =
         losses(gpu, &LossCase { width: 61, height: 47, seed: 1, mask: true, prior: true, gains: true })?;
     all.extend(water(gpu, &WaterCase { width: 61, height: 47, seed: 1, anchors: 8, top_k: 4, degree: 3 })?);
     let scene = Packed { width: 48, height: 32, gaussians: 150, views: 1, seed: 1 };
     all.extend(step(&mut Stage1::new(gpu)?, &scene)?);
+    all.extend(pictures(gpu, &scene)?);
+    all.extend(field(gpu, &scene)?);
     Ok(all)
 }
 

@@ -1,10 +1,15 @@
 //! A packed scene with photographs, made from draws: what whole steps are compared and timed on.
 
-use use3d_capture::{Camera, FileName, Intrinsics, Map, Pixels, Pose, Raster, View};
+use use3d_atc::consensus::{LocalConsensus, Targets};
+use use3d_atc::extractor::ExtractorSettings;
+use use3d_atc::proposers::ProposerId;
+use use3d_capture::{Appearance, Camera, FileName, Frame, Intrinsics, Map, Pixels, Pose, Raster, View};
+use use3d_enhance::EnhanceView;
 use use3d_medium::{MediumModel, MediumRbf};
 use use3d_numerics::math;
 use use3d_reconstruct::engine::{Degrees, StepPlan, StepRates, TrainingState};
 use use3d_reconstruct::{LoadedView, ReconstructParams, TrainingView, losses};
+use use3d_scene::Scene;
 use use3d_splat::Gaussians;
 use use3d_training::EngineError;
 
@@ -51,6 +56,44 @@ impl Packed {
             }));
         }
         TrainingState::new(gaussians, MediumModel::Rbf(MediumRbf::new(8, 4)), &[])
+    }
+
+    /// The same as a finished scene.
+    pub fn scene(&self) -> Scene {
+        let TrainingState { gaussians, medium, .. } = self.state();
+        Scene { gaussians, frame: Frame::IDENTITY, medium, medium_degree: 3, enhancement: None }
+    }
+
+    /// Its views for stage 2, which go by names and cameras.
+    pub fn enhance_views(&self) -> Result<Vec<EnhanceView>, EngineError> {
+        let view = |(index, camera)| EnhanceView { name: format!("{index}.png"), camera };
+        Ok(self.cameras()?.into_iter().enumerate().map(view).collect())
+    }
+
+    /// Targets that stage 2 can be timed on: one global operator, and a local one for every Gaussian.
+    pub fn targets(&self) -> Targets {
+        let n = self.gaussians;
+        let operator = std::array::from_fn(|i| 0.02 * (i as f64 - 5.0));
+        Targets {
+            extractor: ExtractorSettings::default(),
+            proposer: ProposerId::default(),
+            appearance: Appearance::Water,
+            scene: operator,
+            dispersion: 0.0,
+            global_scales: [0.2; 12],
+            local_scales: [0.1; 6],
+            views: (0..self.views).map(|index| (format!("{index}.png"), operator)).collect(),
+            state: LocalConsensus {
+                mean: (0..n).map(|i| std::array::from_fn(|q| 1e-2 * ((i + q) % 7) as f32)).collect(),
+                weight: vec![1.0; n],
+                count: vec![3; n],
+            },
+        }
+    }
+
+    /// The cameras of its photographs.
+    pub fn cameras(&self) -> Result<Vec<Camera>, EngineError> {
+        Ok(self.training_views()?.iter().map(|view| view.camera_over(1).0).collect())
     }
 
     /// Its photographs, with masks and depth priors.

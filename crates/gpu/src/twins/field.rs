@@ -1,0 +1,111 @@
+//! A step of stage 2: the device's engine beside the processor's, from the same state.
+//!
+//! The views are compared with labels, pixel by pixel. The extractor, which transition targets ask for, is on
+//! the processor in both engines, and answers to the last digits of a render a hundredfold.
+
+use use3d_capture::Image;
+use use3d_enhance::engine::{CpuFieldEngine, FieldEngine, FieldPlan, FieldState, initial_field};
+use use3d_enhance::{EnhanceError, EnhanceParams, Guidance, LabelSource, Objective, PseudoLabels};
+use use3d_numerics::math;
+use use3d_training::{Drain, EngineError, Silent};
+
+use super::{Agreement, Packed, draws};
+use crate::device::Gpu;
+use crate::stage2::Stage2;
+
+/// Labels that no enhancement of the scene gives.
+struct Waves {
+    width: usize,
+    height: usize,
+}
+
+impl LabelSource for Waves {
+    fn label(&self, index: usize) -> Result<Image, String> {
+        let value = |i: usize| 0.5 + 0.4 * math::sin(0.1 * (i + index) as f32);
+        let planes = (0..3 * self.width * self.height).map(value).collect();
+        Image::from_planes(self.width, self.height, planes).ok_or_else(|| "no pixels".into())
+    }
+}
+
+/// What an engine of stage 2 cannot be made for.
+pub(crate) fn failed(error: EnhanceError) -> EngineError {
+    match error {
+        EnhanceError::Engine(error) => error,
+        other => EngineError::Failed(Box::new(other)),
+    }
+}
+
+/// A step of every view of a packed scene: the loss, gradients by groups of the field's parameters, outputs.
+pub fn field(gpu: &Gpu, scene: &Packed) -> Result<Vec<Agreement>, EngineError> {
+    let Packed { width, height, .. } = *scene;
+    let views = scene.enhance_views()?;
+    let packed = scene.scene();
+    let params = EnhanceParams {
+        objective: Objective::PseudoLabels,
+        sample_side: 0,
+        seed: scene.seed,
+        ..EnhanceParams::default()
+    };
+    let labels = PseudoLabels::new(&Waves { width, height }, &views, &params).map_err(failed)?;
+    let guidance = Guidance::Labels(&labels);
+    // Away from the identity, where every parameter has a derivative.
+    let mut field = initial_field(&packed, guidance, &params).map_err(failed)?;
+    let stream = draws("field of a packed scene", scene.seed);
+    for (p, i) in field.parameters.iter_mut().zip(0..) {
+        *p += 0.3 * stream.normal(i) as f32;
+    }
+    let mut ours = CpuFieldEngine::new(&packed, &views, guidance, &params, &mut Silent).map_err(failed)?;
+    let mut device = Stage2::new(gpu, &packed, &views, guidance, &params, &mut Silent).map_err(failed)?;
+    let shape = field.shape();
+    let groups = [
+        ("factors", shape.factors()),
+        ("hidden weights", shape.hidden_weight()),
+        ("hidden biases", shape.hidden_bias()),
+        ("output weights", shape.output_weight()),
+        ("output biases", shape.output_bias()),
+        ("guide", shape.guide()),
+        ("affine", shape.affine()),
+        ("transport", shape.transport()),
+    ];
+    let mut all = Vec::new();
+    for index in 0..views.len() {
+        // Moments of nothing but this step: the first ones are the gradient times a constant.
+        let start = FieldState::new(&field);
+        let plan = FieldPlan { step: index as u64, rate: 1e-3, transport_rate: 2e-4 };
+        let mut losses = [0.0; 2];
+        for (loss, engine) in losses.iter_mut().zip([&mut device as &mut dyn FieldEngine, &mut ours]) {
+            engine.load(start.clone())?;
+            engine.step(index, &plan)?;
+            *loss = engine.drain(Drain::All)?.first().map_or(f64::NAN, |report| report.losses.total);
+        }
+        let [found, expected] = losses;
+        all.push(Agreement::of_values("stage 2: loss", found, expected, 1e-4 * expected.abs()));
+        let (found, expected) = (device.save()?, ours.save()?);
+        for (what, range) in &groups {
+            let what = format!("stage 2: gradients of {what}");
+            all.push(Agreement::of(what, &found.first[range.clone()], &expected.first[range.clone()], 1e-4));
+        }
+        let centres = (device.centre()?, ours.centre()?);
+        all.push(Agreement::of("stage 2: mean that is removed", &centres.0, &centres.1, 1e-4));
+        field.parameters = expected.parameters;
+    }
+    Ok(all)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::software;
+
+    #[test]
+    fn a_step_of_stage_2_agrees_and_every_group_has_a_gradient() {
+        let Some(gpu) = software() else { return };
+        let scene = Packed { width: 48, height: 32, gaussians: 150, views: 2, seed: 1 };
+        let found = field(&gpu, &scene).unwrap();
+        assert_eq!(found.len(), 20);
+        for agreement in &found {
+            assert!(agreement.error <= 0.1 * agreement.bar.max(1e-4), "{agreement:?}");
+            assert!(agreement.error > 0.0 || agreement.bar > 0.0, "{agreement:?}");
+        }
+    }
+}
