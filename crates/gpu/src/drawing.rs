@@ -10,8 +10,8 @@ use use3d_training::EngineError;
 
 use crate::buffer::{Array, read_together};
 use crate::chunks::Chunked;
+use crate::constants::{StepConstants, counts};
 use crate::device::{Gpu, NAME};
-use crate::frame::{Frame, counts};
 use crate::kernel::submit;
 use crate::lists::{ListKernels, Lists};
 use crate::raster::{Outputs, Planes, RasterKernels, WaterPlanes};
@@ -47,7 +47,7 @@ pub struct Drawing {
     planes: Planes,
     /// `c_m`, and `k` of attenuation and backscatter.
     water: [Array<f32>; 3],
-    frame: Array<Frame>,
+    constants: Array<StepConstants>,
     counts: Array<u32>,
 }
 
@@ -68,7 +68,7 @@ impl Drawing {
             lists: Lists::new(gpu)?,
             planes: Planes::new(gpu)?,
             water: [plane("the water's colour")?, plane("attenuation")?, plane("backscatter")?],
-            frame: Array::uniform(gpu, "frame")?,
+            constants: Array::uniform(gpu, "constants")?,
             counts: Array::new(gpu, "counts of a picture", counts::WORDS)?,
             gpu: gpu.clone(),
         })
@@ -137,24 +137,29 @@ impl Drawing {
         let gpu = &self.gpu;
         self.planes.grow(gpu, view.lattice.width() * view.lattice.height())?;
         loop {
-            let mut frame =
-                Frame::on(view.camera, view.lattice, self.count, self.sh_degree, self.lists.capacity());
+            let mut constants = StepConstants::on(
+                view.camera,
+                view.lattice,
+                self.count,
+                self.sh_degree,
+                self.lists.capacity(),
+            );
             if view.colors.is_some() {
-                frame.counts[1] = 0;
+                constants.counts[1] = 0;
             }
-            self.lists.prepare(gpu, &frame, view.lattice)?;
-            self.frame.write(gpu, 0, &[frame]);
+            self.lists.prepare(gpu, &constants, view.lattice)?;
+            self.constants.write(gpu, 0, &[constants]);
             self.counts.write(gpu, 0, &[0; counts::WORDS]);
-            let (lists, frame_array, tiles) = (&self.lists, &self.frame, frame.tiles());
+            let (lists, constants_array, tiles) = (&self.lists, &self.constants, constants.tiles());
             let [color, attenuation, backscatter] = &self.water;
             let water = view.medium.map(|_| WaterPlanes { color, attenuation, backscatter });
             submit(gpu, "picture", |pass| {
                 let kernels = &self.lists_kernels;
                 let (n, scene) = (self.count, &self.parameters);
-                lists.record(kernels, pass, frame_array, n, tiles, scene, &self.counts, None);
+                lists.record(kernels, pass, constants_array, n, tiles, scene, &self.counts, None);
                 let (raster, drawn) = (&self.raster_kernels, lists.drawn());
                 let outputs = if view.layers { Outputs::Layers } else { Outputs::Picture };
-                self.planes.record_forward(raster, pass, frame_array, tiles, &drawn, water, outputs);
+                self.planes.record_forward(raster, pass, constants_array, tiles, &drawn, water, outputs);
             })?;
             if self.lists.had_room(gpu, &self.counts)? {
                 return Ok(());

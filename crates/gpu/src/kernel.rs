@@ -260,7 +260,7 @@ impl Kernel {
     }
 }
 
-/// The buffers of a dispatch: `bound![frame, splats, out]`, each an [`Array`](crate::buffer::Array).
+/// The buffers of a dispatch: `bound![constants, splats, out]`, each an [`Array`](crate::buffer::Array).
 macro_rules! bound {
     ($($buffer:expr),* $(,)?) => {
         vec![$($crate::buffer::Array::raw(&$buffer).clone()),*]

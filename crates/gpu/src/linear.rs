@@ -10,8 +10,8 @@ use use3d_splat::Gaussians;
 use use3d_training::EngineError;
 
 use crate::buffer::Array;
+use crate::constants::{CONSTANTS, CONSTANTS_BINDING, StepConstants, counts};
 use crate::device::{Gpu, NAME};
-use crate::frame::{FRAME, FRAME_BINDING, Frame, counts};
 use crate::kernel::{Access, Binding, Grid, Kernel, ROWS, Spec, bound, read, submit, write};
 use crate::lists::{ListKernels, Lists};
 use crate::raster::{Outputs, Planes, RasterKernels};
@@ -29,9 +29,9 @@ fn spec(name: &'static str, bindings: &[Binding], body: &'static str) -> Spec {
     Spec {
         name,
         threads: THREADS,
-        bindings: [&[FRAME_BINDING, PART], bindings].concat(),
+        bindings: [&[CONSTANTS_BINDING, PART], bindings].concat(),
         constants: vec![],
-        parts: vec![FRAME, body],
+        parts: vec![CONSTANTS, body],
     }
 }
 
@@ -76,7 +76,7 @@ pub struct LinearSplat {
     count: usize,
     lists: Lists,
     planes: Planes,
-    frame: Array<Frame>,
+    constants: Array<StepConstants>,
     counts: Array<u32>,
     tiles: usize,
     pixels: usize,
@@ -102,7 +102,7 @@ impl LinearSplat {
             count: gaussians.len(),
             lists: Lists::new(gpu)?,
             planes: Planes::new(gpu)?,
-            frame: Array::uniform(gpu, "frame")?,
+            constants: Array::uniform(gpu, "constants")?,
             counts: Array::new(gpu, "counts of a view", counts::WORDS)?,
             tiles: 0,
             pixels: 0,
@@ -122,19 +122,28 @@ impl LinearSplat {
         self.pixels = lattice.width() * lattice.height();
         self.planes.grow(gpu, self.pixels)?;
         loop {
-            let frame = Frame::on(camera, lattice, self.count, 0, self.lists.capacity());
-            self.tiles = frame.tiles();
-            self.lists.prepare(gpu, &frame, lattice)?;
+            let constants = StepConstants::on(camera, lattice, self.count, 0, self.lists.capacity());
+            self.tiles = constants.tiles();
+            self.lists.prepare(gpu, &constants, lattice)?;
             self.records.grow(gpu, self.lists.capacity())?;
-            self.frame.write(gpu, 0, &[frame]);
+            self.constants.write(gpu, 0, &[constants]);
             self.counts.write(gpu, 0, &[0; counts::WORDS]);
             let (lists, planes, tiles) = (&self.lists, &self.planes, self.tiles);
             submit(gpu, "view", |pass| {
                 let (kernels, n, scene) = (&self.lists_kernels, self.count, &self.parameters);
-                lists.record(kernels, pass, &self.frame, n, tiles, scene, &self.counts, Some(&self.records));
+                lists.record(
+                    kernels,
+                    pass,
+                    &self.constants,
+                    n,
+                    tiles,
+                    scene,
+                    &self.counts,
+                    Some(&self.records),
+                );
                 // Where each pixel stops.
                 let (raster, drawn) = (&self.raster_kernels, lists.drawn());
-                planes.record_forward(raster, pass, &self.frame, tiles, &drawn, None, Outputs::Training);
+                planes.record_forward(raster, pass, &self.constants, tiles, &drawn, None, Outputs::Training);
             })?;
             if self.lists.had_room(gpu, &self.counts)? {
                 return Ok(());
@@ -155,17 +164,17 @@ impl LinearSplat {
             let own: Vec<f32> = rows.flat_map(|row| &row[first..first + part.channels]).copied().collect();
             part.values.write(&self.gpu, 0, &own);
         }
-        let Self { lists, planes, parts, frame, .. } = self;
+        let Self { lists, planes, parts, constants, .. } = self;
         submit(&self.gpu, "linear splat", |pass| {
             for part in &mut *parts {
-                let buffers = bound![*frame, part.at, part.values, lists.splats];
+                let buffers = bound![*constants, part.at, part.values, lists.splats];
                 self.tint.dispatch(pass, self.tint.grid(self.count), buffers);
                 std::mem::swap(&mut planes.image, &mut part.planes);
                 let drawn = lists.drawn();
                 planes.record_forward(
                     &self.raster_kernels,
                     pass,
-                    frame,
+                    constants,
                     self.tiles,
                     &drawn,
                     None,
@@ -191,13 +200,13 @@ impl LinearSplat {
         for (part, planes) in self.parts.iter().zip(planes.chunks((TOGETHER * self.pixels).max(1))) {
             part.planes.write(&self.gpu, 0, planes);
         }
-        let Self { lists, frame, records, .. } = &*self;
+        let Self { lists, constants, records, .. } = &*self;
         submit(&self.gpu, "adjoint of the linear splat", |pass| {
             for part in &self.parts {
-                let mut buffers = lists.drawn().buffers(frame);
+                let mut buffers = lists.drawn().buffers(constants);
                 buffers.extend(bound![self.nothing, self.planes.stop, part.planes, *records]);
                 self.adjoint.dispatch(pass, Grid::groups(self.tiles), buffers);
-                let buffers = bound![*frame, part.at, lists.runs, *records, part.values];
+                let buffers = bound![*constants, part.at, lists.runs, *records, part.values];
                 self.gather.dispatch(pass, self.gather.grid(self.count), buffers);
             }
         })?;

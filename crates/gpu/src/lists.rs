@@ -14,8 +14,8 @@ use use3d_training::EngineError;
 
 use crate::buffer::Array;
 use crate::chunks::CHUNK;
+use crate::constants::{CONSTANTS, CONSTANTS_BINDING, StepConstants, TILE, counts};
 use crate::device::Gpu;
-use crate::frame::{FRAME, FRAME_BINDING, Frame, TILE, counts};
 use crate::kernel::{Access, Binding, Constant, Grid, Kernel, ROWS, Spec, U32S, bound, read};
 use crate::scene::{Parameters, Row, SPLAT};
 use crate::sort::{Items, Sort, SortKernels};
@@ -39,9 +39,9 @@ fn spec(name: &'static str, bindings: &[Binding], parts: &[&'static str], record
     Spec {
         name,
         threads: THREADS,
-        bindings: [&[FRAME_BINDING], bindings].concat(),
+        bindings: [&[CONSTANTS_BINDING], bindings].concat(),
         constants,
-        parts: [&[FRAME], parts].concat(),
+        parts: [&[CONSTANTS], parts].concat(),
     }
 }
 
@@ -146,9 +146,9 @@ pub(crate) struct Drawn<'a> {
 }
 
 impl Drawn<'_> {
-    /// What a kernel binds of a view, the frame first.
-    pub(crate) fn buffers(&self, frame: &Array<Frame>) -> Vec<wgpu::Buffer> {
-        bound![*frame, *self.axes, *self.starts, *self.lists, *self.owners, *self.splats]
+    /// What a kernel binds of a view, the constants first.
+    pub(crate) fn buffers(&self, constants: &Array<StepConstants>) -> Vec<wgpu::Buffer> {
+        bound![*constants, *self.axes, *self.starts, *self.lists, *self.owners, *self.splats]
     }
 }
 
@@ -220,17 +220,22 @@ impl Lists {
         Ok(false)
     }
 
-    /// Makes ready for a view of a lattice, of which the frame is; before [`Lists::record`], and
+    /// Makes ready for a view of a lattice, whose the constants are; before [`Lists::record`], and
     /// again when one of them changes.
-    pub(crate) fn prepare(&mut self, gpu: &Gpu, frame: &Frame, lattice: &Lattice) -> Result<(), EngineError> {
-        let n = frame.gaussians();
+    pub(crate) fn prepare(
+        &mut self,
+        gpu: &Gpu,
+        constants: &StepConstants,
+        lattice: &Lattice,
+    ) -> Result<(), EngineError> {
+        let n = constants.gaussians();
         self.splats.grow(gpu, SPLAT * n)?;
         self.tiles.grow(gpu, n)?;
         self.by_depth.grow(gpu, n)?;
         self.partial.grow(gpu, n.div_ceil((ITEMS * THREADS) as usize))?;
         self.offsets.grow(gpu, n)?;
         self.runs.grow(gpu, n)?;
-        self.starts.grow(gpu, frame.tiles() + 1)?;
+        self.starts.grow(gpu, constants.tiles() + 1)?;
         if self.lattice.as_ref() != Some(lattice) {
             let padded = |centres: &'_ [f32]| {
                 let more = centres.len().next_multiple_of(TILE as usize) - centres.len();
@@ -243,7 +248,7 @@ impl Lists {
             self.lattice = Some(lattice.clone());
         }
         // One tile more than there are: that of entries nobody draws.
-        self.tile_bits = usize::BITS - frame.tiles().leading_zeros();
+        self.tile_bits = usize::BITS - constants.tiles().leading_zeros();
         self.by_depth.prepare(gpu, Items::Fixed(n), DEPTH_BITS);
         self.by_tile.prepare(gpu, Items::Counted(self.capacity()), self.tile_bits);
         Ok(())
@@ -254,7 +259,7 @@ impl Lists {
         &self,
         kernels: &ListKernels,
         pass: &mut wgpu::ComputePass<'_>,
-        frame: &Array<Frame>,
+        constants: &Array<StepConstants>,
         n: usize,
         tiles: usize,
         scene: &Parameters,
@@ -269,26 +274,30 @@ impl Lists {
             k.project.dispatch(
                 pass,
                 k.project.grid(count),
-                bound![*frame, chunk.place, *axes, *geometry, chunk.floats, *splats, *keys, *met],
+                bound![*constants, chunk.place, *axes, *geometry, chunk.floats, *splats, *keys, *met],
             );
         }
         by_depth.record(&k.sort, pass, counts, DEPTH_BITS);
         let (_, order) = by_depth.output(DEPTH_BITS);
         let blocks = Grid::groups(n.div_ceil((ITEMS * THREADS) as usize));
-        k.reduce.dispatch(pass, blocks, bound![*frame, *order, *met, *partial]);
-        k.total.dispatch(pass, Grid::groups(1), bound![*frame, *counts, *partial]);
-        k.offsets.dispatch(pass, blocks, bound![*frame, *counts, *order, *met, *partial, *offsets, *runs]);
+        k.reduce.dispatch(pass, blocks, bound![*constants, *order, *met, *partial]);
+        k.total.dispatch(pass, Grid::groups(1), bound![*constants, *counts, *partial]);
+        k.offsets.dispatch(
+            pass,
+            blocks,
+            bound![*constants, *counts, *order, *met, *partial, *offsets, *runs],
+        );
         let emit = &k.emit[usize::from(records.is_some())];
         let (keys, records) = (by_tile.input(), records.unwrap_or(&self.nothing));
         let places = if n == 0 { 0 } else { self.capacity() };
         emit.dispatch(
             pass,
             emit.grid(places),
-            bound![*frame, *counts, *axes, *splats, *order, *offsets, *keys, *owners, *records],
+            bound![*constants, *counts, *axes, *splats, *order, *offsets, *keys, *owners, *records],
         );
         by_tile.record(&k.sort, pass, counts, self.tile_bits);
         let (keys, _) = by_tile.output(self.tile_bits);
-        k.starts.dispatch(pass, k.starts.grid(tiles + 1), bound![*frame, *counts, *keys, self.starts]);
+        k.starts.dispatch(pass, k.starts.grid(tiles + 1), bound![*constants, *counts, *keys, self.starts]);
     }
 
     /// The lists as the compositor reads them, after [`Lists::record`].

@@ -10,8 +10,8 @@
 use use3d_training::EngineError;
 
 use crate::buffer::Array;
+use crate::constants::{CONSTANTS, CONSTANTS_BINDING, StepConstants};
 use crate::device::Gpu;
-use crate::frame::{FRAME, FRAME_BINDING, Frame};
 use crate::kernel::{Access, Binding, Constant, Grid, Kernel, ROWS, Spec, U32S, bound, read, write};
 use crate::lists::Drawn;
 use crate::scene::Row;
@@ -29,7 +29,7 @@ pub(crate) const SHARED: &str = include_str!("raster/shared.wgsl");
 
 /// What passes over a view read of its tiles; [`Drawn`] in that order.
 pub(crate) const TILE: [Binding; 6] = [
-    FRAME_BINDING,
+    CONSTANTS_BINDING,
     read("axes"),
     (Access::Read, "starts", U32S),
     (Access::Read, "lists", U32S),
@@ -51,7 +51,7 @@ fn spec(
         threads,
         bindings: [&TILE[..], &WATER[..], more].concat(),
         constants: switches.iter().map(|(name, on)| (*name, Constant::Switch(*on))).collect(),
-        parts: vec![FRAME, SHARED, body],
+        parts: vec![CONSTANTS, SHARED, body],
     }
 }
 
@@ -233,14 +233,14 @@ impl Planes {
     /// What both passes bind first: [`TILE`], then [`WATER`].
     fn tile(
         &self,
-        frame: &Array<Frame>,
+        constants: &Array<StepConstants>,
         drawn: &Drawn<'_>,
         water: Option<WaterPlanes<'_>>,
     ) -> Vec<wgpu::Buffer> {
         let none = &self.nothing;
         let WaterPlanes { color, attenuation, backscatter } =
             water.unwrap_or(WaterPlanes { color: none, attenuation: none, backscatter: none });
-        let mut buffers = drawn.buffers(frame);
+        let mut buffers = drawn.buffers(constants);
         buffers.extend(bound![*color, *attenuation, *backscatter]);
         buffers
     }
@@ -251,14 +251,14 @@ impl Planes {
         &self,
         kernels: &RasterKernels,
         pass: &mut wgpu::ComputePass<'_>,
-        frame: &Array<Frame>,
+        constants: &Array<StepConstants>,
         tiles: usize,
         drawn: &Drawn<'_>,
         water: Option<WaterPlanes<'_>>,
         outputs: Outputs,
     ) {
         let kernel = &kernels.forward[usize::from(water.is_some())][outputs as usize];
-        let mut buffers = self.tile(frame, drawn, water);
+        let mut buffers = self.tile(constants, drawn, water);
         buffers.extend(bound![
             self.image,
             self.depth,
@@ -278,7 +278,7 @@ impl Planes {
         &self,
         kernels: &RasterKernels,
         pass: &mut wgpu::ComputePass<'_>,
-        frame: &Array<Frame>,
+        constants: &Array<StepConstants>,
         tiles: usize,
         drawn: &Drawn<'_>,
         water: Option<WaterPlanes<'_>>,
@@ -287,7 +287,7 @@ impl Planes {
         records: &Array<Row>,
     ) {
         let kernel = &kernels.backward[usize::from(water.is_some())];
-        let mut buffers = self.tile(frame, drawn, water);
+        let mut buffers = self.tile(constants, drawn, water);
         buffers.extend(bound![
             self.depth,
             self.accumulation,

@@ -9,8 +9,8 @@ use bytemuck::{Pod, Zeroable};
 use use3d_training::EngineError;
 
 use crate::buffer::Array;
+use crate::constants::counts;
 use crate::device::Gpu;
-use crate::frame::counts;
 use crate::kernel::{Access, Binding, Constant, Grid, Kernel, Spec, U32S, bound};
 
 /// Threads of a workgroup.

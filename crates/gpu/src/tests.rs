@@ -8,8 +8,8 @@ use use3d_splat::{
 };
 
 use crate::buffer::Array;
+use crate::constants::{StepConstants, counts};
 use crate::device::Gpu;
-use crate::frame::{Frame, counts};
 use crate::kernel::submit;
 use crate::lists::{ListKernels, Lists};
 use crate::raster::{Outputs, Planes, RasterKernels, WaterPlanes};
@@ -141,20 +141,20 @@ impl Bench {
         let (mut lists, mut planes) = (Lists::new(gpu).unwrap(), Planes::new(gpu).unwrap());
         lists.grow(gpu, room).unwrap();
         let degree = case.degree.min(case.gaussians.sh_degree);
-        let mut frame = Frame::on(&case.camera, &case.lattice, n, degree, lists.capacity());
-        let pixels = frame.pixels();
-        frame.flags = [u32::from(case.water.is_some()), u32::from(case.depth_gradient), 1, 0];
-        frame.set_rates(0, &RATES);
-        frame.screen = [frame.size[0] as f32 * 0.5, frame.size[1] as f32 * 0.5, 0.0, 0.0];
-        lists.prepare(gpu, &frame, &case.lattice).unwrap();
+        let mut constants = StepConstants::on(&case.camera, &case.lattice, n, degree, lists.capacity());
+        let pixels = constants.pixels();
+        constants.flags = [u32::from(case.water.is_some()), u32::from(case.depth_gradient), 1, 0];
+        constants.set_rates(0, &RATES);
+        constants.screen = [constants.size[0] as f32 * 0.5, constants.size[1] as f32 * 0.5, 0.0, 0.0];
+        lists.prepare(gpu, &constants, &case.lattice).unwrap();
         planes.grow(gpu, pixels).unwrap();
         let records = Array::<Row>::new(gpu, "records", 3 * lists.capacity()).unwrap();
         lists.poison(gpu);
         planes.poison(gpu);
         records.poison(gpu);
         let counts = Array::from(gpu, "counts", &[0u32; counts::WORDS]).unwrap();
-        let uniform = Array::uniform(gpu, "frame").unwrap();
-        uniform.write(gpu, 0, &[frame]);
+        let uniform = Array::uniform(gpu, "constants").unwrap();
+        uniform.write(gpu, 0, &[constants]);
         let ends = Array::<[u32; 4]>::new(gpu, "ends", 4).unwrap();
         let image = Array::from(gpu, "image slopes", case.image.data()).unwrap();
         let depth = Array::from(gpu, "depth slopes", case.depth.data()).unwrap();
@@ -169,7 +169,7 @@ impl Bench {
             backscatter,
         });
         submit(gpu, "view", |pass| {
-            let tiles = frame.tiles();
+            let tiles = constants.tiles();
             lists.record(&self.lists, pass, &uniform, n, tiles, &scene.values, &counts, Some(&records));
             planes.record_forward(
                 &self.raster,

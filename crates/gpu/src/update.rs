@@ -8,8 +8,8 @@ use use3d_training::EngineError;
 
 use crate::buffer::Array;
 use crate::chunks::CHUNK;
+use crate::constants::{CONSTANTS, CONSTANTS_BINDING, StepConstants, counts};
 use crate::device::Gpu;
-use crate::frame::{FRAME, FRAME_BINDING, Frame, counts};
 use crate::kernel::{Access, Grid, Kernel, ROWS, Spec, bound, write};
 use crate::lists::{HARMONICS, Lists, PROJECTION};
 use crate::scene::{DeviceScene, Row};
@@ -22,7 +22,7 @@ fn update() -> Spec {
         name: "update",
         threads: THREADS,
         bindings: vec![
-            FRAME_BINDING,
+            CONSTANTS_BINDING,
             CHUNK,
             counts::SHARED,
             (Access::Read, "runs", "array<vec2<u32>>"),
@@ -37,7 +37,7 @@ fn update() -> Spec {
             (Access::Write, "statistics", "array<vec2<u32>>"),
         ],
         constants: counts::constants(),
-        parts: vec![FRAME, HARMONICS, PROJECTION, include_str!("update/update.wgsl")],
+        parts: vec![CONSTANTS, HARMONICS, PROJECTION, include_str!("update/update.wgsl")],
     }
 }
 
@@ -45,9 +45,9 @@ fn finish() -> Spec {
     Spec {
         name: "finish",
         threads: 1,
-        bindings: vec![FRAME_BINDING, counts::WRITE, (Access::Write, "ends", "array<vec4<u32>>")],
+        bindings: vec![CONSTANTS_BINDING, counts::WRITE, (Access::Write, "ends", "array<vec4<u32>>")],
         constants: counts::constants(),
-        parts: vec![FRAME, include_str!("update/finish.wgsl")],
+        parts: vec![CONSTANTS, include_str!("update/finish.wgsl")],
     }
 }
 
@@ -106,7 +106,7 @@ impl UpdateKernels {
     pub(crate) fn record(
         &self,
         pass: &mut wgpu::ComputePass<'_>,
-        frame: &Array<Frame>,
+        constants: &Array<StepConstants>,
         counts: &Array<u32>,
         lists: &Lists,
         records: &Array<Row>,
@@ -120,7 +120,7 @@ impl UpdateKernels {
                 pass,
                 self.update.grid(count),
                 bound![
-                    *frame,
+                    *constants,
                     chunk.place,
                     *counts,
                     lists.runs,
@@ -142,11 +142,11 @@ impl UpdateKernels {
     pub(crate) fn record_finish(
         &self,
         pass: &mut wgpu::ComputePass<'_>,
-        frame: &Array<Frame>,
+        constants: &Array<StepConstants>,
         counts: &Array<u32>,
         ends: &Array<[u32; 4]>,
     ) {
-        self.finish.dispatch(pass, Grid::groups(1), bound![*frame, *counts, *ends]);
+        self.finish.dispatch(pass, Grid::groups(1), bound![*constants, *counts, *ends]);
     }
 
     /// Records the lowering of opacities to a logit.
@@ -167,7 +167,7 @@ impl UpdateKernels {
     }
 }
 
-impl Frame {
+impl StepConstants {
     /// Sets Adam's scalars for step `step` (from 0).
     pub(crate) fn set_rates(&mut self, step: u64, rates: &StepRates) {
         let Adam { beta1, beta2, epsilon, .. } = Adam::SPLATTING;

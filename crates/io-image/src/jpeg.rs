@@ -8,14 +8,14 @@ use std::io::BufRead;
 
 /// Size from the frame header, and whether a scan begins after it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Frame {
+pub(crate) struct FrameHeader {
     pub(crate) width: u64,
     pub(crate) height: u64,
     pub(crate) components: u64,
 }
 
 /// Walks the segments to the first scan; the reader is left at the scan's data.
-pub(crate) fn frame(reader: &mut impl BufRead) -> Result<Frame, String> {
+pub(crate) fn frame(reader: &mut impl BufRead) -> Result<FrameHeader, String> {
     let ended = |_| "it ends within its header".to_string();
     let mut two = [0u8; 2];
     reader.read_exact(&mut two).map_err(ended)?;
@@ -49,7 +49,7 @@ pub(crate) fn frame(reader: &mut impl BufRead) -> Result<Frame, String> {
             if body.len() < 6 {
                 return Err("its frame header is too short".into());
             }
-            frame = Some(Frame {
+            frame = Some(FrameHeader {
                 height: u64::from(u16::from_be_bytes([body[1], body[2]])),
                 width: u64::from(u16::from_be_bytes([body[3], body[4]])),
                 components: u64::from(body[5]),
@@ -62,7 +62,7 @@ pub(crate) fn frame(reader: &mut impl BufRead) -> Result<Frame, String> {
 }
 
 /// Checks that the end marker follows the first scan. It cannot occur inside entropy-coded data.
-pub(crate) fn check_whole(bytes: &[u8]) -> Result<Frame, String> {
+pub(crate) fn check_whole(bytes: &[u8]) -> Result<FrameHeader, String> {
     let mut rest = bytes;
     let found = frame(&mut rest)?;
     if rest.windows(2).any(|w| w == [0xFF, 0xD9]) {

@@ -30,7 +30,7 @@ use crate::geometry::noise::Noise;
 use crate::physics::spectral::{Lamps, Spectral};
 use crate::physics::{Physics, camera, passers, sideways};
 use crate::render::{Condition, Look, Shot, add_noise, expose, render};
-use crate::scene::{Caustics, Draws, Layout, Place, Scene};
+use crate::scene::{Caustics, Draws, Layout, MeshScene, Place};
 use crate::sparse::{self, Corner};
 use crate::swim;
 use crate::water::{Water, WaterType};
@@ -226,7 +226,7 @@ enum Between {
 
 /// Everything that a view is rendered from.
 struct Studio {
-    scene: Scene,
+    scene: MeshScene,
     cameras: Vec<Camera>,
     between: Between,
     clean: Condition,
@@ -242,7 +242,7 @@ impl Studio {
             density: 1.0,
             wreck: true,
         };
-        let scene = Scene::new(&layout);
+        let scene = MeshScene::new(&layout);
         let lens = swim::lens(params.width, params.height, &mut Draws::new(params.seed, "lens", 0));
         let cameras = swim::path(&scene.terrain, params.seed, params.views, &lens);
         let every = params.views.div_ceil(12);

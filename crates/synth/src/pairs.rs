@@ -20,7 +20,7 @@ use crate::physics::camera::{self as develop, Automatic};
 use crate::physics::spectral::Spectral;
 use crate::physics::{Physics, sideways};
 use crate::render::{Condition, add_noise, expose, render};
-use crate::scene::{Caustics, Draws, Layout, Place, Scene};
+use crate::scene::{Caustics, Draws, Layout, MeshScene, Place};
 use crate::swim;
 use crate::water::{Water, WaterType};
 
@@ -124,7 +124,7 @@ pub fn write_pairs<A: Answer>(
                 density: draws.range(0.5, 1.1),
                 wreck: draws.below(2) == 0,
             };
-            let scene = Scene::new(&layout);
+            let scene = MeshScene::new(&layout);
             for pair in number * PER_SCENE..((number + 1) * PER_SCENE).min(params.pairs) {
                 write_pair(params, &scene, pair, dir)?;
                 done += 1;
@@ -135,7 +135,7 @@ pub fn write_pairs<A: Answer>(
     })
 }
 
-fn write_pair(params: &PairsParams, scene: &Scene, pair: usize, dir: &Path) -> Result<(), SynthError> {
+fn write_pair(params: &PairsParams, scene: &MeshScene, pair: usize, dir: &Path) -> Result<(), SynthError> {
     let mut draws = Draws::new(params.seed, "pair", pair as u64);
     let kind = WaterType::ALL[pair % WaterType::ALL.len()];
     let depth = draws.range(2.0, 16.0);

@@ -11,7 +11,7 @@ use use3d_capture::{Camera, Image, Map};
 use use3d_numerics::random::{Purpose, Stream};
 
 use crate::geometry::bvh::Ray;
-use crate::scene::{Caustics, Scene, Seen, display};
+use crate::scene::{Caustics, MeshScene, Seen, display};
 use crate::water::Water;
 
 /// Light and water under which the scene is photographed.
@@ -84,7 +84,12 @@ impl Rays {
 }
 
 /// Renders a camera's view under every condition.
-pub(crate) fn render(scene: &Scene, camera: &Camera, conditions: &[&dyn Look], caustics: Caustics) -> Shot {
+pub(crate) fn render(
+    scene: &MeshScene,
+    camera: &Camera,
+    conditions: &[&dyn Look],
+    caustics: Caustics,
+) -> Shot {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let rays = Rays::new(camera);
     let spread = 1.0 / rays.lens[0];
@@ -197,7 +202,7 @@ pub(crate) fn coarse_rays(camera: &Camera) -> Vec<Ray> {
 
 /// The exposure at which the cameras' views have this mean luminance on display (bisection on a coarse grid
 /// of rays).
-pub(crate) fn expose(scene: &Scene, cameras: &[Camera], condition: &Condition, luminance: f32) -> f32 {
+pub(crate) fn expose(scene: &MeshScene, cameras: &[Camera], condition: &Condition, luminance: f32) -> f32 {
     let samples: Vec<(Option<Seen>, f32, Vec3)> = cameras
         .iter()
         .flat_map(coarse_rays)
@@ -243,6 +248,6 @@ pub(crate) fn add_noise(image: &mut Image, sigma: f32, seed: u64, view: u64) {
 
 /// The distance to the nearest surface along the ray through pixel coordinates `(u, v)`, as z-depth in
 /// metres.
-pub(crate) fn depth_at(scene: &Scene, camera: &Camera, u: f64, v: f64) -> Option<f32> {
+pub(crate) fn depth_at(scene: &MeshScene, camera: &Camera, u: f64, v: f64) -> Option<f32> {
     scene.distance(&Rays::new(camera).through(u as f32, v as f32))
 }

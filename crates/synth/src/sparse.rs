@@ -14,7 +14,7 @@ use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 
 use crate::render::depth_at;
-use crate::scene::Scene;
+use crate::scene::MeshScene;
 
 /// Standard deviation of a detection, pixels per axis.
 pub(crate) const DETECTION: f64 = 0.4;
@@ -71,7 +71,7 @@ pub(crate) fn corners(image: &Image8, depth: &Map, seed: u64, view: usize, wante
 /// The COLMAP model of the capture. `cameras` are in metres; `frame` brings them and the points into COLMAP's
 /// frame.
 pub(crate) fn model(
-    scene: &Scene,
+    scene: &MeshScene,
     cameras: &[Camera],
     names: &[FileName],
     frame: &Frame,
@@ -102,7 +102,7 @@ struct Tracked {
 }
 
 fn track(
-    scene: &Scene,
+    scene: &MeshScene,
     cameras: &[Camera],
     home: usize,
     corner: &Corner,

@@ -6,7 +6,7 @@ fn main(
     @builtin(local_invocation_index) lid: u32,
 ) {
     let i = group_of(wid, nwg) * WG + lid;
-    if (i >= frame.counts.x) { return; }
+    if (i >= constants.counts.x) { return; }
     let run = runs[i];
     var sum = vec3<f32>();
     for (var k = 0u; k < run.y; k++) { sum += records[run.x + k].xyz; }

@@ -6,7 +6,7 @@ fn main(
     @builtin(local_invocation_index) lid: u32,
 ) {
     let i = group_of(wid, nwg) * WG + lid;
-    if (i >= frame.counts.x) { return; }
+    if (i >= constants.counts.x) { return; }
     var value = vec3<f32>();
     for (var c = 0u; c < part.x; c++) { value[c] = values[part.x * i + c]; }
     splats[3u * i + 2u] = vec4<f32>(value, splats[3u * i + 2u].w);

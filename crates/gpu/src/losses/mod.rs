@@ -18,10 +18,10 @@ use use3d_reconstruct::{ExposureStep, Exposures};
 use use3d_training::EngineError;
 
 use crate::buffer::Array;
+use crate::constants::counts;
 use crate::device::{Gpu, NAME};
-use crate::frame::counts;
 use crate::kernel::{Access, Binding, Constant, Grid, Kernel, SUM, Spec, bound, read, write};
-use shape::{HALVING, Halving, LEVEL, LEVELS, Level, Shape, View};
+use shape::{HALVING, Halving, LEVEL, LEVELS, Level, LossConstants, Shape};
 
 /// The values there are kernels for, in the order of the table of terms.
 pub(crate) const VALUES: [&str; 3] = ["reg_l1", "reg_ms_ssim", "depth_loss"];
@@ -178,7 +178,7 @@ struct LevelBuffers {
 #[derive(Debug)]
 pub(crate) struct Losses {
     kernels: Kernels,
-    view: Array<View>,
+    view: Array<LossConstants>,
     levels: Vec<LevelBuffers>,
     sums: Array<f32>,
     level_sums: Array<f32>,
@@ -190,7 +190,7 @@ pub(crate) struct Losses {
     shape: Shape,
 }
 
-const VIEW: Binding = (Access::Uniform, "view", "View");
+const VIEW: Binding = (Access::Uniform, "view", "LossConstants");
 
 fn spec(name: &'static str, bindings: &[Binding], parts: &[&'static str]) -> Spec {
     let mut all = vec![SUM, include_str!("shared.wgsl")];

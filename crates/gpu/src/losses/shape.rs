@@ -20,7 +20,7 @@ pub(super) const HALVING: Binding = (Access::Uniform, "size", "Halving");
 /// A view's constants, as `shared.wgsl` reads them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
-pub(super) struct View {
+pub(super) struct LossConstants {
     pub(super) width: u32,
     pub(super) height: u32,
     pub(super) pixels: u32,
@@ -115,14 +115,14 @@ impl Shape {
     }
 
     /// What follows from the size alone.
-    pub(super) fn view(&self) -> View {
-        let mut view = View {
+    pub(super) fn view(&self) -> LossConstants {
+        let mut view = LossConstants {
             width: self.width as u32,
             height: self.height as u32,
             pixels: (self.width * self.height) as u32,
             levels: self.levels.len() as u32,
             groups: self.groups as u32,
-            ..View::default()
+            ..LossConstants::default()
         };
         for (k, tap) in window().into_iter().enumerate() {
             view.taps[k / 4][k % 4] = tap;

@@ -1,6 +1,6 @@
 // What all kernels of the losses share: the view's constants.
 
-struct View {
+struct LossConstants {
     width: u32,
     height: u32,
     pixels: u32,

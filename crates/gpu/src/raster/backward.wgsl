@@ -15,14 +15,14 @@ var<workgroup> last: atomic<u32>;
 var<workgroup> last_entry: u32;
 
 fn load(p: u32, tile: u32) {
-    let column = (tile % frame.size.z) * TILE + p % TILE;
-    let row = (tile / frame.size.z) * TILE + p / TILE;
+    let column = (tile % constants.size.z) * TILE + p % TILE;
+    let row = (tile / constants.size.z) * TILE + p / TILE;
     left[p] = 1.0f;
     behind[p] = 0.0f;
     ends[p] = 0u;
-    if (column >= frame.size.x || row >= frame.size.y) { return; }
-    let plane = frame.size.x * frame.size.y;
-    let pixel = row * frame.size.x + column;
+    if (column >= constants.size.x || row >= constants.size.y) { return; }
+    let plane = constants.size.x * constants.size.y;
+    let pixel = row * constants.size.x + column;
     let g = vec3<f32>(image_pull[pixel], image_pull[plane + pixel], image_pull[2u * plane + pixel]);
     let sum = accumulations[pixel];
     let by_depth = depth_pull[pixel] / max(sum, 1e-6f);
@@ -49,7 +49,7 @@ fn main(
     @builtin(local_invocation_index) lid: u32,
 ) {
     let tile = group_of(wid, nwg);
-    if (tile >= frame.size.z * frame.size.w) { return; }
+    if (tile >= constants.size.z * constants.size.w) { return; }
     let first = starts[tile];
     let count = starts[tile + 1u] - first;
     if (count == 0u) { return; }
@@ -57,8 +57,8 @@ fn main(
     workgroupBarrier();
     for (var p = lid; p < PIXELS; p += WG) { load(p, tile); }
     if (lid < TILE) {
-        centres[lid] = axes[(tile % frame.size.z) * TILE + lid];
-        centres[TILE + lid] = axes[(frame.size.z + tile / frame.size.z) * TILE + lid];
+        centres[lid] = axes[(tile % constants.size.z) * TILE + lid];
+        centres[TILE + lid] = axes[(constants.size.z + tile / constants.size.z) * TILE + lid];
     }
     workgroupBarrier();
     if (lid == 0u) { last_entry = min(count, atomicLoad(&last)); }
@@ -68,7 +68,7 @@ fn main(
         let entry = lists[first + k];
         for (var r = 0u; r < 3u; r++) { records[3u * entry + r] = vec4<f32>(); }
     }
-    let s_gradient = f32(frame.flags.y);
+    let s_gradient = f32(constants.flags.y);
     for (var base = 0u; base < end; base += WG) {
         let mine = base + lid < end;
         var k = 0u;

@@ -43,15 +43,15 @@ fn compact(bits: u32) -> u32 {
 fn place_of(number: u32) -> vec2<u32> { return vec2<u32>(compact(number), compact(number >> 1u)); }
 
 fn pixel_at(tile: u32, at: vec2<u32>) -> Pixel {
-    let column = (tile % frame.size.z) * TILE + at.x;
-    let row = (tile / frame.size.z) * TILE + at.y;
+    let column = (tile % constants.size.z) * TILE + at.x;
+    let row = (tile / constants.size.z) * TILE + at.y;
     var p = Pixel();
     p.x = axes[column];
-    p.y = axes[frame.size.z * TILE + row];
+    p.y = axes[constants.size.z * TILE + row];
     p.left = 1.0f;
-    if (column >= frame.size.x || row >= frame.size.y) { return p; }
-    let plane = frame.size.x * frame.size.y;
-    let pixel = row * frame.size.x + column;
+    if (column >= constants.size.x || row >= constants.size.y) { return p; }
+    let plane = constants.size.x * constants.size.y;
+    let pixel = row * constants.size.x + column;
     p.pull = vec3<f32>(image_pull[pixel], image_pull[plane + pixel], image_pull[2u * plane + pixel]);
     let sum = accumulations[pixel];
     p.by_depth = depth_pull[pixel] / max(sum, 1e-6f);
@@ -144,7 +144,7 @@ fn main(
     @builtin(subgroup_invocation_id) lane: u32,
 ) {
     let tile = group_of(wid, nwg);
-    if (tile >= frame.size.z * frame.size.w) { return; }
+    if (tile >= constants.size.z * constants.size.w) { return; }
     let first = starts[tile];
     let count = starts[tile + 1u] - first;
     if (count == 0u) { return; }
@@ -182,7 +182,7 @@ fn main(
         let entry = lists[first + k];
         for (var r = 0u; r < 3u; r++) { records[3u * entry + r] = vec4<f32>(); }
     }
-    let s_gradient = f32(frame.flags.y);
+    let s_gradient = f32(constants.flags.y);
     for (var base = 0u; base < end; base += ROUND) {
         let size = min(ROUND, end - base);
         workgroupBarrier();

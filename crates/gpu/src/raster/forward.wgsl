@@ -12,14 +12,14 @@ fn main(
     @builtin(local_invocation_index) lid: u32,
 ) {
     let tile = group_of(wid, nwg);
-    if (tile >= frame.size.z * frame.size.w) { return; }
-    let column = (tile % frame.size.z) * TILE + lid % TILE;
-    let row = (tile / frame.size.z) * TILE + lid / TILE;
-    let inside = column < frame.size.x && row < frame.size.y;
+    if (tile >= constants.size.z * constants.size.w) { return; }
+    let column = (tile % constants.size.z) * TILE + lid % TILE;
+    let row = (tile / constants.size.z) * TILE + lid / TILE;
+    let inside = column < constants.size.x && row < constants.size.y;
     let centre_x = axes[column];
-    let centre_y = axes[frame.size.z * TILE + row];
-    let plane = frame.size.x * frame.size.y;
-    let pixel = row * frame.size.x + column;
+    let centre_y = axes[constants.size.z * TILE + row];
+    let plane = constants.size.x * constants.size.y;
+    let pixel = row * constants.size.x + column;
     var ka = vec3<f32>();
     var kb = vec3<f32>();
     if (WATER && inside) {

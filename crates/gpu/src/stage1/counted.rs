@@ -5,7 +5,7 @@ use use3d_training::EngineError;
 
 use super::Stage1;
 use crate::buffer::read_together;
-use crate::frame::{TILE, counts};
+use crate::constants::{TILE, counts};
 use crate::scene::SPLAT;
 
 /// Sizes of a view, and its pairs of pixel and Gaussian.

@@ -27,8 +27,8 @@ use use3d_training::guard::first_non_finite;
 use use3d_training::{Drain, EngineError};
 
 use crate::buffer::Array;
+use crate::constants::{StepConstants, counts};
 use crate::device::{Gpu, NAME};
-use crate::frame::{Frame, counts};
 use crate::kernel::submit;
 use crate::lists::{ListKernels, Lists};
 use crate::losses::{Gains, Losses};
@@ -86,7 +86,7 @@ pub struct Stage1 {
     image_slope: Array<f32>,
     depth_slope: Array<f32>,
     records: Array<Row>,
-    frame: Array<Frame>,
+    constants: Array<StepConstants>,
     counts: Array<u32>,
     /// The same for renders, which stop no training.
     render_counts: Array<u32>,
@@ -120,7 +120,7 @@ impl Stage1 {
             image_slope: Array::new(gpu, "slopes of the image", 1)?,
             depth_slope: Array::new(gpu, "slopes of depth", 1)?,
             records: Array::new(gpu, "records", 1)?,
-            frame: Array::uniform(gpu, "frame")?,
+            constants: Array::uniform(gpu, "constants")?,
             counts: Array::new(gpu, "counts", counts::WORDS)?,
             render_counts: Array::new(gpu, "counts of a render", counts::WORDS)?,
             reports: Array::new(gpu, "reports", REPORT * RING)?,

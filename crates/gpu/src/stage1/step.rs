@@ -6,7 +6,7 @@ use use3d_training::EngineError;
 
 use super::stored::Floats;
 use super::{Asked, RING, Stage1};
-use crate::frame::{Frame, counts};
+use crate::constants::{StepConstants, counts};
 use crate::kernel::submit;
 use crate::losses::{LossPlan, Seen, Told, VALUES};
 use crate::raster::Outputs;
@@ -38,14 +38,14 @@ pub(super) fn report(asked: &Asked, numbers: &[f32], has_prior: bool) -> StepRep
 }
 
 impl Stage1 {
-    /// Makes everything ready for a view, and writes the frame.
-    fn prepare(&mut self, frame: Frame, lattice: &Lattice) -> Result<(), EngineError> {
+    /// Makes everything ready for a view, and writes the constants.
+    fn prepare(&mut self, constants: StepConstants, lattice: &Lattice) -> Result<(), EngineError> {
         let gpu = &self.gpu;
-        self.lists.prepare(gpu, &frame, lattice)?;
-        self.planes.grow(gpu, frame.pixels())?;
-        self.image_slope.grow(gpu, 3 * frame.pixels())?;
-        self.depth_slope.grow(gpu, frame.pixels())?;
-        self.frame.write(gpu, 0, &[frame]);
+        self.lists.prepare(gpu, &constants, lattice)?;
+        self.planes.grow(gpu, constants.pixels())?;
+        self.image_slope.grow(gpu, 3 * constants.pixels())?;
+        self.depth_slope.grow(gpu, constants.pixels())?;
+        self.constants.write(gpu, 0, &[constants]);
         Ok(())
     }
 
@@ -57,24 +57,25 @@ impl Stage1 {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let degree = plan.degrees.colors.min(self.scene.sh_degree);
         let lattice = Lattice::full(&camera.intrinsics);
-        let mut frame = Frame::on(&camera, &lattice, self.scene.count, degree, self.lists.capacity());
+        let mut constants =
+            StepConstants::on(&camera, &lattice, self.scene.count, degree, self.lists.capacity());
         let slot = self.slot;
         self.slot = (self.slot + 1) % RING;
-        frame.counts[3] = plan.step as u32;
-        frame.flags = [
+        constants.counts[3] = plan.step as u32;
+        constants.flags = [
             u32::from(self.water.is_some()),
             u32::from(plan.depth_gradient),
             u32::from(plan.gather.is_some()),
             slot as u32,
         ];
-        frame.set_rates(plan.step, &plan.rates);
+        constants.set_rates(plan.step, &plan.rates);
         if let Some(reference) = plan.gather {
             // As the processor scales them.
             let pixels = (width * plan.divisor) as f64 * (height * plan.divisor) as f64;
             let scale = if reference == 0 { 1.0 } else { (pixels / reference as f64).sqrt() as f32 };
-            frame.screen = [0.5 * scale * width as f32, 0.5 * scale * height as f32, 0.0, 0.0];
+            constants.screen = [0.5 * scale * width as f32, 0.5 * scale * height as f32, 0.0, 0.0];
         }
-        self.prepare(frame, &lattice)?;
+        self.prepare(constants, &lattice)?;
         if let Some(water) = &mut self.water {
             let rates = [plan.rates.medium_constant, plan.rates.medium_directional];
             water.prepare(&self.gpu, &camera, plan.degrees.water, plan.step, rates)?;
@@ -111,7 +112,7 @@ impl Stage1 {
                 let color = self.water.as_ref().map(|w| &w.color);
                 self.losses.over_water(pass, photograph, alpha, color, gains);
             }
-            self.record_view(pass, &frame, true);
+            self.record_view(pass, &constants, true);
             let told = Told {
                 image: &self.image_slope,
                 depth: &self.depth_slope,
@@ -122,8 +123,8 @@ impl Stage1 {
             self.planes.record_backward(
                 &self.kernels.raster,
                 pass,
-                &self.frame,
-                frame.tiles(),
+                &self.constants,
+                constants.tiles(),
                 &self.lists.drawn(),
                 self.water_planes(),
                 &self.image_slope,
@@ -131,7 +132,7 @@ impl Stage1 {
                 &self.records,
             );
             let update = &self.kernels.update;
-            update.record(pass, &self.frame, &self.counts, &self.lists, &self.records, &self.scene);
+            update.record(pass, &self.constants, &self.counts, &self.lists, &self.records, &self.scene);
             if let Some(water) = &self.water {
                 let along = AlongRays {
                     veil: &self.planes.veil,
@@ -144,7 +145,7 @@ impl Stage1 {
             if let Some(gains) = gains {
                 self.losses.learn_gains(pass, gains, &self.counts);
             }
-            update.record_finish(pass, &self.frame, &self.counts, &self.ends);
+            update.record_finish(pass, &self.constants, &self.counts, &self.ends);
         }
         self.gpu.submit(encoder);
         self.asked.push_back(Asked { view, plan, slot });
@@ -152,16 +153,16 @@ impl Stage1 {
     }
 
     /// Records lists and the forward pass of the view that was prepared.
-    fn record_view(&self, pass: &mut wgpu::ComputePass<'_>, frame: &Frame, train: bool) {
+    fn record_view(&self, pass: &mut wgpu::ComputePass<'_>, constants: &StepConstants, train: bool) {
         let counts = if train { &self.counts } else { &self.render_counts };
-        let (n, tiles) = (frame.gaussians(), frame.tiles());
+        let (n, tiles) = (constants.gaussians(), constants.tiles());
         let records = train.then_some(&self.records);
         let (lists, values) = (&self.kernels.lists, &self.scene.values);
-        self.lists.record(lists, pass, &self.frame, n, tiles, values, counts, records);
+        self.lists.record(lists, pass, &self.constants, n, tiles, values, counts, records);
         let water = self.water_planes();
         let (raster, drawn) = (&self.kernels.raster, self.lists.drawn());
         let outputs = if train { Outputs::Training } else { Outputs::Picture };
-        self.planes.record_forward(raster, pass, &self.frame, tiles, &drawn, water, outputs);
+        self.planes.record_forward(raster, pass, &self.constants, tiles, &drawn, water, outputs);
     }
 
     /// Draws a camera into the planes, with as much room as it takes.
@@ -169,9 +170,10 @@ impl Stage1 {
         let lattice = Lattice::full(&camera.intrinsics);
         loop {
             let degree = degrees.colors.min(self.scene.sh_degree);
-            let mut frame = Frame::on(camera, &lattice, self.scene.count, degree, self.lists.capacity());
-            frame.flags[0] = u32::from(self.water.is_some());
-            self.prepare(frame, &lattice)?;
+            let mut constants =
+                StepConstants::on(camera, &lattice, self.scene.count, degree, self.lists.capacity());
+            constants.flags[0] = u32::from(self.water.is_some());
+            self.prepare(constants, &lattice)?;
             if let Some(water) = &mut self.water {
                 water.prepare(&self.gpu, camera, degrees.water, 0, [0.0; 2])?;
             }
@@ -180,7 +182,7 @@ impl Stage1 {
                 if let Some(water) = &self.water {
                     water.record_maps(pass);
                 }
-                self.record_view(pass, &frame, false);
+                self.record_view(pass, &constants, false);
             })?;
             let told = self.render_counts.read(&self.gpu, counts::WORDS)?;
             if told[counts::STOP] == 0 {

@@ -11,13 +11,13 @@ var<workgroup> last: atomic<u32>;
 var<workgroup> last_entry: u32;
 
 fn load(p: u32, tile: u32) {
-    let column = (tile % frame.size.z) * TILE + p % TILE;
-    let row = (tile / frame.size.z) * TILE + p / TILE;
+    let column = (tile % constants.size.z) * TILE + p % TILE;
+    let row = (tile / constants.size.z) * TILE + p / TILE;
     left[p] = 1.0f;
     ends[p] = 0u;
-    if (column >= frame.size.x || row >= frame.size.y) { return; }
-    let plane = frame.size.x * frame.size.y;
-    let at = row * frame.size.x + column;
+    if (column >= constants.size.x || row >= constants.size.y) { return; }
+    let plane = constants.size.x * constants.size.y;
+    let at = row * constants.size.x + column;
     pull[p] = vec4<f32>(image_pull[at], image_pull[plane + at], image_pull[2u * plane + at], 0.0f);
     if (WATER) {
         fog[p] = vec4<f32>(k_attenuation[at], k_attenuation[plane + at], k_attenuation[2u * plane + at], 0.0f);
@@ -33,7 +33,7 @@ fn main(
     @builtin(local_invocation_index) lid: u32,
 ) {
     let tile = group_of(wid, nwg);
-    if (tile >= frame.size.z * frame.size.w) { return; }
+    if (tile >= constants.size.z * constants.size.w) { return; }
     let first = starts[tile];
     let count = starts[tile + 1u] - first;
     if (count == 0u) { return; }
@@ -41,8 +41,8 @@ fn main(
     workgroupBarrier();
     for (var p = lid; p < PIXELS; p += WG) { load(p, tile); }
     if (lid < TILE) {
-        centres[lid] = axes[(tile % frame.size.z) * TILE + lid];
-        centres[TILE + lid] = axes[(frame.size.z + tile / frame.size.z) * TILE + lid];
+        centres[lid] = axes[(tile % constants.size.z) * TILE + lid];
+        centres[TILE + lid] = axes[(constants.size.z + tile / constants.size.z) * TILE + lid];
     }
     workgroupBarrier();
     if (lid == 0u) { last_entry = min(count, atomicLoad(&last)); }

@@ -272,7 +272,7 @@ impl DeviceField {
         planes: &Planes,
         image_pull: &Array<f32>,
     ) {
-        let mut buffers = view.drawn().buffers(&view.frame);
+        let mut buffers = view.drawn().buffers(&view.constants);
         buffers.extend(bound![self.attenuation, planes.stop, *image_pull, self.records]);
         let colors = &self.kernels.colors[usize::from(view.water.is_some())];
         colors.dispatch(pass, Grid::groups(view.tiles), buffers);

@@ -12,8 +12,8 @@ use use3d_ubaf::{Field, Sites, water};
 
 use super::kernels::seen_kernel;
 use crate::buffer::{Array, read_together};
+use crate::constants::{StepConstants, TILE, counts};
 use crate::device::Gpu;
-use crate::frame::{Frame, TILE, counts};
 use crate::kernel::{Grid, Kernel, bound, submit};
 use crate::lists::{Drawn, ListKernels, Lists};
 use crate::raster::{Outputs, Planes, RasterKernels, WaterPlanes};
@@ -71,7 +71,7 @@ impl FrozenWater {
 /// A view's constants on the device.
 #[derive(Debug)]
 pub(super) struct FrozenView {
-    pub(super) frame: Array<Frame>,
+    pub(super) constants: Array<StepConstants>,
     pub(super) size: (usize, usize),
     pub(super) tiles: usize,
     /// Gaussians listed: those that define the mean, then what else the view sees.
@@ -236,8 +236,8 @@ impl<'a> Freezer<'a> {
         } else {
             None
         };
-        let frame = self.draw(gpu, raster, planes, camera, lattice, water.as_ref())?;
-        let (n, tiles) = (self.scene.gaussians.len(), frame.tiles());
+        let constants = self.draw(gpu, raster, planes, camera, lattice, water.as_ref())?;
+        let (n, tiles) = (self.scene.gaussians.len(), constants.tiles());
         let starts = self.lists.starts.read(gpu, tiles + 1)?;
         let entries = starts.last().map_or(0, |&end| end as usize);
         let told = self.counts.read(gpu, counts::WORDS)?[counts::ENTRIES] as usize;
@@ -270,9 +270,9 @@ impl<'a> Freezer<'a> {
                 sites.extend([position(nodes, fractions), with([gamma, 0.0, 0.0], 1)]);
             }
         }
-        let axes = self.lists.axes.read(gpu, (TILE * (frame.size[2] + frame.size[3])) as usize)?;
+        let axes = self.lists.axes.read(gpu, (TILE * (constants.size[2] + constants.size[3])) as usize)?;
         let view = FrozenView {
-            frame: Array::uniform(gpu, "frame of a view")?,
+            constants: Array::uniform(gpu, "constants of a view")?,
             size: (lattice.width(), lattice.height()),
             tiles,
             listed: trimmed.listed.len(),
@@ -288,7 +288,7 @@ impl<'a> Freezer<'a> {
             sites: Array::from(gpu, "lookups", &sites)?,
             water,
         };
-        view.frame.write(gpu, 0, &[frame]);
+        view.constants.write(gpu, 0, &[constants]);
         Ok(view)
     }
 
@@ -301,29 +301,37 @@ impl<'a> Freezer<'a> {
         camera: &Camera,
         lattice: &Lattice,
         water: Option<&FrozenWater>,
-    ) -> Result<Frame, EngineError> {
+    ) -> Result<StepConstants, EngineError> {
         let (n, degree) = (self.scene.gaussians.len(), self.scene.gaussians.sh_degree);
-        let frame_array = Array::uniform(gpu, "frame")?;
+        let constants_array = Array::uniform(gpu, "constants")?;
         planes.grow(gpu, lattice.width() * lattice.height())?;
         loop {
-            let frame = Frame::on(camera, lattice, n, degree, self.lists.capacity());
-            self.lists.prepare(gpu, &frame, lattice)?;
+            let constants = StepConstants::on(camera, lattice, n, degree, self.lists.capacity());
+            self.lists.prepare(gpu, &constants, lattice)?;
             self.seen.grow(gpu, self.lists.capacity())?;
-            frame_array.write(gpu, 0, &[frame]);
+            constants_array.write(gpu, 0, &[constants]);
             self.counts.write(gpu, 0, &[0; counts::WORDS]);
-            let tiles = frame.tiles();
+            let tiles = constants.tiles();
             submit(gpu, "a view", |pass| {
                 let (kernels, scene) = (&self.kernels, &self.parameters);
-                self.lists.record(kernels, pass, &frame_array, n, tiles, scene, &self.counts, None);
+                self.lists.record(kernels, pass, &constants_array, n, tiles, scene, &self.counts, None);
                 let drawn = self.lists.drawn();
                 let water = water.map(FrozenWater::planes);
-                planes.record_forward(raster, pass, &frame_array, tiles, &drawn, water, Outputs::Training);
-                let mut buffers = drawn.buffers(&frame_array);
+                planes.record_forward(
+                    raster,
+                    pass,
+                    &constants_array,
+                    tiles,
+                    &drawn,
+                    water,
+                    Outputs::Training,
+                );
+                let mut buffers = drawn.buffers(&constants_array);
                 buffers.extend(bound![planes.stop, self.seen]);
                 self.seen_kernel.dispatch(pass, Grid::groups(tiles), buffers);
             })?;
             if self.lists.had_room(gpu, &self.counts)? {
-                return Ok(frame);
+                return Ok(constants);
             }
         }
     }

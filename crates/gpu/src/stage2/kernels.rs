@@ -2,8 +2,8 @@
 
 use use3d_training::EngineError;
 
+use crate::constants::CONSTANTS;
 use crate::device::Gpu;
-use crate::frame::FRAME;
 use crate::kernel::{Access, Binding, Constant, Kernel, ROWS, SUM, Spec, U32S, read, write};
 use crate::raster;
 
@@ -34,7 +34,7 @@ const DECODER: &str = include_str!("decoder.wgsl");
 const TABLE: &str = include_str!("table.wgsl");
 const SUM_ROWS: &str = include_str!("sum_rows.wgsl");
 
-const CONSTANTS: Binding = (Access::Uniform, "field", "Field");
+const FIELD_BINDING: Binding = (Access::Uniform, "field", "Field");
 const SITE_ROWS: Binding = (Access::Read, "sites", "array<vec4<u32>>");
 const STATUS: Binding = (Access::Write, "status", "array<atomic<u32>>");
 const BASE: Binding = (Access::Read, "base", ROWS);
@@ -83,26 +83,26 @@ impl Variant {
 
     fn lookup(&self) -> Spec {
         let partial = (Access::Write, "partial", ROWS);
-        let bindings = [CONSTANTS, read("state"), SITE_ROWS, write("raw"), partial];
+        let bindings = [FIELD_BINDING, read("state"), SITE_ROWS, write("raw"), partial];
         let parts = [FIELD, GUIDE, SITES, DECODER, SUM_ROWS, include_str!("lookup.wgsl")];
         self.spec("lookup", LOOKUPS as u32, &bindings, &parts)
     }
 
     fn grade(&self) -> Spec {
         let partial = (Access::Read, "partial", ROWS);
-        let bindings = [CONSTANTS, read("state"), read("raw"), partial, write("grade")];
+        let bindings = [FIELD_BINDING, read("state"), read("raw"), partial, write("grade")];
         self.spec("grade", 64, &bindings, &[FIELD, SUM_ROWS, include_str!("grade.wgsl")])
     }
 
     fn recolor(&self) -> Spec {
         let splats = (Access::Write, "splats", ROWS);
-        let bindings = [CONSTANTS, read("state"), read("raw"), read("grade"), BASE, splats];
+        let bindings = [FIELD_BINDING, read("state"), read("raw"), read("grade"), BASE, splats];
         self.spec("recolor", 64, &bindings, &[FIELD, AFFINE, include_str!("recolor.wgsl")])
     }
 
     fn water(&self) -> Spec {
         let bindings = [
-            CONSTANTS,
+            FIELD_BINDING,
             read("state"),
             read("grade"),
             read("color"),
@@ -119,7 +119,7 @@ impl Variant {
 
     fn recolor_back(&self) -> Spec {
         let bindings = [
-            CONSTANTS,
+            FIELD_BINDING,
             read("state"),
             read("raw"),
             read("grade"),
@@ -135,7 +135,7 @@ impl Variant {
 
     fn water_back(&self) -> Spec {
         let bindings = [
-            CONSTANTS,
+            FIELD_BINDING,
             read("state"),
             read("grade"),
             read("color"),
@@ -153,7 +153,7 @@ impl Variant {
     }
 
     fn total(&self, of: Of) -> Spec {
-        let bindings = [CONSTANTS, read("partial"), write("totals")];
+        let bindings = [FIELD_BINDING, read("partial"), write("totals")];
         let mut spec = self.spec("total of sums", 64, &bindings, &[FIELD, SUM, include_str!("total.wgsl")]);
         spec.constants.push(("OF", Constant::Count(of as u32)));
         spec.constants.push(("FIRST", Constant::Count(of.first() as u32)));
@@ -161,13 +161,13 @@ impl Variant {
     }
 
     fn table_back(&self) -> Spec {
-        let bindings = [CONSTANTS, read("totals"), read("grade"), write("slopes")];
+        let bindings = [FIELD_BINDING, read("totals"), read("grade"), write("slopes")];
         self.spec("water table backward", 64, &bindings, &[FIELD, include_str!("table_back.wgsl")])
     }
 
     fn lookup_back(&self) -> Spec {
         let bindings = [
-            CONSTANTS,
+            FIELD_BINDING,
             read("state"),
             SITE_ROWS,
             read("totals"),
@@ -181,19 +181,19 @@ impl Variant {
     }
 
     fn units(&self) -> Spec {
-        let bindings = [CONSTANTS, read("state"), read("slopes"), read("codes"), write("partial")];
+        let bindings = [FIELD_BINDING, read("state"), read("slopes"), read("codes"), write("partial")];
         self.spec("hidden units", LOOKUPS as u32, &bindings, &[FIELD, DECODER, include_str!("units.wgsl")])
     }
 
     fn nodes(&self) -> Spec {
-        let bindings = [CONSTANTS, read("state"), SITE_ROWS, read("by_codes"), write("partial")];
+        let bindings = [FIELD_BINDING, read("state"), SITE_ROWS, read("by_codes"), write("partial")];
         let parts = [FIELD, GUIDE, SITES, include_str!("nodes.wgsl")];
         self.spec("factor nodes", LOOKUPS as u32, &bindings, &parts)
     }
 
     fn gradient(&self, water: bool) -> Spec {
         let bindings = [
-            CONSTANTS,
+            FIELD_BINDING,
             read("state"),
             read("totals"),
             read("grade"),
@@ -207,7 +207,7 @@ impl Variant {
     }
 
     fn learn(&self) -> Spec {
-        let bindings = [CONSTANTS, read("gradient"), write("state"), STATUS];
+        let bindings = [FIELD_BINDING, read("gradient"), write("state"), STATUS];
         self.spec("field update", 64, &bindings, &[FIELD, include_str!("learn.wgsl")])
     }
 }
@@ -219,7 +219,7 @@ fn seen() -> Spec {
         threads: 64,
         bindings: [&raster::TILE[..], &more[..]].concat(),
         constants: vec![],
-        parts: vec![FRAME, raster::SHARED, include_str!("seen.wgsl")],
+        parts: vec![CONSTANTS, raster::SHARED, include_str!("seen.wgsl")],
     }
 }
 
@@ -236,7 +236,7 @@ pub(crate) fn colors(water: bool) -> Spec {
         threads: 64,
         bindings: [&raster::TILE[..], &more[..]].concat(),
         constants: vec![("WATER", Constant::Switch(water))],
-        parts: vec![FRAME, raster::SHARED, include_str!("colors.wgsl")],
+        parts: vec![CONSTANTS, raster::SHARED, include_str!("colors.wgsl")],
     }
 }
 

@@ -105,7 +105,7 @@ impl Drawing {
             planes.record_forward(
                 raster,
                 pass,
-                &view.frame,
+                &view.constants,
                 view.tiles,
                 &view.drawn(),
                 water,

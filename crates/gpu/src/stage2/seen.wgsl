@@ -12,15 +12,15 @@ fn main(
     @builtin(local_invocation_index) lid: u32,
 ) {
     let tile = group_of(wid, nwg);
-    if (tile >= frame.size.z * frame.size.w) { return; }
-    let left = (tile % frame.size.z) * TILE;
-    let top = (tile / frame.size.z) * TILE;
-    let columns = min(TILE, frame.size.x - left);
-    let rows = min(TILE, frame.size.y - top);
+    if (tile >= constants.size.z * constants.size.w) { return; }
+    let left = (tile % constants.size.z) * TILE;
+    let top = (tile / constants.size.z) * TILE;
+    let columns = min(TILE, constants.size.x - left);
+    let rows = min(TILE, constants.size.y - top);
     for (var p = lid; p < PIXELS; p += WG) {
         let column = p % TILE;
         let row = p / TILE;
-        if (column < columns && row < rows) { ends[p] = stops[(top + row) * frame.size.x + left + column]; }
+        if (column < columns && row < rows) { ends[p] = stops[(top + row) * constants.size.x + left + column]; }
     }
     workgroupBarrier();
     let first = starts[tile];
@@ -31,7 +31,7 @@ fn main(
         let b = splats[3u * i + 1u];
         var sees = 0u;
         for (var row = 0u; row < rows && sees == 0u; row++) {
-            let dy = axes[frame.size.z * TILE + top + row] - a.y;
+            let dy = axes[constants.size.z * TILE + top + row] - a.y;
             let peak = fma(b.x, -(dy * dy), b.y);
             if (peak < -LOG2_255 - MARGIN) { continue; }
             for (var column = 0u; column < columns; column++) {

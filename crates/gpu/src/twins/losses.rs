@@ -8,8 +8,8 @@ use use3d_training::EngineError;
 
 use super::{Agreement, draws, poison};
 use crate::buffer::Array;
+use crate::constants::counts;
 use crate::device::Gpu;
-use crate::frame::counts;
 use crate::kernel::submit;
 use crate::losses::{Gains, LossPlan, Losses, Seen, TOLD, Told};
 
@@ -36,7 +36,7 @@ const ROW: usize = 2;
 const STEP: ExposureStep = ExposureStep { rate: 2e-3, weight: 0.01 };
 
 /// A smooth picture with noise, a photograph near it, a mask, depths and a prior that is like them.
-struct Scene {
+struct Inputs {
     rendered: Image,
     photograph: Image,
     mask: Option<Map>,
@@ -45,7 +45,7 @@ struct Scene {
     exposures: Exposures,
 }
 
-fn scene(case: &LossCase) -> Option<Scene> {
+fn inputs(case: &LossCase) -> Option<Inputs> {
     let LossCase { width, height, seed, .. } = *case;
     let (n, stream) = (width * height, draws("twin of the losses", seed));
     let noise = |run: u64, i: usize| stream.uniform(run * 100_000_000 + i as u64) as f32;
@@ -62,7 +62,7 @@ fn scene(case: &LossCase) -> Option<Scene> {
     let prior = (0..n).map(|i| if i % 7 == 0 { 0.0 } else { like(i) }).collect();
     let gains: Vec<[f64; 3]> =
         (0..VIEWS).map(|v| std::array::from_fn(|c| 0.8 + 0.4 * stream.uniform((9 * v + c) as u64))).collect();
-    Some(Scene {
+    Some(Inputs {
         rendered: Image::from_planes(width, height, rendered)?,
         photograph: Image::from_planes(width, height, photograph)?,
         mask: case.mask.then(|| Map::from_planes(width, height, mask)).flatten(),
@@ -74,17 +74,17 @@ fn scene(case: &LossCase) -> Option<Scene> {
 
 /// Compares the losses of a view.
 pub fn losses(gpu: &Gpu, case: &LossCase) -> Result<Vec<Agreement>, EngineError> {
-    let Some(scene) = scene(case) else { return Ok(Vec::new()) };
+    let Some(inputs) = inputs(case) else { return Ok(Vec::new()) };
     let n = case.width * case.height;
 
-    let gain = if case.gains { scene.exposures.gain(ROW) } else { [1.0; 3] };
-    let mut shown = scene.rendered.clone();
+    let gain = if case.gains { inputs.exposures.gain(ROW) } else { [1.0; 3] };
+    let mut shown = inputs.rendered.clone();
     for c in 0..3 {
         shown.plane_mut(c).iter_mut().for_each(|v| *v *= gain[c]);
     }
     let mut slope = Image::new(1, 1);
     let mut photometric = PhotometricLoss::new(WEIGHTS[1]);
-    let value = photometric.evaluate(&shown, &scene.photograph, scene.mask.as_ref(), &mut slope);
+    let value = photometric.evaluate(&shown, &inputs.photograph, inputs.mask.as_ref(), &mut slope);
     let by_gain: [f64; 3] = std::array::from_fn(|c| {
         let (seen, pulled) = (shown.plane(c), slope.plane(c));
         sums::sum(n, |i| f64::from(seen[i]) * f64::from(pulled[i]))
@@ -93,11 +93,11 @@ pub fn losses(gpu: &Gpu, case: &LossCase) -> Result<Vec<Agreement>, EngineError>
         slope.plane_mut(c).iter_mut().for_each(|v| *v *= gain[c]);
     }
     let mut depth_slope = Map::new(case.width, case.height);
-    let depth_loss = match &scene.prior {
-        Some(prior) => DepthPriorLoss.evaluate(&scene.depth, prior, WEIGHTS[2], &mut depth_slope),
+    let depth_loss = match &inputs.prior {
+        Some(prior) => DepthPriorLoss.evaluate(&inputs.depth, prior, WEIGHTS[2], &mut depth_slope),
         None => 0.0,
     };
-    let mut exposures = scene.exposures.clone();
+    let mut exposures = inputs.exposures.clone();
     if case.gains {
         exposures.update(ROW, by_gain, &STEP);
     }
@@ -107,14 +107,14 @@ pub fn losses(gpu: &Gpu, case: &LossCase) -> Result<Vec<Agreement>, EngineError>
     #[cfg(test)]
     losses.poison(gpu);
     let array = |what, values: &[f32]| Array::from(gpu, what, values);
-    let (image, depth) = (array("image", scene.rendered.data())?, array("depth", scene.depth.data())?);
-    let photograph = array("photograph", scene.photograph.data())?;
-    let mask = scene.mask.as_ref().map(|m| array("mask", m.data())).transpose()?;
-    let prior = scene.prior.as_ref().map(|p| array("prior", p.data())).transpose()?;
+    let (image, depth) = (array("image", inputs.rendered.data())?, array("depth", inputs.depth.data())?);
+    let photograph = array("photograph", inputs.photograph.data())?;
+    let mask = inputs.mask.as_ref().map(|m| array("mask", m.data())).transpose()?;
+    let prior = inputs.prior.as_ref().map(|p| array("prior", p.data())).transpose()?;
     let (by_image, by_depth) = (array("slopes", &poison(3 * n))?, array("depth slopes", &poison(n))?);
     let reports = array("reports", &poison(32))?;
     let counts = Array::from(gpu, "counts", &[0u32; counts::WORDS])?;
-    let mut gains = Gains::new(gpu, &scene.exposures)?;
+    let mut gains = Gains::new(gpu, &inputs.exposures)?;
     let seen = Seen {
         image: &image,
         depth: &depth,

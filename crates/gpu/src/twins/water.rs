@@ -7,8 +7,8 @@ use use3d_training::EngineError;
 
 use super::{Agreement, draws, poison};
 use crate::buffer::Array;
+use crate::constants::counts;
 use crate::device::Gpu;
-use crate::frame::counts;
 use crate::kernel::submit;
 use crate::water::{AlongRays, Water};
 

@@ -4,7 +4,7 @@ fn main(@builtin(local_invocation_index) lid: u32) {
     if (lid != 0u) { return; }
     if (counts[BAD] != 0u && counts[STOP] == 0u) {
         counts[STOP] = NON_FINITE;
-        counts[STOP_STEP] = frame.counts.w;
+        counts[STOP_STEP] = constants.counts.w;
     }
-    ends[frame.flags.w] = vec4<u32>(counts[STOP], counts[STOP_STEP], counts[BAD], counts[MOST]);
+    ends[constants.flags.w] = vec4<u32>(counts[STOP], counts[STOP_STEP], counts[BAD], counts[MOST]);
 }

@@ -6,7 +6,7 @@ const BLOCK: u32 = 64u;
 var<private> bad: u32;
 
 fn adam(p: f32, g: f32, m: ptr<function, f32>, v: ptr<function, f32>, rate: f32, bit: u32) -> f32 {
-    let b = frame.adam;
+    let b = constants.adam;
     *m = b.x * *m + (1.0f - b.x) * g;
     *v = b.y * *v + (1.0f - b.y) * g * g;
     let moved = p - rate * *m / (sqrt(*v) * b.z + b.w);
@@ -93,20 +93,20 @@ fn pull_back(x: vec3<f32>, s: Screen, splat0: vec4<f32>, splat1: vec4<f32>, sum:
     );
     let along = dot(g, u);
     out.quaternion = (g - along * u) / s.norm;
-    let r2 = frame.rotation[2].xyz;
+    let r2 = constants.rotation[2].xyz;
     let z = x.z;
     var d_x = vec3<f32>(0.0f, 0.0f, d_z);
-    let slope = vec2<f32>(-(frame.lens.x / z) * dot(d_jr0, r2), -(frame.lens.y / z) * dot(d_jr1, r2));
+    let slope = vec2<f32>(-(constants.lens.x / z) * dot(d_jr0, r2), -(constants.lens.y / z) * dot(d_jr1, r2));
     d_x.z -= (dot(d_jr0, s.jr0) + dot(d_jr1, s.jr1)) / z;
     for (var i = 0u; i < 2u; i++) {
         if (s.free[i]) {
             d_x[i] += slope[i] / z;
             d_x.z -= slope[i] * s.slope[i] / z;
         }
-        d_x[i] += d_mean[i] * frame.lens[i] / z;
-        d_x.z -= d_mean[i] * frame.lens[i] * x[i] / (z * z);
+        d_x[i] += d_mean[i] * constants.lens[i] / z;
+        d_x.z -= d_mean[i] * constants.lens[i] * x[i] / (z * z);
     }
-    out.mean = frame.rotation[0].xyz * d_x.x + frame.rotation[1].xyz * d_x.y + r2 * d_x.z;
+    out.mean = constants.rotation[0].xyz * d_x.x + constants.rotation[1].xyz * d_x.y + r2 * d_x.z;
     return out;
 }
 
@@ -118,7 +118,7 @@ fn main(
 ) {
     let own = group_of(wid, nwg) * WG + lid;
     let i = chunk.x + own;
-    if (own >= chunk.y || i >= frame.counts.x || atomicLoad(&counts[STOP]) != 0u) { return; }
+    if (own >= chunk.y || i >= constants.counts.x || atomicLoad(&counts[STOP]) != 0u) { return; }
     bad = 0u;
     var g0 = geometry[3u * i];
     var g1 = geometry[3u * i + 1u];
@@ -140,34 +140,34 @@ fn main(
     }
     var m = geometry_first[3u * i];
     var v = geometry_second[3u * i];
-    let mean = adam3(g0.xyz, pull.mean, &m, &v, frame.rates.x, 1u);
+    let mean = adam3(g0.xyz, pull.mean, &m, &v, constants.rates.x, 1u);
     var mw = m.w;
     var vw = v.w;
-    let logit = adam(g0.w, d_logit, &mw, &vw, frame.rates.w, 8u);
+    let logit = adam(g0.w, d_logit, &mw, &vw, constants.rates.w, 8u);
     geometry[3u * i] = vec4<f32>(mean, logit);
     geometry_first[3u * i] = vec4<f32>(m.xyz, mw);
     geometry_second[3u * i] = vec4<f32>(v.xyz, vw);
     m = geometry_first[3u * i + 1u];
     v = geometry_second[3u * i + 1u];
-    geometry[3u * i + 1u] = vec4<f32>(adam3(g1.xyz, pull.log_scale, &m, &v, frame.rates.y, 2u), 0.0f);
+    geometry[3u * i + 1u] = vec4<f32>(adam3(g1.xyz, pull.log_scale, &m, &v, constants.rates.y, 2u), 0.0f);
     geometry_first[3u * i + 1u] = m;
     geometry_second[3u * i + 1u] = v;
     m = geometry_first[3u * i + 2u];
     v = geometry_second[3u * i + 2u];
-    let axes_moved = adam3(g2.xyz, pull.quaternion.xyz, &m, &v, frame.rates.z, 4u);
+    let axes_moved = adam3(g2.xyz, pull.quaternion.xyz, &m, &v, constants.rates.z, 4u);
     mw = m.w;
     vw = v.w;
-    let last_moved = adam(g2.w, pull.quaternion.w, &mw, &vw, frame.rates.z, 4u);
+    let last_moved = adam(g2.w, pull.quaternion.w, &mw, &vw, constants.rates.z, 4u);
     geometry[3u * i + 2u] = vec4<f32>(axes_moved, last_moved);
     geometry_first[3u * i + 2u] = vec4<f32>(m.xyz, mw);
     geometry_second[3u * i + 2u] = vec4<f32>(v.xyz, vw);
 
     // Where the clamp at black is active the colour has no gradient.
     let by_color = vec3<f32>(sum[1].w, sum[2].xy) * vec3<f32>(splat2.xyz > vec3<f32>(0.0f));
-    let bands = frame.counts.y;
+    let bands = constants.counts.y;
     var y = harmonics(bands, direction);
     for (var k = 0u; k < bands; k++) {
-        let rate = select(frame.color_rates.y, frame.color_rates.x, k == 0u);
+        let rate = select(constants.color_rates.y, constants.color_rates.x, k == 0u);
         for (var c = 0u; c < 3u; c++) {
             let at = 48u * own + 3u * k + c;
             var first = colors_first[at];
@@ -177,9 +177,9 @@ fn main(
             colors_second[at] = second;
         }
     }
-    if (frame.flags.z != 0u && visible) {
+    if (constants.flags.z != 0u && visible) {
         let a = splat0.w * (2.0f * LN_2);
-        let s = frame.screen.xy * vec2<f32>(a * sum[2].z, sum[2].w);
+        let s = constants.screen.xy * vec2<f32>(a * sum[2].z, sum[2].w);
         let before = statistics[i];
         let norm = bitcast<f32>(before.x) + sqrt(s.x * s.x + s.y * s.y);
         statistics[i] = vec2<u32>(bitcast<u32>(norm), before.y + 1u);

@@ -15,20 +15,20 @@ struct Contour {
 // First and last centre of a tile across, and down.
 fn across(t: u32) -> vec2<f32> { return vec2<f32>(axes[t * TILE], axes[t * TILE + TILE - 1u]); }
 fn down(t: u32) -> vec2<f32> {
-    let first = (frame.size.z + t) * TILE;
+    let first = (constants.size.z + t) * TILE;
     return vec2<f32>(axes[first], axes[first + TILE - 1u]);
 }
 
 // The half-open range of tiles across with a centre between two numbers.
 fn columns_meeting(low: f32, high: f32) -> vec2<u32> {
     var a = 0u;
-    var b = frame.size.z;
+    var b = constants.size.z;
     while (a < b) {
         let middle = (a + b) / 2u;
         if (across(middle).y < low) { a = middle + 1u; } else { b = middle; }
     }
     let first = a;
-    b = frame.size.z;
+    b = constants.size.z;
     while (a < b) {
         let middle = (a + b) / 2u;
         if (across(middle).x <= high) { a = middle + 1u; } else { b = middle; }
@@ -39,13 +39,13 @@ fn columns_meeting(low: f32, high: f32) -> vec2<u32> {
 // The same down.
 fn rows_meeting(low: f32, high: f32) -> vec2<u32> {
     var a = 0u;
-    var b = frame.size.w;
+    var b = constants.size.w;
     while (a < b) {
         let middle = (a + b) / 2u;
         if (down(middle).y < low) { a = middle + 1u; } else { b = middle; }
     }
     let first = a;
-    b = frame.size.w;
+    b = constants.size.w;
     while (a < b) {
         let middle = (a + b) / 2u;
         if (down(middle).x <= high) { a = middle + 1u; } else { b = middle; }

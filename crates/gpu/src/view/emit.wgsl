@@ -10,7 +10,7 @@ fn main(
     let entry = group_of(wid, nwg) * WG + lid;
     if (entry >= counts[ENTRIES]) { return; }
     var a = 0u;
-    var b = frame.counts.x;
+    var b = constants.counts.x;
     while (a < b) {
         let middle = (a + b) / 2u;
         if (offsets[middle] <= entry) { a = middle + 1u; } else { b = middle; }
@@ -22,17 +22,17 @@ fn main(
     let s1 = splats[3u * i + 1u];
     let contour = Contour(s0.x, s0.y, s0.z, s0.w, s1.x, s1.y + LOG2_255, s1.w);
     let rows = rows_meeting(s0.y - s1.w, s0.y + s1.w);
-    var tile = frame.size.z * frame.size.w;
+    var tile = constants.size.z * constants.size.w;
     for (var row = rows.x; row < rows.y; row++) {
         let span = row_span(contour, row);
         let count = max(span.y, span.x) - span.x;
         if (rest < count) {
-            tile = row * frame.size.z + span.x + rest;
+            tile = row * constants.size.z + span.x + rest;
             break;
         }
         rest -= count;
     }
-    if (RECORDS && tile == frame.size.z * frame.size.w) {
+    if (RECORDS && tile == constants.size.z * constants.size.w) {
         for (var k = 0u; k < 3u; k++) { records[3u * entry + k] = vec4<f32>(); }
     }
     keys[entry] = tile;

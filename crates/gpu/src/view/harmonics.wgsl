@@ -34,7 +34,7 @@ fn harmonics(bands: u32, d: vec3<f32>) -> array<f32, 16> {
 
 // The unit direction from the camera to a Gaussian; (0, 0, 1) where they coincide.
 fn direction_to(mean: vec3<f32>) -> vec3<f32> {
-    let d = mean - frame.center.xyz;
+    let d = mean - constants.center.xyz;
     let norm = sqrt(d.x * d.x + d.y * d.y + d.z * d.z);
     if (norm > 0.0f) { return d / norm; }
     return vec3<f32>(0.0f, 0.0f, 1.0f);

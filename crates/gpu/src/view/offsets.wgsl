@@ -6,7 +6,7 @@ fn main(
     @builtin(local_invocation_index) lid: u32,
 ) {
     let block = group_of(wid, nwg);
-    let n = frame.counts.x;
+    let n = constants.counts.x;
     let nothing = counts[ENTRIES] == 0u;
     var carry = 0u;
     if (block * ITEMS * WG < n) { carry = partial[block]; }

@@ -25,7 +25,7 @@ fn main(
 ) {
     let own = group_of(wid, nwg) * WG + lid;
     let i = chunk.x + own;
-    if (own >= chunk.y || i >= frame.counts.x) { return; }
+    if (own >= chunk.y || i >= constants.counts.x) { return; }
     let g0 = geometry[3u * i];
     let g1 = geometry[3u * i + 1u];
     let q = geometry[3u * i + 2u];
@@ -38,7 +38,7 @@ fn main(
     let yy = dot(v * s.b, s.b);
     let cov_xx = xx + BLUR;
     let cov_yy = yy + BLUR;
-    let mean = frame.lens.xy * (x.xy / x.z) + frame.lens.zw;
+    let mean = constants.lens.xy * (x.xy / x.z) + constants.lens.zw;
     if (large(mean.x) || large(mean.y) || large(cov_xx) || large(xy) || large(cov_yy)) { hide(i); return; }
     let logit = g0.w;
     let log2_opacity = min(logit, 0.0f) * LOG2_E - log2_1p(exp2(-abs(logit) * LOG2_E));
@@ -53,11 +53,11 @@ fn main(
     let steepness = 0.5f * LOG2_E * cov_yy / det;
     let steepness_y = 0.5f * LOG2_E / cov_yy;
     let finite = !is_bad(shear) && steepness > 0.0f && steepness_y > 0.0f && !is_bad(steepness);
-    let e = frame.extent;
+    let e = constants.extent;
     let meets = mean.x + reach.x >= e.x && mean.x - reach.x <= e.y && mean.y + reach.y >= e.z && mean.y - reach.y <= e.w;
     if (!finite || !meets) { hide(i); return; }
 
-    let bands = frame.counts.y;
+    let bands = constants.counts.y;
     var color: vec3<f32>;
     if (bands == 0u) {
         color = vec3<f32>(colors[3u * own], colors[3u * own + 1u], colors[3u * own + 2u]);

@@ -30,11 +30,11 @@ struct Screen {
 
 // In the camera's frame; relative to the camera's centre, which keeps the digits of what is near.
 fn camera_frame(mean: vec3<f32>) -> vec3<f32> {
-    let d = (mean - frame.center.xyz) - frame.center_rest.xyz;
+    let d = (mean - constants.center.xyz) - constants.center_rest.xyz;
     return vec3<f32>(
-        dot(frame.rotation[0].xyz, d),
-        dot(frame.rotation[1].xyz, d),
-        dot(frame.rotation[2].xyz, d),
+        dot(constants.rotation[0].xyz, d),
+        dot(constants.rotation[1].xyz, d),
+        dot(constants.rotation[2].xyz, d),
     );
 }
 
@@ -54,18 +54,18 @@ fn screen_of(x: vec3<f32>, log_scale: vec3<f32>, q: vec4<f32>) -> Screen {
     var s: Screen;
     s.x = x;
     let raw = vec2<f32>(x.x / x.z, x.y / x.z);
-    let low = vec2<f32>(frame.limits.x, frame.limits.z);
-    let high = vec2<f32>(frame.limits.y, frame.limits.w);
+    let low = vec2<f32>(constants.limits.x, constants.limits.z);
+    let high = vec2<f32>(constants.limits.y, constants.limits.w);
     s.slope = min(max(raw, low), high);
     s.free = (raw > low) & (raw < high);
     s.norm = sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w);
     s.unit = q / s.norm;
     s.turn = rotation_of(s.unit);
     s.variance = exp2((2.0f * LOG2_E) * log_scale);
-    let r0 = frame.rotation[0].xyz;
-    let r1 = frame.rotation[1].xyz;
-    let r2 = frame.rotation[2].xyz;
-    let j = frame.lens.xy / x.z;
+    let r0 = constants.rotation[0].xyz;
+    let r1 = constants.rotation[1].xyz;
+    let r2 = constants.rotation[2].xyz;
+    let j = constants.lens.xy / x.z;
     s.jr0 = j.x * (r0 - s.slope.x * r2);
     s.jr1 = j.y * (r1 - s.slope.y * r2);
     s.a = s.jr0 * s.turn;

@@ -6,7 +6,7 @@ fn main(
     @builtin(local_invocation_index) lid: u32,
 ) {
     let block = group_of(wid, nwg);
-    let n = frame.counts.x;
+    let n = constants.counts.x;
     var sum = 0u;
     for (var k = 0u; k < ITEMS; k++) {
         let rank = (block * ITEMS + k) * WG + lid;

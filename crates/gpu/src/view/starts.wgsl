@@ -6,7 +6,7 @@ fn main(
     @builtin(local_invocation_index) lid: u32,
 ) {
     let tile = group_of(wid, nwg) * WG + lid;
-    if (tile > frame.size.z * frame.size.w) { return; }
+    if (tile > constants.size.z * constants.size.w) { return; }
     var a = 0u;
     var b = counts[ENTRIES];
     while (a < b) {

@@ -2,7 +2,7 @@
 // follows.
 @compute @workgroup_size(WG)
 fn main(@builtin(local_invocation_index) lid: u32) {
-    let n = frame.counts.x;
+    let n = constants.counts.x;
     let blocks = (n + ITEMS * WG - 1u) / (ITEMS * WG);
     var carry = 0u;
     for (var first = 0u; first < blocks; first += WG) {
@@ -15,13 +15,13 @@ fn main(@builtin(local_invocation_index) lid: u32) {
     }
     if (lid != 0u) { return; }
     counts[MOST] = max(counts[MOST], carry);
-    if (carry <= frame.counts.z) {
+    if (carry <= constants.counts.z) {
         counts[ENTRIES] = carry;
         return;
     }
     counts[ENTRIES] = 0u;
     if (counts[STOP] == 0u) {
         counts[STOP] = OVERFLOW;
-        counts[STOP_STEP] = frame.counts.w;
+        counts[STOP_STEP] = constants.counts.w;
     }
 }

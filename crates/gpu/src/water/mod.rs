@@ -22,8 +22,8 @@ use use3d_numerics::spherical_harmonics::bands;
 use use3d_training::EngineError;
 
 use crate::buffer::Array;
+use crate::constants::counts;
 use crate::device::{Gpu, NAME};
-use crate::frame::counts;
 use crate::kernel::{Access, Binding, Constant, Grid, Kernel, SUM, Spec, bound, read, write};
 
 /// Pixels that a workgroup sums.

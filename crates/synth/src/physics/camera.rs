@@ -21,7 +21,7 @@ use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 
 use crate::render::{Look, coarse_rays};
-use crate::scene::{Caustics, Scene, display};
+use crate::scene::{Caustics, MeshScene, display};
 
 /// Rec. 601 luminance.
 const LUMINANCE: Vec3 = Vec3::new(0.299, 0.587, 0.114);
@@ -42,7 +42,7 @@ pub(crate) struct Automatic {
 }
 
 /// Mean light of a view per channel, linear.
-fn mean_light(scene: &Scene, camera: &Camera, look: &dyn Look) -> Vec3 {
+fn mean_light(scene: &MeshScene, camera: &Camera, look: &dyn Look) -> Vec3 {
     let rays = coarse_rays(camera);
     let still = Caustics { strength: 0.0, time: 0.0 };
     let sum: Vec3 = rays.iter().map(|ray| look.color(scene.look(ray, 0.05, still), ray)).sum();
@@ -51,7 +51,7 @@ fn mean_light(scene: &Scene, camera: &Camera, look: &dyn Look) -> Vec3 {
 
 /// The gains (red, green, blue) of every view; `look` is what each camera sees the scene through.
 pub(crate) fn gains(
-    scene: &Scene,
+    scene: &MeshScene,
     cameras: &[Camera],
     look: &(dyn Fn(&Camera) -> Box<dyn Look> + Sync),
     automatic: Automatic,

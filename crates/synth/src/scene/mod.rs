@@ -29,7 +29,7 @@ use crate::geometry::noise::Noise;
 use light::Daylight;
 
 /// A scene ready to be looked at.
-pub(crate) struct Scene {
+pub(crate) struct MeshScene {
     mesh: Mesh,
     surfaces: Vec<Surface>,
     bvh: Bvh,
@@ -62,7 +62,7 @@ pub(crate) struct Caustics {
 /// Nothing is looked for beyond this distance, metres: no water lets it be seen.
 const FAR: f32 = 70.0;
 
-impl Scene {
+impl MeshScene {
     /// Builds the scene and computes its light.
     pub(crate) fn new(layout: &Layout) -> Self {
         let (mesh, palette, terrain) = match layout.place {

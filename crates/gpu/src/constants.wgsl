@@ -1,4 +1,4 @@
-struct Frame {
+struct StepConstants {
     rotation: array<vec4<f32>, 3>,
     center: vec4<f32>,
     center_rest: vec4<f32>,

@@ -10,16 +10,16 @@ use crate::kernel::{Access, Binding};
 /// Pixels along a tile's side.
 pub(crate) const TILE: u32 = 16;
 
-/// The WGSL struct; [`Frame`] in its words.
-pub(crate) const FRAME: &str = include_str!("frame.wgsl");
+/// The WGSL struct; [`StepConstants`] in its words.
+pub(crate) const CONSTANTS: &str = include_str!("constants.wgsl");
 
 /// How kernels see it.
-pub(crate) const FRAME_BINDING: Binding = (Access::Uniform, "frame", "Frame");
+pub(crate) const CONSTANTS_BINDING: Binding = (Access::Uniform, "constants", "StepConstants");
 
 /// A step's constants. Rows of four words; the comments name them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
-pub(crate) struct Frame {
+pub(crate) struct StepConstants {
     /// Rows of the world-to-camera rotation; fourth word 0.
     pub(crate) rotation: [[f32; 4]; 3],
     /// The camera's centre, and what it lost in rounding: `centre + rest` is the centre to twice the digits.
@@ -50,7 +50,7 @@ pub(crate) struct Frame {
     pub(crate) screen: [f32; 4],
 }
 
-impl Frame {
+impl StepConstants {
     /// The pixels of a lattice, looked at by a camera: geometry of the view and numbers
     /// of Gaussians; the rest is zero.
     pub(crate) fn on(
@@ -150,27 +150,28 @@ pub(crate) mod counts {
 mod tests {
     use super::*;
 
-    /// The two descriptions of the frame agree, word for word.
+    /// The two descriptions of the constants agree, word for word.
     #[test]
-    fn the_kernels_see_the_frame_as_it_is_written() {
-        let module = wgpu::naga::front::wgsl::parse_str(FRAME).unwrap();
-        let (_, found) = module.types.iter().find(|(_, t)| t.name.as_deref() == Some("Frame")).unwrap();
+    fn the_kernels_see_the_constants_as_it_is_written() {
+        let module = wgpu::naga::front::wgsl::parse_str(CONSTANTS).unwrap();
+        let (_, found) =
+            module.types.iter().find(|(_, t)| t.name.as_deref() == Some("StepConstants")).unwrap();
         let wgpu::naga::TypeInner::Struct { members, span } = &found.inner else { panic!("no struct") };
-        assert_eq!(*span as usize, size_of::<Frame>());
+        assert_eq!(*span as usize, size_of::<StepConstants>());
         let ours = [
-            ("rotation", std::mem::offset_of!(Frame, rotation)),
-            ("center", std::mem::offset_of!(Frame, center)),
-            ("center_rest", std::mem::offset_of!(Frame, center_rest)),
-            ("lens", std::mem::offset_of!(Frame, lens)),
-            ("limits", std::mem::offset_of!(Frame, limits)),
-            ("extent", std::mem::offset_of!(Frame, extent)),
-            ("size", std::mem::offset_of!(Frame, size)),
-            ("counts", std::mem::offset_of!(Frame, counts)),
-            ("flags", std::mem::offset_of!(Frame, flags)),
-            ("adam", std::mem::offset_of!(Frame, adam)),
-            ("rates", std::mem::offset_of!(Frame, rates)),
-            ("color_rates", std::mem::offset_of!(Frame, color_rates)),
-            ("screen", std::mem::offset_of!(Frame, screen)),
+            ("rotation", std::mem::offset_of!(StepConstants, rotation)),
+            ("center", std::mem::offset_of!(StepConstants, center)),
+            ("center_rest", std::mem::offset_of!(StepConstants, center_rest)),
+            ("lens", std::mem::offset_of!(StepConstants, lens)),
+            ("limits", std::mem::offset_of!(StepConstants, limits)),
+            ("extent", std::mem::offset_of!(StepConstants, extent)),
+            ("size", std::mem::offset_of!(StepConstants, size)),
+            ("counts", std::mem::offset_of!(StepConstants, counts)),
+            ("flags", std::mem::offset_of!(StepConstants, flags)),
+            ("adam", std::mem::offset_of!(StepConstants, adam)),
+            ("rates", std::mem::offset_of!(StepConstants, rates)),
+            ("color_rates", std::mem::offset_of!(StepConstants, color_rates)),
+            ("screen", std::mem::offset_of!(StepConstants, screen)),
         ];
         assert_eq!(members.len(), ours.len());
         for (member, (name, offset)) in members.iter().zip(ours) {
