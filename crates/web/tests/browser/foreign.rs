@@ -1,10 +1,12 @@
-//! Exported files in other people's hands: drawn by [Spark](https://sparkjs.dev) on three.js, SPZ files read
-//! by the format's own library. All three are pinned in `tests/foreign/package-lock.json`.
+//! Exported files in other people's hands: drawn by [Spark](https://sparkjs.dev) on three.js, glTF files by
+//! three.js itself, SPZ files read by the format's own library. All three are pinned in
+//! `tests/foreign/package-lock.json`.
 //!
 //! `npm ci --prefix crates/web/tests/foreign` installs them, or `USE3D_FOREIGN_VIEWERS` names a folder
-//! whose `node_modules` has them. Spark widens every Gaussian a little and rounds colours, so pictures are
-//! alike, not equal: upside down, mirrored or miscoloured ones are far beyond the tolerance (each picture's
-//! mirror image is compared, too).
+//! whose `node_modules` has them. Spark widens every Gaussian a little and rounds colours, three.js cuts every
+//! Gaussian off at two deviations, so pictures are alike, not equal: upside down, mirrored or miscoloured ones
+//! are far beyond the tolerance (each picture's mirror image is compared, too, and glTF files that are wrong
+//! on purpose).
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
@@ -17,15 +19,18 @@ use serde_json::json;
 use use3d_capture::{Camera, Frame};
 use use3d_scene::{Scene, similarity};
 use use3d_splat::Gaussians;
-use use3d_web::foreign::{compressed_ply, spz};
+use use3d_web::foreign::{compressed_ply, glb, spz};
 
 use crate::chromium::Chromium;
 use crate::{pictures, scenes};
 
 const PAGE: &str = r#"<!doctype html><meta charset="utf-8"><title>foreign</title>
-<script type="importmap">{"imports":{"three":"/three/build/three.module.js","three/addons/":"/three/examples/jsm/","@sparkjsdev/spark":"/@sparkjsdev/spark/dist/spark.module.min.js","@adobe/spz":"/@adobe/spz/dist/spz.js"}}</script>
+<script type="importmap">{"imports":{"three":"/three/build/three.module.js","three/webgpu":"/three/build/three.webgpu.js","three/tsl":"/three/build/three.tsl.js","three/addons/":"/three/examples/jsm/","@sparkjsdev/spark":"/@sparkjsdev/spark/dist/spark.module.min.js","@adobe/spz":"/@adobe/spz/dist/spz.js"}}</script>
 <script type="module">
 import * as THREE from "three";
+import * as NODES from "three/webgpu";
+import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
+import { GLTFGaussianSplatLoaderExtension } from "three/addons/loaders/GLTFGaussianSplatLoaderExtension.js";
 import { SparkRenderer, SplatMesh } from "@sparkjsdev/spark";
 import spzModule from "@adobe/spz";
 const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
@@ -35,29 +40,27 @@ window.read = async text => {
     const names = ["positions", "scales", "rotations", "alphas", "colors", "sh"];
     return { degree: cloud.shDegree, ...Object.fromEntries(names.map(name => [name, Array.from(cloud[name])])) };
 };
-const renderer = new THREE.WebGLRenderer({ antialias: false, preserveDrawingBuffer: true });
-document.body.append(renderer.domElement);
-window.show = async (name, text, view) => {
-    renderer.setPixelRatio(1);
-    renderer.setSize(view.width, view.height);
-    renderer.setClearColor(0x000000, 1);
-    const scene = new THREE.Scene(), spark = new SparkRenderer({ renderer });
-    scene.add(spark);
-    const mesh = new SplatMesh({ fileBytes: bytes(text), fileName: name });
-    await mesh.initialized;
-    scene.add(mesh);
-    const camera = new THREE.PerspectiveCamera(), [fx, fy, cx, cy] = view.lens, [w, h, n, f] = [view.width, view.height, 0.01, 100];
+const placed = (camera, view) => {
+    const [fx, fy, cx, cy] = view.lens, [w, h, n, f] = [view.width, view.height, 0.01, 100];
     camera.matrixAutoUpdate = false;
     camera.matrix.set(...view.matrix);
     camera.updateMatrixWorld(true);
     camera.projectionMatrix.set(2 * fx / w, 0, 1 - 2 * cx / w, 0, 0, 2 * fy / h, 2 * cy / h - 1, 0, 0, 0, -(f + n) / (f - n), -2 * f * n / (f - n), 0, 0, -1, 0);
     camera.projectionMatrixInverse.copy(camera.projectionMatrix).invert();
-    const gl = renderer.getContext(), pixels = new Uint8Array(4 * w * h);
-    let last = 0, calm = 0;
-    // Sorting is done elsewhere: a picture that stays as it is has been sorted.
-    for (let frame = 0; frame < 200 && calm < 12; frame++) {
-        renderer.render(scene, camera);
-        gl.readPixels(0, 0, w, h, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+    return camera;
+};
+const copy = document.createElement("canvas"), context = copy.getContext("2d", { willReadFrequently: true });
+const settled = async (renderer, view, still, draw) => {
+    const [w, h] = [copy.width, copy.height] = [view.width, view.height];
+    renderer.setPixelRatio(1);
+    renderer.setSize(w, h);
+    renderer.setClearColor(0x000000, 1);
+    let pixels = null, last = 0, calm = 0;
+    // Sorting may be done elsewhere: a picture that stays as it is has been sorted.
+    for (let frame = 0; frame < 200 && calm < still; frame++) {
+        draw();
+        context.drawImage(renderer.domElement, 0, 0);
+        pixels = context.getImageData(0, 0, w, h).data;
         let sum = 0;
         for (let i = 0; i < pixels.length; i++) sum = (31 * sum + pixels[i]) | 0;
         const lit = pixels.some((v, i) => i % 4 < 3 && v > 0);
@@ -66,9 +69,43 @@ window.show = async (name, text, view) => {
         await new Promise(done => setTimeout(done, 20));
     }
     let out = "";
-    for (let y = h - 1; y >= 0; y--) for (let x = 0; x < w; x++) for (let c = 0; c < 3; c++) out += String.fromCharCode(pixels[4 * (y * w + x) + c]);
+    for (let i = 0; i < pixels.length; i++) if (i % 4 < 3) out += String.fromCharCode(pixels[i]);
+    return btoa(out);
+};
+const renderer = new THREE.WebGLRenderer({ antialias: false, preserveDrawingBuffer: true });
+document.body.append(renderer.domElement);
+window.show = async (name, text, view) => {
+    const scene = new THREE.Scene(), spark = new SparkRenderer({ renderer });
+    scene.add(spark);
+    const mesh = new SplatMesh({ fileBytes: bytes(text), fileName: name });
+    await mesh.initialized;
+    scene.add(mesh);
+    const camera = placed(new THREE.PerspectiveCamera(), view);
+    const picture = await settled(renderer, view, 12, () => renderer.render(scene, camera));
     mesh.dispose();
-    return { picture: btoa(out), splats: mesh.packedSplats?.numSplats ?? mesh.numSplats };
+    return { picture, splats: mesh.packedSplats?.numSplats ?? mesh.numSplats };
+};
+let nodes = null;
+window.showGltf = async (text, view) => {
+    if (!nodes) {
+        // WebGL 2 everywhere, so that a machine with WebGPU draws the same.
+        nodes = new NODES.WebGPURenderer({ antialias: false, forceWebGL: true });
+        await nodes.init();
+        // The file's colours are for the display already (`srgb_rec709_display`), and blend as such.
+        nodes.outputColorSpace = NODES.LinearSRGBColorSpace;
+        document.body.append(nodes.domElement);
+    }
+    const loader = new GLTFLoader();
+    loader.register(parser => new GLTFGaussianSplatLoaderExtension(parser));
+    const file = await loader.parseAsync(bytes(text).buffer, ""), scene = new NODES.Scene();
+    scene.add(file.scene);
+    let splats = 0;
+    file.scene.traverse(object => { if (object.isGaussianSplat) splats += object.splatGeometry.getAttribute("position").count; });
+    const camera = new NODES.PerspectiveCamera();
+    // The renderer asks for another matrix where it thinks the camera's is of another kind of card.
+    camera.coordinateSystem = nodes.coordinateSystem;
+    placed(camera, view);
+    return { picture: await settled(nodes, view, 1, () => nodes.render(scene, camera)), splats };
 };
 window.loaded = true;
 </script>"#;
@@ -134,10 +171,18 @@ fn shown(browser: &mut Chromium, name: &str, file: &[u8], camera: &Camera) -> (V
     let k = &camera.intrinsics;
     let view =
         json!({ "matrix": matrix, "lens": [k.fx, k.fy, k.cx, k.cy], "width": k.width, "height": k.height });
-    let answer = browser.evaluate(&format!("show({}, '{}', {view})", json!(name), STANDARD.encode(file)));
+    let file = STANDARD.encode(file);
+    let answer = browser.evaluate(&if name.ends_with(".glb") {
+        format!("showGltf('{file}', {view})")
+    } else {
+        format!("show({}, '{file}', {view})", json!(name))
+    });
     let bytes = STANDARD.decode(answer["picture"].as_str().expect("a picture")).expect("base64");
     (bytes.into_iter().map(|b| f32::from(b) / 255.0).collect(), answer["splats"].as_u64().unwrap_or(0))
 }
+
+/// Pictures of one scene by two programs may differ by this much on average.
+const BAR: f64 = 0.03;
 
 /// Mean difference of two pictures.
 fn apart(a: &[f32], b: &[f32]) -> f64 {
@@ -205,25 +250,62 @@ fn the_formats_own_library_reads_what_is_written() {
     }
 }
 
+/// Half a turn about x, a quaternion xyzw: from y down to y up.
+const HALF_TURN: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
+
 #[test]
 fn another_viewer_draws_what_the_program_draws() {
     let Some(mut browser) = opened() else { return };
     let (scene, turned) = scene();
     let mut files: Vec<(&str, Vec<u8>)> =
-        ["scene.ply", "compressed.ply", "scene.spz"].map(|name| (name, Vec::new())).into();
+        ["scene.ply", "compressed.ply", "scene.spz", "scene.glb"].map(|name| (name, Vec::new())).into();
     use3d_splat::ply::write_with_comments(&turned, &[], &mut files[0].1).expect("a PLY");
     compressed_ply::write(&turned, &[], &mut files[1].1).expect("a compressed PLY");
     spz::write(&turned, spz::Version::Three, &mut files[2].1).expect("an SPZ");
-    for camera in scenes::cameras(3, 240, 160) {
-        let ours = pictures::drawn(&scene, &camera, "clear", 0.0, 0.0);
+    // Its node turns it.
+    glb::write(&scene.gaussians, "", HALF_TURN, &mut files[3].1).expect("a GLB");
+    let cameras = scenes::cameras(3, 240, 160);
+    for camera in &cameras {
+        let ours = pictures::drawn(&scene, camera, "clear", 0.0, 0.0);
         let mut mirrored = ours.clone();
         mirrored.chunks_exact_mut(3 * camera.intrinsics.width).for_each(<[f32]>::reverse);
         for (name, file) in &files {
-            let (theirs, splats) = shown(&mut browser, name, file, &camera);
+            let (theirs, splats) = shown(&mut browser, name, file, camera);
             assert_eq!(splats, scene.gaussians.len() as u64, "{name}");
             let (same, other) = (apart(&ours, &theirs), apart(&mirrored, &theirs));
             eprintln!("{name}: mean difference {same:.4}; of the mirrored picture {other:.4}");
-            assert!(same < 0.03 && other > 2.5 * same, "{name}: {same:.4}, mirrored {other:.4}");
+            assert!(same < BAR && other > 2.5 * same, "{name}: {same:.4}, mirrored {other:.4}");
         }
     }
+    let ours = pictures::drawn(&scene, &cameras[2], "clear", 0.0, 0.0);
+    for (what, file) in wrong_glbs(&scene.gaussians) {
+        let (theirs, _) = shown(&mut browser, "wrong.glb", &file, &cameras[2]);
+        let other = apart(&ours, &theirs);
+        eprintln!("{what}: mean difference {other:.4}");
+        assert!(other > 1.4 * BAR, "{what}: {other:.4}");
+    }
+    // Errors and warnings of the viewers: a field they do not know, a file they doubt.
+    assert_eq!(browser.complaints, Vec::<String>::new());
+}
+
+/// glTF files with mistakes that exporters make, each of which the comparison has to find.
+fn wrong_glbs(right: &Gaussians) -> Vec<(&'static str, Vec<u8>)> {
+    let mut swapped = right.clone();
+    swapped.sh.iter_mut().flatten().for_each(|rgb| rgb.swap(0, 2));
+    let mut reordered = right.clone();
+    reordered.quaternions.iter_mut().for_each(|q| q.rotate_left(1));
+    let mut grown = right.clone();
+    grown.log_scales.iter_mut().flatten().for_each(|v| *v *= 0.5);
+    let written = |(what, gaussians, turn): (&'static str, &Gaussians, [f32; 4])| {
+        let mut file = Vec::new();
+        glb::write(gaussians, "", turn, &mut file).expect("a GLB");
+        (what, file)
+    };
+    let files = [
+        ("not turned", right, [0.0, 0.0, 0.0, 1.0]),
+        ("red and blue exchanged", &swapped, HALF_TURN),
+        ("quaternions in another order", &reordered, HALF_TURN),
+        ("sizes of another scale", &grown, HALF_TURN),
+    ];
+    files.map(written).into()
 }
