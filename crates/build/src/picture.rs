@@ -1,5 +1,6 @@
 //! The graph as a picture, coloured by state: Mermaid text and a self-contained SVG.
 
+use std::collections::BTreeSet;
 use std::fmt::Write;
 
 use super::graph::Graph;
@@ -28,8 +29,9 @@ pub fn mermaid(graph: &Graph, plan: &Plan) -> String {
     for (i, node) in graph.nodes.iter().enumerate().filter(|(_, n)| n.same_as.is_none()) {
         let label = node.label().replace('"', "'");
         let _ = writeln!(out, "  n{i}[\"{label}\"]:::{}", cell(&plan.nodes[i]).standing.word());
-        for parent in graph.parents(i) {
-            let _ = writeln!(out, "  n{} --> n{i}", root(graph, parent));
+        let parents: BTreeSet<usize> = graph.parents(i).map(|parent| root(graph, parent)).collect();
+        for parent in parents {
+            let _ = writeln!(out, "  n{parent} --> n{i}");
         }
     }
     out

@@ -12,6 +12,7 @@ use use3d_capture::name::shown;
 
 use crate::error::{CliError, Done};
 
+/// Of a look before any work is done; what fails when a result is written is [`CliError::failed`].
 impl From<PlaceError> for CliError {
     fn from(error: PlaceError) -> Self {
         Self::Input(error.to_string())
@@ -83,7 +84,7 @@ pub(crate) fn write_file(
         writer.flush()?;
         writer.get_ref().sync_all()
     });
-    written.map_err(|e| CliError::Input(format!("{flag} {}: cannot be written: {e}", path_text(path))))
+    written.map_err(|e| CliError::Failed(format!("{flag} {}: cannot be written: {e}", path_text(path))))
 }
 
 /// Copies a finished file to where the user wants it.
@@ -100,7 +101,7 @@ pub(crate) fn copy_folder(from: &Path, to: &Path, force: bool) -> Done {
     if placed.is_err() {
         let _ = std::fs::remove_dir_all(&made); // ours alone; the first error is the one to report
     }
-    Ok(placed?)
+    placed.map_err(CliError::failed)
 }
 
 /// A path as a word of a command line.

@@ -318,6 +318,38 @@ fn a_place_that_cannot_be_written_is_named_before_anything_is_computed() {
     assert_eq!(place.read("file"), "mine");
 }
 
+#[cfg(target_os = "linux")]
+#[test]
+fn a_disk_that_fills_while_results_are_written_is_no_wrong_request() {
+    let place = Place::new();
+    place.capture("cap");
+    let run = |out| ["run", "cap", "--cache", "cache", "--out", out, "--until", "reconstruct"];
+    let quick = ["--set", "reconstruct.iterations=2"];
+    place.expect(0, &[&run("whole")[..], &quick].concat());
+    // Files may be 16 kB, as if there were room for no more: every scene here is larger.
+    let cramped = |arguments: &[&str]| {
+        let mut shell = Command::new("sh");
+        shell.args(["-c", "ulimit -f 32; trap '' XFSZ; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_use3d")]);
+        shell.args(arguments).current_dir(place.at("")).env_remove("USE3D_CACHE").env_remove("USE3D_MODELS");
+        let Output { status, stderr, .. } = shell.output().expect("a shell");
+        (status.code(), String::from_utf8_lossy(&stderr).into_owned())
+    };
+    place.write("cameras.json", &cameras(&["a.png"]).replace("16", "320").replace("12", "240"));
+    for arguments in [
+        &[&run("out")[..], &quick].concat()[..],
+        &["export", "whole/cap/scene", "--ply", "a.ply"],
+        &["render", "whole/cap/scene", "--cameras", "cameras.json", "--out", "r", "--format", "exr"],
+        &["reconstruct", "cap", "--out", "by-hand", "--set", "iterations=2"],
+    ] {
+        let (code, said) = cramped(arguments);
+        assert_eq!(code, Some(1), "use3d {arguments:?}\n{said}");
+        assert!(said.contains("File too large"), "{said}");
+    }
+    assert!(
+        !place.at("a.ply").exists() && !place.at("out/cap/scene").exists() && !place.at("by-hand").exists()
+    );
+}
+
 #[test]
 fn the_demo_leaves_captures_of_others_alone() {
     let place = Place::new();

@@ -40,6 +40,8 @@ fn what_was_computed_in_one_cache_is_fetched_into_another() {
         let (ended, said) = ended(pull);
         assert!(ended == Some(code) && said.contains(words), "{address}: {said}");
     }
+    let (code, said) = ended(command("push", "empty", &[]));
+    assert!(code == Some(0) && said.contains("empty has nothing of this pipeline"), "{said}");
     let (code, said) = ended(command("pull", "second", &[]));
     assert!(!said.contains("is the address right"), "{said}");
     assert!(code == Some(0) && said.contains(" 0 missing"), "{said}");

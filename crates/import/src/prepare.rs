@@ -210,6 +210,9 @@ fn prepare_view(
         if read_pixels(&view.image)?.size() != plan.geometry.file {
             return Err(changed(view, plan));
         }
+        let file = plan.geometry.file;
+        view.mask.as_ref().map(|path| read_mask_at(path, file)).transpose()?;
+        view.depth_prior.as_ref().map(|path| read_depth_at(path, file)).transpose()?;
         copy(&view.image, &result.image)?;
         let mask = view.mask.as_ref().map(|from| copy_beside(from, out, "masks", name));
         result.mask = mask.transpose()?;

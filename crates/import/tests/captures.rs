@@ -452,6 +452,22 @@ fn priors_and_masks_of_another_shape_are_refused() {
 }
 
 #[test]
+fn damaged_masks_and_priors_are_named_by_the_import_though_their_bytes_are_only_copied() {
+    for folder in ["depth", "masks"] {
+        let fixture = Fixture::new(3, pinhole(1));
+        let damaged = fixture.path(folder).join(&fixture.names[1]);
+        write_png_map(&damaged, &Map::filled(SIZE.0, SIZE.1, 0.5)).unwrap();
+        let imported = fixture.import(&ImportParams::default()).unwrap();
+        assert!(!imported.needs_preparation());
+        prepare_all(&imported, &fixture.path("whole"));
+        let bytes = std::fs::read(&damaged).unwrap();
+        std::fs::write(&damaged, &bytes[..bytes.len() / 2]).unwrap();
+        let error = prepare(&imported, &fixture.path("out"), 2, &|_, _| true).unwrap_err().to_string();
+        assert!(error.contains(damaged.to_str().unwrap()) && error.contains("damaged"), "{error}");
+    }
+}
+
+#[test]
 fn stems_that_collide_and_cameras_of_two_sizes_are_kept_apart() {
     let fixture = Fixture::new(4, pinhole(1));
     let mut model = read_model(&fixture.path("sparse/0")).unwrap();

@@ -50,6 +50,12 @@ pub enum ImageError {
         /// The file.
         path: PathBuf,
     },
+    /// Nothing in it, as an interrupted copy leaves a file.
+    #[error("{}: the file is empty; copy it or write it again", path.display())]
+    Empty {
+        /// The file.
+        path: PathBuf,
+    },
     /// A header that announces more than is sensible; nothing has been allocated for it.
     #[error("{}: the {format} header announces {width}x{height} pixels, {why}", path.display())]
     Size {

@@ -68,6 +68,9 @@ pub fn info_of_bytes(bytes: &[u8], path: &Path) -> Result<ImageInfo, ImageError>
 
 fn info(mut reader: impl BufRead + Seek, length: u64, path: &Path) -> Result<ImageInfo, ImageError> {
     let start = reader.fill_buf().map_err(open_error(path))?;
+    if start.is_empty() {
+        return Err(ImageError::Empty { path: path.to_path_buf() });
+    }
     let format = detect(start).ok_or_else(|| ImageError::UnknownFormat { path: path.to_path_buf() })?;
     let (width, height, bytes_per_pixel, alpha) = match format {
         Format::Exr => {

@@ -231,7 +231,7 @@ fn errors_name_the_file() {
     let message = read_image(&path).unwrap_err().to_string();
     assert!(message.contains("nothing.png") && message.contains("PNG, JPEG"), "{message}");
     std::fs::write(&path, b"").unwrap();
-    assert!(matches!(read_image(&path), Err(ImageError::UnknownFormat { .. })));
+    assert!(matches!(read_image(&path), Err(ImageError::Empty { .. })));
     assert!(write_png(dir.path(), &gradient(2, 2)).is_err());
     assert!(write_png(&path, &Image::new(0, 3)).is_err());
     assert!(write_exr(&path, &Image::new(0, 3)).is_err());

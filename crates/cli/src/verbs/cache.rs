@@ -1,13 +1,17 @@
 //! The cache: what may go, and whether what is there is whole.
 
 use std::collections::BTreeSet;
+use std::path::Path;
 
 use use3d_build::gc::{CleanOptions, parse_age, parse_bytes};
+use use3d_build::machine::bytes;
+use use3d_build::place::parent;
 use use3d_build::{Cache, RunOptions};
 use use3d_pipeline::config::default_cache;
 
 use crate::App;
 use crate::args::{CacheArgs, GcArgs, PipelineArgs, VerifyArgs};
+use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::verbs::run::{json, open};
 
@@ -26,17 +30,46 @@ pub(crate) fn gc(args: &GcArgs) -> Done {
     let older_than =
         args.older_than.as_deref().map(parse_age).transpose().map_err(|e| flag("--older-than", e))?;
     let mut keep = BTreeSet::new();
+    // Without --cache it is the one that the pipelines to keep name.
+    let mut named: Option<(&Path, Cache)> = None;
     for pipeline in &args.keep {
         let loaded = open(&PipelineArgs::of(pipeline, &args.cache), &[])?;
         keep.extend(loaded.builder.plan(&loaded.graph, None).keys());
+        let cache = loaded.builder.cache;
+        match &named {
+            None => named = Some((pipeline, cache)),
+            Some((_, first)) if same_folder(first.root(), cache.root()) => {}
+            Some((other, first)) => {
+                return Err(CliError::Input(format!(
+                    "--keep {}: its cache is {}, that of {} is {}; say with --cache which is to be cleaned",
+                    path_text(pipeline),
+                    path_text(parent(cache.root())),
+                    path_text(other),
+                    path_text(parent(first.root()))
+                )));
+            }
+        }
     }
     let options = CleanOptions { max_bytes, older_than, keep, dry_run: args.dry_run };
-    let cleaning = cache(&args.cache)?.clean(&options);
+    let cache = named.map_or_else(|| cache(&args.cache), |(_, cache)| Ok(cache))?;
+    let cleaning = cache.clean(&options);
+    if let Some(limit) = max_bytes.filter(|limit| cleaning.left > *limit) {
+        eprintln!(
+            "warning: {} are more than the {} of --max-bytes: the rest is kept, for --keep or by running processes, or \
+             could not be removed",
+            bytes(cleaning.left),
+            bytes(limit)
+        );
+    }
     if args.json {
         return json(&cleaning);
     }
     print!("{cleaning}");
     Ok(())
+}
+
+fn same_folder(a: &Path, b: &Path) -> bool {
+    a == b || matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
 /// A share as `5%` or `0.05`.

@@ -2,10 +2,12 @@
 
 use std::sync::Arc;
 
+use use3d_build::place::parent;
 use use3d_build::remote::{RemoteStore, Transferred};
 
 use crate::App;
 use crate::args::{PushArgs, TransferArgs};
+use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::verbs::run::{Loaded, json, open};
 
@@ -29,8 +31,17 @@ fn loaded(args: &TransferArgs) -> Result<Loaded, CliError> {
 pub(crate) fn push(app: &App, args: &PushArgs) -> Done {
     let Loaded { builder, graph, .. } = loaded(&args.what)?;
     let store = probed(app, &args.what.remote)?;
+    let cache = &builder.cache;
     let sent = builder.push(&graph, &store, args.check, &app.stop, &app.listener);
-    tell(&sent.map_err(CliError::failed)?, &args.what)
+    let sent = sent.map_err(CliError::failed)?;
+    let nothing = sent.moved + sent.already == 0 && sent.problems.is_empty() && !sent.interrupted;
+    if nothing && sent.missing > 0 && !app.quiet {
+        eprintln!(
+            "warning: the cache at {} has nothing of this pipeline; are --cache and --set those of its run?",
+            path_text(parent(cache.root()))
+        );
+    }
+    tell(&sent, &args.what)
 }
 
 pub(crate) fn pull(app: &App, args: &TransferArgs) -> Done {

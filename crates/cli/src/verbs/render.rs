@@ -233,7 +233,7 @@ pub(crate) fn write(
     let path = file.below(folder);
     if let Some(parent) = path.parent() {
         std::fs::create_dir_all(parent)
-            .map_err(|e| CliError::Input(format!("--out {}: {e}", parent.display())))?;
+            .map_err(|e| CliError::Failed(format!("--out {}: {e}", parent.display())))?;
     }
     let channel = if mode == Mode::Alpha { "A" } else { "Z" };
     let written = match (format, frame) {
@@ -242,5 +242,5 @@ pub(crate) fn write(
         (FrameFormat::Png, Rendering::Scalar(map)) if mode == Mode::Alpha => write_png_map(&path, map),
         (FrameFormat::Png, frame) => write_png(&path, &picture(mode, frame)),
     };
-    written.map_err(CliError::input)
+    written.map_err(CliError::failed)
 }

@@ -237,7 +237,8 @@ fn execute(app: &App, loaded: &Loaded, options: &RunOptions, out: Option<&Path>,
     } else {
         print!("{summary}");
     }
-    let delivered = delivered?;
+    // Places were looked at before: what fails now is the disk, not the request.
+    let delivered = delivered.map_err(CliError::failed)?;
     if !app.quiet && !as_json {
         outcome::tell(&delivered);
     }

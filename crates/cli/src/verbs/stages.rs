@@ -413,7 +413,8 @@ pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
     run_kept(app, stage, &parameters[0], inputs, &kept)?;
     saved.forget(app);
     let (scene, capture) = (word(&args.out), word(&args.capture));
-    let next = format!("use3d render {scene} --cameras {capture} --out renders/ --modes enhanced");
+    let next =
+        format!("use3d render {scene} --cameras {capture} --out renders/ --modes enhanced-clear,enhanced");
     finished(app, &args.out, started, &next);
     Ok(())
 }

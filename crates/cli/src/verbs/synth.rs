@@ -115,8 +115,8 @@ pub(crate) fn keep_capture(app: &App, params: &CaptureParams, out: &Path) -> Don
     let made = place::sibling(out);
     let placed = write_capture(params, &made, &mut tell(app, "synth capture"))
         .map_err(error)
-        .and_then(|_| Ok(place::record(&made, Some(recipe))?))
-        .and_then(|()| Ok(place::put(&made, out, true)?));
+        .and_then(|_| place::record(&made, Some(recipe)).map_err(CliError::failed))
+        .and_then(|()| place::put(&made, out, true).map_err(CliError::failed));
     if placed.is_err() {
         let _ = std::fs::remove_dir_all(&made); // ours alone; the first error is the one to report
     }
