@@ -123,7 +123,7 @@ fn a_scene_proposes_for_itself_in_clear_radiance() {
     // Neither pairs nor a fit: import, reconstruct, targets, enhance, render, evaluate, report.
     assert!(out.contains("reef: 7 done, 0 cached"), "{out}");
     let page = std::fs::read_to_string(at.join("out/report.html")).expect("the report");
-    assert!(page.contains("proposed by `scene`; not calibrated"), "the report says what was done");
+    assert!(page.contains("without its water: not calibrated"), "the report says what was done");
     let read = |path: &str| -> serde_json::Value {
         let bytes = std::fs::read(at.join(path)).expect("a file");
         serde_json::from_slice(&bytes).expect("JSON")

@@ -1,5 +1,6 @@
 //! The report in a real Chromium: on phones nothing is wider than the screen, and the divider follows a
-//! finger, by day and by night.
+//! finger, by day and by night; wide tables say that they go on, keep their first column, and nothing glares or
+//! hides in the dark.
 
 #[expect(dead_code, reason = "shared with the tests of the scene's page, which do more with it")]
 #[path = "../../web/tests/browser/chromium.rs"]
@@ -8,7 +9,7 @@ mod chromium;
 use chromium::Chromium;
 use serde_json::json;
 use use3d_capture::Image;
-use use3d_pipeline::judge::report::plot::{Plot, Series};
+use use3d_pipeline::judge::report::plot::{Plot, RGB, Series};
 use use3d_pipeline::judge::report::{
     Page, Picture, PlotFigure, SceneSection, StageRow, ViewSection, with_costs, with_views,
 };
@@ -20,14 +21,17 @@ fn report() -> String {
     let long = "a_photograph_whose_name_is_longer_than_the_screen_of_any_phone_and_has_no_space.jpeg";
     let picture = |label: &str| Picture::embed(label, "", &Image::filled(480, 270, 0.4)).expect("a picture");
     let sentence = Sentence { tone: Tone::Good, text: format!("The weakest view is {long} by far.") };
-    let series = Series {
+    let series = |(color, dots)| Series {
         label: "one".into(),
-        color: "#0b7285",
+        color,
         points: vec![(0.0, 1.0), (1.0, 2.0)],
-        dots: false,
+        dots,
         names: Vec::new(),
     };
-    let plot = Plot { title: "Loss".into(), x_label: "step".into(), log_y: false, series: vec![series] };
+    let [red, green, blue] = RGB;
+    let colors = ["#0b7285", "#e8590c", "#845ef7", "#2b8a3e", red, green, blue].map(|color| (color, false));
+    let series = colors.into_iter().chain([("#0b7285", true)]).map(series).collect();
+    let plot = Plot { title: "Loss".into(), x_label: "step".into(), log_y: false, series };
     let number = Cell::Number { value: 12.345, source: "reef 0123456789ab".into() };
     let table = Table {
         name: "t".into(),
@@ -47,7 +51,7 @@ fn report() -> String {
             scores: vec!["PSNR 24.10".into()],
         }],
         plots: vec![PlotFigure { svg: plot.svg(), caption: long.into() }],
-        sheets: vec![picture("sheet")],
+        sheets: vec![Picture { blank: Some((50.0, 60.0)), ..picture("sheet") }],
         ..SceneSection::default()
     };
     let page = Page {
@@ -70,6 +74,49 @@ fn report() -> String {
     with_views(&html, [("reef", "", "reef/view.html".to_string())].into_iter())
 }
 
+/// The marks of plots that stand out from their ground less than a number says.
+const FAINT: &str = "contrast => {
+    const light = text => text.match(/[\\d.]+/g).slice(0, 3).map(v => v / 255).map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4).reduce((a, v, i) => a + v * [0.2126, 0.7152, 0.0722][i], 0.05);
+    return [...document.querySelectorAll('.plots polyline, .plots circle, .plots rect')].map(mark => {
+        const style = getComputedStyle(mark), color = style[mark.tagName === 'polyline' ? 'stroke' : 'fill'];
+        const [a, b] = [light(color), light(getComputedStyle(mark.closest('.panel')).backgroundColor)];
+        return [mark.tagName, color, Math.max(a, b) / Math.min(a, b)];
+    }).filter(([, , seen]) => seen < contrast);
+}";
+
+/// Curves stand out from the ground, heads stand over their columns, what a table's rows and columns are
+/// stays in sight, and no sheet has a white corner.
+fn readable(browser: &mut Chromium, what: &str, contrast: f64) {
+    let faint = browser.evaluate(&format!("({FAINT})({contrast})"));
+    assert_eq!(faint, json!([]), "{what}: hard to see");
+    let askew = browser.evaluate(
+        "[...document.querySelectorAll('table')].flatMap(table => [...[...table.tHead.rows].at(-1).cells].filter((head, i) => getComputedStyle(head).textAlign !== getComputedStyle(table.tBodies[0].rows[0].cells[i]).textAlign).map(head => head.textContent)).filter(head => head)",
+    );
+    assert_eq!(askew, json!([]), "{what}: heads that do not stand over their columns");
+    let hidden = browser.evaluate(
+        "[...document.querySelectorAll('.scroll')].flatMap(box => {
+            const inside = e => { const a = e.getBoundingClientRect(), b = box.getBoundingClientRect(); return a.left >= b.left - 1 && a.right <= b.right + 1; };
+            const group = box.querySelector('thead th > span'), first = box.querySelector('tbody td');
+            const out = group && !inside(group) ? ['group'] : [];
+            box.scrollLeft = 300;
+            if (!inside(first)) out.push('row');
+            box.scrollLeft = 0;
+            if (!getComputedStyle(box).backgroundImage.includes('gradient')) out.push('edge');
+            return out;
+        })",
+    );
+    assert_eq!(hidden, json!([]), "{what}: out of sight in a wide table");
+    let corner = browser.evaluate(
+        "(() => {
+            const sheet = document.querySelector('img[alt=sheet]');
+            sheet.scrollIntoView({ block: 'center' });
+            const b = sheet.getBoundingClientRect(), at = (x, y) => document.elementFromPoint(b.left + x * b.width, b.top + y * b.height) === sheet;
+            return [at(0.2, 0.9), at(0.9, 0.2), at(0.9, 0.9)];
+        })()",
+    );
+    assert_eq!(corner, json!([true, true, false]), "{what}: the white corner of a sheet");
+}
+
 #[test]
 fn a_phone_shows_all_of_the_report_and_its_divider_follows_a_finger() {
     let Some(mut browser) = Chromium::start() else { return };
@@ -89,6 +136,8 @@ fn a_phone_shows_all_of_the_report_and_its_divider_follows_a_finger() {
             );
             assert_eq!(wide[0], json!(width), "{wide}");
             assert!(wide[1].as_u64() <= Some(width.into()) && wide[2] == json!([]), "{width} px: {wide}");
+            // Thin lines are harder to see in the dark.
+            readable(&mut browser, &format!("{width} px, {scheme}"), if dark { 3.5 } else { 3.0 });
             // The divider, under a finger and under a mouse.
             let at = "parseFloat(document.querySelector('.compare').style.getPropertyValue('--at'))";
             let place = browser.evaluate(

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use use3d_atc::calibrator::Calibrator;
 use use3d_atc::consensus::TargetsReport;
 use use3d_build::{Scope, Stage, StageContext, StageError, StageInput};
-use use3d_capture::{Appearance, Camera, flat_stem};
+use use3d_capture::{Appearance, Camera, Image, flat_stem};
 use use3d_io_image::read_image;
 use use3d_render::{Mode, WaterSample, medium_along, medium_profile};
 use use3d_scene::Scene;
@@ -459,29 +459,31 @@ fn water(parts: &Parts<'_>) -> Result<Vec<PlotFigure>, StageError> {
     let by_direction = medium_profile(&scene.medium, scene.medium_degree, &view.camera);
     let by_position = medium_along(&scene.medium, scene.medium_degree, &cameras);
     let (Some(by_direction), Some(by_position)) = (by_direction, by_position) else { return Ok(Vec::new()) };
-    let figure = |samples: &[WaterSample], title: &str, x_label: &str, place: &str, pick: Pick| {
-        let series = (0..3).map(|c| Series {
-            label: ["red", "green", "blue"][c].into(),
-            color: RGB[c],
-            points: samples.iter().map(|s| (s.at, f64::from(pick(s)[c]))).collect(),
-            dots: false,
-            names: Vec::new(),
-        });
-        let plot =
-            Plot { title: title.into(), x_label: x_label.into(), log_y: false, series: series.collect() };
-        PlotFigure { svg: plot.svg(), caption: format!("{title} {place}") }
-    };
-    let kinds: [(&str, Pick); 3] = [
-        ("Attenuation, 1 / scene unit", |s| s.attenuation),
-        ("Backscatter, 1 / scene unit", |s| s.backscatter),
-        ("Colour of open water, 0 to 1", |s| s.color),
+    let figure =
+        |samples: &[WaterSample], title: String, x_label: &str, meaning: &str, place: &str, pick: Pick| {
+            let series = (0..3).map(|c| Series {
+                label: ["red", "green", "blue"][c].into(),
+                color: RGB[c],
+                points: samples.iter().map(|s| (s.at, f64::from(pick(s)[c]))).collect(),
+                dots: false,
+                names: Vec::new(),
+            });
+            let plot = Plot { title, x_label: x_label.into(), log_y: false, series: series.collect() };
+            PlotFigure { svg: plot.svg(), caption: format!("{meaning}, {place}.") }
+        };
+    let kinds: [(&str, &str, &str, Pick); 3] = [
+        ("Attenuation", "1 / scene unit", "How fast distance dims the scene", |s| s.attenuation),
+        ("Backscatter", "1 / scene unit", "How fast distance adds the water's own light", |s| s.backscatter),
+        ("Colour of open water", "0 to 1", "What is seen where nothing but water is", |s| s.color),
     ];
-    let along = format!("along the horizontal of {}", view.name);
-    let from = format!("at the training cameras' places, looking as {} does", view.name);
-    let figures = kinds.into_iter().flat_map(|(title, pick)| {
+    let along = format!("from the left to the right edge of {}", view.name);
+    let from = format!("at the place of each training camera, looking as {} does", view.name);
+    let figures = kinds.into_iter().flat_map(|(name, unit, meaning, pick)| {
+        let title = |by: &str| format!("{name} by {by}, {unit}");
+        let direction = "degrees from the optical axis";
         [
-            figure(&by_direction, title, "degrees from the optical axis", &along, pick),
-            figure(&by_position, title, "training view", &from, pick),
+            figure(&by_direction, title("direction"), direction, meaning, &along, pick),
+            figure(&by_position, title("place"), "training view", meaning, &from, pick),
         ]
     });
     Ok(figures.collect())
@@ -497,7 +499,21 @@ fn contact(scene: &Path) -> Result<Option<Picture>, StageError> {
         return Ok(None);
     }
     let caption = "In pairs: on the left a photograph, on its right what stage 1 renders from the same place. Photographs that training did not see, where there are any.";
-    Ok(Some(Picture::embed_wide("Stage 1: captured and rendered", caption, &read_image(&path)?, 1640)?))
+    let sheet = read_image(&path)?;
+    let picture = Picture::embed_wide("Stage 1: captured and rendered", caption, &sheet, 1640)?;
+    Ok(Some(Picture { blank: blank_corner(&sheet), ..picture }))
+}
+
+/// Where the last row of a sheet ends before its right edge: left and top edge of the white corner, in percent.
+fn blank_corner(sheet: &Image) -> Option<(f64, f64)> {
+    let (width, height) = (sheet.width(), sheet.height());
+    let white = |x: usize, y: usize| sheet.pixel(x, y) == [1.0; 3];
+    let left = (0..width).rev().find(|&x| !white(x, height - 1))? + 1;
+    let top = (0..height).rev().find(|&y| (left..width).any(|x| !white(x, y))).map_or(0, |y| y + 1);
+    // Less is a gap, or the edge of a bright picture.
+    let share = |at: usize, of: usize| 100.0 * at as f64 / of as f64;
+    let corner = (share(left, width), share(top, height));
+    (corner.0 < 90.0 && corner.1 < 90.0).then_some(corner)
 }
 
 /// The consistency strip of the scores, if there was a spot to show.
@@ -532,7 +548,9 @@ fn dispersion(report: &TargetsReport) -> PlotFigure {
         series: vec![Series { label: String::new(), color: "#0b7285", points, dots: true, names }],
     };
     let made = match (report.appearance, report.calibrated) {
-        (Appearance::Clear, _) => " Transitions of clear radiance, proposed by `scene`; not calibrated.",
+        (Appearance::Clear, _) => {
+            " The proposals come from the scene as stage 1 found it, without its water: not calibrated."
+        }
         (Appearance::Water, false) => " Proposals as they are: not calibrated.",
         (Appearance::Water, true) => "",
     };
@@ -547,10 +565,10 @@ fn dispersion(report: &TargetsReport) -> PlotFigure {
 fn sheets(dir: &Path, report: &TargetsReport) -> Result<Vec<Picture>, StageError> {
     let caption = match report.appearance {
         Appearance::Water => {
-            "Left to right: captured, the proposal for this view alone, its transition as the calibrator leaves it, the consensus of all views (2D previews)."
+            "Left to right: captured, the proposal for this view alone, its change of colours as the calibrator leaves it, the consensus of all views (2D previews)."
         }
         Appearance::Clear => {
-            "Left to right: the clear radiance that stage 1 found, the scene's proposal for it, this view's transition (not calibrated), the consensus of all views (2D previews)."
+            "Left to right: the scene of stage 1 without its water, what is proposed for it, this view's change of colours alone (not calibrated), the consensus of all views (2D previews)."
         }
     };
     let Ok(entries) = std::fs::read_dir(dir) else { return Ok(Vec::new()) };
@@ -563,4 +581,23 @@ fn sheets(dir: &Path, report: &TargetsReport) -> Result<Vec<Picture>, StageError
             Ok(Picture::embed_wide(&format!("Consensus on {stem}"), caption, &read_image(path)?, 1600)?)
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_sheet_whose_last_row_ends_early_has_a_blank_corner() {
+        let mut sheet = Image::filled(20, 10, 0.4);
+        assert_eq!(blank_corner(&sheet), None);
+        // A gap of white between pictures is no corner.
+        (0..20).for_each(|x| sheet.set_pixel(x, 4, [1.0; 3]));
+        assert_eq!(blank_corner(&sheet), None);
+        for y in 4..10 {
+            (10..20).for_each(|x| sheet.set_pixel(x, y, [1.0; 3]));
+        }
+        assert_eq!(blank_corner(&sheet), Some((50.0, 40.0)));
+        assert_eq!(blank_corner(&Image::filled(20, 10, 1.0)), None);
+    }
 }

@@ -85,6 +85,9 @@ pub struct Picture {
     pub width: usize,
     /// Height in pixels.
     pub height: usize,
+    /// Left and top edge of a lower right corner without pictures, percent of width and height: a page cuts
+    /// it away, for its white glares in the dark.
+    pub blank: Option<(f64, f64)>,
 }
 
 /// An embedded plot.
@@ -152,7 +155,7 @@ impl Picture {
         let (width, height) = (small.width(), small.height());
         let source = jpeg_address(&small, PICTURE_QUALITY)
             .map_err(|source| ReportError::Picture { label: label.into(), source })?;
-        Ok(Self { label: label.into(), caption: caption.into(), source, width, height })
+        Ok(Self { label: label.into(), caption: caption.into(), source, width, height, blank: None })
     }
 }
 
