@@ -23,6 +23,9 @@ pub(crate) struct Chunk {
     pub(crate) floats: Array<f32>,
 }
 
+/// A buffer, the first of its Gaussians, and how many of them there are in it.
+pub(crate) type Piece<'a> = (&'a wgpu::Buffer, usize, usize);
+
 /// So many floats for each of N Gaussians. Growing loses what it held.
 #[derive(Debug)]
 pub(crate) struct Chunked {
@@ -73,6 +76,12 @@ impl Chunked {
     pub(crate) fn over(&self, n: usize) -> impl Iterator<Item = (&Chunk, usize)> {
         let firsts = (0..n).step_by(self.most);
         self.chunks.iter().zip(firsts).map(move |(chunk, first)| (chunk, self.most.min(n - first)))
+    }
+
+    /// The same as plain buffers.
+    pub(crate) fn pieces(&self, n: usize) -> Vec<Piece<'_>> {
+        let firsts = (0..n).step_by(self.most);
+        self.over(n).zip(firsts).map(|((chunk, count), first)| (chunk.floats.raw(), first, count)).collect()
     }
 
     /// Puts the values of Gaussians from the first on, for which there is room.

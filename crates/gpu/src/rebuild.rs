@@ -11,7 +11,7 @@ use use3d_splat::Gaussians;
 use use3d_training::EngineError;
 
 use crate::buffer::Array;
-use crate::chunks::Chunked;
+use crate::chunks::Piece;
 use crate::device::Gpu;
 use crate::kernel::{Access, Constant, Kernel, Spec, U32S, submit};
 use crate::scene::{COLORS, DeviceScene, GEOMETRY, Parameters, Row};
@@ -61,9 +61,6 @@ struct Part {
     pad: [u32; 2],
 }
 
-/// A buffer, its first Gaussian, and how many there are in it.
-type Piece<'a> = (&'a wgpu::Buffer, usize, usize);
-
 /// The kernel.
 #[derive(Debug)]
 pub(crate) struct RebuildKernel {
@@ -104,15 +101,6 @@ impl RebuildKernel {
     }
 }
 
-fn pieces(chunks: &Chunked, n: usize) -> Vec<Piece<'_>> {
-    let place = |first: &mut usize, count| {
-        *first += count;
-        Some(*first - count)
-    };
-    let firsts = chunks.over(n).map(|(_, count)| count).scan(0, place);
-    chunks.over(n).zip(firsts).map(|((chunk, count), first)| (chunk.floats.raw(), first, count)).collect()
-}
-
 impl Parameters {
     /// Takes the rows of `n` Gaussians to their new places among `to`.
     fn rebuild(
@@ -129,7 +117,7 @@ impl Parameters {
         self.geometry.let_go(gpu);
         self.geometry = geometry;
         let colors = self.colors.another(gpu, to)?;
-        let (old, made) = (pieces(&self.colors, n), pieces(&colors, to));
+        let (old, made) = (self.colors.pieces(n), colors.pieces(to));
         kernel.fill(gpu, origins, [&old, &made], COLORS, inherited)?;
         self.colors.let_go(gpu);
         self.colors = colors;
