@@ -76,9 +76,11 @@ impl Submission {
         put(&self.folder.join("submitted.json"), &text)
     }
 
-    /// A script's lines for the variables.
+    /// A script's lines for the variables. The networks are those that were there at submission, or none:
+    /// what a task's machine names would give its stages other keys than were planned.
     pub(crate) fn exports(&self) -> Vec<String> {
-        self.variables.iter().map(|(name, value)| format!("export {name}={}", word(value))).collect()
+        let exports = self.variables.iter().map(|(name, value)| format!("export {name}={}", word(value)));
+        ["unset USE3D_MODELS".to_string()].into_iter().chain(exports).collect()
     }
 
     /// The words of a task of a job after the command's name; the task's own scene and variant come last.
