@@ -100,6 +100,7 @@ fn the_authors_calibrator_serves_a_whole_run_and_by_hand() {
         let output = output.expect("it starts");
         let err = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(!output.status.success() && err.contains(words), "{file}: {err}");
+        assert_eq!(err.matches(file).count(), 1, "named twice: {err}");
     }
 
     let (list, _) = expect(0, at, &["models", "--dir", "models"]);

@@ -62,7 +62,7 @@ fn a_mistyped_folder_fails_the_run_and_is_said_by_the_plan() {
     assert!(out.contains("named by --models or USE3D_MODELS: no-models does not exist"), "{out}");
     let by_hand = ["calibrate", "--input", "absent", "--target", "reef/images", "--out", "c.safetensors"];
     let (_, err) = expect(2, dir.path(), &by_hand);
-    assert!(err.contains("input: absent does not exist"), "{err}");
+    assert!(err.contains("--input: absent does not exist; correct the path\n"), "{err}");
 }
 
 #[test]

@@ -116,6 +116,17 @@ class Files(unittest.TestCase):
         with self.assertRaises(FileNotFoundError):
             use3d.Results(self.path)
 
+    def test_scores_that_are_not_there_are_told_from_a_scene_that_is_not(self):
+        with tempfile.TemporaryDirectory() as folder:
+            scene = Path(folder) / "reef" / "scene"
+            scene.mkdir(parents=True)
+            (scene / "scene.json").write_text('{"format": "3d-use scene"}')
+            results = use3d.Results(folder)
+            with self.assertRaisesRegex(KeyError, "there are: reef"):
+                results.scores("wreck")
+            with self.assertRaisesRegex(FileNotFoundError, "evaluate"):
+                results.scores("reef")
+
     def test_a_description_that_is_none_is_said_with_its_field(self):
         scene = {"format": "3d-use scene", "medium": {"kind": "rbf", "file": "medium.safetensors"}, "enhancement": None}
         path = self.path.parent / "scene.json"

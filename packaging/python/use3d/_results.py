@@ -132,11 +132,19 @@ class Results:
         for part in ("enhanced-scene", "scene"):
             if (self.folder / name / part / "scene.json").is_file():
                 return Scene(self.folder / name / part)
-        raise KeyError(f"no scene {name!r} in {self.folder}; there are: {', '.join(self.scenes) or 'none'}")
+        raise self._unknown(name)
 
     def scores(self, name):
         """`scores.json` of a scene."""
-        return _json(self.folder / name / "scores" / "scores.json")
+        path = self.folder / name / "scores" / "scores.json"
+        if path.is_file():
+            return _json(path)
+        if name not in self.scenes:
+            raise self._unknown(name)
+        raise FileNotFoundError(f"{path}: there is no such file; `use3d run` writes it when the stage `evaluate` is done")
+
+    def _unknown(self, name):
+        return KeyError(f"no scene {name!r} in {self.folder}; there are: {', '.join(self.scenes) or 'none'}")
 
     def __repr__(self):
         return f"Results({str(self.folder)!r}, {len(self.scenes)} scenes)"

@@ -70,7 +70,17 @@ fn run_alone(
     kept: Option<&Kept<'_>>,
 ) -> Done {
     if let Some((role, path)) = inputs.iter().find(|(_, path)| !path.exists()) {
-        let message = format!("{role}: {} does not exist; correct the path or leave it out", path.display());
+        // As the command line names it, and whether it can do without.
+        let (named, without) = match *role {
+            "models" => ("--models or USE3D_MODELS", " or leave it out"),
+            "calibrator" => ("--calibrator", " or leave it out"),
+            "reference" => ("--warp-by", " or leave it out"),
+            "input" => ("--input", ""),
+            "target" => ("--target", ""),
+            "targets" => ("--targets", ""),
+            role => (role, ""),
+        };
+        let message = format!("{named}: {} does not exist; correct the path{without}", path_text(path));
         return Err(CliError::Input(message));
     }
     let alone = Alone {

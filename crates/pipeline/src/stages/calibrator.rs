@@ -37,8 +37,12 @@ fn released(file: &Path) -> Result<Calibrator, String> {
     const MOST_VALUES: usize = 10_000_000;
     let expected = "expected a calibrator of `use3d calibrate` or the authors' transition_calibrator.pth";
     let unneeded = |name: &str| name.contains("support_");
-    let archive = Archive::read(file, "global_head.0.bias", &unneeded, MOST_VALUES)
-        .map_err(|e| format!("{e}; {expected}"))?;
+    let archive = Archive::read(file, "global_head.0.bias", &unneeded, MOST_VALUES).map_err(|e| {
+        // Both errors name the file; once is enough.
+        let reason = e.to_string();
+        let reason = reason.strip_prefix(&format!("{}: ", file.display())).unwrap_or(&reason);
+        format!("{reason}; {expected}")
+    })?;
     let mut config = ReleasedConfig::default();
     // Where the file does not say, its tensors have to: names and shapes are checked one by one.
     if let Some(schema) = archive.labels.get("schema") {
