@@ -71,7 +71,8 @@ fn reconstruction(scores: &SceneScores) -> Option<Sentence> {
     let (tone, meaning) = if psnr >= PSNR[0] {
         (Tone::Good, "a difference that is hard to see")
     } else if psnr >= PSNR[1] {
-        (Tone::Plain, "details are missing, the scene is right")
+        // Pictures with their water are met: that says nothing about colours without it.
+        (Tone::Plain, "recognisable, with details missing")
     } else {
         (Tone::Bad, "something is wrong: look at the pictures below")
     };
@@ -245,6 +246,10 @@ mod tests {
         );
         assert!(said[2].0 == Tone::Good && said[2].1.contains("move by ΔE 7.0"), "{said:?}");
         assert!(said[3].1.contains("UCIQE 5.00 (4.50"), "{said:?}");
+        let middling = texts(&scene(&[(Method::Reconstruction, &[("psnr", 22.4)])]));
+        assert!(
+            middling[0].0 == Tone::Plain && middling[0].1.contains("(recognisable, with details missing)")
+        );
 
         let mut bad = scene(&[
             (Method::Proposal, &[("truth_psnr", 25.0), ("w_delta_e", 3.5)]),
