@@ -71,7 +71,9 @@ fn describe(node: &PlannedNode) -> (&'static str, String) {
             ("run", format!("{}{more}", named.join("; ")))
         }
         State::Waiting(parents) => {
-            let parents = parents.join(", ");
+            let more = parents.len().saturating_sub(SHOWN);
+            let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+            let parents = parents.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ") + &more;
             // What was made before stays unless something above it changes.
             let again = if node.had { "; runs again only if that comes out different" } else { "" };
             ("waits", format!("for {parents}{again}"))

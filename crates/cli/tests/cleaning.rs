@@ -54,10 +54,19 @@ fn the_cache_of_the_pipelines_to_keep_is_the_one_that_is_cleaned() {
     assert!(code == Some(0), "{said}");
     assert!(!dir.join("home").exists(), "a cache that nobody named");
 
+    for verb in [&["gc", "--max-bytes", "1kB"][..], &["verify"]] {
+        let (code, said) = use3d(dir, &[verb, &["--cache", "of-onne"]].concat());
+        assert!(code == Some(2) && said.contains("--cache of-onne: there is no such folder"), "{said}");
+        assert!(!dir.join("of-onne").exists(), "a mistyped folder was made");
+    }
+
     // Stage 1 is two inputs of the scores: the scene, and the geometry that variants are compared by.
     let (_, said) = use3d(dir, &["plan", "one.toml"]);
     let scores = said.lines().find(|line| line.contains("cap · evaluate: ")).expect("a line");
     assert_eq!(scores.matches("reconstruct").count(), 1, "{scores}");
+    // The report waits for a part of every scene.
+    let report = said.lines().find(|line| line.contains(" report: ")).expect("a line");
+    assert!(report.contains(" more") && report.matches(',').count() == 2, "{report}");
     let (_, said) = use3d(dir, &["graph", "one.toml"]);
     let mut arrows: Vec<&str> = said.lines().filter(|line| line.contains("-->")).collect();
     let all = arrows.len();

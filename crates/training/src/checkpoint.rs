@@ -55,7 +55,7 @@ pub enum CheckpointError {
 fn advice(error: &std::io::Error) -> &'static str {
     match error.kind() {
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded => {
-            " (the disk is full: free some space and run again; the last whole checkpoint is kept)"
+            " (the disk is full: free some space and run again)"
         }
         _ => "",
     }

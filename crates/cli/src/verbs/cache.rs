@@ -20,6 +20,12 @@ fn cache(args: &CacheArgs) -> Result<Cache, CliError> {
         Some(folder) => folder.clone(),
         None => default_cache().map_err(CliError::input)?,
     };
+    if args.cache.is_some() && !folder.is_dir() {
+        let folder = path_text(&folder);
+        return Err(CliError::Input(format!(
+            "--cache {folder}: there is no such folder, so nothing to look through"
+        )));
+    }
     Cache::open(&folder, args.rehash).map_err(CliError::input)
 }
 
