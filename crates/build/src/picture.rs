@@ -29,12 +29,16 @@ pub fn mermaid(graph: &Graph, plan: &Plan) -> String {
     for (i, node) in graph.nodes.iter().enumerate().filter(|(_, n)| n.same_as.is_none()) {
         let label = node.label().replace('"', "'");
         let _ = writeln!(out, "  n{i}[\"{label}\"]:::{}", cell(&plan.nodes[i]).standing.word());
-        let parents: BTreeSet<usize> = graph.parents(i).map(|parent| root(graph, parent)).collect();
-        for parent in parents {
+        for parent in arrows(graph, i) {
             let _ = writeln!(out, "  n{parent} --> n{i}");
         }
     }
     out
+}
+
+/// The nodes from which an arrow leads to a node, each once, whatever it is read for.
+fn arrows(graph: &Graph, node: usize) -> BTreeSet<usize> {
+    graph.parents(node).map(|parent| root(graph, parent)).collect()
 }
 
 /// A node that is the same work as another stands for that one.
@@ -87,8 +91,8 @@ pub fn svg(graph: &Graph, plan: &Plan) -> String {
     }
     for i in (0..graph.nodes.len()).filter(|i| graph.nodes[*i].same_as.is_none()) {
         let (x, y) = place(i);
-        for parent in graph.parents(i) {
-            let (px, py) = place(root(graph, parent));
+        for parent in arrows(graph, i) {
+            let (px, py) = place(parent);
             let (from, to) = ((px + BOX.0, py + BOX.1 / 2), (x, y + BOX.1 / 2));
             let bend = STEP.0.saturating_sub(BOX.0) / 2;
             let _ = writeln!(

@@ -3,7 +3,6 @@
 //! A node below one that has to run has no key yet, since its inputs are not there: it *waits*, and will run
 //! unless what comes out is the same as before (early cut-off).
 
-use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use serde::Serialize;
@@ -192,10 +191,7 @@ impl Builder {
             Ok(resolved) => resolved,
             Err(Unresolved::Waiting(parents)) => {
                 planned.failed = record.failed(None).map(|f| f.reason.clone());
-                // One parent may be several inputs, as stage 1 is the scene and the geometry to compare by.
-                let mut seen = BTreeSet::new();
-                let parents = parents.iter().filter(|parent| seen.insert(**parent));
-                planned.state = State::Waiting(parents.map(|p| graph.nodes[*p].label()).collect());
+                planned.state = State::Waiting(parents.iter().map(|p| graph.nodes[*p].label()).collect());
                 return Outcome::Open;
             }
             Err(Unresolved::Blocked(by)) => {

@@ -70,7 +70,10 @@ pub(crate) fn resolve(
         let (digest, path) = match &input.from {
             From::Node(parent) => match &outcomes[*parent] {
                 Outcome::Open => {
-                    waiting.push(*parent);
+                    // One parent may be several inputs, as stage 1 is the scene and the geometry to compare by.
+                    if !waiting.contains(parent) {
+                        waiting.push(*parent);
+                    }
                     continue;
                 }
                 Outcome::Unavailable(_) if gathers => {

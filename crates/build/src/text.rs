@@ -12,7 +12,7 @@ use super::run::{Became, Summary};
 use super::status::{Cell, Standing, Status, Why};
 use super::verify::Verification;
 
-/// How many changed ingredients a line names.
+/// How many things a line names.
 const SHOWN: usize = 3;
 
 impl Display for Plan {
@@ -59,21 +59,23 @@ fn label(node: &PlannedNode) -> String {
     parts.into_iter().filter(|p| !p.is_empty()).collect::<Vec<_>>().join(" · ")
 }
 
+/// The first of some things, and how many there are beside.
+fn few(all: &[impl Display], between: &str) -> String {
+    let mut named: Vec<String> = all.iter().take(SHOWN).map(ToString::to_string).collect();
+    if all.len() > SHOWN {
+        named.push(format!("and {} more", all.len() - SHOWN));
+    }
+    named.join(between)
+}
+
 fn describe(node: &PlannedNode) -> (&'static str, String) {
     match &node.state {
         State::Cached => ("cached", String::new()),
         State::Unwanted => ("off", String::new()),
         State::Run(reason) if node.changes.is_empty() => ("run", reason.clone()),
-        State::Run(_) => {
-            let named: Vec<String> = node.changes.iter().take(SHOWN).map(ToString::to_string).collect();
-            let more = node.changes.len().saturating_sub(SHOWN);
-            let more = if more > 0 { format!("; and {more} more") } else { String::new() };
-            ("run", format!("{}{more}", named.join("; ")))
-        }
+        State::Run(_) => ("run", few(&node.changes, "; ")),
         State::Waiting(parents) => {
-            let more = parents.len().saturating_sub(SHOWN);
-            let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-            let parents = parents.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ") + &more;
+            let parents = few(parents, ", ");
             // What was made before stays unless something above it changes.
             let again = if node.had { "; runs again only if that comes out different" } else { "" };
             ("waits", format!("for {parents}{again}"))
