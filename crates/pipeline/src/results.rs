@@ -104,12 +104,13 @@ impl Delivered {
     }
 }
 
-/// Fills `out` and says what is where: `report`, `tables`, and the folders of every scene.
+/// Fills `out` and says what is where: `report`, `tables`, and the folders of every scene. `command`: what
+/// was typed, which the report names.
 ///
 /// # Errors
 /// A place that is taken by something that is not ours, or that cannot be written;
 /// what was delivered before stays.
-pub fn deliver(summary: &Summary, out: &Path) -> Result<Vec<Delivered>, PlaceError> {
+pub fn deliver(summary: &Summary, out: &Path, command: &str) -> Result<Vec<Delivered>, PlaceError> {
     let mut delivered = Vec::new();
     at(out, "create", fs::create_dir_all(out))?;
     for node in &summary.nodes {
@@ -129,7 +130,7 @@ pub fn deliver(summary: &Summary, out: &Path) -> Result<Vec<Delivered>, PlaceErr
         check_page(&page)?;
         let timed = timed_tables(summary, &report.path);
         let html = timed.as_ref().map_or_else(|| html.clone(), |tables| with_tables(&html, tables));
-        let html = with_costs(&html, &rows(summary), &made(summary), &parameters(summary));
+        let html = with_costs(&html, &rows(summary), &made(summary, command), &parameters(summary));
         let links =
             views.iter().map(|view| (view.scene.as_str(), view.variant.as_str(), view.path.as_path()));
         let html =
@@ -233,7 +234,7 @@ fn timed_tables(summary: &Summary, report: &Path) -> Option<Vec<Table>> {
 }
 
 /// What made the results, when and where, in a line.
-fn made(summary: &Summary) -> String {
+fn made(summary: &Summary, command: &str) -> String {
     let manifests = || summary.nodes.iter().filter_map(|n| Some(&n.artifact.as_ref()?.manifest));
     let mut machines: Vec<String> = manifests()
         .map(|m| format!("{} ({}, {} cores)", m.machine.host, m.machine.system, m.machine.cores))
@@ -241,15 +242,10 @@ fn made(summary: &Summary) -> String {
     machines.sort();
     machines.dedup();
     let last = manifests().map(|m| m.finished.as_str()).max().unwrap_or("?");
-    let command: Vec<String> = std::env::args_os()
-        .map(|word| word.to_string_lossy().into_owned())
-        .map(|word| if word.contains(char::is_whitespace) { format!("'{word}'") } else { word })
-        .collect();
     format!(
-        "Pipeline {}. The last stage was finished at {last}; computed on {}. This page was written by {}",
+        "Pipeline {}. The last stage was finished at {last}; computed on {}. This page was written by {command}",
         summary.pipeline,
-        machines.join(", "),
-        command.join(" ")
+        machines.join(", ")
     )
 }
 

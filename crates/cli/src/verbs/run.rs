@@ -9,6 +9,7 @@ use serde::Serialize;
 use use3d_build::machine::seconds;
 use use3d_build::place;
 use use3d_build::{Builder, Cache, Event, Graph, Listener, Plan, RunOptions, Summary, picture};
+use use3d_cluster::quote;
 use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
 use use3d_pipeline::results;
 
@@ -229,7 +230,7 @@ fn execute(app: &App, loaded: &Loaded, options: &RunOptions, out: Option<&Path>,
     let summary = loaded.builder.run(&loaded.graph, options, &listener);
     // What an interrupted run has finished was delivered scene by scene.
     let delivered = match out {
-        Some(out) if !summary.interrupted && !summary.left => results::deliver(&summary, out),
+        Some(out) if !summary.interrupted && !summary.left => results::deliver(&summary, out, &typed()),
         _ => Ok(Vec::new()),
     };
     if as_json {
@@ -253,6 +254,12 @@ fn execute(app: &App, loaded: &Loaded, options: &RunOptions, out: Option<&Path>,
     }
 }
 
+/// The command as it was typed.
+fn typed() -> String {
+    let words: Vec<String> = std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect();
+    quote::words(&words)
+}
+
 /// The app's listener, which also delivers every scene as soon as it is over: the
 /// batch may take days yet, or fail.
 fn delivering(app: &App, out: &Path) -> Arc<dyn Listener> {
@@ -260,7 +267,7 @@ fn delivering(app: &App, out: &Path) -> Arc<dyn Listener> {
     Arc::new(move |event: &Event<'_>| {
         inner.event(event);
         if let Event::SceneOver { scene, variant, nodes } = event
-            && let Err(error) = results::deliver(&Summary::of_scene(nodes, scene, variant), &out)
+            && let Err(error) = results::deliver(&Summary::of_scene(nodes, scene, variant), &out, &typed())
         {
             // Tried again at the end, where it counts.
             let text = format!("its results could not be delivered yet: {error}");

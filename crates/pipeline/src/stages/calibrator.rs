@@ -24,12 +24,12 @@ pub(super) fn read_calibrator(path: &Path) -> Result<Calibrator, StageError> {
     if Calibrator::is_own_file(&bytes) {
         return Calibrator::from_bytes(&bytes).map_err(|e| wrong(e.to_string()));
     }
-    released(&file).map_err(wrong)
+    released(&file, &wrong)
 }
 
 /// The authors' `transition_calibrator.pth`, or the same tensors as safetensors.
 #[cfg(feature = "nets")]
-fn released(file: &Path) -> Result<Calibrator, String> {
+fn released(file: &Path, wrong: &dyn Fn(String) -> StageError) -> Result<Calibrator, StageError> {
     use use3d_atc::calibrator::ReleasedConfig;
     use use3d_nets::Archive;
 
@@ -37,12 +37,8 @@ fn released(file: &Path) -> Result<Calibrator, String> {
     const MOST_VALUES: usize = 10_000_000;
     let expected = "expected a calibrator of `use3d calibrate` or the authors' transition_calibrator.pth";
     let unneeded = |name: &str| name.contains("support_");
-    let archive = Archive::read(file, "global_head.0.bias", &unneeded, MOST_VALUES).map_err(|e| {
-        // Both errors name the file; once is enough.
-        let reason = e.to_string();
-        let reason = reason.strip_prefix(&format!("{}: ", file.display())).unwrap_or(&reason);
-        format!("{reason}; {expected}")
-    })?;
+    let archive = Archive::read(file, "global_head.0.bias", &unneeded, MOST_VALUES)
+        .map_err(|e| StageError::bad_input_message(format!("{e}; {expected}")))?;
     let mut config = ReleasedConfig::default();
     // Where the file does not say, its tensors have to: names and shapes are checked one by one.
     if let Some(schema) = archive.labels.get("schema") {
@@ -51,14 +47,14 @@ fn released(file: &Path) -> Result<Calibrator, String> {
     if let Some(version) = archive.labels.get("schema_version") {
         config.schema_version = version
             .parse()
-            .map_err(|_| format!("its `schema_version` is `{version}`, expected a whole number"))?;
+            .map_err(|_| wrong(format!("its `schema_version` is `{version}`, expected a whole number")))?;
     }
-    Calibrator::from_named_tensors(archive.tensors, &config).map_err(|e| format!("{e}; {expected}"))
+    Calibrator::from_named_tensors(archive.tensors, &config).map_err(|e| wrong(format!("{e}; {expected}")))
 }
 
 #[cfg(not(feature = "nets"))]
-fn released(_: &Path) -> Result<Calibrator, String> {
-    Err("this is not a calibrator of `use3d calibrate`; to read the authors' transition_calibrator.pth the program has to be built \
-         with networks (cargo feature `nets`)"
-        .into())
+fn released(_: &Path, wrong: &dyn Fn(String) -> StageError) -> Result<Calibrator, StageError> {
+    let what = "this is not a calibrator of `use3d calibrate`; to read the authors' transition_calibrator.pth the program has to be \
+                built with networks (cargo feature `nets`)";
+    Err(wrong(what.into()))
 }

@@ -6,6 +6,7 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_build::{AlikeFiles, Scope, Stage, StageContext, StageError};
+use use3d_capture::Raster;
 use use3d_import::load_pixels;
 use use3d_io_image::{read_image, read_map, write_exr_map, write_png, write_png8};
 use use3d_render::{Mode, Rendering, picture};
@@ -77,35 +78,25 @@ pub(super) fn stage() -> Stage {
 /// The mean absolute difference of two pictures, in display range.
 fn apart(a: &Path, b: &Path) -> Result<f64, String> {
     let read = |path| read_image(path).map_err(|e| e.to_string());
-    let (a, b) = (read(a)?, read(b)?);
-    if (a.width(), a.height()) != (b.width(), b.height()) {
-        return Err(format!(
-            "{} by {} pixels, and again {} by {}",
-            a.width(),
-            a.height(),
-            b.width(),
-            b.height()
-        ));
-    }
-    Ok(mean(a.data().iter().zip(b.data()).map(|(a, b)| f64::from((a - b).abs()))))
+    difference(&read(a)?, &read(b)?)
 }
 
 /// The mean absolute difference of two depth maps over the mean of the first.
 fn depths_apart(a: &Path, b: &Path) -> Result<f64, String> {
     let read = |path| read_map(path).map_err(|e| e.to_string());
     let (a, b) = (read(a)?, read(b)?);
-    if (a.width(), a.height()) != (b.width(), b.height()) {
-        return Err(format!(
-            "{} by {} pixels, and again {} by {}",
-            a.width(),
-            a.height(),
-            b.width(),
-            b.height()
-        ));
-    }
-    let difference = mean(a.data().iter().zip(b.data()).map(|(a, b)| f64::from((a - b).abs())));
     // Where nothing is seen, both are 0.
-    Ok(difference / mean(a.data().iter().map(|v| f64::from(v.abs()))).max(f64::MIN_POSITIVE))
+    Ok(difference(&a, &b)? / mean(a.data().iter().map(|v| f64::from(v.abs()))).max(f64::MIN_POSITIVE))
+}
+
+/// The mean absolute difference of the values of two rasters of one size.
+fn difference<const C: usize>(a: &Raster<f32, C>, b: &Raster<f32, C>) -> Result<f64, String> {
+    if (a.width(), a.height()) != (b.width(), b.height()) {
+        let [made, again] =
+            [(a.width(), a.height()), (b.width(), b.height())].map(|(w, h)| format!("{w} by {h}"));
+        return Err(format!("{made} pixels, and again {again}"));
+    }
+    Ok(mean(a.data().iter().zip(b.data()).map(|(a, b)| f64::from((a - b).abs()))))
 }
 
 fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
