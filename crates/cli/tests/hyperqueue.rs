@@ -28,6 +28,13 @@ struct HyperQueue {
 }
 
 impl HyperQueue {
+    /// Starts one; says so where it is not asked for or not there.
+    fn asked(folder: &Path) -> Option<Self> {
+        Self::start(folder)
+            .inspect_err(|reason| println!("SKIPPED, nothing was tested with a real HyperQueue: {reason}"))
+            .ok()
+    }
+
     /// Starts one with its files below `folder`; why not, where it is not asked for or not there.
     fn start(folder: &Path) -> Result<Self, String> {
         if std::env::var_os("USE3D_HQ").is_none() {
@@ -135,13 +142,7 @@ fn write_site(many: &Many) {
 #[test]
 fn a_scene_that_cannot_be_done_keeps_the_others_from_nothing() {
     let folder = tempfile::tempdir().expect("a folder");
-    let hyperqueue = match HyperQueue::start(folder.path()) {
-        Ok(started) => started,
-        Err(reason) => {
-            println!("SKIPPED, nothing was tested with a real HyperQueue: {reason}");
-            return;
-        }
-    };
+    let Some(hyperqueue) = HyperQueue::asked(folder.path()) else { return };
     let many = Many::new(&["s1".to_string(), "s2".to_string()]);
     write_site(&many);
     let images = many.at("s2/images");
@@ -177,13 +178,7 @@ fn a_scene_that_cannot_be_done_keeps_the_others_from_nothing() {
 #[test]
 fn a_batch_through_a_real_hyperqueue_ends_like_a_run_of_one_process() {
     let folder = tempfile::tempdir().expect("a folder");
-    let hyperqueue = match HyperQueue::start(folder.path()) {
-        Ok(started) => started,
-        Err(reason) => {
-            println!("SKIPPED, nothing was tested with a real HyperQueue: {reason}");
-            return;
-        }
-    };
+    let Some(hyperqueue) = HyperQueue::asked(folder.path()) else { return };
     let many = Many::asked(3);
     let count = many.count;
     let whole = many.alone();

@@ -50,7 +50,8 @@ impl Draws {
         math::ln(self.shrink) as f32
     }
 
-    /// Mean and log scales of a child. Everything else it has of its parent. Colours are not looked at.
+    /// Mean (scene units) and log scales of child 0 or 1 of a Gaussian. Everything else it has of its parent.
+    /// Of the Gaussians their colours are not looked at.
     pub fn child(&self, gaussians: &Gaussians, parent: usize, child: usize) -> ([f32; 3], [f32; 3]) {
         let (place, smaller) = (self.place(parent, child), self.smaller());
         let (mean, log_scales) = (gaussians.means[parent], gaussians.log_scales[parent]);
