@@ -11,7 +11,8 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::time::Instant;
 
-use use3d_enhance::engine::{FieldEngine, FieldPlan, FieldReport, FieldState, initial_field};
+use use3d_capture::Appearance;
+use use3d_enhance::engine::{FieldEngine, FieldPlan, FieldState, initial_field};
 use use3d_enhance::{EnhanceParams, Guidance};
 use use3d_reconstruct::density::{Draws, Origin};
 use use3d_reconstruct::engine::{Diagnostics, Engine, TrainingState};
@@ -166,6 +167,13 @@ fn roofline(
     kernels.iter().filter_map(record).collect()
 }
 
+/// Mean loss of the first steps, one of each view, and of the last.
+fn ends(losses: &[f64], scene: &Packed) -> [f64; 2] {
+    let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len().max(1) as f64;
+    let few = scene.views.min(losses.len());
+    [mean(&losses[..few]), mean(&losses[losses.len() - few..])]
+}
+
 /// Steps of a packed scene against the processor's clock, with the device's around every whole step.
 fn race(gpu: &Gpu, scene: &Packed, steps: u64, record: &mut TrainingRecord) -> Result<(), EngineError> {
     let views = scene.views as u64;
@@ -185,12 +193,10 @@ fn race(gpu: &Gpu, scene: &Packed, steps: u64, record: &mut TrainingRecord) -> R
         seconds += started.elapsed().as_secs_f64();
         gpu.read_times(&mut times)?;
     }
-    let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len().max(1) as f64;
-    let few = scene.views.min(losses.len());
     let per_step = |total: f64| total / steps.max(1) as f64;
     record.steps = steps;
     record.steps_per_second = steps as f64 / seconds;
-    record.loss = [mean(&losses[..few]), mean(&losses[losses.len() - few..])];
+    record.loss = ends(&losses, scene);
     record.bytes = engine.memory();
     record.submits_per_step = per_step(submits as f64);
     if let Some(KernelTime { seconds: busy, .. }) = times.get("step") {
@@ -214,7 +220,8 @@ fn refine(engine: &mut Stage1, scene: &Packed) -> Result<f64, EngineError> {
 
 /// Steps of stage 2 on a packed scene against the processor's clock, after one of each view.
 fn enhance(gpu: &Gpu, scene: &Packed, steps: u64) -> Result<EnhancementRecord, EngineError> {
-    let (packed, targets, views) = (scene.scene(), scene.targets(), scene.enhance_views()?);
+    let (packed, views) = (scene.scene(), scene.enhance_views()?);
+    let targets = twins::targets(scene.gaussians, &views, Appearance::Water);
     let (guidance, params) = (Guidance::Targets(&targets), EnhanceParams::default());
     let mut engine =
         Stage2::new(gpu, &packed, &views, guidance, &params, &mut Silent).map_err(twins::failed)?;
@@ -223,7 +230,8 @@ fn enhance(gpu: &Gpu, scene: &Packed, steps: u64) -> Result<EnhancementRecord, E
     let count = scene.views.max(1) as u64;
     let mut go_on = |steps: Range<u64>| {
         for step in steps {
-            let plan = FieldPlan { step, rate: 5e-3, transport_rate: 1e-3 };
+            let (rate, transport_rate) = (params.learning_rate, params.transport_learning_rate);
+            let plan = FieldPlan { step, rate, transport_rate };
             engine.step((step % count) as usize, &plan)?;
         }
         engine.drain(Drain::All)
@@ -235,12 +243,8 @@ fn enhance(gpu: &Gpu, scene: &Packed, steps: u64) -> Result<EnhancementRecord, E
     if let Some((what, _)) = reports.iter().find_map(|report| report.non_finite) {
         return Err(EngineError::Failed(format!("{what} of a packed scene is not finite").into()));
     }
-    let mean = |reports: &[FieldReport]| {
-        reports.iter().map(|report| report.losses.total).sum::<f64>() / reports.len().max(1) as f64
-    };
-    let few = scene.views.min(reports.len());
-    let loss = [mean(&reports[..few]), mean(&reports[reports.len() - few..])];
-    Ok(EnhancementRecord { steps, steps_per_second: steps as f64 / seconds, loss })
+    let losses: Vec<f64> = reports.iter().map(|report| report.losses.total).collect();
+    Ok(EnhancementRecord { steps, steps_per_second: steps as f64 / seconds, loss: ends(&losses, scene) })
 }
 
 /// Trains on a packed scene: first against the processor's clock, then with the device's around every kernel.
@@ -342,13 +346,12 @@ impl Bench<'_> {
             for size in [(61, 47), (96, 64), (257, 33)] {
                 found.extend(run_twins(gpu, size)?);
             }
+            let scene = Packed { width: 61, height: 47, gaussians: 600, views: 2, seed: 3 };
             for variant in gpu.trials() {
-                let scene = Packed { width: 61, height: 47, gaussians: 600, views: 2, seed: 3 };
                 let mut engine = Stage1::new(&gpu.clone().with(variant))?;
                 let case = format!("step, {variant}, {scene:?}");
                 found.extend(twins::step(&mut engine, &scene)?.into_iter().map(|a| (case.clone(), a)));
             }
-            let scene = Packed { width: 61, height: 47, gaussians: 600, views: 2, seed: 3 };
             let further = twins::pictures(gpu, &scene)?.into_iter().chain(twins::field(gpu, &scene)?);
             found.extend(further.map(|a| (format!("{scene:?}"), a)));
             Ok(())

@@ -226,31 +226,14 @@ mod tests {
     use use3d_splat::{Colors, Options, Prepared, Rasterizer};
 
     use super::*;
-    use crate::testing::{camera, cloud, relative, software, water};
+    use crate::testing::{camera, cloud, software, water};
+    use crate::twins::compare_pictures;
 
     /// Every array of both drawings.
     fn agree(what: &str, found: &Rendered, expected: &Rendered) {
-        let layers = |r: &Rendered| {
-            let of = |l: &Layers| {
-                let images = [&l.object, &l.medium, &l.far, &l.clear].map(|image| image.data().to_vec());
-                (images, l.distance.data().to_vec())
-            };
-            r.layers.as_ref().map(of)
-        };
-        let close = |name: &str, a: &[f32], b: &[f32]| {
-            let error = relative(a, b);
-            assert!(error <= 1e-5, "{what}: {name} off by {error:.1e}");
-        };
-        close("image", found.image.data(), expected.image.data());
-        close("depth", found.depth.data(), expected.depth.data());
-        close("accumulation", found.accumulation.data(), expected.accumulation.data());
-        let (found, expected) = (layers(found), layers(expected));
-        assert_eq!(found.is_some(), expected.is_some(), "{what}");
-        if let (Some((a, away)), Some((b, expected))) = (found, expected) {
-            for (name, (a, b)) in ["object", "medium", "far", "clear"].iter().zip(a.iter().zip(&b)) {
-                close(name, a, b);
-            }
-            close("distance", &away, &expected);
+        assert_eq!(found.layers.is_some(), expected.layers.is_some(), "{what}");
+        for agreement in compare_pictures(found, expected) {
+            assert!(agreement.holds(), "{what}: {agreement:?}");
         }
     }
 

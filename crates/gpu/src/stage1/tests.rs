@@ -196,6 +196,29 @@ fn requests_between_steps_are_the_processors() {
     assert!(relative(a.data(), b.data()) < 1e-5, "{:.1e}", relative(a.data(), b.data()));
 }
 
+#[test]
+fn what_a_survey_read_counts_for_nothing_once_the_scene_is_another() {
+    let Some(gpu) = software() else { return };
+    let rebuilt = |asked: [bool; 2]| {
+        let mut ours = with_views(Stage1::new(&gpu).unwrap());
+        ours.load(state(150, -2.5)).unwrap();
+        for (change, asked) in asked.into_iter().enumerate() {
+            if asked {
+                ours.survey().unwrap();
+            }
+            match change {
+                0 => ours.step(0, &plan(0)).unwrap(),
+                _ => ours.limit_opacity(0.3).unwrap(),
+            }
+        }
+        let draws = Draws { seed: 1, step: 2, shrink: 1.6 };
+        ours.rebuild(&[Origin::Child(7, 0), Origin::Twin(5)], &draws).unwrap();
+        ours.save().unwrap().into_owned()
+    };
+    let expected = rebuilt([false; 2]);
+    assert!(rebuilt([true, false]) == expected && rebuilt([false, true]) == expected);
+}
+
 /// More entries than there is room for at first: the steps are done again with more,
 /// and nothing else is different.
 #[test]

@@ -1,15 +1,12 @@
 //! Stage 2 beside the processor's engine.
 
-use use3d_atc::consensus::{LocalConsensus, Targets};
-use use3d_atc::extractor::ExtractorSettings;
-use use3d_atc::proposers::ProposerId;
+use use3d_atc::consensus::Targets;
 use use3d_capture::{Appearance, Frame, Image, Lattice, MediumMaps, Pose};
 use use3d_enhance::engine::{
     CpuFieldEngine, FieldEngine, FieldPlan, FieldReport, FieldState, Reading, Reference, References,
 };
-use use3d_enhance::{EnhanceParams, EnhanceView, Guidance, LabelSource, Objective, PseudoLabels, ViewErrors};
+use use3d_enhance::{EnhanceParams, EnhanceView, Guidance, Objective, PseudoLabels, ViewErrors};
 use use3d_medium::{MediumKind, MediumModel, MediumStart};
-use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_scene::Scene;
 use use3d_splat::{Options, Prepared, Rasterizer, Rendered};
@@ -18,6 +15,7 @@ use use3d_ubaf::{Field, ObjectPass, Water, WaterPass};
 
 use super::{Stage2, initial_field};
 use crate::testing::{camera, cloud, relative, same_bits_elsewhere, software};
+use crate::twins::{self, Waves};
 
 const WIDTH: usize = 56;
 const HEIGHT: usize = 44;
@@ -45,49 +43,15 @@ fn scene(n: usize, kind: MediumKind) -> Scene {
 }
 
 fn targets(scene: &Scene, appearance: Appearance) -> Targets {
-    let n = scene.gaussians.len();
-    let operator = std::array::from_fn(|i| 0.02 * (i as f64 - 5.0));
-    Targets {
-        extractor: ExtractorSettings::default(),
-        proposer: ProposerId::default(),
-        appearance,
-        scene: operator,
-        dispersion: 0.0,
-        global_scales: [0.2; 12],
-        local_scales: [0.1; 6],
-        views: views().iter().map(|view| (view.name.clone(), operator)).collect(),
-        state: LocalConsensus {
-            mean: (0..n).map(|i| std::array::from_fn(|q| 1e-2 * ((i + q) % 7) as f32)).collect(),
-            weight: vec![1.0; n],
-            count: vec![3; n],
-        },
-    }
-}
-
-struct Wavy;
-
-impl LabelSource for Wavy {
-    fn label(&self, index: usize) -> Result<Image, String> {
-        let value = |k: usize| 0.5 + 0.4 * math::sin(0.1 * (k + index) as f64);
-        let planes = (0..3 * WIDTH * HEIGHT).map(|k| value(k) as f32).collect();
-        Ok(Image::from_planes(WIDTH, HEIGHT, planes).unwrap())
-    }
+    twins::targets(scene.gaussians.len(), &views(), appearance)
 }
 
 fn params() -> EnhanceParams {
     EnhanceParams { sample_side: 24, centre_sample: 100, seed: 3, ..EnhanceParams::default() }
 }
 
-/// A field well away from the identity, so that every parameter has a derivative. Near it the
-/// features of all Gaussians are alike, and what is left of a sum once the mean is removed is
-/// little: both engines round there.
 fn moved(scene: &Scene, guidance: Guidance<'_>, params: &EnhanceParams) -> Field {
-    let mut field = initial_field(scene, guidance, params).unwrap();
-    let stream = Stream::new(5, Purpose::new("a field for stage 2"), 0);
-    for (p, i) in field.parameters.iter_mut().zip(0..) {
-        *p += 0.3 * stream.normal(i) as f32;
-    }
-    field
+    twins::moved(scene, guidance, params).unwrap()
 }
 
 fn plan(step: u64) -> FieldPlan {
@@ -96,17 +60,7 @@ fn plan(step: u64) -> FieldPlan {
 
 /// Compares groups of what is laid out as the field's parameters.
 fn compare(what: &str, field: &Field, ours: &[f32], cpu: &[f32], bar: f64) {
-    let s = field.shape();
-    for (name, range) in [
-        ("factors", s.factors()),
-        ("hidden weights", s.hidden_weight()),
-        ("hidden biases", s.hidden_bias()),
-        ("output weights", s.output_weight()),
-        ("output biases", s.output_bias()),
-        ("guide", s.guide()),
-        ("affine", s.affine()),
-        ("transport", s.transport()),
-    ] {
+    for (name, range) in twins::groups(field) {
         let error = relative(&ours[range.clone()], &cpu[range]);
         // Four sums over all lookups, of slopes of either sign.
         let bar = if name == "guide" { 2.0 * bar } else { bar };
@@ -212,7 +166,7 @@ fn every_step_elsewhere_is_the_processors() {
     let water = targets(&scene, Appearance::Water);
     teacher_forced(&scene, Guidance::Targets(&water), &params);
     let params = EnhanceParams { objective: Objective::PseudoLabels, rank: 3, ..params };
-    let labels = PseudoLabels::new(&Wavy, &views(), &params).unwrap();
+    let labels = PseudoLabels::new(&Waves { width: WIDTH, height: HEIGHT }, &views(), &params).unwrap();
     teacher_forced(&scene, Guidance::Labels(&labels), &params);
 }
 

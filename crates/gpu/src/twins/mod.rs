@@ -18,9 +18,14 @@ use crate::stage1::Stage1;
 
 pub(crate) use field::failed;
 pub use field::field;
+#[cfg(test)]
+pub(crate) use field::{Waves, groups, moved};
 pub use losses::{LossCase, losses};
+#[cfg(test)]
+pub(crate) use pictures::compare as compare_pictures;
 pub use pictures::pictures;
 pub use scene::Packed;
+pub(crate) use scene::targets;
 pub use steps::step;
 pub use water::{WaterCase, water};
 

@@ -13,6 +13,9 @@ use crate::linear::LinearSplat;
 const CHANNELS: usize = 5;
 
 /// The first view of a packed scene, drawn through its water with every layer; and draws splatted and lifted.
+///
+/// # Errors
+/// What the device's driver says.
 pub fn pictures(gpu: &Gpu, scene: &Packed) -> Result<Vec<Agreement>, EngineError> {
     let cameras = scene.cameras()?;
     let Some(camera) = cameras.first() else { return Ok(Vec::new()) };
@@ -22,7 +25,6 @@ pub fn pictures(gpu: &Gpu, scene: &Packed) -> Result<Vec<Agreement>, EngineError
     let mut maps = MediumMaps::zeros(0, 0);
     let wet = packed.look_through(camera, &lattice, &mut maps);
     let mut prepared = Prepared::new();
-    let mut all = Vec::new();
 
     let mut expected = Rendered::new();
     prepared.prepare(gaussians, camera, &lattice, Colors::Sh { degree: gaussians.sh_degree });
@@ -32,25 +34,28 @@ pub fn pictures(gpu: &Gpu, scene: &Packed) -> Result<Vec<Agreement>, EngineError
     let drawn =
         DrawnView { camera, lattice: &lattice, colors: None, medium: wet.then_some(&maps), layers: true };
     Drawing::new(gpu, gaussians)?.draw(&drawn, &mut found)?;
-    compare(&found, &expected, &mut all);
+    let mut all = compare(&found, &expected);
 
     linear(gpu, scene, camera, &lattice, &prepared, &mut all)?;
     Ok(all)
 }
 
-fn compare(found: &Rendered, expected: &Rendered, all: &mut Vec<Agreement>) {
+/// Every array of both drawings; without layers where one of them has none.
+pub(crate) fn compare(found: &Rendered, expected: &Rendered) -> Vec<Agreement> {
+    let mut all = Vec::new();
     let mut push = |what: &str, device: &[f32], ours: &[f32]| {
         all.push(Agreement::of(format!("picture: {what}"), device, ours, 1e-5));
     };
     push("image", found.image.data(), expected.image.data());
     push("depth", found.depth.data(), expected.depth.data());
     push("accumulation", found.accumulation.data(), expected.accumulation.data());
-    let (Some(found), Some(expected)) = (&found.layers, &expected.layers) else { return };
+    let (Some(found), Some(expected)) = (&found.layers, &expected.layers) else { return all };
     push("object", found.object.data(), expected.object.data());
     push("medium", found.medium.data(), expected.medium.data());
     push("far", found.far.data(), expected.far.data());
     push("clear", found.clear.data(), expected.clear.data());
     push("distance", found.distance.data(), expected.distance.data());
+    all
 }
 
 fn linear(

@@ -16,6 +16,27 @@ use use3d_training::EngineError;
 use super::draws;
 use crate::device::NAME;
 
+/// Targets that no scene has to reach, for so many Gaussians: one global operator in every view, local ones of
+/// some size.
+pub(crate) fn targets(gaussians: usize, views: &[EnhanceView], appearance: Appearance) -> Targets {
+    let operator = std::array::from_fn(|i| 0.02 * (i as f64 - 5.0));
+    Targets {
+        extractor: ExtractorSettings::default(),
+        proposer: ProposerId::default(),
+        appearance,
+        scene: operator,
+        dispersion: 0.0,
+        global_scales: [0.2; 12],
+        local_scales: [0.1; 6],
+        views: views.iter().map(|view| (view.name.clone(), operator)).collect(),
+        state: LocalConsensus {
+            mean: (0..gaussians).map(|i| std::array::from_fn(|q| 1e-2 * ((i + q) % 7) as f32)).collect(),
+            weight: vec![1.0; gaussians],
+            count: vec![3; gaussians],
+        },
+    }
+}
+
 /// A scene and its views, by their sizes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Packed {
@@ -68,27 +89,6 @@ impl Packed {
     pub fn enhance_views(&self) -> Result<Vec<EnhanceView>, EngineError> {
         let view = |(index, camera)| EnhanceView { name: format!("{index}.png"), camera };
         Ok(self.cameras()?.into_iter().enumerate().map(view).collect())
-    }
-
-    /// Targets that stage 2 can be timed on: one global operator, and a local one for every Gaussian.
-    pub fn targets(&self) -> Targets {
-        let n = self.gaussians;
-        let operator = std::array::from_fn(|i| 0.02 * (i as f64 - 5.0));
-        Targets {
-            extractor: ExtractorSettings::default(),
-            proposer: ProposerId::default(),
-            appearance: Appearance::Water,
-            scene: operator,
-            dispersion: 0.0,
-            global_scales: [0.2; 12],
-            local_scales: [0.1; 6],
-            views: (0..self.views).map(|index| (format!("{index}.png"), operator)).collect(),
-            state: LocalConsensus {
-                mean: (0..n).map(|i| std::array::from_fn(|q| 1e-2 * ((i + q) % 7) as f32)).collect(),
-                weight: vec![1.0; n],
-                count: vec![3; n],
-            },
-        }
     }
 
     /// The cameras of its photographs.
