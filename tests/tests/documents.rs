@@ -4,7 +4,8 @@
 use std::path::{Component, Path, PathBuf};
 
 /// Folders with documents, below the workspace.
-const FOLDERS: &[&str] = &["", "docs", "packaging/python", "fuzz", "tests/golden", "tests/museum"];
+const FOLDERS: &[&str] =
+    &["", "docs/guide", "docs/science", "packaging/python", "fuzz", "tests/golden", "tests/museum"];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the workspace")

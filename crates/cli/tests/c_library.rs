@@ -61,7 +61,7 @@ fn no_elementary_function_is_imported() {
         return;
     };
     let open: Vec<_> = names.iter().filter(|n| is_open(n)).collect();
-    assert!(open.is_empty(), "taken from the C library: {open:?}; see docs/determinism.md");
+    assert!(open.is_empty(), "taken from the C library: {open:?}; see docs/science/determinism.md");
 }
 
 #[test]

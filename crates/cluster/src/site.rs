@@ -99,7 +99,7 @@ impl Site {
         let wrong = |reason| ClusterError::Site { file: path.display().to_string(), reason };
         let text = std::fs::read_to_string(path).map_err(|e| {
             wrong(format!(
-                "{e}; --cluster expects the file with the facts of the site (docs/cluster.md shows one), without it the \
+                "{e}; --cluster expects the file with the facts of the site (docs/guide/cluster.md shows one), without it the \
                  defaults hold"
             ))
         })?;

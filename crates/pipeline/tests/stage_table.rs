@@ -313,8 +313,8 @@ fn code_words(text: &str) -> impl Iterator<Item = &str> {
 
 #[test]
 fn the_page_of_decisions_names_every_parameter_and_no_other() {
-    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/decisions.md");
-    let page = std::fs::read_to_string(page).expect("docs/decisions.md");
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/science/decisions.md");
+    let page = std::fs::read_to_string(page).expect("docs/science/decisions.md");
     let (rows, list) = page.split_once("## Every parameter").expect("the list of parameters");
     let table = table();
     let mut all = BTreeSet::new();
@@ -322,12 +322,12 @@ fn the_page_of_decisions_names_every_parameter_and_no_other() {
         let start = format!("* `{}`:", stage.name());
         let (_, entry) = list
             .split_once(&start)
-            .unwrap_or_else(|| panic!("docs/decisions.md lists no parameters of `{}`", stage.name()));
+            .unwrap_or_else(|| panic!("docs/science/decisions.md lists no parameters of `{}`", stage.name()));
         let entry = entry.split("\n* ").next().unwrap_or_default();
         let listed: BTreeSet<String> = code_words(entry).map(String::from).collect();
         let mut there = BTreeSet::new();
         leaves(&stage.parameters(&json!({})).expect("defaults"), "", &mut there);
-        assert_eq!(listed, there, "docs/decisions.md, the parameters of `{}`", stage.name());
+        assert_eq!(listed, there, "docs/science/decisions.md, the parameters of `{}`", stage.name());
         all.extend(there.iter().map(|path| format!("{}.{path}", stage.name())));
         all.extend(there);
     }

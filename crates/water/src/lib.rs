@@ -9,7 +9,7 @@
 //!
 //! per channel, with s the distance, d the unit direction, J the point's radiance without water, B the veil
 //! (a constant and a slope over directions), and g_v a gain of the view where exposure changes. `β_a`, `β_b`,
-//! B and the gains are shared by all points; J has a closed form and is eliminated. `docs/water.md` tells the
+//! B and the gains are shared by all points; J has a closed form and is eliminated. `docs/science/water.md` tells the
 //! whole of it: what is approximated, how good it is, when it cannot work.
 //!
 //! [`observe`] looks tracks up in the images and finds open water, [`estimate`] turns these [`Sights`] into a

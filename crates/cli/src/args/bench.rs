@@ -17,7 +17,7 @@ pub(crate) enum Bench {
     #[command(
         after_help = "Examples:\n  use3d bench truth --out bench/                        all captures, seeds 1, 2 and 3\n  \
         use3d bench truth --out quick/ --captures display-III,air --seeds 1 --iterations 600 --baselines simple\n\n\
-        Interrupted, the same command goes on from there; a second call computes nothing. docs/results.md explains the table."
+        Interrupted, the same command goes on from there; a second call computes nothing. docs/science/results.md explains the table."
     )]
     Truth(BenchTruthArgs),
     /// A graphics card in one file: limits, agreement with the processor, same bits, times.

@@ -35,7 +35,7 @@ pub(crate) enum SubmitLayout {
 pub(crate) struct SubmitArgs {
     #[command(flatten)]
     pub(crate) pipeline: PipelineArgs,
-    /// The facts of the site: account, partition, what stages need (docs/cluster.md).
+    /// The facts of the site: account, partition, what stages need (docs/guide/cluster.md).
     #[arg(long, value_name = "FILE")]
     pub(crate) cluster: Option<PathBuf>,
     /// How the work is cut into tasks.

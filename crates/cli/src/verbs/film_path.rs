@@ -56,7 +56,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene, drawn: &Drawn<'_>
     let wrong = |what: &str| CliError::Input(format!("--path {}: {what}", path_text(file)));
     let path = read(args, file, app.quiet).map_err(|what| {
         wrong(&format!(
-            "{what}; expected a camera path as the page saves it, nerfstudio's camera_path.json or COLMAP's images.txt (docs/browser.md)"
+            "{what}; expected a camera path as the page saves it, nerfstudio's camera_path.json or COLMAP's images.txt (docs/guide/browser.md)"
         ))
     })?;
     let (width, height) = args.size.as_deref().map(parse_size).transpose()?.unwrap_or(SIZE);

@@ -77,7 +77,7 @@ fn no_pipeline(file: &Path) -> Option<&'static str> {
             "one picture is no capture: give the folder that holds the images and their COLMAP model"
         }
         "json" | "xml" | "psx" | "rcproj" => {
-            "this is no pipeline file (.toml): give the capture's folder, with images and a COLMAP model (docs/captures.md)"
+            "this is no pipeline file (.toml): give the capture's folder, with images and a COLMAP model (docs/guide/captures.md)"
         }
         _ => return None,
     })

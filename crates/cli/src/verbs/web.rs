@@ -66,7 +66,7 @@ pub(crate) fn write(app: &App, args: &ExportArgs, path: &Path, scene: &Scene) ->
 pub(crate) fn saved_views(file: Option<&Path>) -> Result<Option<SavedViews>, CliError> {
     let Some(file) = file else { return Ok(None) };
     let wrong = |what: String| CliError::Input(format!("--views {}: {what}", path_text(file)));
-    let next = "expected what the page's \"Save file\" below its views writes (docs/browser.md)";
+    let next = "expected what the page's \"Save file\" below its views writes (docs/guide/browser.md)";
     let text = text_of(file).map_err(|what| wrong(format!("{what}; {next}")))?;
     SavedViews::read(&text).map(Some).map_err(|what| wrong(format!("{what}; {next}")))
 }

@@ -99,7 +99,7 @@ impl Truth {
         say: &mut dyn FnMut(String),
     ) -> Option<Self> {
         const FORM: &str = "expected truth/clean/ with images of the views' names, and where known truth/depth/ and \
-            truth/water.json as `use3d synth capture` writes them (docs/captures.md)";
+            truth/water.json as `use3d synth capture` writes them (docs/guide/captures.md)";
         if !is_there(capture) {
             if capture.join("truth").is_dir() && !is_prepared(capture) {
                 say(format!("the capture's truth/ folder has no clean/ and is left alone; {FORM}"));
