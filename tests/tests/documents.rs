@@ -1,11 +1,11 @@
-//! The documents: every relative link leads to a file, every anchor to a heading, the README to every page,
-//! and what `packaging/release` puts into its archive to nothing that is left outside.
+//! The documents: every relative link leads to a file and every anchor to a heading, the start page and the
+//! site's contents name every page, and links of the archive and of the site stay inside.
 
 use std::path::{Component, Path, PathBuf};
 
 /// Folders with documents, below the workspace.
 const FOLDERS: &[&str] =
-    &["", "docs/guide", "docs/science", "packaging/python", "fuzz", "tests/golden", "tests/museum"];
+    &["", "docs", "docs/guide", "docs/science", "packaging/python", "fuzz", "tests/golden", "tests/museum"];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the workspace")
@@ -117,13 +117,39 @@ fn every_link_leads_to_a_file_and_every_anchor_to_a_heading() {
     assert!(count > 50, "only {count} links were found");
 }
 
+/// The pages of the guide and of the science shelf.
+fn pages() -> Vec<PathBuf> {
+    let shelves = ["docs/guide", "docs/science"];
+    documents().into_iter().filter(|d| shelves.iter().any(|shelf| d.starts_with(shelf))).collect()
+}
+
 #[test]
-fn the_readme_leads_to_every_page() {
-    let readme = Path::new("README.md");
-    let named: Vec<_> = links(&text(readme)).iter().filter_map(|(_, file, _)| target(readme, file)).collect();
-    let pages = documents().into_iter().filter(|d| d.starts_with("docs"));
-    let missing: Vec<_> = pages.filter(|page| !named.contains(page)).collect();
-    assert!(missing.is_empty(), "README.md names no {missing:?}; add them under its last heading");
+fn the_start_page_and_the_contents_name_every_page() {
+    for list in ["docs/README.md", "docs/SUMMARY.md"].map(Path::new) {
+        let named: Vec<_> = links(&text(list)).iter().filter_map(|(_, file, _)| target(list, file)).collect();
+        let missing: Vec<_> = pages().into_iter().filter(|page| !named.contains(page)).collect();
+        assert!(missing.is_empty(), "{} does not name {missing:?}", list.display());
+    }
+    let readme = links(&text(Path::new("README.md")));
+    assert!(
+        readme.iter().any(|(_, file, _)| file == "docs/README.md"),
+        "the README does not lead to the pages"
+    );
+}
+
+/// The site is made of `docs` alone, so a link out of it would be dead there.
+#[test]
+fn links_of_the_site_stay_in_it() {
+    for document in documents().into_iter().filter(|d| d.starts_with("docs")) {
+        for (line, file, _) in links(&text(&document)) {
+            let path = target(&document, &file).expect("a link within the workspace");
+            assert!(
+                path.starts_with("docs"),
+                "{}:{line}: {file} is not on the site that `mdbook build docs` makes; name it in code instead",
+                document.display()
+            );
+        }
+    }
 }
 
 /// The archive holds the documents of the top folder, docs/ and the licences.

@@ -42,7 +42,7 @@ def command():
     found = shutil.which("use3d")
     if found is None:
         raise FileNotFoundError(
-            "no `use3d` program beside this Python or on PATH: pip install use3d, or set USE3D_COMMAND to its path"
+            "no `use3d` program beside this Python or on PATH: install its wheel, put it on PATH, or set USE3D_COMMAND to its path"
         )
     return found
 

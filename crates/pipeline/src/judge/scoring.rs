@@ -115,7 +115,7 @@ impl Judges {
         scores
     }
 
-    /// What LPIPS keeps of two images, measured (docs/guide/networks.md).
+    /// What LPIPS keeps of two images, measured (docs/science/networks.md).
     #[cfg(feature = "nets")]
     fn lpips_bytes_per_pixel(&self) -> u64 {
         if self.lpips.is_ok() { 92 } else { 0 }

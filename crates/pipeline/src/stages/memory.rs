@@ -29,7 +29,7 @@ use super::weights::{judge_files, proposer_files};
 const PROGRAM: u64 = 40 << 20;
 /// A Gaussian of degree 3 in a scene's PLY.
 const STORED_GAUSSIAN: u64 = 248;
-/// Nu2Net at full detail, the greediest of the networks, per pixel (docs/guide/networks.md).
+/// Nu2Net at full detail, the greediest of the networks, per pixel (docs/science/networks.md).
 const NETWORK_PER_PIXEL: u64 = 771;
 /// The same at 384 pixels, whatever the picture's size.
 const NETWORK_AT_384: u64 = 150 << 20;
