@@ -3,6 +3,8 @@
 mod bench;
 mod captures;
 mod cluster;
+#[cfg(test)]
+mod documents;
 mod pictures;
 mod pipelines;
 mod remote;
