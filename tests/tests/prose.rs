@@ -185,6 +185,17 @@ fn the_readme_and_the_guide_are_easy_to_read() {
     assert!(count > 500, "only {count} sentences were found");
 }
 
+/// A page of the guide is for something that its reader wants to do.
+#[test]
+fn every_page_of_the_guide_begins_with_what_its_reader_can_do() {
+    for page in pages().iter().filter(|p| p.starts_with(root().join("docs/guide"))) {
+        let text = std::fs::read_to_string(page).unwrap_or_else(|e| panic!("{}: {e}", page.display()));
+        let first = blocks(&text).into_iter().nth(1).expect("a paragraph below the heading").text;
+        let addressed = first.split(|c: char| !c.is_alphabetic()).any(|w| w == "you");
+        assert!(addressed, "{} begins with: {first}", page.display());
+    }
+}
+
 #[test]
 fn the_readme_is_two_screens() {
     let readme = std::fs::read_to_string(root().join("README.md")).expect("README.md");
