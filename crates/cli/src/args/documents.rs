@@ -95,12 +95,12 @@ fn commands(page: &str, text: &str) -> Vec<Command> {
         if line.trim_start().starts_with("```") {
             fenced = !fenced;
         } else if fenced {
-            match line.strip_suffix('\\') {
-                Some(part) => open += part,
-                None => {
-                    add(&format!("{open}{line}"), true);
-                    open.clear();
-                }
+            open += line.trim().trim_end_matches('\\').trim_end();
+            if line.ends_with('\\') {
+                open.push(' ');
+            } else {
+                add(&open, true);
+                open.clear();
             }
         } else {
             prose += line;
@@ -211,7 +211,7 @@ fn every_example_of_the_help_is_one_of_this_program() {
 
 #[test]
 fn commands_are_found_and_faults_are_seen() {
-    let text = "Try `use3d plan` or `use3d\nrun x --fast`.\n\n```\nmkdir a && X=1 use3d run 'b c' \\\n  --set d=1 > e   # use3d f\ncargo run --release -- demo\n$ use3d status g\n```\n";
+    let text = "Try `use3d plan` or `use3d\nrun x --fast`.\n\n```\nmkdir a && X=1 use3d run 'b c' \\\n      --set d=1 > e   # use3d f\ncargo run --release -- demo\n$ use3d status g\n```\n";
     let found: Vec<(Vec<String>, bool)> =
         commands("p", text).into_iter().map(|c| (c.arguments, c.whole)).collect();
     let expected: [(&[&str], bool); 5] = [
