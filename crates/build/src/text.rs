@@ -1,6 +1,8 @@
 //! Plans, summaries, tables as plain text; the command line prints them.
+//!
+//! Names and paths come from outside: characters that command a terminal are printed as escapes.
 
-use std::fmt::{self, Display, Formatter};
+use std::fmt::{self, Display, Formatter, Write};
 
 use use3d_capture::name::{shown, shown_lines};
 
@@ -15,42 +17,51 @@ use super::verify::Verification;
 /// How many things a line names.
 const SHOWN: usize = 3;
 
+/// Prints what `fill` writes, without a character that would command the terminal.
+fn printable(f: &mut Formatter<'_>, fill: impl FnOnce(&mut String) -> fmt::Result) -> fmt::Result {
+    let mut text = String::new();
+    fill(&mut text)?;
+    f.write_str(&shown_lines(&text))
+}
+
 impl Display for Plan {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        for node in self.own().filter(|n| !matches!(n.state, State::Cached | State::Unwanted)) {
-            let (mark, text) = describe(node);
-            write!(f, "{mark:<8} {}: {text}", label(node))?;
-            if let Some(forecast) = &node.forecast {
-                write!(f, " (about {})", seconds(forecast.seconds))?;
+        printable(f, |f| {
+            for node in self.own().filter(|n| !matches!(n.state, State::Cached | State::Unwanted)) {
+                let (mark, text) = describe(node);
+                write!(f, "{mark:<8} {}: {text}", label(node))?;
+                if let Some(forecast) = &node.forecast {
+                    write!(f, " (about {})", seconds(forecast.seconds))?;
+                }
+                writeln!(f)?;
             }
-            writeln!(f)?;
-        }
-        let shared = self.nodes.len() - self.own().count();
-        write!(f, "{}: {} to run, {} cached", self.pipeline, self.to_run(), self.cached())?;
-        if shared > 0 {
-            write!(f, ", {shared} shared between variants")?;
-        }
-        for (count, words) in
-            [(self.unavailable(), "cannot run"), (self.blocked(), "not run because of these")]
-        {
-            if count > 0 {
-                write!(f, ", {count} {words}")?;
+            let shared = self.nodes.len() - self.own().count();
+            write!(f, "{}: {} to run, {} cached", self.pipeline, self.to_run(), self.cached())?;
+            if shared > 0 {
+                write!(f, ", {shared} shared between variants")?;
             }
-        }
-        let (sum, without) = self.forecast();
-        if self.to_run() > without {
-            write!(f, "; about {}", seconds(sum))?;
-            let guessed = self.own().filter_map(|n| n.forecast.as_ref()).any(|forecast| !forecast.own);
-            if guessed {
-                write!(f, ", judging by other scenes whatever their size")?;
+            for (count, words) in
+                [(self.unavailable(), "cannot run"), (self.blocked(), "not run because of these")]
+            {
+                if count > 0 {
+                    write!(f, ", {count} {words}")?;
+                }
             }
-            if without > 0 {
-                write!(f, " and {without} that never ran before")?;
+            let (sum, without) = self.forecast();
+            if self.to_run() > without {
+                write!(f, "; about {}", seconds(sum))?;
+                let guessed = self.own().filter_map(|n| n.forecast.as_ref()).any(|forecast| !forecast.own);
+                if guessed {
+                    write!(f, ", judging by other scenes whatever their size")?;
+                }
+                if without > 0 {
+                    write!(f, " and {without} that never ran before")?;
+                }
+            } else if without > 0 {
+                write!(f, "; no earlier run to forecast the time from")?;
             }
-        } else if without > 0 {
-            write!(f, "; no earlier run to forecast the time from")?;
-        }
-        writeln!(f)
+            writeln!(f)
+        })
     }
 }
 
@@ -87,74 +98,77 @@ fn describe(node: &PlannedNode) -> (&'static str, String) {
 
 impl Display for Summary {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        for node in self.failed() {
-            if let Became::Failed { reason, log } = &node.result {
-                let (label, reason) = (shown(&node.label), shown_lines(reason));
-                writeln!(f, "failed   {label}: {reason}\n         log: {}", log.display())?;
+        printable(f, |f| {
+            for node in self.failed() {
+                if let Became::Failed { reason, log } = &node.result {
+                    writeln!(f, "failed   {}: {reason}\n         log: {}", node.label, log.display())?;
+                }
             }
-        }
-        let blocked = self.count(|r| matches!(r, Became::Blocked(_)));
-        let not_run = self.count(|r| *r == Became::NotRun);
-        write!(f, "{}: {} done, {} cached", self.pipeline, self.done(), self.cached())?;
-        for (count, word) in [
-            (self.failed().count(), "failed"),
-            (blocked, "not run because of these"),
-            (not_run, "not run"),
-            (self.elsewhere(), "left to others, who compute them"),
-        ] {
-            if count > 0 {
-                write!(f, ", {count} {word}")?;
+            let blocked = self.count(|r| matches!(r, Became::Blocked(_)));
+            let not_run = self.count(|r| *r == Became::NotRun);
+            write!(f, "{}: {} done, {} cached", self.pipeline, self.done(), self.cached())?;
+            for (count, word) in [
+                (self.failed().count(), "failed"),
+                (blocked, "not run because of these"),
+                (not_run, "not run"),
+                (self.elsewhere(), "left to others, who compute them"),
+            ] {
+                if count > 0 {
+                    write!(f, ", {count} {word}")?;
+                }
             }
-        }
-        write!(f, ", in {}", seconds(self.seconds))?;
-        if self.left && not_run > 0 {
-            write!(f, "; out of time: the same command goes on from here")?;
-        } else if self.interrupted && !self.left {
-            write!(f, "; interrupted: the same command goes on from here")?;
-        }
-        writeln!(f)
+            write!(f, ", in {}", seconds(self.seconds))?;
+            if self.left && not_run > 0 {
+                write!(f, "; out of time: the same command goes on from here")?;
+            } else if self.interrupted && !self.left {
+                write!(f, "; interrupted: the same command goes on from here")?;
+            }
+            writeln!(f)
+        })
     }
 }
 
 impl Display for Status {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        let mut stages: Vec<&str> = Vec::new();
-        for cell in self.rows.iter().flat_map(|r| &r.cells) {
-            if !stages.contains(&cell.stage) {
-                stages.push(cell.stage);
-            }
-        }
-        let name = |scene: &str, variant: &str| match (scene.is_empty(), variant.is_empty()) {
-            (true, true) => "(all scenes)".to_string(),
-            (true, false) => format!("(all scenes) · {variant}"),
-            (false, true) => scene.to_string(),
-            (false, false) => format!("{scene} · {variant}"),
-        };
-        let names: Vec<String> = self.rows.iter().map(|r| name(&r.scene, &r.variant)).collect();
-        let wide = names.iter().map(|n| n.chars().count()).max().unwrap_or(0).max(5);
-        write!(f, "{:<wide$}", "scene")?;
-        for stage in &stages {
-            write!(f, "  {stage:<w$}", w = stage.len().max(7))?;
-        }
-        writeln!(f)?;
-        for (row, name) in self.rows.iter().zip(&names) {
-            let mut line = format!("{name:<wide$}");
-            for stage in &stages {
-                let word = row.cells.iter().find(|c| c.stage == *stage).map_or("", Cell::word);
-                line.push_str(&format!("  {word:<w$}", w = stage.len().max(7)));
-            }
-            writeln!(f, "{}", line.trim_end())?;
-        }
-        for (row, name) in self.rows.iter().zip(&names) {
-            for cell in &row.cells {
-                if let Some(working) = &cell.working {
-                    writeln!(f, "{name} · {}: {working}", cell.stage)?;
-                } else if cell.standing == Standing::Failed {
-                    writeln!(f, "{name} · {}: {}", cell.stage, cell.reason)?;
+        printable(f, |f| {
+            let mut stages: Vec<&str> = Vec::new();
+            for cell in self.rows.iter().flat_map(|r| &r.cells) {
+                if !stages.contains(&cell.stage) {
+                    stages.push(cell.stage);
                 }
             }
-        }
-        Ok(())
+            let name = |scene: &str, variant: &str| match (scene.is_empty(), variant.is_empty()) {
+                (true, true) => "(all scenes)".to_string(),
+                (true, false) => format!("(all scenes) · {variant}"),
+                (false, true) => scene.to_string(),
+                (false, false) => format!("{scene} · {variant}"),
+            };
+            let names: Vec<String> = self.rows.iter().map(|r| name(&r.scene, &r.variant)).collect();
+            let wide = names.iter().map(|n| n.chars().count()).max().unwrap_or(0).max(5);
+            write!(f, "{:<wide$}", "scene")?;
+            for stage in &stages {
+                write!(f, "  {stage:<w$}", w = stage.len().max(7))?;
+            }
+            writeln!(f)?;
+            for (row, name) in self.rows.iter().zip(&names) {
+                let mut line = format!("{name:<wide$}");
+                for stage in &stages {
+                    let word = row.cells.iter().find(|c| c.stage == *stage).map_or("", Cell::word);
+                    line.push_str(&format!("  {word:<w$}", w = stage.len().max(7)));
+                }
+                writeln!(f, "{}", line.trim_end())?;
+            }
+            for (row, name) in self.rows.iter().zip(&names) {
+                for cell in &row.cells {
+                    if let Some(working) = &cell.working {
+                        writeln!(f, "{name} · {}: {working}", cell.stage)?;
+                    } else if cell.standing == Standing::Failed {
+                        writeln!(f, "{name} · {}: {}", cell.stage, cell.reason)?;
+                    }
+                }
+            }
+            Ok(())
+        })
     }
 }
 
@@ -171,78 +185,97 @@ impl Display for Working {
 
 impl Display for Why {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: {}", self.label, self.standing.word())?;
-        if !self.reason.is_empty() {
-            write!(f, " ({})", self.reason)?;
-        }
-        writeln!(f)?;
-        match (&self.earlier_at, self.changes.is_empty()) {
-            (Some(at), false) => writeln!(f, "since the record of {at} UTC:")?,
-            (Some(at), true) if self.upstream.is_empty() => {
-                writeln!(f, "no ingredient changed since {at} UTC")?;
+        printable(f, |f| {
+            write!(f, "{}: {}", self.label, self.standing.word())?;
+            if !self.reason.is_empty() {
+                write!(f, " ({})", self.reason)?;
             }
-            (None, _) if self.standing != Standing::Cached => {
-                writeln!(f, "there is no earlier record to compare with")?;
+            writeln!(f)?;
+            match (&self.earlier_at, self.changes.is_empty()) {
+                (Some(at), false) => writeln!(f, "since the record of {at} UTC:")?,
+                (Some(at), true) if self.upstream.is_empty() => {
+                    writeln!(f, "no ingredient changed since {at} UTC")?;
+                }
+                (None, _) if self.standing != Standing::Cached => {
+                    writeln!(f, "there is no earlier record to compare with")?;
+                }
+                _ => {}
             }
-            _ => {}
-        }
-        for change in &self.changes {
-            writeln!(f, "  {change}")?;
-        }
-        for (label, changes) in &self.upstream {
-            writeln!(f, "upstream {label} has to run:")?;
-            for change in changes {
+            for change in &self.changes {
                 writeln!(f, "  {change}")?;
             }
-            if changes.is_empty() {
-                writeln!(f, "  never made, or its artifact is gone")?;
+            for (label, changes) in &self.upstream {
+                writeln!(f, "upstream {label} has to run:")?;
+                for change in changes {
+                    writeln!(f, "  {change}")?;
+                }
+                if changes.is_empty() {
+                    writeln!(f, "  never made, or its artifact is gone")?;
+                }
             }
-        }
-        Ok(())
+            Ok(())
+        })
     }
 }
 
 impl Display for Cleaning {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        let verb = if self.dry_run { "would remove" } else { "removed" };
-        for item in &self.removed {
-            writeln!(f, "{verb} {:>9}  {}: {} ({})", bytes(item.bytes), item.kind, item.name, item.reason)?;
-        }
-        for (name, reason) in &self.failed {
-            writeln!(f, "cannot remove {name}: {reason}")?;
-        }
-        let freed: u64 = self.removed.iter().map(|r| r.bytes).sum();
-        let state = if self.dry_run { "would be left" } else { "left" };
-        writeln!(f, "{verb} {} in {} items; {} {state}", bytes(freed), self.removed.len(), bytes(self.left))
+        printable(f, |f| {
+            let verb = if self.dry_run { "would remove" } else { "removed" };
+            for item in &self.removed {
+                writeln!(
+                    f,
+                    "{verb} {:>9}  {}: {} ({})",
+                    bytes(item.bytes),
+                    item.kind,
+                    item.name,
+                    item.reason
+                )?;
+            }
+            for (name, reason) in &self.failed {
+                writeln!(f, "cannot remove {name}: {reason}")?;
+            }
+            let freed: u64 = self.removed.iter().map(|r| r.bytes).sum();
+            let state = if self.dry_run { "would be left" } else { "left" };
+            writeln!(
+                f,
+                "{verb} {} in {} items; {} {state}",
+                bytes(freed),
+                self.removed.len(),
+                bytes(self.left)
+            )
+        })
     }
 }
 
 impl Display for Verification {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        for problem in &self.problems {
-            writeln!(f, "{}: {}", problem.name, problem.what)?;
-        }
-        write!(f, "{} artifacts, {} read and compared", self.artifacts, bytes(self.bytes))?;
-        if let Some(held) = self.held {
-            write!(f, "; of {} stages of this pipeline {} are in the cache", held.stages, held.cached)?;
-        }
-        if let Some(recomputed) = self.recomputed {
-            write!(f, ", {recomputed} computed again")?;
-        }
-        if self.agreed > 0 {
-            write!(f, " ({} in another numeric class: within their stage's tolerances)", self.agreed)?;
-        }
-        if self.not_compared > 0 {
-            write!(f, " ({} could not be compared: see above)", self.not_compared)?;
-        }
-        let aside =
-            if self.repaired > 0 { format!(", {} moved aside", self.repaired) } else { String::new() };
-        if self.interrupted {
-            write!(f, ", interrupted before the rest")?;
-        }
-        match self.problems.len() {
-            0 => writeln!(f, ": all as written"),
-            n => writeln!(f, ": {n} problem(s){aside}"),
-        }
+        printable(f, |f| {
+            for problem in &self.problems {
+                writeln!(f, "{}: {}", problem.name, problem.what)?;
+            }
+            write!(f, "{} artifacts, {} read and compared", self.artifacts, bytes(self.bytes))?;
+            if let Some(held) = self.held {
+                write!(f, "; of {} stages of this pipeline {} are in the cache", held.stages, held.cached)?;
+            }
+            if let Some(recomputed) = self.recomputed {
+                write!(f, ", {recomputed} computed again")?;
+            }
+            if self.agreed > 0 {
+                write!(f, " ({} in another numeric class: within their stage's tolerances)", self.agreed)?;
+            }
+            if self.not_compared > 0 {
+                write!(f, " ({} could not be compared: see above)", self.not_compared)?;
+            }
+            let aside =
+                if self.repaired > 0 { format!(", {} moved aside", self.repaired) } else { String::new() };
+            if self.interrupted {
+                write!(f, ", interrupted before the rest")?;
+            }
+            match self.problems.len() {
+                0 => writeln!(f, ": all as written"),
+                n => writeln!(f, ": {n} problem(s){aside}"),
+            }
+        })
     }
 }

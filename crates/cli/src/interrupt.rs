@@ -4,8 +4,9 @@
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{OnceLock, mpsc};
+use std::time::Duration;
 
 use signal_hook::consts::{SIGINT, SIGTERM};
 
@@ -83,9 +84,37 @@ pub(crate) fn check() -> Result<(), CliError> {
     if requested() { Err(CliError::Stopped) } else { Ok(()) }
 }
 
+/// Does work that leaves nothing behind, and returns as soon as a signal comes: what is under way then ends with
+/// the program.
+pub(crate) fn unless_stopped<T: Send + 'static>(
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, CliError> {
+    const LOOK: Duration = Duration::from_millis(50);
+    let (sender, receiver) = mpsc::channel();
+    std::thread::spawn(move || {
+        // Nobody listens any more where a signal came first.
+        let _ = sender.send(work());
+    });
+    loop {
+        match receiver.recv_timeout(LOOK) {
+            Ok(done) => return Ok(done),
+            Err(mpsc::RecvTimeoutError::Timeout) => check()?,
+            Err(mpsc::RecvTimeoutError::Disconnected) => {
+                return Err(CliError::Failed("internal error, please report it".into()));
+            }
+        }
+    }
+}
+
 #[cfg(all(test, target_os = "linux"))]
 mod tests {
     use super::*;
+
+    #[test]
+    fn work_that_ends_is_handed_back_and_one_that_panics_is_an_error() {
+        assert_eq!(unless_stopped(|| 3).ok(), Some(3));
+        assert!(unless_stopped(|| -> u8 { panic!("on purpose") }).is_err());
+    }
 
     #[test]
     fn an_ignored_hang_up_stays_ignored() {

@@ -223,6 +223,22 @@ fn what_is_no_capture_is_said_with_the_next_step() {
     ]);
 }
 
+/// A path that a pipeline file names is printed, and may hold anything.
+#[test]
+fn a_plan_prints_no_character_that_commands_the_terminal() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("p.toml");
+    let pipeline = "name = \"p\"\n[models]\ndir = \"m\\u001b[31m\"\n[[scene]]\nname = \"a\"\ncapture = \"./ca\\u001b[31mp\"\n";
+    std::fs::write(&file, pipeline).unwrap();
+    let cache = dir.path().join("cache").to_str().unwrap().to_string();
+    for verb in ["plan", "status", "run"] {
+        let output = use3d(&[verb, file.to_str().unwrap(), "--cache", &cache]);
+        let said = text(&output.stdout) + &text(&output.stderr);
+        assert!(!said.contains('\u{1b}'), "{verb}: {said:?}");
+        assert!(verb == "status" || said.contains("ca\\u{1b}[31mp"), "{verb}: {said:?}");
+    }
+}
+
 #[test]
 fn whoever_asks_for_json_gets_one_document_also_of_an_error() {
     for (arguments, code) in
@@ -260,6 +276,26 @@ fn parameters_completions_and_man_pages_can_be_had() {
     let out = dir.path().join("man");
     check(&[(&["man", "--out", out.to_str().unwrap()], 0, &["use3d.1"])]);
     assert!(std::fs::read_to_string(out.join("use3d.1")).unwrap().contains("use3d"));
+    // The same pages again are nothing to replace; a page that differs is, and no page goes through a link.
+    let man = |more: &[&str]| {
+        let mut command = vec!["man", "--out", out.to_str().unwrap()];
+        command.extend(more);
+        use3d(&command)
+    };
+    assert!(man(&[]).status.success());
+    std::fs::write(out.join("use3d.1"), "my notes").unwrap();
+    let refused = man(&[]);
+    assert_eq!((refused.status.code(), text(&refused.stderr).contains("--force")), (Some(2), true));
+    assert!(man(&["--force"]).status.success());
+    #[cfg(unix)]
+    {
+        let notes = dir.path().join("notes.txt");
+        std::fs::write(&notes, "my notes").unwrap();
+        std::fs::remove_file(out.join("use3d.1")).unwrap();
+        std::os::unix::fs::symlink("../notes.txt", out.join("use3d.1")).unwrap();
+        assert_eq!(man(&["--force"]).status.code(), Some(2));
+        assert_eq!(std::fs::read_to_string(&notes).unwrap(), "my notes");
+    }
 }
 
 #[test]

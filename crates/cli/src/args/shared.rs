@@ -121,7 +121,8 @@ impl PipelineArgs {
 /// What may be replaced.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub(crate) struct Replace {
-    /// Replace an earlier result in the same place. Only what this program wrote is ever replaced.
+    /// Replace an earlier result in the same place: of folders only those that this program wrote and nobody
+    /// changed, of files any regular one.
     #[arg(long)]
     pub(crate) force: bool,
 }

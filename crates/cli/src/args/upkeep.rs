@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::shared::{CacheArgs, CalibrationArgs, PipelineArgs, Settings};
+use super::shared::{CacheArgs, CalibrationArgs, PipelineArgs, Replace, Settings};
 
 #[derive(Debug, Args)]
 pub(crate) struct ModelsArgs {
@@ -96,4 +96,6 @@ pub(crate) struct ManArgs {
     /// The folder to write to, e.g. ~/.local/share/man/man1.
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
+    #[command(flatten)]
+    pub(crate) replace: Replace,
 }

@@ -4,7 +4,9 @@ use clap::CommandFactory;
 use clap_complete::generate;
 
 use crate::args::{Cli, CompletionsArgs, ManArgs};
+use crate::destination::{check_file, copy_file};
 use crate::error::{CliError, Done};
+use crate::verbs::stages::scratch;
 
 pub(crate) fn completions(args: &CompletionsArgs) -> Done {
     let mut text = Vec::new();
@@ -13,10 +15,26 @@ pub(crate) fn completions(args: &CompletionsArgs) -> Done {
     Ok(())
 }
 
+/// Writes the pages to a folder of our own first: nothing there is replaced without `--force`, and no page is
+/// written through a link.
 pub(crate) fn man(args: &ManArgs) -> Done {
     let failed = |e: std::io::Error| CliError::Failed(format!("--out {}: {e}", args.out.display()));
-    std::fs::create_dir_all(&args.out).map_err(failed)?;
-    clap_mangen::generate_to(Cli::command(), &args.out).map_err(failed)?;
+    let made = scratch()?;
+    clap_mangen::generate_to(Cli::command(), made.path()).map_err(failed)?;
+    let mut pages = Vec::new();
+    for entry in std::fs::read_dir(made.path()).map_err(failed)? {
+        let entry = entry.map_err(failed)?;
+        pages.push((entry.path(), args.out.join(entry.file_name())));
+    }
+    pages.sort();
+    // A page that is there already as it would be written stays as it is.
+    let same = |made: &std::path::Path, there: &std::path::Path| {
+        std::fs::symlink_metadata(there).is_ok_and(|found| found.is_file())
+            && std::fs::read(there).ok() == std::fs::read(made).ok()
+    };
+    pages.retain(|(made, there)| !same(made, there));
+    pages.iter().try_for_each(|(_, there)| check_file("--out", there, args.replace.force, &[]))?;
+    pages.iter().try_for_each(|(made, there)| copy_file("--out", made, there))?;
     eprintln!("{}: use3d.1 and one page per verb", args.out.display());
     Ok(())
 }

@@ -192,7 +192,7 @@ fn files(cameras: &[(FileName, Camera)], format: FrameFormat) -> Result<Vec<File
         FrameFormat::Exr => "exr",
     };
     let mut taken = BTreeMap::new();
-    let name = |(camera, _): &(FileName, Camera)| {
+    let mut name = |(camera, _): &(FileName, Camera)| {
         let file = camera.with_extension(extension).map_err(CliError::input)?;
         if let Some(first) = taken.insert(file.clone(), camera.clone()) {
             return Err(CliError::Input(format!(
@@ -201,7 +201,20 @@ fn files(cameras: &[(FileName, Camera)], format: FrameFormat) -> Result<Vec<File
         }
         Ok(file)
     };
-    cameras.iter().map(name).collect()
+    let files: Vec<FileName> = cameras.iter().map(&mut name).collect::<Result<_, _>>()?;
+    // A picture cannot be the folder of another one.
+    for file in &files {
+        let folders = Path::new(file.as_str()).ancestors().skip(1);
+        if let Some(first) =
+            folders.filter_map(Path::to_str).find_map(|f| taken.iter().find(|(t, _)| t.as_str() == f))
+        {
+            return Err(CliError::Input(format!(
+                "--cameras: {} would be written as {}, which {file} needs as a folder; rename one of them",
+                first.1, first.0
+            )));
+        }
+    }
+    Ok(files)
 }
 
 /// Refuses, before anything is drawn, to write over what is there.

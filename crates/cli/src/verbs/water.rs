@@ -7,6 +7,7 @@ use use3d_water::WaterParams;
 use crate::App;
 use crate::args::WaterArgs;
 use crate::error::{CliError, Done};
+use crate::interrupt;
 use crate::verbs::stages::{imported, parameters, scratch, stages};
 
 pub(crate) fn run(app: &App, args: &WaterArgs) -> Done {
@@ -15,7 +16,11 @@ pub(crate) fn run(app: &App, args: &WaterArgs) -> Done {
     let scratch = scratch()?;
     let folder = imported(app, &registry, &args.capture, &parameters[0], scratch.path())?;
     let capture = load_prepared(&folder).map_err(CliError::input)?;
-    let water = from_tracks(&capture, &WaterParams::default()).map_err(CliError::input)?;
+    let (capture, water) = interrupt::unless_stopped(move || {
+        let water = from_tracks(&capture, &WaterParams::default());
+        (capture, water)
+    })?;
+    let water = water.map_err(CliError::input)?;
     // An import does not keep the name, since equal captures give equal bytes.
     let report = WaterReport { capture: capture_name(&args.capture), ..WaterReport::new(&capture, &water) };
     if args.json {
