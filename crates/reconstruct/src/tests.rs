@@ -310,7 +310,8 @@ fn the_growth_of_a_step_is_told_beside_its_pairs() {
         (1..=14).map(|k| (3 * k, 3)).chain([(44, 2)]).collect::<Vec<_>>()
     });
     let spent: std::time::Duration = outcome.growth.iter().map(|s| s.spent).sum();
-    assert!(spent <= outcome.profile.spent() && outcome.growth.iter().all(|s| !s.spent.is_zero()));
+    // Three steps may be quicker than the clock tells; all of them together are not.
+    assert!(spent <= outcome.profile.spent() && !spent.is_zero());
     // Every fourth pixel both ways stands for all pixels of the view, whichever it was.
     let pairs = capture.training_views().map(|view| {
         let lattice = use3d_capture::Lattice::full(&view.camera.intrinsics);
