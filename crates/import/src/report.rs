@@ -32,7 +32,8 @@ pub struct ImportReport {
     pub views: usize,
     /// Listed images that are not there, skipped.
     pub missing: Vec<String>,
-    /// Images in the folder that the model does not list, not used.
+    /// Images in the folder that the model does not list, not used. Not stored.
+    #[serde(skip_serializing, default)]
     pub extra: Vec<String>,
     /// Cameras by lens and image size.
     pub cameras: Vec<CameraReport>,
@@ -95,6 +96,11 @@ pub(crate) fn some<S: AsRef<str>>(names: &[S]) -> String {
     }
 }
 
+/// A number with its noun and verb.
+fn counted(count: usize, one: &str, several: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { several })
+}
+
 impl fmt::Display for ImportReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "capture {}: {} views, {} sparse points", shown(&self.name), self.views, self.points)?;
@@ -109,20 +115,12 @@ impl fmt::Display for ImportReport {
         }
         writeln!(f)?;
         if !self.missing.is_empty() {
-            writeln!(
-                f,
-                "  {} listed images are not there, skipped: {}",
-                self.missing.len(),
-                some(&self.missing)
-            )?;
+            let count = counted(self.missing.len(), "listed image is", "listed images are");
+            writeln!(f, "  {count} not there, skipped: {}", some(&self.missing))?;
         }
         if !self.extra.is_empty() {
-            writeln!(
-                f,
-                "  {} images are not in the model, not used: {}",
-                self.extra.len(),
-                some(&self.extra)
-            )?;
+            let count = counted(self.extra.len(), "image is", "images are");
+            writeln!(f, "  {count} not in the model, not used: {}", some(&self.extra))?;
         }
         for camera in self.cameras.iter().take(6) {
             writeln!(f, "  {camera}")?;

@@ -122,7 +122,7 @@ impl Checkpoints {
         {
             notices.push(format!("the checkpoint is of step {beyond}, beyond the {} asked for", self.length));
         } else if notices.is_empty() && !entries.is_empty() {
-            notices.push("the checkpoint there belongs to other inputs or other parameters".to_string());
+            notices.push("the checkpoint there belongs to other inputs, to other parameters, or to a run of another length whose schedules are compressed to it".to_string());
         }
         if let Some(last) = notices.last_mut() {
             last.push_str("; starting anew");

@@ -30,30 +30,37 @@ fn files(parameters: &Value, capture: &Path) -> Result<Vec<PathBuf>, String> {
     if use3d_import::is_prepared(capture) {
         let read = views.iter().flat_map(|v| [Some(&v.image), v.mask.as_ref(), v.depth_prior.as_ref()]);
         let mut paths = vec![PathBuf::from(".")];
-        paths.extend(read.flatten().filter_map(|p| hidden(p, capture, "")));
+        let files = below(read.flatten(), capture, "");
+        paths.extend(files.into_iter().filter(|file| has_hidden_part(file)));
         return Ok(paths);
     }
     let report = imported.report;
     let masks = params.mask_dir.unwrap_or_else(|| "masks".into());
     let mut paths = vec![PathBuf::from(report.model)];
     let folders = [Some(&report.image_folder), Some(&masks), report.depth_folder.as_ref()];
+    // File by file: what lies beside them, and the model does not name, is no part of the capture.
     for folder in folders.into_iter().flatten() {
-        paths.push(PathBuf::from(folder));
         let read = views.iter().flat_map(|v| [Some(&v.image), v.mask.as_ref(), v.depth_prior.as_ref()]);
-        paths.extend(read.flatten().filter_map(|p| hidden(p, capture, folder)));
+        paths.extend(below(read.flatten(), capture, folder));
     }
     paths.extend(["train_list.txt", "test_list.txt"].map(PathBuf::from));
     paths.retain(|p| capture.join(p).exists());
     Ok(paths)
 }
 
-/// A file below a folder of the capture, relative to the capture, if a part of its name
-/// in the folder begins with a dot.
-fn hidden(file: &Path, capture: &Path, folder: &str) -> Option<PathBuf> {
-    let real = |path: &Path| path.canonicalize().ok();
-    let name = real(file)?.strip_prefix(real(&capture.join(folder))?).ok()?.to_path_buf();
-    let dotted = name.iter().any(|part| part.to_string_lossy().starts_with('.'));
-    dotted.then(|| Path::new(folder).join(name))
+/// Those of some files that lie below a folder of the capture, relative to the capture.
+fn below<'f>(files: impl Iterator<Item = &'f PathBuf>, capture: &Path, folder: &str) -> Vec<PathBuf> {
+    let Ok(real) = capture.join(folder).canonicalize() else { return Vec::new() };
+    let name = |file: &PathBuf| {
+        let file = file.canonicalize().ok()?;
+        Some(Path::new(folder).join(file.strip_prefix(&real).ok()?))
+    };
+    files.filter_map(name).collect()
+}
+
+/// Whether a part of a relative path begins with a dot: such files of a folder count only where they are named.
+fn has_hidden_part(file: &Path) -> bool {
+    file.iter().any(|part| part.to_string_lossy().starts_with('.') && part != ".")
 }
 
 fn run(context: &StageContext, params: &ImportParams) -> Result<(), StageError> {
@@ -83,17 +90,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn hidden_files_of_views_count_one_by_one() {
+    fn files_of_views_count_one_by_one() {
         let dir = tempfile::tempdir().expect("folder");
         let images = dir.path().join("images/left");
         std::fs::create_dir_all(&images).expect("folder");
         for name in ["a.png", ".b.png"] {
             std::fs::write(images.join(name), name).expect("file");
         }
-        let of = |name: &str| hidden(&images.join(name), dir.path(), "images");
-        assert_eq!(of("a.png"), None);
-        assert_eq!(of(".b.png"), Some(PathBuf::from("images/left/.b.png")));
-        // The folders of a capture may be hidden themselves: they are named, and count.
-        assert_eq!(hidden(&images.join("a.png"), dir.path(), "masks"), None);
+        let files = ["a.png", ".b.png"].map(|name| images.join(name));
+        let named = below(files.iter(), dir.path(), "images");
+        assert_eq!(named, ["images/left/a.png", "images/left/.b.png"].map(PathBuf::from));
+        assert_eq!(named.iter().map(|f| has_hidden_part(f)).collect::<Vec<_>>(), [false, true]);
+        assert_eq!(below(files.iter(), dir.path(), "masks"), Vec::<PathBuf>::new());
     }
 }
