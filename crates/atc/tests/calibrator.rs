@@ -3,7 +3,9 @@
 use std::ops::ControlFlow;
 
 use use3d_atc::AtcError;
-use use3d_atc::calibrator::{Calibrator, CalibratorParams, Dataset, PairImages, evaluate, train};
+use use3d_atc::calibrator::{
+    Calibrator, CalibratorParams, Dataset, LastLayer, PairImages, Scales, Statistics, evaluate, fit, train,
+};
 use use3d_atc::extractor::{ExtractorSettings, Source, Workspace, affine_apply};
 use use3d_atc::progress::{Progress, unwatched};
 use use3d_atc::proposers::{Fusion, Proposer, ProposerId};
@@ -238,4 +240,34 @@ fn an_affine_pair_has_that_affine_as_its_target() {
     let direction: f64 = found.target.iter().zip(t).map(|(a, b)| a * b).sum();
     let norm = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
     assert!(direction / (norm(&found.target) * norm(&t)) > 0.9);
+}
+
+/// The paper scales errors by the ranges of the paired operators, the release by those of the residuals (R19);
+/// the paper says nothing of how a head starts, and the release starts its last layer at random (R18).
+#[test]
+fn the_scales_and_the_start_of_the_last_layer_can_be_chosen() {
+    let dataset = Dataset::build(pairs(9), &Timid, &ExtractorSettings::default(), &mut unwatched).unwrap();
+    let fitted = |scales, last_layer| {
+        let params = CalibratorParams { steps: 0, scales, last_layer, ..quick() };
+        fit(&dataset, &params, &mut unwatched).unwrap()
+    };
+    let ranges = |of: &dyn Fn(usize, usize) -> f64| {
+        let rows = (0..dataset.examples.len()).flat_map(|e| (0..12).map(move |k| (e, k)));
+        Statistics::of(&rows.map(|(e, k)| of(e, k) as f32).collect::<Vec<_>>(), 12).range
+    };
+    let target = |e: usize, k: usize| f64::from(dataset.examples[e].target[k] as f32);
+    let residual = |e: usize, k: usize| {
+        f64::from(dataset.examples[e].target[k] as f32 - dataset.examples[e].proposal[k] as f32)
+    };
+    let [usual, paper] = [Scales::Residuals, Scales::Operators].map(|s| fitted(s, LastLayer::Zero));
+    assert_eq!(usual.global.residual.range, ranges(&residual));
+    assert_eq!(paper.global.residual.range, ranges(&target));
+    assert_ne!(usual.local.residual.range, paper.local.residual.range);
+    assert_eq!(usual.global.residual.median, paper.global.residual.median);
+    let silent = |c: &Calibrator| c.global.mlp.layers[2].weight.iter().all(|w| *w == 0.0);
+    assert!(silent(&usual) && !silent(&fitted(Scales::Operators, LastLayer::Random)));
+    // Whatever the scales, the fit brings the pairs nearer to their targets.
+    let params = CalibratorParams { scales: Scales::Operators, last_layer: LastLayer::Random, ..quick() };
+    let errors = evaluate(&fit(&dataset, &params, &mut unwatched).unwrap(), &dataset.examples);
+    assert!(errors.global.ratio() < 0.6, "{errors:?}");
 }

@@ -7,6 +7,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use serde_json::{Map, Value};
 
@@ -31,6 +32,8 @@ pub struct Batch {
     pub seed: u64,
     /// Parameters for all scenes that everything wins over but the stages' own defaults.
     pub preset: Overrides,
+    /// What these are called; empty for no name. For people only.
+    pub preset_name: String,
     /// Parameters for all scenes.
     pub defaults: Overrides,
     /// Parameters that win over everything: those of the command line.
@@ -79,6 +82,8 @@ pub struct Variant {
     pub seed: Option<u64>,
     /// In place of the batch's.
     pub preset: Option<Overrides>,
+    /// What these are called. For people only.
+    pub preset_name: Option<String>,
     /// Its files and folders, by name; they win over a scene's.
     pub externals: BTreeMap<String, External>,
     /// Where the user named them, by name. For messages only.
@@ -136,6 +141,13 @@ pub(crate) struct NodeInput {
     pub(crate) variant: String,
 }
 
+/// What a scene in a variant says: the parameters of all stages, and what lies outside.
+#[derive(Debug)]
+pub(crate) struct Place {
+    pub(crate) all: AllParameters,
+    pub(crate) named: Named,
+}
+
 /// One stage of one scene and variant.
 #[derive(Clone, Debug)]
 pub struct Node {
@@ -148,7 +160,11 @@ pub struct Node {
     pub variant: String,
     /// Its parameters, defaults filled in.
     pub parameters: Value,
-    pub(crate) seed: Option<u64>,
+    /// The name of the preset below its parameters; empty for none. For people only.
+    pub preset: String,
+    /// The seed that it draws from; `None` for a stage that draws nothing.
+    pub seed: Option<u64>,
+    pub(crate) place: Arc<Place>,
     pub(crate) inputs: Vec<NodeInput>,
     pub(crate) identity: Digest,
     /// The first node that is the same work, when this is not it.
@@ -320,21 +336,23 @@ impl GraphBuilder<'_> {
     /// What is named outside the pipeline for a scene in a variant; without a scene, what is named for all of
     /// them, together or one by one.
     fn named(&self, scene: Option<&BatchScene>, variant: &Variant) -> Named {
-        let batch = self.batch.externals.iter();
+        type Said<'a> = (&'a BTreeMap<String, External>, &'a BTreeMap<String, String>);
+        let of = |(places, named): Said<'_>, counts: &dyn Fn(&String) -> bool| -> Vec<_> {
+            let said = |name: &String| named.get(name).cloned().unwrap_or_default();
+            let each = places.iter().filter(|(name, _)| counts(name));
+            each.map(|(name, place)| (name.clone(), (place.clone(), said(name)))).collect()
+        };
+        let batch = of((&self.batch.externals, &self.batch.named), &|_| true);
         let each = match (scene, self.batch.scenes.split_first()) {
-            (Some(scene), _) => scene.externals.iter().collect::<Vec<_>>(),
+            (Some(scene), _) => of((&scene.externals, &scene.named), &|_| true),
             (None, Some((first, others))) => {
                 let everywhere = |name: &String| others.iter().all(|s| s.externals.contains_key(name));
-                first.externals.iter().filter(|(name, _)| everywhere(name)).collect()
+                of((&first.externals, &first.named), &everywhere)
             }
             (None, None) => Vec::new(),
         };
-        Named::new(
-            batch
-                .chain(each)
-                .chain(&variant.externals)
-                .map(|(name, place)| (name.clone(), place.clone().ok())),
-        )
+        let variant = of((&variant.externals, &variant.named), &|_| true);
+        Named::new(batch.into_iter().chain(each).chain(variant))
     }
 
     /// The place of a scene's reference variant, where a stage asks for one and a variant fulfils its
@@ -359,9 +377,10 @@ impl GraphBuilder<'_> {
         scope: Scope,
     ) -> Result<(), BuildError> {
         let all = self.parameters(scene, variant)?;
-        let named = self.named(scene, variant);
+        let place = Arc::new(Place { all, named: self.named(scene, variant) });
+        let Place { all, named } = place.as_ref();
         for (index, stage) in self.registry.stages().iter().enumerate().filter(|(_, s)| s.scope == scope) {
-            if stage.condition.as_ref().is_some_and(|asked| !asked(&all, &named)) {
+            if stage.condition.as_ref().is_some_and(|asked| !asked(all, named)) {
                 continue;
             }
             let mut inputs = Vec::new();
@@ -381,7 +400,7 @@ impl GraphBuilder<'_> {
                         input.instead.filter(|name| outside(name).is_some())
                     }
                 };
-                if external.is_none() && input.needed.as_ref().is_some_and(|needed| !needed(&all)) {
+                if external.is_none() && input.needed.as_ref().is_some_and(|needed| !needed(all)) {
                     continue;
                 }
                 let scene_name = scene.map(|s| s.name.clone()).unwrap_or_default();
@@ -423,14 +442,18 @@ impl GraphBuilder<'_> {
             }
             let seed = stage.seeded.then(|| variant.seed.unwrap_or(self.batch.seed));
             let scene_name = scene.map(|s| s.name.clone()).unwrap_or_default();
-            self.push(index, scene_name, variant.name.clone(), all[stage.name].clone(), seed, inputs);
+            let name = variant.preset_name.as_ref().unwrap_or(&self.batch.preset_name);
+            let parameters = (all[stage.name].clone(), name.clone());
+            let cell = (scene_name, variant.name.clone(), place.clone());
+            self.push(index, cell, parameters, seed, inputs);
         }
         Ok(())
     }
 
     fn add_batch_stages(&mut self, variants: &[Variant]) -> Result<(), BuildError> {
         let all = self.parameters(None, &Variant::default())?;
-        let named = self.named(None, &Variant::default());
+        let place = Arc::new(Place { all, named: self.named(None, &Variant::default()) });
+        let Place { all, named } = place.as_ref();
         let groups: HashMap<&str, &str> =
             self.batch.scenes.iter().map(|s| (s.name.as_str(), s.group.as_str())).collect();
         for (index, stage) in
@@ -452,7 +475,7 @@ impl GraphBuilder<'_> {
                     },
                 });
             }
-            if stage.condition.as_ref().is_some_and(|asked| !asked(&all, &named)) {
+            if stage.condition.as_ref().is_some_and(|asked| !asked(all, named)) {
                 continue;
             }
             let mut inputs = Vec::new();
@@ -503,7 +526,9 @@ impl GraphBuilder<'_> {
                 }
             }
             let seed = stage.seeded.then_some(self.batch.seed);
-            self.push(index, String::new(), String::new(), all[stage.name].clone(), seed, inputs);
+            let parameters = (all[stage.name].clone(), self.batch.preset_name.clone());
+            let cell = (String::new(), String::new(), place.clone());
+            self.push(index, cell, parameters, seed, inputs);
         }
         Ok(())
     }
@@ -511,9 +536,8 @@ impl GraphBuilder<'_> {
     fn push(
         &mut self,
         stage: usize,
-        scene: String,
-        variant: String,
-        parameters: Value,
+        (scene, variant, place): (String, String, Arc<Place>),
+        (parameters, preset): (Value, String),
         seed: Option<u64>,
         inputs: Vec<NodeInput>,
     ) {
@@ -542,7 +566,9 @@ impl GraphBuilder<'_> {
             scene,
             variant,
             parameters,
+            preset,
             seed,
+            place,
             inputs,
             identity,
             same_as,

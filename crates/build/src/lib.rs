@@ -103,6 +103,7 @@ pub mod plan;
 mod pulse;
 mod registry;
 pub mod remote;
+mod require;
 mod resolve;
 pub mod run;
 mod stage;
@@ -124,6 +125,7 @@ pub use key::DeviceClass;
 pub use lease::Working;
 pub use plan::Plan;
 pub use registry::{Registry, Shorthand};
+pub use require::{Gap, Gaps, Lacking};
 pub use run::{RunOptions, Summary};
 pub use stage::{AllParameters, Input, Named, Scope, Select, Source, Stage};
 

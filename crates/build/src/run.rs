@@ -177,6 +177,9 @@ impl<'r> Runner<'r> {
             result: if *wanted { Became::NotRun } else { Became::Unwanted },
             seconds: 0.0,
             shared: node.same_as.is_some(),
+            parameters: node.parameters.clone(),
+            preset: node.preset.clone(),
+            seed: node.seed,
             artifact: None,
         });
         let (sender, receiver) = mpsc::channel();

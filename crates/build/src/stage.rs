@@ -13,7 +13,9 @@ use super::agree::{Agreement, AlikeFiles, Figure};
 use super::canonical;
 use super::context::{StageContext, StageInput};
 use super::error::{ParameterError, StageError};
+use super::graph::External;
 use super::key::DeviceClass;
+use super::require::{Lacking, Requires};
 
 /// Over what a stage is made once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -69,12 +71,12 @@ pub struct Input {
 /// made once, for all of them.
 #[derive(Clone, Debug, Default)]
 pub struct Named {
-    places: std::collections::BTreeMap<String, Option<PathBuf>>,
+    places: std::collections::BTreeMap<String, (External, String)>,
 }
 
 impl Named {
-    /// From names and places; a place that cannot be said (an unset variable) is `None`.
-    pub(crate) fn new(places: impl IntoIterator<Item = (String, Option<PathBuf>)>) -> Self {
+    /// From names, places (or why they cannot be said), and where the user named them.
+    pub(crate) fn new(places: impl IntoIterator<Item = (String, (External, String))>) -> Self {
         Self { places: places.into_iter().collect() }
     }
 
@@ -85,7 +87,17 @@ impl Named {
 
     /// Where it is, if it is named and that can be said.
     pub fn path(&self, name: &str) -> Option<&Path> {
-        self.places.get(name)?.as_deref()
+        self.places.get(name)?.0.as_deref().ok()
+    }
+
+    /// Why it cannot be said where it is, if it is named and that is so (a variable that is not set).
+    pub fn problem(&self, name: &str) -> Option<&str> {
+        self.places.get(name)?.0.as_ref().err().map(String::as_str)
+    }
+
+    /// Where the user named it, in words; empty for what is not named.
+    pub fn by(&self, name: &str) -> &str {
+        self.places.get(name).map_or("", |(_, by)| by)
     }
 }
 
@@ -122,6 +134,7 @@ pub struct Stage {
     pub(crate) memory: u64,
     pub(crate) memory_of: Option<Memory>,
     pub(crate) condition: Option<Condition>,
+    pub(crate) requires: Option<Requires>,
     pub(crate) reference: Option<IsReference>,
     pub(crate) canonicalise: Canonicalise,
     pub(crate) schema: fn(&mut SchemaGenerator) -> Schema,
@@ -158,6 +171,7 @@ impl Stage {
             memory: 0,
             memory_of: None,
             condition: None,
+            requires: None,
             reference: None,
             canonicalise: Arc::new(canonicalise::<P>),
             schema: |generator| generator.subschema_for::<P>(),
@@ -392,6 +406,17 @@ impl Stage {
         condition: impl Fn(&AllParameters, &Named) -> bool + Send + Sync + 'static,
     ) -> Self {
         self.condition = Some(Arc::new(condition));
+        self
+    }
+
+    /// States what it needs from outside: what of that is missing, from the parameters of all stages and from
+    /// what the pipeline names. Asked before anything runs; it changes nothing of what comes out.
+    #[must_use]
+    pub fn requires(
+        mut self,
+        missing: impl Fn(&AllParameters, &Named) -> Vec<Lacking> + Send + Sync + 'static,
+    ) -> Self {
+        self.requires = Some(Arc::new(missing));
         self
     }
 

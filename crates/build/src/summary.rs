@@ -51,6 +51,15 @@ pub struct RanNode {
     pub seconds: f64,
     /// Whether another node did its work.
     pub shared: bool,
+    /// Its parameters, defaults filled in.
+    #[serde(skip)]
+    pub parameters: serde_json::Value,
+    /// The name of the preset below its parameters; empty for none.
+    #[serde(skip)]
+    pub preset: String,
+    /// The seed that it draws from.
+    #[serde(skip)]
+    pub seed: Option<u64>,
     /// Its artifact.
     #[serde(skip)]
     pub artifact: Option<Artifact>,
@@ -78,7 +87,8 @@ pub struct Summary {
 impl Summary {
     /// What is known of one scene in one variant, for who wants its results before the batch ends.
     pub fn of_scene(nodes: &[RanNode], scene: &str, variant: &str) -> Self {
-        let own = nodes.iter().filter(|n| n.scene == scene && n.variant == variant);
+        // What is made for all scenes is part of what made this one.
+        let own = nodes.iter().filter(|n| n.variant == variant && (n.scene == scene || n.scene.is_empty()));
         Self {
             pipeline: String::new(),
             nodes: own.cloned().collect(),

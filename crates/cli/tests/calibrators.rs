@@ -5,11 +5,9 @@
 use std::path::Path;
 use std::process::Command;
 
-use use3d_golden::torch::{
-    Nesting, Tensors, released_calibrator, released_calibrator_tensors, safetensors_file, zip_file,
-};
-use use3d_nets::weights::{StandIn, Weights};
-use use3d_nets::{NetError, Nu2Net};
+use use3d_golden::torch::{released_calibrator, released_calibrator_tensors, safetensors_file};
+
+mod standin;
 
 /// Runs the command in `dir` and expects an exit code; gives stdout and stderr.
 fn expect(code: i32, dir: &Path, arguments: &[&str]) -> (String, String) {
@@ -22,26 +20,12 @@ fn expect(code: i32, dir: &Path, arguments: &[&str]) -> (String, String) {
     (out, err)
 }
 
-/// Notes the tensors that a network asks for.
-struct Recorder(Tensors);
-
-impl Weights for Recorder {
-    fn tensor(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>, NetError> {
-        let values = StandIn.tensor(name, shape)?;
-        self.0.insert(name.to_string(), (shape.to_vec(), values.clone()));
-        Ok(values)
-    }
-}
-
 /// A folder with a tiny capture, and stand-ins for the authors' proposer and calibrator in `models/`.
 fn place() -> tempfile::TempDir {
     let dir = tempfile::tempdir().expect("folder");
     expect(0, dir.path(), &["-q", "synth", "capture", "--out", "reef", "--views", "9", "--size", "64x48"]);
     let models = dir.path().join("models");
-    std::fs::create_dir(&models).expect("folder");
-    let mut recorder = Recorder(Tensors::new());
-    Nu2Net::from_weights(&mut recorder).expect("a network");
-    std::fs::write(models.join("uie_proposer.pth"), zip_file(&recorder.0, Nesting::Net)).expect("written");
+    standin::nu2net(&models);
     let file = released_calibrator(5, &released_calibrator_tensors([128, 256]));
     std::fs::write(models.join("transition_calibrator.pth"), file).expect("written");
     dir
@@ -83,8 +67,15 @@ fn the_authors_calibrator_serves_a_whole_run_and_by_hand() {
     let read = |name: &str| std::fs::read(at.join(name)).expect("targets");
     assert!(read("a.safetensors") == read("b.safetensors"));
     let other = [&run[..], &QUICK, &["--set", "calibrator.proposer=fusion"]].concat();
-    let (out, _) = expect(1, at, &other);
-    assert!(out.contains("fitted for the proposer `nu2net`, but `fusion` is asked for"), "{out}");
+    // Before anything is computed, and the plan says the same.
+    for verb in ["run", "plan"] {
+        let arguments = match verb {
+            "run" => other.clone(),
+            _ => vec!["plan", "reef", "--calibrator", RELEASED, "--set", "calibrator.proposer=fusion"],
+        };
+        let (_, err) = expect(2, at, &arguments);
+        assert!(err.contains("fitted for the proposer `nu2net`, but `fusion` is asked for"), "{err}");
+    }
 
     // What is not a calibrator is said to be none, and what would be.
     std::fs::write(at.join("not.pth"), "not a calibrator").expect("written");
@@ -147,8 +138,8 @@ fn a_scene_proposes_for_itself_in_clear_radiance() {
     assert!(err.contains("learnt in clear radiance"), "{err}");
     let (_, err) = expect(2, at, &[&enhance[..], &["objective=pseudo-labels", "--force"]].concat());
     assert!(err.contains("these targets are in clear radiance"), "{err}");
-    let (out, _) = expect(1, at, &[&run[..], &QUICK, &own, &["--calibrator", RELEASED]].concat());
-    assert!(out.contains("leave one of the two out"), "{out}");
+    let (_, err) = expect(2, at, &[&run[..], &QUICK, &own, &["--calibrator", RELEASED]].concat());
+    assert!(err.contains("leave one of the two out"), "{err}");
 }
 
 #[test]
@@ -182,9 +173,15 @@ fn a_calibrator_of_our_own_serves_a_pipeline_and_a_scene_of_it() {
     // The calibrator was fitted for `fusion`, although the network's weights are there;
     // the other way round is an error.
     pipeline("[calibrator]\nfile = \"own.safetensors\"\nproposer = \"nu2net\"", "");
-    let (out, _) = expect(1, at, &["-q", "run", "p.toml", "--until", "targets", "--out", "out"]);
-    assert!(out.contains("fitted for the proposer `fusion`, but `nu2net` is asked for"), "{out}");
+    let (_, err) = expect(2, at, &["-q", "run", "p.toml", "--until", "targets", "--out", "out"]);
+    assert!(err.contains("fitted for the proposer `fusion`, but `nu2net` is asked for"), "{err}");
     pipeline("[calibrator]\nfile = \"${USE3D_TEST_UNSET}/own.safetensors\"", "");
-    let (out, _) = expect(1, at, &["plan", "p.toml"]);
-    assert!(out.contains("`calibrator.file` in p.toml: the environment variable USE3D_TEST_UNSET"), "{out}");
+    let (_, err) = expect(2, at, &["plan", "p.toml"]);
+    let words = ["the environment variable USE3D_TEST_UNSET", "named by `calibrator.file` in p.toml"];
+    assert!(words.iter().all(|word| err.contains(word)), "{err}");
+    // A damaged file is told before stage 1 runs, not after it.
+    std::fs::write(at.join("damaged.safetensors"), "not a calibrator").expect("written");
+    let damaged = ["-q", "run", "reef", "--calibrator", "damaged.safetensors", "--out", "none"];
+    let (out, err) = expect(2, at, &damaged);
+    assert!(err.contains("a calibrator that can be read") && !out.contains("done"), "{out}{err}");
 }

@@ -32,12 +32,34 @@ fn the_plan_of_every_shipped_pipeline_names_the_pairs_that_are_missing() {
         "ablation-stage2.toml",
     ] {
         let file = pipelines.join(name).to_string_lossy().into_owned();
-        let (out, _) = expect(1, dir.path(), &["plan", &file, "--cache", "cache"]);
-        let line =
-            out.lines().find(|l| l.contains("pairs: input")).unwrap_or_else(|| panic!("{name}: {out}"));
-        for word in ["cannot", "`calibrator.pairs.input` in ", name, "UIEB is not set"] {
-            assert!(line.contains(word), "{name}: {line}");
+        std::fs::create_dir_all(dir.path().join("empty")).expect("folder");
+        let (_, err) = expect(2, dir.path(), &["plan", &file, "--cache", "cache", "--models", "empty"]);
+        let line = |what: &str| {
+            let found = err.lines().filter(|l| l.contains(what)).collect::<Vec<_>>();
+            assert_eq!(found.len(), 1, "{what} once in {name}: {err}");
+            found[0].to_string()
+        };
+        let pairs = line("the pairs of images");
+        for word in ["`calibrator.pairs.input` in ", name, "UIEB is not set", "docs/guide/datasets.md"] {
+            assert!(pairs.contains(word), "{name}: {pairs}");
         }
+        if cfg!(not(feature = "nets")) {
+            continue;
+        }
+        // Each thing once, with its file, where it is published, and what does without.
+        for (what, file, without) in [
+            ("Nu2Net", "uie_proposer.pth", "--set targets.proposer=fusion"),
+            ("Depth Anything V2", "depth_anything_v2_vitl.pth", "--set reconstruct.depth_prior=off"),
+            ("LPIPS 0.1 heads", "alex.pth", "--set evaluate.scores=available"),
+            ("AlexNet", "alexnet-owt-7be5be79.pth", "--set evaluate.scores=available"),
+            ("RAFT-Large", "raft_large", "--set evaluate.scores=available"),
+            ("URanker", "URanker_ckpt.pth", "--set evaluate.scores=available"),
+            ("MUSIQ", "musiq_koniq_ckpt", "--set evaluate.scores=available"),
+        ] {
+            let line = line(&format!("the weights of {what}"));
+            assert!([file, "published at", without].iter().all(|word| line.contains(word)), "{name}: {line}");
+        }
+        assert!(!dir.path().join("cache/v1/artifacts").exists(), "nothing was computed");
     }
 }
 
@@ -49,15 +71,36 @@ fn a_mistyped_folder_fails_the_run_and_is_said_by_the_plan() {
     let pipeline: PathBuf = dir.path().join("p.toml");
     let text = "name = \"p\"\n[calibrator]\npairs = { input = \"nope/a\", target = \"nope/b\" }\n[[scene]]\nname = \"reef\"\ncapture = \"reef\"\n";
     std::fs::write(&pipeline, text).expect("written");
-    let (json, _) = expect(1, dir.path(), &["plan", "p.toml", "--json", "--cache", "cache"]);
-    assert!(json.contains("\"unavailable\"") && json.contains("nope/a does not exist"), "{json}");
-    let (out, _) =
-        expect(1, dir.path(), &["-q", "run", "p.toml", "--until", "calibrate", "--cache", "cache"]);
-    assert!(out.contains("failed   pairs") && out.contains("nope/a does not exist"), "{out}");
+    let (json, _) = expect(2, dir.path(), &["plan", "p.toml", "--json", "--cache", "cache"]);
+    assert!(json.contains("\"exit_code\":2") && json.contains("nope/a does not exist"), "{json}");
+    let (_, err) = expect(2, dir.path(), &["-q", "run", "p.toml", "--cache", "cache"]);
+    assert!(err.contains("nope/a does not exist") && err.contains("nope/b does not exist"), "{err}");
+    // What does not need them runs.
+    expect(0, dir.path(), &["-q", "run", "p.toml", "--until", "import", "--cache", "cache"]);
     let pairs = ["--pairs", "absent", "reef/images"];
     let plan = ["plan", capture, "--cache", "cache"];
-    let (out, _) = expect(1, dir.path(), &[&plan[..], &pairs].concat());
-    assert!(out.contains("named by --pairs: absent does not exist"), "{out}");
+    let (_, err) = expect(2, dir.path(), &[&plan[..], &pairs].concat());
+    assert!(err.contains("absent does not exist, named by --pairs"), "{err}");
+    // Two folders without a pair, settings that do not go together, truth that cannot be read.
+    std::fs::create_dir_all(dir.path().join("a")).expect("folder");
+    let (_, err) = expect(2, dir.path(), &[&plan[..], &["--pairs", "a", "a"]].concat());
+    assert!(err.contains("0 files of a have a counterpart"), "{err}");
+    let labels = ["--set", "enhance.objective=pseudo-labels", "--set", "targets.proposer=scene"];
+    let (_, err) = expect(2, dir.path(), &[&plan[..], &labels].concat());
+    assert!(err.contains("--set targets.proposer=auto"), "{err}");
+    for stage in ["targets", "evaluate", "pairs"] {
+        let set = format!("{stage}.proposer=nu2net");
+        let (_, err) = expect(2, dir.path(), &[&plan[..], &["--set", &set]].concat());
+        let words = if cfg!(feature = "nets") { "the weights of Nu2Net" } else { "built without networks" };
+        assert!(err.contains(words) && err.contains("proposer=fusion"), "{set}: {err}");
+    }
+    let truth = dir.path().join("reef/truth/clean");
+    let image = std::fs::read_dir(&truth).expect("truth").next().expect("an image").expect("one").path();
+    let whole = std::fs::read(&image).expect("read");
+    std::fs::write(&image, &whole[..whole.len() / 2]).expect("written");
+    let (_, err) = expect(2, dir.path(), &plan);
+    assert!(err.contains("the truth beside a capture") && err.contains("rename the truth/ folder"), "{err}");
+    std::fs::write(&image, whole).expect("written");
     let (out, _) = expect(1, dir.path(), &[&plan[..], &["--models", "no-models"]].concat());
     assert!(out.contains("named by --models or USE3D_MODELS: no-models does not exist"), "{out}");
     let by_hand = ["calibrate", "--input", "absent", "--target", "reef/images", "--out", "c.safetensors"];

@@ -3,7 +3,7 @@
 //! What a stage is and when it must run is `build`'s. [`stages`] is the table of the method's stages,
 //! [`code`] what they are made of, [`config`] reads pipeline files. [`judge`] compares, times and
 //! tabulates; [`results`] puts what was made where a person looks, with a [page per scene](scene_page)
-//! for a browser. [`water`] is a capture's water before any stage; [`mod@bench`] does all of it on
+//! for a browser, and says what made it (`made_by`). [`water`] is a capture's water before any stage; [`mod@bench`] does all of it on
 //! captures whose truth is known.
 
 pub mod bench;
@@ -11,6 +11,7 @@ pub mod code;
 pub mod config;
 mod engines;
 pub mod judge;
+mod made_by;
 pub mod results;
 pub mod scene_page;
 pub mod stages;

@@ -12,13 +12,15 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use use3d_build::place::{self, Look, PlaceError, Standing};
 use use3d_build::run::RanNode;
-use use3d_build::{Digest, Graph, Summary};
+use use3d_build::{Artifact, Digest, Graph, Summary};
 
-use crate::judge::report::{StageRow, shortened, with_costs, with_tables, with_views};
+use crate::judge::configuration::Configuration;
+use crate::judge::report::{StageRow, shortened, with_configurations, with_costs, with_tables, with_views};
 use crate::judge::scores::ScoredScene;
 use crate::judge::tables::{Table, paper};
+use crate::made_by;
 use crate::scene_page;
-use crate::stages::evaluate::SPEED;
+use crate::stages::evaluate::{SCORES, SPEED};
 use crate::stages::report::write_tables;
 
 /// The page and the tables over all scenes.
@@ -113,12 +115,19 @@ impl Delivered {
 pub fn deliver(summary: &Summary, out: &Path, command: &str) -> Result<Vec<Delivered>, PlaceError> {
     let mut delivered = Vec::new();
     at(out, "create", fs::create_dir_all(out))?;
+    let made = configurations(summary);
     for node in &summary.nodes {
         let Some(artifact) = &node.artifact else { continue };
         let Some(place) = place_of(node.stage, &node.scene, &node.variant) else { continue };
         let target = out.join(place);
-        // Its manifest is the record.
-        put(Some(artifact.manifest.key), &target, |made| place::copy_folder(&artifact.path, made))?;
+        let configuration = made.get(&(node.scene.as_str(), node.variant.as_str()));
+        match configuration.filter(|_| node.stage == "evaluate") {
+            Some(configuration) => scores(artifact, configuration, &target)?,
+            // Its manifest is the record.
+            None => {
+                put(Some(artifact.manifest.key), &target, |made| place::copy_folder(&artifact.path, made))?;
+            }
+        }
         let (scene, variant) = (node.scene.clone(), node.variant.clone());
         delivered.push(Delivered { what: node.stage.to_string(), scene, variant, path: target });
     }
@@ -128,9 +137,10 @@ pub fn deliver(summary: &Summary, out: &Path, command: &str) -> Result<Vec<Deliv
         let source = report.path.join("index.html");
         let html = at(&source, "read", fs::read_to_string(&source))?;
         check_page(&page)?;
-        let timed = timed_tables(summary, &report.path);
+        let timed = timed_tables(summary, &made, &report.path);
         let html = timed.as_ref().map_or_else(|| html.clone(), |tables| with_tables(&html, tables));
-        let html = with_costs(&html, &rows(summary), &made(summary, command), &parameters(summary));
+        let html = with_configurations(&html, &told(&made));
+        let html = with_costs(&html, &rows(summary), &written(summary, command), &parameters(summary));
         let links =
             views.iter().map(|view| (view.scene.as_str(), view.variant.as_str(), view.path.as_path()));
         let html =
@@ -214,8 +224,13 @@ fn relative(path: &Path, out: &Path) -> String {
 }
 
 /// The report's tables with what belongs to no artifact: how fast the scenes are drawn, which their
-/// evaluations noted, and under which keys their scores lie in the cache. `None` of a report without scores.
-fn timed_tables(summary: &Summary, report: &Path) -> Option<Vec<Table>> {
+/// evaluations noted, what made their numbers, and under which keys their scores lie in the cache. `None` of
+/// a report without scores.
+fn timed_tables(
+    summary: &Summary,
+    made: &BTreeMap<(&str, &str), Configuration>,
+    report: &Path,
+) -> Option<Vec<Table>> {
     let mut scored: Vec<ScoredScene> =
         serde_json::from_slice(&fs::read(report.join("scores.json")).ok()?).ok()?;
     for scene in &mut scored {
@@ -223,6 +238,7 @@ fn timed_tables(summary: &Summary, report: &Path) -> Option<Vec<Table>> {
             |n: &&RanNode| n.stage == "evaluate" && n.scene == scene.scene && n.variant == scene.variant;
         let artifact = summary.nodes.iter().find(evaluated).and_then(|n| n.artifact.as_ref());
         let note = artifact.and_then(|a| a.manifest.notes.get(SPEED).cloned());
+        scene.configuration = made.get(&(scene.scene.as_str(), scene.variant.as_str())).cloned();
         scene.speed = note.and_then(|note| serde_json::from_value(note).ok());
         if let Some(artifact) = artifact {
             // The key that stands in the table of costs, as far as it is shown there.
@@ -233,8 +249,50 @@ fn timed_tables(summary: &Summary, report: &Path) -> Option<Vec<Table>> {
     (!scored.is_empty()).then(|| paper::tables(&scored))
 }
 
-/// What made the results, when and where, in a line.
-fn made(summary: &Summary, command: &str) -> String {
+/// What made the results of every scene in every variant of a run.
+fn configurations(summary: &Summary) -> BTreeMap<(&str, &str), Configuration> {
+    let cells = summary.nodes.iter().filter(|n| n.stage == "reconstruct" && !n.scene.is_empty());
+    cells
+        .filter_map(|n| {
+            let cell = (n.scene.as_str(), n.variant.as_str());
+            Some((cell, made_by::configuration(summary, cell.0, cell.1)?))
+        })
+        .collect()
+}
+
+/// The configurations as the report's first screen has them: one line for all scenes of a variant.
+fn told(made: &BTreeMap<(&str, &str), Configuration>) -> Vec<(String, String)> {
+    let mut variants: Vec<&str> = made.keys().map(|(_, variant)| *variant).collect();
+    variants.sort_unstable();
+    variants.dedup();
+    let of = |variant: &str| {
+        let all: Vec<&Configuration> =
+            made.iter().filter(|((_, v), _)| *v == variant).map(|(_, c)| c).collect();
+        (variant.to_string(), Configuration::told(&all))
+    };
+    variants.into_iter().map(of).collect()
+}
+
+/// Delivers the scores of a scene, with what made them.
+fn scores(artifact: &Artifact, configuration: &Configuration, target: &Path) -> Result<(), PlaceError> {
+    let text = serde_json::to_string(configuration).unwrap_or_default();
+    let key = Digest::of(format!("{} {text}", artifact.manifest.key).as_bytes());
+    put(Some(key), target, |made| {
+        place::copy_folder(&artifact.path, made)?;
+        let file = made.join(SCORES);
+        let read = at(&file, "read", fs::read(&file))?;
+        let told = serde_json::from_slice::<serde_json::Value>(&read).and_then(|mut scores| {
+            scores["configuration"] = serde_json::to_value(configuration)?;
+            serde_json::to_string_pretty(&scores)
+        });
+        let text = at(&file, "read", told.map_err(io::Error::other))?;
+        at(&file, "write", fs::write(&file, text + "\n"))?;
+        place::record(made, Some(key))
+    })
+}
+
+/// What wrote the results, when and where, in a line.
+fn written(summary: &Summary, command: &str) -> String {
     let manifests = || summary.nodes.iter().filter_map(|n| Some(&n.artifact.as_ref()?.manifest));
     let mut machines: Vec<String> = manifests()
         .map(|m| format!("{} ({}, {} cores)", m.machine.host, m.machine.system, m.machine.cores))

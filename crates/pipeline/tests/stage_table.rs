@@ -20,7 +20,7 @@ fn table() -> Registry {
 }
 
 /// Modules of the pipeline crate that write no byte of an artifact: the clients of the build system.
-const WITHOUT_ARTIFACTS: [&str; 11] = [
+const WITHOUT_ARTIFACTS: [&str; 13] = [
     "src/lib.rs",
     "src/bench/",
     "src/code.rs",
@@ -29,7 +29,9 @@ const WITHOUT_ARTIFACTS: [&str; 11] = [
     "src/engines/",
     "src/stages/mod.rs",
     "src/stages/memory.rs",
+    "src/stages/requirements.rs",
     "src/results.rs",
+    "src/made_by.rs",
     "src/scene_page.rs",
     "build.rs",
 ];
@@ -311,6 +313,53 @@ fn code_words(text: &str) -> impl Iterator<Item = &str> {
     text.split('`').skip(1).step_by(2)
 }
 
+/// The values of parameters that end with a name, with defaults.
+fn defaults_named(table: &Registry, name: &str) -> Vec<Value> {
+    let mut found = Vec::new();
+    for stage in table.stages() {
+        let defaults = stage.parameters(&json!({})).expect("defaults");
+        let mut paths = BTreeSet::new();
+        leaves(&defaults, "", &mut paths);
+        for path in paths {
+            let whole = format!("{}.{path}", stage.name());
+            if path == name || whole == name || path.ends_with(&format!(".{name}")) {
+                found.push(path.split('.').fold(defaults.clone(), |value, key| value[key].clone()));
+            }
+        }
+    }
+    found
+}
+
+/// A row's switch is a way from the default, and what a row calls the default is it (R44 said otherwise once).
+#[test]
+fn the_page_of_decisions_tells_defaults_from_switches() {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/science/decisions.md");
+    let page = std::fs::read_to_string(page).expect("docs/science/decisions.md");
+    let (rows, _) = page.split_once("## Every parameter").expect("the list of parameters");
+    let table = table();
+    let same = |found: &Value, said: &Value| match (found.as_f64(), said.as_f64()) {
+        (Some(found), Some(said)) => found == said,
+        _ => found == said,
+    };
+    let mut compared = 0;
+    for row in rows.lines().filter(|l| l.starts_with("| R")) {
+        let (answer, switches) = row.trim_end_matches(" |").rsplit_once(" | ").expect("columns");
+        let mut check = |text: &str, is_default: bool| {
+            let Some((name, value)) = text.split_once('=') else { return };
+            let value: Value = serde_json::from_str(value.trim()).unwrap_or_else(|_| panic!("{text}: {row}"));
+            let found = defaults_named(&table, name.trim());
+            assert!(!found.is_empty(), "{text} is no parameter: {row}");
+            assert!(found.iter().any(|f| same(f, &value)) == is_default, "{text} and {found:?}: {row}");
+            compared += 1;
+        };
+        code_words(switches).for_each(|switch| check(switch, false));
+        for part in answer.split("`, the default").rev().skip(1) {
+            check(part.rsplit('`').next().unwrap_or_default(), true);
+        }
+    }
+    assert!(compared >= 12, "{compared}");
+}
+
 #[test]
 fn the_page_of_decisions_names_every_parameter_and_no_other() {
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/science/decisions.md");
@@ -482,6 +531,9 @@ fn a_capture_under_another_name_with_other_things_beside_it_has_the_same_keys_an
             std::fs::copy(file.path(), copy.join(to).join(file.file_name())).expect("copied");
         }
     }
+    // A photograph that the model does not name, in the folder of those that it names.
+    std::fs::copy(copy.join("images/view_0001.png"), copy.join("images/not_in_the_model.png"))
+        .expect("copied");
     let caches = [dir.path().join("a"), dir.path().join("b")];
     let (keys, done) = run(&caches[0], &reef, &[]);
     assert!(done >= 2);

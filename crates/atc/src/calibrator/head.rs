@@ -24,8 +24,8 @@ pub struct Head {
     pub mlp: Mlp,
     /// Statistics of the conditions.
     pub condition: Statistics,
-    /// Statistics of the residual `target − proposal`. Its ranges are the scales `s_g` or `s_ℓ` of stage 2
-    /// (R19).
+    /// Statistics of the residual `target − proposal`. Its ranges are the scales `s_g` or `s_ℓ` of stage 2;
+    /// where the parameters ask for the paper's scales, they are the ranges of the targets instead (R19).
     pub residual: Statistics,
 }
 

@@ -42,7 +42,7 @@ pub use mlp::{Linear, Mlp};
 pub use released::ReleasedConfig;
 pub use statistics::{CONDITION_FLOOR, RANGE_FLOOR, SCALE_FLOOR, Statistics};
 pub use stopping::train;
-pub use training::{CalibratorParams, METHOD_PAIRS, fit};
+pub use training::{CalibratorParams, LastLayer, METHOD_PAIRS, Scales, fit};
 
 /// Conditions of the global head: descriptor 18, proposal 12.
 pub const GLOBAL_CONDITION: usize = GLOBAL_DESCRIPTOR + 12;

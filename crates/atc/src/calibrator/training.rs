@@ -27,6 +27,28 @@ pub const METHOD_PAIRS: usize = 800;
 /// Most cells that enter the statistics.
 const STATISTICS_CELLS: usize = 100_000;
 
+/// Whose interquartile ranges are the scales of errors (R19).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Scales {
+    /// Of the residuals `target − proposal`, as in the authors' release.
+    #[default]
+    Residuals,
+    /// Of the paired operators themselves, as the paper writes.
+    Operators,
+}
+
+/// How the last layer of a head starts (R18).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum LastLayer {
+    /// At zero, so that training starts from the median residual.
+    #[default]
+    Zero,
+    /// At random like the layers below it, as in the authors' release.
+    Random,
+}
+
 /// Parameters of the calibrator's training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -49,6 +71,10 @@ pub struct CalibratorParams {
     pub global_hidden: usize,
     /// Width of the local head's hidden layers.
     pub local_hidden: usize,
+    /// How the last layers start.
+    pub last_layer: LastLayer,
+    /// What the scales of errors are the ranges of: those of the fit and those of stage 2.
+    pub scales: Scales,
     /// Share of the pairs held out for the report (0: no report, and no early stopping). The final fit uses
     /// all pairs.
     pub held_out: f64,
@@ -77,6 +103,8 @@ impl Default for CalibratorParams {
             gradient_limit: 10.0,
             global_hidden: 128,
             local_hidden: 256,
+            last_layer: LastLayer::Zero,
+            scales: Scales::Residuals,
             held_out: 0.2,
             stop_early: true,
             trust: None,
@@ -265,6 +293,15 @@ fn initial_heads(rows: &Rows, params: &CalibratorParams) -> (Head, Head) {
         condition: Statistics::of(&conditions, LOCAL_CONDITION),
         residual: Statistics::of(&residuals, 6),
     };
+    if params.scales == Scales::Operators {
+        let mut operators = Vec::new();
+        gather(&rows.local_targets, 6, &sample, &mut operators);
+        global.residual.range = Statistics::of(&rows.global_targets, 12).range;
+        local.residual.range = Statistics::of(&operators, 6).range;
+    }
+    if params.last_layer == LastLayer::Random {
+        return (global, local);
+    }
     // Both begin as the best constant, the median residual: with a few dozen pairs, what a random last layer
     // says of pairs that it was not fitted to is noise from which the fit may never recover.
     for head in [&mut global, &mut local] {

@@ -32,8 +32,9 @@ use shared::count;
 
 /// Underwater 3D scenes that look clear, from any viewpoint, reproducibly.
 ///
-/// Reconstructs a scene together with its water, learns from image pairs what "enhanced" means, and stores
-/// that enhancement in the scene itself, so that every new view comes out enhanced and consistent.
+/// Reconstructs a scene together with its water, takes what "enhanced" means from a 2D enhancer, from image
+/// pairs or from the scene itself, and stores that enhancement in the scene, so that every new view comes out
+/// enhanced and consistent.
 #[derive(Debug, Parser)]
 #[command(
     name = "use3d",

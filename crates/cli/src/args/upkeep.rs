@@ -11,6 +11,9 @@ pub(crate) struct ModelsArgs {
     /// The folder to look in.
     #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
     pub(crate) dir: Option<PathBuf>,
+    /// Only what this preset needs; exit code 2 where some of it is missing.
+    #[arg(long = "for", value_name = "PRESET")]
+    pub(crate) preset: Option<String>,
     /// One JSON document on stdout.
     #[arg(long)]
     pub(crate) json: bool,
@@ -79,6 +82,9 @@ impl VerifyArgs {
 pub(crate) struct ParamsArgs {
     /// Only this stage.
     pub(crate) stage: Option<String>,
+    /// The values of this preset in place of the defaults: paper, vanilla, watersplatting, plenodium.
+    #[arg(long, value_name = "NAME")]
+    pub(crate) preset: Option<String>,
     /// One JSON document on stdout.
     #[arg(long)]
     pub(crate) json: bool,

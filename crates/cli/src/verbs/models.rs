@@ -1,5 +1,8 @@
 //! Networks trained by others: what is looked for, what is there.
 
+#[cfg(feature = "nets")]
+use use3d_nets::Network;
+
 use crate::args::ModelsArgs;
 use crate::error::{CliError, Done};
 
@@ -17,9 +20,24 @@ pub(crate) fn run(args: &ModelsArgs) -> Done {
     }
     let go_on = || !interrupt::requested();
     let status = use3d_nets::Models::open(&dir).status_while(&go_on).map_err(CliError::input)?;
-    let status = status.ok_or(CliError::Stopped)?;
+    let mut status = status.ok_or(CliError::Stopped)?;
+    let needed = args.preset.as_deref().map(needed_for).transpose()?;
+    if let Some(needed) = &needed {
+        status.retain(|row| needed.iter().any(|one| one.contains(&row.known.network)));
+    }
+    let there = |network: &Network| status.iter().any(|r| r.known.network == *network && r.found.is_some());
+    let missing = needed.iter().flatten().filter(|one| !one.iter().any(there));
+    let missing: Vec<&str> = missing.map(|one| one[0].known().title).collect();
+    let complete = || match (missing.is_empty(), &args.preset) {
+        (false, Some(preset)) => Err(CliError::Input(format!(
+            "missing for the preset {preset}: {}; the list above says which file to put where",
+            missing.join(", ")
+        ))),
+        _ => Ok(()),
+    };
     if args.json {
-        return crate::verbs::run::json(&status);
+        crate::verbs::run::json(&status)?;
+        return complete();
     }
     let absent = if dir.is_dir() { "" } else { " (not there; name yours with --dir or USE3D_MODELS)" };
     println!("models folder: {}{absent}\n", dir.display());
@@ -41,7 +59,33 @@ pub(crate) fn run(args: &ModelsArgs) -> Done {
         println!("         {size}, {}, {}\n", row.known.licence, row.known.origin);
     }
     println!("Nothing is ever downloaded by this program.");
-    Ok(())
+    complete()
+}
+
+/// The networks that a preset needs; of some that stand together, one does.
+#[cfg(feature = "nets")]
+fn needed_for(preset: &str) -> Result<Vec<Vec<Network>>, CliError> {
+    let values = use3d_pipeline::config::preset_values(preset).map_err(CliError::Input)?;
+    let said = |stage: &str, key: &str, value: &str| values.get(stage).is_some_and(|p| p[key] == value);
+    let mut needed = Vec::new();
+    if ["pairs", "propose", "targets", "evaluate"].iter().any(|stage| said(stage, "proposer", "nu2net")) {
+        needed.push(vec![Network::Nu2NetReleased, Network::Nu2Net]);
+    }
+    if said("reconstruct", "depth_prior", "depth-anything-v2") {
+        let sizes = [
+            ("vitl", Network::DepthAnythingV2Large),
+            ("vitb", Network::DepthAnythingV2Base),
+            ("vits", Network::DepthAnythingV2Small),
+        ];
+        let named = sizes.iter().filter(|(name, _)| said("depth", "encoder", name));
+        let named: Vec<Network> = named.map(|(_, network)| *network).collect();
+        needed.push(if named.is_empty() { sizes.map(|(_, network)| network).to_vec() } else { named });
+    }
+    if said("evaluate", "scores", "all") {
+        use Network::{AlexNet, LpipsHeads, Musiq, RaftLarge, URanker};
+        needed.extend([LpipsHeads, AlexNet, RaftLarge, URanker, Musiq].map(|network| vec![network]));
+    }
+    Ok(needed)
 }
 
 #[cfg(not(feature = "nets"))]

@@ -8,7 +8,8 @@ use crate::verbs::run::json;
 use crate::verbs::stages::stages;
 
 pub(crate) fn run(args: &ParamsArgs) -> Done {
-    let stages = parameters(&stages()?, args.stage.as_deref()).map_err(CliError::input)?;
+    let stages =
+        parameters(&stages()?, args.stage.as_deref(), args.preset.as_deref()).map_err(CliError::input)?;
     if args.json {
         return json(&stages);
     }
@@ -21,12 +22,14 @@ pub(crate) fn run(args: &ParamsArgs) -> Done {
             println!("  no parameters");
         }
         for parameter in &stage.parameters {
-            let default = match &parameter.default {
+            let text = |value: &serde_json::Value| match value {
                 serde_json::Value::Null => "not set".to_string(),
                 serde_json::Value::String(text) => text.clone(),
                 other => other.to_string(),
             };
-            println!("  {}.{} = {default}   ({})", stage.stage, parameter.name, parameter.kind);
+            let (value, default) = (text(&parameter.value), text(&parameter.default));
+            let changed = if value == default { String::new() } else { format!("; default {default}") };
+            println!("  {}.{} = {value}   ({}{changed})", stage.stage, parameter.name, parameter.kind);
             println!("      {}", parameter.meaning);
         }
     }

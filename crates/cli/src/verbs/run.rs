@@ -32,6 +32,15 @@ pub(crate) struct Loaded {
     pub(crate) graph: Graph,
 }
 
+impl Loaded {
+    /// Refuses, before anything is computed, what could only fail: weights, pairs or a calibrator that are
+    /// missing, and settings that do not go together.
+    pub(crate) fn nothing_lacks(&self, until: Option<&[String]>, only: Option<&[(String, String)]>) -> Done {
+        let gaps = self.builder.gaps(&self.graph, until, only);
+        if gaps.is_empty() { Ok(()) } else { Err(CliError::input(gaps)) }
+    }
+}
+
 /// Loads a pipeline file, or makes one of a capture folder.
 pub(crate) fn open(
     PipelineArgs { target, settings, calibration, cache }: &PipelineArgs,
@@ -97,8 +106,9 @@ fn planned(args: &PlanArgs) -> Result<(Loaded, Plan), CliError> {
 }
 
 pub(crate) fn plan(args: &PlanArgs) -> Done {
-    let (_, plan) = planned(args)?;
-    show(&plan, args.json)
+    let loaded = open(&args.pipeline, &[])?;
+    loaded.nothing_lacks(None, None)?;
+    show(&loaded.builder.plan(&loaded.graph, None), args.json)
 }
 
 /// Prints a plan. One that cannot be carried out, since an input is missing, ends as the run would.
@@ -154,10 +164,11 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     if let Some(stage) = &args.until {
         loaded.builder.registry.stage(stage).map_err(CliError::input)?;
     }
+    let only = only(&loaded.graph, &args.only)?;
+    loaded.nothing_lacks(until.as_deref(), only.as_deref())?;
     if args.dry_run {
         return show(&loaded.builder.plan(&loaded.graph, until.as_deref()), args.json);
     }
-    let only = only(&loaded.graph, &args.only)?;
     let out =
         args.out.clone().unwrap_or_else(|| PathBuf::from("use3d-out").join(&loaded.pipeline.batch.name));
     let out = (!args.cache_only).then_some(out);
@@ -285,7 +296,14 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
         DemoSize::Small => (40, 320, 180, 3000, 600),
         DemoSize::Full => (48, 640, 360, 15_000, 5000),
     };
-    let params = use3d_synth::CaptureParams { views, width, height, ..use3d_synth::CaptureParams::default() };
+    // Without depth priors: those of synthetic captures are made from the true depth, which no diver has.
+    let params = use3d_synth::CaptureParams {
+        views,
+        width,
+        height,
+        depth_priors: false,
+        ..use3d_synth::CaptureParams::default()
+    };
     let capture = args.out.join("captures").join(SCENE);
     let mut sets =
         vec![format!("reconstruct.iterations={iterations}"), format!("enhance.iterations={steps}")];

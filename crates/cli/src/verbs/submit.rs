@@ -201,6 +201,7 @@ fn is_shell_name(name: &str) -> bool {
 /// Everything that there is to submit; nothing where there is nothing to do.
 fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<Ready>, CliError> {
     let loaded = open(&args.pipeline, &[])?;
+    loaded.nothing_lacks(None, None)?;
     let Loaded { pipeline, builder, graph } = &loaded;
     let stages: Vec<&str> = builder.registry.stages().iter().map(|s| s.name()).collect();
     let site = site(app, scheduler, args, &stages)?;

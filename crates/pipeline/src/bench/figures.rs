@@ -249,6 +249,7 @@ pub(super) mod tests {
             size: (4, 3),
             gaussians: 10,
             warp: Warp::Reference,
+            result: Method::Enhanced,
             water,
             methods: methods.iter().map(method).collect(),
         };

@@ -49,8 +49,11 @@ pub use document::ConfigError;
 use document::{Document, join, unknown_key};
 use file::{Calibrator, PipelineFile, SceneEntry, VariantEntry};
 pub use parameters::{Parameter, StageParameters, parameters};
-use places::{check_learning, check_pairs, expand, home, key_of, propose_for_photographs, say_instead};
-pub use presets::presets;
+use places::{
+    check_learning, check_pairs, expand, home, key_of, one_proposer_for_all, propose_for_photographs,
+    say_instead,
+};
+pub use presets::{preset_values, presets};
 pub use schema::{schema, schema_text};
 pub use set::stage_parameters;
 
@@ -148,6 +151,7 @@ fn parse(
     batch.name = own.name;
     batch.seed = own.seed;
     batch.preset = reader.preset("", own.preset.as_deref())?.unwrap_or_default();
+    batch.preset_name = own.preset.clone().unwrap_or_default();
     let said = |key: &str| format!("`{key}` in {}", file.display());
     reader.calibrator(&own.calibrator, folder, &said, &mut batch)?;
     for (i, entry) in reader.list("scene", scenes)?.into_iter().enumerate() {
@@ -182,6 +186,7 @@ fn parse(
         let mut variant =
             Variant { name: entry.name.clone(), seed: entry.seed, overrides, ..Variant::default() };
         variant.preset = reader.preset(&base, entry.preset.as_deref())?;
+        variant.preset_name.clone_from(&entry.preset);
         if let Some(own) = &entry.calibrator {
             variant.name_external("calibrator", expand(&own.file, folder), said(key_of("calibrator")));
         }
@@ -223,6 +228,7 @@ fn finish(
     check_pairs(&batch)?;
     check_learning(&batch)?;
     propose_for_photographs(&mut batch);
+    one_proposer_for_all(&mut batch);
     if let Some(models) = &options.models {
         batch.name_external("models", Ok(models.clone()), "--models or USE3D_MODELS");
     } else if !batch.externals.contains_key("models") && Path::new("models").is_dir() {
@@ -420,7 +426,7 @@ impl Reader<'_> {
 
     /// The parameters of the preset that is named in the table at `base`.
     fn preset(&self, base: &str, name: Option<&str>) -> Result<Option<Overrides>, ConfigError> {
-        let found = name.map(presets::preset).transpose();
+        let found = name.map(preset_values).transpose();
         found.map_err(|message| self.document.error(&join(base, "preset"), message))
     }
 

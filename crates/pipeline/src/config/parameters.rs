@@ -3,8 +3,9 @@
 
 use serde::Serialize;
 use serde_json::{Value, json};
-use use3d_build::{BuildError, Registry};
+use use3d_build::Registry;
 
+use super::presets::preset_values;
 use super::schema::{resolved, schema, shortest};
 
 /// The parameters of a stage.
@@ -27,23 +28,35 @@ pub struct Parameter {
     pub kind: String,
     /// Its value unless something is said.
     pub default: Value,
+    /// Its value with the preset that was asked for; the default without one.
+    pub value: Value,
     /// What it does, and its range.
     pub meaning: String,
 }
 
-/// The parameters of all stages, or of one.
-pub fn parameters(registry: &Registry, stage: Option<&str>) -> Result<Vec<StageParameters>, BuildError> {
+/// The parameters of all stages, or of one, with the values of a preset where one is named.
+///
+/// # Errors
+/// A stage or a preset that is not known, in words.
+pub fn parameters(
+    registry: &Registry,
+    stage: Option<&str>,
+    preset: Option<&str>,
+) -> Result<Vec<StageParameters>, String> {
     if let Some(name) = stage {
-        registry.stage(name)?;
+        registry.stage(name).map_err(|e| e.to_string())?;
     }
+    let preset = preset.map(preset_values).transpose()?.unwrap_or_default();
     let schema = schema(registry);
     let chosen = registry.stages().iter().filter(|s| stage.is_none_or(|name| s.name() == name));
     Ok(chosen
         .map(|stage| {
             let table = &schema["properties"]["defaults"]["properties"][stage.name()]["allOf"][0];
             let defaults = stage.parameters(&json!({})).unwrap_or(Value::Null);
+            let given = preset.get(stage.name()).cloned().unwrap_or_else(|| json!({}));
+            let values = stage.parameters(&given).unwrap_or(Value::Null);
             let mut parameters = Vec::new();
-            list(&schema, table, &defaults, "", &mut parameters);
+            list(&schema, table, [&defaults, &values], "", &mut parameters);
             StageParameters { stage: stage.name(), about: stage.description(), parameters }
         })
         .collect())
@@ -52,7 +65,7 @@ pub fn parameters(registry: &Registry, stage: Option<&str>) -> Result<Vec<StageP
 /// The stage's parameters that a name without a stage may mean, as `STAGE.PARAMETER`: those of that very
 /// name, else of the nearest ones.
 pub(super) fn homes(registry: &Registry, name: &str) -> Vec<(&'static str, String)> {
-    let all: Vec<(&'static str, String)> = parameters(registry, None)
+    let all: Vec<(&'static str, String)> = parameters(registry, None, None)
         .unwrap_or_default()
         .into_iter()
         .flat_map(|s| s.parameters.into_iter().map(move |p| (s.stage, p.name)))
@@ -78,19 +91,19 @@ pub(super) fn meant<'k>(
     homes(registry, key).into_iter().find(|(_, name)| near(name) > best.max(0.9))
 }
 
-fn list(schema: &Value, table: &Value, defaults: &Value, base: &str, into: &mut Vec<Parameter>) {
+fn list(schema: &Value, table: &Value, values: [&Value; 2], base: &str, into: &mut Vec<Parameter>) {
     let Some(properties) = resolved(schema, table)["properties"].as_object() else { return };
     for (key, entry) in properties {
         let name = if base.is_empty() { key.clone() } else { format!("{base}.{key}") };
         let what = resolved(schema, entry);
         if what["properties"].is_object() {
-            list(schema, entry, &defaults[key], &name, into);
+            list(schema, entry, values.map(|v| &v[key]), &name, into);
             continue;
         }
         let meaning = entry["description"].as_str().or(what["description"].as_str()).unwrap_or_default();
         let meaning = meaning.split_whitespace().collect::<Vec<_>>().join(" ");
-        let default = shortest(schema, entry, &defaults[key]);
-        into.push(Parameter { name, kind: kind(what), default, meaning });
+        let [default, value] = values.map(|v| shortest(schema, entry, &v[key]));
+        into.push(Parameter { name, kind: kind(what), default, value, meaning });
     }
 }
 

@@ -106,14 +106,49 @@ fn say_proposer(overrides: &mut Overrides) {
 /// Refuses settings of the command line about how a calibrator is learnt where a
 /// finished one is read everywhere.
 pub(super) fn check_learning(batch: &Batch) -> Result<(), ConfigError> {
-    let Some(Value::Object(given)) = batch.forced.get("calibrate") else { return Ok(()) };
-    let (Some(name), true) = (given.keys().next(), batch.externals.contains_key("calibrator")) else {
+    if !batch.externals.contains_key("calibrator") {
         return Ok(());
-    };
+    }
     let by = batch.named.get("calibrator").map_or("", String::as_str);
-    Err(ConfigError::plain(format!(
-        "--set calibrate.{name}: {by} names a finished calibrator: nothing is learnt, so this has no effect; leave one of them out"
-    )))
+    for stage in LEARNING {
+        let Some(Value::Object(given)) = batch.forced.get(stage) else { continue };
+        // `calibrator.proposer` says what proposes for the targets, too.
+        let of_both = says_proposer(&batch.forced);
+        if let Some(name) = given.keys().find(|name| !(of_both && *name == "proposer")) {
+            return Err(ConfigError::plain(format!(
+                "--set {stage}.{name}: {by} names a finished calibrator: nothing is learnt, so this has no effect; leave one of them out"
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// The 2D enhancer that is said of the targets is that of the pairs, of the comparison that reconstructs from
+/// proposals, and of the reference rows, too, wherever nothing else is said of these in the same place: one
+/// setting changes the 2D enhancer of a whole pipeline.
+pub(super) fn one_proposer_for_all(batch: &mut Batch) {
+    const FOLLOW: [&str; 3] = ["pairs", "propose", "evaluate"];
+    let follow = |layer: &mut Overrides, stages: &[&str]| {
+        let said = layer.get("targets").and_then(|targets| targets.get("proposer")).cloned();
+        let Some(proposer) = said.filter(|p| p != "scene") else { return };
+        for stage in stages {
+            let parameters = layer.entry(*stage).or_insert_with(|| Value::Object(Map::new()));
+            if let Some(parameters) = parameters.as_object_mut() {
+                parameters.entry("proposer").or_insert_with(|| proposer.clone());
+            }
+        }
+    };
+    follow(&mut batch.defaults, &FOLLOW);
+    follow(&mut batch.forced, &FOLLOW);
+    for variant in &mut batch.variants {
+        follow(&mut variant.overrides, &FOLLOW);
+        follow(&mut variant.forced, &FOLLOW);
+    }
+    // Pairs are for all scenes.
+    for scene in &mut batch.scenes {
+        follow(&mut scene.overrides, &FOLLOW[1..]);
+        follow(&mut scene.forced, &FOLLOW[1..]);
+    }
 }
 
 /// Refuses one of the two folders of pairs without the other.

@@ -1,7 +1,8 @@
 //! Presets: parameters of stages under a name, each a file of this folder and a row of the table.
 //!
 //! A preset is the weakest layer of parameters, below `[defaults]`. It is its values and nothing else: no
-//! key, artifact or stage knows its name, so a file that writes them out is the same pipeline.
+//! key, artifact or stage knows its name, so a file that writes them out is the same pipeline. Results only
+//! say which preset was named, and what was changed of it.
 
 use std::path::Path;
 
@@ -25,7 +26,7 @@ pub fn presets() -> impl Iterator<Item = &'static str> + Clone {
 }
 
 /// The parameters of a preset, by stage; the error is for a person to read.
-pub(super) fn preset(name: &str) -> Result<Overrides, String> {
+pub fn preset_values(name: &str) -> Result<Overrides, String> {
     let Some((_, text)) = PRESETS.iter().find(|(known, _)| *known == name) else {
         let known: Vec<&str> = presets().collect();
         let near = did_you_mean(name, known.iter().copied());

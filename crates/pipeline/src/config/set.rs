@@ -10,7 +10,7 @@ use use3d_build::{Batch, ParameterError, Registry, Source, Stage};
 use super::document::{ConfigError, loose_value};
 use super::parameters::homes;
 use super::places::{expand, external_of, key_of, say_instead};
-use super::{did_you_mean, merge_into, presets};
+use super::{did_you_mean, merge_into, preset_values};
 
 /// A value of the command line as a stage's parameter expects it: `size=640` and `size=0x0` are numbers
 /// to TOML and texts to the stage.
@@ -53,8 +53,9 @@ pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Re
         let names: Vec<String> = batch.variants.iter().map(|v| v.name.clone()).collect();
         let (index, rest) = named("variant", rest, &names).map_err(wrong)?;
         if rest == "preset" {
-            let found = presets::preset(value.as_str().unwrap_or(text)).map_err(wrong)?;
-            batch.variants[index].preset = Some(found);
+            let name = value.as_str().unwrap_or(text);
+            batch.variants[index].preset = Some(preset_values(name).map_err(wrong)?);
+            batch.variants[index].preset_name = Some(name.to_string());
             return Ok(());
         }
         if rest == key_of("calibrator") {
@@ -65,7 +66,9 @@ pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Re
             .map_err(wrong);
     }
     if key == "preset" {
-        batch.preset = presets::preset(value.as_str().unwrap_or(text)).map_err(wrong)?;
+        let name = value.as_str().unwrap_or(text);
+        batch.preset = preset_values(name).map_err(wrong)?;
+        batch.preset_name = name.to_string();
         return Ok(());
     }
     if key == "seed" {

@@ -2,8 +2,9 @@
 //!
 //! [`scoring`] compares pictures and [`truth`] scenes with what is known of them, [`speed`] times drawing,
 //! [`strip`] shows a spot in neighbouring views; [`scores`] is what is written down of one scene, [`tables`]
-//! of many, [`verdict`] puts it into sentences, [`report`] is the page.
+//! of many, [`configuration`] what made them, [`verdict`] puts it into sentences, [`report`] is the page.
 
+pub mod configuration;
 pub mod report;
 pub mod scores;
 pub mod scoring;

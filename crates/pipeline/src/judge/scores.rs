@@ -7,6 +7,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 pub use use3d_metrics::{Finite, Score};
 
+use crate::judge::configuration::Configuration;
 use crate::judge::truth::WaterScores;
 
 /// Scores by metric name (`psnr`, `ssim`, `lpips`, `uciqe`, `uiqm`, `uranker`, `musiq`, `wlpips`,
@@ -187,11 +188,18 @@ pub struct SceneScores {
     pub gaussians: usize,
     /// By whose depth and masks neighbouring views are compared.
     pub warp: Warp,
+    /// The look that the enhancement was learnt in, which is the result: `enhanced` or `enhanced-clear`.
+    #[serde(default = "enhanced")]
+    pub result: Method,
     /// The recovered water beside the true one; only for synthetic captures with their truth, and scenes
     /// with water.
     pub water: Option<WaterScores>,
     /// The methods that were scored.
     pub methods: Vec<MethodScores>,
+}
+
+fn enhanced() -> Method {
+    Method::Enhanced
 }
 
 impl SceneScores {
@@ -235,6 +243,9 @@ pub struct ScoredScene {
     pub source: String,
     /// The scores.
     pub scores: SceneScores,
+    /// What made them; never part of an artifact, filled in when results are shown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub configuration: Option<Configuration>,
     /// How fast the scene is drawn on the machine that evaluated it; never part of an artifact, filled in
     /// when results are shown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -302,6 +313,7 @@ mod tests {
             size: (4, 3),
             gaussians: 10,
             warp: Warp::Reference,
+            result: Method::Enhanced,
             water: None,
             methods: vec![],
         };

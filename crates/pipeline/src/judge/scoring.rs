@@ -61,6 +61,30 @@ impl Judges {
         Self {}
     }
 
+    /// Refuses where a network is missing, with its reason.
+    ///
+    /// # Errors
+    /// Why the first of them is not there.
+    #[cfg(feature = "nets")]
+    pub fn complete(&self) -> Result<(), String> {
+        let missing = [
+            self.lpips.as_ref().err(),
+            self.uranker.as_ref().err(),
+            self.musiq.as_ref().err(),
+            self.raft.as_ref().err(),
+        ];
+        missing.into_iter().flatten().next().map_or(Ok(()), |reason| Err(reason.clone()))
+    }
+
+    /// A build without networks has none.
+    ///
+    /// # Errors
+    /// Always.
+    #[cfg(not(feature = "nets"))]
+    pub fn complete(&self) -> Result<(), String> {
+        Err(WITHOUT.into())
+    }
+
     /// About how much memory [`alone`](Self::alone), or with `compared` [`against`](Self::against), takes
     /// beside the images, bytes per pixel; without masks, and for images within display range. Networks
     /// that look at a picture scaled down to at most 1024 pixels take the same for any size, which is not

@@ -82,6 +82,16 @@ pub fn files(capture: &Path) -> Vec<PathBuf> {
     files
 }
 
+/// The first file of a capture's truth that cannot be read, and why. Truth of another form than this program's
+/// is no truth of a capture, and is left alone.
+pub fn unreadable(capture: &Path) -> Option<String> {
+    if !is_there(capture) {
+        return None;
+    }
+    let imported = import(capture, &parameters(capture, None)).ok()?;
+    (0..imported.capture.views.len()).find_map(|i| imported.view(i).err()).map(|e| e.to_string())
+}
+
 /// A capture's truth.
 pub struct Truth {
     imported: Imported,

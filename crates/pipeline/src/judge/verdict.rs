@@ -215,6 +215,7 @@ mod tests {
             size: (64, 48),
             gaussians: 10,
             warp: Warp::Own,
+            result: Method::Enhanced,
             water: None,
             methods: methods.iter().map(of).collect(),
         }

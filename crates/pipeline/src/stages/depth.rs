@@ -63,6 +63,12 @@ pub(super) struct Params {
     pub(super) encoder: Encoder,
 }
 
+/// The networks that would do for these parameters, the best first.
+pub(super) fn networks(parameters: &Value) -> Vec<Network> {
+    let params: Params = serde_json::from_value(parameters.clone()).unwrap_or_default();
+    params.encoder.candidates().iter().map(|(network, _)| *network).collect()
+}
+
 pub(super) fn stage() -> Stage {
     Stage::new("depth", Scope::Scene, run)
         .about("depth priors by Depth Anything V2")

@@ -44,12 +44,25 @@ use crate::judge::speed;
 use crate::judge::strip::{Seen, Strip, choose, sheet};
 use crate::judge::truth::{Truth, files};
 
+/// Which scores an evaluation has to have.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum Wanted {
+    /// Those whose networks are in the models folder; the others say what is missing.
+    #[default]
+    Available,
+    /// All of the paper: LPIPS, URanker, MUSIQ and wLPIPS. A network that is missing is an error.
+    All,
+}
+
 /// Parameters of the evaluation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct Params {
     /// The 2D enhancer of the reference rows; `auto` as in `pairs`.
     pub(super) proposer: ProposerChoice,
+    /// Whether scores may be missing.
+    pub(super) scores: Wanted,
     /// Pairs of captured views next to each other that are compared, evenly chosen; 0: none.
     pub(super) neighbour_pairs: usize,
     /// Pairs of adjacent frames of the rendered path that are compared, evenly chosen; 0: none.
@@ -66,6 +79,7 @@ impl Default for Params {
     fn default() -> Self {
         Self {
             proposer: ProposerChoice::default(),
+            scores: Wanted::Available,
             neighbour_pairs: 8,
             path_pairs: 8,
             path_steps: 4,
@@ -361,6 +375,10 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let shown = drawn(context, &scene, &params.engine)?;
     let reference_shown = reference.as_ref().map(|scene| Drawn::new(scene, &params.engine));
     let reference_shown = reference_shown.transpose().map_err(StageError::message)?;
+    let judges = Judges::open(models);
+    if params.scores == Wanted::All {
+        judges.complete().map_err(StageError::bad_input_message)?;
+    }
     let views: Vec<&View> = capture.test_views().collect();
     if views.is_empty() {
         context.say("no view is held out (split.every = 0): nothing to score");
@@ -368,7 +386,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let mut evaluation = Evaluation {
         context,
         capture: &capture,
-        judges: Judges::open(models),
+        judges,
         looker: Looker { renderer: shown.renderer(1.0)?, proposer: proposer.as_ref(), learnt },
         reference: reference_shown.as_ref().map(|r| Reference::new(r, &scene)).transpose()?,
     };
@@ -447,6 +465,10 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         size,
         gaussians: scene.gaussians.len(),
         warp: if reference.is_some() { Warp::Reference } else { Warp::Own },
+        result: match scene.enhancement.as_ref().map(|e| e.appearance) {
+            Some(Appearance::Clear) => Method::EnhancedClear,
+            Some(Appearance::Water) | None => Method::Enhanced,
+        },
         water: truth
             .filter(|_| !scene.medium.is_none())
             .and_then(|truth| truth.water(water[0], water[1], scale)),

@@ -34,6 +34,7 @@ mod proposer;
 mod reconstruct;
 mod render;
 pub mod report;
+mod requirements;
 mod scenes;
 mod starts;
 mod targets;
@@ -43,8 +44,9 @@ mod weights;
 pub use common::{read_json, write_json};
 #[cfg(feature = "nets")]
 pub use depth::wanted as depth_wanted;
-pub use names::{CALIBRATOR, TARGETS};
+pub use names::{CALIBRATED, CALIBRATOR, CHOICES, TARGETS};
 pub use proposer::{ProposerChoice, open as open_proposer};
+pub use reconstruct::Choices;
 
 use use3d_build::{BuildError, Registry};
 
@@ -66,7 +68,7 @@ pub fn registry() -> Result<Registry, BuildError> {
         evaluate::stage(),
         report::stage(),
     ];
-    let stages = stages.into_iter().map(memory::with_forecast).collect();
+    let stages = stages.into_iter().map(memory::with_forecast).map(requirements::with_requirements).collect();
     Ok(Registry::new(stages, built_in())?
         .shorthand("scene", "size", "import", "size")
         .shorthand("calibrator", "proposer", "pairs", "proposer")

@@ -20,5 +20,9 @@ pub(super) const ENHANCED_IN_2D: &str = "proposal";
 pub(super) const TRUE_VIEWS: &str = "truth";
 /// The note of `evaluate` with how fast the scene is drawn.
 pub const SPEED: &str = "speed";
+/// In `reconstruct`: what its parameters left open and the run chose.
+pub const CHOICES: &str = "choices.json";
+/// In `targets`: where the calibrator that corrected the proposals came from.
+pub const CALIBRATED: &str = "calibrator.json";
 /// In `reconstruct`: which images the scene was learnt from, and how held-out ones came out.
 pub(super) const EVALUATION: &str = "evaluation.json";

@@ -18,15 +18,28 @@ use super::names::DATASET;
 use super::proposer::{ProposerChoice, open};
 
 /// Parameters of the paired data.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct PairsParams {
     /// The 2D enhancer that proposes.
     pub(super) proposer: ProposerChoice,
     /// The extractor; scenes follow it.
     pub(super) extractor: ExtractorSettings,
+    /// Whether synthetic pairs stand in where the pipeline names none; without them that is an error.
+    pub(super) stand_in: bool,
     /// The synthetic pairs that stand in when the pipeline names no pairs.
     pub(super) synthetic: use3d_synth::PairsParams,
+}
+
+impl Default for PairsParams {
+    fn default() -> Self {
+        Self {
+            proposer: ProposerChoice::default(),
+            extractor: ExtractorSettings::default(),
+            stand_in: true,
+            synthetic: use3d_synth::PairsParams::default(),
+        }
+    }
 }
 
 pub(super) fn stage() -> Stage {
@@ -52,6 +65,11 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
     let scratch;
     let (input, target) = match (context.optional_input("input"), context.optional_input("target")) {
         (Some(input), Some(target)) => (input.to_path_buf(), target.to_path_buf()),
+        (None, None) if !params.stand_in => {
+            return Err(StageError::bad_input_message(
+                "no pairs are named, and `stand_in = false` lets no synthetic ones take their place",
+            ));
+        }
         (None, None) => {
             context.say("no pairs given: synthetic ones stand in");
             scratch = leftovers::scratch()?;
@@ -100,7 +118,7 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
 }
 
 /// Pairs of files with equal stems, in name order.
-fn list(input: &Path, target: &Path) -> Result<Vec<(String, PathBuf, PathBuf)>, StageError> {
+pub(super) fn list(input: &Path, target: &Path) -> Result<Vec<(String, PathBuf, PathBuf)>, StageError> {
     let images = |dir: &Path| -> Result<std::collections::BTreeMap<String, PathBuf>, StageError> {
         let mut found = std::collections::BTreeMap::new();
         for entry in std::fs::read_dir(dir)

@@ -1,6 +1,6 @@
 //! Stage 1: the scene with its water.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use use3d_build::{Figure, Scope, Stage, StageContext, StageError};
 use use3d_capture::{Capture, View};
 use use3d_import::{load_depth_prior, load_mask, load_pixels};
@@ -16,7 +16,7 @@ use use3d_water::WaterParams;
 use super::captured::capture;
 use super::common::{out_of_range, write_json, write_text};
 use super::contact::sheet;
-use super::names::{CONTACT, EVALUATION};
+use super::names::{CHOICES, CONTACT, EVALUATION};
 use super::proposals;
 use super::watch::Watch;
 use crate::engines;
@@ -32,6 +32,15 @@ const FIGURES: [Figure; 2] = [
     Figure { file: EVALUATION, at: "/held_out/psnr/value", within: 0.25 },
     Figure { file: EVALUATION, at: "/held_out/ssim/value", within: 0.01 },
 ];
+
+/// `choices.json`: what the parameters left open and the run chose, in words.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Choices {
+    /// The depth prior in force.
+    pub depth_prior: String,
+    /// What the water started from.
+    pub water: String,
+}
 
 /// `evaluation.json`.
 #[derive(Serialize)]
@@ -102,7 +111,7 @@ fn prior_in_force(params: &ReconstructParams, capture: &Capture, made: bool) -> 
 
 /// What the capture's tracks tell of the water and of the views' gains, said and written beside the scene;
 /// and whether they tell that there is no water.
-fn known_from_tracks(context: &StageContext) -> Result<(Known, bool), StageError> {
+fn known_from_tracks(context: &StageContext) -> Result<(Known, bool, String), StageError> {
     let imported = use3d_import::load_prepared(context.input("import")?).map_err(StageError::bad_input)?;
     let water = from_tracks(&imported, &WaterParams::default()).map_err(StageError::bad_input)?;
     // Without a name: the folder that an import lies in is not part of it.
@@ -113,14 +122,20 @@ fn known_from_tracks(context: &StageContext) -> Result<(Known, bool), StageError
     let names = ["red", "green", "blue"];
     let told = water.channels.iter().zip(names).map(|(c, name)| format!("{name} {}", c.verdict));
     let told = told.collect::<Vec<_>>().join("; ");
-    context.say(match &found {
+    let said = match &found {
         Some(_) => format!("water from tracks: {told}"),
         None if dry => "no water found: points look alike from near and far, so the water is off (medium = \"none\")".into(),
         None if lamps(&water) => "water from tracks: points would be brighter than white without it, so light comes from the camera (lamps); the water starts as with \
             medium_prior = \"off\"".into(),
         None => format!("water from tracks: {told}; the water starts as with medium_prior = \"off\""),
-    });
-    Ok((Known { water: found, gains: water.gains }, dry))
+    };
+    context.say(&said);
+    Ok((Known { water: found, gains: water.gains }, dry, said))
+}
+
+/// What the water starts from where no track is asked.
+fn water_learnt(params: &ReconstructParams) -> &'static str {
+    if params.medium == Medium::None { "none" } else { "learnt from the first step on" }
 }
 
 /// `exposures.json`: the gain of every training view that was learnt with the scene.
@@ -147,7 +162,8 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
             view.depth_prior = file.is_file().then_some(file);
         }
     }
-    context.say(prior_in_force(params, &capture, context.optional_input("depth").is_some()));
+    let prior = prior_in_force(params, &capture, context.optional_input("depth").is_some());
+    context.say(&prior);
     let mut params = ReconstructParams { seed: context.seed(), ..params.clone() };
     // Masks and priors are the photographs' in any case.
     let mut learnt_from = capture.clone();
@@ -165,8 +181,11 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         need.most,
         "lower `reconstruct.max_gaussians`, or `import.size` for smaller images",
     )?;
-    let (known, dry) =
-        if params.asks_tracks() { known_from_tracks(context)? } else { (Known::default(), false) };
+    let (known, dry, told) = if params.asks_tracks() {
+        known_from_tracks(context)?
+    } else {
+        (Known::default(), false, water_learnt(&params).to_string())
+    };
     if dry {
         (params.medium, params.medium_prior) = (Medium::None, MediumPrior::Off);
     }
@@ -221,6 +240,9 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     context.profile(&(outcome.profile.table() + &growth(&outcome.growth)));
     let out = context.output();
     outcome.scene.save(out)?;
+    let depth_prior = prior.trim_start_matches("depth prior: ").to_string();
+    let water = told.trim_start_matches("water from tracks: ").to_string();
+    write_json(&out.join(CHOICES), &Choices { depth_prior, water })?;
     if params.exposure == Exposure::PerView {
         let views =
             outcome.exposures.iter().map(|(view, gain)| ViewExposure { view: view.clone(), gain: *gain });

@@ -108,6 +108,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
                 variant: parts.variant.into(),
                 source: format!("{} {}", parts.name(), &blake3::hash(&bytes).to_hex()[..12]),
                 scores,
+                configuration: None,
                 speed: None,
             });
         }
@@ -128,7 +129,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         },
         subtitle: match all.len() {
             1 => "one scene".into(),
-            n => format!("{n} scenes, {} scored", scored.len()),
+            cells => head(&all, cells, scored.len()),
         },
         verdict: overall(&scenes, context.missing()),
         tables,
@@ -139,6 +140,21 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     };
     write_json(&context.output().join("scores.json"), &scored)?;
     write_text(&context.output().join("index.html"), &page.html()?)
+}
+
+/// How many scenes, variants and scores there are, in a line.
+fn head(all: &[Parts<'_>], cells: usize, scored: usize) -> String {
+    let count = |names: &mut Vec<&str>| {
+        names.sort_unstable();
+        names.dedup();
+        names.len()
+    };
+    let scenes = count(&mut all.iter().map(|p| p.scene).collect());
+    let variants = count(&mut all.iter().map(|p| p.variant).collect());
+    let scenes = if scenes == 1 { "one scene".to_string() } else { format!("{scenes} scenes") };
+    let variants = if variants == 1 { String::new() } else { format!(" in {variants} variants") };
+    let scored = if scored == cells { String::new() } else { format!(", {scored} of {cells} scored") };
+    format!("{scenes}{variants}{scored}")
 }
 
 /// What a batch comes to: the sentences of a scene that is alone, else how many scenes

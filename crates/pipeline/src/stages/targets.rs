@@ -13,7 +13,7 @@ use use3d_splat::Rasterizer;
 use super::calibrated::is_calibrated;
 use super::captured::capture;
 use super::common::{folder, write_json};
-use super::names::TARGETS;
+use super::names::{CALIBRATED, TARGETS};
 use super::proposals::asked_for;
 use super::proposer::ProposerChoice;
 use super::scenes::scene;
@@ -139,6 +139,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let path = context.output().join(TARGETS);
     std::fs::write(&path, targets.to_bytes()?).map_err(|e| StageError::io(&path, e))?;
     write_json(&context.output().join("report.json"), &report)?;
+    write_json(&context.output().join(CALIBRATED), &starts.calibrator.provenance)?;
     if let Some(findings) = starts.findings() {
         write_json(&context.output().join("scene.json"), findings)?;
     }

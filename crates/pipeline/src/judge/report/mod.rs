@@ -9,7 +9,7 @@ use askama::Template;
 use use3d_capture::Image;
 use use3d_io_image::{JpegError, jpeg_address, shrunk};
 
-use crate::judge::tables::{Cell, Rank, Table};
+use crate::judge::tables::{Cell, Rank, Table, marked};
 use crate::judge::verdict::{Sentence, Tone};
 
 /// Long side of embedded pictures, pixels.
@@ -187,6 +187,12 @@ impl TablesTemplate {
 }
 
 #[derive(Template)]
+#[template(path = "made-by.html")]
+struct MadeByTemplate<'a> {
+    made: &'a [(String, String)],
+}
+
+#[derive(Template)]
 #[template(path = "view.html")]
 struct ViewLink<'a> {
     name: &'a str,
@@ -207,11 +213,13 @@ struct TableView {
     spans: Vec<(String, usize)>,
     heads: Vec<String>,
     rows: Vec<RowView>,
+    made: Vec<(String, String)>,
     missing: Vec<String>,
 }
 
 struct RowView {
     label: String,
+    mark: String,
     published: bool,
     cells: Vec<CellView>,
 }
@@ -294,8 +302,10 @@ impl TableView {
             }
             Cell::Blank => CellView { text: "–".into(), class: "missing", title: String::new() },
         };
+        let made = table.made_by().into_iter().enumerate();
         let rows = table.rows.iter().zip(table.ranks()).map(|(row, ranks)| RowView {
             label: row.label.clone(),
+            mark: table.mark(row),
             published: row.published,
             cells: (row.cells.iter().zip(ranks).zip(&table.columns))
                 .map(|((c, r), k)| cell(c, r, k.decimals))
@@ -306,6 +316,7 @@ impl TableView {
             spans,
             heads: table.columns.iter().map(|c| format!("{}{}", c.name, c.better.arrow())).collect(),
             rows: rows.collect(),
+            made: made.map(|(place, text)| (marked(place), text.to_string())).collect(),
             missing: not_measured(whole),
         }
     }
@@ -364,6 +375,17 @@ pub fn with_tables(html: &str, tables: &[Table]) -> String {
         }
         _ => html.into(),
     }
+}
+
+/// A page that says on its first screen what made it: names of scenes, and their configuration in words.
+pub fn with_configurations(html: &str, made: &[(String, String)]) -> String {
+    const AFTER: &str = "<p class=\"lead\">";
+    let Some(start) = html.find(AFTER) else { return html.into() };
+    let Some(end) = html[start..].find("</p>").map(|end| start + end + "</p>".len()) else {
+        return html.into();
+    };
+    let Ok(lines) = (MadeByTemplate { made }).render() else { return html.into() };
+    format!("{}{}{}", &html[..end], lines.trim_end(), &html[end..])
 }
 
 /// A page with a link to each scene's own page, given as scene, variant and address: where results
@@ -427,7 +449,7 @@ mod tests {
                 name: "t".into(),
                 caption: "caption".into(),
                 columns: vec![Column::new("G", "PSNR", Better::Higher, 2)],
-                rows: vec![Row { label: "x".into(), published: true, cells: vec![cell] }],
+                rows: vec![Row::published("x", vec![cell])],
             }],
             scenes: vec![SceneSection {
                 name: "reef".into(),
@@ -477,11 +499,17 @@ mod tests {
             rows: vec![Row {
                 label: "x".into(),
                 published: false,
+                made_by: "preset paper; seed: 42".into(),
                 cells: vec![Cell::Number { value: 12.34, source: "hardware".into() }],
             }],
         };
         let other = with_tables(&whole, std::slice::from_ref(&timed));
         assert!(other.contains("12.34") && other.contains("another caption") && !other.contains(">caption<"));
         assert_eq!(with_tables(&other, &[timed]), other, "once more changes nothing");
+        assert!(other.contains("<sup>a</sup>") && other.contains("preset paper; seed: 42"), "{other}");
+        let told = with_configurations(&other, &[("reef".into(), "preset paper, changed: a = <b>".into())]);
+        let at = |text: &str| told.find(text).unwrap_or_else(|| panic!("{text}"));
+        assert!(at("preset paper, changed: a = &#60;b&#62;") < at("id=\"scene-1\""), "on the first screen");
+        assert_eq!(with_configurations(&other, &[]), other);
     }
 }

@@ -2,11 +2,12 @@
 //! columns made of them.
 //!
 //! A group's number is the unweighted mean over its scenes (scene-macro), as in the paper; with more than one
-//! group, that over all scenes follows. Published rows appear for a scene only when its name, size and split
-//! are the paper's, and for a group only when it holds the paper's scenes and no other.
+//! group, that over all scenes follows. Published rows appear for a scene only when its name, its size and all
+//! that made it are the paper's, and for a group only when it holds the paper's scenes and no other.
 
 use super::published::{self, Published};
 use super::{Better, Cell, Column, Row, Table};
+use crate::judge::configuration::Configuration;
 use crate::judge::scores::{Method, SceneScores, Score, ScoredScene};
 
 /// A quantity: its key in the scores, its name in heads, its direction, its decimals.
@@ -15,12 +16,16 @@ pub(super) type Quantity = (&'static str, &'static str, Better, usize);
 /// The group of all scenes together.
 pub(super) const ALL: &str = "All scenes";
 
-/// Whether a scene is the paper's: its name, size and split.
+/// Whether a scene is the paper's: its name, size and number of held-out views, and all that made it.
 fn is_the_papers(scene: &ScoredScene) -> bool {
     let SceneScores { training_views, held_out_views, size, .. } = scene.scores;
     let every_eighth = held_out_views == (training_views + held_out_views).div_ceil(8);
-    published::scene(&scene.scene).is_some_and(|(_, wanted)| wanted == size) && every_eighth
+    let configured = scene.configuration.as_ref().is_some_and(Configuration::is_the_papers);
+    published::scene(&scene.scene).is_some_and(|(_, wanted)| wanted == size) && every_eighth && configured
 }
+
+/// What the photographs alone decide: the same in every variant, whatever that changes.
+const OF_PHOTOGRAPHS: [Method; 2] = [Method::Captured, Method::Proposal];
 
 /// The scenes of a run, grouped.
 pub(super) struct Batch<'a> {
@@ -81,22 +86,38 @@ impl<'a> Batch<'a> {
         self.groups.iter().filter(|g| *g != ALL).all(|g| of(g) <= variants)
     }
 
-    /// One row per variant and method. What a variant only repeats (photographs are the same in all of them)
-    /// stands once.
+    /// One row per variant and method, equal ones too: a variant that comes to the numbers of another is not
+    /// left out. What photographs alone decide stands once, without a variant's name.
     pub(super) fn rows(&self, methods: &[Method], quantities: &[Quantity]) -> Vec<Row> {
-        let mut rows: Vec<(Method, Row)> = Vec::new();
-        for variant in &self.variants {
-            for &method in methods {
-                let row = self.row(method, variant, quantities);
-                let values = |row: &Row| row.cells.iter().map(Cell::value).collect::<Vec<_>>();
-                let new = values(&row);
-                let repeats = |(m, r): &(Method, Row)| *m == method && values(r) == new;
-                if new.iter().all(Option::is_none) || !rows.iter().any(repeats) {
-                    rows.push((method, row));
-                }
+        let values = |row: &Row| row.cells.iter().map(Cell::value).collect::<Vec<_>>();
+        let mut rows: Vec<Row> = Vec::new();
+        let mut shared: Vec<Method> = Vec::new();
+        for &method in methods.iter().filter(|m| OF_PHOTOGRAPHS.contains(m)) {
+            let mut each = self.variants.iter().map(|variant| self.row(method, variant, quantities));
+            let Some(first) = each.next() else { continue };
+            if self.variants.len() > 1 && each.all(|row| values(&row) == values(&first)) {
+                shared.push(method);
+                rows.push(Row { label: method.label().into(), made_by: String::new(), ..first });
             }
         }
-        rows.into_iter().map(|(_, row)| row).collect()
+        for variant in &self.variants {
+            let own = methods.iter().filter(|m| !shared.contains(m));
+            rows.extend(own.map(|&method| self.row(method, variant, quantities)));
+        }
+        rows
+    }
+
+    /// What made the numbers of a variant.
+    pub(super) fn made_by(&self, variant: &str) -> String {
+        let scenes = self.scenes.iter().filter(|s| s.variant == variant);
+        let all: Vec<&Configuration> = scenes.filter_map(|s| s.configuration.as_ref()).collect();
+        Configuration::told(&all)
+    }
+
+    /// The look in which the enhancement of a variant was learnt: its result.
+    pub(super) fn result(&self, variant: &str) -> Method {
+        let first = self.scenes.iter().find(|s| s.variant == variant);
+        first.map_or(Method::Enhanced, |s| s.scores.result)
     }
 
     /// Stage 1's row of the second ablation, of the first variant that learnt from photographs.
@@ -107,12 +128,29 @@ impl<'a> Batch<'a> {
                 .map(|(key, ..)| macro_mean(&scenes, Method::Reconstruction, key))
                 .collect();
             let known = cells.iter().any(|c| *c != Cell::Blank);
-            known.then(|| Row { label: Method::Reconstruction.label().into(), published: false, cells })
+            known.then(|| Row {
+                label: Method::Reconstruction.label().into(),
+                published: false,
+                made_by: self.made_by(variant),
+                cells,
+            })
         })
     }
 
-    pub(super) fn label(method: Method, variant: &str) -> String {
-        if variant.is_empty() { method.label().into() } else { format!("{} · {variant}", method.label()) }
+    /// A method's name in a variant; the look that is the variant's result has the program's.
+    pub(super) fn label(&self, method: Method, variant: &str) -> String {
+        let name = match (method, self.result(variant)) {
+            (Method::EnhancedClear, Method::EnhancedClear) => "3D-USE, this program (enhanced-clear)",
+            (Method::Enhanced, Method::EnhancedClear) => "3D-USE, enhanced",
+            _ => method.label(),
+        };
+        if variant.is_empty() { name.into() } else { format!("{name} · {variant}") }
+    }
+
+    /// The program's name in a variant, where a row is about the whole of it.
+    pub(super) fn program(variant: &str) -> String {
+        let name = Method::Enhanced.label();
+        if variant.is_empty() { name.into() } else { format!("{name} · {variant}") }
     }
 
     pub(super) fn row(&self, method: Method, variant: &str, quantities: &[Quantity]) -> Row {
@@ -120,7 +158,12 @@ impl<'a> Batch<'a> {
             let scenes = self.of_group(group, variant);
             quantities.iter().map(move |(key, ..)| macro_mean(&scenes, method, key))
         });
-        Row { label: Self::label(method, variant), published: false, cells: cells.collect() }
+        Row {
+            label: self.label(method, variant),
+            published: false,
+            made_by: self.made_by(variant),
+            cells: cells.collect(),
+        }
     }
 
     pub(super) fn columns(&self, quantities: &[Quantity]) -> Vec<Column> {
@@ -149,7 +192,7 @@ impl<'a> Batch<'a> {
                     })
                 })
             });
-            Row { label: method.into(), published: true, cells: cells.collect() }
+            Row::published(method, cells.collect())
         });
         rows.collect()
     }
@@ -196,7 +239,7 @@ impl<'a> Batch<'a> {
                 (0..quantities.len())
                     .map(move |q| published_cell(found.and_then(|r| r.values.get(q).copied())))
             });
-            rows.push(Row { label: method.into(), published: true, cells: cells.collect() });
+            rows.push(Row::published(method, cells.collect()));
         }
         for variant in &self.variants {
             for &method in methods {
@@ -205,10 +248,11 @@ impl<'a> Batch<'a> {
                         self.scenes.iter().filter(|s| s.scene == *name && s.variant == **variant).collect();
                     quantities.iter().map(move |(key, ..)| macro_mean(&found, method, key))
                 });
-                let label = if methods.len() == 1 { Method::Enhanced } else { method };
+                let alone = methods.len() == 1;
                 rows.push(Row {
-                    label: Self::label(label, variant),
+                    label: if alone { Self::program(variant) } else { self.label(method, variant) },
                     published: false,
+                    made_by: self.made_by(variant),
                     cells: cells.collect(),
                 });
             }
@@ -229,20 +273,23 @@ impl<'a> Batch<'a> {
         let columns = quantities.iter().map(|q| Column::new("", q.1, q.2, q.3)).collect();
         let mut rows = Vec::new();
         if self.groups.len() == 1 && self.groups[0] == "SeaThru-4" && self.is_published(&self.groups[0]) {
-            rows.extend(source.iter().map(|r| Row {
-                label: r.method.into(),
-                published: true,
-                cells: (0..quantities.len()).map(|q| published_cell(r.values.get(q).copied())).collect(),
+            rows.extend(source.iter().map(|r| {
+                let cells = (0..quantities.len()).map(|q| published_cell(r.values.get(q).copied()));
+                Row::published(r.method, cells.collect())
             }));
         }
         for variant in &self.variants {
             let scenes: Vec<&ScoredScene> = self.scenes.iter().filter(|s| s.variant == **variant).collect();
             let has =
                 |m: &&Method| quantities.iter().any(|(key, ..)| macro_mean(&scenes, **m, key) != Cell::Blank);
-            let Some(method) = methods.iter().find(has).copied() else { continue };
+            // The result of a variant first: where it was learnt without water, that is `enhanced-clear`.
+            let result = self.result(variant);
+            let in_order = [result].into_iter().filter(|m| methods.contains(m));
+            let Some(method) = in_order.chain(methods.iter().copied()).find(|m| has(&m)) else { continue };
             rows.push(Row {
                 label: if variant.is_empty() { "full model".into() } else { (*variant).into() },
                 published: false,
+                made_by: self.made_by(variant),
                 cells: quantities.iter().map(|(key, ..)| macro_mean(&scenes, method, key)).collect(),
             });
         }

@@ -24,7 +24,14 @@ impl Table {
         if row.published { format!("{} (published)", row.label) } else { row.label.clone() }
     }
 
-    /// GitHub Markdown: best bold, second best underlined; reasons for missing numbers below.
+    /// A row's name, and the mark of what made it.
+    fn marked_label(&self, row: &super::Row) -> String {
+        let mark = self.mark(row);
+        if mark.is_empty() { Self::label(row) } else { format!("{} [{mark}]", Self::label(row)) }
+    }
+
+    /// GitHub Markdown: best bold, second best underlined; what made each row, and reasons for missing numbers,
+    /// below.
     pub fn markdown(&self) -> String {
         let escape = |text: &str| text.replace('|', "\\|");
         let mut out = format!("**{}**\n\n| |", escape(&self.caption));
@@ -36,7 +43,7 @@ impl Table {
         out.push_str(&"---:|".repeat(self.columns.len()));
         out.push('\n');
         for (row, ranks) in self.rows.iter().zip(self.ranks()) {
-            let _ = write!(out, "| {} |", escape(&Self::label(row)));
+            let _ = write!(out, "| {} |", escape(&self.marked_label(row)));
             for (c, cell) in row.cells.iter().enumerate() {
                 let text = self.text(cell, c);
                 let _ = match ranks[c] {
@@ -47,6 +54,9 @@ impl Table {
             }
             out.push('\n');
         }
+        for (place, made) in self.made_by().into_iter().enumerate() {
+            let _ = writeln!(out, "\n[{}] {made}", super::marked(place));
+        }
         for reason in self.missing() {
             let _ = writeln!(out, "\n{MISSING}: {reason}");
         }
@@ -54,7 +64,7 @@ impl Table {
     }
 
     /// Comma-separated values, one head line, numbers as printed elsewhere but without marks; missing numbers
-    /// are empty.
+    /// are empty. The last column says what made a row.
     pub fn csv(&self) -> String {
         let quote = |text: &str| {
             if text.contains([',', '"', '\n']) {
@@ -72,7 +82,7 @@ impl Table {
             };
             let _ = write!(out, ",{}", quote(&name));
         }
-        out.push('\n');
+        out.push_str(",made by\n");
         for row in &self.rows {
             let _ = write!(out, "{},{}", quote(&row.label), row.published);
             for (c, cell) in row.cells.iter().enumerate() {
@@ -83,12 +93,12 @@ impl Table {
                     None => out.push(','),
                 }
             }
-            out.push('\n');
+            let _ = writeln!(out, ",{}", quote(&row.made_by));
         }
         out
     }
 
-    /// A `booktabs` table: best bold, second best underlined.
+    /// A `booktabs` table: best bold, second best underlined; comments below it say what made the rows.
     pub fn latex(&self) -> String {
         let escape = |text: &str| {
             let mut out = String::new();
@@ -160,6 +170,9 @@ impl Table {
             escape(&self.caption),
             self.name
         );
+        for row in self.rows.iter().filter(|row| !row.made_by.is_empty()) {
+            let _ = writeln!(out, "% {}: {}", escape(&Self::label(row)), escape(&row.made_by));
+        }
         out
     }
 
@@ -176,16 +189,21 @@ mod tests {
     #[test]
     fn markdown_marks_best_and_second_and_says_what_is_missing() {
         let text = sample().markdown();
-        assert!(text.contains("| two | **30.00** | **0.100** | – |"), "{text}");
+        assert!(text.contains("| two [a] | **30.00** | **0.100** | – |"), "{text}");
         assert!(text.contains("| one (published) | **30.00** | <u>0.200</u> | 1.0 |"), "{text}");
         assert!(text.contains("n/a: put lpips.pth into models/"), "{text}");
+        assert!(
+            text.contains("\n[b] preset paper, changed: targets.proposer = fusion; seed: 42\n"),
+            "{text}"
+        );
     }
 
     #[test]
     fn csv_leaves_missing_numbers_empty() {
         assert_eq!(
             sample().csv(),
-            "method,published,A PSNR,A LPIPS,FPS\none,true,30.00,0.200,1.0\ntwo,false,30.00,0.100,\nthree,false,29.00,,2.0\n"
+            "method,published,A PSNR,A LPIPS,FPS,made by\none,true,30.00,0.200,1.0,\ntwo,false,30.00,0.100,,preset paper; seed: 42\n\
+             three,false,29.00,,2.0,\"preset paper, changed: targets.proposer = fusion; seed: 42\"\n"
         );
     }
 

@@ -93,8 +93,17 @@ pub struct Row {
     pub label: String,
     /// Copied from the paper rather than measured here.
     pub published: bool,
+    /// What made its numbers ([`crate::judge::configuration`]); empty where nobody says.
+    pub made_by: String,
     /// One cell per column.
     pub cells: Vec<Cell>,
+}
+
+impl Row {
+    /// A row of the paper's.
+    pub(crate) fn published(label: &str, cells: Vec<Cell>) -> Self {
+        Self { label: label.into(), published: true, made_by: String::new(), cells }
+    }
 }
 
 /// A table.
@@ -108,6 +117,12 @@ pub struct Table {
     pub columns: Vec<Column>,
     /// The rows.
     pub rows: Vec<Row>,
+}
+
+/// The mark of the `place`-th of several: a to z, then a1.
+pub(crate) fn marked(place: usize) -> String {
+    let letter = char::from(b'a' + (place % 26) as u8);
+    if place < 26 { letter.to_string() } else { format!("{letter}{}", place / 26) }
 }
 
 /// How a number ranks in its column.
@@ -155,6 +170,23 @@ impl Table {
         ranks
     }
 
+    /// What made the rows, each text once, in order of appearance.
+    pub fn made_by(&self) -> Vec<&str> {
+        let mut made: Vec<&str> = Vec::new();
+        for row in self.rows.iter().filter(|row| !row.made_by.is_empty()) {
+            if !made.contains(&row.made_by.as_str()) {
+                made.push(&row.made_by);
+            }
+        }
+        made
+    }
+
+    /// The mark behind a row's name that points to what made it: a, b, …; empty where nobody says.
+    pub fn mark(&self, row: &Row) -> String {
+        let place = self.made_by().iter().position(|made| *made == row.made_by);
+        place.map_or_else(String::new, marked)
+    }
+
     /// The distinct reasons for missing cells, in order of appearance.
     pub fn missing(&self) -> Vec<&str> {
         let mut reasons: Vec<&str> = Vec::new();
@@ -184,11 +216,17 @@ mod tests {
                 Column::new("", "FPS", Better::Neither, 1),
             ],
             rows: vec![
-                Row { label: "one".into(), published: true, cells: vec![n(30.001), n(0.2), n(1.0)] },
-                Row { label: "two".into(), published: false, cells: vec![n(30.004), n(0.1), Cell::Blank] },
+                Row::published("one", vec![n(30.001), n(0.2), n(1.0)]),
+                Row {
+                    label: "two".into(),
+                    published: false,
+                    made_by: "preset paper; seed: 42".into(),
+                    cells: vec![n(30.004), n(0.1), Cell::Blank],
+                },
                 Row {
                     label: "three".into(),
                     published: false,
+                    made_by: "preset paper, changed: targets.proposer = fusion; seed: 42".into(),
                     cells: vec![
                         n(29.0),
                         Cell::NotAvailable { reason: "put lpips.pth into models/".into() },

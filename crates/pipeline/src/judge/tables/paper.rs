@@ -1,6 +1,8 @@
 //! The paper's tables from a batch's scores: reconstruction, enhancement, scene-wise, consistency, both
 //! ablations.
 
+use use3d_metrics::UciqeVariant;
+
 use super::batch::{Batch, Quantity, published_cell};
 use super::published;
 use super::{Better, Cell, Column, Row, Table};
@@ -74,7 +76,7 @@ pub fn tables(scenes: &[ScoredScene]) -> Vec<Table> {
             "ablation-stage2",
             "Variants, stage 2: enhancement quality of held-out views",
             &ENHANCEMENT,
-            &[Method::Enhanced, Method::EnhanceThenReconstruct],
+            &[Method::Enhanced, Method::EnhancedClear, Method::EnhanceThenReconstruct],
             published::ABLATION_STAGE2,
         );
         // What stage 2 starts from, as in the paper: the same for all variants that share a stage 1.
@@ -104,7 +106,7 @@ impl Batch<'_> {
         }
         for variant in &self.variants {
             let mut row = self.row(Method::Reconstruction, variant, &RECONSTRUCTION);
-            row.label = Self::label(Method::Enhanced, variant);
+            row.label = Self::program(variant);
             let speeds: Vec<f64> = (self.scenes.iter().filter(|s| s.variant == **variant))
                 .filter_map(|s| Some(s.speed.as_ref()?.fps.get()))
                 .collect();
@@ -151,9 +153,31 @@ impl Batch<'_> {
         rows.extend(self.rows(&Method::ALL, &ENHANCEMENT));
         Table {
             name: "enhancement".into(),
-            caption: "Enhancement quality of held-out views, and consistency of neighbouring captured views (scene-macro means)".into(),
+            caption: format!(
+                "Enhancement quality of held-out views, and consistency of neighbouring captured views (scene-macro means). UCIQE: {}{}",
+                UciqeVariant::default().name(),
+                self.pairs_compared()
+            ),
             columns: self.columns(&ENHANCEMENT),
             rows,
+        }
+    }
+
+    /// Over how many pairs of captured views wLPIPS is, in words: all that there are as in the paper, or fewer.
+    fn pairs_compared(&self) -> String {
+        let each = self.scenes.iter().filter_map(|s| {
+            let compared = s.scores.methods.iter().map(|m| m.neighbours.len()).max()?;
+            Some((compared, (s.scores.training_views + s.scores.held_out_views).saturating_sub(1)))
+        });
+        let each: Vec<(usize, usize)> = each.collect();
+        match (each.iter().map(|(n, _)| n).min(), each.iter().all(|(n, all)| n == all)) {
+            (None | Some(0), _) => String::new(),
+            (_, true) => {
+                ". wLPIPS over all pairs of captured views that follow one another, as in the paper".into()
+            }
+            (Some(least), false) => format!(
+                ". wLPIPS over {least} pairs of captured views or more, evenly chosen from those that follow one another (the paper takes all: evaluate.neighbour_pairs)"
+            ),
         }
     }
 
@@ -166,13 +190,14 @@ impl Batch<'_> {
                     cells[0] = published_cell(self.published_wlpips(method, group));
                     cells
                 });
-                Row { label: (*method).into(), published: true, cells: cells.collect() }
+                Row::published(method, cells.collect())
             }));
         }
         rows.extend(self.rows(&Method::ALL, &CONSISTENCY));
         let mut caption = String::from(
-            "Consistency of captured views that follow one another, and of adjacent frames of a path through the training cameras (where there are no photographs). wLPIPS as in the paper; wΔE and wSSIM warp by depth and need no weights (not the paper's). share: of the pixels, compared by depth",
+            "Consistency of captured views that follow one another, and of adjacent frames of a path through the training cameras (where there are no photographs). wΔE and wSSIM warp by depth and need no weights (not the paper's). share: of the pixels, compared by depth",
         );
+        caption += &self.pairs_compared();
         caption += if self.scenes.iter().all(|s| s.scores.warp == Warp::Reference) {
             ". All methods and variants of a scene share one warp: the reference variant's stage 1"
         } else {
@@ -186,6 +211,7 @@ impl Batch<'_> {
 mod tests {
     use super::super::batch::ALL;
     use super::*;
+    use crate::judge::configuration::Configuration;
     use crate::judge::scores::{Finite, MethodScores, SceneScores, SceneSpeed, Score, Scores, ViewScores};
     use crate::judge::truth::WaterScores;
 
@@ -209,12 +235,19 @@ mod tests {
                 size: published::scene(name).map_or((4, 3), |(_, size)| size),
                 gaussians: 10,
                 warp: Warp::Reference,
+                result: Method::Enhanced,
                 water: None,
                 methods: vec![
                     MethodScores::new(Method::Reconstruction, view(reconstruction), vec![], vec![]),
                     MethodScores::new(Method::Enhanced, view(enhanced), vec![], vec![]),
                 ],
             },
+            configuration: Some(Configuration {
+                preset: "paper".into(),
+                proposer: "nu2net".into(),
+                data_of_the_paper: true,
+                ..Configuration::default()
+            }),
             speed: Some(SceneSpeed {
                 fps: Finite::new(10.0).unwrap(),
                 size: (4, 3),
@@ -273,9 +306,15 @@ mod tests {
         small.scores.size = (96, 64);
         let mut other_split = d3.clone();
         (other_split.scores.training_views, other_split.scores.held_out_views) = (7, 3);
-        let mut foreign = d3;
+        let mut foreign = d3.clone();
         foreign.scene = "mine".into();
-        for scene in [small, other_split, foreign] {
+        // A configuration of which a single thing is not the paper's, and one that nobody knows.
+        let [mut changed, mut pairs, mut unknown] = [d3.clone(), d3.clone(), d3];
+        let said = changed.configuration.get_or_insert_default();
+        said.changed = vec!["targets.proposer = fusion".into()];
+        pairs.configuration.get_or_insert_default().data_of_the_paper = false;
+        unknown.configuration = None;
+        for scene in [small, other_split, foreign, changed, pairs, unknown] {
             assert!(!published(&[scene]));
         }
     }
@@ -321,8 +360,58 @@ mod tests {
             tables.iter().find(|t| t.name == name).unwrap().rows.iter().map(|r| r.label.as_str()).collect()
         };
         assert_eq!(labels("ablation-stage2"), ["Stage 1", "local-only", "full"]);
+        let rows = &tables.iter().find(|t| t.name == "enhancement").unwrap().rows;
+        let shared = rows.iter().find(|r| r.label == Method::Captured.label());
+        assert!(shared.is_some(), "what all variants share has no variant's name");
         let captured = |l: &&&str| l.starts_with(Method::Captured.label());
         assert_eq!(labels("enhancement").iter().filter(captured).count(), 1, "{:?}", labels("enhancement"));
+    }
+
+    /// Two variants that come to the same numbers are two results, and both are told.
+    #[test]
+    fn variants_with_equal_numbers_stay_in_every_table() {
+        let same = ["with-prior", "without-prior"].map(|v| scene("reef", "", v, 20.0));
+        let tables = tables(&same);
+        for name in ["reconstruction", "enhancement", "ablation-stage1", "ablation-stage2"] {
+            let table = tables.iter().find(|t| t.name == name).unwrap();
+            for variant in ["with-prior", "without-prior"] {
+                assert!(table.rows.iter().any(|r| r.label.ends_with(variant)), "{variant} in {name}");
+            }
+        }
+    }
+
+    /// Where the enhancement was learnt in clear radiance, `enhanced-clear` is the result.
+    #[test]
+    fn the_row_of_the_method_is_the_look_that_it_was_learnt_in() {
+        let mut clear = scene("reef", "", "v", 20.0);
+        clear.scores.result = Method::EnhancedClear;
+        let view = ViewScores { view: "v".into(), scores: Scores::from([("uciqe".into(), Score::of(0.7))]) };
+        clear.scores.methods.push(MethodScores::new(Method::EnhancedClear, vec![view], vec![], vec![]));
+        let tables = tables(&[clear, scene("reef", "", "w", 20.0)]);
+        let table = |name: &str| tables.iter().find(|t| t.name == name).unwrap();
+        let of = |name: &str, label: &str| {
+            let row = table(name).rows.iter().find(|r| r.label == label);
+            row.unwrap_or_else(|| panic!("{label}: {:?}", table(name).rows)).cells[0].value()
+        };
+        assert_eq!(of("enhancement", "3D-USE, this program (enhanced-clear) · v"), Some(0.7));
+        assert_eq!(of("enhancement", "3D-USE, enhanced · v"), Some(0.6));
+        assert_eq!(of("enhancement", "3D-USE, this program · w"), Some(0.6));
+        assert_eq!((of("ablation-stage2", "v"), of("ablation-stage2", "w")), (Some(0.7), Some(0.6)));
+    }
+
+    #[test]
+    fn every_row_says_what_made_it_in_every_form() {
+        let mut other = scene("reef", "", "", 20.0);
+        other.configuration.get_or_insert_default().changed = vec!["targets.proposer = fusion".into()];
+        let tables = tables(&[other]);
+        let table = tables.iter().find(|t| t.name == "enhancement").unwrap();
+        let told = "preset paper, changed: targets.proposer = fusion; proposer: nu2net";
+        assert!(table.rows.iter().all(|r| r.made_by == told), "{:?}", table.rows);
+        let markdown = table.markdown();
+        assert!(markdown.contains("3D-USE, this program [a] |") && markdown.contains(&format!("[a] {told}")));
+        assert!(table.csv().lines().next().unwrap().ends_with(",made by"));
+        assert!(table.csv().contains(&format!("\"{told}\"")), "{}", table.csv());
+        assert!(table.json().to_string().contains(told) && table.latex().contains("preset paper, changed"));
     }
 
     #[test]

@@ -39,7 +39,12 @@ impl Batch<'_> {
                         self.of_group(group, variant).into_iter().filter(known).collect();
                     TRUTH.map(|(key, ..)| macro_mean(&scenes, method, key))
                 });
-                Row { label: Self::label(method, variant), published: false, cells: cells.collect() }
+                Row {
+                    label: self.label(method, variant),
+                    published: false,
+                    made_by: self.made_by(variant),
+                    cells: cells.collect(),
+                }
             })
         });
         let columns = groups.iter().flat_map(|g| TRUTH.map(|q| Column::new(g, q.1, q.2, q.3)));
@@ -62,16 +67,17 @@ impl Batch<'_> {
             }
         }
         let first = |name: &str| self.scenes.iter().find(|s| s.scene == name && s.scores.water.is_some());
-        let row = |label: String, cells: &dyn Fn(&str) -> Vec<Cell>| Row {
+        let row = |label: String, made_by: String, cells: &dyn Fn(&str) -> Vec<Cell>| Row {
             label,
             published: false,
+            made_by,
             cells: names.iter().flat_map(|name| cells(name)).collect(),
         };
         let numbers = |values: [[f64; 3]; 2], source: &str| -> Vec<Cell> {
             let cell = |value| Cell::Number { value, source: source.into() };
             values.into_iter().flatten().map(cell).collect()
         };
-        let mut rows = vec![row("Truth".into(), &|name| {
+        let mut rows = vec![row("Truth".into(), String::new(), &|name| {
             let mut cells = vec![Cell::Blank];
             cells.extend(match first(name).and_then(|s| s.scores.water) {
                 Some(w) => {
@@ -84,7 +90,7 @@ impl Batch<'_> {
         for variant in &self.variants {
             let label =
                 if variant.is_empty() { "Recovered".into() } else { format!("Recovered · {variant}") };
-            rows.push(row(label, &|name| {
+            rows.push(row(label, self.made_by(variant), &|name| {
                 let found: Vec<&ScoredScene> =
                     self.scenes.iter().filter(|s| s.scene == name && s.variant == **variant).collect();
                 let mut cells = vec![macro_mean(&found, Method::Reconstruction, DEPTH)];

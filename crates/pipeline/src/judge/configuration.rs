@@ -1,0 +1,120 @@
+//! What made a scene's numbers: the preset and what was changed of it, the 2D enhancer, the calibrator, the
+//! depth prior, the water, the steps, the split, the views, the seed.
+//!
+//! It stands beside every row of the tables, on the first screen of the report and in `scores.json`. It is
+//! part of no artifact: results are given it when they are delivered.
+
+use serde::{Deserialize, Serialize};
+
+/// Preset whose results may stand beside the published ones.
+const PAPER: &str = "paper";
+/// Different values of one field that are said one by one.
+const SHOWN: usize = 3;
+
+/// How the numbers of one scene in one variant came about, in words.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Configuration {
+    /// The preset's name; empty for none.
+    pub preset: String,
+    /// What was said otherwise than the preset (or, without one, than the defaults) has it.
+    pub changed: Vec<String>,
+    /// What proposed the transitions.
+    pub proposer: String,
+    /// Where the calibrator came from, its pairs, and the share of its correction that was kept.
+    pub calibrator: String,
+    /// The depth prior in force.
+    pub depth_prior: String,
+    /// What the water started from.
+    pub water: String,
+    /// Steps of stage 1 and of stage 2.
+    pub steps: String,
+    /// How views were held out, with the digest of their list.
+    pub split: String,
+    /// Training views and held-out views.
+    pub views: String,
+    /// The seed.
+    pub seed: String,
+    /// Whether pairs and split are the paper's, too, which no preset can say.
+    pub data_of_the_paper: bool,
+}
+
+impl Configuration {
+    /// Whether published numbers may stand beside these: everything is the paper's.
+    pub fn is_the_papers(&self) -> bool {
+        self.preset == PAPER && self.changed.is_empty() && self.data_of_the_paper
+    }
+
+    /// The preset, or what was changed of it.
+    pub fn base(&self) -> String {
+        let base = match self.preset.as_str() {
+            "" => "defaults".to_string(),
+            name => format!("preset {name}"),
+        };
+        if self.changed.is_empty() { base } else { format!("{base}, changed: {}", self.changed.join(", ")) }
+    }
+
+    fn fields(&self) -> [(&'static str, String); 9] {
+        [
+            ("", self.base()),
+            ("proposer", self.proposer.clone()),
+            ("calibrator", self.calibrator.clone()),
+            ("depth prior", self.depth_prior.clone()),
+            ("water", self.water.clone()),
+            ("steps", self.steps.clone()),
+            ("split", self.split.clone()),
+            ("views", self.views.clone()),
+            ("seed", self.seed.clone()),
+        ]
+    }
+
+    /// What made the numbers of several scenes, in a line: a value that they share stands once.
+    pub fn told(all: &[&Self]) -> String {
+        let Some(first) = all.first() else { return String::new() };
+        let each: Vec<_> = all.iter().map(|c| c.fields()).collect();
+        let parts = first.fields().into_iter().enumerate().filter_map(|(k, (name, _))| {
+            let mut values: Vec<&str> = Vec::new();
+            for (_, value) in each.iter().map(|fields| &fields[k]) {
+                if !value.is_empty() && !values.contains(&value.as_str()) {
+                    values.push(value);
+                }
+            }
+            let text = match values.len() {
+                0 => return None,
+                1..=SHOWN => values.join(" or "),
+                n => format!("{n} different ones"),
+            };
+            Some(if name.is_empty() { text } else { format!("{name}: {text}") })
+        });
+        parts.collect::<Vec<_>>().join("; ")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_scenes_share_is_said_once_and_a_change_takes_the_papers_name_away() {
+        let paper = Configuration {
+            preset: "paper".into(),
+            proposer: "nu2net".into(),
+            seed: "42".into(),
+            data_of_the_paper: true,
+            ..Configuration::default()
+        };
+        assert!(paper.is_the_papers());
+        let of = |views: &str| Configuration { views: views.into(), ..paper.clone() };
+        let scenes = ["17 + 3", "21 + 3"].map(of);
+        let told = Configuration::told(&scenes.iter().collect::<Vec<_>>());
+        assert_eq!(told, "preset paper; proposer: nu2net; views: 17 + 3 or 21 + 3; seed: 42");
+        let changed = Configuration { changed: vec!["targets.proposer = fusion".into()], ..paper.clone() };
+        assert_eq!(changed.base(), "preset paper, changed: targets.proposer = fusion");
+        for other in [
+            changed,
+            Configuration { preset: String::new(), ..paper.clone() },
+            Configuration { data_of_the_paper: false, ..paper },
+        ] {
+            assert!(!other.is_the_papers());
+        }
+    }
+}

@@ -1,0 +1,138 @@
+//! What made the results of a scene, read from the nodes and artifacts of a run: see [`Configuration`].
+//!
+//! Parameters are those of the nodes; what parameters leave open (which depth prior was there, what the
+//! tracks told of the water, how many pairs a calibrator learnt from) the stages wrote into their artifacts.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde_json::{Value, json};
+use use3d_atc::calibrator::{METHOD_PAIRS, Provenance};
+use use3d_atc::consensus::TargetsReport;
+use use3d_build::Summary;
+use use3d_build::run::RanNode;
+use use3d_import::load_prepared;
+
+use crate::config::preset_values;
+use crate::judge::configuration::Configuration;
+use crate::stages::{CALIBRATED, CHOICES, Choices, read_json, registry};
+
+/// The preset that writes out every parameter with an effect on a result: only these are compared.
+const COMPLETE: &str = "paper";
+/// How the import says that views were counted in the authors' order.
+const AUTHORS_SPLIT: &str = "one view in 8 is held out, counted by COLMAP image id from the first";
+
+/// Dotted paths and values of some parameters.
+fn leaves(value: &Value, place: &str, found: &mut BTreeMap<String, Value>) {
+    match value {
+        Value::Object(fields) => fields.iter().for_each(|(key, inner)| {
+            leaves(inner, &if place.is_empty() { key.clone() } else { format!("{place}.{key}") }, found);
+        }),
+        _ => {
+            found.insert(place.to_string(), value.clone());
+        }
+    }
+}
+
+fn text(value: &Value) -> String {
+    value.as_str().map_or_else(|| value.to_string(), String::from)
+}
+
+/// The parameters of these nodes that are not those of their preset, as `stage.parameter = value`.
+fn changes(nodes: &[&RanNode]) -> Vec<String> {
+    let (Ok(registry), Ok(complete)) = (registry(), preset_values(COMPLETE)) else { return Vec::new() };
+    let mut changed = Vec::new();
+    for node in nodes {
+        let (Ok(stage), Some(counted)) = (registry.stage(node.stage), complete.get(node.stage)) else {
+            continue;
+        };
+        let preset = if node.preset.is_empty() { None } else { preset_values(&node.preset).ok() };
+        let given = preset.and_then(|mut p| p.remove(node.stage)).unwrap_or_else(|| json!({}));
+        let Ok(base) = stage.parameters(&given) else { continue };
+        let [mut counts, mut was, mut is] = [const { BTreeMap::new() }; 3];
+        leaves(counted, "", &mut counts);
+        leaves(&base, "", &mut was);
+        leaves(&node.parameters, "", &mut is);
+        for name in counts.keys() {
+            if let (Some(was), Some(is)) = (was.get(name), is.get(name))
+                && was != is
+            {
+                changed.push(format!("{}.{name} = {}", node.stage, text(is)));
+            }
+        }
+    }
+    changed
+}
+
+/// The node of a stage for a scene in a variant, or the one that is made for all scenes.
+fn node<'s>(summary: &'s Summary, scene: &str, variant: &str, stage: &str) -> Option<&'s RanNode> {
+    let of = |n: &&RanNode| n.stage == stage && n.variant == variant;
+    let own = summary.nodes.iter().find(|n| of(n) && n.scene == scene);
+    own.or_else(|| summary.nodes.iter().find(|n| of(n) && n.scene.is_empty()))
+}
+
+fn artifact<'s>(summary: &'s Summary, scene: &str, variant: &str, stage: &str) -> Option<&'s Path> {
+    Some(node(summary, scene, variant, stage)?.artifact.as_ref()?.path.as_path())
+}
+
+/// Pairs and shares of a calibrator, and whether it learnt from as many as the paper's.
+fn calibrator(provenance: &Provenance, calibrated: bool) -> (String, bool) {
+    if !calibrated {
+        return ("none: proposals as they are".into(), false);
+    }
+    if provenance.pairs == 0 {
+        return (format!("a finished one, {}", provenance.data), true);
+    }
+    let kept = provenance.held_out.as_ref().map_or([1.0; 2], |held_out| held_out.kept);
+    let [global, local] = kept.map(|share| 100.0 * share);
+    let whole = kept == [1.0; 2];
+    let kept = format!("keeps {global:.0} % (global) and {local:.0} % (local)");
+    let told = format!("{} pairs, {} steps, {kept}", provenance.pairs, provenance.steps);
+    (told, whole && provenance.pairs >= METHOD_PAIRS)
+}
+
+/// What made the results of a scene in a variant; `None` where its stage 1 is not there.
+pub(crate) fn configuration(summary: &Summary, scene: &str, variant: &str) -> Option<Configuration> {
+    const STAGES: [&str; 9] =
+        ["import", "depth", "pairs", "calibrate", "propose", "reconstruct", "targets", "enhance", "evaluate"];
+    let found = |stage: &&str| node(summary, scene, variant, stage);
+    let nodes: Vec<&RanNode> = STAGES.iter().filter_map(found).collect();
+    let at = |stage: &str| artifact(summary, scene, variant, stage);
+    let first = node(summary, scene, variant, "reconstruct")?;
+    let number =
+        |stage: &str| node(summary, scene, variant, stage).map(|n| n.parameters["iterations"].clone());
+    let mut made = Configuration {
+        preset: first.preset.clone(),
+        changed: changes(&nodes),
+        steps: match (number("reconstruct"), number("enhance")) {
+            (Some(one), Some(two)) => format!("{one} + {two}"),
+            (Some(one), None) => one.to_string(),
+            (None, _) => String::new(),
+        },
+        seed: first.seed.map(|seed| seed.to_string()).unwrap_or_default(),
+        ..Configuration::default()
+    };
+    let mut papers_split = false;
+    if let Some(imported) = at("import").and_then(|path| load_prepared(path).ok()) {
+        let report = &imported.report;
+        let digest = blake3::hash(report.test.join("\n").as_bytes()).to_hex();
+        papers_split = report.split_rule == AUTHORS_SPLIT;
+        made.split = format!("{} (held-out list {})", report.split_rule, &digest[..12]);
+        made.views = format!("{} training, {} held out", report.train.len(), report.test.len());
+    }
+    if let Some(choices) = at("reconstruct").and_then(|p| read_json::<Choices>(&p.join(CHOICES)).ok()) {
+        (made.depth_prior, made.water) = (choices.depth_prior, choices.water);
+    }
+    let mut papers_pairs = false;
+    if let Some(targets) = at("targets") {
+        if let Ok(report) = read_json::<TargetsReport>(&targets.join("report.json")) {
+            made.proposer.clone_from(&report.proposer.name);
+            let provenance = read_json::<Provenance>(&targets.join(CALIBRATED)).unwrap_or_default();
+            (made.calibrator, papers_pairs) = calibrator(&provenance, report.calibrated);
+        }
+    } else if let Some(proposed) = node(summary, scene, variant, "propose") {
+        made.proposer = format!("{}, on every photograph", text(&proposed.parameters["proposer"]));
+    }
+    made.data_of_the_paper = papers_split && papers_pairs;
+    Some(made)
+}

@@ -1,0 +1,275 @@
+//! What each stage needs from outside before anything runs: weights, pairs, calibrators, objectives that go
+//! together, truth that can be read.
+//!
+//! The list is laid over the table of stages from outside, as the forecasts of memory are: it decides
+//! whether a run begins, never what comes out, and is part of no stage's code and of no key. Captures are
+//! not in it: one that is missing fails its own scene, and the others run.
+
+use std::path::Path;
+
+use serde_json::Value;
+use use3d_build::{AllParameters, Lacking, Named, Stage};
+
+use super::calibrated::is_calibrated;
+use super::calibrator::read_calibrator;
+#[cfg(feature = "nets")]
+use super::depth;
+use super::pairs;
+use super::proposer::{ProposerChoice, of_calibrator};
+use crate::judge::truth;
+
+/// Fewest pairs that say how transitions vary.
+const FEWEST_PAIRS: usize = 2;
+/// Where pairs are published.
+const PAIRS: &str = "UIEB, LSUI or EUVP, docs/datasets.md says where they are published";
+
+/// The stage with its requirements.
+pub(super) fn with_requirements(stage: Stage) -> Stage {
+    match stage.name() {
+        "pairs" => stage.requires(|all, named| {
+            let mut missing: Vec<Lacking> = weights(all, named, "pairs").into_iter().collect();
+            missing.extend(of_pairs(all, named));
+            missing
+        }),
+        "propose" => stage.requires(|all, named| weights(all, named, "propose").into_iter().collect()),
+        #[cfg(feature = "nets")]
+        "depth" => stage.requires(|all, named| of_depth(all, named).into_iter().collect()),
+        "reconstruct" => stage.requires(|all, _| of_reconstruct(all).into_iter().collect()),
+        "targets" => stage.requires(|all, named| of_targets(all, named).into_iter().collect()),
+        "enhance" => stage.requires(|all, _| of_enhance(all).into_iter().collect()),
+        "evaluate" => stage.requires(|all, named| {
+            let mut missing: Vec<Lacking> = weights(all, named, "evaluate").into_iter().collect();
+            missing.extend(of_scores(all, named));
+            missing.extend(of_truth(named));
+            missing
+        }),
+        _ => stage,
+    }
+}
+
+fn text<'a>(all: &'a AllParameters, stage: &str, parameter: &str) -> &'a str {
+    all.get(stage).and_then(|p| p[parameter].as_str()).unwrap_or_default()
+}
+
+/// The setting that has the classical enhancer propose in place of Nu2Net.
+fn without_nu2net(all: &AllParameters, stage: &str) -> String {
+    // One said of the targets holds for the other stages, too.
+    let stage = if text(all, "targets", "proposer") == "nu2net" { "targets" } else { stage };
+    format!("--set {stage}.proposer=fusion")
+}
+
+/// Nu2Net's weights, where the parameters of a stage ask for them by name.
+fn weights(all: &AllParameters, named: &Named, stage: &str) -> Option<Lacking> {
+    (text(all, stage, "proposer") == "nu2net").then(|| nu2net(all, named, stage)).flatten()
+}
+
+#[cfg(feature = "nets")]
+fn nu2net(all: &AllParameters, named: &Named, stage: &str) -> Option<Lacking> {
+    use use3d_nets::Network::{Nu2Net, Nu2NetReleased};
+    let what = "the weights of Nu2Net, the 2D enhancer of the paper";
+    network(named, what, &[Nu2NetReleased, Nu2Net], without_nu2net(all, stage))
+}
+
+#[cfg(not(feature = "nets"))]
+fn nu2net(all: &AllParameters, _: &Named, stage: &str) -> Option<Lacking> {
+    Some(no_networks("Nu2Net, the 2D enhancer of the paper", without_nu2net(all, stage)))
+}
+
+#[cfg(not(feature = "nets"))]
+fn no_networks(what: &str, without: String) -> Lacking {
+    let remedy = "this program was built without networks (cargo feature `nets`)".into();
+    Lacking { what: what.into(), remedy, without }
+}
+
+/// The weights of a network of which one of some files would do, unless one is there.
+#[cfg(feature = "nets")]
+fn network(named: &Named, what: &str, networks: &[use3d_nets::Network], without: String) -> Option<Lacking> {
+    let models = named.path("models");
+    let folder = models.filter(|dir| dir.is_dir()).map(use3d_nets::Models::open);
+    if folder.is_some_and(|folder| networks.iter().any(|network| folder.has(*network))) {
+        return None;
+    }
+    let known: Vec<_> = networks.iter().map(|network| network.known()).collect();
+    let files = known.iter().map(|k| format!("{} (published at {})", k.files[0], k.origin));
+    let place = match models {
+        Some(dir) => format!("into {}", dir.display()),
+        None => "into a folder, and name that with --models or USE3D_MODELS".into(),
+    };
+    let mut remedy = format!("put {} {place}", files.collect::<Vec<_>>().join(" or "));
+    if let Some(reason) = named.problem("models") {
+        remedy += &format!("; the folder of models cannot be found: {reason}");
+    }
+    Some(Lacking { what: what.into(), remedy, without })
+}
+
+/// What is named and cannot be said, or is not there, in words.
+fn unfound(named: &Named, external: &str) -> Option<String> {
+    let by = named.by(external);
+    let by = if by.is_empty() { String::new() } else { format!(", named by {by}") };
+    if let Some(reason) = named.problem(external) {
+        return Some(format!("{reason}{by}"));
+    }
+    let path = named.path(external)?;
+    let gone = || format!("{} does not exist{by}; correct the path or put the data there", path.display());
+    (!path.exists()).then(gone)
+}
+
+fn of_pairs(all: &AllParameters, named: &Named) -> Vec<Lacking> {
+    let without = "--set pairs.stand_in=true";
+    let lacking = |what: &str, remedy: String, without: &str| Lacking {
+        what: what.into(),
+        remedy,
+        without: without.into(),
+    };
+    if !named.has("pairs.input") {
+        let stands_in = all.get("pairs").is_none_or(|p| p["stand_in"] != Value::Bool(false));
+        if stands_in {
+            return Vec::new();
+        }
+        let remedy = format!("name two folders with --pairs INPUT TARGET or `calibrator.pairs` ({PAIRS})");
+        return vec![lacking("the pairs of images that the calibrator learns from", remedy, without)];
+    }
+    let unfound: Vec<String> =
+        ["pairs.input", "pairs.target"].iter().filter_map(|name| unfound(named, name)).collect();
+    if !unfound.is_empty() {
+        let what = "the pairs of images that the calibrator learns from";
+        return vec![lacking(what, format!("{} ({PAIRS})", unfound.join("; ")), "")];
+    }
+    let (Some(input), Some(target)) = (named.path("pairs.input"), named.path("pairs.target")) else {
+        return Vec::new();
+    };
+    match pairs::list(input, target) {
+        Ok(found) if found.len() >= FEWEST_PAIRS => Vec::new(),
+        Ok(found) => {
+            let remedy = format!(
+                "{} files of {} have a counterpart of the same stem in {}, and at least {FEWEST_PAIRS} are needed; pairs are matched by file stem",
+                found.len(),
+                input.display(),
+                target.display()
+            );
+            vec![lacking("pairs with equal names", remedy, "")]
+        }
+        Err(error) => vec![lacking("the pairs of images", error.to_string(), "")],
+    }
+}
+
+#[cfg(feature = "nets")]
+fn of_depth(all: &AllParameters, named: &Named) -> Option<Lacking> {
+    if text(all, "reconstruct", "depth_prior") != "depth-anything-v2" {
+        return None;
+    }
+    let networks = depth::networks(all.get("depth").unwrap_or(&Value::Null));
+    let what = "the weights of Depth Anything V2, the depth prior of the paper";
+    network(named, what, &networks, "--set reconstruct.depth_prior=off".into())
+}
+
+#[cfg(feature = "nets")]
+fn of_reconstruct(_: &AllParameters) -> Option<Lacking> {
+    None
+}
+
+/// A build without networks has no stage that would make the priors.
+#[cfg(not(feature = "nets"))]
+fn of_reconstruct(all: &AllParameters) -> Option<Lacking> {
+    let asked = text(all, "reconstruct", "depth_prior") == "depth-anything-v2";
+    let without = "--set reconstruct.depth_prior=off".to_string();
+    asked.then(|| no_networks("Depth Anything V2, the depth prior of the paper", without))
+}
+
+/// Which proposer the calibrator of the targets is fitted for, and whether that is what is asked for.
+fn of_targets(all: &AllParameters, named: &Named) -> Option<Lacking> {
+    let choice = all.get("targets").map(|p| p["proposer"].clone()).unwrap_or_default();
+    let choice: ProposerChoice = serde_json::from_value(choice).unwrap_or_default();
+    let lacking = |what: &str, remedy: String, without: &str| {
+        Some(Lacking { what: what.into(), remedy, without: without.into() })
+    };
+    if named.has("calibrator") {
+        if let Some(problem) = unfound(named, "calibrator") {
+            return lacking("the calibrator", problem, "");
+        }
+        if choice == ProposerChoice::Scene {
+            let remedy = format!(
+                "{} names one, but `targets.proposer = \"scene\"` has none: calibrators are fitted to photographs; leave one of the two out",
+                named.by("calibrator")
+            );
+            return lacking("no calibrator is wanted", remedy, "--set targets.proposer=auto");
+        }
+        let calibrator = match read_calibrator(named.path("calibrator")?) {
+            Ok(calibrator) => calibrator,
+            Err(error) => return lacking("a calibrator that can be read", error.to_string(), ""),
+        };
+        let models = named.path("models").filter(|dir| dir.is_dir());
+        if calibrator.proposer.name == "nu2net"
+            && matches!(choice, ProposerChoice::Auto | ProposerChoice::Nu2net)
+            && let Some(missing) = nu2net(all, named, "targets")
+        {
+            // Only the enhancer that it was fitted for goes with a calibrator.
+            return Some(Lacking { without: String::new(), ..missing });
+        }
+        let opened = of_calibrator(choice, &calibrator.proposer.name, models)
+            .and_then(|p| calibrator.proposer.require(&p.id()).map_err(|e| e.to_string()));
+        return opened.err().and_then(|problem| lacking("a calibrator for what proposes", problem, ""));
+    }
+    if !is_calibrated(all) {
+        return None;
+    }
+    let asked = text(all, "targets", "proposer");
+    let fitted = match text(all, "pairs", "proposer") {
+        "auto" if nu2net(all, named, "pairs").is_some() => "fusion",
+        "auto" => "nu2net",
+        other => other,
+    };
+    if asked == "nu2net" && nu2net(all, named, "targets").is_some() {
+        return weights(all, named, "targets");
+    }
+    if asked == "auto" || asked == fitted {
+        return None;
+    }
+    let remedy = format!(
+        "the calibrator is fitted for `pairs.proposer`, which is `{fitted}` here, and `targets.proposer` is `{asked}`; give both the same"
+    );
+    lacking("a calibrator for what proposes", remedy, &format!("--set targets.proposer={fitted}"))
+}
+
+fn of_enhance(all: &AllParameters) -> Option<Lacking> {
+    let labels = text(all, "enhance", "objective") == "pseudo-labels";
+    let own = text(all, "targets", "proposer") == "scene";
+    (labels && own).then(|| Lacking {
+        what: "a 2D enhancer for `enhance.objective = \"pseudo-labels\"`".into(),
+        remedy: "that objective learns from photographs that a 2D enhancer enhanced, and `targets.proposer` is `scene`".into(),
+        without: "--set targets.proposer=auto".into(),
+    })
+}
+
+/// The networks of the paper's scores, where all of them are wanted.
+#[cfg(feature = "nets")]
+fn of_scores(all: &AllParameters, named: &Named) -> Vec<Lacking> {
+    use use3d_nets::Network::{AlexNet, LpipsHeads, Musiq, RaftLarge, URanker};
+    if text(all, "evaluate", "scores") != "all" {
+        return Vec::new();
+    }
+    let each = [LpipsHeads, AlexNet, RaftLarge, URanker, Musiq].into_iter().filter_map(|net| {
+        let known = net.known();
+        let what = format!("the weights of {} ({})", known.title, known.used_for);
+        network(named, &what, &[net], "--set evaluate.scores=available".into())
+    });
+    each.collect()
+}
+
+#[cfg(not(feature = "nets"))]
+fn of_scores(all: &AllParameters, _: &Named) -> Vec<Lacking> {
+    let wanted = text(all, "evaluate", "scores") == "all";
+    let networks =
+        || no_networks("the networks of the paper's scores", "--set evaluate.scores=available".into());
+    wanted.then(networks).into_iter().collect()
+}
+
+/// Truth beside a capture that is there and cannot be read.
+fn of_truth(named: &Named) -> Option<Lacking> {
+    let capture: &Path = named.path("capture")?;
+    truth::unreadable(capture).map(|reason| Lacking {
+        what: "the truth beside a capture".into(),
+        remedy: format!("{reason}; make that file again, or rename the truth/ folder"),
+        without: String::new(),
+    })
+}
