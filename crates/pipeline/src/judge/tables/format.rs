@@ -64,7 +64,7 @@ impl Table {
     }
 
     /// Comma-separated values, one head line, numbers as printed elsewhere but without marks; missing numbers
-    /// are empty. The last column says what made a row.
+    /// are empty. The third column says what made a row.
     pub fn csv(&self) -> String {
         let quote = |text: &str| {
             if text.contains([',', '"', '\n']) {
@@ -73,7 +73,7 @@ impl Table {
                 text.to_string()
             }
         };
-        let mut out = String::from("method,published");
+        let mut out = String::from("method,published,made by");
         for column in &self.columns {
             let name = if column.group.is_empty() {
                 column.name.clone()
@@ -82,9 +82,9 @@ impl Table {
             };
             let _ = write!(out, ",{}", quote(&name));
         }
-        out.push_str(",made by\n");
+        out.push('\n');
         for row in &self.rows {
-            let _ = write!(out, "{},{}", quote(&row.label), row.published);
+            let _ = write!(out, "{},{},{}", quote(&row.label), row.published, quote(&row.made_by));
             for (c, cell) in row.cells.iter().enumerate() {
                 match cell.value() {
                     Some(_) => {
@@ -93,7 +93,7 @@ impl Table {
                     None => out.push(','),
                 }
             }
-            let _ = writeln!(out, ",{}", quote(&row.made_by));
+            out.push('\n');
         }
         out
     }
@@ -202,8 +202,8 @@ mod tests {
     fn csv_leaves_missing_numbers_empty() {
         assert_eq!(
             sample().csv(),
-            "method,published,A PSNR,A LPIPS,FPS,made by\none,true,30.00,0.200,1.0,\ntwo,false,30.00,0.100,,preset paper; seed: 42\n\
-             three,false,29.00,,2.0,\"preset paper, changed: targets.proposer = fusion; seed: 42\"\n"
+            "method,published,made by,A PSNR,A LPIPS,FPS\none,true,,30.00,0.200,1.0\ntwo,false,preset paper; seed: 42,30.00,0.100,\n\
+             three,false,\"preset paper, changed: targets.proposer = fusion; seed: 42\",29.00,,2.0\n"
         );
     }
 
