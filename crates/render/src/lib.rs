@@ -10,7 +10,7 @@
 //! one [`Look`] with a share of the water, a [`SceneRenderer`] every [`Mode`] from one camera at a time.
 //! [`picture`] turns a mode's numbers into colours, [`cover`] and [`focus`] frame cameras, [`Film`] writes
 //! frames one after another. [`bake`] writes the enhancement into spherical harmonics for viewers that know
-//! nothing of it, [`medium_profile`] and [`medium_along`] read the water alone.
+//! nothing of it, [`white`] measures what is grey, [`medium_profile`] and [`medium_along`] read the water alone.
 //!
 //! Nothing here trains, and nothing that trains uses it: what a picture looks like changes no trained byte,
 //! and how training goes changes no picture of a given scene.
@@ -25,6 +25,7 @@ mod modes;
 mod pictures;
 mod profile;
 mod renderer;
+pub mod white;
 
 pub use backend::{Backend, Composer, Composition, Recolor, Request};
 pub use bake::{BakeReport, bake};

@@ -3,10 +3,11 @@
 //! `reconstruction` is stage 1 with its water, `clear` its object radiance without water. `enhanced` is stage
 //! 2's full composite, `enhanced-clear` its object radiance without water. No 2D network is involved: the
 //! enhancement is in the scene. How much of the water is left in `reconstruction` and `enhanced` is a matter
-//! of the moment ([`SceneRenderer::with_water`]).
+//! of the moment ([`SceneRenderer::with_water`]), and so is a white balance ([`SceneRenderer::with_white`]).
 
-use use3d_capture::{Camera, Image, Lattice, Map, MediumMaps};
+use use3d_capture::{Appearance, Camera, Image, Lattice, Map, MediumMaps};
 use use3d_scene::Scene;
+use use3d_scene::white::Gains;
 use use3d_splat::{Layers, Rendered};
 
 use crate::RenderError;
@@ -74,9 +75,30 @@ impl Mode {
         Self::ALL.into_iter().find(|m| m.name() == name)
     }
 
+    /// The look that a scene leads with, wherever nobody asked for another one: the one that its enhancement
+    /// was learnt in, and the reconstruction of a scene that is not enhanced. Colours that were learnt to look
+    /// right through water are too strong without it.
+    pub fn opening(scene: &Scene) -> Self {
+        match scene.enhancement.as_ref().map(|enhancement| enhancement.appearance) {
+            Some(Appearance::Clear) => Self::EnhancedClear,
+            Some(Appearance::Water) => Self::Enhanced,
+            None => Self::Reconstruction,
+        }
+    }
+
     /// Whether it shows stage 2.
     pub fn is_enhanced(self) -> bool {
         matches!(self, Self::Enhanced | Self::EnhancedClear)
+    }
+
+    /// What a white balance multiplies its colours with, per channel; `None` of a mode that it leaves alone.
+    pub fn gains(self, gains: &Gains) -> Option<[f32; 3]> {
+        match self {
+            Self::Clear => Some(gains.clear),
+            Self::Enhanced => Some(gains.enhanced),
+            Self::EnhancedClear => Some(gains.enhanced_clear),
+            _ => None,
+        }
     }
 
     /// Whether [`SceneRenderer::with_water`] changes it.
@@ -102,6 +124,7 @@ pub enum Rendering {
 pub struct SceneRenderer<'a> {
     plain: Renderer<'a>,
     enhanced: Option<Renderer<'a>>,
+    gains: Gains,
     rendered: Rendered,
 }
 
@@ -116,13 +139,13 @@ impl<'a> SceneRenderer<'a> {
             Some(_) => Some(Renderer::new(scene, Look::Enhanced { strength })?),
             None => None,
         };
-        Ok(Self { plain: Renderer::new(scene, Look::Reconstruction)?, enhanced, rendered: Rendered::new() })
+        Ok(Self::on(Renderer::new(scene, Look::Reconstruction)?, enhanced))
     }
 
     /// Of renderers on any backend: one of the reconstruction, and one of the enhancement if the scene has
     /// one.
     pub fn on(plain: Renderer<'a>, enhanced: Option<Renderer<'a>>) -> Self {
-        Self { plain, enhanced, rendered: Rendered::new() }
+        Self { plain, enhanced, gains: Gains::ONE, rendered: Rendered::new() }
     }
 
     /// Leaves only a share of the water, in `[0, 1]`, in `reconstruction`, its parts `object` and `medium`,
@@ -131,9 +154,21 @@ impl<'a> SceneRenderer<'a> {
     /// # Errors
     /// A share outside that range.
     pub fn with_water(self, water: f32) -> Result<Self, RenderError> {
-        let Self { plain, enhanced, rendered } = self;
+        let Self { plain, enhanced, gains, rendered } = self;
         let enhanced = enhanced.map(|renderer| renderer.with_water(water)).transpose()?;
-        Ok(Self { plain: plain.with_water(water)?, enhanced, rendered })
+        Ok(Self { plain: plain.with_water(water)?, enhanced, gains, rendered })
+    }
+
+    /// Multiplies the colours of `clear`, `enhanced` and `enhanced-clear` with the gains of a white balance.
+    #[must_use]
+    pub fn with_white(mut self, gains: Gains) -> Self {
+        self.set_white(gains);
+        self
+    }
+
+    /// The same, from the next picture on.
+    pub fn set_white(&mut self, gains: Gains) {
+        self.gains = gains;
     }
 
     /// Whether the scene can show [`Mode::Enhanced`] and [`Mode::EnhancedClear`].
@@ -147,14 +182,26 @@ impl<'a> SceneRenderer<'a> {
     /// # Errors
     /// What the backend's device says.
     pub fn render(&mut self, camera: &Camera, modes: &[Mode]) -> Result<Vec<Rendering>, RenderError> {
-        let lattice = Lattice::full(&camera.intrinsics);
+        self.render_on(camera, &Lattice::full(&camera.intrinsics), modes)
+    }
+
+    /// The same for the pixels of a lattice alone.
+    ///
+    /// # Errors
+    /// What the backend's device says.
+    pub fn render_on(
+        &mut self,
+        camera: &Camera,
+        lattice: &Lattice,
+        modes: &[Mode],
+    ) -> Result<Vec<Rendering>, RenderError> {
         let mut frames: Vec<Option<Rendering>> = vec![None; modes.len()];
         if let Some(enhanced) = &mut self.enhanced {
             let wanted = |mode| modes.contains(&mode);
             match (wanted(Mode::Enhanced), wanted(Mode::EnhancedClear)) {
                 (false, false) => {}
-                (false, true) => enhanced.render_clear(camera, &lattice, &mut self.rendered)?,
-                (true, clear) => enhanced.render(camera, &lattice, clear, &mut self.rendered)?,
+                (false, true) => enhanced.render_clear(camera, lattice, &mut self.rendered)?,
+                (true, clear) => enhanced.render(camera, lattice, clear, &mut self.rendered)?,
             }
             let Rendered { image, layers, .. } = &self.rendered;
             for (frame, mode) in frames.iter_mut().zip(modes).filter(|(_, mode)| mode.is_enhanced()) {
@@ -166,10 +213,16 @@ impl<'a> SceneRenderer<'a> {
         }
         if frames.iter().any(Option::is_none) {
             let layers = modes.iter().any(|m| m.needs_layers());
-            self.plain.render(camera, &lattice, layers, &mut self.rendered)?;
+            self.plain.render(camera, lattice, layers, &mut self.rendered)?;
         }
-        let frames = frames.into_iter().zip(modes);
-        Ok(frames.map(|(frame, mode)| frame.unwrap_or_else(|| self.frame(*mode))).collect())
+        let finished = |(frame, mode): (Option<Rendering>, &Mode)| {
+            let mut frame = frame.unwrap_or_else(|| self.frame(*mode));
+            if let (Rendering::Color(image), Some(gains)) = (&mut frame, mode.gains(&self.gains)) {
+                balance(image, gains);
+            }
+            frame
+        };
+        Ok(frames.into_iter().zip(modes).map(finished).collect())
     }
 
     /// Draws `Clear`, `Enhanced`, `EnhancedClear` or, for any other mode, `Reconstruction`, and lends the
@@ -188,6 +241,9 @@ impl<'a> SceneRenderer<'a> {
                 renderer.render_clear(camera, &lattice, &mut self.rendered)?;
             }
             _ => renderer.render(camera, &lattice, false, &mut self.rendered)?,
+        }
+        if let Some(gains) = mode.gains(&self.gains) {
+            balance(&mut self.rendered.image, gains);
         }
         Ok(&self.rendered.image)
     }
@@ -230,6 +286,16 @@ impl<'a> SceneRenderer<'a> {
             Mode::Alpha => Rendering::Scalar(rendered.accumulation.clone()),
             Mode::Backscatter => water(|maps| &maps.backscatter),
             Mode::Attenuation => water(|maps| &maps.attenuation),
+        }
+    }
+}
+
+/// Multiplies every pixel of a picture, channel by channel. Gains of 1 leave its bytes as they are.
+fn balance(image: &mut Image, gains: [f32; 3]) {
+    let pixels = image.pixels();
+    for (channel, gain) in image.data_mut().chunks_mut(pixels.max(1)).zip(gains) {
+        if gain != 1.0 {
+            channel.iter_mut().for_each(|v| *v *= gain);
         }
     }
 }
@@ -299,5 +365,27 @@ mod tests {
         }
         assert_eq!(of(&dry, Mode::Reconstruction), of(&frames, Mode::Clear));
         assert!(SceneRenderer::new(&scene, 1.0).unwrap().with_water(1.01).is_err());
+    }
+
+    #[test]
+    fn a_white_balance_multiplies_the_looks_that_have_gains_and_no_other() {
+        let (scene, camera) = scene();
+        let gains =
+            Gains { clear: [2.0, 1.0, 0.5], enhanced: [0.5, 1.0, 2.0], enhanced_clear: [1.5, 1.0, 1.0] };
+        let plain = SceneRenderer::new(&scene, 1.0).unwrap().render(&camera, &Mode::ALL).unwrap();
+        let mut renderer = SceneRenderer::new(&scene, 1.0).unwrap().with_white(gains);
+        let white = renderer.render(&camera, &Mode::ALL).unwrap();
+        for ((mode, plain), white) in Mode::ALL.into_iter().zip(&plain).zip(&white) {
+            let (Some(g), Rendering::Color(plain), Rendering::Color(white)) =
+                (mode.gains(&gains), plain, white)
+            else {
+                assert_eq!(plain, white, "{}", mode.name());
+                continue;
+            };
+            let n = plain.pixels();
+            let scaled: Vec<f32> = plain.data().iter().enumerate().map(|(i, v)| v * g[i / n]).collect();
+            assert_eq!(white.data(), scaled, "{}", mode.name());
+            assert_eq!(renderer.draw(&camera, mode).unwrap(), white, "{}", mode.name());
+        }
     }
 }

@@ -21,10 +21,12 @@ mod files;
 mod known;
 mod origin;
 pub mod similarity;
+pub mod white;
 
 pub use compositor::Compositor;
 pub use known::{KnownView, KnownViews};
 pub use origin::Origin;
+pub use white::White;
 
 use std::path::{Path, PathBuf};
 
