@@ -65,6 +65,14 @@ impl Display for Plan {
     }
 }
 
+impl Plan {
+    /// Which stages have results already and run again all the same, and why: a line for each.
+    pub fn reruns(&self) -> Vec<String> {
+        let again = self.own().filter(|node| node.had && matches!(node.state, State::Run(_)));
+        again.map(|node| format!("{}: runs again: {}", label(node), describe(node).1)).collect()
+    }
+}
+
 fn label(node: &PlannedNode) -> String {
     let parts = [node.scene.as_str(), node.variant.as_str(), node.stage];
     parts.into_iter().filter(|p| !p.is_empty()).collect::<Vec<_>>().join(" · ")
@@ -179,7 +187,8 @@ impl Display for Working {
         if *total > 0 {
             write!(f, ", {done} of {total} {}", shown(unit))?;
         }
-        write!(f, ", for {}, heard of {} ago", seconds(self.seconds as f64), seconds(self.silent as f64))
+        let (running, silent) = (seconds(self.seconds as f64), seconds(self.silent as f64));
+        write!(f, ", running for {running}, last update {silent} ago")
     }
 }
 

@@ -13,6 +13,9 @@ use use3d_capture::name::{shown, shown_lines};
 /// How often a plain line is printed when stderr is no terminal.
 const PLAIN_INTERVAL: Duration = Duration::from_secs(10);
 
+/// Time left that exceeds what the pace so far says by this factor is explained.
+const SLOWER: f64 = 1.5;
+
 /// Draws events.
 pub(crate) struct Terminal {
     quiet: bool,
@@ -44,9 +47,13 @@ impl Node {
         let elapsed = self.started.elapsed().as_secs_f64();
         let since = done.saturating_sub(self.first);
         let by_pace = (since > 0).then(|| elapsed * total.saturating_sub(done) as f64 / since as f64);
-        match known.or(by_pace) {
-            Some(left) => format!("[{}, about {} left]", seconds(elapsed), seconds(left)),
-            None => format!("[{}]", seconds(elapsed)),
+        let (elapsed, left) = (seconds(elapsed), known.or(by_pace).map(seconds));
+        // A rate that stands beside the time would contradict it, where the work to come is heavier.
+        let slower = known.zip(by_pace).is_some_and(|(known, by_pace)| known > SLOWER * by_pace);
+        match left {
+            Some(left) if slower => format!("[{elapsed}, about {left} left: later steps take longer]"),
+            Some(left) => format!("[{elapsed}, about {left} left]"),
+            None => format!("[{elapsed}]"),
         }
     }
 }
@@ -174,6 +181,11 @@ mod tests {
 
     #[test]
     fn what_the_stage_knows_goes_before_the_pace() {
-        assert_eq!(node(0, 20).times(100, 200, Some(45.0)), "[20 s, about 45 s left]");
+        assert_eq!(node(0, 20).times(100, 200, Some(25.0)), "[20 s, about 25 s left]");
+        // 100 steps in 20 s, and the other 100 are to take 45 s.
+        assert_eq!(
+            node(0, 20).times(100, 200, Some(45.0)),
+            "[20 s, about 45 s left: later steps take longer]"
+        );
     }
 }

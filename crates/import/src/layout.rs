@@ -76,6 +76,15 @@ pub(crate) fn find_models(root: &Path, params: &ImportParams) -> Result<Vec<Foun
     Ok(found)
 }
 
+/// Refuses a folder that an import with default parameters would find no model in; nothing is read but what lies
+/// where.
+///
+/// # Errors
+/// Where was looked, and what to do about what lies there instead.
+pub fn check_layout(root: &Path) -> Result<(), ImportError> {
+    find_models(root, &ImportParams::default()).map(|_| ())
+}
+
 /// What to do about a folder without a model, by what lies there instead.
 fn instead_of_a_model(root: &Path) -> String {
     let names: Vec<String> = std::fs::read_dir(root)
@@ -90,8 +99,10 @@ fn instead_of_a_model(root: &Path) -> String {
     let model_of = |p: &PathBuf| {
         ["sparse/0", "sparse", "colmap/sparse/0"].iter().any(|d| ModelForm::of(&p.join(d)).is_some())
     };
+    // Of a list, so many are named.
+    const SHOWN: usize = 3;
     if let Some(parent) = parent.filter(model_of) {
-        return format!("the folder above has one: give {}", parent.display());
+        return format!("the parent folder contains a model: did you mean {}?", parent.display());
     }
     if has("scene.json") && has("gaussians.ply") {
         return "this is a scene; the capture that it was made from is wanted here".into();
@@ -110,6 +121,30 @@ fn instead_of_a_model(root: &Path) -> String {
         return "a film is not read: take frames out of it (`ffmpeg -i FILM -vf fps=2 images/%05d.png`) and run \
             COLMAP on them"
             .into();
+    }
+    let holding: Vec<String> =
+        subfolders(root).into_iter().filter(|name| model_of(&root.join(name))).take(SHOWN + 1).collect();
+    if let Some(first) = holding.first() {
+        let more = if holding.len() > SHOWN { ", …" } else { "" };
+        let shown = holding[..holding.len().min(SHOWN)].join(", ");
+        return format!(
+            "folders in it have one ({shown}{more}): give one of them, such as {}, or name them all in a pipeline \
+             file (docs/guide/pipeline-file.md)",
+            root.join(first).display()
+        );
+    }
+    let pictures = IMAGE_DIRS.iter().find(|name| root.join(name).is_dir());
+    let own = ends(&["png", "jpg", "jpeg", "tif", "tiff"]).then_some(".");
+    if let Some(pictures) = pictures.copied().or(own) {
+        return format!(
+            "it has pictures and no model; COLMAP makes one: `colmap automatic_reconstructor --workspace_path {0} \
+             --image_path {0}/{pictures} --dense 0`, or name the model's folder with `--set model_dir=DIR` \
+             (`--set import.model_dir=DIR` in `use3d run`)",
+            root.display()
+        );
+    }
+    if names.is_empty() {
+        return "the folder is empty; give the one that holds images/ and sparse/".into();
     }
     let set = "name its folder with `--set model_dir=DIR` (`--set import.model_dir=DIR` in `use3d run`)";
     format!("{set}, or run COLMAP on the images first")

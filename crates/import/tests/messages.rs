@@ -45,7 +45,7 @@ fn complaint(change: impl FnOnce(&Path)) -> String {
 fn what_lies_there_instead_of_a_model_is_said_with_the_next_step() {
     let without = |dir: &Path| std::fs::remove_dir_all(dir.join("sparse")).unwrap();
     type Change = fn(&Path);
-    let cases: [(&str, Change); 6] = [
+    let cases: [(&str, Change); 9] = [
         ("nerfstudio", |d| std::fs::write(d.join("transforms.json"), "{}").unwrap()),
         ("Metashape", |d| std::fs::write(d.join("cameras.xml"), "<document/>").unwrap()),
         ("ffmpeg", |d| std::fs::write(d.join("Dive.MP4"), "x").unwrap()),
@@ -55,6 +55,13 @@ fn what_lies_there_instead_of_a_model_is_said_with_the_next_step() {
         }),
         ("--set model_dir=DIR", |_| ()),
         ("--set import.model_dir=DIR", |_| ()),
+        ("colmap automatic_reconstructor", |_| ()),
+        ("the folder is empty", |d| std::fs::remove_dir_all(d.join("images")).unwrap()),
+        ("folders in it have one (east, west)", |d| {
+            for name in ["west", "east"] {
+                write_model_binary(&d.join(name).join("sparse/0"), &model()).unwrap();
+            }
+        }),
     ];
     for (expected, change) in cases {
         let said = complaint(|dir| {
@@ -68,7 +75,7 @@ fn what_lies_there_instead_of_a_model_is_said_with_the_next_step() {
     let images = dir.path().join("images");
     std::fs::create_dir(&images).unwrap();
     let said = import(&images, &ImportParams::default()).unwrap_err().to_string();
-    assert!(said.contains("the folder above has one"), "{said}");
+    assert!(said.contains("the parent folder contains a model"), "{said}");
 }
 
 #[test]
