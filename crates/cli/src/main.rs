@@ -12,6 +12,7 @@ mod listener;
 mod logging;
 mod size;
 mod verbs;
+mod version;
 
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -72,6 +73,8 @@ fn run(app: &App, verb: Verb) -> Done {
         Verb::Submit { what } => verbs::submit::run(app, &what),
         Verb::Push(args) => verbs::remote::push(app, &args),
         Verb::Pull(args) => verbs::remote::pull(app, &args),
+        Verb::Results(args) => verbs::results::run(app, &args),
+        Verb::Compare(args) => verbs::compare::run(app, &args),
         Verb::Plan(args) => verbs::run::plan(&args),
         Verb::Status(args) => verbs::run::status(&args),
         Verb::Why(args) => verbs::run::why(&args),
@@ -84,12 +87,14 @@ fn run(app: &App, verb: Verb) -> Done {
         Verb::Evaluate(args) => verbs::evaluate::run(app, &args),
         Verb::Render(args) => verbs::render::run(app, &args),
         Verb::View(args) => verbs::view::run(app, &args),
+        Verb::White(args) => verbs::white::run(app, &args),
         Verb::Export(args) => verbs::export::run(app, &args),
         Verb::Synth { what: Synth::Capture(args) } => verbs::synth::capture(app, &args),
         Verb::Synth { what: Synth::Pairs(args) } => verbs::synth::pairs(app, &args),
         Verb::Bench { what: Bench::Truth(args) } => verbs::bench::truth(app, &args),
         Verb::Bench { what: Bench::Gpu(args) } => verbs::bench_gpu::gpu(app, &args),
         Verb::Water(args) => verbs::water::run(app, &args),
+        Verb::Doctor(args) => verbs::doctor::run(&args),
         Verb::Models(args) => verbs::models::run(&args),
         Verb::Devices(args) => verbs::devices::run(&args),
         Verb::Gc(args) => verbs::cache::gc(&args),

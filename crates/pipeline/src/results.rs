@@ -13,6 +13,7 @@ use serde::Serialize;
 use use3d_build::place::{self, Look, PlaceError, Standing};
 use use3d_build::run::RanNode;
 use use3d_build::{Artifact, Digest, Graph, Summary};
+use use3d_scene::White;
 
 use crate::judge::configuration::Configuration;
 use crate::judge::report::{StageRow, shortened, with_configurations, with_costs, with_tables, with_views};
@@ -184,14 +185,23 @@ fn pages(summary: &Summary, out: &Path) -> Result<Vec<Delivered>, PlaceError> {
             path: page.clone(),
         };
         // The page says which scene it was made of, and by what; made of the same one by the same, it is the same.
-        let source = format!("<!-- of {} by {} -->\n", shown.manifest.key, use3d_web::page::digest());
+        let white = white_of(&folder, shown.manifest.key);
+        let balanced = white.as_ref().map_or_else(String::new, |(_, digest)| format!(", white {digest}"));
+        let source =
+            format!("<!-- of {} by {}{balanced} -->\n", shown.manifest.key, use3d_web::page::digest());
         check_page(&page)?;
         if fs::read_to_string(&page).is_ok_and(|text| text.contains(&source)) {
             pages.push(delivered);
             continue;
         }
         let capture = summary.artifact(scene, variant, "import").map(|import| import.path.as_path());
-        let made = match scene_page::write(scene, &shown.path, capture, VIEW_PARTS) {
+        let made = match scene_page::write(
+            scene,
+            &shown.path,
+            capture,
+            VIEW_PARTS,
+            white.as_ref().map(|(white, _)| white),
+        ) {
             Ok(made) => made,
             Err(error) => {
                 // The results are whole without it.
@@ -214,6 +224,27 @@ fn pages(summary: &Summary, out: &Path) -> Result<Vec<Delivered>, PlaceError> {
         pages.push(delivered);
     }
     Ok(pages)
+}
+
+/// The white balance that was kept for a scene of this key among the results, and its digest.
+fn white_of(folder: &Path, key: Digest) -> Option<(White, Digest)> {
+    for name in ["enhanced-scene", "scene"] {
+        let scene = folder.join(name);
+        let ours =
+            matches!(place::look(&scene, Look::Quick), Ok(Standing::Ours(ours)) if ours.key == Some(key));
+        if !ours {
+            continue;
+        }
+        match White::beside(&scene) {
+            Ok(Some(white)) if !white.is_outdated(&scene) => {
+                let text = serde_json::to_vec(&white).unwrap_or_default();
+                return Some((white, Digest::of(&text)));
+            }
+            Ok(_) => {}
+            Err(error) => tracing::warn!("{error}; the page opens without it"),
+        }
+    }
+    None
 }
 
 /// A path below the results folder as an address in its pages.

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use use3d_import::{ImportError, Imported, load_prepared};
 use use3d_io_image::{ImageError, read_image};
-use use3d_scene::{Origin, Scene, SceneError};
+use use3d_scene::{Origin, Scene, SceneError, White};
 use use3d_web::{Page, PageView, Photograph, WebError, Written};
 
 /// A page that cannot be made.
@@ -51,7 +51,7 @@ pub fn is_held_out(origin: Option<&Origin>, stem: &str) -> bool {
 }
 
 /// The page of a scene folder with the views of an imported capture. `folder` is the name of the folder for
-/// its parts, should it need one.
+/// its parts, should it need one; `white` is the white balance that it opens with.
 ///
 /// # Errors
 /// What cannot be read or put together.
@@ -60,6 +60,7 @@ pub(crate) fn write(
     folder: &Path,
     capture: Option<&Path>,
     parts: &str,
+    white: Option<&White>,
 ) -> Result<Written, ScenePageError> {
     let scene = Scene::load(folder)?;
     let origin = Origin::read(folder)?;
@@ -67,5 +68,6 @@ pub(crate) fn write(
         Some(capture) => views(&scene, origin.as_ref(), &load_prepared(capture)?)?,
         None => Vec::new(),
     };
-    Ok(use3d_web::write(&Page { name, scene: &scene, views, metres_per_unit: None, saved: None }, parts)?)
+    let page = Page { name, scene: &scene, views, metres_per_unit: None, saved: None, white };
+    Ok(use3d_web::write(&page, parts)?)
 }

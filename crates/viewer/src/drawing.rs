@@ -14,7 +14,9 @@ use image::{ExtendedColorType, ImageEncoder};
 use jpeg_encoder::{ColorType, Encoder};
 use rayon::ThreadPool;
 use use3d_capture::{Camera, Image};
+use use3d_render::white::{Patch, patch};
 use use3d_render::{Mode, Rendering, SceneRenderer, picture};
+use use3d_scene::white::Gains;
 
 use crate::live::Live;
 
@@ -39,6 +41,8 @@ pub(crate) struct Look {
     pub(crate) left: Option<(Mode, f64)>,
     pub(crate) strength: f32,
     pub(crate) water: f32,
+    /// The white balance.
+    pub(crate) white: Gains,
     pub(crate) moving: bool,
 }
 
@@ -47,6 +51,14 @@ pub(crate) enum Wanted {
     Picture(Look),
     /// The median depth of what such a camera sees.
     Depth(Camera),
+    /// The colour of a place, to balance white by.
+    Patch {
+        camera: Camera,
+        x: f64,
+        y: f64,
+        /// The share of the water that `enhanced` is looked at with.
+        water: f32,
+    },
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -60,6 +72,8 @@ pub(crate) enum Drawn {
         version: u64,
     },
     Depth(Option<f32>),
+    /// The colour of a place, or in words why it has none.
+    Patch(Result<Patch, String>),
     /// A newer request of the same page takes its place, or there are too many pages.
     Dropped,
     Failed(String),
@@ -174,6 +188,10 @@ impl Drawing {
                 let drawn = on(&beside, trains, || match &job.wanted {
                     Wanted::Picture(look) => pace.draw(&mut renderer, look, version, trains),
                     Wanted::Depth(camera) => depth(&mut renderer, camera),
+                    Wanted::Patch { camera, x, y, .. } => {
+                        renderer.set_white(Gains::ONE);
+                        Drawn::Patch(patch(&mut renderer, camera, *x, *y).map_err(|e| e.to_string()))
+                    }
                 });
                 let _ = job.answer.send(drawn);
                 let rest = self.live.rest(started.elapsed());
@@ -194,6 +212,7 @@ fn amounts(wanted: &Wanted) -> (f32, f32) {
     match wanted {
         Wanted::Picture(look) => (look.strength, look.water),
         Wanted::Depth(_) => (1.0, 1.0),
+        Wanted::Patch { water, .. } => (1.0, *water),
     }
 }
 
@@ -230,6 +249,7 @@ impl Pace {
         let (sx, sy) = (width as f64 / k.width as f64, height as f64 / k.height as f64);
         let camera = Camera { intrinsics: k.scaled(sx, sy, width, height), pose: look.camera.pose };
         let started = Instant::now();
+        renderer.set_white(look.white);
         let modes = match look.left {
             Some((left, _)) => vec![look.mode, left],
             None => vec![look.mode],
@@ -313,6 +333,7 @@ mod tests {
             left: None,
             strength: 1.0,
             water: 1.0,
+            white: Gains::ONE,
             moving: false,
         }
     }
@@ -336,6 +357,7 @@ mod tests {
             views: Arc::default(),
             metres_per_unit: None,
             saved: None,
+            white: None,
             step: None,
         });
         // Nothing is drawn yet, as if one large picture took all this time.

@@ -9,7 +9,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
-use use3d_scene::Scene;
+use use3d_scene::{Scene, White};
 use use3d_web::{Page, PageData, PageView, SavedViews, WebError};
 
 use crate::curve::Curve;
@@ -40,6 +40,8 @@ pub struct Shown {
     pub metres_per_unit: Option<f64>,
     /// What somebody saved from an earlier page.
     pub saved: Option<Arc<SavedViews>>,
+    /// The white balance that the page opens with.
+    pub white: Option<Arc<White>>,
     /// Steps of training behind it; none of a scene that is not trained here.
     pub step: Option<u64>,
 }
@@ -52,6 +54,7 @@ impl Shown {
             views: self.views.to_vec(),
             metres_per_unit: self.metres_per_unit,
             saved: self.saved.as_deref(),
+            white: self.white.as_deref(),
         }
     }
 }

@@ -10,6 +10,7 @@ use serde::Deserialize;
 use serde_json::json;
 use use3d_capture::{Camera, Intrinsics, Pose};
 use use3d_render::Mode;
+use use3d_scene::white::{GAINS, Gains};
 
 use crate::drawing::{Drawing, Drawn, Look, Wanted};
 use crate::http::{Request, Response};
@@ -47,6 +48,9 @@ struct LookWords {
     at: f64,
     strength: f32,
     water: f32,
+    /// The gains of each look, if colours are balanced.
+    #[serde(default)]
+    white: Option<Gains>,
     moving: bool,
 }
 
@@ -54,6 +58,15 @@ struct LookWords {
 struct DepthWords {
     page: String,
     camera: CameraWords,
+}
+
+#[derive(Debug, Deserialize)]
+struct PatchWords {
+    page: String,
+    camera: CameraWords,
+    x: f64,
+    y: f64,
+    water: f32,
 }
 
 #[derive(Debug, Deserialize)]
@@ -91,12 +104,19 @@ impl LookWords {
             return Err("strength, water and the divider's place are 0 to 1".into());
         }
         let left = self.left.as_deref().map(mode).transpose()?;
+        let white = self.white.unwrap_or(Gains::ONE);
+        let [least, most] = GAINS;
+        let gains = [white.clear, white.enhanced, white.enhanced_clear];
+        if gains.as_flattened().iter().any(|gain| !(least..=most).contains(gain)) {
+            return Err(format!("the gains of a white balance are {least} to {most}"));
+        }
         Ok(Look {
             camera: self.camera.camera()?,
             mode: mode(&self.mode)?,
             left: left.map(|left| (left, self.at)),
             strength: self.strength,
             water: self.water,
+            white,
             moving: self.moving,
         })
     }
@@ -131,6 +151,14 @@ impl Site {
             "/depth" => words::<DepthWords>(request)
                 .and_then(|words| Ok((words.camera.camera()?, words.page)))
                 .map(|(camera, page)| self.picture(&self.drawing.ask(&page, Wanted::Depth(camera)))),
+            "/patch" => words::<PatchWords>(request).and_then(|asked| {
+                if !(0.0..=1.0).contains(&asked.water) {
+                    return Err("water is 0 to 1".into());
+                }
+                let (camera, water) = (asked.camera.camera()?, asked.water);
+                let wanted = Wanted::Patch { camera, x: asked.x, y: asked.y, water };
+                Ok(self.picture(&self.drawing.ask(&asked.page, wanted)))
+            }),
             "/do" => words::<CommandWords>(request).and_then(|asked| {
                 if self.live.command(&asked.name, asked.share) {
                     Ok(Response::json(&self.live.status()))
@@ -151,6 +179,10 @@ impl Site {
                     vec![("X-Divisor", divisor.to_string()), ("X-Version", version.to_string())];
                 response
             }
+            Ok(Drawn::Patch(Ok(patch))) => {
+                Response::json(&json!({ "colors": patch.colors, "depth": patch.depth }))
+            }
+            Ok(Drawn::Patch(Err(problem))) => Response::json(&json!({ "problem": problem })),
             Ok(Drawn::Depth(depth)) => Response::json(&json!({ "depth": depth })),
             Ok(Drawn::Dropped) | Err(_) => Response::new(204, "text/plain", ""),
             Ok(Drawn::Failed(why)) => Response::text(503, &why),

@@ -32,6 +32,7 @@ fn shown() -> Shown {
         views: Arc::default(),
         metres_per_unit: None,
         saved: None,
+        white: None,
         step: None,
     }
 }
@@ -270,4 +271,33 @@ fn a_taken_port_is_said() {
         matches!(error, ServerError::PortTaken(p) if p == port) && error.to_string().contains("--port"),
         "{error}"
     );
+}
+
+#[test]
+fn a_place_is_measured_and_its_gains_reach_the_pictures() {
+    let live = Arc::new(Live::new("", None));
+    let server = Server::start(None, &live).unwrap();
+    live.show(shown());
+    let camera = look(64, "clear")["camera"].clone();
+    let patch = |x: f64, y: f64, water: f64| {
+        ask(&server, "/patch", &json!({ "page": "a", "camera": camera, "x": x, "y": y, "water": water }))
+    };
+    let (status, _, body) = patch(32.0, 24.0, 1.0);
+    let found: Value = serde_json::from_slice(&body).unwrap();
+    assert_eq!(status, 200);
+    let colors = found["colors"].as_array().unwrap_or_else(|| panic!("{found}"));
+    assert!(colors.len() == 3 && found["depth"].as_f64().is_some_and(|z| z > 1.0), "{found}");
+    let nothing: Value = serde_json::from_slice(&patch(1.0, 1.0, 1.0).2).unwrap();
+    assert!(nothing["problem"].as_str().is_some_and(|text| text.contains("no surface")), "{nothing}");
+    assert_eq!(patch(32.0, 24.0, 1.5).0, 400);
+    // The balanced picture is another one; gains that make no sense are refused.
+    let of = |red: f64| {
+        let mut asked = look(64, "clear");
+        let same = json!([1, 1, 1]);
+        asked["white"] = json!({ "clear": [red, 1, 1], "enhanced": same, "enhanced-clear": same });
+        ask(&server, "/frame", &asked)
+    };
+    let plain = ask(&server, "/frame", &look(64, "clear"));
+    assert_eq!((plain.0, of(1.0).2 == plain.2, of(0.5).2 == plain.2), (200, true, false));
+    assert_eq!((of(50.0).0, of(-1.0).0), (400, 400));
 }

@@ -25,7 +25,14 @@ const TURNS: usize = 31;
 fn main() {
     let count = std::env::args().skip(1).find_map(|word| word.parse().ok()).unwrap_or(600_000);
     let scene = scene(count);
-    let page = Page { name: "large", scene: &scene, views: Vec::new(), metres_per_unit: None, saved: None };
+    let page = Page {
+        name: "large",
+        scene: &scene,
+        views: Vec::new(),
+        metres_per_unit: None,
+        saved: None,
+        white: None,
+    };
     let dir = tempfile::tempdir().expect("a folder");
     let started = Instant::now();
     let written = use3d_web::write(&page, "large_files").expect("a page");

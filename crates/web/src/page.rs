@@ -13,7 +13,7 @@ use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use use3d_capture::Camera;
-use use3d_scene::Scene;
+use use3d_scene::{Scene, White};
 
 use crate::{Photograph, SavedViews, WebError, enhancement, geometry, scene_file, water};
 
@@ -45,6 +45,7 @@ const SCRIPTS: &[&str] = &[
     include_str!("../page/script/recorder.js"),
     include_str!("../page/script/measure.js"),
     include_str!("../page/script/saved.js"),
+    include_str!("../page/script/white.js"),
     include_str!("../page/script/panel.js"),
     include_str!("../page/script/keys.js"),
     include_str!("../page/script/training.js"),
@@ -80,6 +81,8 @@ pub struct Page<'a> {
     pub metres_per_unit: Option<f64>,
     /// What somebody saved from an earlier page.
     pub saved: Option<&'a SavedViews>,
+    /// The white balance that it opens with.
+    pub white: Option<&'a White>,
 }
 
 /// A photograph's place.
@@ -286,6 +289,7 @@ fn entries(page: &Page<'_>) -> Value {
         "bounds": { "low": low, "high": high },
         "metresPerUnit": page.metres_per_unit.or_else(|| page.saved?.metres_per_unit),
         "saved": page.saved,
+        "white": page.white,
         "medium": water::entry(scene),
         "enhancement": enhancement::entry(scene),
         "cameras": views,
@@ -399,6 +403,7 @@ mod tests {
             views: Vec::new(),
             metres_per_unit: None,
             saved: None,
+            white: None,
         };
         let whole = write(&page, "a b").unwrap();
         assert_eq!((whole.degree, whole.parts.len()), (3, 0));
@@ -413,8 +418,14 @@ mod tests {
     #[test]
     fn nothing_is_left_to_fill_in_and_nothing_names_another_host() {
         let scene = scene(10);
-        let page =
-            Page { name: "{{parts}}", scene: &scene, views: Vec::new(), metres_per_unit: None, saved: None };
+        let page = Page {
+            name: "{{parts}}",
+            scene: &scene,
+            views: Vec::new(),
+            metres_per_unit: None,
+            saved: None,
+            white: None,
+        };
         let html = write(&page, "x").unwrap().html;
         assert_eq!(html.matches("{{").count(), html.matches("{{parts}}").count());
         let named = html.matches("http").count() - html.matches("http-equiv").count();

@@ -30,7 +30,7 @@ pub(crate) enum Bench {
 #[derive(Debug, Args)]
 pub(crate) struct BenchGpuArgs {
     /// The file that is written.
-    #[arg(long, value_name = "FILE.json")]
+    #[arg(short, long, value_name = "FILE.json")]
     pub(crate) out: PathBuf,
     /// Any part of an adapter's name, in any case; software adapters are taken
     /// only so (default: the best card).
@@ -67,7 +67,7 @@ pub(crate) enum Baselines {
 #[derive(Debug, Args)]
 pub(crate) struct BenchTruthArgs {
     /// Where captures, table and pictures go.
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub(crate) out: PathBuf,
     /// Only these captures: display-I, display-II, display-III, display-1C, display-5C, pool, spectral,
     /// lamps, air.
@@ -89,7 +89,7 @@ pub(crate) struct BenchTruthArgs {
     #[arg(long, value_enum, default_value_t)]
     pub(crate) baselines: Baselines,
     /// Stages to run side by side, within the cores and memory there are.
-    #[arg(long, default_value_t = 1, value_name = "N", value_parser = count(MAX_JOBS))]
+    #[arg(short, long, default_value_t = 1, value_name = "N", value_parser = count(MAX_JOBS))]
     pub(crate) jobs: usize,
     #[command(flatten)]
     pub(crate) settings: Settings,

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
-use super::shared::Settings;
+use super::shared::{SizeArgs, StageSettings};
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Synth {
@@ -22,7 +22,7 @@ pub(crate) enum Synth {
 #[derive(Debug, Args)]
 pub(crate) struct SynthArgs {
     /// Where it goes.
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub(crate) out: PathBuf,
     /// Everything random follows from it.
     #[arg(long, default_value_t = 42, value_name = "N")]
@@ -94,5 +94,7 @@ pub(crate) struct WaterArgs {
     #[arg(long)]
     pub(crate) json: bool,
     #[command(flatten)]
-    pub(crate) settings: Settings,
+    pub(crate) size: SizeArgs,
+    #[command(flatten)]
+    pub(crate) settings: StageSettings,
 }

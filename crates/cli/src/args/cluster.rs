@@ -51,6 +51,6 @@ pub(crate) struct SubmitArgs {
     #[arg(long)]
     pub(crate) again: bool,
     /// Where results go (default: ./use3d-out/NAME); scripts and logs go into DIR-submit beside it.
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
 }

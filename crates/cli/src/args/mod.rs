@@ -12,6 +12,7 @@ mod shared;
 mod stages;
 mod upkeep;
 mod view;
+mod white;
 
 use clap::{Parser, Subcommand};
 
@@ -19,14 +20,21 @@ pub(crate) use bench::{Baselines, Bench, BenchGpuArgs, BenchTruthArgs};
 pub(crate) use captures::{Synth, SynthCaptureArgs, SynthPairsArgs, WaterArgs};
 pub(crate) use cluster::{Submit, SubmitArgs, SubmitLayout};
 pub(crate) use pictures::{CameraPath, ExportArgs, ExportFrame, ExportWhat, FrameFormat, RenderArgs};
-pub(crate) use pipelines::{DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, RunArgs, WhyArgs};
+pub(crate) use pipelines::{
+    CompareArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, ResultsArgs, RunArgs, WhyArgs,
+};
 pub(crate) use remote::{PushArgs, TransferArgs};
-pub(crate) use shared::{CacheArgs, PipelineArgs, Settings, as_typed};
+pub(crate) use shared::{
+    CacheArgs, CalibrationArgs, CommonArgs, EngineArgs, PipelineArgs, Settings, Spelled, as_typed,
+};
 pub(crate) use stages::{
     CalibrateArgs, EnhanceArgs, EvaluateArgs, ImportArgs, ReconstructArgs, TableFormat, TargetsArgs,
 };
-pub(crate) use upkeep::{CompletionsArgs, DevicesArgs, GcArgs, ManArgs, ModelsArgs, ParamsArgs, VerifyArgs};
+pub(crate) use upkeep::{
+    CompletionsArgs, DevicesArgs, DoctorArgs, GcArgs, ManArgs, ModelsArgs, ParamsArgs, VerifyArgs,
+};
 pub(crate) use view::{ViewArgs, ViewerArgs, WatchArgs};
+pub(crate) use white::{KeepWhiteArgs, Place, WhiteArgs, WhiteChoice};
 
 use shared::count;
 
@@ -38,7 +46,7 @@ use shared::count;
 #[derive(Debug, Parser)]
 #[command(
     name = "use3d",
-    version,
+    version = crate::version::WHOLE,
     max_term_width = 110,
     subcommand_required = true,
     arg_required_else_help = true
@@ -96,6 +104,17 @@ pub(crate) enum Verb {
     /// Fetch what a store has of a pipeline into the cache. Every byte is checked.
     #[command(after_help = "Example:\n  use3d pull pipelines/use26.toml --remote s3://lab/use3d")]
     Pull(TransferArgs),
+    /// The runs whose results went into a folder; with a number, bring that one back from the cache.
+    #[command(
+        after_help = "Examples:\n  use3d results\n  use3d results my-reef          its runs\n  use3d results my-reef 2        the results of run 2 again"
+    )]
+    Results(ResultsArgs),
+    /// Two runs side by side in one page: pictures, scores, and the parameters that differ.
+    #[command(
+        after_help = "Examples:\n  use3d compare use3d-out/my-reef use3d-out/my-reef-long --out compare.html\n  \
+        use3d compare my-reef:1 my-reef:2 --out compare.html      two runs into one folder (`use3d results my-reef`)"
+    )]
+    Compare(CompareArgs),
     /// What would run, what is cached, why, and the forecast cost.
     #[command(after_help = "Examples:\n  use3d plan pipelines/seathru4.toml\n  use3d plan my-reef/ --json")]
     Plan(PlanArgs),
@@ -151,6 +170,13 @@ pub(crate) enum Verb {
         use3d view --follow pipelines/seathru4.toml --scene Panama\n  use3d view scene/ --port 7007 --no-open      then: ssh -L 7007:localhost:7007 HOST"
     )]
     View(ViewArgs),
+    /// Balance the colours of a scene by something grey, for every later picture of it.
+    #[command(
+        after_help = "Examples:\n  use3d white use3d-out/my-reef --cameras my-reef/ f_0001.jpg:812,430\n  \
+        use3d white enhanced-scene/ --cameras my-reef/ reef\n  use3d white enhanced-scene/ off\n\n\
+        A pixel balances the colours at its distance; what is nearer or further may keep a cast."
+    )]
+    White(KeepWhiteArgs),
     /// Write a scene as a page for a browser, or as a PLY, GLB or SPZ for other viewers.
     #[command(
         after_help = "Examples:\n  use3d export enhanced-scene/ --web reef.html --cameras my-reef/\n  \
@@ -176,6 +202,9 @@ pub(crate) enum Verb {
         after_help = "Examples:\n  use3d water my-reef/\n  use3d water my-reef/ --set image_dir=images_2 --json"
     )]
     Water(WaterArgs),
+    /// What this installation can do: program, machine, helper programs, networks, graphics cards.
+    #[command(after_help = "Examples:\n  use3d doctor\n  use3d doctor --json")]
+    Doctor(DoctorArgs),
     /// Networks trained by others: which files are looked for, found or missing, licence, where to get them.
     #[command(after_help = "Example:\n  use3d models --dir ~/use3d-models")]
     Models(ModelsArgs),
@@ -188,7 +217,7 @@ pub(crate) enum Verb {
     /// Check the cache's files against their digests, and optionally recompute a sample.
     #[command(after_help = "Examples:\n  use3d verify\n  use3d verify pipelines/demo.toml --sample 5%")]
     Verify(VerifyArgs),
-    /// Every parameter that `--set` and pipeline files know: default, range, meaning.
+    /// Every parameter that `--set` and pipeline files know: default, kind, meaning.
     #[command(after_help = "Examples:\n  use3d params\n  use3d params reconstruct\n  use3d params --json")]
     Params(ParamsArgs),
     /// Completions of this command for a shell, on stdout.
@@ -208,11 +237,14 @@ impl Verb {
             Self::Run(args) => args.json,
             Self::Push(args) => args.what.json,
             Self::Pull(args) => args.json,
+            Self::Results(args) => args.json,
             Self::Plan(args) | Self::Status(args) => args.json,
             Self::Why(args) => args.json,
             Self::Bench { what: Bench::Truth(args) } => args.json,
             Self::Evaluate(args) => args.json || args.format == TableFormat::Json,
             Self::Render(args) => args.json,
+            Self::Doctor(args) => args.json,
+            Self::White(args) => args.json,
             Self::Models(args) => args.json,
             Self::Devices(args) => args.json,
             Self::Gc(args) => args.json,

@@ -4,9 +4,9 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use clap::{Args, ValueEnum};
-use use3d_reconstruct::EngineChoice;
 
-use super::shared::{Replace, count};
+use super::shared::{EngineArgs, Replace, count};
+use super::white::WhiteArgs;
 
 /// Eleven hours of film at 25 frames per second.
 const MAX_FRAMES: u64 = 1_000_000;
@@ -46,19 +46,21 @@ impl FromStr for CameraPath {
     }
 }
 
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub(crate) struct RenderArgs {
-    /// The scene to render.
-    #[arg(value_name = "SCENE_DIR")]
+    /// The scene to render, or the results folder of a run that made one.
+    #[arg(value_name = "SCENE_DIR|RESULTS_DIR")]
     pub(crate) scene: PathBuf,
-    /// A COLMAP model folder, a capture folder, or a JSON list of cameras.
-    #[arg(long, value_name = "COLMAP_DIR|CAPTURE|FILE.json", required_unless_present = "path")]
+    /// A COLMAP model folder, a capture folder, or a JSON list of cameras (default: the capture that a results
+    /// folder was made from).
+    #[arg(long, value_name = "COLMAP_DIR|CAPTURE|FILE.json")]
     pub(crate) cameras: Option<PathBuf>,
     /// The folder for the frames; each mode gets a folder of its own.
-    #[arg(long, value_name = "DIR", required_unless_present_any = ["video", "fps"])]
+    #[arg(short, long, value_name = "DIR", required_unless_present_any = ["video", "fps"])]
     pub(crate) out: Option<PathBuf>,
     /// What to render: reconstruction, clear, enhanced, enhanced-clear, depth, alpha, object, medium,
-    /// backscatter, attenuation. Left out, it is reconstruction, or what a path file asks for.
+    /// backscatter, attenuation. Left out, it is the look that the scene's page opens with, or what a path file
+    /// asks for.
     #[arg(long, value_delimiter = ',', value_name = "MODE,...")]
     pub(crate) modes: Vec<String>,
     /// How to write the frames.
@@ -92,10 +94,8 @@ pub(crate) struct RenderArgs {
     /// With --fps: one JSON document on stdout.
     #[arg(long, requires = "fps")]
     pub(crate) json: bool,
-    /// What draws: auto, cpu, gpu or gpu:NAME (`use3d devices` lists them). A card shows
-    /// what the processor shows, to 1e-5.
-    #[arg(long, default_value_t, value_name = "ENGINE")]
-    pub(crate) engine: EngineChoice,
+    #[command(flatten)]
+    pub(crate) engine: EngineArgs,
     /// How much of the enhancement to apply, 0 (reconstruction) to 1.
     #[arg(long, default_value_t = 1.0, value_name = "0..1")]
     pub(crate) strength: f32,
@@ -104,15 +104,16 @@ pub(crate) struct RenderArgs {
     #[arg(long, default_value_t = 1.0, value_name = "0..1")]
     pub(crate) water: f32,
     #[command(flatten)]
+    pub(crate) white: WhiteArgs,
+    #[command(flatten)]
     pub(crate) replace: Replace,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ExportWhat {
     /// As clear: these files hold no water.
     Reconstruction,
     /// Object radiance without water.
-    #[default]
     Clear,
     /// As enhanced-clear: these files hold no water.
     Enhanced,
@@ -127,14 +128,15 @@ pub(crate) enum ExportFrame {
     Colmap,
     /// The scene's own normalised frame, z up.
     Normalised,
-    /// COLMAP's frame turned so that y points up, as most viewers have it.
+    /// COLMAP's frame turned so that y points up, as most viewers have it; SuperSplat turns files by itself and
+    /// wants colmap.
     YUp,
 }
 
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub(crate) struct ExportArgs {
-    /// The scene to export.
-    #[arg(value_name = "SCENE_DIR")]
+    /// The scene to export, or the results folder of a run that made one.
+    #[arg(value_name = "SCENE_DIR|RESULTS_DIR")]
     pub(crate) scene: PathBuf,
     /// A PLY of 3D Gaussian splatting.
     #[arg(long, value_name = "FILE")]
@@ -145,7 +147,7 @@ pub(crate) struct ExportArgs {
     /// An SPZ file, a tenth of the size, y up.
     #[arg(long, value_name = "FILE.spz")]
     pub(crate) spz: Option<PathBuf>,
-    /// Version of the SPZ file: every viewer with SPZ reads 3, newer ones 4 (a little smaller) too.
+    /// Version of the SPZ file: every viewer with SPZ reads 3, newer ones 4 too.
     #[arg(long, value_name = "3|4", requires = "spz", default_value_t = 3, value_parser = clap::value_parser!(u8).range(3..=4))]
     pub(crate) spz_version: u8,
     /// A compressed PLY, for PlayCanvas and SuperSplat.
@@ -155,9 +157,9 @@ pub(crate) struct ExportArgs {
     /// up to 32 MB, else with a folder.
     #[arg(long, value_name = "FILE.html")]
     pub(crate) web: Option<PathBuf>,
-    /// With --web: the capture whose photographs and places the page offers (or cameras alone,
-    /// as `use3d render` reads them).
-    #[arg(long, value_name = "CAPTURE", requires = "web")]
+    /// The capture whose photographs and places the page offers (or cameras alone, as `use3d render` reads
+    /// them), and whose views --white is measured in (default: the capture that a results folder was made from).
+    #[arg(long, value_name = "CAPTURE")]
     pub(crate) cameras: Option<PathBuf>,
     /// With --web: views that somebody saved from the page, with their names (the page's "Save file").
     #[arg(long, value_name = "FILE.json", requires = "web")]
@@ -165,12 +167,15 @@ pub(crate) struct ExportArgs {
     /// With --web: metres per unit of the COLMAP model, so that the page measures in metres.
     #[arg(long, value_name = "M", requires = "web")]
     pub(crate) metres_per_unit: Option<f64>,
-    /// Which colours files other than the page have, in the words of `use3d render --modes`.
-    #[arg(long, value_enum, default_value_t)]
-    pub(crate) what: ExportWhat,
+    /// Which colours files other than the page have, in the words of `use3d render --modes` (default: the look
+    /// that the page opens with, and clear of a scene that is not enhanced).
+    #[arg(long, value_enum)]
+    pub(crate) what: Option<ExportWhat>,
     /// In which frame a PLY or compressed PLY is. GLB and SPZ are right side up of themselves.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) frame: ExportFrame,
+    #[command(flatten)]
+    pub(crate) white: WhiteArgs,
     #[command(flatten)]
     pub(crate) replace: Replace,
 }

@@ -5,8 +5,9 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 
-use super::shared::{CacheArgs, PipelineArgs, Settings, count, time};
+use super::shared::{CacheArgs, MAX_STEPS, PipelineArgs, Replace, Settings, count, time};
 use super::view::WatchArgs;
+use super::white::WhiteArgs;
 
 /// More stages side by side than any one machine has memory for.
 pub(super) const MAX_JOBS: u64 = 256;
@@ -23,11 +24,14 @@ pub(crate) enum DemoSize {
 #[derive(Debug, Args)]
 pub(crate) struct DemoArgs {
     /// Where the capture, the results and the report go.
-    #[arg(long, default_value = "use3d-out/demo", value_name = "DIR")]
+    #[arg(short, long, default_value = "use3d-out/demo", value_name = "DIR")]
     pub(crate) out: PathBuf,
     /// How large the pictures are, and how long the training.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) size: DemoSize,
+    /// Steps of stage 1 (the same as `--set reconstruct.iterations=N`).
+    #[arg(long, value_name = "N", visible_alias = "steps", value_parser = count(MAX_STEPS))]
+    pub(crate) iterations: Option<usize>,
     #[command(flatten)]
     pub(crate) settings: Settings,
     #[command(flatten)]
@@ -45,7 +49,7 @@ pub(crate) struct RunArgs {
     #[arg(long, value_name = "STAGE")]
     pub(crate) until: Option<String>,
     /// Stages to run side by side, within the cores and memory there are.
-    #[arg(long, default_value_t = 1, value_name = "N", value_parser = count(MAX_JOBS))]
+    #[arg(short, long, default_value_t = 1, value_name = "N", value_parser = count(MAX_JOBS))]
     pub(crate) jobs: usize,
     /// Go on with the other scenes when one fails.
     #[arg(long)]
@@ -74,8 +78,10 @@ pub(crate) struct RunArgs {
     pub(crate) dry_run: bool,
     /// Where results go (default: ./use3d-out/NAME). Results of earlier runs there are brought up to date;
     /// what is not a result of this program is never replaced.
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) white: WhiteArgs,
     #[command(flatten)]
     pub(crate) watch: WatchArgs,
     /// One JSON document on stdout.
@@ -84,9 +90,46 @@ pub(crate) struct RunArgs {
 }
 
 #[derive(Debug, Args)]
+pub(crate) struct ResultsArgs {
+    /// A results folder, or its name below ./use3d-out (default: all that are there).
+    #[arg(value_name = "NAME|RESULTS_DIR")]
+    pub(crate) name: Option<PathBuf>,
+    /// Bring the results of this run back. Nothing is computed.
+    #[arg(value_name = "N")]
+    pub(crate) run: Option<usize>,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct CompareArgs {
+    /// A results folder, its name below ./use3d-out, or NAME:N for its run N.
+    #[arg(value_name = "A")]
+    pub(crate) a: String,
+    /// Another one.
+    #[arg(value_name = "B")]
+    pub(crate) b: String,
+    /// The page that is written.
+    #[arg(short, long, value_name = "FILE.html", default_value = "compare.html")]
+    pub(crate) out: PathBuf,
+    #[command(flatten)]
+    pub(crate) replace: Replace,
+}
+
+#[derive(Debug, Args)]
 pub(crate) struct PlanArgs {
     #[command(flatten)]
     pub(crate) pipeline: PipelineArgs,
+    /// Taken as `use3d run` takes it, and of no account here.
+    #[arg(short, long, value_name = "DIR", hide = true)]
+    out: Option<PathBuf>,
+    /// Taken as `use3d run` takes it, and of no account here.
+    #[arg(short, long, value_name = "N", hide = true)]
+    jobs: Option<usize>,
+    /// Taken as `use3d run` takes it, and of no account here.
+    #[arg(long, hide = true)]
+    keep_going: bool,
     /// One JSON document on stdout.
     #[arg(long)]
     pub(crate) json: bool,

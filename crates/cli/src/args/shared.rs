@@ -7,13 +7,92 @@ use clap::Args;
 use clap::builder::{RangedU64ValueParser, TypedValueParser};
 use use3d_reconstruct::EngineChoice;
 
+/// What computes.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct EngineArgs {
+    /// What trains and draws: auto, cpu, gpu or gpu:NAME (`use3d devices` lists them;
+    /// default: the pipeline's, or cpu).
+    #[arg(long, value_name = "ENGINE")]
+    engine: Option<EngineChoice>,
+    /// The same as `--engine gpu`.
+    #[arg(long, conflicts_with = "engine")]
+    gpu: bool,
+}
+
+impl EngineArgs {
+    /// The engine, if one was asked for.
+    pub(crate) fn choice(&self) -> Option<EngineChoice> {
+        self.engine.clone().or_else(|| self.gpu.then_some(EngineChoice::Gpu(None)))
+    }
+}
+
+/// The size of the photographs that are worked with: what the import is set to.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct SizeArgs {
+    /// Work with photographs of this size: scaled to cover it and cropped centrally
+    /// (the same as `--set import.size=WxH`).
+    #[arg(long, value_name = "WxH", conflicts_with = "max_side")]
+    size: Option<String>,
+    /// Work with photographs whose longer side has at most so many pixels
+    /// (the same as `--set import.max_side=N`).
+    #[arg(long, value_name = "N", value_parser = count(MAX_SIDE))]
+    max_side: Option<usize>,
+}
+
+/// No photograph is larger.
+const MAX_SIDE: u64 = 65_535;
+
+impl SizeArgs {
+    /// The settings that the flags stand for.
+    pub(crate) fn spelled(&self) -> Vec<Spelled> {
+        let size = self.size.iter().map(|size| Spelled::new("--size", "import", "size", size));
+        let side = self.max_side.iter().map(|n| Spelled::new("--max-side", "import", "max_side", n));
+        size.chain(side).collect()
+    }
+
+    /// The same as `--set` has them.
+    pub(crate) fn sets(&self) -> Vec<String> {
+        self.spelled().iter().map(Spelled::set).collect()
+    }
+}
+
+/// A flag that stands for a setting.
+#[derive(Clone, Debug)]
+pub(crate) struct Spelled {
+    flag: &'static str,
+    stage: &'static str,
+    key: &'static str,
+    value: String,
+}
+
+impl Spelled {
+    pub(crate) fn new(
+        flag: &'static str,
+        stage: &'static str,
+        key: &'static str,
+        value: impl ToString,
+    ) -> Self {
+        Self { flag, stage, key, value: value.to_string() }
+    }
+
+    /// An engine, which several stages have.
+    pub(crate) fn engines(engine: Option<&EngineChoice>) -> Vec<Self> {
+        let stages = ["reconstruct", "targets", "enhance", "render", "evaluate"];
+        let of = |e| stages.map(|stage| Self::new("--engine", stage, "engine", e));
+        engine.map_or_else(Vec::new, |e| of(e).to_vec())
+    }
+
+    /// As `--set` has it.
+    pub(crate) fn set(&self) -> String {
+        format!("{}.{}={}", self.stage, self.key, self.value)
+    }
+}
+
 /// `--set` of a whole pipeline.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct Settings {
-    /// What trains both stages and draws: auto, cpu, gpu or gpu:NAME (`use3d devices` lists them;
-    /// default: the pipeline's, or cpu).
-    #[arg(long, value_name = "ENGINE")]
-    pub(crate) engine: Option<EngineChoice>,
+    #[command(flatten)]
+    pub(crate) engine: EngineArgs,
     /// Set a parameter of a stage, e.g. `reconstruct.iterations=3000`; may be
     /// repeated. `use3d params` lists them.
     #[arg(long = "set", value_name = "STAGE.PARAMETER=VALUE")]
@@ -24,26 +103,52 @@ impl Settings {
     /// All settings as `--set` has them; the engine is a parameter like any other, and
     /// one that is set for a stage wins.
     pub(crate) fn sets(&self) -> Vec<String> {
-        let stages = ["reconstruct", "targets", "enhance", "render", "evaluate"];
-        let engine =
-            self.engine.iter().flat_map(|e| stages.iter().map(move |stage| format!("{stage}.engine={e}")));
-        engine.chain(self.set.iter().cloned()).collect()
+        self.spelled().iter().map(Spelled::set).chain(self.set.iter().cloned()).collect()
+    }
+
+    fn spelled(&self) -> Vec<Spelled> {
+        Spelled::engines(self.engine.choice().as_ref())
     }
 }
 
-/// A message about a setting that `--engine` stands for, by the flag that was typed.
-pub(crate) fn as_typed(message: &str, engine: Option<&EngineChoice>) -> String {
-    let Some(engine) = engine else { return message.to_string() };
-    let typed = format!("--engine {engine}: ");
-    let told = message.strip_prefix("--set ").and_then(|rest| {
-        let (setting, rest) = rest.split_once(&format!("engine={engine}: "))?;
+/// The settings of a pipeline that people reach for first, as flags.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct CommonArgs {
+    /// Steps of stage 1 (the same as `--set reconstruct.iterations=N`).
+    #[arg(long, value_name = "N", visible_alias = "steps", value_parser = count(MAX_STEPS))]
+    pub(crate) iterations: Option<usize>,
+    #[command(flatten)]
+    pub(crate) size: SizeArgs,
+}
+
+/// More steps than any training has.
+pub(super) const MAX_STEPS: u64 = 200_000_000;
+
+impl CommonArgs {
+    pub(crate) fn spelled(&self) -> Vec<Spelled> {
+        let steps = self.iterations.iter();
+        let steps = steps.map(|n| Spelled::new("--iterations", "reconstruct", "iterations", n));
+        steps.chain(self.size.spelled()).collect()
+    }
+
+    /// The settings that the flags stand for.
+    pub(crate) fn sets(&self) -> Vec<String> {
+        self.spelled().iter().map(Spelled::set).collect()
+    }
+}
+
+/// A message about a setting that a flag stands for, by the flag that was typed.
+pub(crate) fn as_typed(message: &str, spelled: &[Spelled]) -> String {
+    let told = |Spelled { flag, key, value, .. }: &Spelled| {
+        let rest = message.strip_prefix("--set ")?;
+        let (setting, rest) = rest.split_once(&format!("{key}={value}: "))?;
         let stage = setting.is_empty() || setting.ends_with('.') && !setting.contains(' ');
         // The parameter's name says nothing more.
-        let parameter = [format!("`{setting}engine`: "), "`engine`: ".to_string()];
+        let parameter = [format!("`{setting}{key}`: "), format!("`{key}`: ")];
         let rest = parameter.iter().find_map(|name| rest.strip_prefix(name.as_str())).unwrap_or(rest);
-        stage.then(|| typed + rest)
-    });
-    told.unwrap_or_else(|| message.to_string())
+        stage.then(|| format!("{flag} {value}: {rest}"))
+    };
+    spelled.iter().find_map(told).unwrap_or_else(|| message.to_string())
 }
 
 /// `--set` of one stage.
@@ -69,6 +174,16 @@ pub(crate) struct CalibrationArgs {
 }
 
 impl CalibrationArgs {
+    /// Of pairs or a calibrator.
+    pub(crate) fn of(pairs: Option<(PathBuf, PathBuf)>, calibrator: Option<PathBuf>) -> Self {
+        Self { pairs: pairs.map_or_else(Vec::new, |(input, target)| vec![input, target]), calibrator }
+    }
+
+    /// Whether nothing was given.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.pairs.is_empty() && self.calibrator.is_none()
+    }
+
     /// The two folders of pairs, if they were given.
     pub(crate) fn pairs(&self) -> Option<(PathBuf, PathBuf)> {
         match self.pairs.as_slice() {
@@ -99,6 +214,8 @@ pub(crate) struct PipelineArgs {
     #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
     pub(crate) target: PathBuf,
     #[command(flatten)]
+    pub(crate) common: CommonArgs,
+    #[command(flatten)]
     pub(crate) settings: Settings,
     #[command(flatten)]
     pub(crate) calibration: CalibrationArgs,
@@ -107,10 +224,21 @@ pub(crate) struct PipelineArgs {
 }
 
 impl PipelineArgs {
+    /// All settings as `--set` has them; what is set by `--set` itself comes last, and so wins.
+    pub(crate) fn sets(&self) -> Vec<String> {
+        self.common.sets().into_iter().chain(self.settings.sets()).collect()
+    }
+
+    /// The settings that flags stand for.
+    pub(crate) fn spelled(&self) -> Vec<Spelled> {
+        self.common.spelled().into_iter().chain(self.settings.spelled()).collect()
+    }
+
     /// A pipeline as its file has it, in a cache.
     pub(crate) fn of(target: &Path, cache: &CacheArgs) -> Self {
         Self {
             target: target.to_path_buf(),
+            common: CommonArgs::default(),
             settings: Settings::default(),
             calibration: CalibrationArgs::default(),
             cache: cache.clone(),
@@ -146,11 +274,15 @@ mod tests {
     #[test]
     fn an_engine_is_refused_by_the_flag_that_was_typed() {
         let engine = EngineChoice::Gpu(Some("vega".into()));
-        let said = |message: &str| as_typed(message, Some(&engine));
+        let spelled = Spelled::engines(Some(&engine));
+        let said = |message: &str| as_typed(message, &spelled);
         assert_eq!(said("--set engine=gpu:vega: `engine`: none"), "--engine gpu:vega: none");
         assert_eq!(said("--set reconstruct.engine=gpu:vega: `engine`: none"), "--engine gpu:vega: none");
         for other in ["--set iterations=x: a number", "scene.toml: engine=gpu:vega: none"] {
-            assert_eq!((said(other), as_typed(other, None)), (other.to_string(), other.to_string()));
+            assert_eq!((said(other), as_typed(other, &[])), (other.to_string(), other.to_string()));
         }
+        let size = [Spelled::new("--size", "import", "size", "640")];
+        let refused = "--set import.size=640: `import.size`: \"640\" is not a size";
+        assert_eq!(as_typed(refused, &size), "--size 640: \"640\" is not a size");
     }
 }

@@ -3,9 +3,8 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use use3d_reconstruct::EngineChoice;
 
-use super::shared::{Replace, StageSettings};
+use super::shared::{CommonArgs, EngineArgs, MAX_STEPS, Replace, SizeArgs, StageSettings, count};
 use super::view::WatchArgs;
 
 #[derive(Debug, Args)]
@@ -13,8 +12,10 @@ pub(crate) struct ImportArgs {
     /// The capture folder.
     pub(crate) capture: PathBuf,
     /// Where the prepared capture goes.
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub(crate) out: PathBuf,
+    #[command(flatten)]
+    pub(crate) size: SizeArgs,
     #[command(flatten)]
     pub(crate) settings: StageSettings,
     #[command(flatten)]
@@ -26,7 +27,7 @@ pub(crate) struct ReconstructArgs {
     /// The capture folder.
     pub(crate) capture: PathBuf,
     /// Where the scene goes.
-    #[arg(long, value_name = "SCENE_DIR")]
+    #[arg(short, long, value_name = "SCENE_DIR")]
     pub(crate) out: PathBuf,
     /// The models folder, for `--set images=proposed` and `--set depth_prior=depth-anything-v2`.
     #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
@@ -34,11 +35,12 @@ pub(crate) struct ReconstructArgs {
     /// Print where a step's time goes: milliseconds and share of each part. Never stored.
     #[arg(long)]
     pub(crate) profile: bool,
-    /// What trains: auto, cpu, gpu or gpu:NAME (`use3d devices` lists them).
-    #[arg(long, value_name = "ENGINE")]
-    pub(crate) engine: Option<EngineChoice>,
+    #[command(flatten)]
+    pub(crate) engine: EngineArgs,
     #[command(flatten)]
     pub(crate) watch: WatchArgs,
+    #[command(flatten)]
+    pub(crate) common: CommonArgs,
     #[command(flatten)]
     pub(crate) settings: StageSettings,
     #[command(flatten)]
@@ -54,7 +56,7 @@ pub(crate) struct CalibrateArgs {
     #[arg(long, value_name = "DIR")]
     pub(crate) target: PathBuf,
     /// The calibrator file.
-    #[arg(long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE")]
     pub(crate) out: PathBuf,
     /// The 2D enhancer that proposes: `nu2net` or `fusion` (default: nu2net when its weights are there).
     #[arg(long, value_name = "NAME")]
@@ -81,11 +83,13 @@ pub(crate) struct TargetsArgs {
     #[arg(long, value_name = "FILE")]
     pub(crate) calibrator: Option<PathBuf>,
     /// The targets file.
-    #[arg(long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE")]
     pub(crate) out: PathBuf,
     /// The models folder.
     #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
     pub(crate) models: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) size: SizeArgs,
     #[command(flatten)]
     pub(crate) settings: StageSettings,
     #[command(flatten)]
@@ -104,7 +108,7 @@ pub(crate) struct EnhanceArgs {
     #[arg(long, value_name = "FILE")]
     pub(crate) targets: PathBuf,
     /// Where the enhanced scene goes.
-    #[arg(long, value_name = "SCENE_DIR2")]
+    #[arg(short, long, value_name = "SCENE_DIR2")]
     pub(crate) out: PathBuf,
     /// The models folder, for `--set objective=pseudo-labels` with a network's targets.
     #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
@@ -112,9 +116,13 @@ pub(crate) struct EnhanceArgs {
     /// Print where a step's time goes: milliseconds and share of each part. Never stored.
     #[arg(long)]
     pub(crate) profile: bool,
-    /// What trains: auto, cpu, gpu or gpu:NAME (`use3d devices` lists them).
-    #[arg(long, value_name = "ENGINE")]
-    pub(crate) engine: Option<EngineChoice>,
+    #[command(flatten)]
+    pub(crate) engine: EngineArgs,
+    /// Steps of stage 2 (the same as `--set iterations=N`).
+    #[arg(long, value_name = "N", visible_alias = "steps", value_parser = count(MAX_STEPS))]
+    pub(crate) iterations: Option<usize>,
+    #[command(flatten)]
+    pub(crate) size: SizeArgs,
     #[command(flatten)]
     pub(crate) settings: StageSettings,
     #[command(flatten)]
@@ -159,6 +167,8 @@ pub(crate) struct EvaluateArgs {
     /// The same as `--format json`.
     #[arg(long)]
     pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) size: SizeArgs,
     #[command(flatten)]
     pub(crate) settings: StageSettings,
 }

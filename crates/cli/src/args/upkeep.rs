@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::shared::{CacheArgs, CalibrationArgs, PipelineArgs, Replace, Settings};
+use super::shared::{CacheArgs, CalibrationArgs, CommonArgs, PipelineArgs, Replace, Settings};
 
 #[derive(Debug, Args)]
 pub(crate) struct ModelsArgs {
@@ -21,6 +21,19 @@ pub(crate) struct ModelsArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct DevicesArgs {
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct DoctorArgs {
+    /// The cache folder (default: ~/.cache/use3d).
+    #[arg(long, env = "USE3D_CACHE", value_name = "DIR")]
+    pub(crate) cache: Option<PathBuf>,
+    /// The models folder (default: ./models).
+    #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
+    pub(crate) models: Option<PathBuf>,
     /// One JSON document on stdout.
     #[arg(long)]
     pub(crate) json: bool,
@@ -56,6 +69,8 @@ pub(crate) struct VerifyArgs {
     #[arg(long, value_name = "SHARE")]
     pub(crate) sample: Option<String>,
     #[command(flatten)]
+    pub(crate) common: CommonArgs,
+    #[command(flatten)]
     pub(crate) settings: Settings,
     #[command(flatten)]
     pub(crate) calibration: CalibrationArgs,
@@ -71,6 +86,7 @@ impl VerifyArgs {
     pub(crate) fn pipeline(&self, target: &Path) -> PipelineArgs {
         PipelineArgs {
             target: target.to_path_buf(),
+            common: self.common.clone(),
             settings: self.settings.clone(),
             calibration: self.calibration.clone(),
             cache: self.cache.clone(),
@@ -100,7 +116,7 @@ pub(crate) struct CompletionsArgs {
 #[derive(Debug, Args)]
 pub(crate) struct ManArgs {
     /// The folder to write to, e.g. ~/.local/share/man/man1.
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub(crate) out: PathBuf,
     #[command(flatten)]
     pub(crate) replace: Replace,

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::shared::CacheArgs;
+use super::white::WhiteArgs;
 
 /// Where a browser finds the viewer.
 #[derive(Clone, Debug, Default, Args)]
@@ -40,8 +41,12 @@ impl WatchArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct ViewArgs {
-    /// A scene, or a capture: its sparse points and cameras.
-    #[arg(value_name = "SCENE_DIR|CAPTURE", required_unless_present = "follow", conflicts_with = "follow")]
+    /// A scene, the results folder of a run that made one, or a capture: its sparse points and cameras.
+    #[arg(
+        value_name = "SCENE_DIR|RESULTS_DIR|CAPTURE",
+        required_unless_present = "follow",
+        conflicts_with = "follow"
+    )]
     pub(crate) target: Option<PathBuf>,
     /// Follow a training that another process does, by its files: a pipeline file or capture folder that is
     /// being run, the --out of `use3d reconstruct`, a folder of checkpoints, or one checkpoint.
@@ -63,6 +68,8 @@ pub(crate) struct ViewArgs {
     /// With --follow of a pipeline: settings that its run was given.
     #[arg(long = "set", value_name = "STAGE.PARAMETER=VALUE", requires = "follow")]
     pub(crate) set: Vec<String>,
+    #[command(flatten)]
+    pub(crate) white: WhiteArgs,
     #[command(flatten)]
     pub(crate) viewer: ViewerArgs,
     #[command(flatten)]

@@ -100,7 +100,7 @@ pub(crate) fn verify(app: &App, args: &VerifyArgs) -> Done {
                     "recomputing needs the pipeline file or capture whose stages may be computed again";
                 return Err(CliError::Input(format!("--sample {sample}: {what}")));
             }
-            if !args.settings.sets().is_empty() {
+            if !(args.common.sets().is_empty() && args.settings.sets().is_empty()) {
                 let what = "--set and --engine belong to a pipeline file or capture: name it, too";
                 return Err(CliError::Input(what.into()));
             }

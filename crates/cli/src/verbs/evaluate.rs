@@ -143,7 +143,8 @@ fn mean<'a>(all: impl Iterator<Item = &'a Scores>) -> Scores {
 
 fn scene_rows(app: &App, args: &EvaluateArgs, scene: &Path, capture: &Path) -> Result<Vec<Row>, CliError> {
     let registry = stages()?;
-    let parameters = parameters(&registry, &["evaluate", "import"], &args.settings.set)?;
+    let sets = [args.size.sets(), args.settings.set.clone()].concat();
+    let parameters = parameters(&registry, &["evaluate", "import"], &sets)?;
     let scratch = scratch()?;
     let import = imported(app, &registry, capture, &parameters[1], scratch.path())?;
     check_origin(scene, &import, true)?;

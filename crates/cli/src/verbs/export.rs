@@ -10,6 +10,8 @@ use clap::ValueEnum;
 use glam::{DMat3, DVec3};
 use use3d_build::machine::bytes;
 use use3d_capture::Frame;
+use use3d_render::Mode;
+use use3d_render::white::balanced;
 use use3d_scene::{Scene, similarity};
 use use3d_splat::{Gaussians, ply};
 use use3d_web::foreign::{NO_WATER, compressed_ply, glb, spz};
@@ -18,7 +20,8 @@ use crate::App;
 use crate::args::{ExportArgs, ExportFrame, ExportWhat};
 use crate::destination::{check_file, path_text, write_file};
 use crate::error::{CliError, Done};
-use crate::verbs::web;
+use crate::verbs::found::{capture_in, scene_in};
+use crate::verbs::{web, white};
 
 pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
     for (format, path) in files(args) {
@@ -32,14 +35,23 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
             "say what to write: --web FILE.html, --ply FILE, --compressed-ply FILE, --glb FILE or --spz FILE";
         return Err(CliError::Input(what.into()));
     }
+    let cameras = args.cameras.clone().or_else(|| capture_in(&args.scene));
+    let args = &ExportArgs { scene: scene_in(app, &args.scene)?, cameras, ..args.clone() };
     let scene = Scene::load(&args.scene).map_err(CliError::input)?;
+    let white = white::of(app, &args.white, &args.scene, &scene, args.cameras.as_deref())?;
     if let Some(path) = &args.web {
-        web::write(app, args, path, &scene)?;
+        web::write(app, args, path, &scene, white.as_ref())?;
     }
     if files(args).next().is_none() {
         return Ok(());
     }
     let (what, gaussians) = shown(args, &scene)?;
+    let gains = white::gains(white.as_ref());
+    let gains = Mode::from_name(&what).and_then(|mode| mode.gains(&gains));
+    let gaussians = match gains {
+        Some(gains) => balanced(gaussians, gains),
+        None => gaussians,
+    };
     let gaussians = similarity::invert(&gaussians, &scene.frame);
     for (format, path) in files(args) {
         write(app, args, (format, path), (&what, &gaussians), &scene)?;
@@ -88,19 +100,20 @@ fn files(args: &ExportArgs) -> impl Iterator<Item = (Format, &Path)> {
 
 /// The Gaussians with the colours that were asked for, and the name of these.
 fn shown(args: &ExportArgs, scene: &Scene) -> Result<(String, Gaussians), CliError> {
-    let what = match args.what {
+    // The look that the page opens with, unless another one was asked for.
+    let asked = args.what.unwrap_or(match Mode::opening(scene) {
+        Mode::EnhancedClear => ExportWhat::EnhancedClear,
+        Mode::Enhanced => ExportWhat::Enhanced,
+        _ => ExportWhat::Clear,
+    });
+    let what = match asked {
         ExportWhat::Reconstruction | ExportWhat::Clear => ExportWhat::Clear,
         ExportWhat::Enhanced | ExportWhat::EnhancedClear => ExportWhat::EnhancedClear,
     };
-    if what == ExportWhat::Clear && scene.enhancement.is_some() {
-        eprintln!(
-            "the scene is enhanced; `--what enhanced-clear` has that in the colours, `--what clear` is stage 1's radiance"
-        );
-    }
-    if what != args.what {
+    if what != asked {
         eprintln!(
             "these files hold no water: instead of `{}` this is `{}`, the same without it; `use3d render` shows it with water",
-            name(&args.what),
+            name(&asked),
             name(&what)
         );
     }
@@ -149,7 +162,7 @@ fn write(
     let gaussians = turned.as_ref().unwrap_or(colmap);
     let frame = if format == Format::Glb { ExportFrame::YUp } else { frame };
     let mut comments = vec![
-        format!("use3d {}", env!("CARGO_PKG_VERSION")),
+        format!("use3d {}", crate::version::NUMBER),
         format!("what: {what}"),
         format!("frame: {}", name(&frame)),
     ];

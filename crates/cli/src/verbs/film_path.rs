@@ -9,6 +9,7 @@ use use3d_import::read_images_txt;
 use use3d_pipeline::Drawn;
 use use3d_render::{Mode, SceneRenderer, picture};
 use use3d_scene::Scene;
+use use3d_scene::white::Gains;
 use use3d_web::path::CameraPath;
 
 use crate::App;
@@ -52,7 +53,13 @@ fn read(args: &RenderArgs, file: &Path, quiet: bool) -> Result<CameraPath, Strin
 }
 
 /// `use3d render SCENE --path FILE`.
-pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene, drawn: &Drawn<'_>, file: &Path) -> Done {
+pub(crate) fn run(
+    app: &App,
+    args: &RenderArgs,
+    (scene, gains): (&Scene, Gains),
+    drawn: &Drawn<'_>,
+    file: &Path,
+) -> Done {
     let wrong = |what: &str| CliError::Input(format!("--path {}: {what}", path_text(file)));
     let path = read(args, file, app.quiet).map_err(|what| {
         wrong(&format!(
@@ -119,7 +126,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene, drawn: &Drawn<'_>
             Some(ready) => renderer.insert(ready),
             None => {
                 let made = drawn.renderer(look.0).and_then(|r| r.with_water(look.1));
-                renderer.insert((look, made.map_err(CliError::input)?))
+                renderer.insert((look, made.map_err(CliError::input)?.with_white(gains)))
             }
         };
         let mut camera = frame.camera;

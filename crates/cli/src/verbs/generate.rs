@@ -20,7 +20,7 @@ pub(crate) fn completions(args: &CompletionsArgs) -> Done {
 pub(crate) fn man(args: &ManArgs) -> Done {
     let failed = |e: std::io::Error| CliError::Failed(format!("--out {}: {e}", args.out.display()));
     let made = scratch()?;
-    clap_mangen::generate_to(Cli::command(), made.path()).map_err(failed)?;
+    clap_mangen::generate_to(Cli::command().version(crate::version::NUMBER), made.path()).map_err(failed)?;
     let mut pages = Vec::new();
     for entry in std::fs::read_dir(made.path()).map_err(failed)? {
         let entry = entry.map_err(failed)?;

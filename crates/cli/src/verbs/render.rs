@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use use3d_build::error::nearest;
 use use3d_build::machine::bytes;
 use use3d_build::{Event, place};
 use use3d_capture::{Camera, FileName, path, stem};
@@ -19,17 +20,20 @@ use crate::destination::check_file;
 use crate::error::{CliError, Done};
 use crate::interrupt;
 use crate::size::parse_size;
+use crate::verbs::found::{capture_in, scene_in};
 
 pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
-    let names =
-        if args.modes.is_empty() { &[Mode::Reconstruction.name().to_string()][..] } else { &args.modes };
-    let modes = modes(names)?;
+    let capture = args.cameras.clone().or_else(|| capture_in(&args.scene));
+    let args = &RenderArgs { scene: scene_in(app, &args.scene)?, cameras: capture, ..args.clone() };
+    let asked = modes(&args.modes)?;
     for (flag, value) in [("--strength", args.strength), ("--water", args.water)] {
         if !(0.0..=1.0).contains(&value) {
             return Err(CliError::Input(format!("{flag} {value}: expected 0 to 1")));
         }
     }
     let scene = Scene::load(&args.scene).map_err(CliError::input)?;
+    let modes = if asked.is_empty() { vec![Mode::opening(&scene)] } else { asked };
+    let names: Vec<&str> = modes.iter().map(|mode| mode.name()).collect();
     if let (Some(mode), None) = (modes.iter().find(|mode| mode.is_enhanced()), &scene.enhancement) {
         return Err(CliError::Input(format!(
             "--modes {}: {} holds no enhancement; make one with `use3d enhance`",
@@ -38,16 +42,18 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
         )));
     }
     if args.water < 1.0 && !args.fps && !modes.iter().any(|mode| mode.shows_water()) {
-        let unchanged: Vec<&str> = modes.iter().map(|mode| mode.name()).collect();
-        eprintln!("--water {} changes nothing in {}", args.water, unchanged.join(", "));
+        eprintln!("--water {} changes nothing in {}", args.water, names.join(", "));
     }
-    let drawn = Drawn::new(&scene, &args.engine)
-        .map_err(|what| CliError::Input(format!("--engine {}: {what}", args.engine)))?;
-    if args.engine != EngineChoice::Cpu && !app.quiet {
+    let engine = args.engine.choice().unwrap_or_default();
+    let drawn =
+        Drawn::new(&scene, &engine).map_err(|what| CliError::Input(format!("--engine {engine}: {what}")))?;
+    if engine != EngineChoice::Cpu && !app.quiet {
         eprintln!("engine: {}", drawn.told());
     }
+    let white = super::white::of(app, &args.white, &args.scene, &scene, args.cameras.as_deref())?;
+    let gains = super::white::gains(white.as_ref());
     if let Some(CameraPath::File(path)) = &args.path {
-        return super::film_path::run(app, args, &scene, &drawn, path);
+        return super::film_path::run(app, args, (&scene, gains), &drawn, path);
     }
     if args.fps {
         return super::speed::run(app, args, &scene, &drawn);
@@ -55,7 +61,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     let cameras = cameras(args, &scene)?;
     let files = files(&cameras, args.format)?;
     check_places(args, &modes, &files)?;
-    let mut renderer = renderer(args, &drawn)?;
+    let mut renderer = renderer(args, &drawn)?.with_white(gains);
     let mut film = args.video.as_deref().map(|path| film(path, args.frame_rate)).transpose()?;
     let total = cameras.len() as u64;
     for (i, ((name, camera), file)) in cameras.iter().zip(&files).enumerate() {
@@ -95,11 +101,13 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
 }
 
 pub(crate) fn modes(names: &[String]) -> Result<Vec<Mode>, CliError> {
-    let known = Mode::ALL.map(Mode::name).join(", ");
+    let known = Mode::ALL.map(Mode::name);
     let find = |name: &String| {
         let name = name.trim();
-        Mode::from_name(name)
-            .ok_or_else(|| CliError::Input(format!("--modes {name}: expected some of {known}")))
+        let near =
+            || nearest(name, known).map_or_else(String::new, |near| format!("did you mean `{near}`? "));
+        let refused = || format!("--modes {name}: {}expected some of {}", near(), known.join(", "));
+        Mode::from_name(name).ok_or_else(|| CliError::Input(refused()))
     };
     names.iter().map(find).collect()
 }
@@ -113,7 +121,8 @@ pub(crate) fn renderer<'s>(args: &RenderArgs, drawn: &Drawn<'s>) -> Result<Scene
 /// The cameras asked for, in the scene's frame.
 pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName, Camera)>, CliError> {
     let from = args.cameras.as_deref().ok_or_else(|| {
-        CliError::Input("--path interpolate and spiral are made from cameras: give them by --cameras".into())
+        let what = "say from where to render: --cameras CAPTURE, a COLMAP model or a list of cameras, or --path FILE";
+        CliError::Input(what.into())
     })?;
     let mut cameras = read_cameras(from).map_err(CliError::input)?;
     for (_, camera) in &mut cameras {

@@ -11,19 +11,21 @@ use use3d_build::place;
 use use3d_build::{Builder, Cache, Event, Graph, Listener, Plan, RunOptions, Summary, picture};
 use use3d_cluster::quote;
 use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
-use use3d_pipeline::results;
+use use3d_pipeline::results::{self, Delivered};
 
 use crate::App;
 use crate::args::{
     CacheArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PipelineArgs, PlanArgs, RunArgs, Settings,
-    WhyArgs, as_typed,
+    WhiteChoice, WhyArgs, as_typed,
 };
 use crate::error::{CliError, Done};
+use crate::verbs::history::{self, Record};
 use crate::verbs::outcome::{self, Outcome};
 use crate::verbs::remote::probed;
 use crate::verbs::stages::{scratch, stages};
 use crate::verbs::synth::keep_capture;
 use crate::verbs::view::Watched;
+use crate::verbs::white;
 
 /// A pipeline with the builder and graph to work on it.
 pub(crate) struct Loaded {
@@ -42,13 +44,11 @@ impl Loaded {
 }
 
 /// Loads a pipeline file, or makes one of a capture folder.
-pub(crate) fn open(
-    PipelineArgs { target, settings, calibration, cache }: &PipelineArgs,
-    scenes: &[String],
-) -> Result<Loaded, CliError> {
+pub(crate) fn open(args: &PipelineArgs, scenes: &[String]) -> Result<Loaded, CliError> {
+    let PipelineArgs { target, calibration, cache, .. } = args;
     let registry = stages()?;
     let options = LoadOptions {
-        sets: settings.sets(),
+        sets: args.sets(),
         cache: cache.cache.clone(),
         models: cache.models.clone(),
         scenes: scenes.to_vec(),
@@ -67,7 +67,7 @@ pub(crate) fn open(
         return Err(CliError::Input(format!("{}: {what}", target.display())));
     };
     let pipeline =
-        pipeline.map_err(|error| CliError::Input(as_typed(&error.to_string(), settings.engine.as_ref())))?;
+        pipeline.map_err(|error| CliError::Input(as_typed(&error.to_string(), &args.spelled())))?;
     let cache = Cache::open(&pipeline.cache, cache.rehash).map_err(CliError::input)?;
     let graph = Graph::new(&registry, &pipeline.batch).map_err(CliError::input)?;
     Ok(Loaded { pipeline, builder: Builder::new(registry, cache), graph })
@@ -85,7 +85,15 @@ fn no_pipeline(file: &Path) -> Option<&'static str> {
         "png" | "jpg" | "jpeg" | "tif" | "tiff" | "exr" | "webp" | "heic" | "bmp" | "gif" => {
             "one picture is no capture: give the folder that holds the images and their COLMAP model"
         }
-        "json" | "xml" | "psx" | "rcproj" => {
+        "json" if file.file_name().is_some_and(|name| name == "transforms.json") => {
+            "transforms.json (nerfstudio) is not read: give the capture's folder; the COLMAP model that it was made from lies \
+             in colmap/sparse/0 there"
+        }
+        "xml" | "psx" | "rcproj" => {
+            "projects of Metashape and RealityCapture are not read: export cameras and points in COLMAP's format (Metashape: \
+             File > Export > Export Cameras > COLMAP) with undistorted images, and give that folder"
+        }
+        "json" => {
             "this is no pipeline file (.toml): give the capture's folder, with images and a COLMAP model (docs/guide/captures.md)"
         }
         _ => return None,
@@ -100,7 +108,7 @@ pub(crate) fn json(value: &impl Serialize) -> Done {
 }
 
 fn planned(args: &PlanArgs) -> Result<(Loaded, Plan), CliError> {
-    let loaded = open(&args.pipeline, &[])?;
+    let loaded = open(&resolved(&args.pipeline).0, &[])?;
     let plan = loaded.builder.plan(&loaded.graph, None);
     Ok((loaded, plan))
 }
@@ -137,7 +145,7 @@ pub(crate) fn status(args: &PlanArgs) -> Done {
 }
 
 pub(crate) fn why(args: &WhyArgs) -> Done {
-    let loaded = open(&args.pipeline, &[])?;
+    let loaded = open(&resolved(&args.pipeline).0, &[])?;
     // `SCENE` or `SCENE@VARIANT`.
     let (scene, variant) = args.scene.split_once('@').unwrap_or((&args.scene, ""));
     let why = loaded.builder.why(&loaded.graph, scene, variant, &args.stage).map_err(CliError::input)?;
@@ -149,7 +157,7 @@ pub(crate) fn why(args: &WhyArgs) -> Done {
 }
 
 pub(crate) fn graph(args: &GraphArgs) -> Done {
-    let loaded = open(&args.pipeline, &[])?;
+    let loaded = open(&resolved(&args.pipeline).0, &[])?;
     let plan = loaded.builder.plan(&loaded.graph, None);
     match args.format {
         GraphFormat::Mermaid => print!("{}", picture::mermaid(&loaded.graph, &plan)),
@@ -159,7 +167,16 @@ pub(crate) fn graph(args: &GraphArgs) -> Done {
 }
 
 pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
-    let loaded = open(&args.pipeline, &args.scene)?;
+    // A results folder stands for what was run into it, and new results go there again.
+    let (pipeline, results) = resolved(&args.pipeline);
+    let elsewhere = |set: &String| set.contains("model_dir");
+    if pipeline.target.is_dir()
+        && !use3d_import::is_prepared(&pipeline.target)
+        && !pipeline.sets().iter().any(elsewhere)
+    {
+        use3d_import::check_layout(&pipeline.target).map_err(CliError::input)?;
+    }
+    let loaded = open(&pipeline, &args.scene)?;
     let until = args.until.clone().map(|stage| vec![stage]);
     if let Some(stage) = &args.until {
         loaded.builder.registry.stage(stage).map_err(CliError::input)?;
@@ -169,8 +186,15 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     if args.dry_run {
         return show(&loaded.builder.plan(&loaded.graph, until.as_deref()), args.json);
     }
-    let out =
-        args.out.clone().unwrap_or_else(|| PathBuf::from("use3d-out").join(&loaded.pipeline.batch.name));
+    let choices = &args.white.choices[..];
+    if !choices.is_empty() && !pipeline.target.is_dir() {
+        let what =
+            "--white is for one capture folder; of a pipeline's scenes, keep one by `use3d white` each";
+        return Err(CliError::Input(what.into()));
+    }
+    white::check(choices, &pipeline.target)?;
+    let named = || PathBuf::from("use3d-out").join(&loaded.pipeline.batch.name);
+    let out = args.out.clone().or(results).unwrap_or_else(named);
     let out = (!args.cache_only).then_some(out);
     if let Some(out) = &out {
         results::check(&loaded.graph, until.as_deref(), out)?;
@@ -182,6 +206,9 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         }
         None => loaded,
     };
+    if !app.quiet {
+        tell_why(&loaded.builder.plan(&loaded.graph, until.as_deref()));
+    }
     let watched = Watched::start(app, &args.watch, None)?;
     let app = watched.as_ref().map_or(app, Watched::app);
     let options = RunOptions {
@@ -193,11 +220,26 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         until_empty: args.until_empty.then_some(PATIENCE),
         ..of_app(app)
     };
-    let done = execute(app, &loaded, &options, out.as_deref(), args.json);
+    let white = (!choices.is_empty()).then_some((choices, pipeline.target.as_path()));
+    let given = Given { pipeline: &pipeline, scenes: &args.scene, white };
+    let done = execute(app, &loaded, &options, (out.as_deref(), &given), args.json);
     if let Some(watched) = &watched {
         watched.end(&done);
     }
     done
+}
+
+/// Says why stages run again, and how long all of them will probably take.
+fn tell_why(plan: &Plan) {
+    for line in plan.reruns() {
+        eprintln!("{line}");
+    }
+    let (forecast, unknown) = plan.forecast();
+    if plan.to_run() > unknown {
+        let besides =
+            if unknown > 0 { format!(", and {unknown} stages that never ran before") } else { String::new() };
+        eprintln!("all of it will take about {}{besides}, judging by earlier runs", seconds(forecast));
+    }
 }
 
 /// How long a run with nothing else to do waits for what others compute.
@@ -236,14 +278,68 @@ fn only(graph: &Graph, named: &[String]) -> Result<Option<Vec<(String, String)>>
     Ok((!found.is_empty()).then_some(found))
 }
 
-fn execute(app: &App, loaded: &Loaded, options: &RunOptions, out: Option<&Path>, as_json: bool) -> Done {
+/// What a run was given, beside its options.
+struct Given<'a> {
+    pipeline: &'a PipelineArgs,
+    /// Only these scenes.
+    scenes: &'a [String],
+    /// The white balance that its scenes get, and the capture in whose views it is measured.
+    white: Option<(&'a [WhiteChoice], &'a Path)>,
+}
+
+/// The pipeline that a target means: itself, or, where the target is a results folder, what was run into it, and
+/// that folder.
+fn resolved(args: &PipelineArgs) -> (PipelineArgs, Option<PathBuf>) {
+    match history::of_results(&args.target) {
+        Some(record) => (record.arguments(args), Some(args.target.clone())),
+        None => (args.clone(), None),
+    }
+}
+
+/// Brings the results of an earlier run back into their folder.
+///
+/// # Errors
+/// What is no longer in the cache. Nothing is computed.
+pub(crate) fn again(app: &App, record: &Record, results: &Path) -> Done {
+    let args = record.arguments(&PipelineArgs::of(&record.target, &CacheArgs::default()));
+    let loaded = open(&args, &record.scenes)?;
+    let plan = loaded.builder.plan(&loaded.graph, record.until.as_deref());
+    let missing = plan.to_run();
+    if missing > 0 || plan.unavailable() > 0 {
+        return Err(CliError::Input(format!(
+            "{missing} of its stages are not in the cache any more, or the program or its input has changed since; \
+             this runs it again: {}",
+            record.command
+        )));
+    }
+    let options = RunOptions { until: record.until.clone(), ..of_app(app) };
+    let given = Given { pipeline: &args, scenes: &record.scenes, white: None };
+    execute(app, &loaded, &options, (Some(results), &given), false)
+}
+
+/// Runs a pipeline, puts its results into `out`, and keeps a record of the run there.
+fn execute(
+    app: &App,
+    loaded: &Loaded,
+    options: &RunOptions,
+    (out, given): (Option<&Path>, &Given<'_>),
+    as_json: bool,
+) -> Done {
     let listener = out.map_or_else(|| app.listener.clone(), |out| delivering(app, out));
     let summary = loaded.builder.run(&loaded.graph, options, &listener);
     // What an interrupted run has finished was delivered scene by scene.
-    let delivered = match out {
-        Some(out) if !summary.interrupted && !summary.left => results::deliver(&summary, out, &typed()),
+    let whole = !summary.interrupted && !summary.left;
+    let mut delivered = match out {
+        Some(out) if whole => results::deliver(&summary, out, &typed()),
         _ => Ok(Vec::new()),
     };
+    if let (Some((choices, capture)), Ok(there), Some(out)) = (given.white, &delivered, out) {
+        balance(app, choices, capture, there)?;
+        // The pages open with it.
+        if !there.is_empty() {
+            delivered = results::deliver(&summary, out, &typed());
+        }
+    }
     if as_json {
         json(&Outcome::new(&summary, &delivered))?;
     } else {
@@ -254,6 +350,11 @@ fn execute(app: &App, loaded: &Loaded, options: &RunOptions, out: Option<&Path>,
     if !app.quiet && !as_json {
         outcome::tell(&delivered);
     }
+    if let Some(out) = out.filter(|_| !delivered.is_empty()) {
+        let until = options.until.as_deref();
+        let record = Record::of(given.pipeline, given.scenes, until, loaded, &summary, typed());
+        history::keep(out, record, app.quiet || as_json)?;
+    }
     match summary.exit_code() {
         0 => Ok(()),
         75 => Err(CliError::OutOfTime),
@@ -263,6 +364,19 @@ fn execute(app: &App, loaded: &Loaded, options: &RunOptions, out: Option<&Path>,
             Err(CliError::Failed(format!("failed: {}; see the reasons and logs above", failed.join(", "))))
         }
     }
+}
+
+/// Measures the white balance of every scene among the results, the enhanced one where there are two.
+fn balance(app: &App, choices: &[WhiteChoice], capture: &Path, delivered: &[Delivered]) -> Done {
+    let scene = |what: &'static str| delivered.iter().filter(move |result| result.what == what);
+    for result in scene("enhance").chain(scene("reconstruct")) {
+        let of_this = |other: &&Delivered| (&other.scene, &other.variant) == (&result.scene, &result.variant);
+        let shown = result.what == "enhance" || !scene("enhance").any(|other| of_this(&other));
+        if shown {
+            white::keep_for(choices, &result.path, capture, app.quiet)?;
+        }
+    }
+    Ok(())
 }
 
 /// The command as it was typed.
@@ -307,13 +421,14 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     let capture = args.out.join("captures").join(SCENE);
     let mut sets =
         vec![format!("reconstruct.iterations={iterations}"), format!("enhance.iterations={steps}")];
+    sets.extend(args.iterations.map(|n| format!("reconstruct.iterations={n}")));
     sets.extend(args.settings.sets());
     // Settings and the places of all results are checked before anything is rendered: the pipeline of an
     // empty folder of the capture's name knows the same ones.
     let probe = scratch()?;
     let empty = probe.path().join(SCENE);
     std::fs::create_dir(&empty).map_err(CliError::failed)?;
-    let settings = Settings { set: sets, engine: None };
+    let settings = Settings { set: sets, ..Settings::default() };
     let throwaway = CacheArgs { cache: Some(probe.path().join("cache")), ..args.cache.clone() };
     let probed =
         open(&PipelineArgs { settings: settings.clone(), ..PipelineArgs::of(&empty, &throwaway) }, &[])?;
@@ -323,9 +438,11 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     keep_capture(app, &params, &capture)?;
     let mut cache = args.cache.clone();
     cache.cache.get_or_insert_with(|| args.out.join("cache"));
-    let loaded = open(&PipelineArgs { settings, ..PipelineArgs::of(&capture, &cache) }, &[])?;
+    let pipeline = PipelineArgs { settings, ..PipelineArgs::of(&capture, &cache) };
+    let loaded = open(&pipeline, &[])?;
     results::check(&loaded.graph, None, &args.out)?;
-    execute(app, &loaded, &of_app(app), Some(&args.out), false)?;
+    let given = Given { pipeline: &pipeline, scenes: &[], white: None };
+    execute(app, &loaded, &of_app(app), (Some(&args.out), &given), false)?;
     if !app.quiet {
         println!(
             "the demo took {}; open {} in a browser",

@@ -10,11 +10,12 @@ use use3d_build::machine::{bytes, seconds};
 use use3d_build::{Alone, Event, Registry, Stage, StageError, leftovers};
 use use3d_pipeline::config::stage_parameters;
 use use3d_pipeline::stages::{CALIBRATOR, TARGETS, registry};
-use use3d_reconstruct::EngineChoice;
 use use3d_scene::Origin;
 
 use crate::App;
-use crate::args::{CalibrateArgs, EnhanceArgs, ImportArgs, ReconstructArgs, TargetsArgs, as_typed};
+use crate::args::{
+    CalibrateArgs, EngineArgs, EnhanceArgs, ImportArgs, ReconstructArgs, Spelled, TargetsArgs, as_typed,
+};
 use crate::destination::{check_file, check_folder, copy_file, copy_folder, path_text, word};
 use crate::error::{CliError, Done};
 use crate::verbs::view::Watched;
@@ -148,12 +149,28 @@ pub(crate) fn parameters(
     stages.iter().zip(&sorted).map(|(s, sets)| stage_parameters(s, sets).map_err(CliError::input)).collect()
 }
 
-/// A refusal of `--engine` by that name.
-fn typed(error: CliError, engine: Option<&EngineChoice>) -> CliError {
+/// A refusal of a setting by the flag that stood for it.
+fn typed(error: CliError, spelled: &[Spelled]) -> CliError {
     match error {
-        CliError::Input(message) => CliError::Input(as_typed(&message, engine)),
+        CliError::Input(message) => CliError::Input(as_typed(&message, spelled)),
         other => other,
     }
+}
+
+/// The engine that a stage is asked to compute on.
+fn engine(args: &EngineArgs, stage: &'static str) -> Option<Spelled> {
+    args.choice().map(|choice| Spelled::new("--engine", stage, "engine", choice))
+}
+
+/// The parameters of stages from flags that stand for settings, and from settings, which win.
+fn with_flags(
+    registry: &Registry,
+    names: &[&str],
+    flags: &[Spelled],
+    sets: &[String],
+) -> Result<Vec<Value>, CliError> {
+    let all: Vec<String> = flags.iter().map(Spelled::set).chain(sets.iter().cloned()).collect();
+    parameters(registry, names, &all).map_err(|error| typed(error, flags))
 }
 
 /// Says where a result is, how large it is, how long it took, and what comes next.
@@ -247,7 +264,8 @@ pub(crate) fn import(app: &App, args: &ImportArgs) -> Done {
     let force = args.replace.force;
     check_folder(&args.out, force)?;
     let registry = stages()?;
-    let parameters = parameters(&registry, &["import"], &args.settings.set)?;
+    let spelled = args.size.spelled();
+    let parameters = with_flags(&registry, &["import"], &spelled, &args.settings.set)?;
     let stage = registry.stage("import").map_err(CliError::failed)?;
     let kept = Kept { out: &args.out, force, checkpoints: None };
     run_kept(app, stage, &parameters[0], vec![("capture", args.capture.clone())], &kept)?;
@@ -289,9 +307,9 @@ pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
     let mut names = vec!["reconstruct", "import", "propose"];
     // Absent where the program was built without networks.
     names.extend(registry.stage("depth").ok().map(|_| "depth"));
-    let mut sets = args.settings.set.clone();
-    sets.extend(args.engine.iter().map(|engine| format!("engine={engine}")));
-    let parameters = parameters(&registry, &names, &sets).map_err(|e| typed(e, args.engine.as_ref()))?;
+    let mut spelled = args.common.spelled();
+    spelled.extend(engine(&args.engine, "reconstruct"));
+    let parameters = with_flags(&registry, &names, &spelled, &args.settings.set)?;
     let scratch = scratch()?;
     let import = imported(app, &registry, &args.capture, &parameters[1], scratch.path())?;
     let mut inputs = vec![("import", import.clone())];
@@ -374,7 +392,7 @@ pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
     if args.calibrator.is_some() {
         sets.insert(0, "proposer=auto".into());
     }
-    let parameters = parameters(&registry, &["targets", "import"], &sets)?;
+    let parameters = with_flags(&registry, &["targets", "import"], &args.size.spelled(), &sets)?;
     if args.calibrator.is_none() && parameters[0]["proposer"] != "scene" {
         return Err(CliError::Input(
             "proposals for photographs need a calibrator: give --calibrator FILE (`use3d calibrate` makes one), or start from what stage 1 \
@@ -406,10 +424,10 @@ pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
     let force = args.replace.force;
     check_folder(&args.out, force)?;
     let registry = stages()?;
-    let mut sets = args.settings.set.clone();
-    sets.extend(args.engine.iter().map(|engine| format!("engine={engine}")));
-    let parameters =
-        parameters(&registry, &["enhance", "import"], &sets).map_err(|e| typed(e, args.engine.as_ref()))?;
+    let mut spelled = args.size.spelled();
+    spelled.extend(args.iterations.map(|n| Spelled::new("--iterations", "enhance", "iterations", n)));
+    spelled.extend(engine(&args.engine, "enhance"));
+    let parameters = with_flags(&registry, &["enhance", "import"], &spelled, &args.settings.set)?;
     let scratch = scratch()?;
     let import = imported(app, &registry, &args.capture, &parameters[1], scratch.path())?;
     check_origin(&args.scene, &import, false)?;

@@ -243,7 +243,7 @@ fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<
     if let Some(models) = &args.pipeline.cache.models {
         run.extend(["--models".to_string(), text(models)?]);
     }
-    run.extend(args.pipeline.settings.sets().into_iter().flat_map(|set| ["--set".to_string(), set]));
+    run.extend(args.pipeline.sets().into_iter().flat_map(|set| ["--set".to_string(), set]));
     if let Some((input, target)) = args.pipeline.calibration.pairs() {
         run.extend(["--pairs".to_string(), text(&input)?, text(&target)?]);
     }

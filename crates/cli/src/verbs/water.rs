@@ -12,7 +12,8 @@ use crate::verbs::stages::{imported, parameters, scratch, stages};
 
 pub(crate) fn run(app: &App, args: &WaterArgs) -> Done {
     let registry = stages()?;
-    let parameters = parameters(&registry, &["import"], &args.settings.set)?;
+    let sets = [args.size.sets(), args.settings.set.clone()].concat();
+    let parameters = parameters(&registry, &["import"], &sets)?;
     let scratch = scratch()?;
     let folder = imported(app, &registry, &args.capture, &parameters[0], scratch.path())?;
     let capture = load_prepared(&folder).map_err(CliError::input)?;

@@ -3,9 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use use3d_build::machine::bytes;
+use use3d_capture::Frame;
 use use3d_import::{ImportParams, capture_name, import, read_cameras};
 use use3d_pipeline::scene_page;
-use use3d_scene::{Origin, Scene};
+use use3d_scene::{Origin, Scene, White};
 use use3d_web::{Page, PageView, SavedViews};
 
 use crate::App;
@@ -22,7 +23,7 @@ pub(crate) fn check(path: &Path, args: &ExportArgs) -> Done {
 }
 
 /// Writes the page, and its parts into a folder beside it where it is too large for one file.
-pub(crate) fn write(app: &App, args: &ExportArgs, path: &Path, scene: &Scene) -> Done {
+pub(crate) fn write(app: &App, args: &ExportArgs, path: &Path, scene: &Scene, white: Option<&White>) -> Done {
     let views = match &args.cameras {
         Some(cameras) => views(cameras, &args.scene, scene)?,
         None => Vec::new(),
@@ -31,8 +32,14 @@ pub(crate) fn write(app: &App, args: &ExportArgs, path: &Path, scene: &Scene) ->
     let name = scene_name(&args.scene);
     let folder = parts_folder(path);
     let folder_name = folder.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-    let page =
-        Page { name: &name, scene, views, metres_per_unit: args.metres_per_unit, saved: saved.as_ref() };
+    let page = Page {
+        name: &name,
+        scene,
+        views,
+        metres_per_unit: args.metres_per_unit,
+        saved: saved.as_ref(),
+        white,
+    };
     let written = use3d_web::write(&page, &folder_name).map_err(CliError::input)?;
     for (file, text) in &written.parts {
         let part = folder.join(file);
@@ -98,15 +105,60 @@ fn parts_folder(path: &Path) -> PathBuf {
     path.with_file_name(format!("{stem}_files"))
 }
 
+/// Refuses a capture that shows another place: one that has none of the photographs that the scene was made from.
+fn check_capture(
+    origin: &Origin,
+    cameras: &Path,
+    folder: &Path,
+    placed: &[(use3d_capture::FileName, use3d_capture::Camera)],
+) -> Done {
+    let known = |(name, _): &(use3d_capture::FileName, use3d_capture::Camera)| {
+        let stem = use3d_capture::stem(name);
+        origin.train.iter().chain(&origin.held_out).any(|of_scene| of_scene == stem)
+    };
+    if placed.iter().any(known) {
+        return Ok(());
+    }
+    let example = origin.train.first().map_or_else(String::new, |stem| format!(" (`{stem}` is one of them)"));
+    Err(CliError::Input(format!(
+        "--cameras {}: it has none of the photographs that {} was made from{example}; give the capture of this scene",
+        path_text(cameras),
+        path_text(folder)
+    )))
+}
+
+/// Whether a scene's frame is the one that a capture is imported in, or that of COLMAP itself (`normalise = false`).
+fn same_place(scene: &Frame, capture: &Frame) -> bool {
+    // Far more than rounding, far less than another model would be off.
+    const ALIKE: f64 = 0.01;
+    let alike = |other: &Frame| {
+        (scene.scale / other.scale - 1.0).abs() < ALIKE
+            && (scene.rotation - other.rotation).to_cols_array().iter().all(|v| v.abs() < ALIKE)
+            && (scene.translation - other.translation).abs().max_element() < ALIKE
+    };
+    alike(capture) || alike(&Frame::IDENTITY)
+}
+
 /// The places of a capture's photographs, with the photographs; of anything else that
 /// has cameras, the places alone.
 pub(crate) fn views(cameras: &Path, folder: &Path, scene: &Scene) -> Result<Vec<PageView>, CliError> {
     let origin = Origin::read(folder).map_err(CliError::input)?;
     let placed = read_cameras(cameras).map_err(CliError::input)?;
+    if let Some(origin) = origin.as_ref().filter(|_| cameras.is_dir()) {
+        check_capture(origin, cameras, folder, &placed)?;
+    }
     // A model without its images is no capture, and has cameras all the same.
     if cameras.is_dir()
         && let Ok(imported) = import(cameras, &ImportParams::default())
     {
+        if origin.is_some() && !same_place(&scene.frame, &imported.capture.frame) {
+            return Err(CliError::Input(format!(
+                "--cameras {}: its photographs have the names of those that {} was made from, but its cameras stand \
+                 elsewhere: it is another model; give the capture of this scene",
+                path_text(cameras),
+                path_text(folder)
+            )));
+        }
         if imported.needs_preparation() {
             eprintln!(
                 "the photographs are shown as they were taken: their lens is not undistorted in the page"

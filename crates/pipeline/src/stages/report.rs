@@ -354,15 +354,13 @@ fn inline(svg: &str) -> String {
     svg.find("<svg").map_or_else(String::new, |start| svg[start..].to_string())
 }
 
-/// The look that a scene leads with: the one that its enhancement was learnt in. Colours that were learnt to
-/// look right through water are too strong without it.
+/// The look that the report of a scene leads with: the one that it opens with, and without an enhancement the
+/// scene without its water.
 fn best_look(enhanced: Option<&Path>) -> Result<Mode, StageError> {
     let Some(folder) = enhanced else { return Ok(Mode::Clear) };
-    let appearance = Scene::load(folder)?.enhancement.map(|e| e.appearance);
-    Ok(match appearance {
-        Some(Appearance::Clear) => Mode::EnhancedClear,
-        Some(Appearance::Water) => Mode::Enhanced,
-        None => Mode::Clear,
+    Ok(match Mode::opening(&Scene::load(folder)?) {
+        Mode::Reconstruction => Mode::Clear,
+        look => look,
     })
 }
 

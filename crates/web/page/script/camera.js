@@ -4,10 +4,20 @@
 
 const DEGREE = Math.PI / 180;
 
+// The photograph that the page opens at: the trained one in the middle of all, since a capture's first view lies at its
+// edge. Of one or two it is the first.
+function openingView(cameras) {
+  const trained = cameras.map((view, i) => [view, i]).filter(([view]) => !view.heldOut);
+  if (cameras.length < 3 || !trained.length) return cameras.length ? 0 : -1;
+  const middle = scaled(cameras.reduce((sum, view) => add(sum, view.eye), [0, 0, 0]), 1 / cameras.length);
+  const away = ([view]) => norm(subtract(view.eye, middle));
+  return trained.reduce((best, one) => (away(one) < away(best) ? one : best))[1];
+}
+
 function makeCamera(header) {
   const { low, high } = header.bounds;
   const middle = scaled(add(low, high), 0.5), reach = Math.max(norm(subtract(high, low)) / 2, 1e-3);
-  const first = header.cameras[0];
+  const first = header.cameras[openingView(header.cameras)];
   const camera = { eye: [0, 0, 0], rotation: looking([0, 1, 0], [0, 0, 1]), fov: 50, focus: reach, up: [0, 0, 1], upright: [0, 0, 1], reach };
 
   camera.state = () => ({ eye: [...camera.eye], rotation: camera.rotation.map(row => [...row]), fov: camera.fov, focus: camera.focus });

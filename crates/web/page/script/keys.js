@@ -1,11 +1,11 @@
 // One key for every action. Keys that belong to a text field or a slider stay there.
 
-function makeKeys(viewer, navigation, panel, views, path, measure) {
+function makeKeys(viewer, navigation, panel, views, path, measure, white) {
   const { actions, modes } = panel;
   const KEYS = {
     f: actions.frame, r: actions.reset, l: actions.level, p: actions.picture, h: actions.help, '?': actions.help,
     1: () => { navigation.setFlying(false); say('Orbit'); }, 2: () => { navigation.setFlying(true); say('Fly'); },
-    c: () => { element('compare').click(); }, m: () => measure.choose('distance'), g: () => measure.choose('ground'),
+    c: () => { element('compare').click(); }, m: () => measure.choose('distance'), i: () => white.choose(), g: () => measure.choose('ground'),
     k: path.add, ' ': () => { if (path.keys.length > 1) (path.playing ? path.stop() : path.play()); },
     n: () => views.go(views.current + 1), b: () => views.go(views.current - 1),
     // Without a pointer: what a click does, in the middle of the picture; where there is nothing to click,
@@ -19,7 +19,7 @@ function makeKeys(viewer, navigation, panel, views, path, measure) {
     '[': () => viewer.setLook({ strength: clamp(viewer.look.strength - 0.1, 0, 1) }), ']': () => viewer.setLook({ strength: clamp(viewer.look.strength + 0.1, 0, 1) }),
     '-': () => viewer.setLook({ water: clamp(viewer.look.water - 0.1, 0, 1) }), '=': () => viewer.setLook({ water: clamp(viewer.look.water + 0.1, 0, 1) }),
     '+': () => viewer.setLook({ water: clamp(viewer.look.water + 0.1, 0, 1) }),
-    Escape: () => { if (measure.tool) measure.choose(measure.tool); path.stop(); },
+    Escape: () => { if (white.picking) white.choose(); if (measure.tool) measure.choose(measure.tool); path.stop(); },
   };
   function step(by) {
     const mode = modes[(modes.indexOf(viewer.look.mode) + by + modes.length) % modes.length];

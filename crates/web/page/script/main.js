@@ -11,18 +11,18 @@ async function start() {
   const viewer = makeViewer(canvas, scene), overlay = makeOverlay(element('overlay'), viewer);
   const navigation = makeNavigation(canvas, viewer), panel = makePanel(viewer, navigation);
   const views = makeViews(viewer, overlay), path = makePath(viewer, overlay), recorder = makeRecorder(viewer, path);
-  const measure = makeMeasure(viewer, overlay), saved = makeSaved(viewer, measure);
+  const measure = makeMeasure(viewer, overlay), saved = makeSaved(viewer, measure), white = makeWhite(viewer, server, picture);
   makeSplit(viewer);
-  makeKeys(viewer, navigation, panel, views, path, measure);
-  navigation.click = (x, y) => measure.click(x, y) || views.pick(x, y, canvas.clientWidth, canvas.clientHeight);
-  navigation.picking = () => measure.tool !== null;
+  makeKeys(viewer, navigation, panel, views, path, measure, white);
+  navigation.click = (x, y) => white.click(x, y) || measure.click(x, y) || views.pick(x, y, canvas.clientWidth, canvas.clientHeight);
+  navigation.picking = () => white.picking || measure.tool !== null;
   navigation.interrupted = () => path.stop();
   navigation.setFlying(false);
   canvas.addEventListener('webglcontextlost', event => { event.preventDefault(); problem('The graphics driver stopped. Load the page again to go on.'); });
   viewer.setLook({});
   viewer.setCompare(null);
   const training = makeTraining(viewer, server);
-  if (scene.header.cameras.length) views.current = 0;
+  views.current = openingView(scene.header.cameras);
   await new Promise(done => { viewer.on('frame', done); });
   progress.hidden = true;
   document.body.classList.add('ready');
@@ -34,19 +34,19 @@ async function start() {
     }
   };
   // The float picture (RGBA, rows from the top) of a camera { eye, rotation, lens, width, height } and a look
-  // { mode, strength, water }.
-  async function picture(view, look) {
+  // { mode, strength, water, white }, or of a box of it.
+  async function picture(view, look, box = null) {
     const { held } = viewer;
     viewer.held = true;
     viewer.sorter.ask(view);
     while (!viewer.sorter.settled()) await new Promise(done => setTimeout(done, 1));
-    const picture = viewer.renderer.picture(view, look);
+    const picture = viewer.renderer.picture(view, look, box);
     viewer.held = held;
     viewer.invalidate();
     return picture;
   }
   const reference = makeReference(viewer, server, picture);
-  return { viewer, training, navigation, views, saved, path, recorder, measure, panel, reference, scene: scene.header, settled, picture };
+  return { viewer, training, navigation, views, saved, path, recorder, measure, white, panel, reference, scene: scene.header, settled, picture };
 }
 
 function problem(text) {

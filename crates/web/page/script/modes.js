@@ -14,6 +14,11 @@ const MODES = {
 // are too strong without it.
 const openingMode = header => (header.enhancement ? (header.enhancement.water ? 'enhanced' : 'enhanced-clear') : 'reconstruction');
 
+// What a white balance multiplies the colours of a look with: the looks without water and `enhanced` have gains of
+// their own, all others stay as they are.
+const NO_GAINS = [1, 1, 1];
+const gainsOf = look => look.white?.[look.mode] ?? NO_GAINS;
+
 // The modes that a scene has.
 const modesOf = header => Object.keys(MODES).filter(name => {
   const mode = MODES[name];

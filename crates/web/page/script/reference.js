@@ -43,7 +43,7 @@ function makeReference(viewer, server, picture) {
     const camera = viewer.camera.pinhole(Math.max(1, Math.round(scale * canvas.clientWidth)), Math.max(1, Math.round(scale * canvas.clientHeight)));
     const asked = state();
     text.textContent = 'The program draws…';
-    const answer = await server.ask('/frame', { page: `${server.page} reference`, camera, mode: look.mode, left: null, at: 0.5, strength: look.strength, water: look.water, moving: false });
+    const answer = await server.ask('/frame', { page: `${server.page} reference`, camera, mode: look.mode, left: null, at: 0.5, strength: look.strength, water: look.water, white: look.white ?? null, moving: false });
     if (answer.status !== 200) { reference.hide(); return; }
     const bitmap = await createImageBitmap(await answer.blob(), { colorSpaceConversion: 'none' });
     [shown.width, shown.height] = [bitmap.width, bitmap.height];

@@ -2,7 +2,7 @@
 // two halves that show different modes; each is drawn for itself inside a scissor.
 //
 // A camera is { eye, rotation, lens: [fx, fy, cx, cy], width, height } in pixels; a look is { mode, strength,
-// water }.
+// water, white }, where `white` holds the gains of each mode that has some.
 
 // Share of half a picture by which slopes in the projection's derivative may leave it.
 const NO_LIMITS = 0.3;
@@ -87,8 +87,9 @@ function makeRenderer(canvas, scene) {
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, ordered);
   }
 
-  // Fills the float picture; `at` in [0, 1] is where `left` ends and `look` begins.
-  function compose(camera, look, left, at) {
+  // Fills the float picture; `at` in [0, 1] is where `left` ends and `look` begins. Of a `box` [x, y, width, height],
+  // rows from the top, nothing else is drawn.
+  function compose(camera, look, left, at, box = null) {
     const { width, height } = camera;
     maps.resize(width, height);
     sum.resize(width, height);
@@ -97,7 +98,7 @@ function makeRenderer(canvas, scene) {
     const halves = [[left, 0, cut], [look, cut, width]].filter(([, from, to]) => to > from);
     gl.enable(gl.SCISSOR_TEST);
     for (const [half, from, to] of halves) {
-      gl.scissor(from, 0, to - from, height);
+      if (box) gl.scissor(box[0], height - box[1] - box[3], box[2], box[3]); else gl.scissor(from, 0, to - from, height);
       drawHalf(camera, half);
     }
     return halves;
@@ -120,19 +121,23 @@ function makeRenderer(canvas, scene) {
       for (const [half, from, to] of halves) {
         gl.scissor(from, 0, to - from, camera.height);
         show.ints({ depthOnly: !!MODES[half.mode].depth });
+        show.floats({ gains: gainsOf(half) });
         fullScreen();
       }
       gl.disable(gl.SCISSOR_TEST);
     },
-    // The float picture of one look: RGBA per pixel, rows from the top; for depth the mean depth, 0 where
-    // nothing is.
-    picture(camera, look) {
-      compose(camera, look, null, 0);
+    // The float picture of one look, or of a box [x, y, width, height] of it: RGBA per pixel, rows from the top; for
+    // depth the mean depth, 0 where nothing is.
+    picture(camera, look, box = null) {
+      compose(camera, look, null, 0, box);
       gl.disable(gl.SCISSOR_TEST);
-      const { width, height } = camera, raw = new Float32Array(4 * width * height), out = new Float32Array(raw.length);
+      const [left, top, width, height] = box ?? [0, 0, camera.width, camera.height];
+      const raw = new Float32Array(4 * width * height), out = new Float32Array(raw.length);
       gl.bindFramebuffer(gl.FRAMEBUFFER, sum.buffer);
-      gl.readPixels(0, 0, width, height, gl.RGBA, gl.FLOAT, raw);
+      gl.readPixels(left, camera.height - top - height, width, height, gl.RGBA, gl.FLOAT, raw);
       for (let y = 0; y < height; y++) out.set(raw.subarray(4 * width * (height - 1 - y), 4 * width * (height - y)), 4 * width * y);
+      const gains = gainsOf(look);
+      if (gains !== NO_GAINS) for (let i = 0; i < out.length; i++) if (i % 4 < 3) out[i] *= gains[i % 4];
       if (MODES[look.mode].depth) for (let i = 0; i < out.length; i += 4) out[i] = out[i] / Math.max(out[i + 3], 1e-6);
       return out;
     },

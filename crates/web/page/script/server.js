@@ -73,7 +73,7 @@ function makeServerRenderer(canvas, server, shown) {
     setOrder() {},
     settled: () => !busy || server.lost,
     ask(camera, look, left, at, moving) {
-      wanted = { page: server.page, camera, mode: look.mode, left: left?.mode ?? null, at, strength: look.strength, water: look.water, moving };
+      wanted = { page: server.page, camera, mode: look.mode, left: left?.mode ?? null, at, strength: look.strength, water: look.water, white: look.white ?? null, moving };
       if (!busy) work();
     },
     depth: async camera => (await server.json('/depth', { page: server.page, camera })).depth ?? null,

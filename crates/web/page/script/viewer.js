@@ -16,7 +16,7 @@ function makeViewer(canvas, scene) {
   const viewer = {
     drawsHere: !server, camera, renderer, sorter, flight, header, invalidate, moved, ready: !!server,
     held: false,              // somebody draws a picture of his own: no frames meanwhile
-    look: { mode: openingMode(header), strength: 1, water: 1 },
+    look: { mode: openingMode(header), strength: 1, water: 1, white: header.white?.gains ?? null },
     compare: null,            // the mode on the left, or null
     at: 0.5,
     on: (name, f) => listeners[name].push(f),

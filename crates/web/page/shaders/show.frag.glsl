@@ -4,6 +4,7 @@
 precision highp float;
 uniform sampler2D picture;
 uniform bool depthOnly;
+uniform vec3 gains;             // of the white balance
 uniform vec2 range;             // nearest and farthest depth shown
 out vec4 outColor;
 
@@ -17,7 +18,7 @@ vec3 ramp(float t) {
 
 void main() {
   vec4 sum = texelFetch(picture, ivec2(gl_FragCoord.xy), 0);
-  if (!depthOnly) { outColor = vec4(clamp(sum.rgb, 0.0, 1.0), 1.0); return; }
+  if (!depthOnly) { outColor = vec4(clamp(gains * sum.rgb, 0.0, 1.0), 1.0); return; }
   float z = sum.r / max(sum.a, 1e-6);
   vec3 c = z > 0.0 ? ramp((1.0 / z - 1.0 / range.y) / max(1.0 / range.x - 1.0 / range.y, 1e-9)) : vec3(0.0);
   outColor = vec4(c, 1.0);

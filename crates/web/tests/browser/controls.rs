@@ -136,6 +136,7 @@ fn two_looks_are_compared_and_photographs_stand_beside() {
         views: page_views(),
         metres_per_unit: None,
         saved: Some(&saved),
+        white: None,
     };
     let again = tempfile::tempdir().expect("a folder");
     let path = again.path().join("again.html");

@@ -31,7 +31,14 @@ fn page_views() -> Vec<PageView> {
 
 /// A folder with a scene's page in it.
 fn exported(scene: &Scene) -> (tempfile::TempDir, PathBuf) {
-    let page = Page { name: "reef <test>", scene, views: page_views(), metres_per_unit: None, saved: None };
+    let page = Page {
+        name: "reef <test>",
+        scene,
+        views: page_views(),
+        metres_per_unit: None,
+        saved: None,
+        white: None,
+    };
     let written = use3d_web::write(&page, "reef_files").expect("a page");
     let dir = tempfile::tempdir().expect("a folder");
     let path = dir.path().join("reef.html");

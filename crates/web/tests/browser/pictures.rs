@@ -2,14 +2,16 @@
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use serde_json::json;
+use serde_json::{Value, json};
 use use3d_capture::{Camera, Lattice};
-use use3d_render::{Look, Renderer};
+use use3d_render::white::{gains_of_patches, patch};
+use use3d_render::{Look, Mode, Renderer, SceneRenderer};
 use use3d_scene::Scene;
+use use3d_scene::white::Gains;
 use use3d_splat::Rendered;
 
 use crate::chromium::Chromium;
-use crate::{opened, scenes};
+use crate::{opened, page_views, scenes};
 
 /// What the program draws, interleaved RGB in the display range; depth in units of [`DEPTH`].
 pub(crate) fn drawn(scene: &Scene, camera: &Camera, mode: &str, strength: f32, water: f32) -> Vec<f32> {
@@ -41,7 +43,12 @@ fn shown(browser: &mut Chromium, camera: &Camera, mode: &str, strength: f32, wat
     let view = json!({
         "eye": pose.center().to_array(), "rotation": rows, "lens": [k.fx, k.fy, k.cx, k.cy], "width": k.width, "height": k.height,
     });
-    let look = json!({ "mode": mode, "strength": strength, "water": water });
+    shown_as(browser, &view, &json!({ "mode": mode, "strength": strength, "water": water }))
+}
+
+/// What the browser draws of a camera and a look in its own words.
+fn shown_as(browser: &mut Chromium, view: &Value, look: &Value) -> Vec<f32> {
+    let mode = look["mode"].as_str().expect("a mode");
     let scale = if mode == "depth" { 1.0 / DEPTH } else { 1.0 };
     let text = browser.evaluate(&format!(
         "(async () => {{
@@ -121,4 +128,74 @@ fn every_water_and_every_degree_is_drawn_alike() {
         let looks = if kind == "none" { &looks[..2] } else { &looks[..] };
         compare(&mut browser, &scene, &scenes::cameras(3, 160, 90), looks);
     }
+}
+
+#[test]
+fn a_click_on_something_grey_balances_what_page_and_program_draw_alike() {
+    let scene = scenes::scene("rbf", 3);
+    let Some((mut browser, _dir)) = opened(&scene) else { return };
+    let camera = page_views()[1].camera;
+    let mut renderer = SceneRenderer::new(&scene, 1.0).expect("a renderer");
+    // Some place whose colour is near enough to grey; the scene is made up.
+    let spots =
+        (0..11).flat_map(|i| (0..8).map(move |k| (20.0 + 12.0 * f64::from(i), 18.0 + 12.0 * f64::from(k))));
+    let spot = spots.into_iter().find_map(|(x, y)| {
+        let found = patch(&mut renderer, &camera, x, y).ok()?;
+        let gains = gains_of_patches(&[found], true).ok()?;
+        Some((x, y, found, gains))
+    });
+    let (x, y, found, gains) = spot.expect("a place that may be grey");
+
+    // Both measure the same colour and depth.
+    let number = |value: &Value| value.as_f64().expect("a number");
+    let theirs = browser.evaluate(&format!("use3d.white.measure(use3d.scene.cameras[1], {x}, {y})"));
+    for (look, color) in found.colors.iter().enumerate() {
+        for (c, v) in color.iter().enumerate() {
+            let apart = (number(&theirs["colors"][look][c]) - v).abs();
+            assert!(apart < 4e-3, "look {look}, channel {c}: {v}, {theirs}");
+        }
+    }
+    assert!((number(&theirs["depth"]) - found.depth).abs() < 0.02 * found.depth, "{found:?} {theirs}");
+
+    // A click there, from where the photograph was taken: gains, a status line, and the line to paste.
+    browser.evaluate("use3d.viewer.camera.set(use3d.viewer.camera.atView(use3d.scene.cameras[1]))");
+    browser.evaluate("document.getElementById('white-pick').click()");
+    browser.evaluate(&format!(
+        "(async () => {{
+            const canvas = document.getElementById('view'), view = use3d.scene.cameras[1], scale = canvas.clientHeight / view.height;
+            use3d.viewer.moved();
+            await use3d.settled();
+            await use3d.white.take(canvas.clientWidth / 2 + scale * ({x} + 0.5 - view.lens[2]), canvas.clientHeight / 2 + scale * ({y} + 0.5 - view.lens[3]));
+        }})()"
+    ));
+    let line = browser.evaluate("document.getElementById('white-line').textContent");
+    assert_eq!(line, json!(format!("--white photo_1:{x},{y}@160x120")));
+    let theirs: Gains = serde_json::from_value(browser.evaluate("use3d.viewer.look.white")).expect("gains");
+    let all = |g: &Gains| [g.clear, g.enhanced, g.enhanced_clear].concat();
+    for (ours, theirs) in all(&gains).into_iter().zip(all(&theirs)) {
+        assert!((ours / theirs - 1.0).abs() < 0.02, "{gains:?} {theirs:?}");
+    }
+    let told = browser.evaluate("document.getElementById('white-text').textContent");
+    assert!(told.as_str().is_some_and(|told| told.contains("It holds for that distance")), "{told}");
+
+    // Pictures in these gains are the program's.
+    browser.evaluate("use3d.viewer.held = true");
+    let mut renderer = renderer.with_white(theirs);
+    let (k, pose) = (&camera.intrinsics, &camera.pose);
+    let rows: [[f64; 3]; 3] = std::array::from_fn(|r| pose.rotation.row(r).to_array());
+    let view = json!({
+        "eye": pose.center().to_array(), "rotation": rows, "lens": [k.fx, k.fy, k.cx, k.cy], "width": k.width, "height": k.height,
+    });
+    for mode in [Mode::Clear, Mode::Enhanced, Mode::EnhancedClear, Mode::Reconstruction] {
+        let look = json!({ "mode": mode.name(), "strength": 1.0, "water": 1.0, "white": theirs });
+        let shown = shown_as(&mut browser, &view, &look);
+        let drawn = renderer.color(&camera, mode).expect("a picture");
+        let drawn: Vec<f32> = drawn.to_interleaved().into_iter().map(|v| v.clamp(0.0, 1.0)).collect();
+        let (mean, far) = difference(&drawn, &shown);
+        assert!(mean <= 1e-3 && far <= 2e-3, "{}: mean {mean:.2e}, {:.3} % apart", mode.name(), 100.0 * far);
+    }
+    // Off is off.
+    browser.evaluate("document.getElementById('white-off').click()");
+    assert!(browser.evaluate("use3d.viewer.look.white").is_null());
+    assert_eq!(browser.complaints, Vec::<String>::new());
 }

@@ -26,6 +26,7 @@ fn the_program_draws_for_the_page_and_a_training_is_watched() {
         views: views.clone(),
         metres_per_unit: None,
         saved: None,
+        white: None,
         step: Some(step),
     };
 
@@ -171,6 +172,7 @@ fn a_finished_scene_is_drawn_by_the_browser_and_a_wrong_key_opens_nothing() {
         views: Arc::default(),
         metres_per_unit: Some(0.5),
         saved: None,
+        white: None,
         step: None,
     };
     live.hand_over(shown).expect("data");

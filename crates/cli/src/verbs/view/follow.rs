@@ -108,6 +108,7 @@ pub(super) fn run(app: &App, args: &ViewArgs, target: &Path, live: &Arc<Live>) -
             views: views.clone(),
             metres_per_unit: args.metres_per_unit,
             saved: saved.clone(),
+            white: None,
             step,
         };
         if !app.quiet {
@@ -142,7 +143,7 @@ fn followed(args: &ViewArgs, target: &Path) -> Result<Followed, CliError> {
     if Scene::is_scene(target) || beside.is_dir() || !target.exists() {
         return Ok(Followed::Scene { folder: target.to_path_buf(), checkpoints: beside });
     }
-    let settings = Settings { set: args.set.clone(), engine: None };
+    let settings = Settings { set: args.set.clone(), ..Settings::default() };
     let loaded = open(&PipelineArgs { settings, ..PipelineArgs::of(target, &args.cache) }, &[])?;
     let plan = loaded.builder.plan(&loaded.graph, None);
     let mut scenes =

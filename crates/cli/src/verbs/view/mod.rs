@@ -23,7 +23,9 @@ use use3d_web::PageView;
 use crate::App;
 use crate::args::{ViewArgs, ViewerArgs};
 use crate::error::{CliError, Done};
+use crate::verbs::found::{capture_in, scene_in};
 use crate::verbs::web::{saved_views, scene_name, views};
+use crate::verbs::white;
 
 /// How often one who waits looks whether to end.
 const WAIT: Duration = Duration::from_millis(200);
@@ -40,7 +42,8 @@ pub(crate) fn run(app: &App, args: &ViewArgs) -> Done {
     let Some(target) = &args.target else {
         return Err(CliError::Input("say what to look at: a scene, a capture, or --follow FILE".into()));
     };
-    let shown = shown(target, args)?;
+    let cameras = args.cameras.clone().or_else(|| capture_in(target));
+    let shown = shown(app, &scene_in(app, target)?, cameras.as_deref(), args)?;
     let _server = serve(app, &args.viewer, &live, Told::Result)?;
     live.hand_over(shown).map_err(CliError::input)?;
     while !app.stop.load(Ordering::Relaxed) {
@@ -50,30 +53,30 @@ pub(crate) fn run(app: &App, args: &ViewArgs) -> Done {
 }
 
 /// What a folder shows.
-fn shown(target: &Path, args: &ViewArgs) -> Result<Shown, CliError> {
+fn shown(app: &App, target: &Path, cameras: Option<&Path>, args: &ViewArgs) -> Result<Shown, CliError> {
     let metres_per_unit = args.metres_per_unit;
     let saved = saved_views(args.views.as_deref())?.map(Arc::new);
     if Scene::is_scene(target) {
         let scene = Scene::load(target).map_err(CliError::input)?;
-        let views = match &args.cameras {
+        let views = match cameras {
             Some(cameras) => views(cameras, target, &scene)?,
             None => Vec::new(),
         };
         let name = scene_name(target);
+        let white = white::of(app, &args.white, target, &scene, cameras)?.map(Arc::new);
         return Ok(Shown {
             name,
             scene: Arc::new(scene),
             views: Arc::new(views),
             metres_per_unit,
             saved,
+            white,
             step: None,
         });
     }
     if !target.is_dir() {
         let there = if target.exists() { "this is a file" } else { "there is no such folder" };
-        let what = format!(
-            "{there}; expected the folder of a scene (`use3d reconstruct` makes one) or of a capture"
-        );
+        let what = format!("{there}; expected the folder of a scene, of a run's results or of a capture");
         return Err(CliError::Input(format!("{}: {what}", target.display())));
     }
     if args.cameras.is_some() {
@@ -86,7 +89,15 @@ fn shown(target: &Path, args: &ViewArgs) -> Result<Shown, CliError> {
     let views: Vec<PageView> =
         scene_page::views(&scene, Some(&origin), &imported).map_err(CliError::input)?;
     let name = imported.capture.name;
-    Ok(Shown { name, scene: Arc::new(scene), views: Arc::new(views), metres_per_unit, saved, step: None })
+    Ok(Shown {
+        name,
+        scene: Arc::new(scene),
+        views: Arc::new(views),
+        metres_per_unit,
+        saved,
+        white: None,
+        step: None,
+    })
 }
 
 /// The places of an imported capture, held-out ones first: those are what one looks

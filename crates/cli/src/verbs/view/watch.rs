@@ -151,6 +151,7 @@ impl Watcher {
                 views,
                 metres_per_unit: None,
                 saved: None,
+                white: None,
                 step: Some(step),
             });
         }

@@ -1,0 +1,289 @@
+//! `use3d compare`: two runs side by side in one page, with their scores and the parameters that differ.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+use use3d_build::manifest::MANIFEST;
+use use3d_io_image::read_image;
+use use3d_pipeline::judge::report::{Page, Picture, SceneSection, ViewSection};
+use use3d_pipeline::judge::scores::{Method, SceneScores};
+use use3d_pipeline::judge::tables::{Better, Cell, Column, Row, Table};
+use use3d_pipeline::judge::verdict::{Sentence, Tone};
+use use3d_pipeline::stages::evaluate::SCORES;
+use use3d_pipeline::stages::read_json;
+use use3d_pipeline::stages::report::best_method;
+
+use crate::App;
+use crate::args::CompareArgs;
+use crate::destination::{check_file, path_text, write_file};
+use crate::error::{CliError, Done};
+use crate::verbs::{history, results};
+
+/// Most views of a scene that the page shows.
+const VIEWS: usize = 12;
+/// The folder of a stage's result among results.
+const FOLDERS: [(&str, &str); 5] = [
+    ("reconstruct", "scene"),
+    ("enhance", "enhanced-scene"),
+    ("targets", "targets"),
+    ("render", "renders"),
+    ("evaluate", "scores"),
+];
+/// What is compared in numbers: metric, its head, which direction is good, decimals.
+const METRICS: [(&str, &str, Better, usize); 7] = [
+    ("psnr", "PSNR", Better::Higher, 2),
+    ("ssim", "SSIM", Better::Higher, 3),
+    ("lpips", "LPIPS", Better::Lower, 3),
+    ("w_delta_e", "ΔE between neighbours", Better::Lower, 2),
+    ("uciqe", "UCIQE", Better::Neither, 3),
+    ("truth_psnr", "PSNR against the truth", Better::Higher, 2),
+    ("truth_delta_e", "ΔE against the truth", Better::Lower, 2),
+];
+
+/// One of the two runs: the folders of its stages for every scene.
+struct Side {
+    name: String,
+    scenes: BTreeMap<String, BTreeMap<String, PathBuf>>,
+}
+
+/// The results that `given` means: a results folder or its name, and `:N` for its run N.
+fn side(given: &str) -> Result<Side, CliError> {
+    let numbered = given.rsplit_once(':').and_then(|(name, n)| Some((name, n.parse::<usize>().ok()?)));
+    let mut scenes: BTreeMap<String, BTreeMap<String, PathBuf>> = BTreeMap::new();
+    if let Some((name, number)) = numbered {
+        let folder = results::folder(Path::new(name))?;
+        let records = history::records(&folder);
+        let Some((_, record)) = records.iter().find(|(known, _)| *known == number) else {
+            let what = format!("there is no run {number}; `use3d results {name}` lists them");
+            return Err(CliError::Input(format!("{given}: {what}")));
+        };
+        for made in &record.artifacts {
+            if let Some(path) = results::found(record, &made.stage, &made.key) {
+                let scene = [made.scene.as_str(), made.variant.as_str()];
+                let scene: Vec<&str> = scene.into_iter().filter(|part| !part.is_empty()).collect();
+                scenes.entry(scene.join("@")).or_default().insert(made.stage.clone(), path);
+            }
+        }
+        scenes.retain(|_, stages| stages.contains_key("render"));
+        if scenes.is_empty() {
+            let what = format!("the pictures of run {number} are not in the cache any more; run it again");
+            return Err(CliError::Input(format!("{given}: {what}: {}", record.command)));
+        }
+    } else {
+        let below = Path::new("use3d-out").join(given);
+        let folder = if Path::new(given).is_dir() { PathBuf::from(given) } else { below };
+        let stages_of = |folder: &Path| -> BTreeMap<String, PathBuf> {
+            let there = FOLDERS.iter().map(|(stage, name)| (stage.to_string(), folder.join(name)));
+            there.filter(|(_, path)| path.is_dir()).collect()
+        };
+        let entries = std::fs::read_dir(&folder).into_iter().flatten().flatten().map(|entry| entry.path());
+        let folders = entries.filter(|path| path.is_dir()).chain([folder.clone()]);
+        for path in folders.filter(|path| path.join("renders").is_dir()) {
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            scenes.insert(name, stages_of(&path));
+        }
+        if scenes.is_empty() {
+            return Err(CliError::Input(format!(
+                "{given}: expected the results folder of a run (`use3d results` lists those in ./use3d-out)"
+            )));
+        }
+    }
+    Ok(Side { name: given.to_string(), scenes })
+}
+
+/// The parameters of a stage's result, by name.
+fn parameters(folder: &Path) -> BTreeMap<String, String> {
+    let manifest: Value = read_json(&folder.join(MANIFEST)).unwrap_or_default();
+    let mut all = BTreeMap::new();
+    flatten("", &manifest["ingredients"]["parameters"], &mut all);
+    if let Some(seed) = manifest["ingredients"]["seed"].as_u64() {
+        all.insert("seed".into(), seed.to_string());
+    }
+    all
+}
+
+/// Nested parameters under names with dots.
+fn flatten(name: &str, value: &Value, all: &mut BTreeMap<String, String>) {
+    match value {
+        Value::Object(fields) => {
+            for (key, value) in fields {
+                let name = if name.is_empty() { key.clone() } else { format!("{name}.{key}") };
+                flatten(&name, value, all);
+            }
+        }
+        Value::Null if name.is_empty() => {}
+        Value::String(text) => drop(all.insert(name.into(), text.clone())),
+        other => drop(all.insert(name.into(), other.to_string())),
+    }
+}
+
+/// The parameters that differ between two results, in words.
+fn differing(a: &BTreeMap<String, PathBuf>, b: &BTreeMap<String, PathBuf>) -> Vec<String> {
+    let mut lines = Vec::new();
+    for (stage, of_a) in a {
+        let Some(of_b) = b.get(stage) else { continue };
+        let (a, b) = (parameters(of_a), parameters(of_b));
+        let mut keys: Vec<&String> = a.keys().chain(b.keys()).collect();
+        keys.sort();
+        keys.dedup();
+        for key in keys {
+            let text =
+                |all: &BTreeMap<String, String>| all.get(key).map_or("not set", String::as_str).to_string();
+            let (a, b) = (text(&a), text(&b));
+            if a != b {
+                lines.push(format!("{stage}.{key}: {a} in A, {b} in B"));
+            }
+        }
+    }
+    lines
+}
+
+fn scores(stages: &BTreeMap<String, PathBuf>) -> Option<SceneScores> {
+    read_json(&stages.get("evaluate")?.join(SCORES)).ok()
+}
+
+/// The look that a result leads with, among what is scored.
+fn look(stages: &BTreeMap<String, PathBuf>) -> Method {
+    best_method(stages.get("enhance").map(PathBuf::as_path)).unwrap_or(Method::Clear)
+}
+
+/// A row of scores.
+fn row(label: String, scores: Option<&SceneScores>, method: Method) -> Row {
+    let cell = |metric: &str| {
+        let value = scores.and_then(|scores| scores.mean(method, metric)?.value());
+        value.map_or(Cell::Blank, |value| Cell::Number { value, source: String::new() })
+    };
+    Row { label, published: false, cells: METRICS.iter().map(|(metric, ..)| cell(metric)).collect() }
+}
+
+/// What the two are compared by in numbers; columns that neither has are left out.
+fn table(name: &str, sides: [&BTreeMap<String, PathBuf>; 2]) -> Option<Table> {
+    let all = sides.map(scores);
+    let mut rows = Vec::new();
+    for (letter, (stages, scores)) in ["A", "B"].into_iter().zip(sides.into_iter().zip(&all)) {
+        let best = look(stages);
+        rows.push(row(format!("{letter}: reconstruction"), scores.as_ref(), Method::Reconstruction));
+        rows.push(row(format!("{letter}: {}", best.name()), scores.as_ref(), best));
+    }
+    let there: Vec<usize> =
+        (0..METRICS.len()).filter(|k| rows.iter().any(|row| row.cells[*k].value().is_some())).collect();
+    for row in &mut rows {
+        row.cells = there.iter().map(|k| row.cells[*k].clone()).collect();
+    }
+    let column = |k: &usize| Column::new("", METRICS[*k].1, METRICS[*k].2, METRICS[*k].3);
+    let caption = format!("{name}: mean scores over the held-out views");
+    let columns: Vec<Column> = there.iter().map(column).collect();
+    (!columns.is_empty()).then(|| Table { name: "comparison".into(), caption, columns, rows })
+}
+
+/// How the two compare in a sentence.
+fn sentence(sides: [&BTreeMap<String, PathBuf>; 2]) -> Option<Sentence> {
+    let psnr = |stages| scores(stages)?.mean(Method::Reconstruction, "psnr")?.value();
+    let [a, b] = [psnr(sides[0])?, psnr(sides[1])?];
+    let (better, by) = if a >= b { ("A", a - b) } else { ("B", b - a) };
+    let which = if by < 0.05 { "they are alike".into() } else { format!("{better} is better by {by:.1} dB") };
+    let text =
+        format!("Held-out photographs are reproduced at {a:.1} dB PSNR by A and at {b:.1} dB by B: {which}.");
+    Some(Sentence { tone: Tone::Plain, text })
+}
+
+/// The pictures of a scene in both runs.
+fn section(name: &str, sides: [&BTreeMap<String, PathBuf>; 2]) -> Result<SceneSection, CliError> {
+    let renders = sides.map(|stages| stages["render"].clone());
+    let stems = |folder: &Path| -> Vec<String> {
+        let entries = std::fs::read_dir(folder.join("captured")).into_iter().flatten().flatten();
+        let mut stems: Vec<String> = entries
+            .filter_map(|entry| Some(entry.path().file_stem()?.to_string_lossy().into_owned()))
+            .collect();
+        stems.sort();
+        stems
+    };
+    let [a, b] = renders.each_ref().map(|folder| stems(folder));
+    let common: Vec<&String> = a.iter().filter(|stem| b.contains(stem)).collect();
+    let count = common.len().min(VIEWS);
+    let mut section = SceneSection { name: name.into(), ..SceneSection::default() };
+    section.verdict.extend(sentence(sides));
+    section.notes = differing(sides[0], sides[1]);
+    section.summary = match section.notes.len() {
+        0 => "no parameter differs".into(),
+        1 => "one parameter differs".into(),
+        n => format!("{n} parameters differ"),
+    };
+    for k in 0..count {
+        let stem = common[k * common.len() / count];
+        let picture = |letter: &str, folder: &Path, mode: &str| -> Result<Option<Picture>, CliError> {
+            let file = folder.join(mode).join(format!("{stem}.png"));
+            if !file.is_file() {
+                return Ok(None);
+            }
+            let image = read_image(&file).map_err(CliError::input)?;
+            let label = format!("{letter}{mode}");
+            Picture::embed(&label, "", &image).map(Some).map_err(CliError::failed)
+        };
+        let (mut lead, mut images) = (Vec::new(), Vec::new());
+        for (letter, (folder, stages)) in ["A: ", "B: "].into_iter().zip(renders.iter().zip(sides)) {
+            let best = look(stages).name();
+            lead.extend(picture(letter, folder, best)?);
+            for mode in ["reconstruction", "clear", "enhanced", "enhanced-clear"] {
+                if mode != best {
+                    images.extend(picture(letter, folder, mode)?);
+                }
+            }
+        }
+        images.extend(picture("", &renders[0], "captured")?);
+        section.views.push(ViewSection { name: stem.clone(), lead, images, scores: Vec::new() });
+    }
+    Ok(section)
+}
+
+/// `use3d compare`.
+pub(crate) fn run(app: &App, args: &CompareArgs) -> Done {
+    check_file("--out", &args.out, args.replace.force, &["html"])?;
+    let (a, b) = (side(&args.a)?, side(&args.b)?);
+    // One scene each is compared whatever the two are called.
+    let pairs: Vec<(String, [&BTreeMap<String, PathBuf>; 2])> = match (a.scenes.len(), b.scenes.len()) {
+        (1, 1) => {
+            let firsts = a.scenes.iter().next().zip(b.scenes.values().next());
+            firsts.into_iter().map(|((name, a), b)| (name.clone(), [a, b])).collect()
+        }
+        _ => a
+            .scenes
+            .iter()
+            .filter_map(|(name, of_a)| Some((name.clone(), [of_a, b.scenes.get(name)?])))
+            .collect(),
+    };
+    if pairs.is_empty() {
+        let names = |side: &Side| side.scenes.keys().cloned().collect::<Vec<_>>().join(", ");
+        return Err(CliError::Input(format!(
+            "the two have no scene in common: {} has {}, {} has {}",
+            a.name,
+            names(&a),
+            b.name,
+            names(&b)
+        )));
+    }
+    let mut page = Page {
+        title: format!("{} and {}", a.name, b.name),
+        subtitle: format!("A is {}, B is {}", a.name, b.name),
+        footer: format!("use3d {}", crate::version::NUMBER),
+        ..Page::default()
+    };
+    for (name, sides) in pairs {
+        let section = section(&name, sides)?;
+        if section.views.is_empty() {
+            page.missing.push(format!("{name}: the two runs held out no view in common"));
+        }
+        page.tables.extend(table(&name, sides));
+        page.scenes.push(section);
+    }
+    let html = page.html().map_err(CliError::failed)?;
+    write_file("--out", &args.out, |writer| std::io::Write::write_all(writer, html.as_bytes()))?;
+    if !app.quiet {
+        for line in page.scenes.iter().flat_map(|scene| &scene.verdict) {
+            println!("{}", line.text);
+        }
+        eprintln!("{}: open it in a browser", path_text(&args.out));
+    }
+    Ok(())
+}

@@ -1,0 +1,200 @@
+//! What this installation can do: the program itself, the machine, helper programs, networks and graphics cards,
+//! each with what it is good for and how to get it where it is missing.
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use serde::Serialize;
+use use3d_build::machine::{self, bytes};
+
+use crate::args::DoctorArgs;
+use crate::destination::path_text;
+use crate::error::Done;
+use crate::version;
+
+/// One thing that was looked for.
+#[derive(Debug, Serialize)]
+struct Finding {
+    /// Its name.
+    name: String,
+    /// Whether it is there.
+    found: bool,
+    /// What was found, or how to get it.
+    told: String,
+    /// What it is good for.
+    #[serde(rename = "use")]
+    purpose: String,
+}
+
+impl Finding {
+    fn new(name: &str, found: bool, told: impl Into<String>, purpose: &str) -> Self {
+        Self { name: name.into(), found, told: told.into(), purpose: purpose.into() }
+    }
+}
+
+/// Everything that was looked for, by subject.
+#[derive(Debug, Serialize)]
+struct Report {
+    version: &'static str,
+    commit: &'static str,
+    target: &'static str,
+    features: &'static str,
+    engines: &'static str,
+    machine: Vec<Finding>,
+    programs: Vec<Finding>,
+    networks: Vec<Finding>,
+    cards: Vec<Finding>,
+}
+
+/// A program that helps, by its name, the argument that makes it say its version, its use and where it comes
+/// from.
+const PROGRAMS: [[&str; 4]; 5] = [
+    ["colmap", "help", "finds the cameras of your photographs", "install COLMAP: https://colmap.github.io"],
+    ["ffmpeg", "-version", "writes films other than .y4m", "install ffmpeg: https://ffmpeg.org"],
+    ["sbatch", "--version", "runs pipelines on a Slurm cluster (use3d submit slurm)", "comes with Slurm"],
+    ["hq", "--version", "runs pipelines by HyperQueue (use3d submit hq)", "comes with HyperQueue"],
+    [
+        "xdg-open",
+        "--version",
+        "opens the viewer in your browser",
+        "comes with xdg-utils; the address is printed in any case",
+    ],
+];
+
+pub(crate) fn run(args: &DoctorArgs) -> Done {
+    let report = Report {
+        version: version::NUMBER,
+        commit: version::COMMIT,
+        target: version::TARGET,
+        features: version::FEATURES,
+        engines: version::ENGINES,
+        machine: this_machine(args),
+        programs: PROGRAMS.iter().map(program).collect(),
+        networks: networks(args.models.as_deref()),
+        cards: cards(),
+    };
+    if args.json {
+        return crate::verbs::run::json(&report);
+    }
+    println!("use3d {}", version::WHOLE);
+    let groups = [
+        ("this machine", &report.machine),
+        ("programs that help", &report.programs),
+        (
+            "networks trained by others (all are optional; `use3d models` tells where each comes from)",
+            &report.networks,
+        ),
+        ("graphics cards (`use3d devices` tells more)", &report.cards),
+    ];
+    for (title, findings) in groups {
+        println!("\n{title}");
+        for Finding { name, found, told, purpose } in findings {
+            let mark = if *found { "ok     " } else { "missing" };
+            println!("  {mark}  {name}: {told}");
+            if !purpose.is_empty() {
+                println!("           {purpose}");
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Cores, memory, and the places that are written to.
+fn this_machine(args: &DoctorArgs) -> Vec<Finding> {
+    let processor = format!("{} cores, {}", machine::cores(), machine::processor());
+    let mut findings = vec![Finding::new("processor", true, processor, "")];
+    if let Some(memory) = machine::available_memory() {
+        let told = format!("{} free", bytes(memory));
+        // A capture of some hundred photographs at full size needs about so much.
+        let enough = memory >= 4 << 30;
+        findings.push(Finding::new(
+            "memory",
+            enough,
+            told,
+            "about 4 GB are needed for a capture at full size",
+        ));
+    }
+    let cache = args.cache.clone().or_else(|| use3d_pipeline::config::default_cache().ok());
+    for (name, folder) in [("cache", cache), ("results", std::env::current_dir().ok())] {
+        let Some(folder) = folder else { continue };
+        let place = existing(&folder);
+        let writable = use3d_build::place::check_writable(&folder).is_ok();
+        let free = free_space(place).map_or_else(String::new, |free| format!(", {} free", bytes(free)));
+        let refused = if writable { "" } else { ", cannot be written" };
+        findings.push(Finding::new(name, writable, format!("{}{free}{refused}", path_text(&folder)), ""));
+    }
+    findings
+}
+
+/// The folder itself, or the nearest one above it that is there.
+fn existing(folder: &Path) -> &Path {
+    folder.ancestors().find(|above| above.is_dir()).unwrap_or(folder)
+}
+
+/// The bytes that are free where a folder is, as `df` tells it; `None` where there is no `df`.
+fn free_space(folder: &Path) -> Option<u64> {
+    let output = Command::new("df").arg("-Pk").arg(folder).stderr(Stdio::null()).output().ok()?;
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    // The fourth word of the second line, counted in 1024 bytes.
+    text.lines().nth(1)?.split_whitespace().nth(3)?.parse::<u64>().ok()?.checked_mul(1024)
+}
+
+/// Whether a program starts, and the first line that it says of itself.
+fn program([name, argument, purpose, origin]: &[&str; 4]) -> Finding {
+    let said = Command::new(name).arg(argument).stdin(Stdio::null()).stderr(Stdio::null()).output();
+    match said {
+        Ok(output) => {
+            let text = String::from_utf8_lossy(&output.stdout).into_owned();
+            let line = text.lines().find(|line| !line.trim().is_empty()).unwrap_or("found").trim();
+            let line: String = line.chars().take(90).collect();
+            Finding::new(name, true, use3d_capture::name::shown(&line), purpose)
+        }
+        Err(_) => Finding::new(name, false, *origin, purpose),
+    }
+}
+
+#[cfg(feature = "nets")]
+fn networks(models: Option<&Path>) -> Vec<Finding> {
+    let folder = models.unwrap_or(Path::new("models"));
+    let looked = use3d_nets::Models::open(folder);
+    let find = |known: &use3d_nets::models::Known| match looked.find(known.network) {
+        Some(file) => Finding::new(known.title, true, path_text(&file), known.used_for),
+        None => {
+            let told = format!("put {} into {}", known.files.join(" or "), path_text(folder));
+            Finding::new(known.title, false, told, known.used_for)
+        }
+    };
+    use3d_nets::models::KNOWN.iter().map(find).collect()
+}
+
+#[cfg(not(feature = "nets"))]
+fn networks(_: Option<&Path>) -> Vec<Finding> {
+    vec![Finding::new("networks", false, "this program was built without the cargo feature `nets`", "")]
+}
+
+#[cfg(feature = "gpu")]
+fn cards() -> Vec<Finding> {
+    let purpose = "trains and draws faster than the processor: --gpu";
+    let found: Vec<Finding> = use3d_gpu::checked_adapters()
+        .iter()
+        .map(|(report, said)| match said {
+            Ok(_) if report.is_software() => {
+                let told =
+                    "passes its check, but is the processor under another name; it is taken only by name";
+                Finding::new(&report.name, false, told, "")
+            }
+            Ok(_) => Finding::new(&report.name, true, "passes its check", purpose),
+            Err(refusal) => Finding::new(&report.name, false, refusal.to_string(), purpose),
+        })
+        .collect();
+    if found.is_empty() {
+        let told = "no card was found; a card needs a driver for Vulkan or Metal";
+        return vec![Finding::new("graphics card", false, told, purpose)];
+    }
+    found
+}
+
+#[cfg(not(feature = "gpu"))]
+fn cards() -> Vec<Finding> {
+    vec![Finding::new("graphics card", false, "this program was built without the cargo feature `gpu`", "")]
+}

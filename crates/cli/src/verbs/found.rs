@@ -1,0 +1,100 @@
+//! The scene that is meant by a folder: the scene itself, or the results of a run that hold one.
+
+use std::path::{Path, PathBuf};
+
+use use3d_scene::Scene;
+
+use crate::App;
+use crate::destination::path_text;
+use crate::error::CliError;
+use crate::verbs::history;
+
+/// The folders of a scene's results that are scenes, the best one first.
+const SCENES: [&str; 2] = ["enhanced-scene", "scene"];
+
+/// The scene of a folder of one scene's results.
+fn own_scene(folder: &Path) -> Option<PathBuf> {
+    SCENES.iter().map(|name| folder.join(name)).find(|path| Scene::is_scene(path))
+}
+
+/// Every scene below a results folder.
+fn scenes_below(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut found: Vec<PathBuf> = entries.filter_map(|entry| own_scene(&entry.path())).collect();
+    found.sort();
+    found
+}
+
+/// The scene that `given` means: a scene folder itself, the folder `use3d-out/NAME/SCENE` that a run wrote, or
+/// `use3d-out/NAME` if there is one scene in it. Any other path comes back as it is, for its reader to refuse.
+///
+/// # Errors
+/// A results folder with several scenes.
+pub(crate) fn scene_in(app: &App, given: &Path) -> Result<PathBuf, CliError> {
+    if Scene::is_scene(given) {
+        return Ok(given.to_path_buf());
+    }
+    let below = own_scene(given).map_or_else(|| scenes_below(given), |scene| vec![scene]);
+    match &below[..] {
+        [] => Ok(given.to_path_buf()),
+        [scene] => {
+            if !app.quiet {
+                eprintln!("the scene is {}", path_text(scene));
+            }
+            Ok(scene.clone())
+        }
+        several => {
+            let folders = several.iter().filter_map(|scene| scene.parent()).map(path_text);
+            let folders: Vec<String> = folders.collect();
+            Err(CliError::Input(format!(
+                "{}: this folder holds the results of {} scenes; give one of them: {}",
+                path_text(given),
+                folders.len(),
+                folders.join(", ")
+            )))
+        }
+    }
+}
+
+/// The capture that the results in a folder were made from, where `given` is a results folder and its capture is
+/// still there.
+pub(crate) fn capture_in(given: &Path) -> Option<PathBuf> {
+    if Scene::is_scene(given) {
+        return None;
+    }
+    let record = history::of_results(given).or_else(|| history::of_results(given.parent()?))?;
+    Some(record.target).filter(|target| target.is_dir())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use use3d_build::Silent;
+
+    use super::*;
+
+    #[test]
+    fn a_results_folder_means_its_scene_and_the_enhanced_one_first() {
+        let app = App { quiet: true, seed: 42, threads: 1, stop: Arc::default(), listener: Arc::new(Silent) };
+        let dir = tempfile::tempdir().unwrap();
+        let scene = |path: &str| {
+            let folder = dir.path().join(path);
+            std::fs::create_dir_all(&folder).unwrap();
+            std::fs::write(folder.join("scene.json"), "{}").unwrap();
+            folder
+        };
+        let found = |path: &Path| scene_in(&app, path).unwrap();
+        let plain = scene("out/reef/scene");
+        assert_eq!(found(&plain), plain);
+        assert_eq!(found(&dir.path().join("out")), plain);
+        let enhanced = scene("out/reef/enhanced-scene");
+        assert_eq!(found(&dir.path().join("out")), enhanced);
+        assert_eq!(found(&dir.path().join("out/reef")), enhanced);
+        // Neither a results folder nor a scene.
+        assert_eq!(found(&dir.path().join("nowhere")), dir.path().join("nowhere"));
+        scene("out/wreck/scene");
+        let refused = scene_in(&app, &dir.path().join("out")).unwrap_err();
+        assert!(refused.text().contains("reef") && refused.text().contains("wreck"), "{}", refused.text());
+    }
+}

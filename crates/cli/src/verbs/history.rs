@@ -1,0 +1,207 @@
+//! What was run into a results folder: one small file for each run, `RESULTS/runs/0001.json` and so on.
+//!
+//! A run replaces the results of the run before in its folder; the work itself stays in the cache. The record says
+//! what the run was given and which artifacts it delivered, so that `use3d results` can tell runs apart and bring
+//! one back, and so that a results folder can stand where a capture or a pipeline is asked for.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use use3d_build::{Digest, Summary, machine};
+
+use crate::args::PipelineArgs;
+use crate::destination::{path_text, word};
+use crate::error::CliError;
+use crate::verbs::run::Loaded;
+
+const FORMAT: &str = "3d-use run";
+const VERSION: u32 = 1;
+/// The folder of the records below the results.
+const FOLDER: &str = "runs";
+/// More than any record needs.
+const MOST_BYTES: u64 = 1 << 24;
+/// More runs than anybody keeps; the folder is read no further.
+const MOST: usize = 100_000;
+
+/// A run into a results folder.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Record {
+    format: String,
+    version: u32,
+    /// When its results were last put into the folder, seconds since 1970.
+    pub(crate) delivered: u64,
+    /// What was typed.
+    pub(crate) command: String,
+    /// The pipeline file or capture folder.
+    pub(crate) target: PathBuf,
+    /// All settings, as `--set` has them.
+    pub(crate) sets: Vec<String>,
+    /// Only these scenes; all where empty.
+    pub(crate) scenes: Vec<String>,
+    /// Up to these stages; all where `None`.
+    pub(crate) until: Option<Vec<String>>,
+    /// The two folders of pairs.
+    pub(crate) pairs: Option<(PathBuf, PathBuf)>,
+    /// The finished calibrator.
+    pub(crate) calibrator: Option<PathBuf>,
+    /// The cache.
+    pub(crate) cache: PathBuf,
+    /// The models folder.
+    pub(crate) models: Option<PathBuf>,
+    /// What was delivered.
+    pub(crate) artifacts: Vec<Made>,
+}
+
+/// An artifact of a run.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Made {
+    /// The stage.
+    pub(crate) stage: String,
+    /// The scene; empty for what is over all scenes.
+    pub(crate) scene: String,
+    /// The variant; empty where there are none.
+    pub(crate) variant: String,
+    /// Its key.
+    pub(crate) key: Digest,
+}
+
+fn whole(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf())
+}
+
+impl Record {
+    /// Of a run that is over.
+    pub(crate) fn of(
+        args: &PipelineArgs,
+        scenes: &[String],
+        until: Option<&[String]>,
+        loaded: &Loaded,
+        summary: &Summary,
+        command: String,
+    ) -> Self {
+        let made = summary.nodes.iter().filter_map(|node| {
+            let key = node.artifact.as_ref()?.manifest.key;
+            let (scene, variant) = (node.scene.clone(), node.variant.clone());
+            Some(Made { stage: node.stage.to_string(), scene, variant, key })
+        });
+        Self {
+            format: FORMAT.into(),
+            version: VERSION,
+            delivered: machine::now(),
+            command,
+            target: whole(&args.target),
+            sets: args.sets(),
+            scenes: scenes.to_vec(),
+            until: until.map(<[String]>::to_vec),
+            pairs: args.calibration.pairs().map(|(input, target)| (whole(&input), whole(&target))),
+            calibrator: args.calibration.calibrator.as_deref().map(whole),
+            cache: whole(&loaded.pipeline.cache),
+            models: args.cache.models.as_deref().map(whole),
+            artifacts: made.collect(),
+        }
+    }
+
+    fn read(path: &Path) -> Result<Self, String> {
+        let size = std::fs::metadata(path).map_err(|e| e.to_string())?.len();
+        if size > MOST_BYTES {
+            return Err("it is too large for the record of a run".into());
+        }
+        let bytes = std::fs::read(path).map_err(|e| e.to_string())?;
+        let record: Self = serde_json::from_slice(&bytes).map_err(|e| e.to_string())?;
+        if record.format != FORMAT || record.version != VERSION {
+            return Err(format!("it is no `{FORMAT}` of version {VERSION}"));
+        }
+        Ok(record)
+    }
+
+    /// What sets it apart, in a line.
+    pub(crate) fn settings(&self) -> String {
+        let mut words = self.sets.clone();
+        words.extend(self.pairs.iter().map(|(input, _)| format!("--pairs {}", path_text(input))));
+        words.extend(self.calibrator.iter().map(|file| format!("--calibrator {}", path_text(file))));
+        words.extend(self.scenes.iter().map(|scene| format!("--scene {scene}")));
+        words.extend(self.until.iter().flatten().map(|stage| format!("--until {stage}")));
+        if words.is_empty() { "defaults".into() } else { words.join(" ") }
+    }
+
+    /// The arguments of the run, as they can be given again; `more` is set on top.
+    pub(crate) fn arguments(&self, more: &PipelineArgs) -> PipelineArgs {
+        let mut args = more.clone();
+        args.target.clone_from(&self.target);
+        args.settings.set = [self.sets.clone(), more.sets()].concat();
+        args.settings.engine = crate::args::EngineArgs::default();
+        args.common = crate::args::CommonArgs::default();
+        if args.calibration.is_empty() {
+            args.calibration = crate::args::CalibrationArgs::of(self.pairs.clone(), self.calibrator.clone());
+        }
+        args.cache.cache.get_or_insert_with(|| self.cache.clone());
+        if args.cache.models.is_none() {
+            args.cache.models.clone_from(&self.models);
+        }
+        args
+    }
+}
+
+/// The records of a results folder with their numbers, the oldest first. Files that cannot be read are left out,
+/// with a warning.
+pub(crate) fn records(results: &Path) -> Vec<(usize, Record)> {
+    let entries = std::fs::read_dir(results.join(FOLDER)).into_iter().flatten().flatten().take(MOST);
+    let mut found: Vec<(usize, Record)> = entries
+        .filter_map(|entry| {
+            let path = entry.path();
+            let number = path.file_name()?.to_str()?.strip_suffix(".json")?.parse().ok()?;
+            match Record::read(&path) {
+                Ok(record) => Some((number, record)),
+                Err(error) => {
+                    tracing::warn!("{}: {error}; this run is left out", path.display());
+                    None
+                }
+            }
+        })
+        .collect();
+    found.sort_by_key(|(number, _)| *number);
+    found
+}
+
+/// The run whose results stand in the folder.
+pub(crate) fn current(records: &[(usize, Record)]) -> Option<&(usize, Record)> {
+    records.iter().max_by_key(|(number, record)| (record.delivered, *number))
+}
+
+/// The run whose results stand in a folder, if it is a results folder.
+pub(crate) fn of_results(folder: &Path) -> Option<Record> {
+    let records = records(folder);
+    current(&records).map(|(_, record)| record.clone())
+}
+
+/// Keeps the record of a run whose results were delivered, and says which results they replaced and how those come
+/// back.
+pub(crate) fn keep(results: &Path, mut record: Record, quiet: bool) -> Result<(), CliError> {
+    let known = records(results);
+    let before = current(&known);
+    if before.is_some_and(|(_, old)| old.artifacts == record.artifacts) {
+        // The folder shows them already.
+        return Ok(());
+    }
+    let same = known.iter().rfind(|(_, old)| old.artifacts == record.artifacts);
+    if let Some((_, old)) = same {
+        // Brought back, it is the run that it was.
+        record = Record { delivered: record.delivered, ..old.clone() };
+    }
+    let number = same.map_or_else(|| known.last().map_or(1, |(last, _)| last + 1), |(number, _)| *number);
+    let path = results.join(FOLDER).join(format!("{number:04}.json"));
+    let mut text = serde_json::to_string_pretty(&record).map_err(CliError::failed)?;
+    text.push('\n');
+    crate::destination::write_file("--out", &path, |writer| {
+        std::io::Write::write_all(writer, text.as_bytes())
+    })?;
+    if let Some((old, earlier)) = before.filter(|_| !quiet) {
+        eprintln!(
+            "these results take the place of those of run {old} ({}), which stay in the cache: \
+             `use3d results {} {old}` brings them back",
+            earlier.settings(),
+            word(results)
+        );
+    }
+    Ok(())
+}

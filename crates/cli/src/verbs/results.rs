@@ -1,0 +1,151 @@
+//! `use3d results`: the runs whose results went into a folder, and bringing one of them back.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use use3d_build::cache::Lookup;
+use use3d_build::{Cache, machine};
+use use3d_pipeline::judge::scores::{Method, SceneScores};
+use use3d_pipeline::stages::evaluate::SCORES;
+use use3d_pipeline::stages::read_json;
+
+use crate::App;
+use crate::args::ResultsArgs;
+use crate::destination::{path_text, word};
+use crate::error::{CliError, Done};
+use crate::verbs::history::{self, Record};
+use crate::verbs::run;
+
+/// Where results go unless somebody says otherwise.
+const OUT: &str = "use3d-out";
+
+/// A run, as it is told.
+#[derive(Serialize)]
+struct Told {
+    /// By which it is brought back.
+    run: usize,
+    /// Whether its results stand in the folder now.
+    shown: bool,
+    /// When they were put there, UTC.
+    delivered: String,
+    command: String,
+    settings: String,
+    /// Whether all of it is in the cache still.
+    kept: bool,
+    /// PSNR of the held-out views of the first scene, decibels.
+    psnr: Option<f64>,
+}
+
+/// The results folder that a name or a path means.
+pub(crate) fn folder(named: &Path) -> Result<PathBuf, CliError> {
+    let below = Path::new(OUT).join(named);
+    let found = [named.to_path_buf(), below].into_iter().find(|path| !history::records(path).is_empty());
+    found.ok_or_else(|| {
+        let there: Vec<String> = all().iter().map(|path| path_text(path)).collect();
+        let known = match &there[..] {
+            [] => format!("there are none in ./{OUT} either; `use3d run CAPTURE_DIR` makes some"),
+            there => format!("there are: {}", there.join(", ")),
+        };
+        CliError::Input(format!("{}: no results of `use3d run` are there; {known}", path_text(named)))
+    })
+}
+
+/// Every results folder below `./use3d-out`.
+fn all() -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(OUT).into_iter().flatten().flatten().map(|entry| entry.path());
+    let mut found: Vec<PathBuf> = entries.filter(|path| !history::records(path).is_empty()).collect();
+    found.sort();
+    found
+}
+
+/// The folder of an artifact of a run, if it is in the cache still.
+pub(crate) fn artifact(record: &Record, stage: &str) -> Option<PathBuf> {
+    let made = record.artifacts.iter().find(|made| made.stage == stage)?;
+    found(record, stage, &made.key)
+}
+
+/// The folder of an artifact of a run by its key, if it is in the cache still.
+pub(crate) fn found(record: &Record, stage: &str, key: &use3d_build::Digest) -> Option<PathBuf> {
+    if !record.cache.is_dir() {
+        return None;
+    }
+    let cache = Cache::open(&record.cache, false).ok()?;
+    match cache.lookup(stage, key) {
+        Ok(Lookup::Whole(artifact)) => Some(artifact.path.clone()),
+        _ => None,
+    }
+}
+
+fn told(number: usize, record: &Record, shown: bool) -> Told {
+    let scores =
+        artifact(record, "evaluate").and_then(|path| read_json::<SceneScores>(&path.join(SCORES)).ok());
+    let psnr = scores.and_then(|scores| scores.mean(Method::Reconstruction, "psnr")?.value());
+    let mut delivered = machine::utc(record.delivered);
+    delivered.truncate("2026-01-01T00:00".len());
+    Told {
+        run: number,
+        shown,
+        delivered: delivered.replace('T', " "),
+        command: record.command.clone(),
+        settings: record.settings(),
+        kept: record.artifacts.iter().all(|made| found(record, &made.stage, &made.key).is_some()),
+        psnr,
+    }
+}
+
+/// `use3d results`.
+pub(crate) fn run(app: &App, args: &ResultsArgs) -> Done {
+    let folders = match &args.name {
+        Some(name) => vec![folder(name)?],
+        None => all(),
+    };
+    if let (Some(number), [results]) = (args.run, &folders[..]) {
+        return bring_back(app, results, number);
+    }
+    if folders.is_empty() && !args.json {
+        return Err(CliError::Input(format!(
+            "there are no results in ./{OUT}; `use3d run CAPTURE_DIR` makes some, or name their folder"
+        )));
+    }
+    let mut documents = Vec::new();
+    for results in &folders {
+        let records = history::records(results);
+        let current = history::current(&records).map(|(number, _)| *number);
+        let runs = records.iter().map(|(number, record)| told(*number, record, current == Some(*number)));
+        documents.push((results.clone(), runs.collect::<Vec<Told>>()));
+    }
+    if args.json {
+        let documents: Vec<_> = documents
+            .iter()
+            .map(|(results, runs)| serde_json::json!({ "results": results, "runs": runs }))
+            .collect();
+        return run::json(&documents);
+    }
+    for (results, runs) in &documents {
+        println!("{}", path_text(results));
+        for Told { run, shown, delivered, settings, kept, psnr, .. } in runs {
+            let mark = if *shown { "shown now" } else { "" };
+            let psnr = psnr.map_or_else(String::new, |psnr| format!("{psnr:.2} dB"));
+            let gone = if *kept { "" } else { "   (not whole in the cache)" };
+            println!("  {run:>3}  {delivered}  {psnr:>8}  {mark:<9}  {settings}{gone}");
+        }
+    }
+    Ok(())
+}
+
+/// Puts the results of an earlier run into their folder again; nothing is computed.
+fn bring_back(app: &App, results: &Path, number: usize) -> Done {
+    let records = history::records(results);
+    let Some((_, record)) = records.iter().find(|(known, _)| *known == number) else {
+        let known: Vec<String> = records.iter().map(|(number, _)| number.to_string()).collect();
+        return Err(CliError::Input(format!(
+            "{}: there is no run {number}; there are: {}",
+            path_text(results),
+            known.join(", ")
+        )));
+    };
+    run::again(app, record, results).map_err(|error| match error {
+        CliError::Input(what) => CliError::Input(format!("run {number} of {}: {what}", word(results))),
+        other => other,
+    })
+}

@@ -1,0 +1,276 @@
+//! The white balance of a scene: what `--white` asks for, measured in the scene, and `use3d white`, which keeps it
+//! beside the scene for every later command.
+
+use std::path::Path;
+
+use use3d_build::error::nearest;
+use use3d_capture::Camera;
+use use3d_import::read_cameras;
+use use3d_render::SceneRenderer;
+use use3d_render::white::{Surfaces, gains_of_patches, patch};
+use use3d_scene::white::{Click, Gains, Method};
+use use3d_scene::{Scene, White};
+
+use crate::App;
+use crate::args::{KeepWhiteArgs, Place, WhiteArgs, WhiteChoice};
+use crate::destination::{check_file, path_text, word};
+use crate::error::{CliError, Done};
+use crate::verbs::found::{capture_in, scene_in};
+
+/// The cameras of a capture by name, in the frame of a scene.
+fn placed(cameras: Option<&Path>, scene: &Scene) -> Result<Vec<(String, Camera)>, CliError> {
+    let Some(cameras) = cameras else {
+        return Err(CliError::Input(
+            "a white balance by pixels, reef or grey is measured in the views of the capture: give it by --cameras CAPTURE"
+                .into(),
+        ));
+    };
+    let read = read_cameras(cameras).map_err(CliError::input)?;
+    let place = |(name, mut camera): (use3d_capture::FileName, Camera)| {
+        camera.pose = scene.frame.apply_pose(&camera.pose);
+        (name.to_string(), camera)
+    };
+    Ok(read.into_iter().map(place).collect())
+}
+
+/// Where a pixel of a picture of another size lies in a camera's own. One of the two is the other scaled to cover it
+/// and cropped centrally, as the import does; the larger one is the whole.
+fn rescaled(place: &Place, camera: &Camera) -> (f64, f64) {
+    let Some((width, height)) = place.size else { return (place.x, place.y) };
+    let (w, h) = (camera.intrinsics.width as f64, camera.intrinsics.height as f64);
+    let (sx, sy) = (w / width as f64, h / height as f64);
+    let scale = if w * h >= (width * height) as f64 { sx.min(sy) } else { sx.max(sy) };
+    let along = |at: f64, from: f64, to: f64| (at + 0.5 - from / 2.0) * scale + to / 2.0 - 0.5;
+    // Half a pixel beyond the edge is the edge's own pixel.
+    let inside = |at: f64, side: f64| if (-0.5..0.0).contains(&at) { 0.0 } else { at.min(side - 0.5) };
+    (inside(along(place.x, width as f64, w), w), inside(along(place.y, height as f64, h), h))
+}
+
+/// The camera of a place's photograph.
+fn camera_of<'c>(place: &Place, cameras: &'c [(String, Camera)]) -> Result<&'c (String, Camera), CliError> {
+    let named = |(name, _): &&(String, Camera)| *name == place.view || stem_of(name) == stem_of(&place.view);
+    cameras.iter().find(named).ok_or_else(|| {
+        let mut names = cameras.iter().map(|(name, _)| name.as_str());
+        let near = nearest(&place.view, names.clone()).or(names.next()).unwrap_or("none");
+        let what = "there is no photograph of this name";
+        CliError::Input(format!("--white {}: {what}; did you mean {near}?", place.text()))
+    })
+}
+
+/// Measures what a person clicked on.
+fn by_places(
+    places: &[&Place],
+    cameras: &[(String, Camera)],
+    scene: &Scene,
+    renderer: &mut SceneRenderer<'_>,
+) -> Result<White, CliError> {
+    let (mut patches, mut clicks) = (Vec::new(), Vec::new());
+    for place in places {
+        let wrong = |what: String| CliError::Input(format!("--white {}: {what}", place.text()));
+        let (name, camera) = camera_of(place, cameras)?;
+        let (x, y) = rescaled(place, camera);
+        let found = patch(renderer, camera, x, y).map_err(|error| wrong(error.to_string()))?;
+        clicks.push(Click { view: name.clone(), x, y, distance: Some(found.depth / scene.frame.scale) });
+        patches.push(found);
+    }
+    let gains = gains_of_patches(&patches, scene.enhancement.is_some()).map_err(|error| {
+        let typed: Vec<String> = places.iter().map(|place| place.text()).collect();
+        CliError::Input(format!("--white {}: {error}", typed.join(" ")))
+    })?;
+    Ok(White::new(Method::Patch, clicks, gains))
+}
+
+/// A name without what follows its last dot.
+fn stem_of(name: &str) -> &str {
+    name.rsplit_once('.').map_or(name, |(stem, _)| stem)
+}
+
+/// What is asked for, measured where it must be; `None` for `off`.
+fn measured(
+    choices: &[WhiteChoice],
+    scene: &Scene,
+    cameras: Option<&Path>,
+) -> Result<Option<White>, CliError> {
+    let places: Vec<&Place> = choices
+        .iter()
+        .filter_map(|choice| if let WhiteChoice::Place(place) = choice { Some(place) } else { None })
+        .collect();
+    if choices.len() > 1 && places.len() < choices.len() {
+        return Err(CliError::Input(
+            "--white: several pixels go together; off, reef, grey and a file stand alone".into(),
+        ));
+    }
+    let renderer = || SceneRenderer::new(scene, 1.0).map_err(CliError::failed);
+    let all = |cameras: &[(String, Camera)]| cameras.iter().map(|(_, camera)| *camera).collect::<Vec<_>>();
+    match &choices[0] {
+        WhiteChoice::Off => Ok(None),
+        WhiteChoice::File(path) => White::read(path).map(Some).map_err(CliError::input),
+        WhiteChoice::Place(_) => {
+            by_places(&places, &placed(cameras, scene)?, scene, &mut renderer()?).map(Some)
+        }
+        rule => {
+            let cameras = placed(cameras, scene)?;
+            let surfaces = Surfaces::seen_by(&mut renderer()?, &all(&cameras));
+            let found = surfaces.and_then(|surfaces| match rule {
+                WhiteChoice::Reef => Ok((Method::Reef, surfaces.reef()?)),
+                _ => Ok((Method::Grey, surfaces.grey()?)),
+            });
+            let (method, gains) = found.map_err(|error| CliError::Input(format!("--white: {error}")))?;
+            Ok(Some(White::new(method, Vec::new(), gains)))
+        }
+    }
+}
+
+/// The white balance that a verb shows a scene with: what `--white` says, or what was kept for the scene.
+pub(crate) fn of(
+    app: &App,
+    args: &WhiteArgs,
+    folder: &Path,
+    scene: &Scene,
+    cameras: Option<&Path>,
+) -> Result<Option<White>, CliError> {
+    if !args.choices.is_empty() {
+        let white = measured(&args.choices, scene, cameras)?;
+        if let Some(white) = white.as_ref().filter(|_| !app.quiet) {
+            tell(white, scene);
+        }
+        return Ok(white);
+    }
+    let Some(white) = White::beside(folder).map_err(CliError::input)? else { return Ok(None) };
+    let place = path_text(&White::place(folder));
+    if white.is_outdated(folder) {
+        eprintln!(
+            "{place} was measured in an earlier scene and is left out; measure it again with `use3d white {}`",
+            word(folder)
+        );
+        return Ok(None);
+    }
+    if !app.quiet {
+        eprintln!("white balance: {place} (--white off leaves the colours as they are)");
+    }
+    Ok(Some(white))
+}
+
+/// The gains of a white balance, or those that change nothing.
+pub(crate) fn gains(white: Option<&White>) -> Gains {
+    white.map_or(Gains::ONE, |white| white.gains)
+}
+
+/// Says what a white balance does and how far it holds.
+fn tell(white: &White, scene: &Scene) {
+    let text = |[r, _, b]: [f32; 3]| format!("red ×{r:.2}, blue ×{b:.2}");
+    let Gains { clear, enhanced, enhanced_clear } = white.gains;
+    let mut looks = vec![format!("clear: {}", text(clear))];
+    if scene.enhancement.is_some() {
+        looks.push(format!("enhanced: {}", text(enhanced)));
+        looks.push(format!("enhanced-clear: {}", text(enhanced_clear)));
+    }
+    eprintln!("white balance by {}: {}", white.method.name(), looks.join("; "));
+    let distances: Vec<f64> = white.clicks.iter().filter_map(|click| click.distance).collect();
+    if !distances.is_empty() {
+        let distances: Vec<String> = distances.iter().map(|d| format!("{d:.2}")).collect();
+        eprintln!(
+            "measured at a distance of {} units; it holds there: what is nearer or further may keep a cast",
+            distances.join(" and ")
+        );
+    }
+}
+
+/// Refuses, before anything is trained, places in photographs that a capture does not have.
+pub(crate) fn check(choices: &[WhiteChoice], capture: &Path) -> Done {
+    let names = |choice: &&WhiteChoice| matches!(choice, WhiteChoice::Place(_));
+    if choices.iter().any(|choice| names(&choice)) {
+        let cameras = read_cameras(capture).map_err(CliError::input)?;
+        let cameras: Vec<(String, Camera)> =
+            cameras.into_iter().map(|(name, camera)| (name.to_string(), camera)).collect();
+        for choice in choices {
+            if let WhiteChoice::Place(place) = choice {
+                camera_of(place, &cameras)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Measures a scene of a run, and keeps what was found beside it.
+pub(crate) fn keep_for(choices: &[WhiteChoice], folder: &Path, capture: &Path, quiet: bool) -> Done {
+    let scene = Scene::load(folder).map_err(CliError::input)?;
+    let white = measured(choices, &scene, Some(capture))?;
+    keep(white.as_ref(), folder)?;
+    if let Some(white) = white.as_ref().filter(|_| !quiet) {
+        tell(white, &scene);
+    }
+    Ok(())
+}
+
+/// Puts a white balance beside a scene, or takes the one that is there away. Nothing else is ever replaced.
+fn keep(white: Option<&White>, folder: &Path) -> Done {
+    let place = White::place(folder);
+    let there = White::beside(folder)
+        .map_err(|error| CliError::Input(format!("{error}; this file is not replaced: move it away")))?;
+    match (white, there) {
+        (Some(white), _) => white.clone().of_scene(folder).write(&place).map_err(CliError::failed),
+        (None, Some(_)) => std::fs::remove_file(&place)
+            .map_err(|error| CliError::Failed(format!("{}: {error}", path_text(&place)))),
+        (None, None) => Ok(()),
+    }
+}
+
+/// `use3d white`.
+pub(crate) fn run(app: &App, args: &KeepWhiteArgs) -> Done {
+    let folder = scene_in(app, &args.scene)?;
+    if let Some(out) = &args.out {
+        check_file("--out", out, args.replace.force, &["json"])?;
+    }
+    let scene = Scene::load(&folder).map_err(CliError::input)?;
+    let (white, place) = if args.choices.is_empty() {
+        (White::beside(&folder).map_err(CliError::input)?, White::place(&folder))
+    } else {
+        let cameras = args.cameras.clone().or_else(|| capture_in(&args.scene));
+        let white = measured(&args.choices, &scene, cameras.as_deref())?;
+        match (&args.out, &white) {
+            (Some(out), Some(white)) => white.write(out).map_err(CliError::failed)?,
+            (Some(_), None) => {
+                return Err(CliError::Input("off goes without --out: there is nothing to write".into()));
+            }
+            (None, white) => keep(white.as_ref(), &folder)?,
+        }
+        (white, args.out.clone().unwrap_or_else(|| White::place(&folder)))
+    };
+    if args.json {
+        return crate::verbs::run::json(&white);
+    }
+    match &white {
+        Some(white) => {
+            println!("{}", path_text(&place));
+            if !app.quiet {
+                tell(white, &scene);
+            }
+        }
+        None if !app.quiet => eprintln!("no white balance: colours as they are"),
+        None => {}
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use use3d_capture::{Intrinsics, Pose};
+
+    #[test]
+    fn a_pixel_of_another_size_is_found_again() {
+        let camera = |width, height| Camera {
+            intrinsics: Intrinsics { width, height, fx: 1.0, fy: 1.0, cx: 1.0, cy: 1.0 },
+            pose: Pose::IDENTITY,
+        };
+        let place = |x, y, size| Place { view: "a".into(), x, y, size };
+        assert_eq!(rescaled(&place(3.0, 4.0, None), &camera(10, 10)), (3.0, 4.0));
+        // Twice as large.
+        assert_eq!(rescaled(&place(3.0, 4.0, Some((10, 10))), &camera(20, 20)), (6.5, 8.5));
+        // A picture of 40x20 was scaled by half and cropped to 10x10: 5 pixels are missing on the left.
+        assert_eq!(rescaled(&place(0.0, 0.0, Some((10, 10))), &camera(40, 20)), (10.5, 0.5));
+        // And back.
+        assert_eq!(rescaled(&place(10.5, 0.5, Some((40, 20))), &camera(10, 10)), (0.0, 0.0));
+    }
+}
