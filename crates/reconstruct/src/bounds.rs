@@ -59,6 +59,7 @@ impl CaptureSize {
     }
 
     /// Gaussians to start with before the bound holds: one per sparse point, random ones where those are few.
+    /// Start points between sparse ones (`start_points`) are not known yet; they are few where points are many.
     pub(crate) fn initial(&self, params: &ReconstructParams) -> usize {
         let points = self.points;
         if points < FEWEST_POINTS { points.saturating_add(params.random_points) } else { points }

@@ -5,6 +5,7 @@ use use3d_training::EngineChoice;
 
 use crate::bounds::most_gaussians;
 use crate::load::Views;
+use crate::triangles::Between;
 use crate::{FoundWater, ReconstructParams};
 
 /// The digest.
@@ -12,6 +13,7 @@ pub(crate) fn fingerprint(
     capture: &Capture,
     found: Option<&FoundWater>,
     gains: Option<&Vec<[f64; 3]>>,
+    between: &[Between],
     params: &ReconstructParams,
     views: &Views,
 ) -> [u8; 32] {
@@ -34,6 +36,10 @@ pub(crate) fn fingerprint(
     for point in &capture.points {
         hasher.update(bytemuck::bytes_of(&point.position.to_array()));
         hasher.update(&point.color);
+    }
+    for point in between {
+        hasher.update(bytemuck::bytes_of(&point.position.to_array()));
+        hasher.update(bytemuck::bytes_of(&point.color));
     }
     if let Some(found) = found {
         found.fingerprint(&mut hasher);

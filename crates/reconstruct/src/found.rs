@@ -12,6 +12,7 @@
 //! * it is held for a share of the run (`medium_hold`) and then learnt at a fraction of
 //!   its rates (`medium_release`).
 
+use use3d_capture::Track;
 use use3d_medium::{Coefficients, MediumModel};
 use use3d_numerics::math;
 use use3d_numerics::spherical_harmonics::{C0, C1};
@@ -30,6 +31,9 @@ pub struct Known {
     pub water: Option<FoundWater>,
     /// Gains of all views of the capture, red, green, blue, all positive; empty where they are not known.
     pub gains: Vec<[f64; 3]>,
+    /// Tracks of all points of the capture, in the order of its points, whose views are those of the capture;
+    /// empty where there are none. Start points are laid between them (`start_points`).
+    pub tracks: Vec<Track>,
 }
 
 /// Water found beforehand, in the normalised frame; channels are red, green, blue.
@@ -79,14 +83,20 @@ impl FoundWater {
     /// the photographs (display range).
     pub(crate) fn color(&self, point: usize, photographed: [f64; 3]) -> [f64; 3] {
         let Some(Some(radiance)) = self.radiances.get(point) else { return photographed };
-        std::array::from_fn(|c| {
-            let (value, error) = radiance[c];
+        let sure = self.sure(point);
+        std::array::from_fn(|c| match sure[c] {
+            0.0 => photographed[c],
+            w => w * radiance[c].0.clamp(0.0, 1.0) + (1.0 - w) * photographed[c],
+        })
+    }
+
+    /// The weight w of a point's radiance in the colour that it starts with, per channel; 0 where nothing is
+    /// known.
+    pub(crate) fn sure(&self, point: usize) -> [f64; 3] {
+        let Some(Some(radiance)) = self.radiances.get(point) else { return [0.0; 3] };
+        radiance.map(|(value, error)| {
             let sure = EVEN * EVEN / (EVEN * EVEN + error * error);
-            if value.is_finite() && sure.is_finite() {
-                sure * value.clamp(0.0, 1.0) + (1.0 - sure) * photographed[c]
-            } else {
-                photographed[c]
-            }
+            if value.is_finite() && sure.is_finite() { sure } else { 0.0 }
         })
     }
 

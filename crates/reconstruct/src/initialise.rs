@@ -4,7 +4,8 @@
 //! to its three nearest other points, a uniformly random rotation, opacity 0.1. Equal points count as
 //! one neighbour, so that a heap of duplicates does not make Gaussians of size zero. A capture with
 //! fewer than 100 points gets random ones in what its cameras see; of more points than there may be
-//! Gaussians a random choice stays.
+//! Gaussians a random choice stays. Where `start_points` asks for it, points
+//! [between tracked points](crate::triangles) come behind them, as many as there is room for.
 
 use std::num::NonZero;
 
@@ -17,6 +18,7 @@ use use3d_numerics::random::{Purpose, Stream};
 use use3d_numerics::spherical_harmonics::C0;
 use use3d_splat::{Gaussians, NEAR};
 
+use crate::triangles::{self, Between};
 use crate::{FoundWater, ReconstructError, ReconstructParams};
 
 /// Fewer sparse points than this are not a start.
@@ -26,11 +28,12 @@ const NEIGHBOURS: usize = 3;
 const SMALLEST: f64 = 1e-5;
 const LARGEST: f64 = 2.0;
 
-/// The initial Gaussians, at most `most`, with the colours behind the water where that was found;
-/// messages for a person go to `notice`.
+/// The initial Gaussians, at most `most`, with the colours behind the water where that was found, and
+/// `between` behind those of the sparse points; messages for a person go to `notice`.
 pub(crate) fn gaussians(
     capture: &Capture,
     found: Option<&FoundWater>,
+    between: &[Between],
     params: &ReconstructParams,
     most: usize,
     mut notice: impl FnMut(&str),
@@ -66,6 +69,9 @@ pub(crate) fn gaussians(
         ));
         points.extend(added);
     }
+    let room = (most - points.len()).min(triangles::most_between(points.len()));
+    let between: Vec<_> = between.iter().map(|p| (p.position, p.color)).collect();
+    points.extend(if between.len() > room { choose(&between, room, params.seed) } else { between });
     let positions: Vec<DVec3> = points.iter().map(|p| p.0).collect();
     let spacing = spacing(&positions);
     let stream = Stream::new(params.seed, Purpose::new("initial rotations"), 0);

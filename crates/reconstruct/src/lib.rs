@@ -23,6 +23,7 @@ mod peek;
 mod profile;
 mod report;
 mod run;
+mod triangles;
 mod views;
 mod window;
 
@@ -31,7 +32,8 @@ pub use error::ReconstructError;
 pub use exposure::{ExposureStep, Exposures};
 pub use found::{FoundWater, Known};
 pub use params::{
-    Densify, DepthPrior, Exposure, Images, LearningRates, MediumPrior, Rate, ReconstructParams,
+    Densify, DepthPrior, Exposure, Images, LearningRates, MediumPrior, Rate, ReconstructParams, StartPoints,
+    Strategy, Unseen,
 };
 pub use peek::scene_in_checkpoint;
 pub use profile::{StepPart, Stretch, growth};

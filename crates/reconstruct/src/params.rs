@@ -40,6 +40,18 @@ pub enum MediumPrior {
     Tracks,
 }
 
+/// Where Gaussians start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum StartPoints {
+    /// At the capture's sparse points, as the paper has it.
+    #[default]
+    Tracks,
+    /// There, and between them on the triangles of each view's tracked points where the surface is smooth and
+    /// points are sparse, so that even floors and walls get no holes. Its gain was not measured yet.
+    Triangles,
+}
+
 /// Whether photographs of one scene may differ in exposure and white balance.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -125,12 +137,57 @@ impl Default for LearningRates {
     }
 }
 
+/// How Gaussians are added and removed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Strategy {
+    /// As the paper's authors do: every strong pull on the screen adds a Gaussian, opacities are lowered to a
+    /// ceiling again and again, and what is then below `cull_opacity` is removed.
+    #[default]
+    Authors,
+    /// Several views must agree that a Gaussian more pays, a budget from the pixels grows with the run, there
+    /// is no ceiling, and only what is below `frugal_cull_opacity` is removed, a third of all at most at once.
+    /// Its gain was not measured yet.
+    Frugal,
+}
+
+/// How Gaussians are held back where no view has seen the scene well: what only views from about one
+/// direction show, what lies beyond the last tracked points, and what no view has in its picture.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Unseen {
+    /// Whether they are. What that costs and gives was not measured yet.
+    pub enabled: bool,
+    /// Steps between two times.
+    pub every: u64,
+    /// Spread of the directions to the views that have a Gaussian in their picture, radians, below which its
+    /// depth counts as unknown.
+    pub spread: f64,
+    /// Such a Gaussian is at most this many times as long along the view as across it.
+    pub stretch: f64,
+    /// Of what one or two such views show and of what lies beyond: largest standard deviation, as a share of
+    /// the picture's width.
+    pub width: f64,
+    /// A Gaussian lies beyond if it is this many times as far as the last sparse points of every view.
+    pub beyond: f64,
+    /// Largest opacity beyond, and where no view looks.
+    pub opacity: f64,
+}
+
+impl Default for Unseen {
+    fn default() -> Self {
+        Self { enabled: false, every: 500, spread: 0.1, stretch: 3.0, width: 0.05, beyond: 1.5, opacity: 0.5 }
+    }
+}
+
 /// When and how Gaussians are added and removed (R9).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Densify {
     /// Whether the number of Gaussians changes at all.
     pub enabled: bool,
+    /// How Gaussians are added and removed.
+    pub strategy: Strategy,
     /// Gradient statistics are gathered from this step on.
     pub statistics_from: u64,
     /// No refinement up to this step (at most a quarter of the run).
@@ -159,6 +216,14 @@ pub struct Densify {
     pub cull_opacity: f64,
     /// The same afterwards, at every refinement to the end.
     pub cull_opacity_late: f64,
+    /// A run with a course of fewer steps than this has no ceilings and removes no Gaussians above half of
+    /// `initial_opacity`: opacities have no time to rise. 0: runs of any length are alike.
+    pub gentle_below: u64,
+    /// Of the `frugal` strategy: Gaussians below this opacity are removed.
+    pub frugal_cull_opacity: f64,
+    /// Of the `frugal` strategy: training pixels for each Gaussian of the budget at the end of growth; a
+    /// budget is never below one and a half times the initial Gaussians.
+    pub frugal_pixels: f64,
     /// Gaussians with a standard deviation above this are removed, scene units.
     pub cull_scale: f64,
     /// Opacities are lowered to this at every ceiling.
@@ -175,6 +240,7 @@ impl Default for Densify {
     fn default() -> Self {
         Self {
             enabled: true,
+            strategy: Strategy::Authors,
             statistics_from: 100,
             warm_up: 600,
             every: 100,
@@ -187,6 +253,9 @@ impl Default for Densify {
             shrink: 1.6,
             cull_opacity: 0.5,
             cull_opacity_late: 0.1,
+            gentle_below: 2000,
+            frugal_cull_opacity: 0.05,
+            frugal_pixels: 96.0,
             cull_scale: 10.0,
             opacity_ceiling: 0.45,
             floor: 100,
@@ -241,12 +310,16 @@ pub struct ReconstructParams {
     pub resolution_schedule: Vec<(f64, usize)>,
     /// Opacity of the initial Gaussians.
     pub initial_opacity: f64,
+    /// Where Gaussians start.
+    pub start_points: StartPoints,
     /// Initial Gaussians where the capture has fewer than 100 sparse points.
     pub random_points: usize,
     /// Adam's learning rates.
     pub learning_rates: LearningRates,
     /// Density control.
     pub densify: Densify,
+    /// Where no view has seen the scene well.
+    pub unseen: Unseen,
     /// Most Gaussians, the initial ones included: of more sparse points a random choice stays. 0: one
     /// for every eight pixels of the training views or four for every sparse point, whichever are
     /// more; from 250,000 to four million.
@@ -291,9 +364,11 @@ impl Default for ReconstructParams {
             sh_every: 1.0 / 15.0,
             resolution_schedule: vec![(0.0, 4), (0.2, 2), (0.4, 1)],
             initial_opacity: 0.1,
+            start_points: StartPoints::Tracks,
             random_points: 10_000,
             learning_rates: LearningRates::default(),
             densify: Densify::default(),
+            unseen: Unseen::default(),
             max_gaussians: 0,
             seed: 42,
             evaluate_every: 0,
@@ -375,6 +450,16 @@ impl ReconstructParams {
         if !(d.opacity_ceiling > 0.0 && d.opacity_ceiling < 1.0) {
             return Err(OutOfRange::new("densify.opacity_ceiling", d.opacity_ceiling, "between 0 and 1"));
         }
+        share("densify.frugal_cull_opacity", d.frugal_cull_opacity)?;
+        positive("densify.frugal_pixels", d.frugal_pixels)?;
+        let u = &self.unseen;
+        at_least("unseen.every", u.every, 1)?;
+        not_negative("unseen.spread", u.spread)?;
+        positive("unseen.stretch", u.stretch)?;
+        positive("unseen.width", u.width)?;
+        positive("unseen.beyond", u.beyond)?;
+        share("unseen.opacity", u.opacity)?;
+        positive("unseen.opacity", u.opacity)?;
         let r = &self.learning_rates;
         for (name, rate) in [
             ("means", r.means),
@@ -443,6 +528,22 @@ impl ReconstructParams {
         (self.densify.until * self.course() as f64).round() as u64
     }
 
+    /// The opacity below which Gaussians are removed, while growing and afterwards.
+    pub fn cull_opacity(&self, growing: bool) -> f64 {
+        let d = &self.densify;
+        let usual = match d.strategy {
+            Strategy::Frugal => d.frugal_cull_opacity,
+            Strategy::Authors if growing => d.cull_opacity,
+            Strategy::Authors => d.cull_opacity_late,
+        };
+        if self.is_gentle() { usual.min(0.5 * self.initial_opacity) } else { usual }
+    }
+
+    /// Whether opacities have no time to rise, or to recover from ceilings.
+    pub fn is_gentle(&self) -> bool {
+        self.course() < self.densify.gentle_below
+    }
+
     /// The step up to which nothing is refined: the preset, but at most a quarter of a short run.
     pub fn warm_up(&self) -> u64 {
         self.densify.warm_up.min(self.course() / 4)
@@ -466,6 +567,21 @@ mod tests {
         let short = ReconstructParams { iterations: 1500, ..p };
         assert_eq!((short.divisor(299), short.divisor(300), short.active_degree(100)), (4, 2, 1));
         assert_eq!((short.densify_end(), short.warm_up()), (1000, 375));
+    }
+
+    #[test]
+    fn short_runs_remove_only_what_has_faded() {
+        let of = |iterations| ReconstructParams { iterations, ..ReconstructParams::default() };
+        let (short, long) = (of(500), of(15_000));
+        assert!(short.is_gentle() && !of(2000).is_gentle() && !long.is_gentle());
+        assert_eq!([true, false].map(|growing| short.cull_opacity(growing)), [0.05; 2]);
+        assert_eq!([true, false].map(|growing| long.cull_opacity(growing)), [0.5, 0.1]);
+        let mut paper = short.clone();
+        paper.densify.gentle_below = 0;
+        assert_eq!([true, false].map(|growing| paper.cull_opacity(growing)), [0.5, 0.1]);
+        let mut frugal = long;
+        frugal.densify.strategy = Strategy::Frugal;
+        assert_eq!([true, false].map(|growing| frugal.cull_opacity(growing)), [0.05; 2]);
     }
 
     #[test]

@@ -18,7 +18,9 @@ use use3d_training::{
     Snapshot, Steps, ViewOrder,
 };
 
-use crate::bounds::most_gaussians;
+use crate::bounds::{CaptureSize, most_gaussians};
+use crate::density::unseen::Witnesses;
+use crate::density::worth::Judges;
 use crate::density::{self, Draws, RefineSettings};
 use crate::engine::{Degrees, Engine, StepPlan, StepRates, TrainingState};
 use crate::fingerprint::fingerprint;
@@ -28,7 +30,8 @@ use crate::report::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
 use crate::views::{TrainingView, ViewLoader};
 use crate::window::Window;
 use crate::{
-    Exposure, ExposureStep, FoundWater, Known, ReconstructError, ReconstructParams, initialise, losses,
+    Exposure, ExposureStep, FoundWater, Known, ReconstructError, ReconstructParams, StartPoints, Strategy,
+    initialise, losses, triangles,
 };
 
 /// What the names of this loop's checkpoints begin with.
@@ -132,7 +135,14 @@ pub fn reconstruct_in(
     let most = most_gaussians(capture, params);
     let start = known.water.as_ref().and_then(|found| Some((found, found.model(params)?)));
     let found = start.as_ref().map(|(found, _)| *found);
-    let gaussians = initialise::gaussians(capture, found, params, most, |message| observer.notice(message))?;
+    let views = load(capture, loader, params, observer)?;
+    let sparse: Vec<_> = capture.points.iter().map(|p| p.position).filter(|p| p.is_finite()).collect();
+    let between = match params.start_points {
+        StartPoints::Tracks => Vec::new(),
+        StartPoints::Triangles => triangles::between(&views.train, &capture.split.train, known, &sparse),
+    };
+    let gaussians =
+        initialise::gaussians(capture, found, &between, params, most, |message| observer.notice(message))?;
     let initial = gaussians.len();
     let water = match start {
         Some((_, model)) => model,
@@ -140,13 +150,22 @@ pub fn reconstruct_in(
             ReconstructError::Parameter(OutOfRange::new("medium", params.medium.name(), wrong.to_string()))
         })?,
     };
-    let views = load(capture, loader, params, observer)?;
     let exposes = params.exposure == Exposure::PerView;
     let gains: Vec<[f64; 3]> = match known.gains.is_empty() {
         true => vec![[1.0; 3]; capture.split.train.len()],
         false => capture.split.train.iter().map(|view| known.gains[*view]).collect(),
     };
-    let fingerprint = fingerprint(capture, found, exposes.then_some(&gains), params, &views);
+    let gains_used = exposes.then_some(&gains);
+    let fingerprint = fingerprint(capture, found, gains_used, &between, params, &views);
+    let cameras: Vec<_> = views.train.iter().map(|v| v.camera).collect();
+    let witnesses = match params.unseen.enabled {
+        true => Witnesses::new(&cameras, &sparse, params.unseen.beyond),
+        false => Witnesses::default(),
+    };
+    let judges = match params.densify.strategy {
+        Strategy::Authors => Judges::default(),
+        Strategy::Frugal => Judges::new(&views.train),
+    };
     let names: Vec<String> = views.train.iter().map(|v| v.name.clone()).collect();
     for (index, view) in views.train.into_iter().enumerate() {
         if engine.upload(view)? != index {
@@ -171,6 +190,9 @@ pub fn reconstruct_in(
         log: Vec::new(),
         window: Window::default(),
         most,
+        pixels: CaptureSize::from(capture).training,
+        judges,
+        witnesses,
         cap_told: false,
         growth: Vec::new(),
     };
@@ -211,6 +233,12 @@ struct Run<'a> {
     log: Vec<LogEntry>,
     window: Window,
     most: usize,
+    /// Pixels of the training views.
+    pixels: u64,
+    /// What the `frugal` strategy asks.
+    judges: Judges,
+    /// What bounds Gaussians that are poorly seen.
+    witnesses: Witnesses,
     cap_told: bool,
     growth: Vec<Stretch>,
 }
@@ -313,8 +341,9 @@ impl Run<'_> {
     /// What comes after the last step.
     fn finish(mut self, capture: &Capture) -> Result<Outcome, ReconstructError> {
         // Only here, after the last checkpoint: a longer run that goes on from
-        // it still collects for this line.
+        // it still collects for this line, and bounds what is poorly seen at its own steps.
         self.drain(Drain::All)?;
+        self.hold_back()?;
         if self.window.steps > 0 {
             self.end_window()?;
         }
@@ -416,48 +445,96 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// The refinement or the opacity ceiling that is due after this step (R9).
+    /// The refinement or the opacity ceiling that is due after this step (R9), and the bounds of what is
+    /// poorly seen.
     fn control_density(&mut self, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
         let (params, d, step) = (self.params, &self.params.densify, self.step);
-        if !d.enabled || step <= params.warm_up() {
-            return Ok(());
+        if d.enabled && step > params.warm_up() {
+            let growing = step < params.densify_end();
+            match d.strategy {
+                Strategy::Authors => self.refine_as_authors(growing, observer)?,
+                Strategy::Frugal if step.is_multiple_of(d.every) => self.refine(growing, observer)?,
+                Strategy::Frugal => {}
+            }
         }
-        let growing = step < params.densify_end();
+        if (step + 1).is_multiple_of(params.unseen.every) {
+            self.hold_back()?;
+        }
+        Ok(())
+    }
+
+    fn refine_as_authors(
+        &mut self,
+        growing: bool,
+        observer: &mut dyn Observer,
+    ) -> Result<(), ReconstructError> {
+        let (d, step) = (&self.params.densify, self.step);
+        let ceilings = !self.params.is_gentle();
         let phase = step % d.period;
         if step.is_multiple_of(d.every) {
             // Densification waits after a ceiling; culling alone goes on to the end.
             let pause = d.pause.min(self.names.len() as u64 + d.every);
-            if !growing || phase >= pause {
+            if !growing || !ceilings || phase >= pause {
                 self.refine(growing, observer)?;
             } else {
                 self.engine.forget_statistics()?;
             }
         }
-        if growing && phase == d.every % d.period {
+        if ceilings && growing && phase == d.every % d.period {
             self.engine.limit_opacity(d.opacity_ceiling)?;
             self.log.push(LogEntry::Ceiling { step: step + 1 });
         }
         Ok(())
     }
 
+    /// Bounds what is poorly seen.
+    fn hold_back(&mut self) -> Result<(), ReconstructError> {
+        let settings = &self.params.unseen;
+        if settings.enabled {
+            self.drain(Drain::All)?;
+            let witnesses = &self.witnesses;
+            self.engine.amend(&mut |gaussians| witnesses.hold_back(gaussians, settings))?;
+        }
+        Ok(())
+    }
+
+    /// The most Gaussians that there may be now under the `frugal` strategy: from the initial number to the
+    /// budget, in proportion to the course of growth.
+    fn budget(&self) -> usize {
+        let (params, initial) = (self.params, self.initial as f64);
+        let budget = (self.pixels as f64 / params.densify.frugal_pixels).max(1.5 * initial);
+        let (first, end) = (params.warm_up() as f64, params.densify_end() as f64);
+        let course = ((self.step as f64 - first) / (end - first).max(1.0)).clamp(0.0, 1.0);
+        ((initial + course * (budget - initial)) as usize).min(self.most)
+    }
+
     fn refine(&mut self, growing: bool, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
         let (params, d) = (self.params, &self.params.densify);
+        let frugal = d.strategy == Strategy::Frugal;
+        let third = if frugal { self.gaussians - self.gaussians / 3 } else { 0 };
         let settings = RefineSettings {
             grow: growing,
             gradient_threshold: d.gradient_threshold,
             split_scale: d.split_scale,
-            cull_opacity: if growing { d.cull_opacity } else { d.cull_opacity_late },
+            cull_opacity: params.cull_opacity(growing),
             cull_scale: d.cull_scale,
-            floor: d.floor.max((d.floor_share * self.initial as f64) as usize),
-            most: self.most,
+            floor: d.floor.max((d.floor_share * self.initial as f64) as usize).max(third),
+            most: if frugal { self.budget() } else { self.most },
         };
-        let (rows, report) = density::plan(&self.engine.survey()?, &settings);
+        let worth = if frugal && growing {
+            let degrees = self.degrees(self.step);
+            let state = self.engine.save()?;
+            Some(self.judges.worth(&state, degrees, self.step / d.every))
+        } else {
+            None
+        };
+        let (rows, report) = density::plan(&self.engine.survey()?, &settings, worth.as_deref());
         self.engine.rebuild(&rows, &Draws { seed: params.seed, step: self.step, shrink: d.shrink })?;
         self.gaussians = rows.len();
         if d.reset_medium && growing {
             self.engine.forget_water_moments()?;
         }
-        if report.held_back > 0 && !self.cap_told {
+        if report.held_back > 0 && settings.most == self.most && !self.cap_told {
             self.cap_told = true;
             observer.notice(&format!(
                 "step {}: the scene has reached its cap of {} Gaussians (`max_gaussians`); only the strongest {} of {} candidates were split or duplicated",

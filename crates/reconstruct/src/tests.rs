@@ -208,6 +208,7 @@ fn tiny_params(iterations: u64) -> ReconstructParams {
     params.resolution_schedule = vec![(0.0, 2), (0.3, 1)];
     params.densify.statistics_from = 0;
     params.densify.warm_up = iterations / 3;
+    params.densify.gentle_below = 0;
     params.densify.every = 5;
     params.densify.period = 25;
     params.densify.pause = 10;

@@ -192,6 +192,7 @@ fn params() -> ReconstructParams {
     params.resolution_schedule = vec![(0.0, 2), (0.3, 1)];
     params.densify.statistics_from = 0;
     params.densify.warm_up = 6;
+    params.densify.gentle_below = 0;
     params.densify.every = 5;
     params.densify.period = 20;
     params.densify.pause = 6;

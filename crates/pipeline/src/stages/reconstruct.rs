@@ -3,12 +3,12 @@
 use serde::{Deserialize, Serialize};
 use use3d_build::{Figure, Scope, Stage, StageContext, StageError};
 use use3d_capture::{Capture, View};
-use use3d_import::{load_depth_prior, load_mask, load_pixels};
+use use3d_import::{Imported, load_depth_prior, load_mask, load_pixels};
 use use3d_io_image::write_png;
 use use3d_metrics::Score;
 use use3d_reconstruct::{
     DepthPrior, Evaluation, Exposure, Images, Known, LoadedView, Medium, MediumPrior, ReconstructError,
-    ReconstructParams, growth, memory_need, most_gaussians, reconstruct_in,
+    ReconstructParams, StartPoints, growth, memory_need, most_gaussians, reconstruct_in,
 };
 use use3d_scene::Origin;
 use use3d_water::WaterParams;
@@ -109,10 +109,15 @@ fn prior_in_force(params: &ReconstructParams, capture: &Capture, made: bool) -> 
     }
 }
 
+/// The capture with the tracks of its points.
+fn imported(context: &StageContext) -> Result<Imported, StageError> {
+    use3d_import::load_prepared(context.input("import")?).map_err(StageError::bad_input)
+}
+
 /// What the capture's tracks tell of the water and of the views' gains, said and written beside the scene;
 /// and whether they tell that there is no water.
 fn known_from_tracks(context: &StageContext) -> Result<(Known, bool, String), StageError> {
-    let imported = use3d_import::load_prepared(context.input("import")?).map_err(StageError::bad_input)?;
+    let imported = imported(context)?;
     let water = from_tracks(&imported, &WaterParams::default()).map_err(StageError::bad_input)?;
     // Without a name: the folder that an import lies in is not part of it.
     let report = WaterReport { capture: "capture".into(), ..WaterReport::new(&imported, &water) };
@@ -130,7 +135,7 @@ fn known_from_tracks(context: &StageContext) -> Result<(Known, bool, String), St
         None => format!("water from tracks: {told}; the water starts as with medium_prior = \"off\""),
     };
     context.say(&said);
-    Ok((Known { water: found, gains: water.gains }, dry, said))
+    Ok((Known { water: found, gains: water.gains, tracks: imported.tracks() }, dry, said))
 }
 
 /// What the water starts from where no track is asked.
@@ -184,7 +189,11 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     let (known, dry, told) = if params.asks_tracks() {
         known_from_tracks(context)?
     } else {
-        (Known::default(), false, water_learnt(&params).to_string())
+        let tracks = match params.start_points {
+            StartPoints::Triangles => imported(context)?.tracks(),
+            StartPoints::Tracks => Vec::new(),
+        };
+        (Known { tracks, ..Known::default() }, false, water_learnt(&params).to_string())
     };
     if dry {
         (params.medium, params.medium_prior) = (Medium::None, MediumPrior::Off);

@@ -17,6 +17,8 @@
 //! `rebuilt` or do the same where its arrays are.
 
 mod rebuild;
+pub(crate) mod unseen;
+pub(crate) mod worth;
 
 pub use rebuild::{Draws, Origin, rebuilt};
 
@@ -82,8 +84,13 @@ pub struct RefineReport {
 }
 
 /// The rows of the refined scene: survivors in their order, then twins and children in the order of their
-/// parents. All of `survey` has one length.
-pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineReport) {
+/// parents. All of `survey` has one length. Where the worth of every Gaussian is given, only those that are
+/// worth something grow, the worthiest first.
+pub fn plan(
+    survey: &Survey,
+    settings: &RefineSettings,
+    worth: Option<&[f32]>,
+) -> (Vec<Origin>, RefineReport) {
     let Survey { opacity_logits, log_sizes, statistics } = survey;
     let n = opacity_logits.len();
     let mut report = RefineReport::default();
@@ -107,12 +114,14 @@ pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineR
 
     let mut grow = vec![false; n];
     if settings.grow {
+        let pull = |i: usize| statistics.mean(i);
+        let rank = |i: usize| worth.map_or_else(|| pull(i), |worth| f64::from(worth[i]));
         let mut pulled: Vec<usize> =
-            (0..n).filter(|&i| keep[i] && statistics.mean(i) > settings.gradient_threshold).collect();
+            (0..n).filter(|&i| keep[i] && pull(i) > settings.gradient_threshold && rank(i) > 0.0).collect();
         let room = settings.most.saturating_sub(survivors);
         if pulled.len() > room {
             report.held_back = pulled.len() - room;
-            pulled.sort_by(|&a, &b| statistics.mean(b).total_cmp(&statistics.mean(a)).then(a.cmp(&b)));
+            pulled.sort_by(|&a, &b| rank(b).total_cmp(&rank(a)).then(a.cmp(&b)));
             pulled.truncate(room);
         }
         for i in pulled {
@@ -179,7 +188,7 @@ mod tests {
             (-0.1, 0.1, 1.0),  // faint: removed
             (2.0, 11.0, 1.0),  // huge: removed
         ]);
-        let (rows, report) = plan(&s, &SETTINGS);
+        let (rows, report) = plan(&s, &SETTINGS, None);
         use Origin::*;
         assert_eq!(rows, [Kept(0), Kept(2), Child(1, 0), Child(1, 1), Twin(2)]);
         assert_eq!(report, RefineReport { split: 1, duplicated: 1, culled: 2, spared: 0, held_back: 0 });
@@ -190,18 +199,18 @@ mod tests {
         // Drawn from the parent: next to nothing along its thin axes.
         assert!(refined.means[2][1].abs() < 1e-2);
         // Without growth only the removals remain.
-        let (rows, _) = plan(&s, &RefineSettings { grow: false, ..SETTINGS });
+        let (rows, _) = plan(&s, &RefineSettings { grow: false, ..SETTINGS }, None);
         assert_eq!(rows, [Kept(0), Kept(1), Kept(2)]);
     }
 
     #[test]
     fn the_floor_spares_the_most_opaque_and_the_cap_prefers_the_strongest_pulls() {
         let (_, s) = scene(&[(-3.0, 0.1, 0.0), (-1.0, 0.1, 0.0), (-2.0, 0.1, 0.0)]);
-        let (rows, report) = plan(&s, &SETTINGS);
+        let (rows, report) = plan(&s, &SETTINGS, None);
         assert_eq!(rows, [Origin::Kept(1), Origin::Kept(2)]);
         assert_eq!((report.culled, report.spared), (1, 2));
         let (_, s) = scene(&[(2.0, 1e-4, 1e-3), (2.0, 1e-4, 3e-3), (2.0, 1e-4, 2e-3)]);
-        let (rows, report) = plan(&s, &RefineSettings { most: 4, ..SETTINGS });
+        let (rows, report) = plan(&s, &RefineSettings { most: 4, ..SETTINGS }, None);
         assert_eq!(rows.last(), Some(&Origin::Twin(1)));
         assert_eq!((rows.len(), report.held_back), (4, 2));
     }
@@ -217,7 +226,7 @@ mod tests {
             g.quaternions[i] = [2.0 * math::cos(angle), 0.0, 0.0, 2.0 * math::sin(angle)];
         }
         let settings = RefineSettings { most: 10 * n, ..SETTINGS };
-        let (rows, _) = plan(&s, &settings);
+        let (rows, _) = plan(&s, &settings, None);
         let refined = rebuilt(&g, &rows, &DRAWS);
         let spread = |axis: usize| {
             (refined.means.iter().map(|m| math::powi(f64::from(m[axis]), 2)).sum::<f64>()

@@ -324,6 +324,11 @@ impl Engine for CpuEngine {
         Ok(())
     }
 
+    fn amend(&mut self, change: &mut dyn FnMut(&mut Gaussians)) -> Result<(), EngineError> {
+        change(&mut self.state.gaussians);
+        Ok(())
+    }
+
     fn forget_water_moments(&mut self) -> Result<(), EngineError> {
         let TrainingState { medium, medium_moments: [first, second], .. } = &mut self.state;
         let mut offset = 0;

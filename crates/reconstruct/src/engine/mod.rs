@@ -27,6 +27,7 @@ mod state;
 use std::borrow::Cow;
 
 use use3d_capture::{Camera, Image};
+use use3d_splat::Gaussians;
 use use3d_training::{Drain, EngineError, Profile};
 
 pub use cpu::CpuEngine;
@@ -145,6 +146,15 @@ pub trait Engine: Diagnostics {
 
     /// Lowers opacities to a ceiling and zeroes their moments.
     fn limit_opacity(&mut self, ceiling: f64) -> Result<(), EngineError>;
+
+    /// Has means, sizes, rotations and opacities changed in place, after the reports of all steps were drained.
+    /// The number of Gaussians, their moments and statistics stay. An engine whose state lies elsewhere fetches
+    /// it and takes it back.
+    fn amend(&mut self, change: &mut dyn FnMut(&mut Gaussians)) -> Result<(), EngineError> {
+        let mut state = self.save()?.into_owned();
+        change(&mut state.gaussians);
+        self.load(state)
+    }
 
     /// Adam's moments of the water's coefficients (constant and directional) start anew.
     fn forget_water_moments(&mut self) -> Result<(), EngineError>;

@@ -16,7 +16,7 @@ fn true_water(points: usize) -> FoundWater {
 }
 
 fn known(found: Option<&FoundWater>) -> Known {
-    Known { water: found.cloned(), gains: Vec::new() }
+    Known { water: found.cloned(), ..Known::default() }
 }
 
 /// The tiny reef by a camera that exposes every view on its own; the gains.
@@ -72,7 +72,7 @@ fn a_camera_that_exposes_each_view_on_its_own_is_seen_through() {
     assert!(fitted > with.psnr.value().unwrap().max(without.psnr.value().unwrap()) + 1.0, "{fitted}");
     // Known gains are where they start, and part of what a checkpoint must agree with; a stopped
     // run ends as an undisturbed one.
-    let known = Known { water: None, gains };
+    let known = Known { gains, ..Known::default() };
     let dir = tempfile::tempdir().unwrap();
     let stopped = run(Exposure::PerView, &known, 60, Some(35), Some(dir.path()));
     assert!(matches!(stopped, Err(ReconstructError::Interrupted { step: 35, .. })));
