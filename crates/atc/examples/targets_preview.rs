@@ -14,7 +14,7 @@ use use3d_atc::consensus::{
 };
 use use3d_atc::progress::unwatched;
 use use3d_atc::proposers::{Fusion, Proposer};
-use use3d_capture::{Appearance, SparsePoint, View};
+use use3d_capture::{Appearance, KeptWater, SparsePoint, View};
 use use3d_import::{ImportParams, import, load_pixels};
 use use3d_io_image::{write_png, write_png_map};
 use use3d_numerics::math;
@@ -88,7 +88,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (targets, report) = targets_from_records(
         &mut Lift::new(&scene),
         &records,
-        Appearance::Water,
+        (Appearance::Water, KeptWater::ALL),
         Fusion.id(),
         &calibrator,
         &params,
@@ -110,7 +110,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (_, shuffled) = targets_from_records(
         &mut Lift::new(&scene),
         &records,
-        Appearance::Water,
+        (Appearance::Water, KeptWater::ALL),
         Fusion.id(),
         &calibrator,
         &params,

@@ -20,6 +20,7 @@ pub mod calibrator;
 pub mod consensus;
 mod error;
 pub mod extractor;
+pub mod kept_water;
 pub mod progress;
 pub mod proposers;
 mod tensors;

@@ -13,6 +13,7 @@
 mod appearance;
 mod camera;
 mod capture;
+mod kept_water;
 mod lattice;
 pub mod name;
 pub mod path;
@@ -22,6 +23,7 @@ mod track;
 pub use appearance::Appearance;
 pub use camera::{Camera, CameraError, Frame, Intrinsics, Pose};
 pub use capture::{Capture, CaptureError, Pixels, SparsePoint, Split, View};
+pub use kept_water::KeptWater;
 pub use lattice::{Formation, Lattice, MediumMaps, world_direction};
 pub use name::{FileName, NameError, flat_stem, shown, stem};
 pub use raster::{Image, Image8, Map, Raster};

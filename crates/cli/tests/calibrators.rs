@@ -109,7 +109,7 @@ fn the_authors_calibrator_serves_a_whole_run_and_by_hand() {
 fn a_scene_proposes_for_itself_in_clear_radiance() {
     let dir = place();
     let at = dir.path();
-    let own = ["--set", "targets.proposer=scene"];
+    let own = ["--set", "targets.proposer=scene", "--set", "targets.source=clear"];
     let run = ["-q", "run", "reef", "--out", "out"];
     let (out, _) = expect(0, at, &[&run[..], &QUICK, &own].concat());
     // Neither pairs nor a fit: import, reconstruct, targets, enhance, render, evaluate, report.
@@ -123,23 +123,25 @@ fn a_scene_proposes_for_itself_in_clear_radiance() {
     assert_eq!(read("out/reef/enhanced-scene/scene.json")["enhancement"]["appearance"], "clear");
 
     let hand = ["targets", "out/reef/scene", "reef", "--out", "t.safetensors"];
-    let (_, err) = expect(0, at, &hand);
+    // Without a calibrator a 2D enhancer proposes, and nothing is learnt from pairs.
+    let (_, err) = expect(0, at, &[&hand[..], &["--set", "proposer=fusion"]].concat());
+    assert!(err.contains("`fusion` proposes for ") && err.contains("not calibrated"), "{err}");
+    let (_, err) = expect(2, at, &[&hand[..], &["--force", "--set", "calibrated=true"]].concat());
+    assert!(err.contains("give --calibrator FILE"), "{err}");
+    let (_, err) = expect(2, at, &[&hand[..], &["--force", "--set", "proposer=scene"]].concat());
+    assert!(err.contains("add `source = \"clear\"`"), "{err}");
+    let graded = ["--force", "--set", "proposer=scene", "--set", "source=clear"];
+    let (_, err) = expect(0, at, &[&hand[..], &graded].concat());
     assert!(err.contains("proposer: scene, in clear radiance, not calibrated: "), "{err}");
-    let (_, err) = expect(2, at, &[&hand[..], &["--force", "--set", "proposer=auto"]].concat());
-    assert!(err.contains("--set proposer=scene"), "{err}");
-    let (_, err) = expect(
-        2,
-        at,
-        &[&hand[..], &["--force", "--set", "proposer=scene", "--calibrator", RELEASED]].concat(),
-    );
-    assert!(err.contains("leave one of the two out"), "{err}");
+    let (_, err) = expect(2, at, &[&hand[..], &graded, &["--calibrator", RELEASED]].concat());
+    assert!(err.contains("which has no calibrator"), "{err}");
     let enhance = ["enhance", "out/reef/scene", "reef", "--targets", "t.safetensors", "--out", "e", "--set"];
     let (_, err) = expect(0, at, &[&enhance[..], &["iterations=3"]].concat());
     assert!(err.contains("learnt in clear radiance"), "{err}");
     let (_, err) = expect(2, at, &[&enhance[..], &["objective=pseudo-labels", "--force"]].concat());
     assert!(err.contains("these targets are in clear radiance"), "{err}");
     let (_, err) = expect(2, at, &[&run[..], &QUICK, &own, &["--calibrator", RELEASED]].concat());
-    assert!(err.contains("leave one of the two out"), "{err}");
+    assert!(err.contains("which has no calibrator"), "{err}");
 }
 
 #[test]
@@ -163,8 +165,8 @@ fn a_calibrator_of_our_own_serves_a_pipeline_and_a_scene_of_it() {
         ["pairs", "calibrate"].map(|stage| plan.contains(&format!("\"stage\": \"{stage}\"")))
     };
     pipeline("", "calibrator = { file = \"own.safetensors\" }");
-    assert_eq!(stages(), [false; 2], "the other scene starts from what stage 1 knows");
-    pipeline("[defaults.targets]\nproposer = \"auto\"", "calibrator = { file = \"own.safetensors\" }");
+    assert_eq!(stages(), [false; 2], "the other scene is not calibrated");
+    pipeline("[defaults.targets]\ncalibrated = true", "calibrator = { file = \"own.safetensors\" }");
     assert_eq!(stages(), [true; 2], "the other scene needs pairs");
     pipeline("[calibrator]\nfile = \"own.safetensors\"", "");
     assert_eq!(stages(), [false; 2]);

@@ -301,13 +301,29 @@ fn one_word_for_each_look(scene: &str, capture: &str, dir: &Path) {
         let (_, said) = expect(0, &["-q", "export", scene, "--ply", &ply, "--what", what]);
         (std::fs::read(&ply).unwrap(), said)
     };
+    // A look with water is baked as the cameras saw it, with a backdrop of open water.
+    let count = |ply: &[u8]| {
+        let header = String::from_utf8_lossy(&ply[..600]).into_owned();
+        let count = header.lines().find_map(|line| line.strip_prefix("element vertex ")).expect("a count");
+        (count.parse::<usize>().expect("a number"), header)
+    };
     for (mode, clear) in [("reconstruction", "clear"), ("enhanced", "enhanced-clear")] {
-        let ((with, said), (without, _)) = (export(mode), export(clear));
-        assert_eq!(with, without, "a PLY holds no water");
-        assert!(said.contains("hold no water") && said.contains(clear), "{said}");
-        let header = String::from_utf8_lossy(&with[..400]).into_owned();
-        assert!(header.contains(&format!("comment what: {clear}\n")), "{header}");
+        let ((with, header), (without, _)) = (count(&export(mode).0), count(&export(clear).0));
+        assert!(with > without, "{mode}: {with} Gaussians, {clear}: {without}");
+        assert!(header.contains(&format!("comment what: {mode}\n")), "{header}");
+        let ply = at(&format!("{mode}-dry.ply"));
+        expect(0, &["-q", "export", scene, "--ply", &ply, "--what", mode, "--water", "0"]);
+        let dry = std::fs::read(&ply).unwrap();
+        assert_eq!(count(&dry).0, without, "{mode} without water");
     }
+    // Without a word it is the look that the page opens with.
+    let ply = at("opening.ply");
+    let (_, said) = expect(0, &["export", scene, "--ply", &ply]);
+    assert!(count(&std::fs::read(&ply).unwrap()).1.contains("comment what: enhanced\n"));
+    assert!(said.contains("the look is baked as") && said.contains("ΔE00"), "{said}");
+    let bare = at("bare.ply");
+    expect(0, &["-q", "export", scene, "--ply", &bare, "--no-backdrop"]);
+    assert_eq!(count(&std::fs::read(&bare).unwrap()).0, count(&export("clear").0).0);
     let written = |what: &str| std::fs::read(at(&format!("{what}.ply"))).unwrap();
     assert_ne!(written("clear"), written("enhanced-clear"));
 }

@@ -8,7 +8,7 @@ use glam::DVec3;
 use use3d_atc::consensus::{LocalConsensus, Targets};
 use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::proposers::ProposerId;
-use use3d_capture::{Appearance, Camera, Frame, Image, Intrinsics, Lattice, MediumMaps, Pose};
+use use3d_capture::{Appearance, Camera, Frame, Image, Intrinsics, KeptWater, Lattice, MediumMaps, Pose};
 use use3d_enhance::engine::CpuFieldEngine;
 use use3d_enhance::{EnhanceParams, EnhanceView, Guidance};
 use use3d_medium::{MediumModel, MediumRbf};
@@ -52,6 +52,7 @@ fn steps(c: &mut Criterion) {
         extractor: ExtractorSettings::default(),
         proposer: ProposerId::default(),
         appearance: Appearance::Water,
+        kept_water: KeptWater::ALL,
         scene: [0.2, 0.0, 0.0, 0.02, 0.0, 0.1, 0.0, 0.0, 0.0, 0.0, -0.1, 0.0],
         dispersion: 0.0,
         global_scales: [0.2; 12],

@@ -11,7 +11,7 @@ use use3d_training::{
     Steps, ViewOrder,
 };
 use use3d_ubaf::water::ratios;
-use use3d_ubaf::{Enhancement, ObjectPass};
+use use3d_ubaf::{Enhancement, Field, OUTPUTS, ObjectPass};
 
 use crate::engine::{Coverage, FieldEngine, FieldPlan, FieldState, Reading, check_inputs, initial_field};
 use crate::fingerprint::fingerprint;
@@ -113,6 +113,14 @@ struct Run<'a> {
     smooth_loss: Option<f64>,
 }
 
+impl Run<'_> {
+    /// The trained field as a scene carries it.
+    fn enhancement(&self, field: Field, centre: [f32; OUTPUTS]) -> Enhancement {
+        let (appearance, kept_water) = (self.guidance.appearance(), self.guidance.kept_water());
+        Enhancement { field, centre, appearance, kept_water }
+    }
+}
+
 impl Steps for Run<'_> {
     type Error = EnhanceError;
 
@@ -153,7 +161,7 @@ impl Steps for Run<'_> {
         let mut pass = ObjectPass::new(&field, &g.means, g.sh.iter().map(|sh| sh[0]));
         pass.forward(&field);
         let centre = pass.mean();
-        let enhancement = Enhancement { field, centre, appearance: self.guidance.appearance() };
+        let enhancement = self.enhancement(field, centre);
         Ok(Some(Arc::new(Scene { enhancement: Some(enhancement), ..self.scene.clone() })))
     }
 
@@ -249,7 +257,7 @@ impl Run<'_> {
         let transport_ratios = ratios(&field, 1.0);
         let report =
             Report { views: reports, views_in_memory, transport_ratios, scene_affine, rendered_share };
-        let enhancement = Enhancement { field, centre, appearance: self.guidance.appearance() };
+        let enhancement = self.enhancement(field, centre);
         let scene = Scene { enhancement: Some(enhancement), ..self.scene.clone() };
         Ok(Outcome { scene, log: self.log, report, profile: self.engine.profile() })
     }

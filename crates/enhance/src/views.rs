@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use use3d_atc::consensus::{Targets, ViewTarget};
 use use3d_atc::extractor::{ExtractorSettings, Geometry, Source};
-use use3d_capture::{Appearance, Camera, Image, Lattice, MediumMaps, Raster, View};
+use use3d_capture::{Appearance, Camera, Image, KeptWater, Lattice, MediumMaps, Raster, View};
 use use3d_scene::Scene;
 use use3d_splat::{Options, Prepared, Rasterizer, Rendered};
 use use3d_ubaf::{Sites, Water};
@@ -43,6 +43,30 @@ impl Guidance<'_> {
             Self::Targets(targets) => targets.appearance,
             Self::Labels(_) => Appearance::Water,
         }
+    }
+
+    /// The share of the stage-1 water in what is compared; all of it in photographs and so in labels.
+    pub fn kept_water(&self) -> KeptWater {
+        match self {
+            Self::Targets(targets) => targets.kept_water,
+            Self::Labels(_) => KeptWater::ALL,
+        }
+    }
+
+    /// The stage-1 water in front of a camera as the views are compared in: thinned to the kept share. `false`,
+    /// and `maps` as they were, in a scene without water and in clear radiance.
+    pub fn look_through(
+        &self,
+        scene: &Scene,
+        camera: &Camera,
+        lattice: &Lattice,
+        maps: &mut MediumMaps,
+    ) -> bool {
+        let shown = self.appearance() == Appearance::Water && scene.look_through(camera, lattice, maps);
+        if shown {
+            self.kept_water().thin(maps);
+        }
+        shown
     }
 }
 
@@ -172,7 +196,7 @@ impl Frozen {
     /// Without what no pixel sees if there is a `trimmer`.
     pub(crate) fn new(
         scene: &Scene,
-        appearance: Appearance,
+        guidance: Guidance<'_>,
         lookups: &Lookups,
         camera: &Camera,
         lattice: &Lattice,
@@ -186,7 +210,7 @@ impl Frozen {
         let listed = lookups.of(&prepared);
         let base = listed.rows(colors);
         let mut maps = MediumMaps::zeros(0, 0);
-        let shown = appearance == Appearance::Water && scene.look_through(camera, lattice, &mut maps);
+        let shown = guidance.look_through(scene, camera, lattice, &mut maps);
         let water = shown.then(|| Water::new(maps));
         Self { prepared, listed, base, water }
     }
@@ -330,9 +354,9 @@ impl<'a> Preparer<'a> {
         let Self { lookups, references, rendered } = self;
         let camera = view.camera;
         let lattice = references.lattice(&camera)?;
-        let (scene, appearance) = (references.scene, references.guidance.appearance());
+        let (scene, guidance) = (references.scene, references.guidance);
         let trimmer = trim.then_some(&mut references.rasterizer);
-        let frozen = Frozen::new(scene, appearance, lookups, &camera, &lattice, trimmer);
+        let frozen = Frozen::new(scene, guidance, lookups, &camera, &lattice, trimmer);
         let draw = |rasterizer: &mut Rasterizer, image: &mut Image| {
             let maps = frozen.water.as_ref().map(|w| &w.maps);
             rasterizer.forward(&frozen.prepared, maps, &Options::default(), rendered);

@@ -5,15 +5,16 @@ mod common;
 
 use common::{Labels, draw, mini, quick, targets, taught};
 use use3d_atc::consensus::Targets;
-use use3d_capture::{Appearance, Lattice};
+use use3d_capture::{Appearance, KeptWater, Lattice};
 use use3d_enhance::engine::{CpuFieldEngine, FieldEngine, Reading};
 use use3d_enhance::losses::TERMS;
 use use3d_enhance::{
     EnhanceError, EnhanceParams, EnhanceView, Guidance, LogEntry, Objective, Outcome, PixelLoss,
     PseudoLabels, Start,
 };
-use use3d_medium::MediumModel;
+use use3d_medium::{MediumGlobal, MediumModel};
 use use3d_numerics::math;
+use use3d_numerics::spherical_harmonics::C0;
 use use3d_render::{Look, Renderer};
 use use3d_scene::Scene;
 use use3d_splat::Rendered;
@@ -226,6 +227,49 @@ fn pseudo_labels_are_reproduced() {
             (sum(&|v| v.before.of("pixels").unwrap().loss), sum(&|v| v.after.of("pixels").unwrap().loss));
         assert!(after < 0.4 * before, "{pixel_loss:?}: {before} -> {after}");
     }
+}
+
+/// With a share of the water, stage 2 is that of a scene whose water is so much thinner, and the enhanced scene
+/// shows that water.
+#[test]
+fn a_share_of_the_water_is_learnt_as_thinner_water() {
+    let (scene, views) = mini();
+    let even = |beta: f32| {
+        let mut model = MediumGlobal::default();
+        // softplus(raw) = beta in the constant band of both coefficients.
+        let raw = (math::ln(math::exp_m1(f64::from(beta))) / f64::from(C0)) as f32;
+        for quantity in 1..3 {
+            model.coefficients[quantity] = [[0.0; 3]; 16];
+            model.coefficients[quantity][0] = [raw; 3];
+        }
+        Scene { medium: MediumModel::Global(model), ..scene.clone() }
+    };
+    let (whole, thin) = (even(0.4), even(0.2));
+    let wanted = targets(&thin, &taught(&thin), &views);
+    let kept = Targets { kept_water: KeptWater([0.5; 3]), ..wanted.clone() };
+    let run = |scene: &Scene, targets: &Targets| {
+        enhance(scene, &views, Guidance::Targets(targets), &quick(60), None, &mut Silent).unwrap()
+    };
+    let (part, all) = (run(&whole, &kept), run(&thin, &wanted));
+    let enhancement = part.scene.enhancement.as_ref().unwrap();
+    assert_eq!(enhancement.kept_water, KeptWater([0.5; 3]));
+    assert_eq!(all.scene.enhancement.as_ref().unwrap().kept_water, KeptWater::ALL);
+    let errors = |outcome: &Outcome| outcome.report.errors("global").unwrap();
+    let ((before, after), (thin_before, thin_after)) = (errors(&part), errors(&all));
+    assert!((before - thin_before).abs() < 1e-3 * before, "{before} {thin_before}");
+    assert!((after - thin_after).abs() < 0.05 * before, "{after} {thin_after}");
+    let enhanced = Look::Enhanced { strength: 1.0 };
+    for view in &views {
+        let [a, b] = [&part, &all].map(|outcome| draw(&outcome.scene, enhanced, &view.camera));
+        let apart = a.data().iter().zip(b.data()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(apart < 0.02, "{}: {apart}", view.name);
+    }
+    // Strength 0 is the reconstruction in all of its water.
+    let camera = &views[0].camera;
+    assert_eq!(
+        draw(&part.scene, Look::Enhanced { strength: 0.0 }, camera),
+        draw(&whole, Look::Reconstruction, camera)
+    );
 }
 
 /// In clear radiance stage 2 is that of a scene without its water, and the water of

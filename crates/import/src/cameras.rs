@@ -19,7 +19,7 @@ use std::path::Path;
 
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
-use serde_json::Value;
+use serde_json::{Value, json};
 use use3d_capture::{Camera, FileName, Intrinsics, Pose};
 use use3d_io_colmap::{Model, ModelForm, read_model, read_model_as};
 
@@ -91,6 +91,25 @@ pub(crate) fn from_model(model: &Model) -> Result<Vec<(FileName, Camera)>, Impor
     }
     out.sort_by(|a, b| a.0.cmp(&b.0));
     Ok(out)
+}
+
+/// The JSON list that [`read_cameras`] reads, for cameras in COLMAP's frame.
+pub fn camera_list<'a>(cameras: impl IntoIterator<Item = (&'a str, Camera)>) -> Value {
+    let entry = |(name, camera): (&str, Camera)| {
+        let Camera { intrinsics: lens, pose } = camera;
+        json!({
+            "name": name,
+            "width": lens.width,
+            "height": lens.height,
+            "fx": lens.fx,
+            "fy": lens.fy,
+            "cx": lens.cx,
+            "cy": lens.cy,
+            "rotation": pose.rotation.transpose().to_cols_array(),
+            "translation": pose.translation.to_array(),
+        })
+    };
+    json!({ "cameras": cameras.into_iter().map(entry).collect::<Vec<_>>() })
 }
 
 #[derive(Deserialize)]

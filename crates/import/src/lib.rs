@@ -46,7 +46,7 @@ mod tracks;
 mod undistort;
 mod white_balance;
 
-pub use cameras::{read_cameras, read_images_txt};
+pub use cameras::{camera_list, read_cameras, read_images_txt};
 pub use error::ImportError;
 pub use import::{Imported, capture_name, import};
 pub use layout::{check_layout, has_depth_folder};

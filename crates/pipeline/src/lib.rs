@@ -6,6 +6,7 @@
 //! for a browser, and says what made it (`made_by`). [`water`] is a capture's water before any stage; [`mod@bench`] does all of it on
 //! captures whose truth is known.
 
+pub mod baked;
 pub mod bench;
 pub mod code;
 pub mod config;

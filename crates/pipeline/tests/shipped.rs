@@ -47,9 +47,9 @@ fn a_scene_learnt_from_proposals_has_no_second_stage() {
     assert!(full.contains(&"enhance") && !full.contains(&"propose"), "{full:?}");
 }
 
-/// Targets in clear radiance have no calibrator, and nobody makes one that no scene asks for.
+/// A calibrator is made only where a scene's targets are calibrated.
 #[test]
-fn a_scene_that_proposes_for_itself_needs_neither_pairs_nor_a_calibrator() {
+fn without_calibration_there_are_neither_pairs_nor_a_calibrator() {
     use use3d_pipeline::config::for_capture;
 
     let registry = registry().expect("the stage table");
@@ -63,18 +63,18 @@ fn a_scene_that_proposes_for_itself_needs_neither_pairs_nor_a_calibrator() {
         Graph::new(&registry, &pipeline.batch).expect("a graph")
     };
     let stages = |graph: &Graph| -> Vec<&str> { graph.nodes.iter().map(|n| n.stage_name).collect() };
-    let photographs = stages(&graph(&["targets.proposer=auto"]));
-    assert!(photographs.contains(&"pairs") && photographs.contains(&"calibrate"), "{photographs:?}");
-    for word in [None, Some("targets.proposer=scene"), Some("calibrator.proposer=scene")] {
-        let own = stages(&graph(word.as_slice()));
-        let word = word.unwrap_or("nothing said");
-        assert!(!own.contains(&"pairs") && !own.contains(&"calibrate"), "{word}: {own:?}");
-        assert!(own.contains(&"targets") && own.contains(&"enhance"), "{word}: {own:?}");
+    let calibrated = stages(&graph(&["targets.calibrated=true"]));
+    assert!(calibrated.contains(&"pairs") && calibrated.contains(&"calibrate"), "{calibrated:?}");
+    let graded = ["targets.proposer=scene", "targets.source=clear"];
+    for words in [&[][..], &["targets.source=photographs"], &["targets.source=clear"], &graded] {
+        let own = stages(&graph(words));
+        assert!(!own.contains(&"pairs") && !own.contains(&"calibrate"), "{words:?}: {own:?}");
+        assert!(own.contains(&"targets") && own.contains(&"enhance"), "{words:?}: {own:?}");
     }
 
     // One scene of two: the other's calibrator is none of its business.
     let file = dir.path().join("p.toml");
-    let text = "name = \"p\"\n[defaults.targets]\nproposer = \"auto\"\n[[scene]]\nname = \"own\"\ncapture = \"reef\"\n[scene.targets]\nproposer = \"scene\"\n\
+    let text = "name = \"p\"\n[defaults.targets]\ncalibrated = true\n[[scene]]\nname = \"own\"\ncapture = \"reef\"\n[scene.targets]\ncalibrated = false\n\
                 [[scene]]\nname = \"other\"\ncapture = \"reef\"\n";
     std::fs::write(&file, text).expect("written");
     let needs = |scene: &str| {
@@ -274,14 +274,13 @@ fn presets_are_the_weakest_layer_and_nothing_but_their_values() {
 }
 
 #[test]
-fn whoever_names_pairs_or_a_calibrator_has_photographs_enhanced() {
-    let proposer = |text: &str, sets: &[&str], scene: &str, variant: &str| {
+fn naming_pairs_or_a_calibrator_turns_calibration_on() {
+    let calibrated = |text: &str, sets: &[&str], scene: &str, variant: &str| {
         let graph = graph_of(text, sets).unwrap_or_else(|e| panic!("{text}: {e}"));
         let node = &graph.nodes[graph.find(scene, variant, "targets").expect("targets")];
-        node.parameters["proposer"].as_str().unwrap().to_string()
+        node.parameters["calibrated"].as_bool().unwrap()
     };
-    let (scene, photographs) = ("scene".to_string(), "auto".to_string());
-    assert_eq!(proposer("", &[], "a", ""), scene);
+    assert!(!calibrated("", &[], "a", ""));
     let pairs = "[calibrator]\npairs = { input = \"x\", target = \"y\" }";
     for text in [
         pairs,
@@ -289,25 +288,22 @@ fn whoever_names_pairs_or_a_calibrator_has_photographs_enhanced() {
         "[defaults.calibrate]\nsteps = 5",
         "[defaults.pairs]\nsynthetic = { pairs = 8 }",
     ] {
-        assert_eq!(proposer(text, &[], "a", ""), photographs, "{text}");
+        assert!(calibrated(text, &[], "a", ""), "{text}");
     }
-    assert_eq!(proposer("", &["calibrate.steps=5"], "a", ""), photographs);
-    assert_eq!(proposer("", &["targets.proposer=auto"], "a", ""), photographs);
-    // What is said of a scene or a variant holds there alone.
+    assert!(calibrated("", &["calibrate.steps=5"], "a", ""));
+    assert!(calibrated("", &["targets.calibrated=true"], "a", ""));
+    // What is named for a scene or a variant holds there alone.
     let b = "[[scene]]\nname = \"b\"\ncapture = \"b\"\ncalibrator = { file = \"c\" }";
-    assert_eq!((proposer(b, &[], "a", ""), proposer(b, &[], "b", "")), (scene.clone(), photographs.clone()));
+    assert_eq!((calibrated(b, &[], "a", ""), calibrated(b, &[], "b", "")), (false, true));
     let v = "[[variant]]\nname = \"v\"\n[[variant]]\nname = \"w\"\ncalibrator = { file = \"c\" }";
-    assert_eq!(
-        (proposer(v, &[], "a", "v"), proposer(v, &[], "a", "w")),
-        (scene.clone(), photographs.clone())
-    );
+    assert_eq!((calibrated(v, &[], "a", "v"), calibrated(v, &[], "a", "w")), (false, true));
     // A variant's own preset takes the place of the pipeline's, not of the pairs.
     let w = format!("preset = \"paper\"\n{pairs}\n[[variant]]\nname = \"w\"\npreset = \"vanilla\"");
-    assert_eq!(proposer(&w, &[], "a", "w"), photographs);
-    // What is said of the proposer itself counts first, of a scene also where a variant has a calibrator.
-    let own = "[[scene]]\nname = \"b\"\ncapture = \"b\"\ntargets = { proposer = \"scene\" }";
-    assert_eq!(proposer(&format!("{own}\n{v}"), &[], "b", "w"), scene);
-    assert_eq!(proposer(&format!("{pairs}\n[defaults.targets]\nproposer = \"scene\""), &[], "a", ""), scene);
+    assert!(calibrated(&w, &[], "a", "w"));
+    // The parameter itself counts first, of a scene also where a variant has a calibrator.
+    let own = "[[scene]]\nname = \"b\"\ncapture = \"b\"\ntargets = { calibrated = false }";
+    assert!(!calibrated(&format!("{own}\n{v}"), &[], "b", "w"));
+    assert!(!calibrated(&format!("{pairs}\n[defaults.targets]\ncalibrated = false"), &[], "a", ""));
 }
 
 #[test]
@@ -318,6 +314,9 @@ fn a_value_out_of_range_is_pointed_at_in_every_stage() {
         ("pairs", "synthetic.width = 3", "`synthetic.width` is 3; expected 16 to 8192 pixels"),
         ("propose", "proposer = \"scene\"", "choose auto, nu2net or fusion here"),
         ("targets", "proposer = \"nowhere\"", "`proposer`"),
+        ("targets", "proposer = \"scene\"", "add `source = \"clear\"`"),
+        ("targets", "kept_water = 1.5", "expected \"auto\", or shares from 0 to 1"),
+        ("targets", "kept_water = 0.5\nsource = \"photographs\"", "add `source = \"renders\"`"),
         ("evaluate", "path_steps = 0", "`path_steps` is 0; expected 1 to 10000"),
         ("report", "views = -1", "`views`"),
         ("reconstruct", "iterations = 0", "`iterations` is 0; expected 1 to"),

@@ -414,9 +414,9 @@ fn one_seed_moves_every_stage_that_draws() {
     }
     assert!(found.is_empty(), "{found:?}");
     // A variant with another seed shares with the others only what draws nothing.
-    // With a 2D enhancer, so that all stages are there.
+    // With a calibrator, so that all stages are there.
     let mut batch = Batch { name: "two".into(), seed: 42, ..Batch::default() };
-    batch.defaults.insert("targets".into(), json!({"proposer": "auto"}));
+    batch.defaults.insert("targets".into(), json!({"calibrated": true}));
     let capture = Ok(PathBuf::from("/capture"));
     batch.scenes.push(BatchScene {
         name: "reef".into(),

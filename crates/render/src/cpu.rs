@@ -72,14 +72,8 @@ impl<'s, C: Composer> Looking<'s, C> {
 
     /// The water in front of a camera, as this look has it, all of it.
     fn look_through(&mut self, camera: &Camera, lattice: &Lattice) {
-        if !self.scene.look_through(camera, lattice, &mut self.maps) {
-            return;
-        }
-        if let (Some((_, strength)), Some(enhancement)) = (&self.grades, &self.scene.enhancement) {
-            let center = camera.pose.center().as_vec3().to_array();
-            let frozen = std::mem::replace(&mut self.maps, MediumMaps::zeros(0, 0));
-            self.maps = enhancement.water(center, frozen, *strength);
-        }
+        let strength = self.grades.as_ref().map(|(_, strength)| *strength);
+        look_through(self.scene, strength, camera, lattice, &mut self.maps);
     }
 }
 
@@ -115,8 +109,28 @@ impl<C: Composer> Backend for Looking<'_, C> {
     }
 }
 
+/// The water in front of a camera in the enhanced look at `strength`, or as stage 1 learnt it without one.
+/// `false`, and `maps` as they were, in a scene without water.
+pub(crate) fn look_through(
+    scene: &Scene,
+    strength: Option<f32>,
+    camera: &Camera,
+    lattice: &Lattice,
+    maps: &mut MediumMaps,
+) -> bool {
+    if !scene.look_through(camera, lattice, maps) {
+        return false;
+    }
+    if let (Some(strength), Some(enhancement)) = (strength, &scene.enhancement) {
+        let center = camera.pose.center().as_vec3().to_array();
+        let frozen = std::mem::replace(maps, MediumMaps::zeros(0, 0));
+        *maps = enhancement.water(center, frozen, strength);
+    }
+    true
+}
+
 /// Water of the same colour with `share` of its coefficients.
-fn thin(maps: &MediumMaps, share: f32, out: &mut MediumMaps) {
+pub(crate) fn thin(maps: &MediumMaps, share: f32, out: &mut MediumMaps) {
     out.resize(maps.color.width(), maps.color.height());
     out.color.data_mut().copy_from_slice(maps.color.data());
     out.formation = maps.formation;

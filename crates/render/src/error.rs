@@ -12,6 +12,9 @@ pub enum RenderError {
     /// An amount of water outside `[0, 1]`.
     #[error("the amount of water is {0}; expected 0 (none is left) to 1 (all of it)")]
     Water(f32),
+    /// Water is baked as cameras saw it, and there is none.
+    #[error("a look with water is baked as cameras saw it: give at least one camera")]
+    NoCameras,
     /// The device that a backend draws on failed. [`crate::Cpu`] never gives this.
     #[error("drawing on {device} failed: {problem}; the CPU draws the same pictures")]
     Device {

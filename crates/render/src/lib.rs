@@ -9,8 +9,9 @@
 //! and [`Looking`] makes one of any device that can compose Gaussians ([`Composer`]). A [`Renderer`] draws
 //! one [`Look`] with a share of the water, a [`SceneRenderer`] every [`Mode`] from one camera at a time.
 //! [`picture`] turns a mode's numbers into colours, [`cover`] and [`focus`] frame cameras, [`Film`] writes
-//! frames one after another. [`bake`] writes the enhancement into spherical harmonics for viewers that know
-//! nothing of it, [`white`] measures what is grey, [`medium_profile`] and [`medium_along`] read the water alone.
+//! frames one after another. [`bake`] and [`bake_in_water`] write a look into spherical harmonics for viewers
+//! that know nothing of enhancement and water, [`white`] measures what is grey, [`medium_profile`] and
+//! [`medium_along`] read the water alone.
 //!
 //! Nothing here trains, and nothing that trains uses it: what a picture looks like changes no trained byte,
 //! and how training goes changes no picture of a given scene.
@@ -28,7 +29,7 @@ mod renderer;
 pub mod white;
 
 pub use backend::{Backend, Composer, Composition, Recolor, Request};
-pub use bake::{BakeReport, bake};
+pub use bake::{BakeReport, InWater, bake, bake_in_water};
 pub use cpu::{Cpu, Looking, Processor};
 pub use error::RenderError;
 pub use film::{Film, FilmError};

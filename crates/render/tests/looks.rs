@@ -6,7 +6,7 @@ use common::{draw, mini, taught};
 use use3d_capture::{Camera, Lattice, MediumMaps};
 use use3d_medium::{MediumGlobal, MediumImage, MediumModel};
 use use3d_numerics::math;
-use use3d_render::{Look, RenderError, Renderer, bake};
+use use3d_render::{Look, RenderError, Renderer, bake, bake_in_water};
 use use3d_scene::{KnownViews, Scene};
 use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered};
 
@@ -262,6 +262,70 @@ fn a_baked_scene_shows_the_enhanced_radiance() {
     assert!(report.clamped_share > 0.02 && report.max_error > 1e-3, "{report:?}");
     assert!(report.max_error_unclamped < 1e-5, "{report:?}");
     assert!(matches!(bake(&scene, 1.0), Err(RenderError::NotEnhanced)));
+}
+
+#[test]
+fn a_look_baked_in_water_shows_what_cameras_saw() {
+    let (scene, views) = mini();
+    let teacher = taught(&scene);
+    let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
+    let mean = |a: &use3d_capture::Image, b: &use3d_capture::Image| {
+        let apart = a.data().iter().zip(b.data()).map(|(a, b)| f64::from((a.max(0.0) - b.max(0.0)).abs()));
+        apart.sum::<f64>() / a.data().len() as f64
+    };
+    let file = |gaussians: use3d_splat::Gaussians| Scene {
+        gaussians,
+        medium: MediumModel::None,
+        enhancement: None,
+        ..scene.clone()
+    };
+    for (look, of) in [(Look::Reconstruction, &scene), (Look::Enhanced { strength: 1.0 }, &teacher)] {
+        let baked = bake_in_water(of, look, 1.0, &cameras).unwrap();
+        assert!(baked.backdrop > 0 && baked.gaussians.len() == of.gaussians.len() + baked.backdrop);
+        baked.gaussians.validate().unwrap();
+        let dry = bake_in_water(of, look, 0.0, &[]).unwrap();
+        assert_eq!(dry.backdrop, 0);
+        let alone: Vec<usize> = (0..of.gaussians.len()).collect();
+        let (wet, no_backdrop, dry) =
+            (file(baked.gaussians.clone()), file(baked.gaussians.select(&alone)), file(dry.gaussians));
+        for camera in &cameras {
+            let picture = draw(of, look, camera);
+            let [wet, bare, dry] =
+                [&wet, &no_backdrop, &dry].map(|s| mean(&draw(s, Look::Reconstruction, camera), &picture));
+            assert!(wet < 0.03, "{wet}");
+            assert!(2.0 * wet < dry && wet < bare, "in water {wet}, without backdrop {bare}, dry {dry}");
+        }
+    }
+    // Without water the bake is the one that knows none.
+    let (plain, report) = bake(&teacher, 1.0).unwrap();
+    let dry = bake_in_water(&teacher, Look::Enhanced { strength: 1.0 }, 0.0, &[]).unwrap();
+    assert_eq!((dry.gaussians, dry.report), (plain, report));
+    let refused = |water, cameras: &[Camera]| {
+        bake_in_water(&scene, Look::Reconstruction, water, cameras).err().map(|e| e.to_string())
+    };
+    assert!(refused(1.0, &[]).unwrap().contains("at least one camera"));
+    assert!(refused(1.5, &cameras).unwrap().contains("expected 0"));
+}
+
+#[test]
+fn one_camera_and_one_gaussian_are_baked_exactly() {
+    let (mut scene, views) = mini();
+    let camera = views[0].camera;
+    scene.gaussians = most_covering(&scene, &camera).gaussians;
+    scene.medium = MediumModel::Global(MediumGlobal::default());
+    let baked = bake_in_water(&scene, Look::Reconstruction, 1.0, &[camera]).unwrap();
+    let mut maps = MediumMaps::zeros(0, 0);
+    scene.look_through(&camera, &Lattice::full(&camera.intrinsics), &mut maps);
+    let [attenuation, backscatter, veil] =
+        [&maps.attenuation, &maps.backscatter, &maps.color].map(|m| f64::from(m.pixel(0, 0)[1]));
+    let away = camera.pose.center() - glam::Vec3::from_array(scene.gaussians.means[0]).as_dvec3();
+    let s = away.length();
+    // Green of the constant band: what was there arrives attenuated, and the veil is added.
+    let c0 = f64::from(use3d_numerics::spherical_harmonics::C0);
+    let before = 0.5 + c0 * f64::from(scene.gaussians.sh[0][0][1]);
+    let after = 0.5 + c0 * f64::from(baked.gaussians.sh[0][0][1]);
+    let expected = before * math::exp(-attenuation * s) + veil * (1.0 - math::exp(-backscatter * s));
+    assert!((after - expected).abs() < 1e-5, "{after} {expected}");
 }
 
 #[test]

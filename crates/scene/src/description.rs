@@ -4,7 +4,7 @@ use std::path::{Component, Path};
 
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
-use use3d_capture::{Appearance, Frame, shown};
+use use3d_capture::{Appearance, Frame, KeptWater, shown};
 use use3d_medium::MediumKind;
 
 use crate::{Origin, Scene, SceneError, files};
@@ -60,6 +60,9 @@ pub(crate) struct EnhancementEntry {
     /// Scenes of before there was a choice were enhanced with their water.
     #[serde(default)]
     pub(crate) appearance: Appearance,
+    /// Absent where the enhanced scene keeps all of its water.
+    #[serde(default, skip_serializing_if = "KeptWater::is_all")]
+    pub(crate) kept_water: KeptWater,
 }
 
 impl From<FrameRows> for Frame {
@@ -99,10 +102,11 @@ impl Description {
                 top_k,
                 sh_degree: (kind != MediumKind::None).then_some(scene.medium_degree),
             },
-            enhancement: scene
-                .enhancement
-                .as_ref()
-                .map(|e| EnhancementEntry { file: files::ENHANCEMENT.into(), appearance: e.appearance }),
+            enhancement: scene.enhancement.as_ref().map(|e| EnhancementEntry {
+                file: files::ENHANCEMENT.into(),
+                appearance: e.appearance,
+                kept_water: e.kept_water,
+            }),
             origin: None,
         }
     }
@@ -138,6 +142,14 @@ impl Description {
         }
         if frame.rotation.iter().chain(&frame.translation).any(|v| !v.is_finite()) {
             return Err(wrong("frame has an entry that is not finite".into()));
+        }
+        if let Some(kept) = description.enhancement.as_ref().map(|e| e.kept_water)
+            && !kept.is_valid()
+        {
+            return Err(wrong(format!(
+                "enhancement.kept_water is {:?}; expected three numbers from 0 to 1",
+                kept.0
+            )));
         }
         let names = [Some(&description.gaussians), description.medium.file.as_ref()];
         for name in names.into_iter().flatten().chain(description.enhancement.as_ref().map(|e| &e.file)) {

@@ -8,7 +8,7 @@
 //! with weights `wᵢ` and ray distances `sᵢ` of the compositor. The last is the picture of a white scene in
 //! water without a veil; through the same kernel, so nothing is approximated. Without water `t = 1`.
 
-use use3d_capture::{Camera, Image, Lattice, Map, MediumMaps};
+use use3d_capture::{Camera, Image, KeptWater, Lattice, Map, MediumMaps};
 use use3d_splat::{Options, Rendered};
 
 use crate::{Compositor, Scene};
@@ -41,6 +41,18 @@ impl<'s> KnownViews<'s> {
             rendered: Rendered::new(),
             maps: MediumMaps::zeros(0, 0),
         }
+    }
+
+    /// The scene from a camera in its frame, as stage 1 learnt it but through thinner water: open water keeps its
+    /// colour. Display range, unclamped.
+    pub fn through(&mut self, camera: &Camera, kept: KeptWater) -> Image {
+        let (scene, lattice) = (self.scene, Lattice::full(&camera.intrinsics));
+        self.compositor.prepare(scene, camera, &lattice, |_| ());
+        let water = scene.look_through(camera, &lattice, &mut self.maps);
+        kept.thin(&mut self.maps);
+        let maps = water.then_some(&self.maps);
+        self.compositor.draw(maps, &Options::default(), &mut self.rendered);
+        self.rendered.image.clone()
     }
 
     /// What is known from a camera in the scene's frame, at its size.

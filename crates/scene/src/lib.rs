@@ -1,7 +1,8 @@
 //! The scene folder: what stage 1 and stage 2 write, and what rendering and export read.
 //!
 //! ```text
-//! scene.json            format, version, frame, medium, enhancement (and its appearance), the views it was made from
+//! scene.json            format, version, frame, medium, enhancement (its appearance, the water that it keeps), the
+//!                       views it was made from
 //! gaussians.ply         the usual 3D Gaussian splatting layout
 //! medium.safetensors    the medium's tensors (absent for `none`)
 //! ubaf.safetensors      the enhancement's tensors (stage 2 only)
@@ -125,7 +126,7 @@ impl Scene {
         let enhancement = match &description.enhancement {
             Some(entry) => {
                 let read = files::read_enhancement(&dir.join(&entry.file))?;
-                Some(Enhancement { appearance: entry.appearance, ..read })
+                Some(Enhancement { appearance: entry.appearance, kept_water: entry.kept_water, ..read })
             }
             None => None,
         };

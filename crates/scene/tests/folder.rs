@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use glam::{DMat3, DVec3};
-use use3d_capture::{Appearance, Frame};
+use use3d_capture::{Appearance, Frame, KeptWater};
 use use3d_medium::{MediumModel, MediumRbf};
 use use3d_scene::{Scene, SceneError};
 use use3d_splat::Gaussians;
@@ -39,6 +39,7 @@ fn sample() -> Scene {
             field: field.unwrap(),
             centre: [0.5, 0.25, 0.0, -1.0, 2.0, 3.0],
             appearance: Appearance::Water,
+            kept_water: KeptWater::ALL,
         }),
     }
 }
@@ -80,6 +81,27 @@ fn what_an_enhancement_was_learnt_in_is_kept_and_older_scenes_were_enhanced_with
     fs::write(&path, json.to_string()).unwrap();
     let message = Scene::load(dir.path()).unwrap_err().to_string();
     assert!(message.contains("scene.json") && message.contains("`fog`"), "{message}");
+}
+
+#[test]
+fn the_water_that_an_enhanced_scene_keeps_is_in_its_description() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut scene = sample();
+    scene.save(dir.path()).unwrap();
+    let path = dir.path().join("scene.json");
+    let whole = fs::read_to_string(&path).unwrap();
+    assert!(!whole.contains("kept_water"), "nothing is said where all of the water is kept: {whole}");
+    scene.enhancement.as_mut().unwrap().kept_water = KeptWater([0.5, 0.75, 1.0]);
+    scene.save(dir.path()).unwrap();
+    assert_eq!(Scene::load(dir.path()).unwrap(), scene);
+    for wrong in ["[0.5, 0.75, 1.5]", "[0.5, -0.1, 1.0]"] {
+        let text = fs::read_to_string(&path).unwrap();
+        let mut json: serde_json::Value = serde_json::from_str(&text).unwrap();
+        json["enhancement"]["kept_water"] = serde_json::from_str(wrong).unwrap();
+        fs::write(&path, json.to_string()).unwrap();
+        let message = Scene::load(dir.path()).unwrap_err().to_string();
+        assert!(message.contains("enhancement.kept_water") && message.contains("0 to 1"), "{message}");
+    }
 }
 
 #[test]

@@ -11,10 +11,14 @@
 //!
 //! **Appearance.** A field that was learnt in clear radiance says what the objects' own colours become; it
 //! knows nothing of the water, which then stays as stage 1 found it.
+//!
+//! **Kept water.** A field that was learnt in thinner water ([`KeptWater`]) is shown in the same thinner water:
+//! the stage-1 coefficients are multiplied by the kept share before the field grades them. At strength `s` the
+//! share is `1 + s (k − 1)`.
 
 use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
-use use3d_capture::{Appearance, MediumMaps};
+use use3d_capture::{Appearance, KeptWater, MediumMaps};
 
 use crate::OUTPUTS;
 use crate::field::{Field, apply_affine};
@@ -36,6 +40,9 @@ pub struct Enhancement {
     /// What it was learnt in, and so what it changes: objects and water, or objects alone. Its tensors do
     /// not hold this; the scene's description does.
     pub appearance: Appearance,
+    /// The share of the stage-1 water that the field was learnt in and that the enhanced scene keeps. Like the
+    /// appearance it stands in the scene's description.
+    pub kept_water: KeptWater,
 }
 
 /// A per-Gaussian affine colour map `c⁺ = exp(s a) ⊙ (c + s (δA c + b_g)) + s b`, ready for any view.
@@ -72,6 +79,8 @@ impl Enhancement {
         if self.appearance == Appearance::Clear {
             return maps;
         }
+        let mut maps = maps;
+        self.kept_water.at_strength(strength).thin(&mut maps);
         let water = Water::new(maps);
         let mut out = MediumMaps::zeros(0, 0);
         WaterPass::new().forward(&self.field, camera, &water, strength, &mut out);
@@ -140,7 +149,13 @@ mod tests {
         let dc: Vec<[f32; 3]> = (300..600).map(point).collect();
         let mut pass = ObjectPass::new(&field, &means, dc.iter().copied());
         pass.forward(&field);
-        (Enhancement { centre: pass.mean(), field, appearance: Appearance::Water }, means, dc)
+        let enhancement = Enhancement {
+            centre: pass.mean(),
+            field,
+            appearance: Appearance::Water,
+            kept_water: KeptWater::ALL,
+        };
+        (enhancement, means, dc)
     }
 
     #[test]
@@ -177,8 +192,15 @@ mod tests {
         maps.attenuation.data_mut().fill(0.3);
         assert_eq!(e.water([0.1, 0.2, 0.3], maps.clone(), 0.0), maps);
         assert_ne!(e.water([0.1, 0.2, 0.3], maps.clone(), 1.0), maps);
-        let clear = Enhancement { appearance: Appearance::Clear, ..e };
+        let clear = Enhancement { appearance: Appearance::Clear, ..e.clone() };
         assert_eq!(clear.water([0.1, 0.2, 0.3], maps.clone(), 1.0), maps, "it says nothing about the water");
+        let thin = Enhancement { kept_water: KeptWater([0.5, 0.25, 1.0]), ..e.clone() };
+        assert_eq!(thin.water([0.1, 0.2, 0.3], maps.clone(), 0.0), maps);
+        let [whole, part] =
+            [&e, &thin].map(|e| e.water([0.1, 0.2, 0.3], maps.clone(), 1.0).attenuation.pixel(1, 1));
+        for (c, k) in [0.5, 0.25, 1.0].into_iter().enumerate() {
+            assert!((part[c] - k * whole[c]).abs() < 1e-6, "channel {c}: {part:?}, {whole:?}");
+        }
     }
 
     #[test]

@@ -11,13 +11,13 @@
 //! | `box` | `[2, 3]` | lower and upper corner of the field |
 //! | `centre` | `[6]` | the removed constant mode |
 //!
-//! What the field was learnt in ([`Enhancement::appearance`]) is not in here; a reader that knows sets it,
+//! What the field was learnt in ([`Enhancement::appearance`], [`Enhancement::kept_water`]) is not in here; a reader that knows sets it,
 //! else it is with water. All f32, little-endian. Unknown tensors are an error: a file that says more than we
 //! read would be read wrongly.
 
 use std::ops::Range;
 
-use use3d_capture::Appearance;
+use use3d_capture::{Appearance, KeptWater};
 use use3d_tensors::{TensorFile, TensorWriter};
 
 use crate::OUTPUTS;
@@ -106,6 +106,7 @@ impl Enhancement {
             field: Field::from_parameters(shape, bounds, parameters)?,
             centre: std::array::from_fn(|o| centre[o]),
             appearance: Appearance::default(),
+            kept_water: KeptWater::ALL,
         })
     }
 }
@@ -122,7 +123,7 @@ mod tests {
             *p += i as f32 * 1e-3;
         }
         let centre = [0.1, 0.2, 0.3, -0.1, -0.2, -0.3];
-        Enhancement { field, centre, appearance: Appearance::Water }
+        Enhancement { field, centre, appearance: Appearance::Water, kept_water: KeptWater::ALL }
     }
 
     #[test]

@@ -26,6 +26,7 @@ pub(crate) fn entry(scene: &Scene) -> Value {
     let (shape, p) = (field.shape(), &field.parameters);
     json!({
         "water": enhancement.appearance == Appearance::Water,
+        "keptWater": enhancement.kept_water.0,
         "affine": field.affine().as_flattened(),
         "guide": field.guide(),
         "transport": field.transport(),

@@ -24,7 +24,7 @@ pub use views::{Proposals, Recorder, ViewInput, ViewRecord};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use use3d_capture::Appearance;
+use use3d_capture::{Appearance, KeptWater};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::Gaussians;
@@ -85,6 +85,9 @@ pub struct TargetsReport {
     /// What the transitions are between.
     #[serde(default)]
     pub appearance: Appearance,
+    /// The share of the stage-1 water in those pictures.
+    #[serde(default, skip_serializing_if = "KeptWater::is_all")]
+    pub kept_water: KeptWater,
     /// Whether a calibrator corrected any of them.
     #[serde(default)]
     pub calibrated: bool,
@@ -109,15 +112,16 @@ pub fn build_targets(
         records.push(recorder.record(&view, proposals, calibrator)?);
     }
     let lift = &mut Lift::new(gaussians);
-    targets_from_records(lift, &records, Appearance::Water, proposals.id(), calibrator, params, watch)
+    let shown = (Appearance::Water, KeptWater::ALL);
+    targets_from_records(lift, &records, shown, proposals.id(), calibrator, params, watch)
 }
 
-/// The second half of [`build_targets`], for a caller that keeps the records, of pictures in
-/// `appearance`, and chooses what lifts.
+/// The second half of [`build_targets`], for a caller that keeps the records and chooses what lifts. `shown`
+/// says what the pictures behind the records show of the water.
 pub fn targets_from_records(
     lift: &mut Lift<'_>,
     records: &[ViewRecord],
-    appearance: Appearance,
+    (appearance, kept_water): (Appearance, KeptWater),
     proposer: ProposerId,
     calibrator: &Calibrator,
     params: &TargetsParams,
@@ -131,6 +135,7 @@ pub fn targets_from_records(
         extractor: calibrator.extractor.clone(),
         proposer: proposer.clone(),
         appearance,
+        kept_water,
         scene: global.operator,
         dispersion: global.dispersion,
         global_scales: calibrator.global_scales(),
@@ -166,6 +171,7 @@ pub fn targets_from_records(
         order,
         proposer,
         appearance,
+        kept_water,
         calibrated: calibrator.corrects() != [false; 2],
     };
     Ok((targets, report))

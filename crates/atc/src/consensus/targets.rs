@@ -2,11 +2,11 @@
 //!
 //! One safetensors file: `scene` [3,4] f64, `global_scales` [12] and `local_scales` [6] f64, `mean` [N,6] and
 //! `weight` [N] f32, `count` [N] u32, `candidates` [V,3,4] f64. The header records extractor settings (and so
-//! the local form), proposer, dispersion, the names of the views, and the appearance that transitions are in;
-//! a file without the last is of transitions with water.
+//! the local form), proposer, dispersion, the names of the views, the appearance that transitions are in and
+//! the share of the water in it; a file without these two is of transitions with all of the water.
 
 use serde::{Deserialize, Serialize};
-use use3d_capture::{Appearance, Camera};
+use use3d_capture::{Appearance, Camera, KeptWater};
 use use3d_splat::{Gaussians, Rasterizer};
 use use3d_tensors::TensorWriter;
 
@@ -29,6 +29,8 @@ pub struct Targets {
     pub proposer: ProposerId,
     /// What the transitions are between: pictures with water, or of clear radiance.
     pub appearance: Appearance,
+    /// The share of the stage-1 water in those pictures; all of it in photographs.
+    pub kept_water: KeptWater,
     /// The scene's global operator minus the identity.
     pub scene: Affine,
     /// Median distance of the views from the consensus.
@@ -51,6 +53,8 @@ struct Header {
     proposer: ProposerId,
     #[serde(default)]
     appearance: Appearance,
+    #[serde(default, skip_serializing_if = "KeptWater::is_all")]
+    kept_water: KeptWater,
     dispersion: f64,
     views: Vec<String>,
 }
@@ -102,6 +106,7 @@ impl Targets {
             extractor: self.extractor.clone(),
             proposer: self.proposer.clone(),
             appearance: self.appearance,
+            kept_water: self.kept_water,
             dispersion: self.dispersion,
             views: self.views.iter().map(|(name, _)| name.clone()).collect(),
         };
@@ -113,6 +118,9 @@ impl Targets {
         let reader = Reader::new(WHAT, bytes)?;
         let header: Header = reader.header(FORMAT, VERSION)?;
         header.extractor.validate()?;
+        if !header.kept_water.is_valid() {
+            return Err(reader.error("kept_water is not three numbers from 0 to 1"));
+        }
         let [n] = reader.sides("count", "one side")?;
         let candidates = reader.f64("candidates", &[header.views.len(), 3, 4])?;
         let array = |name: &str, shape: &[usize]| reader.f64(name, shape);
@@ -125,6 +133,7 @@ impl Targets {
             extractor: header.extractor,
             proposer: header.proposer,
             appearance: header.appearance,
+            kept_water: header.kept_water,
             scene: fixed(&array("scene", &[3, 4])?),
             dispersion: header.dispersion,
             global_scales: fixed(&global_scales),

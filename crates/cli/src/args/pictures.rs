@@ -111,11 +111,11 @@ pub(crate) struct RenderArgs {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ExportWhat {
-    /// As clear: these files hold no water.
+    /// Stage 1 with its water, baked into the colours as the cameras saw it.
     Reconstruction,
     /// Object radiance without water.
     Clear,
-    /// As enhanced-clear: these files hold no water.
+    /// The enhanced scene with its water, baked into the colours as the cameras saw it.
     Enhanced,
     /// Enhanced object radiance without water: the enhancement is baked into the colours.
     EnhancedClear,
@@ -157,8 +157,9 @@ pub(crate) struct ExportArgs {
     /// up to 32 MB, else with a folder.
     #[arg(long, value_name = "FILE.html")]
     pub(crate) web: Option<PathBuf>,
-    /// The capture whose photographs and places the page offers (or cameras alone, as `use3d render` reads
-    /// them), and whose views --white is measured in (default: the capture that a results folder was made from).
+    /// The capture whose photographs and places a page offers (or cameras alone, as `use3d render` reads them),
+    /// whose views --white is measured in, and through whose water the other files show the scene. Default: the
+    /// capture that a results folder was made from; for the water, the cameras that an enhanced scene keeps.
     #[arg(long, value_name = "CAPTURE")]
     pub(crate) cameras: Option<PathBuf>,
     /// With --web: views that somebody saved from the page, with their names (the page's "Save file").
@@ -167,10 +168,16 @@ pub(crate) struct ExportArgs {
     /// With --web: metres per unit of the COLMAP model, so that the page measures in metres.
     #[arg(long, value_name = "M", requires = "web")]
     pub(crate) metres_per_unit: Option<f64>,
-    /// Which colours files other than the page have, in the words of `use3d render --modes` (default: the look
-    /// that the page opens with, and clear of a scene that is not enhanced).
+    /// The look of files other than the page, in the words of `use3d render --modes`. Default: the look that
+    /// the page opens with.
     #[arg(long, value_enum)]
     pub(crate) what: Option<ExportWhat>,
+    /// How much of the look's water is left, 0 to 1.
+    #[arg(long, value_name = "SHARE", default_value_t = 1.0)]
+    pub(crate) water: f32,
+    /// Leave out the sphere of Gaussians that shows open water behind the scene.
+    #[arg(long)]
+    pub(crate) no_backdrop: bool,
     /// In which frame a PLY or compressed PLY is. GLB and SPZ are right side up of themselves.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) frame: ExportFrame,

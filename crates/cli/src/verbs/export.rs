@@ -1,17 +1,20 @@
 //! A scene as a page for a browser, and as files that other 3D Gaussian splatting viewers open.
 //!
-//! The colours of the latter are asked for by the names of `use3d render`'s modes. They hold Gaussians and no
-//! water, so a mode with water is written as the one without, which is said and stands in the file's header
-//! (SPZ has no room for words).
+//! The look of the latter has the names of `use3d render`'s modes. These files hold Gaussians and no water, so
+//! a look with water is baked into the colours as the cameras saw it, with a sphere of Gaussians for open
+//! water behind the scene. The file's header says so (SPZ has no room for words).
 
 use std::path::Path;
 
 use clap::ValueEnum;
 use glam::{DMat3, DVec3};
 use use3d_build::machine::bytes;
-use use3d_capture::Frame;
-use use3d_render::Mode;
+use use3d_capture::{Camera, Frame};
+use use3d_import::read_cameras;
+use use3d_pipeline::baked::difference;
+use use3d_pipeline::stages::CAMERAS;
 use use3d_render::white::balanced;
+use use3d_render::{InWater, Look, Mode, bake_in_water};
 use use3d_scene::{Scene, similarity};
 use use3d_splat::{Gaussians, ply};
 use use3d_web::foreign::{NO_WATER, compressed_ply, glb, spz};
@@ -45,7 +48,7 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
     if files(args).next().is_none() {
         return Ok(());
     }
-    let (what, gaussians) = shown(args, &scene)?;
+    let (what, gaussians) = baked(app, args, &scene)?;
     let gains = white::gains(white.as_ref());
     let gains = Mode::from_name(&what).and_then(|mode| mode.gains(&gains));
     let gaussians = match gains {
@@ -98,40 +101,81 @@ fn files(args: &ExportArgs) -> impl Iterator<Item = (Format, &Path)> {
     all.into_iter().filter_map(|(format, path)| Some((format, path.as_deref()?)))
 }
 
-/// The Gaussians with the colours that were asked for, and the name of these.
-fn shown(args: &ExportArgs, scene: &Scene) -> Result<(String, Gaussians), CliError> {
-    // The look that the page opens with, unless another one was asked for.
-    let asked = args.what.unwrap_or(match Mode::opening(scene) {
-        Mode::EnhancedClear => ExportWhat::EnhancedClear,
+/// The look that a page of the scene opens with; without its water where it is not enhanced.
+fn opening_look(scene: &Scene) -> ExportWhat {
+    match Mode::opening(scene) {
         Mode::Enhanced => ExportWhat::Enhanced,
+        Mode::EnhancedClear => ExportWhat::EnhancedClear,
         _ => ExportWhat::Clear,
-    });
-    let what = match asked {
-        ExportWhat::Reconstruction | ExportWhat::Clear => ExportWhat::Clear,
-        ExportWhat::Enhanced | ExportWhat::EnhancedClear => ExportWhat::EnhancedClear,
+    }
+}
+
+/// The Gaussians in the colours of the look, and the look's name.
+fn baked(app: &App, args: &ExportArgs, scene: &Scene) -> Result<(String, Gaussians), CliError> {
+    let what = args.what.unwrap_or_else(|| opening_look(scene));
+    let look = match what {
+        ExportWhat::Reconstruction | ExportWhat::Clear => Look::Reconstruction,
+        ExportWhat::Enhanced | ExportWhat::EnhancedClear => Look::Enhanced { strength: 1.0 },
     };
-    if what != asked {
+    let with_water = matches!(what, ExportWhat::Reconstruction | ExportWhat::Enhanced)
+        && !scene.medium.is_none()
+        && args.water > 0.0;
+    if !with_water {
+        let dry = bake_in_water(scene, look, 0.0, &[]).map_err(CliError::input)?;
+        said(app, &dry);
+        return Ok((name(&what), dry.gaussians));
+    }
+    let cameras = cameras(args, scene)?;
+    let mut wet = bake_in_water(scene, look, args.water, &cameras).map_err(CliError::input)?;
+    said(app, &wet);
+    if !app.quiet {
+        let apart = difference(scene, look, args.water, &wet, &cameras).map_err(CliError::failed)?;
         eprintln!(
-            "these files hold no water: instead of `{}` this is `{}`, the same without it; `use3d render` shows it with water",
-            name(&asked),
-            name(&what)
+            "the look is baked as {} cameras saw it; at these cameras the file differs from the scene by ΔE00 {:.2} on average ({:.2} at the worst camera); \
+             close by it keeps the water of the cameras' distances",
+            cameras.len(),
+            apart.mean,
+            apart.worst
         );
     }
-    let gaussians = match what {
-        ExportWhat::Reconstruction | ExportWhat::Clear => scene.gaussians.clone(),
-        ExportWhat::Enhanced | ExportWhat::EnhancedClear => {
-            let (baked, report) = use3d_render::bake(scene, 1.0).map_err(CliError::input)?;
-            eprintln!(
-                "baked: the colour clamp is active in {:.2} % of samples; mean colour error {:.5}, there {:.5}, largest {:.4}",
-                100.0 * report.clamped_share,
-                report.mean_error,
-                report.mean_error_clamped,
-                report.max_error
-            );
-            baked
+    if args.no_backdrop {
+        let scene_alone: Vec<usize> = (0..wet.gaussians.len() - wet.backdrop).collect();
+        wet.gaussians = wet.gaussians.select(&scene_alone);
+    }
+    Ok((name(&what), wet.gaussians))
+}
+
+/// Prints how far the harmonics are from the colours.
+fn said(app: &App, baked: &InWater) {
+    let report = &baked.report;
+    if !app.quiet && report.max_error > 0.0 {
+        eprintln!(
+            "baked: the colour clamp is active in {:.2} % of samples; mean colour error {:.5}, there {:.5}, largest {:.4}",
+            100.0 * report.clamped_share,
+            report.mean_error,
+            report.mean_error_clamped,
+            report.max_error
+        );
+    }
+}
+
+/// The cameras through whose water the scene is baked, in the scene's frame.
+fn cameras(args: &ExportArgs, scene: &Scene) -> Result<Vec<Camera>, CliError> {
+    let own = args.scene.join(CAMERAS);
+    let place = match &args.cameras {
+        Some(place) => place.clone(),
+        None if own.is_file() => own,
+        None => {
+            return Err(CliError::Input(format!(
+                "a look with water is baked as cameras saw it, and {} has no list of its cameras; give --cameras CAPTURE, or choose \
+                 a look without water (--what clear)",
+                path_text(&args.scene)
+            )));
         }
     };
-    Ok((name(&what), gaussians))
+    let read = read_cameras(&place).map_err(CliError::input)?;
+    let in_scene = |camera: Camera| Camera { pose: scene.frame.apply_pose(&camera.pose), ..camera };
+    Ok(read.into_iter().map(|(_, camera)| in_scene(camera)).collect())
 }
 
 /// Half a turn about x, xyzw: COLMAP's y points down and its z away from the viewer.

@@ -388,15 +388,13 @@ pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
     check_folder(&previews, args.replace.force)?;
     let registry = stages()?;
     let mut sets = args.settings.set.clone();
-    // A calibrator is of photographs.
     if args.calibrator.is_some() {
-        sets.insert(0, "proposer=auto".into());
+        sets.insert(0, "calibrated=true".into());
     }
     let parameters = with_flags(&registry, &["targets", "import"], &args.size.spelled(), &sets)?;
-    if args.calibrator.is_none() && parameters[0]["proposer"] != "scene" {
+    if args.calibrator.is_none() && parameters[0]["calibrated"] == true {
         return Err(CliError::Input(
-            "proposals for photographs need a calibrator: give --calibrator FILE (`use3d calibrate` makes one), or start from what stage 1 \
-             knows of the scene, with --set proposer=scene"
+            "calibrated = true needs a calibrator: give --calibrator FILE (`use3d calibrate` makes one)"
                 .into(),
         ));
     }

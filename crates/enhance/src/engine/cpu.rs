@@ -4,7 +4,7 @@
 //! Gradients reach the field's parameters only; Gaussians, medium, targets and the stage-1 render are
 //! constants. The engine owns every buffer, so that a step allocates nothing once the largest view was seen.
 
-use use3d_capture::{Appearance, Image, MediumMaps};
+use use3d_capture::{Image, MediumMaps};
 use use3d_numerics::adam::Adam;
 use use3d_scene::Scene;
 use use3d_splat::{Options, Rasterizer, Rendered};
@@ -155,7 +155,6 @@ impl<'a> CpuFieldEngine<'a> {
         observer: &mut dyn Observer,
     ) -> Result<Self, EnhanceError> {
         check_inputs(scene, views, guidance, params)?;
-        let appearance = guidance.appearance();
         let field = initial_field(scene, guidance, params)?;
         let guides = scene.gaussians.sh.iter().map(|sh| guide_color(sh[0]));
         let objects =
@@ -196,7 +195,7 @@ impl<'a> CpuFieldEngine<'a> {
             guidance,
             rounded: vec![0.0; n],
             reports: Vec::new(),
-            store: Store { scene, appearance, lookups, kept, spare: None },
+            store: Store { scene, guidance, lookups, kept, spare: None },
             whole: None,
         })
     }
@@ -352,7 +351,7 @@ fn failed(error: EnhanceError) -> EngineError {
 /// The large constants of views: those that are kept, and the last one made besides.
 struct Store<'a> {
     scene: &'a Scene,
-    appearance: Appearance,
+    guidance: Guidance<'a>,
     lookups: Lookups,
     kept: Vec<Option<Frozen>>,
     spare: Option<(usize, Frozen)>,
@@ -368,8 +367,8 @@ impl Store<'_> {
             Some((of, frozen)) if of == index => frozen,
             // Trimmed like the kept ones: the same Gaussians in the same order give the same bits.
             _ => {
-                let Self { scene, appearance, lookups, .. } = self;
-                Frozen::new(scene, *appearance, lookups, &view.camera, &view.lattice, Some(rasterizer))
+                let Self { scene, guidance, lookups, .. } = self;
+                Frozen::new(scene, *guidance, lookups, &view.camera, &view.lattice, Some(rasterizer))
             }
         };
         &mut self.spare.insert((index, made)).1

@@ -10,7 +10,7 @@ pub(crate) use drawn::{draw, taught};
 use use3d_atc::consensus::{LocalConsensus, Targets};
 use use3d_atc::extractor::{ExtractorSettings, Source, Workspace};
 use use3d_atc::proposers::ProposerId;
-use use3d_capture::{Appearance, Image};
+use use3d_capture::{Appearance, Image, KeptWater};
 use use3d_enhance::{EnhanceParams, EnhanceView, LabelSource, Start};
 use use3d_render::Look;
 use use3d_scene::Scene;
@@ -49,6 +49,7 @@ pub(crate) fn targets(scene: &Scene, taught: &Scene, views: &[EnhanceView]) -> T
         extractor: settings,
         proposer: ProposerId::default(),
         appearance: Appearance::Water,
+        kept_water: KeptWater::ALL,
         scene: operator,
         dispersion: 0.0,
         global_scales: [0.2; 12],

@@ -6,6 +6,7 @@
 //! remains is numbered anew, in main memory: once per view, not per step.
 
 use use3d_capture::{Camera, Lattice, MediumMaps};
+use use3d_enhance::Guidance;
 use use3d_scene::Scene;
 use use3d_training::EngineError;
 use use3d_ubaf::{Field, Sites, water};
@@ -218,8 +219,8 @@ impl<'a> Freezer<'a> {
         })
     }
 
-    /// Makes a view's constants; `planes` hold its stage-1 render afterwards. In water where `water` and the
-    /// scene has some; `field` says where the water's table is looked up.
+    /// Makes a view's constants; `planes` hold its stage-1 render afterwards, in the water that `guidance`
+    /// compares in. `field` says where the water's table is looked up.
     pub(super) fn freeze(
         &mut self,
         gpu: &Gpu,
@@ -228,10 +229,10 @@ impl<'a> Freezer<'a> {
         field: &Field,
         camera: &Camera,
         lattice: &Lattice,
-        water: bool,
+        guidance: Guidance<'_>,
     ) -> Result<FrozenView, EngineError> {
         let mut maps = MediumMaps::zeros(0, 0);
-        let water = if water && self.scene.look_through(camera, lattice, &mut maps) {
+        let water = if guidance.look_through(self.scene, camera, lattice, &mut maps) {
             Some(FrozenWater::new(gpu, camera, lattice, maps)?)
         } else {
             None

@@ -80,10 +80,10 @@ impl Drawing {
         freezer: &mut Freezer<'_>,
         camera: &Camera,
         lattice: &Lattice,
-        water: bool,
+        guidance: Guidance<'_>,
     ) -> Result<FrozenView, EngineError> {
         let Self { gpu, raster, planes, field, .. } = self;
-        let view = freezer.freeze(gpu, raster, planes, field, camera, lattice, water)?;
+        let view = freezer.freeze(gpu, raster, planes, field, camera, lattice, guidance)?;
         let pixels = self.planes.image.read(&self.gpu, 3 * view.pixels())?;
         self.take(&view, &pixels);
         Ok(view)
@@ -239,8 +239,7 @@ impl<'a> Stage2<'a> {
     }
 
     fn freeze(&mut self, camera: &Camera, lattice: &Lattice) -> Result<FrozenView, EngineError> {
-        let water = self.guidance.appearance() == Appearance::Water;
-        self.drawing.freeze(&mut self.freezer, camera, lattice, water)
+        self.drawing.freeze(&mut self.freezer, camera, lattice, self.guidance)
     }
 
     /// Refuses a view that there is not; else its constants are on the device afterwards.

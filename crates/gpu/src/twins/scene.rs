@@ -3,7 +3,9 @@
 use use3d_atc::consensus::{LocalConsensus, Targets};
 use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::proposers::ProposerId;
-use use3d_capture::{Appearance, Camera, FileName, Frame, Intrinsics, Map, Pixels, Pose, Raster, View};
+use use3d_capture::{
+    Appearance, Camera, FileName, Frame, Intrinsics, KeptWater, Map, Pixels, Pose, Raster, View,
+};
 use use3d_enhance::EnhanceView;
 use use3d_medium::{MediumModel, MediumRbf};
 use use3d_numerics::math;
@@ -24,6 +26,7 @@ pub(crate) fn targets(gaussians: usize, views: &[EnhanceView], appearance: Appea
         extractor: ExtractorSettings::default(),
         proposer: ProposerId::default(),
         appearance,
+        kept_water: KeptWater::ALL,
         scene: operator,
         dispersion: 0.0,
         global_scales: [0.2; 12],

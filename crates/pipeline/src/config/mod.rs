@@ -19,8 +19,8 @@
 //! reconstruct = { medium = "mlp" }
 //! ```
 //!
-//! Targets start from what stage 1 knows (`targets.proposer = "scene"`) unless pairs or a calibrator are
-//! named: those are of photographs.
+//! A calibrator corrects the proposals (`targets.calibrated = true`) as soon as pairs, a calibrator or a
+//! parameter of its fit is named.
 //!
 //! Later ones win: a stage's defaults, the preset, `[defaults.<stage>]`, the scene's, the variant's,
 //! `--set`. Unknown and ill-typed keys are errors that point at line and column and name the nearest
@@ -50,7 +50,7 @@ use document::{Document, join, unknown_key};
 use file::{Calibrator, PipelineFile, SceneEntry, VariantEntry};
 pub use parameters::{Parameter, StageParameters, parameters};
 use places::{
-    check_learning, check_pairs, expand, home, key_of, one_proposer_for_all, propose_for_photographs,
+    calibrate_where_named, check_learning, check_pairs, expand, home, key_of, one_proposer_for_all,
     say_instead,
 };
 pub use presets::{preset_values, presets};
@@ -227,7 +227,7 @@ fn finish(
     }
     check_pairs(&batch)?;
     check_learning(&batch)?;
-    propose_for_photographs(&mut batch);
+    calibrate_where_named(&mut batch);
     one_proposer_for_all(&mut batch);
     if let Some(models) = &options.models {
         batch.name_external("models", Ok(models.clone()), "--models or USE3D_MODELS");

@@ -50,14 +50,12 @@ pub(super) fn say_instead(batch: &mut Batch, external: &str, place: External, by
     batch.name_external(external, place, by);
 }
 
-/// Whoever names pairs, a calibrator or how one is learnt means enhancement that is learnt from
-/// photographs: where nobody says what proposes for the targets, it is then a 2D enhancer, and not
-/// what stage 1 knows of the scene.
+/// A calibrator corrects the proposals where pairs, a calibrator or a parameter of its fit is named, unless
+/// `targets.calibrated` is given.
 ///
-/// Said in the weakest layer there is, so that whatever a file or a command
-/// says of the proposer counts first.
-pub(super) fn propose_for_photographs(batch: &mut Batch) {
-    if says_proposer(&batch.defaults) {
+/// The value goes into the weakest layer, so that everything a file or a command says counts first.
+pub(super) fn calibrate_where_named(batch: &mut Batch) {
+    if gives_calibrated(&batch.defaults) {
         return;
     }
     let everywhere = ["pairs.input", "calibrator"].iter().any(|name| batch.externals.contains_key(*name))
@@ -65,13 +63,13 @@ pub(super) fn propose_for_photographs(batch: &mut Batch) {
         || learns(&batch.forced);
     let preset = batch.preset.clone();
     if everywhere {
-        say_proposer(&mut batch.preset);
+        set_calibrated(&mut batch.preset);
     }
     for scene in &mut batch.scenes {
         let own =
             scene.externals.contains_key("calibrator") || learns(&scene.overrides) || learns(&scene.forced);
-        if own && !says_proposer(&preset) {
-            say_proposer(&mut scene.overrides);
+        if own && !gives_calibrated(&preset) {
+            set_calibrated(&mut scene.overrides);
         }
     }
     for variant in &mut batch.variants {
@@ -79,7 +77,7 @@ pub(super) fn propose_for_photographs(batch: &mut Batch) {
             || learns(&variant.overrides)
             || learns(&variant.forced);
         if everywhere || own {
-            say_proposer(variant.preset.get_or_insert_with(|| preset.clone()));
+            set_calibrated(variant.preset.get_or_insert_with(|| preset.clone()));
         }
     }
 }
@@ -95,11 +93,15 @@ fn says_proposer(overrides: &Overrides) -> bool {
     overrides.get("targets").is_some_and(|targets| targets.get("proposer").is_some())
 }
 
-/// `targets.proposer = "auto"` where nothing else is said.
-fn say_proposer(overrides: &mut Overrides) {
+fn gives_calibrated(overrides: &Overrides) -> bool {
+    overrides.get("targets").is_some_and(|targets| targets.get("calibrated").is_some())
+}
+
+/// `targets.calibrated = true` where nothing else is given.
+fn set_calibrated(overrides: &mut Overrides) {
     let targets = overrides.entry("targets").or_insert_with(|| Value::Object(Map::new()));
     if let Some(targets) = targets.as_object_mut() {
-        targets.entry("proposer").or_insert_with(|| "auto".into());
+        targets.entry("calibrated").or_insert(Value::Bool(true));
     }
 }
 

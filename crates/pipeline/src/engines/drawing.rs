@@ -82,7 +82,7 @@ impl<'s> Drawn<'s> {
 
 #[cfg(all(test, feature = "gpu"))]
 mod tests {
-    use use3d_capture::{Appearance, Camera, Frame, Intrinsics, Pose};
+    use use3d_capture::{Appearance, Camera, Frame, Intrinsics, KeptWater, Pose};
     use use3d_medium::{MediumModel, MediumRbf};
     use use3d_numerics::random::{Purpose, Stream};
     use use3d_render::{Mode, Rendering};
@@ -114,7 +114,12 @@ mod tests {
         field.parameters[shape.transport()].copy_from_slice(&[-0.25, -0.1]);
         let mut pass = ObjectPass::new(&field, &gaussians.means, gaussians.sh.iter().map(|sh| sh[0]));
         pass.forward(&field);
-        let enhancement = Enhancement { centre: pass.mean(), field, appearance: Appearance::Water };
+        let enhancement = Enhancement {
+            centre: pass.mean(),
+            field,
+            appearance: Appearance::Water,
+            kept_water: KeptWater::ALL,
+        };
         Scene {
             gaussians,
             frame: Frame::IDENTITY,

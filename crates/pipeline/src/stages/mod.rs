@@ -6,8 +6,8 @@
 //! pairs ─▶ calibrate ────────────────────┴──────┘                             ┘
 //! ```
 //!
-//! Targets in clear radiance (`targets.proposer = "scene"`) need no calibrator; `pairs` and `calibrate` are
-//! left out where no scene asks for one.
+//! Targets need a calibrator only where `targets.calibrated` says so; `pairs` and `calibrate` are left out
+//! where no scene asks for one.
 //!
 //! For comparison, `propose` can stand before `reconstruct`, which then learns from photographs enhanced one
 //! by one; `targets` and `enhance` are left out then. `pairs` and `calibrate` are made once for all scenes,
@@ -25,6 +25,7 @@ mod drawn;
 mod enhance;
 pub mod evaluate;
 mod import;
+mod kept_water;
 mod memory;
 mod names;
 mod pairs;
@@ -44,7 +45,7 @@ mod weights;
 pub use common::{read_json, write_json};
 #[cfg(feature = "nets")]
 pub use depth::wanted as depth_wanted;
-pub use names::{CALIBRATED, CALIBRATOR, CHOICES, TARGETS};
+pub use names::{CALIBRATED, CALIBRATOR, CAMERAS, CHOICES, TARGETS};
 pub use proposer::{ProposerChoice, open as open_proposer};
 pub use reconstruct::Choices;
 

@@ -16,14 +16,12 @@ use use3d_water::WaterParams;
 use super::captured::capture;
 use super::common::{out_of_range, write_json, write_text};
 use super::contact::sheet;
-use super::names::{CHOICES, CONTACT, EVALUATION};
+use super::names::{CHOICES, CONTACT, EVALUATION, WATER};
 use super::proposals;
 use super::watch::Watch;
 use crate::engines;
 use crate::water::{WaterReport, found_water, from_tracks, lamps, no_water};
 
-/// What the capture's tracks told of its water.
-const WATER: &str = "water.json";
 /// The training views' gains.
 const EXPOSURES: &str = "exposures.json";
 

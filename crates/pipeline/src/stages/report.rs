@@ -562,14 +562,17 @@ fn dispersion(report: &TargetsReport) -> PlotFigure {
         series: vec![Series { label: String::new(), color: "#0b7285", points, dots: true, names }],
     };
     let made = match (report.appearance, report.calibrated) {
-        (Appearance::Clear, _) => {
-            " The proposals come from the scene as stage 1 found it, without its water: not calibrated."
+        (Appearance::Clear, false) => {
+            " The proposals are for the scene as stage 1 found it, without its water: not calibrated."
+        }
+        (Appearance::Clear, true) => {
+            " The proposals are for the scene as stage 1 found it, without its water."
         }
         (Appearance::Water, false) => " Proposals as they are: not calibrated.",
         (Appearance::Water, true) => "",
     };
     let caption = format!(
-        "Each photograph proposes how colours should change; the consensus is what they agree on. A view far from the others was lit or exposed \
+        "Each view proposes how colours should change; the consensus is what the views agree on. A view far from the others was lit or exposed \
          differently. Median {:.4}; {} of {} Gaussians have a target.{made}",
         report.dispersion, report.supported, report.gaussians
     );
@@ -578,11 +581,14 @@ fn dispersion(report: &TargetsReport) -> PlotFigure {
 
 fn sheets(dir: &Path, report: &TargetsReport) -> Result<Vec<Picture>, StageError> {
     let caption = match report.appearance {
+        Appearance::Water if !report.kept_water.is_all() => {
+            "Left to right: the scene of stage 1 with part of its water taken away, the proposal for this view alone, its change of colours as the calibrator leaves it, the consensus of all views (2D previews)."
+        }
         Appearance::Water => {
             "Left to right: captured, the proposal for this view alone, its change of colours as the calibrator leaves it, the consensus of all views (2D previews)."
         }
         Appearance::Clear => {
-            "Left to right: the scene of stage 1 without its water, what is proposed for it, this view's change of colours alone (not calibrated), the consensus of all views (2D previews)."
+            "Left to right: the scene of stage 1 without its water, what is proposed for it, this view's change of colours alone, the consensus of all views (2D previews)."
         }
     };
     let Ok(entries) = std::fs::read_dir(dir) else { return Ok(Vec::new()) };

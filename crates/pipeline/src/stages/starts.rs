@@ -1,5 +1,5 @@
-//! What each view brings into the consensus: its photograph and a 2D enhancer's version of it, or its clear
-//! radiance and the scene's grade.
+//! The pictures that transitions start from: photographs, stage-1 renders in thinner water, or stage-1 renders
+//! without water; and what proposes for them.
 
 use use3d_atc::AtcError;
 use use3d_atc::calibrator::Calibrator;
@@ -7,27 +7,31 @@ use use3d_atc::consensus::{Proposals, ViewInput};
 use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::proposers::{Proposer, ProposerId, SceneFindings, SceneProposer, SceneSurvey, SceneView};
 use use3d_build::{StageContext, StageError};
-use use3d_capture::{Appearance, View};
+use use3d_capture::{Appearance, Image, KeptWater, View};
 use use3d_import::load_pixels;
 use use3d_scene::{KnownView, KnownViews, Scene};
 
 use super::calibrator::read_calibrator;
-use super::proposer::{ProposerChoice, of_calibrator};
+use super::kept_water::{self, KeptWaterChoice};
+use super::proposer::{ProposerChoice, of_calibrator, open};
+use super::targets::{Params, Source};
 
-/// Where transitions start from.
-pub(super) enum Start<'s> {
-    /// Photographs, and proposals of a 2D enhancer.
+/// Where the pictures come from.
+enum Pictures<'s> {
+    /// The photographs, and proposals for them.
     Photographs(Box<dyn Proposer>),
-    /// What stage 1 knows of each view, and the grade of the whole scene.
+    /// Stage-1 renders that show this much of the water (`None`: clear radiance), and proposals for them.
+    Renders { views: Box<KnownViews<'s>>, shown: Option<KeptWater>, proposer: Box<dyn Proposer> },
+    /// Clear radiance, and the grade of the whole scene by rule.
     Known(Box<(KnownViews<'s>, SceneProposer)>),
 }
 
 /// Where transitions start from, and what corrects them.
 pub(super) struct Starts<'s> {
-    start: Start<'s>,
-    /// The calibrator; of proposals in clear radiance, one that corrects nothing.
+    pictures: Pictures<'s>,
+    /// The calibrator; without one, a calibrator that corrects nothing.
     pub(super) calibrator: Calibrator,
-    /// Whose proposals they are.
+    /// Who proposes.
     pub(super) proposer: ProposerId,
 }
 
@@ -35,97 +39,166 @@ impl<'s> Starts<'s> {
     /// As the parameters ask.
     pub(super) fn open(
         context: &StageContext,
-        choice: ProposerChoice,
+        params: &Params,
         scene: &'s Scene,
         views: &[&View],
     ) -> Result<Self, StageError> {
-        if choice == ProposerChoice::Scene {
+        if params.proposer == ProposerChoice::Scene {
             return Self::known(context, scene, views);
         }
-        let calibrator = read_calibrator(context.input("calibrator")?)?;
-        let models = context.optional_input("models");
-        let proposer = of_calibrator(choice, &calibrator.proposer.name, models)
-            .map_err(StageError::bad_input_message)?;
+        let (calibrator, proposer) = Self::two_dimensional(context, params)?;
         let id = proposer.id();
-        calibrator.proposer.require(&id).map_err(StageError::bad_input)?;
-        Ok(Self { start: Start::Photographs(proposer), calibrator, proposer: id })
+        let shown = match params.source {
+            Source::Photographs => KeptWater::ALL,
+            Source::Clear => KeptWater([0.0; 3]),
+            Source::Renders => match params.kept_water {
+                KeptWaterChoice::Same(k) => KeptWater([k; 3]),
+                KeptWaterChoice::Channels(k) => KeptWater(k),
+                KeptWaterChoice::Auto(_) => kept_water::choose(context, scene, views)?,
+            },
+        };
+        let pictures = match params.source {
+            Source::Clear if !scene.medium.is_none() => {
+                Pictures::Renders { views: Box::new(KnownViews::new(scene)), shown: None, proposer }
+            }
+            Source::Renders if !shown.is_all() && !scene.medium.is_none() => {
+                Pictures::Renders { views: Box::new(KnownViews::new(scene)), shown: Some(shown), proposer }
+            }
+            _ => Pictures::Photographs(proposer),
+        };
+        let starts = Self { pictures, calibrator, proposer: id };
+        context.say(starts.message(context));
+        Ok(starts)
+    }
+
+    /// A 2D enhancer, and the calibrator that was fitted for it if one is given.
+    fn two_dimensional(
+        context: &StageContext,
+        params: &Params,
+    ) -> Result<(Calibrator, Box<dyn Proposer>), StageError> {
+        let models = context.optional_input("models");
+        let Some(file) = context.optional_input("calibrator") else {
+            let proposer = open(params.proposer, models, &mut |line| context.log(line))
+                .map_err(StageError::bad_input_message)?;
+            return Ok((Calibrator::uncalibrated(ExtractorSettings::default(), proposer.id()), proposer));
+        };
+        if !params.calibrated {
+            return Err(StageError::bad_input_message(
+                "a calibrator is named, but `calibrated = false` says that none is used; leave one of the two out",
+            ));
+        }
+        let calibrator = read_calibrator(file)?;
+        let proposer = of_calibrator(params.proposer, &calibrator.proposer.name, models)
+            .map_err(StageError::bad_input_message)?;
+        calibrator.proposer.require(&proposer.id()).map_err(StageError::bad_input)?;
+        Ok((calibrator, proposer))
+    }
+
+    /// What is said of the choice.
+    fn message(&self, context: &StageContext) -> String {
+        let calibrated = match context.optional_input("calibrator") {
+            Some(_) => "corrected by the calibrator",
+            None => "not calibrated: nothing was learnt from pairs of images",
+        };
+        let pictures = match &self.pictures {
+            Pictures::Photographs(_) => "the photographs".to_string(),
+            Pictures::Renders { shown: None, .. } => "renders of the scene without its water".to_string(),
+            Pictures::Renders { shown: Some(KeptWater([r, g, b])), .. } => format!(
+                "renders of the scene with {:.0} / {:.0} / {:.0} % of its water (red / green / blue)",
+                100.0 * r,
+                100.0 * g,
+                100.0 * b
+            ),
+            Pictures::Known(_) => String::new(),
+        };
+        format!("`{}` proposes for {pictures}; {calibrated}", self.proposer.name)
     }
 
     fn known(context: &StageContext, scene: &'s Scene, views: &[&View]) -> Result<Self, StageError> {
         if context.optional_input("calibrator").is_some() {
             return Err(StageError::bad_input_message(
-                "a calibrator is named, but `proposer = \"scene\"` has none: calibrators are fitted to photographs; leave one of the two out",
+                "a calibrator is named, but `proposer = \"scene\"` has none: calibrators are fitted to 2D enhancers; leave one of the two out",
             ));
         }
         let mut known = KnownViews::new(scene);
         let mut survey = SceneSurvey::new();
         for (i, view) in views.iter().enumerate() {
             context.alive()?;
-            context.progress_with(i as u64, views.len() as u64, "views", "looking at what stage 1 knows");
-            survey.add(&seen(&mut known, view))?;
+            context.progress_with(i as u64, views.len() as u64, "views", "surveying the clear scene");
+            survey.add(&scene_view(&mut known, view))?;
         }
         let proposer = survey.finish();
-        context.say(said(proposer.findings()));
+        context.say(grade_message(proposer.findings()));
         let id = SceneProposer::id();
         let calibrator = Calibrator::uncalibrated(ExtractorSettings::default(), id.clone());
-        Ok(Self { start: Start::Known(Box::new((known, proposer))), calibrator, proposer: id })
+        Ok(Self { pictures: Pictures::Known(Box::new((known, proposer))), calibrator, proposer: id })
     }
 
-    /// What the transitions are between.
-    pub(super) fn appearance(&self) -> Appearance {
-        match &self.start {
-            Start::Photographs(_) => Appearance::Water,
-            Start::Known(_) => Appearance::Clear,
+    /// The appearance that the pictures have, and the share of the water in them.
+    pub(super) fn shown(&self) -> (Appearance, KeptWater) {
+        match &self.pictures {
+            Pictures::Photographs(_) => (Appearance::Water, KeptWater::ALL),
+            Pictures::Renders { shown: Some(kept), .. } => (Appearance::Water, *kept),
+            Pictures::Renders { shown: None, .. } | Pictures::Known(_) => (Appearance::Clear, KeptWater::ALL),
         }
     }
 
-    /// What was found about the scene, where it was looked at.
+    /// The survey of the scene, where there was one.
     pub(super) fn findings(&self) -> Option<&SceneFindings> {
-        match &self.start {
-            Start::Photographs(_) => None,
-            Start::Known(known) => Some(known.1.findings()),
+        match &self.pictures {
+            Pictures::Known(known) => Some(known.1.findings()),
+            _ => None,
         }
     }
 
     /// Where proposals come from, for the consensus.
     pub(super) fn proposals(&self) -> Proposals<'_> {
-        match &self.start {
-            Start::Photographs(proposer) => Proposals::From(proposer.as_ref()),
-            Start::Known(_) => Proposals::Given(&self.proposer),
+        match &self.pictures {
+            Pictures::Photographs(proposer) => Proposals::From(proposer.as_ref()),
+            Pictures::Renders { .. } | Pictures::Known(_) => Proposals::Given(&self.proposer),
         }
     }
 
     /// A training view on its way into the consensus.
     pub(super) fn view(&mut self, view: &View) -> Result<ViewInput, AtcError> {
-        let (image, proposal) = match &mut self.start {
-            Start::Photographs(_) => {
+        let (image, proposal) = match &mut self.pictures {
+            Pictures::Photographs(_) => {
                 let pixels = load_pixels(view)
                     .map_err(|e| AtcError::View { view: view.name.to_string(), problem: e.to_string() })?;
                 (pixels.to_image(), None)
             }
-            Start::Known(known) => {
-                let seen = seen(&mut known.0, view);
-                let proposal = known.1.propose(&seen)?;
-                (seen.clear, Some(proposal))
+            Pictures::Renders { views, shown, proposer } => {
+                let image = match shown {
+                    Some(kept) => views.through(&view.camera, *kept),
+                    None => views.view(&view.camera).clear,
+                };
+                let image: Image = image.map(|v| v.clamp(0.0, 1.0));
+                let proposal = proposer.enhance(&image)?;
+                (image, Some(proposal))
+            }
+            Pictures::Known(known) => {
+                let known_view = scene_view(&mut known.0, view);
+                let proposal = known.1.propose(&known_view)?;
+                (known_view.clear, Some(proposal))
             }
         };
         Ok(ViewInput { name: view.name.to_string(), camera: view.camera, image, proposal })
     }
 }
 
-/// What stage 1 knows of a view, as the proposer takes it.
-fn seen(known: &mut KnownViews<'_>, view: &View) -> SceneView {
+/// A view as the proposer `scene` takes it.
+fn scene_view(known: &mut KnownViews<'_>, view: &View) -> SceneView {
     let KnownView { clear, accumulation, arriving } = known.view(&view.camera);
     SceneView { clear, accumulation, arriving }
 }
 
-/// The scene's grade, for a person to read.
-fn said(found: &SceneFindings) -> String {
+/// The grade of the proposer `scene`, in words.
+fn grade_message(found: &SceneFindings) -> String {
     let [r, g, b] = found.balance;
     let cast = if found.trusted > 0.0 {
         format!("white balance ×{r:.2} ×{g:.2} ×{b:.2} ({:.0} % of a cast taken off)", 100.0 * found.trusted)
     } else {
-        "no cast that is sure, colours as they are".into()
+        "no reliable colour cast, white balance unchanged".into()
     };
     format!(
         "proposer: scene, in clear radiance, not calibrated: {cast}; brightness ×{:.2}, contrast ×{:.2}",

@@ -13,6 +13,7 @@ use use3d_splat::Rasterizer;
 use super::calibrated::is_calibrated;
 use super::captured::capture;
 use super::common::{folder, write_json};
+use super::kept_water::KeptWaterChoice;
 use super::names::{CALIBRATED, TARGETS};
 use super::proposals::asked_for;
 use super::proposer::ProposerChoice;
@@ -20,14 +21,35 @@ use super::scenes::scene;
 use super::starts::Starts;
 use crate::engines::{self, ChoosesEngine, EngineChoice};
 
+/// The pictures that transitions start from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Source {
+    /// The photographs: the paper.
+    Photographs,
+    /// Stage 1's renders with part of the water taken away; the photographs where all of it is kept.
+    #[default]
+    Renders,
+    /// Stage 1's renders without water, to measure colour: `enhanced-clear` is then the result.
+    Clear,
+}
+
 /// Parameters of the targets.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct Params {
-    /// What proposes. `scene`, unless pairs or a calibrator are named: stage 1's own knowledge of the views,
-    /// in clear radiance; it needs no calibrator. A 2D enhancer: `auto` is the one that the calibrator was
-    /// fitted for, another one is refused.
+    /// What proposes. A 2D enhancer: `auto` is the one that the calibrator was fitted for (another one is
+    /// refused), or without a calibrator as in `pairs`. `scene`: a grade by rule from what stage 1 knows, for
+    /// `source = "clear"` only.
     pub(super) proposer: ProposerChoice,
+    /// The pictures that transitions start from.
+    pub(super) source: Source,
+    /// The share of the water in renders that transitions start from, which the enhanced scene then keeps:
+    /// `"auto"`, one number from 0 to 1, or three (red, green, blue). For `source = "renders"`.
+    pub(super) kept_water: KeptWaterChoice,
+    /// Correct the proposals with a calibrator that was fitted to pairs of images. On as soon as pairs, a
+    /// calibrator or a parameter of its fit is named.
+    pub(super) calibrated: bool,
     /// The consensus.
     pub(super) consensus: TargetsParams,
     /// Views shown side by side: captured (or clear), proposal, calibrated on its own, consensus.
@@ -41,11 +63,37 @@ pub(super) struct Params {
 impl Default for Params {
     fn default() -> Self {
         Self {
-            proposer: ProposerChoice::Scene,
+            proposer: ProposerChoice::Auto,
+            source: Source::default(),
+            kept_water: KeptWaterChoice::default(),
+            calibrated: false,
             consensus: TargetsParams::default(),
             previews: 4,
             engine: EngineChoice::Cpu,
         }
+    }
+}
+
+impl Params {
+    fn check(&self) -> Result<(), (String, String)> {
+        self.kept_water.check()?;
+        let wrong = |at: &str, message: &str| Err((at.into(), message.into()));
+        if self.proposer == ProposerChoice::Scene && self.source != Source::Clear {
+            return wrong(
+                "proposer",
+                "is \"scene\", which grades the scene without its water; add `source = \"clear\"`",
+            );
+        }
+        if self.proposer == ProposerChoice::Scene && self.calibrated {
+            return wrong(
+                "proposer",
+                "is \"scene\", which has no calibrator; add `calibrated = false`, or choose a 2D enhancer",
+            );
+        }
+        if self.source != Source::Renders && self.kept_water != KeptWaterChoice::default() {
+            return wrong("kept_water", "is the share of the water in renders; add `source = \"renders\"`");
+        }
+        Ok(())
     }
 }
 
@@ -72,6 +120,7 @@ pub(super) fn stage() -> Stage {
         .optional_external("models", "models")
         .select(super::weights::files_of_proposer)
         .seeded()
+        .check(Params::check)
         .check(engines::check::<Params>)
         .computes_on(engines::class::<Params>)
         .without_effect(&["engine"])
@@ -83,7 +132,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let capture: Capture = capture(context)?;
     let scene = scene(context, "scene")?;
     let views: Vec<&View> = capture.training_views().collect();
-    let mut starts = Starts::open(context, params.proposer, &scene, &views)?;
+    let mut starts = Starts::open(context, params, &scene, &views)?;
     let total = 2 * views.len() as u64;
     let mut recorder = Recorder::new();
     let mut records = Vec::with_capacity(views.len());
@@ -101,7 +150,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let built = targets_from_records(
         &mut lift,
         &records,
-        starts.appearance(),
+        starts.shown(),
         starts.proposer.clone(),
         &starts.calibrator,
         &consensus,

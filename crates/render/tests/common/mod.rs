@@ -3,7 +3,7 @@
 #![allow(dead_code, reason = "every test file uses its own part of this")]
 
 use glam::{DMat3, DVec3};
-use use3d_capture::{Appearance, Camera, Frame, Image, Intrinsics, Lattice, Pose};
+use use3d_capture::{Appearance, Camera, Frame, Image, Intrinsics, KeptWater, Lattice, Pose};
 use use3d_golden::Part;
 use use3d_medium::{MediumModel, MediumRbf};
 use use3d_numerics::random::{Purpose, Stream};
@@ -92,7 +92,8 @@ pub(crate) fn taught(scene: &Scene) -> Scene {
     field.parameters[shape.transport()].copy_from_slice(&[-0.25, -0.1]);
     let mut pass = ObjectPass::new(&field, &scene.gaussians.means, scene.gaussians.sh.iter().map(|sh| sh[0]));
     pass.forward(&field);
-    let enhancement = Enhancement { centre: pass.mean(), field, appearance: Appearance::Water };
+    let enhancement =
+        Enhancement { centre: pass.mean(), field, appearance: Appearance::Water, kept_water: KeptWater::ALL };
     Scene { enhancement: Some(enhancement), ..scene.clone() }
 }
 

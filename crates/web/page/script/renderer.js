@@ -51,7 +51,7 @@ function makeRenderer(canvas, scene) {
       const { gains, biases, ratios } = guideTable(enhancement, camera.eye, look.strength);
       water.arrays(3, { gains, biases });
       water.arrays(4, { affine: affine(look.strength) });
-      water.floats({ guide: enhancement.guide, ratios });
+      water.floats({ guide: enhancement.guide, ratios, kept: enhancement.keptWater.map(k => 1 - look.strength * (1 - k)) });
     }
     fullScreen();
   }

@@ -6,10 +6,10 @@
 //   kind 2 (baked):      the nine numbers are read from a cube of directions, which the exporter filled
 //
 // An enhanced water has its colour graded by a table over the guide gamma(c_m), and its coefficients scaled
-// by two ratios:
+// by two ratios and the share k of the water that the enhanced scene keeps:
 //
 //   h = sign(c) ln(1 + |c|),  gamma = tanh(w.h + b),
-//   c+ = gain(gamma) (c + dA c + b_g) + bias(gamma),  beta+ = ratio beta
+//   c+ = gain(gamma) (c + dA c + b_g) + bias(gamma),  beta+ = ratio k beta
 //
 // `amount` in [0, 1] is how much of the water is left: it scales both coefficients.
 precision highp float;
@@ -28,6 +28,7 @@ uniform vec4 guide;             // w_r, w_g, w_b, b
 uniform vec4 affine[3];         // rows (dA | b_g), times the strength
 uniform vec3 gains[16], biases[16];
 uniform vec2 ratios;            // backscatter, attenuation
+uniform vec3 kept;              // share of the stage-1 coefficients, RGB
 
 layout(location = 0) out vec4 outColor;
 layout(location = 1) out vec4 outBackscatter;
@@ -72,8 +73,8 @@ void main() {
   }
   if (graded) {
     color = grade(color);
-    backscatter *= ratios.x;
-    attenuation *= ratios.y;
+    backscatter *= kept * ratios.x;
+    attenuation *= kept * ratios.y;
   }
   outColor = vec4(color, 1.0);
   outBackscatter = vec4(amount * backscatter, 1.0);

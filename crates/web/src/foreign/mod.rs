@@ -16,7 +16,7 @@ pub mod spz;
 use use3d_numerics::math;
 
 /// What every file says of its contents that has room for words; SPZ has none.
-pub const NO_WATER: &str = "object radiance without water: this format cannot hold the water";
+pub const NO_WATER: &str = "colours alone: this format cannot hold the water itself";
 
 /// A unit quaternion from any but zero, wxyz; the identity for that one.
 fn normalised(q: [f32; 4]) -> [f32; 4] {

@@ -2,7 +2,7 @@
 //! enhancement with everything in it.
 
 use glam::{DMat3, DVec3};
-use use3d_capture::{Appearance, Camera, Frame, Intrinsics, Pose};
+use use3d_capture::{Appearance, Camera, Frame, Intrinsics, KeptWater, Pose};
 use use3d_medium::{MediumGlobal, MediumMlp, MediumModel, MediumRbf};
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_scene::Scene;
@@ -97,7 +97,12 @@ pub(crate) fn scene(kind: &str, degree: usize) -> Scene {
     field.parameters[shape.transport()].copy_from_slice(&[-0.25, 0.1]);
     let mut pass = ObjectPass::new(&field, &gaussians.means, gaussians.sh.iter().map(|sh| sh[0]));
     pass.forward(&field);
-    let enhancement = Some(Enhancement { centre: pass.mean(), field, appearance: Appearance::Water });
+    let enhancement = Some(Enhancement {
+        centre: pass.mean(),
+        field,
+        appearance: Appearance::Water,
+        kept_water: KeptWater::ALL,
+    });
     let frame = Frame {
         scale: 0.4,
         rotation: DMat3::from_axis_angle(DVec3::new(0.48, -0.6, 0.64).normalize(), 1.1),

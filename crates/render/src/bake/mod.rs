@@ -4,7 +4,12 @@
 //! `c(ω) = max(SH(ω) + ½, 0)`. Where that clamp is inactive, `SH⁺ = M SH` in every band, plus
 //! `(M ½ + m - ½)/C₀` in band 0, gives the same radiance exactly. Where it is active the baked colour
 //! differs, because a viewer clamps after the matrix instead of before; [`BakeReport`] says by how much.
-//! Water is not part of a baked file: it shows the enhanced object radiance.
+//! [`bake`] writes the enhanced object radiance, without water; [`bake_in_water`] what cameras saw of it
+//! through the water.
+
+mod in_water;
+
+pub use in_water::{InWater, bake_in_water};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -41,10 +46,18 @@ pub struct BakeReport {
 /// frame.
 pub fn bake(scene: &Scene, strength: f32) -> Result<(Gaussians, BakeReport), RenderError> {
     let grades = grades(scene, strength)?;
-    let mut baked = scene.gaussians.clone();
+    Ok(bake_maps(&scene.gaussians, |i| grades.matrix(i)))
+}
+
+/// An affine colour map per Gaussian, rows `(M | m)`, written into its harmonics.
+fn bake_maps(
+    gaussians: &Gaussians,
+    matrix: impl Fn(usize) -> [[f32; 4]; 3] + Sync,
+) -> (Gaussians, BakeReport) {
+    let mut baked = gaussians.clone();
     let used = bands(baked.sh_degree.min(3));
     baked.sh.par_iter_mut().enumerate().with_min_len(1024).for_each(|(i, sh)| {
-        let m = grades.matrix(i);
+        let m = matrix(i);
         for (k, band) in sh.iter_mut().enumerate().take(used) {
             let old = *band;
             *band = std::array::from_fn(|c| {
@@ -56,8 +69,8 @@ pub fn bake(scene: &Scene, strength: f32) -> Result<(Gaussians, BakeReport), Ren
             });
         }
     });
-    let report = compare(&scene.gaussians, &baked, |i| grades.matrix(i));
-    Ok((baked, report))
+    let report = compare(gaussians, &baked, matrix);
+    (baked, report)
 }
 
 fn compare(

@@ -1,0 +1,73 @@
+//! The difference between a look with water and the file that it was baked into.
+
+use use3d_capture::{Camera, Frame, Image, Lattice};
+use use3d_medium::MediumModel;
+use use3d_metrics::{MetricError, mean_ciede2000};
+use use3d_render::{InWater, Look, RenderError, Renderer};
+use use3d_scene::Scene;
+use use3d_splat::Rendered;
+
+/// Cameras at which the two are compared, evenly chosen.
+const CAMERAS: usize = 12;
+/// The longest side of the compared pictures, pixels.
+const SIDE: usize = 400;
+
+/// Mean colour differences (ΔE00) between pictures of the scene and of the baked file.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Difference {
+    /// Over all compared cameras.
+    pub mean: f64,
+    /// At the worst of them.
+    pub worst: f64,
+}
+
+/// Why two pictures could not be compared.
+#[derive(Debug, thiserror::Error)]
+pub enum DifferenceError {
+    /// The scene cannot be drawn.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    /// The pictures cannot be compared.
+    #[error(transparent)]
+    Metric(#[from] MetricError),
+}
+
+/// Draws both at up to twelve of `cameras` (in the scene's frame) and compares what a screen shows.
+///
+/// # Errors
+/// What drawing says.
+pub fn difference(
+    scene: &Scene,
+    look: Look,
+    water: f32,
+    baked: &InWater,
+    cameras: &[Camera],
+) -> Result<Difference, DifferenceError> {
+    let file = Scene {
+        gaussians: baked.gaussians.clone(),
+        frame: Frame::IDENTITY,
+        medium: MediumModel::None,
+        medium_degree: 0,
+        enhancement: None,
+    };
+    let mut in_scene = Renderer::new(scene, look)?.with_water(water)?;
+    let mut in_file = Renderer::new(&file, Look::Reconstruction)?;
+    let count = cameras.len().min(CAMERAS);
+    let (mut sum, mut worst) = (0.0, 0.0f64);
+    let mut drawn = Rendered::new();
+    for k in 0..count {
+        let camera = cameras[k * cameras.len() / count];
+        let lens = camera.intrinsics;
+        let divisor = lens.width.max(lens.height).div_ceil(SIDE).max(1);
+        let camera = Camera { intrinsics: lens.downscaled(divisor), ..camera };
+        let lattice = Lattice::full(&camera.intrinsics);
+        let mut picture = |renderer: &mut Renderer<'_>| -> Result<Image, RenderError> {
+            renderer.render(&camera, &lattice, false, &mut drawn)?;
+            Ok(drawn.image.map(|v| v.clamp(0.0, 1.0)))
+        };
+        let apart = mean_ciede2000(&picture(&mut in_scene)?, &picture(&mut in_file)?)?;
+        sum += apart;
+        worst = worst.max(apart);
+    }
+    Ok(Difference { mean: sum / count.max(1) as f64, worst })
+}

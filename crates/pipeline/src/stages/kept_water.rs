@@ -1,0 +1,97 @@
+//! The share of the water that an enhanced scene keeps, chosen from what is known of the scene.
+
+use std::path::Path;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use use3d_atc::kept_water::{Depths, Trust, shares};
+use use3d_build::{StageContext, StageError};
+use use3d_capture::{Camera, KeptWater, View};
+use use3d_scene::{KnownViews, Scene};
+
+use super::common::read_json;
+use super::names::WATER;
+
+/// `"auto"`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Auto {
+    /// Chosen from the scene.
+    #[default]
+    Auto,
+}
+
+/// The share of the water that is kept, from 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub(super) enum KeptWaterChoice {
+    /// `"auto"`: chosen per channel from the scene.
+    Auto(Auto),
+    /// One share for all channels.
+    Same(f32),
+    /// Shares of red, green and blue.
+    Channels([f32; 3]),
+}
+
+impl Default for KeptWaterChoice {
+    fn default() -> Self {
+        Self::Auto(Auto::Auto)
+    }
+}
+
+impl KeptWaterChoice {
+    /// Refuses shares outside `[0, 1]`, as the error of the parameter `kept_water`.
+    pub(super) fn check(&self) -> Result<(), (String, String)> {
+        let shares = match *self {
+            Self::Auto(_) => return Ok(()),
+            Self::Same(k) => KeptWater([k; 3]),
+            Self::Channels(k) => KeptWater(k),
+        };
+        if shares.is_valid() {
+            return Ok(());
+        }
+        let given = serde_json::to_string(self).unwrap_or_default();
+        Err(("kept_water".into(), format!("is {given}; expected \"auto\", or shares from 0 to 1")))
+    }
+}
+
+/// Longest side at which a view's optical depths are looked at, pixels.
+const SIDE: usize = 160;
+
+/// Chooses the shares: optical depths of all training views, and how well the water is known.
+pub(super) fn choose(
+    context: &StageContext,
+    scene: &Scene,
+    views: &[&View],
+) -> Result<KeptWater, StageError> {
+    if scene.medium.is_none() {
+        return Ok(KeptWater::ALL);
+    }
+    let mut known = KnownViews::new(scene);
+    let mut depths = Depths::default();
+    for (i, view) in views.iter().enumerate() {
+        context.alive()?;
+        context.progress_with(
+            i as u64,
+            views.len() as u64,
+            "views",
+            "measuring the water in front of surfaces",
+        );
+        let lens = &view.camera.intrinsics;
+        let divisor = lens.width.max(lens.height).div_ceil(SIDE);
+        let camera = Camera { intrinsics: lens.downscaled(divisor), ..view.camera };
+        let looked = known.view(&camera);
+        depths.add(&looked.accumulation, &looked.arriving);
+    }
+    Ok(shares(&depths, trust(context.input("scene")?)))
+}
+
+/// How well stage 1 knew the water when it began, by its own record.
+fn trust(scene: &Path) -> Trust {
+    let Ok(report) = read_json::<serde_json::Value>(&scene.join(WATER)) else { return Trust::Learnt };
+    let measured = |channel: &serde_json::Value| {
+        channel["verdict"] == "found" || channel["verdict"] == "veil-not-separable"
+    };
+    let channels = report["channels"].as_array().map_or(&[][..], Vec::as_slice);
+    if channels.len() == 3 && channels.iter().all(measured) { Trust::Measured } else { Trust::Learnt }
+}

@@ -1,0 +1,237 @@
+//! A look with its water written into spherical harmonics, as the training cameras saw it.
+//!
+//! The compositor's picture is `c_m + Σ w_i (f_i − c_m)` with
+//!
+//! ```text
+//! f_i = c_i⁺ e^{−β_attn s_i} + c_m (1 − e^{−β_bs s_i})
+//! ```
+//!
+//! so a viewer that knows no water shows the same picture if Gaussian `i` has the colour `f_i` and open water
+//! stands behind everything. `f_i` depends on the distance `s_i` to the camera. It is averaged over the
+//! training cameras `v`, weighted by the visibility `ω_iv = Σ_pixels w_i`:
+//!
+//! ```text
+//! t_i = Σ_v ω_iv e^{−β̄_attn,iv s_iv} / Σ_v ω_iv       b_i = Σ_v ω_iv c̄_m,iv (1 − e^{−β̄_bs,iv s_iv}) / Σ_v ω_iv
+//! f_i(ω) ≈ t_i c_i⁺(ω) + b_i
+//! ```
+//!
+//! with the water's coefficients and colour averaged over the pixels that the Gaussian covers. A Gaussian that
+//! no camera saw is taken as seen from the nearest camera through the mean water. All in scene units and
+//! display range.
+//!
+//! Open water becomes a *backdrop*: a sphere of opaque Gaussians around the scene, each with the colour of the
+//! water in its direction, seen from the middle of the cameras.
+//!
+//! Limits: what a picture shows from a distance that no camera had (a close-up, a flight away from the scene)
+//! keeps the water of the cameras' distances. The water of a real viewer position is only in the page and in
+//! `render`.
+
+use rayon::prelude::*;
+use use3d_capture::{Camera, Intrinsics, Lattice, MediumMaps, Pose};
+use use3d_numerics::math;
+use use3d_numerics::spherical_harmonics::C0;
+use use3d_scene::Scene;
+use use3d_splat::{Colors, Gaussians, Prepared, Rasterizer};
+
+use super::{BakeReport, bake_maps};
+use crate::RenderError;
+use crate::cpu::{grades, look_through, thin};
+use crate::renderer::Look;
+
+/// The longest side at which visibility is measured, pixels.
+const SIDE: usize = 400;
+/// Planes that are lifted together: attenuation, backscatter and colour of the water, and ones.
+const PLANES: usize = 10;
+/// Gaussians of the backdrop.
+const BACKDROP: usize = 3000;
+/// The backdrop's distance from the middle of the cameras, in units of the distance within which 99.5 % of the
+/// Gaussians lie.
+const BEYOND: f32 = 1.3;
+
+/// A baked look with water.
+#[derive(Clone, Debug, PartialEq)]
+pub struct InWater {
+    /// The scene's Gaussians with their colours in water, in its frame; the backdrop's come last.
+    pub gaussians: Gaussians,
+    /// How many of them are the backdrop; 0 in a scene without water.
+    pub backdrop: usize,
+    /// How far the harmonics are from the colours that they stand for.
+    pub report: BakeReport,
+}
+
+/// Bakes a look with a share of its water in `[0, 1]`, as `cameras` (in the scene's frame) saw it.
+///
+/// # Errors
+/// A strength or a share outside `[0, 1]`, an enhanced look of a scene that is not enhanced, or no camera.
+pub fn bake_in_water(
+    scene: &Scene,
+    look: Look,
+    water: f32,
+    cameras: &[Camera],
+) -> Result<InWater, RenderError> {
+    if !(0.0..=1.0).contains(&water) {
+        return Err(RenderError::Water(water));
+    }
+    let (grades, strength) = match look {
+        Look::Reconstruction => (None, None),
+        Look::Enhanced { strength } => (Some(grades(scene, strength)?), Some(strength)),
+    };
+    let matrix = |i: usize| grades.as_ref().map_or(IDENTITY, |grades| grades.matrix(i));
+    if scene.medium.is_none() || water == 0.0 {
+        let (gaussians, report) = bake_maps(&scene.gaussians, matrix);
+        return Ok(InWater { gaussians, backdrop: 0, report });
+    }
+    if cameras.is_empty() {
+        return Err(RenderError::NoCameras);
+    }
+    let seen = Seen::through(scene, strength, water, cameras);
+    let in_water = |i: usize| {
+        let (arriving, veil) = seen.of(i);
+        let mut rows = matrix(i);
+        for (c, row) in rows.iter_mut().enumerate() {
+            *row = row.map(|v| arriving[c] * v);
+            row[3] += veil[c];
+        }
+        rows
+    };
+    let (mut gaussians, report) = bake_maps(&scene.gaussians, in_water);
+    let backdrop = backdrop(scene, strength, water, cameras);
+    gaussians.extend(&backdrop);
+    Ok(InWater { gaussians, backdrop: backdrop.len(), report })
+}
+
+/// A colour as it is.
+const IDENTITY: [[f32; 4]; 3] = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
+
+/// `t_i` and `b_i` of every Gaussian.
+struct Seen {
+    arriving: Vec<[f32; 3]>,
+    veil: Vec<[f32; 3]>,
+}
+
+impl Seen {
+    fn of(&self, gaussian: usize) -> ([f32; 3], [f32; 3]) {
+        (self.arriving[gaussian], self.veil[gaussian])
+    }
+
+    fn through(scene: &Scene, strength: Option<f32>, water: f32, cameras: &[Camera]) -> Self {
+        let n = scene.gaussians.len();
+        let (mut arriving, mut veil, mut weight) =
+            (vec![[0.0f32; 3]; n], vec![[0.0f32; 3]; n], vec![0.0f32; n]);
+        let (mut whole, mut maps) = (MediumMaps::zeros(0, 0), MediumMaps::zeros(0, 0));
+        let (mut rasterizer, mut prepared) = (Rasterizer::new(), Prepared::new());
+        let (mut planes, mut sums) = (Vec::new(), vec![0.0f32; PLANES * n]);
+        // The mean water over all pixels, for what no camera saw.
+        let mut mean = [0.0f64; 9];
+        for camera in cameras {
+            let camera = smaller(camera);
+            let lattice = Lattice::full(&camera.intrinsics);
+            look_through(scene, strength, &camera, &lattice, &mut whole);
+            thin(&whole, water, &mut maps);
+            let pixels = lattice.width() * lattice.height();
+            planes.clear();
+            for image in [&maps.attenuation, &maps.backscatter, &maps.color] {
+                planes.extend_from_slice(image.data());
+            }
+            for (m, plane) in mean.iter_mut().zip(planes.chunks_exact(pixels)) {
+                *m += plane.iter().map(|v| f64::from(*v)).sum::<f64>() / (pixels * cameras.len()) as f64;
+            }
+            planes.resize(PLANES * pixels, 1.0);
+            prepared.prepare(&scene.gaussians, &camera, &lattice, Colors::Sh { degree: 0 });
+            rasterizer.splat_adjoint(&prepared, PLANES, &planes, &mut sums);
+            let center = camera.pose.center().as_vec3().to_array();
+            arriving
+                .par_iter_mut()
+                .zip(&mut veil)
+                .zip(&mut weight)
+                .zip(sums.par_chunks_exact(PLANES))
+                .zip(&scene.gaussians.means)
+                .for_each(|((((arriving, veil), weight), sums), at)| {
+                    let visible = sums[PLANES - 1];
+                    if visible <= 0.0 {
+                        return;
+                    }
+                    let water: [f32; 9] = std::array::from_fn(|k| sums[k] / visible);
+                    let (t, b) = through(&water, distance(*at, center));
+                    for c in 0..3 {
+                        arriving[c] += visible * t[c];
+                        veil[c] += visible * b[c];
+                    }
+                    *weight += visible;
+                });
+        }
+        let centers: Vec<[f32; 3]> = cameras.iter().map(|c| c.pose.center().as_vec3().to_array()).collect();
+        let mean = mean.map(|m| m as f32);
+        arriving.par_iter_mut().zip(&mut veil).zip(&weight).zip(&scene.gaussians.means).for_each(
+            |(((arriving, veil), &weight), at)| {
+                if weight > 0.0 {
+                    *arriving = arriving.map(|v| v / weight);
+                    *veil = veil.map(|v| v / weight);
+                } else {
+                    let near = centers.iter().map(|c| distance(*at, *c)).fold(f32::INFINITY, f32::min);
+                    (*arriving, *veil) = through(&mean, near);
+                }
+            },
+        );
+        Self { arriving, veil }
+    }
+}
+
+/// `(e^{−β_attn s}, c_m (1 − e^{−β_bs s}))` of water `[β_attn, β_bs, c_m]` at a distance.
+fn through(water: &[f32; 9], s: f32) -> ([f32; 3], [f32; 3]) {
+    (
+        std::array::from_fn(|c| math::exp(-water[c] * s)),
+        std::array::from_fn(|c| water[6 + c] * (1.0 - math::exp(-water[3 + c] * s))),
+    )
+}
+
+fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
+    (0..3).map(|k| (a[k] - b[k]) * (a[k] - b[k])).sum::<f32>().sqrt()
+}
+
+/// The camera at most [`SIDE`] pixels long.
+fn smaller(camera: &Camera) -> Camera {
+    let lens = &camera.intrinsics;
+    let divisor = lens.width.max(lens.height).div_ceil(SIDE).max(1);
+    Camera { intrinsics: lens.downscaled(divisor), ..*camera }
+}
+
+/// A sphere of Gaussians in the colours of open water, around the scene.
+fn backdrop(scene: &Scene, strength: Option<f32>, water: f32, cameras: &[Camera]) -> Gaussians {
+    let count = cameras.len() as f64;
+    let middle = cameras.iter().map(|c| c.pose.center()).sum::<glam::DVec3>() / count;
+    let middle_f32 = middle.as_vec3().to_array();
+    let mut distances: Vec<f32> = scene.gaussians.means.iter().map(|m| distance(*m, middle_f32)).collect();
+    let farthest_camera =
+        cameras.iter().map(|c| (c.pose.center() - middle).length()).fold(0.0, f64::max) as f32;
+    let most = distances.len().saturating_sub(1) * 995 / 1000;
+    let reach =
+        if distances.is_empty() { 1.0 } else { *distances.select_nth_unstable_by(most, f32::total_cmp).1 };
+    let radius = BEYOND * reach.max(4.0 * farthest_camera).max(1e-3);
+    let mut out = Gaussians::empty(scene.gaussians.sh_degree);
+    // Golden-angle spiral: every Gaussian stands for the same area of the sphere.
+    let turn = std::f64::consts::PI * (3.0 - 5f64.sqrt());
+    let spacing = (4.0 * std::f64::consts::PI / BACKDROP as f64).sqrt() as f32;
+    let (mut whole, mut maps) = (MediumMaps::zeros(0, 0), MediumMaps::zeros(0, 0));
+    let lens = Intrinsics { width: 1, height: 1, fx: 1.0, fy: 1.0, cx: 0.5, cy: 0.5 };
+    for k in 0..BACKDROP {
+        let z = 1.0 - (2.0 * k as f64 + 1.0) / BACKDROP as f64;
+        let (r, phi) = ((1.0 - z * z).sqrt(), k as f64 * turn);
+        let direction = glam::DVec3::new(r * math::cos(phi), r * math::sin(phi), z);
+        let up = if direction.y.abs() < 0.9 { glam::DVec3::Y } else { glam::DVec3::X };
+        let camera = Camera { intrinsics: lens, pose: Pose::look_at(middle, middle + direction, up) };
+        look_through(scene, strength, &camera, &Lattice::full(&lens), &mut whole);
+        thin(&whole, water, &mut maps);
+        // What is left of the open water, as `Renderer` dims it.
+        let color = maps.color.pixel(0, 0).map(|v| water * v);
+        let at = (middle + f64::from(radius) * direction).as_vec3().to_array();
+        out.means.push(at);
+        out.log_scales.push([math::ln(radius * spacing); 3]);
+        out.quaternions.push([1.0, 0.0, 0.0, 0.0]);
+        out.opacity_logits.push(6.0);
+        let mut sh = [[0.0; 3]; 16];
+        sh[0] = color.map(|v| (v.max(0.0) - 0.5) / C0);
+        out.sh.push(sh);
+    }
+    out
+}
