@@ -125,7 +125,8 @@ fn depth(camera: &Camera, point: DVec3) -> Option<f64> {
 /// largest one across.
 fn shorten(log_scales: &mut [f32; 3], q: [f32; 4], direction: DVec3, stretch: f64) {
     let q = DQuat::from_xyzw(q[1].into(), q[2].into(), q[3].into(), q[0].into());
-    if !(q.length() > 0.0) {
+    let length = q.length();
+    if length == 0.0 || !length.is_finite() {
         return;
     }
     // In the Gaussian's own axes.

@@ -185,8 +185,8 @@ mod tests {
         g
     }
 
-    /// Worths where the photographs of `wrong` views show a brighter first disc than the scene has, and those of
-    /// view 0 a brighter second one.
+    /// Worths where the photographs of `wrong` views show a brighter first disc than the scene has, and
+    /// that of view 0 a brighter second one.
     fn worths(views: usize, wrong: &[usize], masked: bool) -> Vec<f32> {
         let state = TrainingState::new(discs(), MediumModel::None, &[]);
         let (mut prepared, mut rasterizer, mut rendered) =
