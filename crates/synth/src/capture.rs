@@ -7,6 +7,7 @@
 //! truth/clean/frame_0001.png   J: the same pictures without water and noise; black where there is only water
 //! truth/depth/frame_0001.exr   z-depth in COLMAP units, channel Z; 0 where there is only water
 //! truth/water.json             coefficients, veiling light, frame, each view's gains (`CaptureTruth`)
+//! truth/greys/frame_0001.png … white counts: the inside of grey patches; only where boards of greys were asked for
 //! masks/frame_0001.png …       white counts, 0 is a fish; only where fish were asked for
 //! ```
 //!
@@ -28,9 +29,9 @@ use use3d_numerics::range::OutOfRange;
 use crate::error::{Answer, SynthError, check, whole_folder};
 use crate::geometry::noise::Noise;
 use crate::physics::spectral::{Lamps, Spectral};
-use crate::physics::{Physics, camera, passers, sideways};
+use crate::physics::{Development, Physics, camera, passers, sideways};
 use crate::render::{Condition, Look, Shot, add_noise, expose, render};
-use crate::scene::{Caustics, Draws, Layout, MeshScene, Place};
+use crate::scene::{Caustics, Draws, Layout, MeshScene, Place, linear};
 use crate::sparse::{self, Corner};
 use crate::swim;
 use crate::water::{Water, WaterType};
@@ -85,6 +86,16 @@ pub struct CaptureParams {
     /// Particles before the lens, 0 (none) to 1. Spectral physics only.
     #[serde(skip_serializing_if = "is_default")]
     pub snow: f32,
+    /// The camera's development of its sensor's light. Spectral physics only, unless `plain`.
+    #[serde(skip_serializing_if = "is_default")]
+    pub camera: Development,
+    /// Strength of the light of the sky that the scene is photographed against, 0 (none) to 1: a bright sky
+    /// and its glare. Spectral physics only; there is a sky in air alone.
+    #[serde(skip_serializing_if = "is_default")]
+    pub backlight: f32,
+    /// Boards of grey patches stand near and far. Not in a pool.
+    #[serde(skip_serializing_if = "is_default")]
+    pub greys: bool,
     /// Fish in every view, each somewhere else, hidden by masks; at most 50. Spectral physics only.
     #[serde(skip_serializing_if = "is_default")]
     pub fish: usize,
@@ -118,6 +129,9 @@ impl Default for CaptureParams {
             auto_exposure: 0.0,
             snow: 0.0,
             fish: 0,
+            camera: Development::Plain,
+            backlight: 0.0,
+            greys: false,
         }
     }
 }
@@ -140,6 +154,9 @@ impl CaptureParams {
         check("auto_exposure", self.auto_exposure, share, "0 to 1")?;
         check("snow", self.snow, (0.0..=1.0).contains(&self.snow), "0 to 1")?;
         check("fish", self.fish, self.fish <= 50, "at most 50")?;
+        check("backlight", self.backlight, (0.0..=1.0).contains(&self.backlight), "0 to 1")?;
+        let reef = "nothing but its default in a pool; boards of greys stand in the reef";
+        check("greys", self.greys, !self.greys || self.place == Place::Reef, reef)?;
         if self.physics == Physics::Display {
             let only = "nothing but its default with physics = \"display\"; ask for physics = \"spectral\"";
             check("air", self.air, !self.air, only)?;
@@ -147,6 +164,8 @@ impl CaptureParams {
             check("auto_exposure", self.auto_exposure, self.auto_exposure == 0.0, only)?;
             check("snow", self.snow, self.snow == 0.0, only)?;
             check("fish", self.fish, self.fish == 0, only)?;
+            check("camera", self.camera.name(), self.camera == Development::Plain, only)?;
+            check("backlight", self.backlight, self.backlight == 0.0, only)?;
         }
         Ok(())
     }
@@ -221,7 +240,7 @@ enum Between {
     /// The method's own formation, display values.
     Display(Condition),
     /// Spectral transport, and what the camera sets for each view.
-    Spectral { water: Box<Spectral>, gains: Vec<Vec3>, middle: f32 },
+    Spectral { water: Box<Spectral>, clean: Box<Spectral>, gains: Vec<Vec3>, middle: f32 },
 }
 
 /// Everything that a view is rendered from.
@@ -241,6 +260,8 @@ impl Studio {
             detail: params.detail,
             density: 1.0,
             wreck: true,
+            greys: params.greys,
+            veil: veil_tiles(params),
         };
         let scene = MeshScene::new(&layout);
         let lens = swim::lens(params.width, params.height, &mut Draws::new(params.seed, "lens", 0));
@@ -262,10 +283,13 @@ impl Studio {
                     true => Spectral::air(scene.sun()),
                     false => Spectral::new(params.water, params.depth, scene.sun(), lamps),
                 };
+                let reef = params.camera == Development::Action;
+                let water = water.with_reef_spectra(reef).against_light(params.backlight);
                 let automatic = camera::Automatic {
                     white_balance: params.white_balance,
                     per_view: params.auto_exposure,
                     seed: params.seed,
+                    development: params.camera,
                 };
                 let look = |camera: &Camera| Box::new(water.seen_from(sideways(camera))) as Box<dyn Look>;
                 let gains = camera::gains(&scene, &cameras, &look, automatic);
@@ -273,7 +297,8 @@ impl Studio {
                 // White light, and no veil to brighten the picture.
                 let white = Condition { light: Vec3::ONE, water: None };
                 let light = Vec3::splat(expose(&scene, &some, &white, 0.36));
-                (Between::Spectral { water: Box::new(water), gains, middle }, light)
+                let clean = Spectral::air(scene.sun()).with_reef_spectra(reef).without_sky();
+                (Between::Spectral { water: Box::new(water), clean: Box::new(clean), gains, middle }, light)
             }
         };
         let frame = colmap_frame(params.seed);
@@ -321,19 +346,55 @@ impl Studio {
                 add_noise(&mut shot.images[0], params.noise, params.seed, view as u64);
                 (shot, None)
             }
-            Between::Spectral { water, gains, middle } => {
+            Between::Spectral { water, clean, gains, middle } => {
                 let water = water.seen_from(sideways(camera));
-                let mut shot = render(&self.scene, camera, &[&water, &self.clean], caustics);
+                // The same camera's picture of the scene in air; the plain one's is the clean picture.
+                let action = params.camera == Development::Action;
+                let clean: &dyn Look = if action { clean.as_ref() } else { &self.clean };
+                let mut shot = render(&self.scene, camera, &[&water, clean], caustics);
                 let image = &mut shot.images[0];
                 let mut canvas = passers::Canvas { image, depth: &shot.depth, camera, water: &water };
                 let mask =
                     (params.fish > 0).then(|| passers::fish(&mut canvas, params.fish, params.seed, view));
                 passers::snow(&mut canvas, params.snow, params.seed, view);
-                let image = &mut shot.images[0];
-                camera::develop(image, gains[view], *middle, params.noise, params.seed, view as u64);
+                if params.backlight > 0.0 {
+                    let sky = shot.depth.data().iter().filter(|z| **z == 0.0).count() as f32;
+                    let glare = water.glare(sky / shot.depth.pixels().max(1) as f32);
+                    for c in 0..3 {
+                        shot.images[0].plane_mut(c).iter_mut().for_each(|v| *v += glare[c]);
+                    }
+                }
+                let settings = camera::Settings {
+                    gains: gains[view],
+                    middle: *middle,
+                    sigma: params.noise,
+                    development: params.camera,
+                };
+                camera::develop(&mut shot.images[0], settings, params.seed, view as u64);
+                if action {
+                    let gains = self.clean.light;
+                    let settings = camera::Settings { gains, sigma: 0.0, ..settings };
+                    camera::develop(&mut shot.images[1], settings, params.seed, view as u64);
+                }
                 (shot, mask)
             }
         }
+    }
+
+    /// 1 where a grey patch fills a pixel and all its neighbours.
+    fn greys(&self, shot: &Shot) -> Map {
+        let (w, h) = (shot.depth.width(), shot.depth.height());
+        let mut map = Map::new(w, h);
+        for y in 1..h.saturating_sub(1) {
+            for x in 1..w.saturating_sub(1) {
+                let here = shot.surfaces[y * w + x];
+                let alike = |i: usize| shot.surfaces[(y + i / 3 - 1) * w + x + i % 3 - 1] == here;
+                if self.scene.is_grey(here) && (0..9).all(alike) {
+                    map.set_pixel(x, y, [1.0]);
+                }
+            }
+        }
+        map
     }
 
     /// Renders and writes one view; returns the corners for the sparse points.
@@ -346,6 +407,10 @@ impl Studio {
         let scale = self.frame.scale as f32;
         let depth = shot.depth.map(|z| scale * z);
         write_exr_map(&dir.join(format!("truth/depth/{stem}.exr")), &depth, "Z")?;
+        if params.greys {
+            let greys = self.greys(&shot);
+            write_png_map(&dir.join(format!("truth/greys/{stem}.png")), &greys)?;
+        }
         if params.depth_priors {
             let prior = depth_prior(&shot.depth, params.seed, view);
             write_png_map16(&dir.join(format!("depth/{stem}.png")), &prior)?;
@@ -360,6 +425,12 @@ impl Studio {
         let wanted = (2 * params.points).div_ceil(params.views);
         Ok(sparse::corners(&picture, &surfaces, params.seed, view, wanted))
     }
+}
+
+/// The colour of tiles that look as open water does, linear.
+fn veil_tiles(params: &CaptureParams) -> Vec3 {
+    let water = Water::of_type(params.water, params.depth, params.white_balance, Vec3::Z, Vec3::Z);
+    linear(water.veil.map(|v| (255.0 * v.clamp(0.0, 1.0)).round() as u8))
 }
 
 fn stem(view: usize) -> String {

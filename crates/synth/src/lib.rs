@@ -29,6 +29,6 @@ mod water;
 pub use capture::{CaptureParams, CaptureTruth, ViewGains, write_capture};
 pub use error::{Answer, SynthError};
 pub use pairs::{PairsParams, write_pairs};
-pub use physics::Physics;
+pub use physics::{Development, Physics};
 pub use scene::Place;
 pub use water::{UnknownWaterType, Water, WaterType};

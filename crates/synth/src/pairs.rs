@@ -18,7 +18,7 @@ use use3d_numerics::range::OutOfRange;
 use crate::error::{Answer, SynthError, check, whole_folder};
 use crate::physics::camera::{self as develop, Automatic};
 use crate::physics::spectral::Spectral;
-use crate::physics::{Physics, sideways};
+use crate::physics::{Development, Physics, sideways};
 use crate::render::{Condition, add_noise, expose, render};
 use crate::scene::{Caustics, Draws, Layout, MeshScene, Place};
 use crate::swim;
@@ -123,6 +123,8 @@ pub fn write_pairs<A: Answer>(
                 detail: params.detail,
                 density: draws.range(0.5, 1.1),
                 wreck: draws.below(2) == 0,
+                greys: false,
+                veil: Vec3::ZERO,
             };
             let scene = MeshScene::new(&layout);
             for pair in number * PER_SCENE..((number + 1) * PER_SCENE).min(params.pairs) {
@@ -161,11 +163,22 @@ fn write_pair(params: &PairsParams, scene: &MeshScene, pair: usize, dir: &Path) 
         }
         Physics::Spectral => {
             let water = Spectral::new(kind, depth, scene.sun(), None).seen_from(sideways(&camera));
-            let automatic = Automatic { white_balance, per_view: 1.0, seed: params.seed ^ pair as u64 };
+            let automatic = Automatic {
+                white_balance,
+                per_view: 1.0,
+                seed: params.seed ^ pair as u64,
+                development: Development::Plain,
+            };
             let gains = develop::gains(scene, &[camera], &|_| Box::new(water), automatic);
             let mut shot = render(scene, &camera, &[&water, &wished], still);
             let (middle, image) = (develop::middle_gain(&gains), &mut shot.images[0]);
-            develop::develop(image, gains[0], middle, params.noise, params.seed, pair as u64);
+            let settings = develop::Settings {
+                gains: gains[0],
+                middle,
+                sigma: params.noise,
+                development: Development::Plain,
+            };
+            develop::develop(image, settings, params.seed, pair as u64);
             shot
         }
     };

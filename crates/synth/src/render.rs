@@ -53,6 +53,8 @@ impl Condition {
 pub(crate) struct Shot {
     pub(crate) images: Vec<Image>,
     pub(crate) depth: Map,
+    /// The surface of every pixel's centre; `u16::MAX` is open water.
+    pub(crate) surfaces: Vec<u16>,
 }
 
 /// Further rays of a pixel that needs them.
@@ -169,7 +171,7 @@ pub(crate) fn render(
         .collect();
     // The raster has as many values as pixels.
     let depth = Map::from_planes(width, height, depth).unwrap_or_else(|| Map::new(width, height));
-    Shot { images, depth }
+    Shot { images, depth, surfaces }
 }
 
 /// The lens: it spreads every point over its neighbours, 1:2:1 along both axes, as real ones do to what is

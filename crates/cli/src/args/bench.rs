@@ -70,7 +70,7 @@ pub(crate) struct BenchTruthArgs {
     #[arg(short, long, value_name = "DIR")]
     pub(crate) out: PathBuf,
     /// Only these captures: display-I, display-II, display-III, display-1C, display-5C, pool, spectral,
-    /// lamps, air.
+    /// lamps, air, veil-pool, air-backlit, camera-I, camera-II, camera-1C.
     #[arg(long, value_delimiter = ',', value_name = "NAME,...")]
     pub(crate) captures: Vec<String>,
     /// The seeds, of captures and trainings alike.

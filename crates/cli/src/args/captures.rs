@@ -52,7 +52,8 @@ pub(crate) struct SynthCaptureArgs {
     /// Water type (Jerlov): I, IA, IB, II, III, 1C, 3C, 5C, 7C, 9C; with --physics spectral also `air`.
     #[arg(long, value_name = "TYPE")]
     pub(crate) water: Option<String>,
-    /// Where it is taken: `reef`, or `pool`, a tiled basin of even surfaces.
+    /// Where it is taken: `reef`; `pool`, a tiled basin of even surfaces; `veil-pool`, whose tiles have the
+    /// colour of open water.
     #[arg(long, value_name = "NAME", default_value = "reef")]
     pub(crate) place: String,
     /// Image formation: `display` is the method's own, on display values; `spectral` is not: wavelengths in
@@ -81,6 +82,16 @@ pub(crate) struct SynthCaptureArgs {
     /// Spectral: fish in every view, hidden by masks.
     #[arg(long, value_name = "N")]
     pub(crate) fish: Option<usize>,
+    /// Spectral: what the camera makes of its light: `plain` (sRGB), or `action` (bounded white balance, colour
+    /// matrix, saturation, contrast, clipping; surfaces have reef spectra).
+    #[arg(long, value_name = "NAME", default_value = "plain")]
+    pub(crate) camera: String,
+    /// Spectral, in air: how much it is taken against the light of the sky, 0 to 1.
+    #[arg(long, value_name = "AMOUNT")]
+    pub(crate) backlight: Option<f32>,
+    /// Boards with grey patches near and far, listed in truth/greys/.
+    #[arg(long)]
+    pub(crate) greys: bool,
     /// Write no depth priors (they are made from the true depth).
     #[arg(long)]
     pub(crate) no_depth_priors: bool,

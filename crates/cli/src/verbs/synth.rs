@@ -8,7 +8,8 @@ use use3d_build::place::{self, Look, Standing};
 use use3d_build::{Digest, Event};
 use use3d_pipeline::code::built_in;
 use use3d_synth::{
-    CaptureParams, PairsParams, Physics, Place, SynthError, WaterType, write_capture, write_pairs,
+    CaptureParams, Development, PairsParams, Physics, Place, SynthError, WaterType, write_capture,
+    write_pairs,
 };
 
 use crate::App;
@@ -69,7 +70,15 @@ fn capture_params(args: &SynthCaptureArgs) -> Result<CaptureParams, CliError> {
     let common = &args.common;
     let physics = named("--physics", &args.physics, &Physics::ALL.map(Physics::name))?;
     let place = named("--place", &args.place, &Place::ALL.map(Place::name))?;
-    let mut params = CaptureParams { seed: common.seed, place, physics, ..CaptureParams::default() };
+    let camera = named("--camera", &args.camera, &Development::ALL.map(Development::name))?;
+    let mut params = CaptureParams {
+        seed: common.seed,
+        place,
+        physics,
+        camera,
+        greys: args.greys,
+        ..CaptureParams::default()
+    };
     if physics == Physics::Spectral {
         // What cameras do under water unless somebody tells them otherwise.
         (params.auto_exposure, params.white_balance) = (1.0, 0.5);
@@ -92,6 +101,7 @@ fn capture_params(args: &SynthCaptureArgs) -> Result<CaptureParams, CliError> {
     set(&mut params.auto_exposure, args.auto_exposure);
     set(&mut params.lamps, args.lamps);
     set(&mut params.snow, args.snow);
+    set(&mut params.backlight, args.backlight);
     params.fish = args.fish.unwrap_or(params.fish);
     params.depth_priors = !args.no_depth_priors;
     Ok(params)

@@ -1,11 +1,13 @@
 //! The captures with truth, by name.
 //!
 //! Five follow the method's own formation in waters from clear ocean to turbid coast, a sixth in a tiled
-//! pool; three follow physics that is not the method's (wavelengths in linear light, a camera that exposes
-//! and balances every view on its own): daylight, lamps, air. None has depth priors, since those of synthetic
-//! captures are made from the true depth.
+//! pool, a seventh in one whose tiles have the colour of open water; three follow physics that is not the
+//! method's (wavelengths in linear light, a camera that exposes and balances every view on its own):
+//! daylight, lamps, air; a fourth is air against the light. Three more are taken with a camera that
+//! develops as action cameras do, with reef spectra and grey boards near and far. None has depth priors,
+//! since those of synthetic captures are made from the true depth.
 
-use use3d_synth::{CaptureParams, Physics, Place, WaterType};
+use use3d_synth::{CaptureParams, Development, Physics, Place, WaterType};
 
 /// A capture that is made, not taken.
 #[derive(Clone, Copy, Debug)]
@@ -20,18 +22,36 @@ pub struct Capture {
     place: Place,
     /// Light of the lamps, see [`CaptureParams::lamps`].
     lamps: f32,
+    /// The camera's development; with [`Development::Action`] boards of greys stand in the scene.
+    camera: Development,
+    /// See [`CaptureParams::backlight`].
+    backlight: f32,
 }
 
 const fn display(name: &'static str, about: &'static str, water: WaterType) -> Capture {
-    Capture { name, about, water: Some(water), physics: Physics::Display, place: Place::Reef, lamps: 0.0 }
+    Capture {
+        name,
+        about,
+        water: Some(water),
+        physics: Physics::Display,
+        place: Place::Reef,
+        lamps: 0.0,
+        camera: Development::Plain,
+        backlight: 0.0,
+    }
 }
 
 const fn spectral(name: &'static str, about: &'static str, water: Option<WaterType>, lamps: f32) -> Capture {
-    Capture { name, about, water, physics: Physics::Spectral, place: Place::Reef, lamps }
+    let plain = display(name, about, WaterType::Ii);
+    Capture { water, physics: Physics::Spectral, lamps, ..plain }
+}
+
+const fn action(name: &'static str, about: &'static str, water: WaterType) -> Capture {
+    Capture { camera: Development::Action, ..spectral(name, about, Some(water), 0.0) }
 }
 
 /// All of them.
-pub const CAPTURES: [Capture; 9] = [
+pub const CAPTURES: [Capture; 14] = [
     display("display-I", "The method's own formation, clear ocean (Jerlov I)", WaterType::I),
     display("display-II", "The method's own formation, ocean (Jerlov II)", WaterType::Ii),
     display("display-III", "The method's own formation, dull ocean (Jerlov III)", WaterType::Iii),
@@ -49,6 +69,21 @@ pub const CAPTURES: [Capture; 9] = [
     ),
     spectral("lamps", "The same with two lamps at the camera", Some(WaterType::Ii), 3.0),
     spectral("air", "The same without water and lamps", None, 0.0),
+    Capture {
+        place: Place::VeilPool,
+        ..display("veil-pool", "The pool with tiles of the colour of open water", WaterType::Ib)
+    },
+    Capture {
+        backlight: 1.0,
+        ..spectral("air-backlit", "Air, taken against the light of the sky", None, 0.0)
+    },
+    action(
+        "camera-I",
+        "An action camera on a reef in clear ocean (Jerlov I), with grey boards",
+        WaterType::I,
+    ),
+    action("camera-II", "The same in ocean (Jerlov II)", WaterType::Ii),
+    action("camera-1C", "The same at a clear coast (Jerlov 1C)", WaterType::Coastal1),
 ];
 
 /// The captures of these names, in the order of [`CAPTURES`]; letter case is
@@ -78,6 +113,9 @@ impl Capture {
             physics: self.physics,
             air: self.water.is_none(),
             lamps: self.lamps,
+            camera: self.camera,
+            greys: self.camera == Development::Action,
+            backlight: self.backlight,
             ..CaptureParams::default()
         };
         let wet = CaptureParams { water: self.water.unwrap_or(plain.water), ..plain };
@@ -106,7 +144,8 @@ mod tests {
             assert!(!params.depth_priors && params.seed == 3);
             assert!(all[..i].iter().all(|other| other != params), "{}", CAPTURES[i].name);
         }
-        assert_eq!(all.iter().filter(|p| p.auto_exposure > 0.0).count(), 3);
+        assert_eq!(all.iter().filter(|p| p.auto_exposure > 0.0).count(), 7);
+        assert_eq!(all.iter().filter(|p| p.greys).count(), 3);
         assert_eq!(CAPTURES[0].folder(7), "display-I-seed-7");
     }
 

@@ -28,7 +28,7 @@ const fn percent(metric: &'static str, head: &'static str) -> Column {
 }
 
 /// A capture's table.
-const ROWS: [Column; 9] = [
+const ROWS: [Column; 11] = [
     column("truth_psnr_raw", "PSNR", 2, Better::Higher),
     column("truth_psnr_channel", "PSNR, gain per channel", 2, Better::Higher),
     column("truth_psnr_affine", "PSNR, affine", 2, Better::Higher),
@@ -36,6 +36,8 @@ const ROWS: [Column; 9] = [
     column("truth_delta_e_channel", "ΔE₀₀, gain per channel", 2, Better::Lower),
     column("truth_delta_e_affine", "ΔE₀₀, affine", 2, Better::Lower),
     column("truth_delta_e_1976_channel", "ΔE of 1976, gain per channel", 2, Better::Lower),
+    column("grey_near", "greys near, °", 1, Better::Lower),
+    column("grey_far", "greys far, °", 1, Better::Lower),
     column("path_w_delta_e", "path wΔE", 3, Better::Lower),
     column("path_w_ssim", "path wSSIM", 4, Better::Higher),
 ];

@@ -17,6 +17,9 @@
 //!   such gain per channel, as a camera that balances its white differently would see it. `…_affine`: after
 //!   the affine map of colours (3×4) of least squares per image: what no adjustment of a whole picture mends
 //!   is left. Gains and maps are fitted to values in `[0, 1]` before they are clipped.
+//! * `grey_near`, `grey_far`: where `truth/greys/` marks grey patches, the angle in degrees between grey
+//!   and the sum of their colours (linear light, each of length 1): nearer than 3 m, and from 4 m on.
+//!   Clipped and nearly black pixels do not count.
 //! * `depth_error`: the median of `|z - z*| / z*` of the expected depth, `z*` the true depth times the scale
 //!   of the recorded frame.
 //! * `holes`: the share of surface where the accumulation is below one half: what is seen there is mostly
@@ -34,12 +37,21 @@ use use3d_metrics::{
     ExposureFit, Mask, MetricError, affine_fit, exposure_gain, map_colours, mean_cie1976, mean_ciede2000,
     psnr, psnr_exposure_fitted,
 };
+use use3d_numerics::math;
 use use3d_synth::CaptureTruth;
 
 use crate::judge::scores::{Score, Scores};
 
 /// The true clean images, relative to the capture.
 const CLEAN: &str = "truth/clean";
+/// Where grey patches are.
+const GREYS: &str = "truth/greys";
+/// Grey patches are near up to the first and far from the second, metres.
+const NEAR_AND_FAR: [f64; 2] = [3.0, 4.0];
+/// Fewer pixels of grey patches than this say nothing.
+const FEWEST_GREYS: usize = 12;
+/// Display values of a grey patch that count in all channels: neither clipped nor nearly black.
+const READABLE: [f32; 2] = [0.04, 0.96];
 /// The true depths.
 const DEPTH: &str = "truth/depth";
 /// The true water.
@@ -60,6 +72,7 @@ pub struct TruthError(#[from] ImportError);
 fn parameters(capture: &Path, size: Option<ImageSize>) -> ImportParams {
     ImportParams {
         image_dir: Some(CLEAN.into()),
+        mask_dir: capture.join(GREYS).is_dir().then(|| GREYS.into()),
         depth_dir: capture.join(DEPTH).is_dir().then(|| DEPTH.into()),
         size,
         split: SplitParams { every: 0, lists: false, ..SplitParams::default() },
@@ -77,7 +90,8 @@ pub fn files(capture: &Path) -> Vec<PathBuf> {
     if !is_there(capture) {
         return Vec::new();
     }
-    let mut files = [CLEAN, DEPTH, WATER].map(PathBuf::from).to_vec();
+    let mut files = [CLEAN, DEPTH, WATER, GREYS].map(PathBuf::from).to_vec();
+    files.retain(|file| file != Path::new(GREYS) || capture.join(file).is_dir());
     files.extend(import(capture, &parameters(capture, None)).ok().map(|i| PathBuf::from(i.report.model)));
     files
 }
@@ -98,6 +112,8 @@ pub struct Truth {
     water: Option<CaptureTruth>,
     /// Whether there are true depths.
     pub knows_depth: bool,
+    /// Grey patches are marked; masks are the capture's own else.
+    knows_greys: bool,
 }
 
 impl Truth {
@@ -130,7 +146,8 @@ impl Truth {
                 None
             }
         };
-        Some(Self { imported, water, knows_depth: capture.join(DEPTH).is_dir() })
+        let [knows_depth, knows_greys] = [DEPTH, GREYS].map(|folder| capture.join(folder).is_dir());
+        Some(Self { imported, water, knows_depth, knows_greys })
     }
 
     /// The truth of the view whose name has this stem; `None` where it was not kept.
@@ -140,7 +157,9 @@ impl Truth {
         let prepared = self.imported.view(index)?;
         // Where the truth has no depths, what was found is the capture's own priors.
         let depth = prepared.depth_prior.filter(|_| self.knows_depth);
-        Ok(Some(TrueView { clean: prepared.pixels.to_image(), depth }))
+        let greys = prepared.mask.filter(|_| self.knows_greys);
+        let metres = self.water.as_ref().map(|water| 1.0 / water.units_per_metre);
+        Ok(Some(TrueView { clean: prepared.pixels.to_image(), depth, greys, metres }))
     }
 
     /// The recovered water beside the true one, where that is known (spectral water has no single true
@@ -239,6 +258,10 @@ pub struct TrueView {
     clean: Image,
     /// z-depth, COLMAP units; 0 is open water.
     depth: Option<Map>,
+    /// 1 inside grey patches.
+    greys: Option<Map>,
+    /// Metres per COLMAP unit.
+    metres: Option<f64>,
 }
 
 impl TrueView {
@@ -290,6 +313,30 @@ impl TrueView {
         scores
     }
 
+    /// `grey_near` and `grey_far` of an image; none where the truth marks no grey patches.
+    pub fn greys(&self, image: &Image) -> Scores {
+        let mut scores = Scores::new();
+        let (Some(greys), Some(depth), Some(metres)) = (&self.greys, &self.depth, self.metres) else {
+            return scores;
+        };
+        let same = [greys.pixels(), depth.pixels()].iter().all(|n| *n == image.pixels());
+        let near = |z: f64| z > 0.0 && z < NEAR_AND_FAR[0];
+        let far = |z: f64| z >= NEAR_AND_FAR[1];
+        let ranges: [(&str, &dyn Fn(f64) -> bool); 2] = [("grey_near", &near), ("grey_far", &far)];
+        for (name, within) in ranges {
+            let counts = |p: &usize| {
+                let z = f64::from(depth.data()[*p]) * metres;
+                greys.data()[*p] > 0.999 && within(z)
+            };
+            let colors = (0..image.pixels()).filter(|p| same && counts(p)).map(|p| {
+                let planes = image.planes();
+                [0, 1, 2].map(|c| planes[c][p])
+            });
+            scores.insert(name.into(), angle_to_grey(colors));
+        }
+        scores
+    }
+
     /// The true depth, where it is known and as large as `map`.
     fn depth_as(&self, map: &Map) -> Result<&Map, Score> {
         match &self.depth {
@@ -336,6 +383,26 @@ impl TrueView {
     }
 }
 
+/// Degrees between grey and the sum of display colours, each taken in linear light at length 1.
+fn angle_to_grey(colors: impl Iterator<Item = [f32; 3]>) -> Score {
+    let readable = |color: &[f32; 3]| color.iter().all(|v| (READABLE[0]..=READABLE[1]).contains(v));
+    let (mut sum, mut count) = ([0.0f64; 3], 0);
+    for color in colors.filter(readable) {
+        let light = color.map(|v| math::powf((f64::from(v) + 0.055) / 1.055, 2.4));
+        let length = light.iter().map(|v| v * v).sum::<f64>().sqrt();
+        sum.iter_mut().zip(light).for_each(|(s, v)| *s += v / length);
+        count += 1;
+    }
+    if count < FEWEST_GREYS {
+        return Score::Undefined(format!(
+            "{count} pixels of grey patches can be read; {FEWEST_GREYS} are needed"
+        ));
+    }
+    let length = sum.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let cosine = sum.iter().sum::<f64>() / (length * 3.0f64.sqrt());
+    Score::of(math::acos(cosine.clamp(-1.0, 1.0)).to_degrees())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -355,7 +422,7 @@ mod tests {
     fn what_a_clean_image_without_depth_leaves_black_is_no_surface() {
         let mut clean = ramp(1.0);
         (0..8).for_each(|x| clean.set_pixel(x, 0, [0.005; 3]));
-        let view = TrueView { clean, depth: None };
+        let view = TrueView { clean, depth: None, greys: None, metres: None };
         let mut image = ramp(1.01);
         (0..8).for_each(|x| image.set_pixel(x, 0, [0.9; 3]));
         assert!(view.scores(&image, None)["truth_psnr_raw"].value().is_some_and(|v| v > 40.0));
@@ -365,14 +432,14 @@ mod tests {
     fn holes_are_counted_where_there_is_a_surface() {
         let mut depth = Map::filled(8, 4, 2.0);
         (0..8).for_each(|x| depth.set_pixel(x, 0, [0.0]));
-        let view = TrueView { clean: ramp(1.0), depth: Some(depth) };
+        let view = TrueView { clean: ramp(1.0), depth: Some(depth), greys: None, metres: None };
         let mut accumulation = Map::filled(8, 4, 0.9);
         (0..8).for_each(|x| accumulation.set_pixel(x, 0, [0.1]));
         assert_eq!(view.holes(&accumulation).value(), Some(0.0), "open water is no hole");
         (0..6).for_each(|x| accumulation.set_pixel(x, 1, [0.4]));
         close(&view.holes(&accumulation), 6.0 / 24.0, 1e-9);
         assert!(view.holes(&Map::new(4, 4)).value().is_none(), "another size");
-        let open = TrueView { clean: ramp(1.0), depth: Some(Map::new(8, 4)) };
+        let open = TrueView { clean: ramp(1.0), depth: Some(Map::new(8, 4)), greys: None, metres: None };
         assert!(open.holes(&accumulation).value().is_none(), "no surface at all");
     }
 
@@ -385,7 +452,7 @@ mod tests {
     fn exposure_is_forgiven_open_water_ignored_and_depth_scaled() {
         let mut depth = Map::filled(8, 4, 2.0);
         depth.set_pixel(0, 0, [0.0]);
-        let truth = TrueView { clean: ramp(1.0), depth: Some(depth) };
+        let truth = TrueView { clean: ramp(1.0), depth: Some(depth), greys: None, metres: None };
         let mut darker = ramp(0.5);
         darker.set_pixel(0, 0, [1.0, 0.0, 1.0]); // open water: whatever is there does not count
         let scores = truth.scores(&darker, None);
@@ -414,7 +481,7 @@ mod tests {
             }
             image
         };
-        let truth = TrueView { clean: clean.clone(), depth: None };
+        let truth = TrueView { clean: clean.clone(), depth: None, greys: None, metres: None };
         let equal = |score: &Score| score.value().is_none_or(|psnr| psnr > 90.0);
         // Each distortion, and the fits that undo it.
         let channels = |gains: [f32; 3]| {
@@ -516,5 +583,29 @@ mod tests {
         let (truth, notices) = open(&capture);
         assert!(truth.is_none() && notices[0].contains("left alone"), "{notices:?}");
         assert!(!files(&capture).is_empty(), "a change there is noticed");
+    }
+
+    #[test]
+    fn greys_are_judged_by_their_angle_near_and_far() {
+        let mut depth = Map::new(8, 4);
+        depth.data_mut().iter_mut().enumerate().for_each(|(p, z)| *z = if p < 16 { 1.0 } else { 2.0 });
+        let truth = TrueView {
+            clean: Image::filled(8, 4, 0.5),
+            depth: Some(depth),
+            greys: Some(Map::filled(8, 4, 1.0)),
+            metres: Some(2.5),
+        };
+        let mut image = Image::filled(8, 4, 0.5);
+        // Far, red has twice the light: linear (2, 1, 1) / √6 is acos(4 / √18) from grey.
+        let red = 1.055 * math::powf(2.0 * math::powf((0.5f32 + 0.055) / 1.055, 2.4), 1.0 / 2.4) - 0.055;
+        image.plane_mut(0)[16..].fill(red);
+        let scores = truth.greys(&image);
+        assert!(scores["grey_near"].value().unwrap() < 0.01);
+        let far = math::acos(4.0 / 18f64.sqrt()).to_degrees();
+        assert!((scores["grey_far"].value().unwrap() - far).abs() < 1e-3, "{scores:?}");
+        // Clipped pixels say nothing, and neither does a truth without patches.
+        image.plane_mut(2)[16..].fill(1.0);
+        assert!(truth.greys(&image)["grey_far"].value().is_none());
+        assert!(TrueView { greys: None, ..truth }.greys(&image).is_empty());
     }
 }

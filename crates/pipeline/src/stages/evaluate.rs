@@ -431,6 +431,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
                 // The water is still in stage 1's images.
                 if *method != Method::Reconstruction {
                     scores.extend(truth.scores(image, mask.as_ref()));
+                    scores.extend(truth.greys(image));
                 }
             }
             let scores = scores.into_iter().map(|(name, score)| (name, score.named(&view.name))).collect();

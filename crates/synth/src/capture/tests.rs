@@ -313,3 +313,68 @@ fn a_display_capture_keeps_its_description_when_fields_are_added() {
     }
     assert_eq!(serde_json::from_str::<CaptureParams>(&text).unwrap(), CaptureParams::default());
 }
+
+#[test]
+fn an_action_camera_s_capture_marks_grey_patches_that_are_grey_without_water() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("action");
+    let params = CaptureParams {
+        views: 4,
+        width: 160,
+        height: 90,
+        physics: Physics::Spectral,
+        camera: Development::Action,
+        greys: true,
+        white_balance: 0.5,
+        auto_exposure: 1.0,
+        ..small()
+    };
+    write_capture(&params, &out, &mut |_, _| ()).unwrap();
+    let (mut patches, mut clipped) = (0, 0);
+    for view in 0..params.views {
+        let read = |folder: &str| read_image(&out.join(folder).join(file(view))).unwrap();
+        let (clean, photograph) = (read("truth/clean"), read("images"));
+        let greys = read_map(&out.join("truth/greys").join(file(view))).unwrap();
+        clipped += photograph.plane(0).iter().filter(|v| **v == 0.0).count();
+        for y in 0..params.height {
+            for x in 0..params.width {
+                if greys.pixel(x, y)[0] == 1.0 {
+                    patches += 1;
+                    let [r, g, b] = clean.pixel(x, y);
+                    assert!((r - g).abs() < 0.02 && (b - g).abs() < 0.02, "{view} {x} {y}: {r} {g} {b}");
+                }
+            }
+        }
+    }
+    assert!(patches > 100, "{patches}");
+    assert!(clipped > 50, "red is clipped far away: {clipped}");
+}
+
+#[test]
+fn tiles_of_the_veil_s_colour_look_alike_from_near_and_far() {
+    let dir = tempfile::tempdir().unwrap();
+    let spread = |place: Place| {
+        let out = dir.path().join(place.name());
+        let params = CaptureParams { place, water: WaterType::Ib, noise: 0.0, ..small() };
+        write_capture(&params, &out, &mut |_, _| ()).unwrap();
+        let image = read_image(&out.join("images").join(file(0))).unwrap();
+        let mean = |rows: std::ops::Range<usize>| {
+            let n = (rows.len() * params.width) as f32;
+            [0, 1, 2].map(|c| rows.clone().map(|y| image.row(c, y).iter().sum::<f32>()).sum::<f32>() / n)
+        };
+        let (far, near) = (mean(0..10), mean(params.height - 10..params.height));
+        (0..3).map(|c| math::ln(far[c] / far[1] / (near[c] / near[1])).abs()).fold(0.0, f32::max)
+    };
+    let (blue, veil) = (spread(Place::Pool), spread(Place::VeilPool));
+    assert!(veil < 0.6 * blue, "{veil} {blue}");
+}
+
+#[test]
+fn what_only_spectral_captures_and_reefs_have_is_refused_elsewhere() {
+    let refused = |params: CaptureParams| params.validate().unwrap_err().to_string();
+    assert!(refused(CaptureParams { camera: Development::Action, ..small() }).contains("camera"));
+    assert!(refused(CaptureParams { backlight: 0.5, ..small() }).contains("backlight"));
+    let far = CaptureParams { physics: Physics::Spectral, backlight: 1.5, ..small() };
+    assert!(refused(far).contains("0 to 1"));
+    assert!(refused(CaptureParams { greys: true, place: Place::Pool, ..small() }).contains("greys"));
+}

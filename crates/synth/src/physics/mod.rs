@@ -12,6 +12,8 @@ pub(crate) mod camera;
 pub(crate) mod passers;
 pub(crate) mod spectral;
 
+pub use camera::Development;
+
 use glam::Vec3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

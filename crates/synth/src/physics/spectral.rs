@@ -70,6 +70,10 @@ fn reflectance(band: usize) -> [f32; 3] {
     [above_blue * above_green, above_blue * (1.0 - above_green), 1.0 - above_blue]
 }
 
+/// Deviation of reef animals and algae from smooth spectra, at [`WAVELENGTHS`], for a colour furthest from
+/// grey: pigments absorb below 520 nm, three peaks stand between 570 and 650 nm.
+const REEF: Spectrum = [-0.20, -0.25, -0.25, -0.15, -0.02, 0.08, 0.32, 0.15, 0.12, 0.30];
+
 /// `(1 - e^{-m s}) / m`, for m of any sign and near zero; `s` at most a few hundred metres.
 fn built_up(m: f32, s: f32) -> f32 {
     let x = m * s;
@@ -112,6 +116,10 @@ pub(crate) struct Spectral {
     sideways: Vec3,
     /// What is seen where nothing else is: sky, or nothing (haze then).
     background: Vec3,
+    /// True if surfaces have the spectra of reefs.
+    reef: bool,
+    /// Light of the sky ahead that the lens spreads over the picture, as a share of the sky's.
+    glare: f32,
     responses: [Spectrum; 3],
     reflectances: [[f32; 3]; BANDS],
 }
@@ -131,6 +139,8 @@ impl Spectral {
             lamps,
             sideways: Vec3::X,
             background: Vec3::ZERO,
+            reef: false,
+            glare: 0.0,
             responses: [0, 1, 2].map(response),
             reflectances: std::array::from_fn(reflectance),
         }
@@ -141,6 +151,27 @@ impl Spectral {
         let none = [0.0; BANDS];
         let water = Self::new(WaterType::I, 0.0, sun, None);
         Self { diffuse: none, beam: none, scattering: none, background: SKY, ..water }
+    }
+
+    /// The same with surfaces that have the spectra of reefs, smooth ones in grey.
+    pub(crate) fn with_reef_spectra(self, reef: bool) -> Self {
+        Self { reef, ..self }
+    }
+
+    /// The same against the light: the sky is 1 + 3 `strength` times as bright, and the lens spreads a
+    /// share of the sky that is in the picture over all of it.
+    pub(crate) fn against_light(self, strength: f32) -> Self {
+        Self { background: (1.0 + 3.0 * strength) * self.background, glare: 0.06 * strength, ..self }
+    }
+
+    /// No sky: nothing is seen where no surface is.
+    pub(crate) fn without_sky(self) -> Self {
+        Self { background: Vec3::ZERO, ..self }
+    }
+
+    /// The light that the lens spreads over a picture of which the sky fills a `share`.
+    pub(crate) fn glare(&self, share: f32) -> Vec3 {
+        self.glare * share * self.background
     }
 
     /// The same water for a camera whose picture has this x axis.
@@ -194,7 +225,12 @@ impl Spectral {
             let mut light = self.haze(band, eye, direction, s);
             if let Some(albedo) = surface {
                 let point = eye + s * direction;
-                let reflected = Vec3::from_array(self.reflectances[band]).dot(albedo);
+                let mut reflected = Vec3::from_array(self.reflectances[band]).dot(albedo);
+                if self.reef {
+                    let brightest = albedo.max_element();
+                    let chroma = (brightest - albedo.min_element()) / brightest.max(1e-6);
+                    reflected *= 1.0 + REEF[band] * chroma;
+                }
                 let lit = self.daylight(band, point.z) + self.lamp_light(band, eye, point);
                 light += reflected * lit * math::exp(-self.beam[band] * s);
             }

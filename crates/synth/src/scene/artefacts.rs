@@ -5,7 +5,7 @@ use glam::{Mat3, Vec2, Vec3};
 use use3d_numerics::math;
 
 use super::draws::Draws;
-use super::surface::Palette;
+use super::surface::{Palette, Surface};
 use super::terrain::Terrain;
 use crate::geometry::mesh::{Mesh, Ring, rings_along};
 use crate::geometry::noise::Noise;
@@ -65,6 +65,28 @@ pub(crate) fn chart(mesh: &mut Mesh, palette: &mut Palette, base: Vec3, turn: f3
         [0.012, 0.006],
         metal,
     );
+}
+
+/// Reflectances of a board's patches, left to right, top to bottom.
+const GREYS: [f32; 6] = [0.60, 0.42, 0.29, 0.20, 0.13, 0.08];
+
+/// A board with six grey patches, `width` metres wide, that leans back and looks at whoever swims in.
+pub(crate) fn greys(mesh: &mut Mesh, palette: &mut Palette, base: Vec3, width: f32) {
+    let (right, up) = (Vec3::X, Vec3::new(0.0, 0.6, 0.8));
+    let normal = right.cross(up);
+    let height = 0.7 * width;
+    let board = palette.plain([28, 28, 30], 0.05);
+    let center = base + (0.5 * height + 0.06) * up;
+    let half = 0.5 * height * up;
+    mesh.beam(&[center - half, center + half], right, [0.5 * width, 0.008], board);
+    let cell = width / 3.2;
+    for (i, value) in GREYS.into_iter().enumerate() {
+        let (column, row) = ((i % 3) as f32 - 1.0, 0.5 - (i / 3) as f32);
+        let middle = center + cell * (column * right + row * up) + 0.010 * normal;
+        let patch = palette.add(Surface::Grey { value });
+        let half = 0.44 * cell;
+        mesh.beam(&[middle - half * up, middle + half * up], right, [half, 0.003], patch);
+    }
 }
 
 /// A concrete block and a three-strand rope that runs from it over the sand and up to `end`.

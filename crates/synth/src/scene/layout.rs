@@ -22,17 +22,20 @@ pub enum Place {
     Reef,
     /// A tiled pool: flat, even surfaces of nearly one colour.
     Pool,
+    /// The same with tiles of the colour that open water has: surfaces and water cannot be told apart by it.
+    VeilPool,
 }
 
 impl Place {
     /// All of them.
-    pub const ALL: [Self; 2] = [Self::Reef, Self::Pool];
+    pub const ALL: [Self; 3] = [Self::Reef, Self::Pool, Self::VeilPool];
 
     /// As in parameter files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Reef => "reef",
             Self::Pool => "pool",
+            Self::VeilPool => "veil-pool",
         }
     }
 }
@@ -50,6 +53,10 @@ pub(crate) struct Layout {
     pub(crate) density: f32,
     /// Whether the wreck with its rope is there.
     pub(crate) wreck: bool,
+    /// True if boards with grey patches stand near and far.
+    pub(crate) greys: bool,
+    /// Colour of the tiles of a pool that has the veil's, linear.
+    pub(crate) veil: Vec3,
 }
 
 /// The tallest thing that may stand under the swimmer's path, metres above the sand.
@@ -79,7 +86,7 @@ const STARS: [[u8; 3]; 3] = [[232, 104, 40], [196, 52, 56], [72, 96, 190]];
 
 /// Builds the mesh and its surfaces.
 pub(crate) fn build(layout: &Layout) -> (Mesh, Palette, Terrain) {
-    let Layout { seed, detail, density, wreck, .. } = *layout;
+    let Layout { seed, detail, density, wreck, greys, .. } = *layout;
     let terrain = Terrain::new(seed);
     let (mut mesh, mut palette) = (Mesh::default(), Palette::default());
     let mut draws = Draws::new(seed, "layout", 0);
@@ -98,6 +105,14 @@ pub(crate) fn build(layout: &Layout) -> (Mesh, Palette, Terrain) {
     let chart = Vec2::new(terrain.channel_center(2.5) + draws.about(0.2), 2.5);
     artefacts::chart(&mut mesh, &mut palette, on_ground(chart), draws.about(0.25), 0.46);
     taken.push((chart, 0.45));
+    if greys {
+        // One board where the swim begins, one that it never reaches.
+        for (y, aside, width) in [(1.7, 0.55, 0.42), (6.4, -0.5, 0.9)] {
+            let board = Vec2::new(terrain.channel_center(y) + aside, y);
+            artefacts::greys(&mut mesh, &mut palette, on_ground(board), width);
+            taken.push((board, 0.7 * width));
+        }
+    }
     if wreck {
         let keel = Vec2::new(terrain.channel_center(8.0) + 0.75, 7.6);
         let mut base = on_ground(keel);

@@ -20,7 +20,7 @@ pub(crate) use draws::Draws;
 pub(crate) use layout::Layout;
 pub use layout::Place;
 use surface::Surface;
-pub(crate) use surface::display;
+pub(crate) use surface::{display, linear};
 pub(crate) use terrain::Terrain;
 
 use crate::geometry::bvh::{Bvh, Ray};
@@ -67,7 +67,8 @@ impl MeshScene {
     pub(crate) fn new(layout: &Layout) -> Self {
         let (mesh, palette, terrain) = match layout.place {
             Place::Reef => layout::build(layout),
-            Place::Pool => pool::build(layout.seed),
+            Place::Pool => pool::build(layout.seed, pool::blue()),
+            Place::VeilPool => pool::build(layout.seed, layout.veil),
         };
         let bvh = Bvh::build(&mesh.positions, &mesh.triangles);
         let mut draws = Draws::new(layout.seed, "daylight", 0);
@@ -117,7 +118,16 @@ impl MeshScene {
             sunlight *=
                 (1.0 + caustics.strength * light::caustics(self.noise, point, caustics.time)).max(0.0);
         }
-        Some(Seen { t: hit.t, light: albedo * self.daylight.at(tilted, baked.x, sunlight), surface })
+        let grey = self.is_grey(surface);
+        let light = self.daylight.at(tilted, baked.x, sunlight);
+        // A board of greys is read in even light, whatever tint the daylight has.
+        let light = if grey { Vec3::splat(light.dot(Vec3::splat(1.0 / 3.0))) } else { light };
+        Some(Seen { t: hit.t, light: albedo * light, surface })
+    }
+
+    /// True if a surface is a patch of a board of greys.
+    pub(crate) fn is_grey(&self, surface: u16) -> bool {
+        matches!(self.surfaces.get(usize::from(surface)), Some(Surface::Grey { .. }))
     }
 
     /// Distance to the nearest surface along a ray, in lengths of its direction.

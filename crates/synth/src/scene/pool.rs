@@ -23,11 +23,15 @@ const WALL: f32 = 4.0;
 /// Spacing of vertices, which light is computed at, metres.
 const SPACING: f32 = 0.25;
 
-/// Builds the mesh and its surfaces.
-pub(crate) fn build(seed: u64) -> (Mesh, Palette, Terrain) {
+/// The colour of a usual pool's tiles.
+pub(crate) fn blue() -> Vec3 {
+    linear([150, 196, 214])
+}
+
+/// Builds the mesh and its surfaces with tiles of a colour, linear.
+pub(crate) fn build(seed: u64, color: Vec3) -> (Mesh, Palette, Terrain) {
     let terrain = Terrain::flat(seed);
     let (mut mesh, mut palette) = (Mesh::default(), Palette::default());
-    let color = linear([150, 196, 214]);
     let floor = palette.add(Surface::Tiles { color, side: TILE, line: 0.14 });
     let walls = palette.add(Surface::Tiles { color, side: TILE, line: 0.0 });
     let (origin, far) = (Vec3::new(-HALF, ENDS[0], 0.0), ENDS[1] - ENDS[0]);

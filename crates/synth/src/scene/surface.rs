@@ -15,6 +15,8 @@ pub(crate) enum Surface {
     Ground { sand: Vec3, rock: Vec3, algae: Vec3, crust: Vec3, ripples: Ripples },
     /// One colour with some grain.
     Plain { color: Vec3, grain: f32 },
+    /// A grey patch, by its reflectance.
+    Grey { value: f32 },
     /// Stone, clay or concrete with algae on it.
     Stone { color: Vec3 },
     /// Old planks; first parameter runs along the grain, metres.
@@ -127,6 +129,7 @@ impl Surface {
                 let tone = 1.0 + grain * noise.octaves(p, 40.0, 3, footprint).0;
                 (*color * tone.max(0.1), Vec3::ZERO)
             }
+            Self::Grey { value } => (Vec3::splat(*value), Vec3::ZERO),
             Self::Stone { color } => {
                 let (fine, slope) = noise.octaves(p, 9.0, 4, footprint);
                 let growth = noise.octaves(p + Vec3::splat(20.0), 2.7, 4, footprint).0;
