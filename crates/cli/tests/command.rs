@@ -98,6 +98,10 @@ fn water_is_told_as_a_table_and_as_json_also_where_a_capture_cannot_tell() {
     let (json, _) = expect(0, &["-q", "water", &capture, "--json"]);
     let told: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert_eq!((&told["format"], &told["channels"][2]["channel"]), (&"3d-use water".into(), &"blue".into()));
+    // The size that a scene is learnt at is none of the water's business.
+    let (small, _) = expect(0, &["-q", "water", &capture, "--json", "--set", "import.max_side=24"]);
+    assert_eq!(small, json);
+    assert!(table.contains(told["told"].as_str().unwrap()), "one judgement in both: {table}");
     // Without tracks there is nothing to go by, and that is said, not guessed.
     let model = Path::new(&capture).join("sparse/0");
     let mut untracked = use3d_io_colmap::read_model(&model).unwrap();

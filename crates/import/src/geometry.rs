@@ -1,6 +1,8 @@
 //! What happens to the pixels of one camera's files: undistortion, then scale and crop; and the lens behind
 //! the result.
 
+use std::sync::Arc;
+
 use use3d_capture::{Intrinsics, Map, Pixels};
 use use3d_io_colmap::ModelCamera;
 
@@ -18,8 +20,10 @@ pub(crate) struct Geometry {
     /// The file's size over the model's.
     pub(crate) scale: (f64, f64),
     pub(crate) file: (usize, usize),
-    pub(crate) undistortion: Option<Undistortion>,
+    pub(crate) undistortion: Option<Arc<Undistortion>>,
     pub(crate) resize: Option<Resize>,
+    /// The lens behind the pixels before they are scaled and cropped.
+    pinhole: Intrinsics,
     pub(crate) intrinsics: Intrinsics,
 }
 
@@ -77,13 +81,18 @@ impl Geometry {
         };
         let resize = resize.filter(|r| !r.is_identity(from));
         let intrinsics = resize.map_or(pinhole, |r| r.intrinsics(&pinhole));
-        Ok(Self { scale, file, undistortion, resize, intrinsics })
+        Ok(Self { scale, file, undistortion: undistortion.map(Arc::new), resize, pinhole, intrinsics })
     }
 
     /// Files that are used as they are.
     pub(crate) fn identity(intrinsics: Intrinsics) -> Self {
         let file = (intrinsics.width, intrinsics.height);
-        Self { scale: (1.0, 1.0), file, undistortion: None, resize: None, intrinsics }
+        Self { scale: (1.0, 1.0), file, undistortion: None, resize: None, pinhole: intrinsics, intrinsics }
+    }
+
+    /// The same without scale and crop.
+    pub(crate) fn full_size(&self) -> Self {
+        Self { undistortion: self.undistortion.clone(), resize: None, intrinsics: self.pinhole, ..*self }
     }
 
     /// Whether pixels change at all.

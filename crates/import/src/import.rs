@@ -54,6 +54,22 @@ impl Imported {
         self.white_balance != WhiteBalance::None || self.plans.iter().any(|p| p.geometry.resamples())
     }
 
+    /// The same capture before its pixels are scaled and cropped: undistorted, in the size of its files.
+    pub fn full_size(&self) -> Self {
+        let mut shared: BTreeMap<*const Geometry, Arc<Geometry>> = BTreeMap::new();
+        let mut capture = self.capture.clone();
+        let plans = self.plans.iter().zip(&mut capture.views).map(|(plan, view)| {
+            let geometry = shared
+                .entry(Arc::as_ptr(&plan.geometry))
+                .or_insert_with(|| Arc::new(plan.geometry.full_size()));
+            view.camera.intrinsics = geometry.intrinsics;
+            Plan { geometry: Arc::clone(geometry), ..*plan }
+        });
+        let plans = plans.collect();
+        let (report, model) = (self.report.clone(), self.model.clone());
+        Self { capture, report, plans, model, white_balance: self.white_balance }
+    }
+
     /// The model that the capture came from, in COLMAP's frame, without the images that are missing.
     pub fn model(&self) -> &Model {
         &self.model
@@ -214,7 +230,8 @@ fn plan(
     let few = built.iter().filter(|g| g.undistortion.is_some()).count() <= 4;
     let mut plans = vec![None; views.len()];
     for ((&(id, width, height), members), mut geometry) in groups.iter().zip(built) {
-        if let Some(undistortion) = geometry.undistortion.as_mut().filter(|_| few && members.len() > 1) {
+        let shared = few && members.len() > 1;
+        if let Some(undistortion) = geometry.undistortion.as_mut().and_then(Arc::get_mut).filter(|_| shared) {
             undistortion.keep_table();
         }
         let camera = model.camera(id);

@@ -593,3 +593,27 @@ fn camera_lists_are_read_in_both_spellings() {
     }
     assert!(read_cameras(&dir.path().join("none")).is_err());
 }
+
+#[test]
+fn the_full_size_of_a_scaled_import_is_that_of_its_files() {
+    let camera = ModelCamera {
+        model: LensModel::SimpleRadial,
+        parameters: vec![100.0, 61.0, 39.0, 0.05],
+        ..pinhole(3)
+    };
+    let fixture = Fixture::new(5, camera);
+    let whole = import(fixture.dir.path(), &ImportParams::default()).unwrap();
+    for params in [
+        ImportParams { max_side: 50, ..ImportParams::default() },
+        ImportParams { size: Some("40x40".parse().unwrap()), ..ImportParams::default() },
+        ImportParams { downscale: 3, ..ImportParams::default() },
+    ] {
+        let scaled = import(fixture.dir.path(), &params).unwrap();
+        assert!(scaled.capture.views[0].camera != whole.capture.views[0].camera);
+        let full = scaled.full_size();
+        assert_eq!(full.capture.views, whole.capture.views);
+        assert_eq!(full.tracks(), whole.tracks());
+        assert_eq!(full.view(2).unwrap(), whole.view(2).unwrap());
+    }
+    assert_eq!(whole.full_size().capture.views, whole.capture.views);
+}

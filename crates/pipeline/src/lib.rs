@@ -15,6 +15,7 @@ pub mod judge;
 mod made_by;
 pub mod results;
 pub mod scene_page;
+mod sights;
 pub mod stages;
 pub mod water;
 

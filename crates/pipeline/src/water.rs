@@ -3,41 +3,101 @@
 //! Only training views are looked at, so that held-out views stay unseen.
 
 use std::fmt;
+use std::path::Path;
 
 use serde::Serialize;
 use use3d_capture::Frame;
-use use3d_import::{ImportError, Imported, load_mask, load_pixels};
+use use3d_import::Imported;
 use use3d_reconstruct::FoundWater;
-use use3d_water::{ChannelWater, Measured, ObserveError, Verdict, Water, WaterParams, estimate, observe};
+use use3d_water::{ChannelWater, Measured, Verdict, Water, WaterParams, estimate_sizes, shows_air};
 
-/// Why a capture's tracks could not be looked up.
-#[derive(Debug, thiserror::Error)]
-pub enum TracksError {
-    /// An image or mask cannot be read.
-    #[error(transparent)]
-    Import(#[from] ImportError),
-    /// Tracks and views do not belong together.
-    #[error(transparent)]
-    Observe(#[from] ObserveError),
-}
+use crate::sights::Seen;
+pub use crate::sights::SightsError;
 
-/// Estimates the water of a prepared capture, in its normalised frame.
+/// Estimates the water of the capture that was imported into `folder`, in its normalised frame.
 ///
 /// # Errors
 /// An image that cannot be read. A capture that cannot tell is no error: the verdicts say so.
-pub fn from_tracks(imported: &Imported, params: &WaterParams) -> Result<Water, TracksError> {
-    let capture = &imported.capture;
-    let tracks = imported.tracks();
-    let cameras: Vec<_> = capture.views.iter().map(|v| v.camera).collect();
-    let sights = observe::<TracksError>(&cameras, &tracks, |view| {
-        if capture.split.train.binary_search(&view).is_err() {
-            return Ok(None);
+pub fn from_tracks(
+    folder: &Path,
+    imported: &Imported,
+    params: &WaterParams,
+) -> Result<(Water, Judgement), SightsError> {
+    let seen = Seen::of_import(folder, imported)?;
+    let positions: Vec<_> = imported.capture.points.iter().map(|p| p.position).collect();
+    let views = imported.capture.views.len();
+    let mut water = estimate_sizes(&seen.sizes, positions.len(), &positions, views, params);
+    let untold = water.channels.iter().all(|c| c.verdict == Verdict::TooFewPoints);
+    let judgement = if untold && shows_air(&seen.glances) {
+        water.channels.iter_mut().for_each(|c| c.verdict = Verdict::NoWater);
+        Judgement::Air
+    } else {
+        Judgement::of(&water)
+    };
+    Ok((water, judgement))
+}
+
+/// The judgement on a capture's water, the same wherever it is told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Judgement {
+    /// It is known, and training starts from it.
+    Found,
+    /// Points look alike from near and far: no water.
+    Dry,
+    /// A veil nearly white in all channels: a sky, no water.
+    Sky,
+    /// Without tracks: far points are as dark and as bright as near ones.
+    Air,
+    /// Known only as something that no water is: points would be brighter than white without it.
+    Lamps,
+    /// Not known; training finds it out.
+    Unknown,
+}
+
+impl Judgement {
+    fn of(water: &Water) -> Self {
+        let dry = water.channels.iter().all(|c| c.verdict == Verdict::NoWater);
+        match water {
+            _ if water.sky => Self::Sky,
+            _ if dry => Self::Dry,
+            _ if lamps(water) => Self::Lamps,
+            _ if known(water) => Self::Found,
+            _ => Self::Unknown,
         }
-        let view = &capture.views[view];
-        Ok(Some((load_pixels(view)?.to_image(), load_mask(view)?)))
-    })?;
-    let positions: Vec<_> = tracks.iter().map(|t| t.position).collect();
-    Ok(estimate(&sights, tracks.len(), &positions, cameras.len(), params))
+    }
+
+    /// One word for files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Found => "found",
+            Self::Dry | Self::Sky | Self::Air => "no-water",
+            Self::Lamps => "lamps",
+            Self::Unknown => "not-known",
+        }
+    }
+
+    /// True if there is no water.
+    pub fn no_water(self) -> bool {
+        matches!(self, Self::Dry | Self::Sky | Self::Air)
+    }
+}
+
+impl fmt::Display for Judgement {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Found => "water found: stage 1 starts from it",
+            Self::Dry => "no water found: points look alike from near and far",
+            Self::Sky => "no water found: its veil would be nearly white in all colours, as a sky is",
+            Self::Air => "no water found: far points are as dark and as bright as near ones, as in air",
+            Self::Lamps => {
+                "not used: without this water points would be brighter than white, so light comes from the camera (lamps) or far walls pass for water; \
+                 stage 1 learns the water from the photographs"
+            }
+            Self::Unknown => {
+                "not known in every colour: stage 1 learns the water from the photographs"
+            }
+        })
+    }
 }
 
 /// What two standard errors of an attenuation may do to the optical depth of the far
@@ -47,42 +107,43 @@ const SMALL: f64 = 0.3;
 /// taken away: a little above white.
 const BRIGHTEST: f64 = 1.3;
 
-/// Whether points would be brighter than white without what distance takes: light that comes from the camera
-/// (lamps) falls off with the distance, and water explains that only by colours that no surface has.
-pub fn lamps(water: &Water) -> bool {
-    (0..3).any(|c| water.channels[c].verdict.usable() && radiance(water, c)[2] > BRIGHTEST)
+/// True if points would surely (by two of their errors) be brighter than white without what distance takes:
+/// light that comes from the camera (lamps) falls off with the distance, and water explains that only by
+/// colours that no surface has.
+fn lamps(water: &Water) -> bool {
+    let surely = |c: usize| radiance(water, |p| p[c].value - 2.0 * p[c].error)[2];
+    (0..3).any(|c| water.channels[c].verdict.usable() && surely(c) > BRIGHTEST)
 }
 
-/// 5th, 50th and 95th percentile of the points' radiance in a channel; 0 where there is none.
-fn radiance(water: &Water, c: usize) -> [f64; 3] {
-    let mut all: Vec<f64> =
-        water.radiances.iter().flatten().map(|p| p[c].value).filter(|v| v.is_finite()).collect();
+/// 5th, 50th and 95th percentile of something of the points; 0 where there is none.
+fn radiance(water: &Water, of: impl Fn(&[Measured; 3]) -> f64) -> [f64; 3] {
+    let mut all: Vec<f64> = water.radiances.iter().flatten().map(of).filter(|v| v.is_finite()).collect();
     all.sort_unstable_by(f64::total_cmp);
     [0.05, 0.5, 0.95].map(|q| all.get((q * all.len() as f64) as usize).copied().unwrap_or(0.0))
 }
 
-/// Whether distance shows no water in any channel.
-pub fn no_water(water: &Water) -> bool {
-    water.channels.iter().all(|c| c.verdict == Verdict::NoWater)
+/// True if a channel can be told, or if its estimate matters little: where the estimate's error
+/// does little to what far points show.
+fn told(water: &Water, c: &ChannelWater) -> bool {
+    let small = water.distances[2] * 2.0 * c.attenuation.error < SMALL;
+    c.verdict.usable() || (c.verdict != Verdict::TooFewPoints && small)
 }
 
-/// What training may start from; `None` where a channel is not known, or where there is no water. Once one
-/// channel is known, the others need not be told from no water: where the estimate's error does little to
-/// what far points show, the estimate is taken. A channel on which distance shows no water loses nothing
-/// else. Losses that are alike in all channels (lamps, haze, a camera that balances each view) are as good a
-/// start as any: what far points have lost is lost in the photographs. Lamps at the camera are no water.
-pub fn found_water(water: &Water) -> Option<FoundWater> {
-    let far = water.distances[2];
-    let small =
-        |c: &ChannelWater| c.verdict != Verdict::TooFewPoints && far * 2.0 * c.attenuation.error < SMALL;
-    let told = |c: &ChannelWater| c.verdict.usable() || small(c);
-    let known = |c: &ChannelWater| told(c) || c.verdict == Verdict::NoWater;
-    let any = water.channels.iter().any(|c| c.verdict.usable());
-    if !any || !water.channels.iter().all(known) || lamps(water) {
+/// True if every channel is known, and one of them has water. A channel on which distance shows no water
+/// loses nothing. Losses that are alike in all channels (haze, a camera that balances each view) are as
+/// good a start as any: what far points have lost is lost in the photographs.
+fn known(water: &Water) -> bool {
+    let known = |c: &ChannelWater| told(water, c) || c.verdict == Verdict::NoWater;
+    water.channels.iter().any(|c| c.verdict.usable()) && water.channels.iter().all(known)
+}
+
+/// The water that training may start from; `None` where it was not [found](Judgement::Found).
+pub fn found_water(water: &Water, judgement: Judgement) -> Option<FoundWater> {
+    if judgement != Judgement::Found {
         return None;
     }
     let of = |value: fn(&ChannelWater) -> f64| {
-        water.channels.each_ref().map(|c| if told(c) { value(c) } else { 0.0 })
+        water.channels.each_ref().map(|c| if told(water, c) { value(c) } else { 0.0 })
     };
     let radiances = water.radiances.iter();
     Some(FoundWater {
@@ -103,6 +164,10 @@ pub struct WaterReport {
     pub version: u32,
     /// The capture's name.
     pub capture: String,
+    /// The judgement: `found`, `no-water`, `lamps` or `not-known`.
+    pub judgement: &'static str,
+    /// The judgement as a sentence.
+    pub told: String,
     /// Points seen from distances that differ by a quarter and more.
     pub points: usize,
     /// Cells of open water that told the veil; 0 where none or too few were seen.
@@ -145,6 +210,8 @@ pub struct ChannelReport {
     pub veil_constant: f64,
     /// See `veil_constant`.
     pub veil_slope: [f64; 3],
+    /// True if the veil is assumed and not measured: the camera clipped this channel's open water to black.
+    pub veil_assumed: bool,
     /// Correlation of the errors of `ln β_b` and `ln veil`.
     pub backscatter_veil_correlation: f64,
     /// t statistic of this water against none.
@@ -159,7 +226,7 @@ pub struct ChannelReport {
 
 impl WaterReport {
     /// The report of `water`, estimated in the capture's normalised frame.
-    pub fn new(imported: &Imported, water: &Water) -> Self {
+    pub fn new(imported: &Imported, water: &Water, judgement: Judgement) -> Self {
         let capture = &imported.capture;
         let frame = &capture.frame;
         let names = ["red", "green", "blue"];
@@ -171,12 +238,14 @@ impl WaterReport {
             format: "3d-use water",
             version: 1,
             capture: capture.name.clone(),
+            judgement: judgement.name(),
+            told: judgement.to_string(),
             points: water.points,
             open_water: water.open,
             distances: water.distances.map(|s| s / frame.scale),
             grey: water.grey,
             channels: (water.channels.iter().zip(names).enumerate())
-                .map(|(c, (w, name))| channel(name, w, radiance(water, c), frame))
+                .map(|(c, (w, name))| channel(name, w, radiance(water, |p| p[c].value), frame))
                 .collect(),
             gains,
         }
@@ -191,12 +260,16 @@ fn channel(channel: &'static str, water: &ChannelWater, radiance: [f64; 3], fram
     ChannelReport {
         channel,
         verdict: water.verdict.name(),
-        told: water.verdict.to_string(),
+        told: match (water.veil_assumed, water.verdict.usable()) {
+            (true, true) => format!("{}; veil assumed, as open water is clipped to black", water.verdict),
+            _ => water.verdict.to_string(),
+        },
         attenuation: told(water.attenuation, frame.scale),
         backscatter: told(water.backscatter, frame.scale),
         veil: told(water.veil, 1.0),
         veil_constant: water.veil_constant,
         veil_slope: frame.rotation.transpose().mul_vec3(water.veil_slope.into()).to_array(),
+        veil_assumed: water.veil_assumed,
         backscatter_veil_correlation: water.backscatter_veil_correlation,
         significance: water.significance,
         explained: water.explained,
@@ -230,6 +303,7 @@ impl fmt::Display for WaterReport {
             let cells = [c.attenuation, c.backscatter, c.veil].map(|v| v.to_string());
             writeln!(f, "{:6} {:>20} {:>20} {:>18}  {}", c.channel, cells[0], cells[1], cells[2], c.told)?;
         }
+        writeln!(f, "{}", self.told)?;
         if self.grey {
             writeln!(
                 f,
@@ -264,7 +338,9 @@ mod tests {
             veil: measured(0.3, 0.01),
             veil_constant: 0.3,
             veil_slope: [0.0; 3],
+            veil_assumed: false,
             backscatter_veil_correlation: 0.0,
+            backscatter_alone: 0.1,
             significance: 9.0,
             explained: 0.5,
             gains_explain: 0.0,
@@ -274,6 +350,9 @@ mod tests {
         };
         Water {
             channels: [0, 1, 2].map(channel),
+            sky: false,
+            significance: 9.0,
+            explained: 0.5,
             gains: vec![[1.0; 3]; 2],
             radiances: vec![None, Some([measured(radiance, 0.01); 3]), Some([measured(0.2, 0.01); 3])],
             points: 200,
@@ -283,26 +362,32 @@ mod tests {
         }
     }
 
+    fn taken(water: &Water) -> Option<FoundWater> {
+        found_water(water, Judgement::of(water))
+    }
+
     #[test]
     fn water_is_taken_where_it_is_known_and_lamps_and_air_are_not_taken_for_it() {
         let found = [Verdict::Found; 3];
-        let taken = found_water(&water(found, [0.3, 0.29, 0.28], 0.01, 0.8)).expect("losses may be alike");
-        assert_eq!(taken.attenuation, [0.3, 0.29, 0.28]);
+        let start = taken(&water(found, [0.3, 0.29, 0.28], 0.01, 0.8)).expect("losses may be alike");
+        assert_eq!(start.attenuation, [0.3, 0.29, 0.28]);
         // Brighter than white: no surface is.
         let lit = water(found, [0.9, 0.6, 0.6], 0.01, 1.7);
-        assert!(lamps(&lit) && found_water(&lit).is_none());
+        assert!(Judgement::of(&lit) == Judgement::Lamps && taken(&lit).is_none());
         // A channel that cannot be told: fine if it is small whatever it is, else not.
         let vague = [Verdict::Found, Verdict::NotObservable, Verdict::NotObservable];
-        let small = found_water(&water(vague, [0.3, 0.02, 0.02], 0.01, 0.8)).expect("nearly nothing is lost");
+        let small = taken(&water(vague, [0.3, 0.02, 0.02], 0.01, 0.8)).expect("nearly nothing is lost");
         assert_eq!(small.attenuation, [0.3, 0.02, 0.02]);
-        assert!(found_water(&water(vague, [0.3, 0.2, 0.2], 0.1, 0.8)).is_none());
+        assert!(taken(&water(vague, [0.3, 0.2, 0.2], 0.1, 0.8)).is_none());
         // Channels that could be without loss beside one with it: what is estimated, unless that is a guess.
         let red = [Verdict::VeilNotSeparable, Verdict::NoWater, Verdict::NoWater];
         for (error, others) in [(0.01, 0.1), (0.05, 0.0)] {
-            let taken = found_water(&water(red, [0.3, 0.1, 0.1], error, 0.8)).expect("red");
-            assert_eq!(taken.attenuation, [0.3, others, others]);
+            let start = taken(&water(red, [0.3, 0.1, 0.1], error, 0.8)).expect("red");
+            assert_eq!(start.attenuation, [0.3, others, others]);
         }
         let air = water([Verdict::NoWater; 3], [0.01; 3], 0.01, 0.8);
-        assert!(no_water(&air) && found_water(&air).is_none() && !lamps(&air));
+        assert!(Judgement::of(&air) == Judgement::Dry && taken(&air).is_none());
+        let sky = Water { sky: true, ..water([Verdict::NoWater; 3], [0.3; 3], 0.01, 1.7) };
+        assert!(Judgement::of(&sky) == Judgement::Sky && Judgement::of(&sky).no_water());
     }
 }

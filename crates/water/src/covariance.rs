@@ -14,6 +14,8 @@ use crate::solve::{CAUCHY, Fit, Prior};
 pub(crate) struct Covariance {
     /// Standard errors of `ln β_a`, `ln β_b`, `ln B_0`, `g`.
     pub(crate) errors: [f64; GAIN],
+    /// Covariance of the components of `g`.
+    pub(crate) slope: [f64; 9],
     /// Correlation of the errors of `ln β_b` and `ln B_0`.
     pub(crate) backscatter_veil: f64,
     /// Standard error of `ln β_b` if nothing were assumed about `β_b/β_a`.
@@ -57,6 +59,7 @@ pub(crate) fn covariance(
             let product = error(BACKSCATTER) * error(VEIL);
             Covariance {
                 errors: std::array::from_fn(error),
+                slope: std::array::from_fn(|i| v[(VEIL + 1 + i / 3) * GAIN + VEIL + 1 + i % 3]),
                 backscatter_veil: if product > 0.0 { v[BACKSCATTER * GAIN + VEIL] / product } else { 0.0 },
                 backscatter_alone: alone,
                 design_effect,
@@ -64,6 +67,7 @@ pub(crate) fn covariance(
         }
         None => Covariance {
             errors: [unknown; GAIN],
+            slope: [0.0; 9],
             backscatter_veil: 0.0,
             backscatter_alone: unknown,
             design_effect: 1.0,

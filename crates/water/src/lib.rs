@@ -21,8 +21,11 @@
 //! Everything is f64 and summed in a fixed order: the same observations give the same bits on any number of
 //! threads, in any order.
 
+mod air;
 mod blocks;
+mod channel;
 mod covariance;
+mod data;
 mod dense;
 mod estimate;
 mod formation;
@@ -33,7 +36,8 @@ mod patch;
 mod solve;
 mod verdict;
 
-pub use estimate::{ChannelWater, Measured, Water, WaterParams, estimate};
-pub use observe::{Observation, ObserveError, Sights, observe};
+pub use air::{Glance, glances, shows_air};
+pub use estimate::{ChannelWater, Measured, Water, WaterParams, estimate, estimate_sizes};
+pub use observe::{Observation, ObserveError, Sights, observe, observe_sizes};
 pub use open::OpenWater;
 pub use verdict::Verdict;

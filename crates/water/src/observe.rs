@@ -3,7 +3,7 @@
 
 use glam::DVec3;
 use rayon::prelude::*;
-use use3d_capture::{Camera, Image, Map, Track};
+use use3d_capture::{Camera, Image, Map, Raster, Track};
 
 use crate::open::{OpenWater, Seen, open_water};
 use crate::patch::{NARROWEST, Patch, WIDEST, patch};
@@ -85,33 +85,109 @@ pub fn observe<E: From<ObserveError>>(
     tracks: &[Track],
     mut load: impl FnMut(usize) -> Result<Option<(Image, Option<Map>)>, E>,
 ) -> Result<Sights, E> {
-    let mut wanted: Vec<Vec<Wanted>> = cameras.iter().map(|_| Vec::new()).collect();
-    for (point, track) in tracks.iter().enumerate() {
-        plan(cameras, point, track, &mut wanted)?;
+    let mut look = Lookup::new(cameras, tracks)?;
+    for view in 0..cameras.len() {
+        if let Some((image, mask)) = load(view)? {
+            look.view(view, &image, mask.as_ref())?;
+        }
     }
-    let (seen, middle) = sightings(cameras, tracks);
-    let (mut found, mut open) = (Vec::new(), Vec::new());
-    for (view, list) in wanted.iter().enumerate() {
-        let Some((image, mask)) = load(view)? else { continue };
-        let k = &cameras[view].intrinsics;
+    Ok(look.done())
+}
+
+/// As [`observe`], in the images as they are and at half their size: what differs between the two is what
+/// sharpness, compression and keypoints do to an estimate, and no water.
+///
+/// # Errors
+/// As [`observe`].
+pub fn observe_sizes<E: From<ObserveError>>(
+    cameras: &[Camera],
+    tracks: &[Track],
+    mut load: impl FnMut(usize) -> Result<Option<(Image, Option<Map>)>, E>,
+) -> Result<[Sights; 2], E> {
+    let mut whole = Lookup::new(cameras, tracks)?;
+    let (smaller, moved) = (halved_cameras(cameras), halved_tracks(tracks));
+    let mut half = Lookup::new(&smaller, &moved)?;
+    for view in 0..cameras.len() {
+        if let Some((image, mask)) = load(view)? {
+            whole.view(view, &image, mask.as_ref())?;
+            half.view(view, &halved(&image), mask.as_ref().map(halved).as_ref())?;
+        }
+    }
+    Ok([whole.done(), half.done()])
+}
+
+fn halved_cameras(cameras: &[Camera]) -> Vec<Camera> {
+    cameras.iter().map(|camera| camera.downscaled(2)).collect()
+}
+
+fn halved_tracks(tracks: &[Track]) -> Vec<Track> {
+    let mut moved = tracks.to_vec();
+    for s in moved.iter_mut().flat_map(|track| &mut track.sightings) {
+        (s.x, s.y) = (0.5 * s.x, 0.5 * s.y);
+    }
+    moved
+}
+
+/// Means of 2×2 pixels; an odd row or column is left out.
+fn halved<const C: usize>(image: &Raster<f32, C>) -> Raster<f32, C> {
+    let (w, h) = ((image.width() / 2).max(1), (image.height() / 2).max(1));
+    let (right, down) = (image.width().min(2) - 1, image.height().min(2) - 1);
+    let mut out = Raster::new(w, h);
+    for y in 0..h {
+        for x in 0..w {
+            let at = |i: usize, j: usize| image.pixel(2 * x + i, 2 * y + j);
+            let four = [at(0, 0), at(right, 0), at(0, down), at(right, down)];
+            out.set_pixel(x, y, std::array::from_fn(|c| 0.25 * four.iter().map(|p| p[c]).sum::<f32>()));
+        }
+    }
+    out
+}
+
+/// Tracks that are looked up view by view.
+struct Lookup<'a> {
+    cameras: &'a [Camera],
+    wanted: Vec<Vec<Wanted>>,
+    seen: Vec<Vec<Seen>>,
+    /// The median distance of all sightings.
+    middle: f64,
+    found: Sights,
+}
+
+impl<'a> Lookup<'a> {
+    fn new(cameras: &'a [Camera], tracks: &[Track]) -> Result<Self, ObserveError> {
+        let mut wanted: Vec<Vec<Wanted>> = cameras.iter().map(|_| Vec::new()).collect();
+        for (point, track) in tracks.iter().enumerate() {
+            plan(cameras, point, track, &mut wanted)?;
+        }
+        let (seen, middle) = sightings(cameras, tracks);
+        Ok(Self { cameras, wanted, seen, middle, found: Sights::default() })
+    }
+
+    fn view(&mut self, view: usize, image: &Image, mask: Option<&Map>) -> Result<(), ObserveError> {
+        let k = &self.cameras[view].intrinsics;
         let (size, expected) = ((image.width(), image.height()), (k.width, k.height));
         if size != expected {
-            return Err(ObserveError::Size { view, found: size, expected }.into());
+            return Err(ObserveError::Size { view, found: size, expected });
         }
-        let mask = mask.as_ref().filter(|m| (m.width(), m.height()) == expected);
-        let looked: Vec<Option<Observation>> = list
+        let mask = mask.filter(|m| (m.width(), m.height()) == expected);
+        let looked: Vec<Option<Observation>> = self.wanted[view]
             .par_iter()
             .map(|w| {
-                let Patch { mean: value, spread } = patch(&image, mask, w.x, w.y, w.sigma)?;
+                let Patch { mean: value, spread } = patch(image, mask, w.x, w.y, w.sigma)?;
                 let Wanted { point, distance, direction, .. } = *w;
                 Some(Observation { point, view, distance, direction, value, spread })
             })
             .collect();
-        found.extend(looked.into_iter().flatten());
-        open.extend(open_water(view, &cameras[view], &image, mask, &seen[view], middle));
+        self.found.points.extend(looked.into_iter().flatten());
+        let camera = &self.cameras[view];
+        self.found.open.extend(open_water(view, camera, image, mask, &self.seen[view], self.middle));
+        Ok(())
     }
-    found.sort_by_key(|o| (o.point, o.view));
-    Ok(Sights { points: found, open })
+
+    fn done(mut self) -> Sights {
+        self.found.points.sort_by_key(|o| (o.point, o.view));
+        self.found
+    }
 }
 
 /// Where every view saw points, and the median distance of all sightings.

@@ -25,6 +25,11 @@ const SETTLED: f64 = 1e-7;
 /// distance and water that is stronger by as much look alike; a camera has little reason to do that.
 const TREND: f64 = 0.03;
 
+/// The least veil in any direction that was seen, over the mean direction's: light is never negative.
+const DARKEST: f64 = 0.02;
+/// Width of the penalty of veils below [`DARKEST`]: a soft bound, so that the fit stays smooth.
+const NEGATIVE: f64 = 0.004;
+
 /// What is known beforehand, as normal distributions (mean, width), and which parameters are free at all.
 #[derive(Clone, Debug)]
 pub(crate) struct Prior {
@@ -34,8 +39,10 @@ pub(crate) struct Prior {
     pub(crate) ratio: (f64, f64),
     /// `ln B_0`.
     pub(crate) veil: (f64, f64),
-    /// Each component of `g`; a width of 0 holds them at 0.
-    pub(crate) slope: f64,
+    /// The components of `g`, and the width of each; a width of 0 holds them where they are.
+    pub(crate) slope: ([f64; 3], f64),
+    /// Directions, minus the mean one, in which the veil must not be negative.
+    pub(crate) seen: Vec<[f64; 3]>,
     /// `γ`; a width of 0 holds them at 0.
     pub(crate) gain: f64,
     /// Coefficients over the views of the slope of γ over a view's mean distance, which is 0 but for
@@ -55,7 +62,7 @@ impl Prior {
     pub(crate) fn free(&self, k: usize) -> bool {
         match k {
             _ if k >= GAIN => self.gain > 0.0,
-            _ if k > VEIL => self.water && self.slope > 0.0,
+            _ if k > VEIL => self.water && self.slope.1 > 0.0,
             _ => self.water,
         }
     }
@@ -76,9 +83,16 @@ impl Prior {
             term(&[(ATTENUATION, 1.0)], a - self.attenuation.0, self.attenuation.1);
             term(&[(BACKSCATTER, 1.0), (ATTENUATION, -1.0)], b - a - self.ratio.0, self.ratio.1);
             term(&[(VEIL, 1.0)], theta[VEIL] - self.veil.0, self.veil.1);
-            for k in VEIL + 1..GAIN {
-                if self.slope > 0.0 {
-                    term(&[(k, 1.0)], theta[k], self.slope);
+            if self.slope.1 > 0.0 {
+                for k in 0..3 {
+                    term(&[(VEIL + 1 + k, 1.0)], theta[VEIL + 1 + k] - self.slope.0[k], self.slope.1);
+                }
+                for d in &self.seen {
+                    let veil = 1.0 + (0..3).map(|k| theta[VEIL + 1 + k] * d[k]).sum::<f64>();
+                    if veil < DARKEST {
+                        let derivatives: [_; 3] = std::array::from_fn(|k| (VEIL + 1 + k, d[k]));
+                        term(&derivatives, veil - DARKEST, NEGATIVE);
+                    }
                 }
             }
             let constant = math::exp(theta[VEIL]);
@@ -251,7 +265,8 @@ mod tests {
             attenuation: (-0.7, 2.0),
             ratio: (0.0, 0.5),
             veil: (-1.0, 3.0),
-            slope: 1.0,
+            slope: ([0.2, 0.0, -0.1], 1.0),
+            seen: vec![[-2.2, 0.9, -1.0], [0.3, 0.1, 0.2]],
             gain: 0.1,
             trend: vec![0.5, 0.1, -0.6],
             open: Open::new(&cells, 0, glam::DVec3::new(0.1, 0.8, 0.2)),

@@ -2,11 +2,7 @@
 
 use std::fmt;
 
-use use3d_numerics::math;
-
-use crate::covariance::Covariance;
 use crate::estimate::ChannelWater;
-use crate::formation::ATTENUATION;
 
 /// What the capture tells about one channel's water.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,19 +67,21 @@ const THINNEST: f64 = 0.06;
 /// was fitted is not what is seen.
 const THICKEST: f64 = 5.0;
 
-pub(crate) fn judge(
-    theta: &[f64],
-    covariance: &Covariance,
-    significance: f64,
-    explained: f64,
-    optical_depth: f64,
-) -> Verdict {
-    let error = covariance.errors[ATTENUATION];
-    if significance < SIGNIFICANT || explained < EXPLAINED || optical_depth < THINNEST {
+/// True if there is water at all.
+pub(crate) fn present(significance: f64, explained: f64) -> bool {
+    significance >= SIGNIFICANT && explained >= EXPLAINED
+}
+
+/// The verdict on a channel of a capture with water (`wet`), at the median distance and that of the far
+/// points.
+pub(crate) fn judge(water: &ChannelWater, wet: bool, median: f64, far: f64) -> Verdict {
+    let attenuation = water.attenuation;
+    let known = attenuation.error <= KNOWN * attenuation.value;
+    if !wet || attenuation.value * far < THINNEST {
         Verdict::NoWater
-    } else if !(error <= KNOWN && theta[ATTENUATION] < math::ln(THICKEST)) {
+    } else if !(known && attenuation.value * median < THICKEST) {
         Verdict::NotObservable
-    } else if covariance.backscatter_alone <= APART {
+    } else if water.backscatter_alone <= APART {
         Verdict::Found
     } else {
         Verdict::VeilNotSeparable

@@ -4,7 +4,9 @@
 use glam::DVec3;
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
-use use3d_water::{Observation, OpenWater, Sights, Verdict, Water, WaterParams, estimate};
+use use3d_water::{
+    Glance, Observation, OpenWater, Sights, Verdict, Water, WaterParams, estimate, estimate_sizes, shows_air,
+};
 
 /// Water and photographers of a test.
 #[derive(Clone, Copy)]
@@ -62,7 +64,7 @@ fn make(truth: &Truth) -> Made {
             }
             let (distance, direction) = ((position - center).length(), (position - center).normalize());
             let value = std::array::from_fn(|c| {
-                let veil = truth.veil[c] * (1.0 + truth.slope.dot(direction));
+                let veil = truth.veil[c] * (1.0 + truth.slope.dot(direction)).max(0.0);
                 let clean = radiance[c] * math::exp(-truth.attenuation[c] * distance)
                     + veil * (1.0 - math::exp(-truth.backscatter[c] * distance));
                 made.gains[view][c] * clean + truth.noise * d.normal((100 + 3 * view + c) as u64)
@@ -310,4 +312,122 @@ fn what_is_brighter_than_white_is_no_open_water() {
     let told = with(open_water(&sky));
     assert_eq!(told.open, 0);
     assert_eq!(told, with(vec![]));
+}
+
+/// Red that the camera clips to black in open water: the gradient with respect to `ln B` vanishes there, so
+/// that tracks and cells agree on no veil at all. It is assumed instead, and said to be.
+#[test]
+fn a_veil_that_the_camera_clipped_is_assumed_and_said_to_be() {
+    let dark = Truth { veil: [0.03, 0.45, 0.55], backscatter: [0.40, 0.16, 0.13], noise: 0.004, ..SEA };
+    let made = make(&dark);
+    let mut open = open_water(&dark);
+    open.iter_mut().for_each(|o| o.value[0] = 0.002);
+    let with = |open: Vec<OpenWater>| {
+        let sights = Sights { points: made.observations.clone(), open };
+        estimate(&sights, made.positions.len(), &made.positions, VIEWS, &WaterParams::default())
+    };
+    let water = with(open.clone());
+    let [red, green, _] = &water.channels;
+    assert_eq!(water.channels.each_ref().map(|w| w.veil_assumed), [true, false, false]);
+    near(red.veil.value, 0.07 * green.veil.value, 0.1, "the veil");
+    assert!(red.veil.error > 0.3 * red.veil.value, "it is a guess: {red:?}");
+    assert_eq!(red.veil_slope, [0.0; 3]);
+    near(red.backscatter.value, red.attenuation.value, 0.1, "backscatter");
+    assert!(red.verdict.usable() && red.verdict != Verdict::Found, "{red:?}");
+    near(red.attenuation.value, SEA.attenuation[0], 0.1, "red");
+    near(green.attenuation.value, SEA.attenuation[1], 0.05, "green");
+    // A few dark cells are none of that.
+    open.iter_mut().skip(90).for_each(|o| o.value[0] = 0.15);
+    assert!(with(open).channels.iter().all(|w| !w.veil_assumed));
+}
+
+/// A veil that is darker than any linear one in some directions: the fit bends down to nothing and no
+/// further.
+#[test]
+fn the_veil_is_negative_in_no_direction_that_was_seen() {
+    let steep = Truth { slope: DVec3::new(0.0, 0.0, 3.0), noise: 0.004, ..SEA };
+    let made = make(&steep);
+    let darkest = |water: &Water| {
+        let veils = made.observations.iter().flat_map(|o| {
+            let veil = |w: &use3d_water::ChannelWater| {
+                (w.veil_constant + DVec3::from_array(w.veil_slope).dot(o.direction)) / w.veil.value
+            };
+            water.channels.iter().map(veil).collect::<Vec<_>>()
+        });
+        veils.fold(f64::INFINITY, f64::min)
+    };
+    let water = solve(&made, &WaterParams::default());
+    assert!(darkest(&water) > -0.02, "{}", darkest(&water));
+    assert!(water.channels.iter().all(|w| w.verdict.usable()), "{:?}", water.channels);
+}
+
+#[test]
+fn errors_count_what_the_images_size_changes() {
+    let (made, other) = (
+        make(&Truth { noise: 0.004, ..SEA }),
+        make(&Truth { noise: 0.004, attenuation: [0.40, 0.25, 0.12], ..SEA }),
+    );
+    let sights = |made: &Made| Sights { points: made.observations.clone(), open: vec![] };
+    let sizes = |half: &Made| {
+        let both = [sights(&made), sights(half)];
+        estimate_sizes(&both, made.positions.len(), &made.positions, VIEWS, &WaterParams::default())
+    };
+    let alone = solve(&made, &WaterParams::default());
+    let (same, moved) = (sizes(&made), sizes(&other));
+    assert_eq!(same.channels, alone.channels, "sizes that agree widen nothing");
+    let (green, was) = (&moved.channels[1], &alone.channels[1]);
+    assert_eq!(green.attenuation.value, was.attenuation.value, "the full size decides");
+    assert!((green.attenuation.error - 0.1).abs() < 0.02, "{green:?}");
+    assert_eq!(green.verdict, Verdict::NotObservable, "two thirds off is not known");
+    assert_eq!(moved.channels[2].verdict, was.verdict);
+}
+
+#[test]
+fn a_veil_that_is_nearly_white_in_all_channels_is_a_sky() {
+    let with = |veil: [f64; 3]| {
+        let truth = Truth {
+            attenuation: [0.15, 0.16, 0.14],
+            backscatter: [0.15; 3],
+            veil,
+            slope: DVec3::ZERO,
+            noise: 0.004,
+            ..SEA
+        };
+        let made = make(&truth);
+        let sights = Sights { points: made.observations.clone(), open: open_water(&truth) };
+        estimate(&sights, made.positions.len(), &made.positions, VIEWS, &WaterParams::default())
+    };
+    let sky = with([0.86, 0.93, 0.95]);
+    assert!(sky.sky && sky.channels.iter().all(|w| w.verdict == Verdict::NoWater), "{:?}", sky.channels);
+    // Bright in two of them is a lagoon.
+    let lagoon = with([0.35, 0.9, 0.95]);
+    assert!(!lagoon.sky && lagoon.channels.iter().all(|w| w.verdict.usable()), "{:?}", lagoon.channels);
+}
+
+/// Points of every brightness between 1 and 6 units away, seen through `attenuation` and `veil`.
+fn glances(darkest: f64, attenuation: f64, veil: f64) -> Vec<Glance> {
+    (0..3000)
+        .map(|i| {
+            let d = Stream::new(11, Purpose::new("glance"), i);
+            let distance = 1.0 + 5.0 * d.uniform(0);
+            let left = math::exp(-attenuation * distance);
+            let color = |c: u64| (darkest + (0.95 - darkest) * d.uniform(c)) * left + veil * (1.0 - left);
+            Glance { distance, value: [1, 2, 3].map(color) }
+        })
+        .collect()
+}
+
+#[test]
+fn air_is_told_without_tracks_by_the_darkest_and_the_brightest_points() {
+    assert!(shows_air(&glances(0.0, 0.0, 0.0)));
+    assert!(!shows_air(&glances(0.0, 0.15, 0.4)), "far points are lit by a veil");
+    assert!(!shows_air(&glances(0.0, 0.3, 0.0)), "dark water takes light away");
+    assert!(!shows_air(&glances(0.2, 0.0, 0.0)), "nothing is dark: not known");
+    assert!(!shows_air(&glances(0.0, 0.0, 0.0)[..600]), "too few");
+    let mut alike = glances(0.0, 0.0, 0.0);
+    alike.iter_mut().for_each(|g| g.distance = 3.0 + 0.1 * g.distance);
+    assert!(!shows_air(&alike), "all as far");
+    alike[7].value[1] = f64::NAN;
+    alike[8].distance = f64::INFINITY;
+    assert!(!shows_air(&alike));
 }

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 use use3d_capture::{Camera, Image, Intrinsics, Map, Pose, Sighting, Track};
-use use3d_water::{Observation, ObserveError, observe};
+use use3d_water::{Observation, ObserveError, observe, observe_sizes};
 
 const LENS: Intrinsics = Intrinsics { width: 80, height: 60, fx: 70.0, fy: 70.0, cx: 40.0, cy: 30.0 };
 
@@ -80,4 +80,23 @@ fn tracks_and_images_of_another_capture_are_refused_by_name() {
     let error =
         observe::<ObserveError>(&cameras(), &both, |_| Ok(Some((Image::new(8, 8), None)))).unwrap_err();
     assert!(error.to_string().contains("8x8") && error.to_string().contains("80x60"), "{error}");
+}
+
+#[test]
+fn half_the_size_shows_the_same_surface_in_half_as_many_pixels() {
+    let tracks = [track(vec![sighting(0), sighting(1)])];
+    let even = |view: usize| Image::filled(80, 60, [0.3, 0.6][view]);
+    let [whole, half] =
+        observe_sizes::<ObserveError>(&cameras(), &tracks, |view| Ok(Some((even(view), None)))).unwrap();
+    assert_eq!(whole.points.len(), 2);
+    for (a, b) in whole.points.iter().zip(&half.points) {
+        assert_eq!((a.point, a.view, a.distance, a.direction), (b.point, b.view, b.distance, b.direction));
+        assert!((a.value[0] - b.value[0]).abs() < 1e-6);
+    }
+    // A disc: the window of the half covers as many pixels, that is more of the surface.
+    let [whole, half] =
+        observe_sizes::<ObserveError>(&cameras(), &tracks, |view| Ok(Some((disc(view), None)))).unwrap();
+    assert!(half.points[1].value[1] < whole.points[1].value[1], "{whole:?} {half:?}");
+    let error = observe_sizes::<ObserveError>(&cameras(), &tracks, |_| Ok(Some((Image::new(8, 8), None))));
+    assert!(error.unwrap_err().to_string().contains("8x8"));
 }

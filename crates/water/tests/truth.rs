@@ -4,7 +4,7 @@
 use use3d_capture::{Image, Map};
 use use3d_import::{ImportParams, import, load_pixels};
 use use3d_synth::{CaptureParams, write_capture};
-use use3d_water::{ObserveError, Water, WaterParams, estimate, observe};
+use use3d_water::{ObserveError, Verdict, Water, WaterParams, estimate, observe};
 
 fn solve(dir: &std::path::Path, images: &str) -> Water {
     let imported = import(dir, &ImportParams::default()).unwrap();
@@ -88,7 +88,7 @@ fn a_camera_that_exposes_each_view_on_its_own_is_not_taken_for_water() {
 #[test]
 fn air_has_no_water_whatever_the_camera_does() {
     let dir = tempfile::tempdir().unwrap();
-    for seed in [2, 3] {
+    for (seed, backlight) in [(2, 0.0), (3, 0.0), (4, 1.0)] {
         let out = dir.path().join(format!("air {seed}"));
         let params = CaptureParams {
             views: 20,
@@ -101,13 +101,14 @@ fn air_has_no_water_whatever_the_camera_does() {
             physics: use3d_synth::Physics::Spectral,
             air: true,
             white_balance: 0.5,
-            auto_exposure: 0.5,
+            auto_exposure: if backlight > 0.0 { 1.0 } else { 0.5 },
+            backlight,
             ..CaptureParams::default()
         };
         write_capture(&params, &out, &mut |_, _| ()).unwrap();
         let water = solve(&out, "images");
         for w in &water.channels {
-            assert!(!w.verdict.usable(), "seed {seed}: {w:?}");
+            assert_eq!(w.verdict, Verdict::NoWater, "seed {seed}: {w:?}");
         }
     }
 }

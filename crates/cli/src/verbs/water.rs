@@ -18,12 +18,13 @@ pub(crate) fn run(app: &App, args: &WaterArgs) -> Done {
     let folder = imported(app, &registry, &args.capture, &parameters[0], scratch.path())?;
     let capture = load_prepared(&folder).map_err(CliError::input)?;
     let (capture, water) = interrupt::unless_stopped(move || {
-        let water = from_tracks(&capture, &WaterParams::default());
+        let water = from_tracks(&folder, &capture, &WaterParams::default());
         (capture, water)
     })?;
-    let water = water.map_err(CliError::input)?;
+    let (water, judgement) = water.map_err(CliError::input)?;
     // An import does not keep the name, since equal captures give equal bytes.
-    let report = WaterReport { capture: capture_name(&args.capture), ..WaterReport::new(&capture, &water) };
+    let name = capture_name(&args.capture);
+    let report = WaterReport { capture: name, ..WaterReport::new(&capture, &water, judgement) };
     if args.json {
         return crate::verbs::run::json(&report);
     }

@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 use use3d_build::{Scope, Stage, StageContext, StageError};
-use use3d_import::{ImportError, ImportParams, import, prepare};
+use use3d_import::{ImportError, ImportParams, Imported, import, prepare};
 use use3d_io_colmap::ModelError;
 use use3d_io_image::ImageError;
 
 use super::common::{out_of_range, write_json};
+use crate::sights::{SIGHTS, Seen, SightsError};
 
 pub(super) fn stage() -> Stage {
     Stage::new("import", Scope::Scene, run)
@@ -32,7 +33,7 @@ fn files(parameters: &Value, capture: &Path) -> Result<Vec<PathBuf>, String> {
         let mut paths = vec![PathBuf::from(".")];
         let files = below(read.flatten(), capture, "");
         paths.extend(files.into_iter().filter(|file| has_hidden_part(file)));
-        return Ok(paths);
+        return Ok(paths); // the whole folder, with its sights
     }
     let report = imported.report;
     let masks = params.mask_dir.unwrap_or_else(|| "masks".into());
@@ -82,7 +83,30 @@ fn run(context: &StageContext, params: &ImportParams) -> Result<(), StageError> 
         ImportError::Model(ModelError::Write { .. }) => StageError::failed(error),
         error => StageError::bad_input(error),
     })?;
-    write_json(&context.output().join("report.json"), &prepared.report)
+    let out = context.output();
+    keep_sights(context, &imported, prepared.report.white_balance)?;
+    write_json(&out.join("report.json"), &prepared.report)
+}
+
+/// Keeps the files' account of the capture's water: scenes may be learnt at another size. An import of an
+/// import keeps what the first one saw.
+fn keep_sights(
+    context: &StageContext,
+    imported: &Imported,
+    balance: Option<[f32; 3]>,
+) -> Result<(), StageError> {
+    let (before, after) = (context.input("capture")?.join(SIGHTS), context.output().join(SIGHTS));
+    let bytes = if use3d_import::is_prepared(context.input("capture")?) && before.is_file() {
+        std::fs::read(&before).map_err(|e| StageError::io(&before, e))?
+    } else {
+        let seen = Seen::of_files(imported, balance, || !context.cancelled());
+        let seen = seen.map_err(|error| match error {
+            SightsError::Stopped => StageError::Cancelled,
+            error => StageError::bad_input(error),
+        })?;
+        seen.bytes().map_err(StageError::failed)?
+    };
+    std::fs::write(&after, bytes).map_err(|e| StageError::io(&after, e))
 }
 
 #[cfg(test)]

@@ -30,3 +30,5 @@ pub(super) const WATER: &str = "water.json";
 pub const CAMERAS: &str = "cameras.json";
 /// In `reconstruct`: which images the scene was learnt from, and how held-out ones came out.
 pub(super) const EVALUATION: &str = "evaluation.json";
+/// In `reconstruct`: what the capture's tracks told of its water.
+pub(super) const WATER: &str = "water.json";

@@ -20,7 +20,7 @@ use super::names::{CHOICES, CONTACT, EVALUATION, WATER};
 use super::proposals;
 use super::watch::Watch;
 use crate::engines;
-use crate::water::{WaterReport, found_water, from_tracks, lamps, no_water};
+use crate::water::{Judgement, WaterReport, found_water, from_tracks};
 
 /// The training views' gains.
 const EXPOSURES: &str = "exposures.json";
@@ -115,25 +115,26 @@ fn imported(context: &StageContext) -> Result<Imported, StageError> {
 /// What the capture's tracks tell of the water and of the views' gains, said and written beside the scene;
 /// and whether they tell that there is no water.
 fn known_from_tracks(context: &StageContext) -> Result<(Known, bool, String), StageError> {
+    let folder = context.input("import")?;
     let imported = imported(context)?;
-    let water = from_tracks(&imported, &WaterParams::default()).map_err(StageError::bad_input)?;
+    let (water, judgement) =
+        from_tracks(folder, &imported, &WaterParams::default()).map_err(StageError::bad_input)?;
     // Without a name: the folder that an import lies in is not part of it.
-    let report = WaterReport { capture: "capture".into(), ..WaterReport::new(&imported, &water) };
+    let report = WaterReport { capture: "capture".into(), ..WaterReport::new(&imported, &water, judgement) };
     write_json(&context.output().join(WATER), &report)?;
     context.log(report.to_string().trim_end());
-    let (found, dry) = (found_water(&water), no_water(&water));
-    let names = ["red", "green", "blue"];
-    let told = water.channels.iter().zip(names).map(|(c, name)| format!("{name} {}", c.verdict));
-    let told = told.collect::<Vec<_>>().join("; ");
-    let said = match &found {
-        Some(_) => format!("water from tracks: {told}"),
-        None if dry => "no water found: points look alike from near and far, so the water is off (medium = \"none\")".into(),
-        None if lamps(&water) => "water from tracks: points would be brighter than white without it, so light comes from the camera (lamps); the water starts as with \
-            medium_prior = \"off\"".into(),
-        None => format!("water from tracks: {told}; the water starts as with medium_prior = \"off\""),
+    let channels = report.channels.iter().map(|c| format!("{} {}", c.channel, c.told));
+    context.say(format!("water from tracks: {}", channels.collect::<Vec<_>>().join("; ")));
+    let so = match judgement.no_water() {
+        true => "; the water is off (medium = \"none\")",
+        false if judgement == Judgement::Found => "",
+        false => " (medium_prior = \"off\")",
     };
+    let said = format!("{judgement}{so}");
     context.say(&said);
-    Ok((Known { water: found, gains: water.gains, tracks: imported.tracks() }, dry, said))
+    let found = found_water(&water, judgement);
+    let known = Known { water: found, gains: water.gains, tracks: imported.tracks() };
+    Ok((known, judgement.no_water(), said))
 }
 
 /// What the water starts from where no track is asked.

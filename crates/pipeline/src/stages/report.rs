@@ -14,7 +14,7 @@ use use3d_scene::Scene;
 
 use super::calibrator::read_calibrator;
 use super::common::{folder, read_json, write_json, write_text};
-use super::names::{CONTACT, ENHANCED_IN_2D, SCORES, STRIP, TRUE_VIEWS};
+use super::names::{CONTACT, ENHANCED_IN_2D, SCORES, STRIP, TRUE_VIEWS, WATER};
 use crate::judge::report::plot::{Plot, RGB, Series};
 use crate::judge::report::{CalibratorSection, Page, Picture, PlotFigure, SceneSection, ViewSection};
 use crate::judge::scores::{Method, MethodScores, SceneScores, ScoredScene};
@@ -264,6 +264,7 @@ fn section(
         );
         section.notes = left_out(scores);
     }
+    section.notes.extend(parts.path("scene").and_then(water_note));
     let best = best_look(parts.path("enhanced"))?;
     if let Some(scores) = scores {
         section.verdict = verdict(scores, scored_as(best));
@@ -291,6 +292,20 @@ fn section(
         section.sheets.extend(sheets(&targets.join("previews"), &report)?);
     }
     Ok(section)
+}
+
+/// The tracks' account of the water, in the words of `use3d water`; none where stage 1 did not ask them.
+fn water_note(scene: &Path) -> Option<String> {
+    let told: serde_json::Value = read_json(&scene.join(WATER)).ok()?;
+    let channel = |c: &serde_json::Value| {
+        let attenuation = &c["attenuation"];
+        let number = |v: &serde_json::Value| v.as_f64().map_or_else(|| "–".into(), |v| format!("{v:.4}"));
+        let (value, error) = (number(&attenuation["value"]), number(&attenuation["error"]));
+        let name = c["channel"].as_str().unwrap_or_default();
+        format!("{name} {value} ± {error} per unit ({})", c["told"].as_str().unwrap_or_default())
+    };
+    let channels: Vec<String> = told["channels"].as_array()?.iter().map(channel).collect();
+    Some(format!("Water from tracks: {}. Attenuation: {}.", told["told"].as_str()?, channels.join(", ")))
 }
 
 /// The course of stage 1, out of its log.

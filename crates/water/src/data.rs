@@ -1,0 +1,123 @@
+//! A capture's observations as all channels share them: sorted, with the points that tell, in units of the
+//! median distance.
+
+use glam::DVec3;
+
+use crate::blocks::blocks;
+use crate::estimate::WaterParams;
+use crate::formation::Channel;
+use crate::observe::{Observation, Sights};
+use crate::open::{Open, OpenWater};
+
+/// The data that all channels share.
+pub(crate) struct Data {
+    /// Sorted so that the caller's order does not matter.
+    pub(crate) observations: Vec<Observation>,
+    pub(crate) open: Vec<OpenWater>,
+    /// Indices of tracks that tell, by position.
+    pub(crate) order: Vec<usize>,
+    /// The block of neighbours that a point of `order` belongs to, by track.
+    pub(crate) block: Vec<usize>,
+    /// Number of blocks.
+    pub(crate) blocks: usize,
+    /// Observation ranges of tracks.
+    pub(crate) ranges: Vec<std::ops::Range<usize>>,
+    pub(crate) unit: f64,
+    pub(crate) center: DVec3,
+    pub(crate) views: usize,
+    pub(crate) telling: usize,
+    pub(crate) percentiles: [f64; 3],
+}
+
+impl Data {
+    pub(crate) fn new(
+        sights: &Sights,
+        points: usize,
+        positions: &[DVec3],
+        views: usize,
+        params: &WaterParams,
+    ) -> Self {
+        let finite = |o: &&Observation| {
+            o.point < points.min(positions.len())
+                && o.view < views
+                && o.distance.is_finite()
+                && o.distance > 0.0
+                && o.direction.is_finite()
+        };
+        let mut sorted: Vec<Observation> = sights.points.iter().filter(finite).copied().collect();
+        sorted.sort_by_key(|o| (o.point, o.view));
+        sorted.dedup_by_key(|o| (o.point, o.view));
+        let mut ranges = vec![0..0; points];
+        let mut first = 0;
+        while first < sorted.len() {
+            let point = sorted[first].point;
+            let count = sorted[first..].iter().take_while(|o| o.point == point).count();
+            ranges[point] = first..first + count;
+            first += count;
+        }
+        let ratio = |range: &std::ops::Range<usize>| {
+            let all = sorted[range.clone()].iter().map(|o| o.distance);
+            let (near, far) = all.fold((f64::INFINITY, 0.0f64), |(n, f), s| (n.min(s), f.max(s)));
+            far / near
+        };
+        let tells = |p: &usize| ranges[*p].len() >= 3 && ratio(&ranges[*p]) >= params.distance_ratio;
+        let telling = (0..points).filter(tells).count();
+        // Points over a smaller range tell less, but cost little and steady the gains.
+        let mut order: Vec<usize> =
+            (0..points).filter(|p| ranges[*p].len() >= 3 && ratio(&ranges[*p]) >= 1.1).collect();
+        order.sort_by(|a, b| {
+            let (a, b) = (positions[*a], positions[*b]);
+            a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(a.z.total_cmp(&b.z))
+        });
+        let places: Vec<DVec3> = order.iter().map(|p| positions[*p]).collect();
+        let (of_order, blocks) = blocks(&places);
+        let mut block = vec![0; points];
+        order.iter().zip(of_order).for_each(|(p, b)| block[*p] = b);
+        let used: Vec<&Observation> = order.iter().flat_map(|p| &sorted[ranges[*p].clone()]).collect();
+        let mut distances: Vec<f64> = used.iter().map(|o| o.distance).collect();
+        distances.sort_by(f64::total_cmp);
+        let at = |q: f64| distances.get((q * distances.len() as f64) as usize).copied().unwrap_or(1.0);
+        let percentiles = [at(0.05), at(0.5), at(0.95)];
+        let sum: DVec3 = used.iter().map(|o| o.direction).sum();
+        let center = sum / (used.len().max(1) as f64);
+        let open = if params.open_water { Open::usable(&sights.open, views) } else { vec![] };
+        Self {
+            order,
+            open,
+            block,
+            blocks,
+            ranges,
+            unit: percentiles[1],
+            center,
+            views,
+            telling,
+            percentiles,
+            observations: sorted,
+        }
+    }
+
+    /// A channel's observations of every `step`-th point that tells, and those points.
+    pub(crate) fn select(&self, c: usize, step: usize) -> (Channel, Vec<usize>) {
+        let mut channel = Channel { start: vec![0], views: self.views, ..Channel::default() };
+        let mut points = Vec::new();
+        for &p in self.order.iter().step_by(step) {
+            let usable: Vec<&Observation> = self.observations[self.ranges[p].clone()]
+                .iter()
+                .filter(|o| o.value[c].is_finite() && o.spread[c].is_finite())
+                .collect();
+            if usable.len() < 2 {
+                continue;
+            }
+            for o in usable {
+                channel.view.push(o.view);
+                channel.distance.push(o.distance / self.unit);
+                channel.direction.push((o.direction - self.center).to_array());
+                channel.value.push(o.value[c]);
+                channel.spread.push(o.spread[c]);
+            }
+            channel.start.push(channel.value.len());
+            points.push(p);
+        }
+        (channel, points)
+    }
+}
