@@ -9,7 +9,7 @@ use use3d_atc::consensus::{Lift, Proposals, Recorder, TargetsParams, ViewInput, 
 use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::progress::unwatched;
 use use3d_atc::proposers::{Fusion, Proposer};
-use use3d_capture::{Appearance, Camera, Image, Intrinsics, Pose};
+use use3d_capture::{Appearance, Camera, Image, Intrinsics, KeptWater, Pose};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::Gaussians;
@@ -66,7 +66,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (_, report) = targets_from_records(
         &mut Lift::new(&gaussians),
         &records,
-        Appearance::Water,
+        (Appearance::Water, KeptWater::ALL),
         Fusion.id(),
         &calibrator,
         &params,

@@ -72,7 +72,8 @@ fn paths(text: &[u8], at: &mut usize) -> Vec<Vec<String>> {
 /// All paths of a text that begin with a word.
 fn beginning_with(text: &str, word: &str) -> Vec<Vec<String>> {
     let bytes = text.as_bytes();
-    let starts = text.match_indices(&format!("{word}::")).map(|(at, _)| at);
+    let path = format!("{word}::");
+    let starts = text.match_indices(&path).map(|(at, _)| at);
     let whole =
         |at: &usize| *at == 0 || !(bytes[at - 1].is_ascii_alphanumeric() || b"_:".contains(&bytes[at - 1]));
     starts.filter(whole).flat_map(|mut at| paths(bytes, &mut at)).collect()

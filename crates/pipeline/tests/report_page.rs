@@ -37,7 +37,12 @@ fn report() -> String {
         name: "t".into(),
         caption: format!("A caption about {long}"),
         columns: (0..12).map(|k| Column::new("Group", &format!("Column {k}"), Better::Higher, 2)).collect(),
-        rows: vec![Row { label: "a row".into(), published: false, cells: vec![number; 12] }],
+        rows: vec![Row {
+            label: "a row".into(),
+            published: false,
+            made_by: String::new(),
+            cells: vec![number; 12],
+        }],
     };
     let scene = SceneSection {
         name: "reef".into(),

@@ -330,7 +330,7 @@ fn a_value_out_of_range_is_pointed_at_in_every_stage() {
         ("import", "downscale = 0", "`downscale` is 0; expected 1"),
         ("render", "strength = 3.0", "`strength` is 3; expected 0 to 1"),
     ];
-    let all = parameters(&registry().expect("the stage table"), None).expect("parameters");
+    let all = parameters(&registry().expect("the stage table"), None, None).expect("parameters");
     let with_parameters = all.iter().filter(|stage| !stage.parameters.is_empty()).map(|stage| stage.stage);
     let of_bad: BTreeSet<&str> = bad.iter().map(|(stage, ..)| *stage).collect();
     assert_eq!(of_bad, with_parameters.collect());
@@ -345,7 +345,7 @@ fn a_value_out_of_range_is_pointed_at_in_every_stage() {
 fn defaults_are_shown_as_people_write_them_and_mean_the_same_when_given() {
     let registry = registry().expect("the stage table");
     let mut numbers = 0;
-    for stage in parameters(&registry, None).expect("parameters") {
+    for stage in parameters(&registry, None, None).expect("parameters") {
         let mut given = serde_json::json!({});
         for parameter in stage.parameters.iter().filter(|p| !p.default.is_null()) {
             let table = parameter.name.split('.').fold(&mut given, |table, key| &mut table[key]);

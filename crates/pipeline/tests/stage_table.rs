@@ -353,7 +353,8 @@ fn the_page_of_decisions_tells_defaults_from_switches() {
             compared += 1;
         };
         code_words(switches).for_each(|switch| check(switch, false));
-        for part in answer.split("`, the default").rev().skip(1) {
+        let parts: Vec<&str> = answer.split("`, the default").collect();
+        for part in parts.iter().take(parts.len() - 1) {
             check(part.rsplit('`').next().unwrap_or_default(), true);
         }
     }

@@ -6,7 +6,7 @@ use std::path::Path;
 use use3d_atc::consensus::{LocalConsensus, Targets};
 use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::proposers::ProposerId;
-use use3d_capture::Appearance;
+use use3d_capture::{Appearance, KeptWater};
 use use3d_enhance::engine::{
     Coverage, CpuFieldEngine, FieldDiagnostics, FieldEngine, FieldPlan, FieldReport, FieldState, Reading,
 };
@@ -94,6 +94,7 @@ fn problem() -> (Scene, Vec<EnhanceView>, Targets) {
         extractor: ExtractorSettings::default(),
         proposer: ProposerId::default(),
         appearance: Appearance::Water,
+        kept_water: KeptWater::ALL,
         scene: operator,
         dispersion: 0.0,
         global_scales: [0.2; 12],

@@ -154,7 +154,8 @@ fn row(label: String, scores: Option<&SceneScores>, method: Method) -> Row {
         let value = scores.and_then(|scores| scores.mean(method, metric)?.value());
         value.map_or(Cell::Blank, |value| Cell::Number { value, source: String::new() })
     };
-    Row { label, published: false, cells: METRICS.iter().map(|(metric, ..)| cell(metric)).collect() }
+    let made_by = String::new();
+    Row { label, published: false, made_by, cells: METRICS.iter().map(|(metric, ..)| cell(metric)).collect() }
 }
 
 /// What the two are compared by in numbers; columns that neither has are left out.

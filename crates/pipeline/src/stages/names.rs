@@ -24,8 +24,6 @@ pub const SPEED: &str = "speed";
 pub const CHOICES: &str = "choices.json";
 /// In `targets`: where the calibrator that corrected the proposals came from.
 pub const CALIBRATED: &str = "calibrator.json";
-/// In `reconstruct`: the water that the capture's tracks show.
-pub(super) const WATER: &str = "water.json";
 /// In `enhance`: the training cameras, as a list that `use3d render --cameras` reads.
 pub const CAMERAS: &str = "cameras.json";
 /// In `reconstruct`: which images the scene was learnt from, and how held-out ones came out.

@@ -228,8 +228,7 @@ mod tests {
         // Against a plain sum over the pixels of every view.
         let state = TrainingState::new(discs(), MediumModel::None, &[]);
         let worth = worths(6, &[1, 2, 3], false)[0];
-        let (mut prepared, mut rasterizer, mut rendered) =
-            (Prepared::new(), Rasterizer::new(), Rendered::new());
+        let (mut prepared, mut rasterizer) = (Prepared::new(), Rasterizer::new());
         let mut expected = 0.0;
         for i in [1, 2, 3] {
             let camera = camera(i).downscaled(DIVISOR);
