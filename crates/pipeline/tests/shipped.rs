@@ -41,7 +41,7 @@ fn a_scene_learnt_from_proposals_has_no_second_stage() {
     };
     assert_eq!(
         stages("enhance-then-reconstruct"),
-        ["import", "propose", "reconstruct", "render", "evaluate"]
+        ["import", "depth", "propose", "reconstruct", "render", "evaluate"]
     );
     let full = stages("full");
     assert!(full.contains(&"enhance") && !full.contains(&"propose"), "{full:?}");
@@ -314,9 +314,7 @@ fn a_value_out_of_range_is_pointed_at_in_every_stage() {
         ("pairs", "synthetic.width = 3", "`synthetic.width` is 3; expected 16 to 8192 pixels"),
         ("propose", "proposer = \"scene\"", "choose auto, nu2net or fusion here"),
         ("targets", "proposer = \"nowhere\"", "`proposer`"),
-        ("targets", "proposer = \"scene\"", "add `source = \"clear\"`"),
         ("targets", "kept_water = 1.5", "expected \"auto\", or shares from 0 to 1"),
-        ("targets", "kept_water = 0.5\nsource = \"photographs\"", "add `source = \"renders\"`"),
         ("evaluate", "path_steps = 0", "`path_steps` is 0; expected 1 to 10000"),
         ("report", "views = -1", "`views`"),
         ("reconstruct", "iterations = 0", "`iterations` is 0; expected 1 to"),

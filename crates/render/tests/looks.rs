@@ -292,7 +292,7 @@ fn a_look_baked_in_water_shows_what_cameras_saw() {
             let picture = draw(of, look, camera);
             let [wet, bare, dry] =
                 [&wet, &no_backdrop, &dry].map(|s| mean(&draw(s, Look::Reconstruction, camera), &picture));
-            assert!(wet < 0.03, "{wet}");
+            assert!(wet < 0.05, "{wet}");
             assert!(2.0 * wet < dry && wet < bare, "in water {wet}, without backdrop {bare}, dry {dry}");
         }
     }

@@ -183,6 +183,10 @@ pub(crate) fn keep(results: &Path, mut record: Record, quiet: bool) -> Result<()
         // The folder shows them already.
         return Ok(());
     }
+    // Times are whole seconds; results that replace others within one are still the newer ones.
+    if let Some((_, old)) = before {
+        record.delivered = record.delivered.max(old.delivered + 1);
+    }
     let same = known.iter().rfind(|(_, old)| old.artifacts == record.artifacts);
     if let Some((_, old)) = same {
         // Brought back, it is the run that it was.

@@ -16,6 +16,7 @@ use super::calibrator::read_calibrator;
 use super::depth;
 use super::pairs;
 use super::proposer::{ProposerChoice, of_calibrator};
+use super::targets;
 use crate::judge::truth;
 
 /// Fewest pairs that say how transitions vary.
@@ -209,6 +210,11 @@ fn of_targets(all: &AllParameters, named: &Named) -> Option<Lacking> {
         let opened = of_calibrator(choice, &calibrator.proposer.name, models)
             .and_then(|p| calibrator.proposer.require(&p.id()).map_err(|e| e.to_string()));
         return opened.err().and_then(|problem| lacking("a calibrator for what proposes", problem, ""));
+    }
+    let parameters =
+        all.get("targets").and_then(|p| serde_json::from_value::<targets::Params>(p.clone()).ok());
+    if let Some((problem, without)) = parameters.and_then(|parameters| parameters.conflict()) {
+        return lacking("parameters of the targets that go together", problem, without);
     }
     if !is_calibrated(all) {
         return None;

@@ -43,6 +43,9 @@ impl<'s> Starts<'s> {
         scene: &'s Scene,
         views: &[&View],
     ) -> Result<Self, StageError> {
+        if let Some((problem, _)) = params.conflict() {
+            return Err(StageError::bad_input_message(problem));
+        }
         if params.proposer == ProposerChoice::Scene {
             return Self::known(context, scene, views);
         }

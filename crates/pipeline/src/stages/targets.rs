@@ -76,24 +76,26 @@ impl Default for Params {
 
 impl Params {
     fn check(&self) -> Result<(), (String, String)> {
-        self.kept_water.check()?;
-        let wrong = |at: &str, message: &str| Err((at.into(), message.into()));
+        self.kept_water.check()
+    }
+
+    /// Parameters that do not go together, and the setting that mends it.
+    pub(super) fn conflict(&self) -> Option<(String, &'static str)> {
         if self.proposer == ProposerChoice::Scene && self.source != Source::Clear {
-            return wrong(
-                "proposer",
-                "is \"scene\", which grades the scene without its water; add `source = \"clear\"`",
-            );
+            let problem =
+                "`proposer = \"scene\"` grades the scene without its water; add `source = \"clear\"`";
+            return Some((problem.into(), "--set targets.source=clear"));
         }
         if self.proposer == ProposerChoice::Scene && self.calibrated {
-            return wrong(
-                "proposer",
-                "is \"scene\", which has no calibrator; add `calibrated = false`, or choose a 2D enhancer",
-            );
+            let problem =
+                "`proposer = \"scene\"`, which has no calibrator, and `calibrated = true` do not go together";
+            return Some((problem.into(), "--set targets.calibrated=false"));
         }
         if self.source != Source::Renders && self.kept_water != KeptWaterChoice::default() {
-            return wrong("kept_water", "is the share of the water in renders; add `source = \"renders\"`");
+            let problem = "`kept_water` is the share of the water in renders; add `source = \"renders\"`";
+            return Some((problem.into(), "--set targets.source=renders"));
         }
-        Ok(())
+        None
     }
 }
 
