@@ -576,7 +576,7 @@ mod tests {
         assert!(short.is_gentle() && !of(2000).is_gentle() && !long.is_gentle());
         assert_eq!([true, false].map(|growing| short.cull_opacity(growing)), [0.05; 2]);
         assert_eq!([true, false].map(|growing| long.cull_opacity(growing)), [0.5, 0.1]);
-        let mut paper = short.clone();
+        let mut paper = short;
         paper.densify.gentle_below = 0;
         assert_eq!([true, false].map(|growing| paper.cull_opacity(growing)), [0.5, 0.1]);
         let mut frugal = long;

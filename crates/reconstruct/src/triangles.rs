@@ -493,7 +493,7 @@ mod tests {
             }
         }
         // Colours that are not sure are as photographed.
-        let unsure = FoundWater { radiances: vec![None; points.len()], ..water.clone() };
+        let unsure = FoundWater { radiances: vec![None; points.len()], ..water };
         let photographed = start(&views, &points, Some(unsure));
         assert_eq!(photographed.len(), found.len());
         assert!(photographed.iter().all(|p| p.color[0] < 0.45), "hazy and dark");

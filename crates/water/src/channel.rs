@@ -96,7 +96,7 @@ impl Work {
             prior.veil.1 = VEIL_SEEN;
         }
         let cells = prior.open.cells.iter().map(|cell| cell.1);
-        prior.seen = outermost(channel.direction.iter().copied().chain(cells));
+        prior.seen = outermost(&channel.direction.iter().copied().chain(cells));
         let (block, count) = (points.iter().map(|p| data.block[*p]).collect::<Vec<_>>(), data.blocks);
         let best = fit(&channel, &noise.sigmas(&channel), &prior, &start, &[2.0, 1.0]);
         let errors = covariance(&channel, &noise.sigmas(&channel), &best, &prior, &block, count);
@@ -344,7 +344,7 @@ fn start(data: &Data, c: usize, prior: &Prior) -> (Vec<f64>, Noise) {
 }
 
 /// The directions that lie outermost, seen along 64 even directions: where a linear veil is least.
-fn outermost(directions: impl Iterator<Item = [f64; 3]> + Clone) -> Vec<[f64; 3]> {
+fn outermost(directions: &(impl Iterator<Item = [f64; 3]> + Clone)) -> Vec<[f64; 3]> {
     const ALONG: usize = 64;
     // A spiral over the sphere by the golden angle.
     let along = (0..ALONG).map(|i| {

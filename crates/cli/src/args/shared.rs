@@ -66,6 +66,7 @@ pub(crate) struct Spelled {
 }
 
 impl Spelled {
+    #[allow(clippy::needless_pass_by_value, reason = "callers give numbers, words and sizes alike")]
     pub(crate) fn new(
         flag: &'static str,
         stage: &'static str,

@@ -78,7 +78,7 @@ fn side(given: &str) -> Result<Side, CliError> {
             there.filter(|(_, path)| path.is_dir()).collect()
         };
         let entries = std::fs::read_dir(&folder).into_iter().flatten().flatten().map(|entry| entry.path());
-        let folders = entries.filter(|path| path.is_dir()).chain([folder.clone()]);
+        let folders = entries.filter(|path| path.is_dir()).chain([folder]);
         for path in folders.filter(|path| path.join("renders").is_dir()) {
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             scenes.insert(name, stages_of(&path));
