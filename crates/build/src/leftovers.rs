@@ -1,48 +1,39 @@
-//! What a killed process leaves outside the cache: temporary files and folders whose names say whose they
-//! are.
-//!
-//! Whatever is made under a temporary name carries its [`owner`], this process among all on all machines. The
-//! next process that works in the same folder removes what belongs to those that are known to have ended, and
-//! nothing else.
+//! Folders for temporary files outside the cache, and what killed processes left of them.
 
 use std::path::Path;
 
-use super::machine::ProcessId;
-
-/// This process's name in the names of what it makes for a while; what tells them apart may follow after `-`.
-pub fn owner() -> String {
-    ProcessId::this().name()
-}
+use use3d_files::Making;
+pub use use3d_files::sweep;
 
 /// What the names of folders for temporary files begin with.
 const SCRATCH: &str = "use3d-";
 
 /// A folder for temporary files that goes away when it is dropped; those of processes that were killed go
 /// now.
-pub fn scratch() -> std::io::Result<tempfile::TempDir> {
+pub fn scratch() -> std::io::Result<Scratch> {
     sweep(&std::env::temp_dir(), SCRATCH, |_| true);
-    tempfile::Builder::new().prefix(&format!("{SCRATCH}{}-", owner())).tempdir()
+    let folder = tempfile::Builder::new().prefix(&format!("{SCRATCH}{}-", use3d_files::unique())).tempdir()?;
+    let making = Making::new(folder.path());
+    Ok(Scratch { folder, _making: making })
 }
 
-/// Removes files and folders in `folder` whose names are `prefix` and an [`owner`] who is gone; `may_go` is
-/// asked before. What cannot be removed stays: it is in nobody's way.
-pub fn sweep(folder: &Path, prefix: &str, may_go: impl Fn(&Path) -> bool) {
-    for entry in std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok) {
-        let name = entry.file_name();
-        let owner = name.to_str().and_then(|name| name.strip_prefix(prefix));
-        if owner.and_then(ProcessId::owner_is_alive) != Some(false) || !may_go(&entry.path()) {
-            continue;
-        }
-        if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
-            let _ = std::fs::remove_dir_all(entry.path());
-        } else {
-            let _ = std::fs::remove_file(entry.path());
-        }
+/// A folder for temporary files.
+#[derive(Debug)]
+pub struct Scratch {
+    folder: tempfile::TempDir,
+    _making: Making,
+}
+
+impl Scratch {
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        self.folder.path()
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::machine::ProcessId;
     use super::*;
 
     #[test]
@@ -51,34 +42,5 @@ mod tests {
         let name = folder.path().file_name().unwrap().to_str().unwrap().to_string();
         let alive = name.strip_prefix(SCRATCH).and_then(ProcessId::owner_is_alive);
         assert!(alive != Some(false) && folder.path().is_dir(), "{name}");
-    }
-
-    #[test]
-    fn only_what_the_gone_left_is_removed() {
-        let this = ProcessId::this();
-        let other = ProcessId { started: this.started + 1, ..this };
-        if other.is_alive() != Some(false) {
-            return; // a system that does not tell
-        }
-        let gone = other.name();
-        let dir = tempfile::tempdir().unwrap();
-        let mut kept = vec![
-            format!(".tmp-{}-0", owner()),
-            ".tmp-elsewhere-1-2-3".to_string(),
-            ".tmp-mine".to_string(),
-            format!("other-{gone}-0"),
-            format!(".tmp-{gone}-kept"),
-        ];
-        let left = [format!(".tmp-{gone}-0"), format!(".tmp-{gone}")];
-        for name in kept.iter().chain(&left) {
-            std::fs::create_dir_all(dir.path().join(name).join("deep")).unwrap();
-        }
-        std::fs::write(dir.path().join(format!(".tmp-{gone}-file")), "half").unwrap();
-        sweep(dir.path(), ".tmp-", |path| !path.ends_with(&kept[4]));
-        let list = std::fs::read_dir(dir.path()).unwrap();
-        let mut names: Vec<String> = list.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-        names.sort();
-        kept.sort();
-        assert_eq!(names, kept);
     }
 }

@@ -17,6 +17,7 @@ use std::time::SystemTime;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use use3d_capture::name::shown;
+use use3d_files::beside;
 
 use super::digest::Digest;
 use super::error::FileError;
@@ -270,12 +271,12 @@ pub fn check_writable(folder: &Path) -> Result<(), PlaceError> {
 
 /// The folder that `path` lies in.
 pub fn parent(path: &Path) -> &Path {
-    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
+    use3d_files::folder_of(path)
 }
 
 /// What begins the name of a thing that is being made.
-const MADE: &str = ".use3d-tmp-";
-/// What begins the name of an old result on its way out. It may hold files of others, so nobody sweeps it.
+const MADE: &str = use3d_files::BEING_MADE;
+/// What begins the name of an old result on its way out. It may hold files of others.
 const OLD: &str = ".use3d-old-";
 
 /// A place beside `path` for what is being made; not called after it, since a name may be as long as names
@@ -284,13 +285,23 @@ pub fn sibling(path: &Path) -> PathBuf {
     beside(path, MADE)
 }
 
-fn beside(path: &Path, begin: &str) -> PathBuf {
-    parent(path).join(format!("{begin}{}-{}", leftovers::owner(), files::unique()))
-}
-
 /// Removes from a folder what processes that were killed left half made.
+///
+/// An old result that was moved out of the way goes if it holds nothing but our files, as we wrote them. Where
+/// it may hold somebody's, a warning says where it lies.
 pub fn sweep(folder: &Path) {
     leftovers::sweep(folder, MADE, |_| true);
+    leftovers::sweep(folder, OLD, |aside| {
+        let ours = matches!(look_once(aside, Look::Close), Ok(Standing::Ours(ours)) if ours.extra.is_empty());
+        if !ours {
+            tracing::warn!(
+                "{}: the files of an earlier result, and perhaps some of yours, which a run that was cut off had moved \
+                 there; look through it, then remove it",
+                shown(&aside.to_string_lossy())
+            );
+        }
+        ours
+    });
 }
 
 /// Copies a folder of plain files and folders.
@@ -392,7 +403,9 @@ fn retire(aside: &Path, ours: &Ours, folder: &Path) -> Result<(), PlaceError> {
         at(&to, "create the folder of", fs::create_dir_all(parent(&to)))?;
         at(&to, "keep", fs::rename(aside.join(name), &to))?;
     }
-    for name in &ours.listed {
+    // The record last: until then they are known to be ours.
+    let (record, others): (Vec<_>, Vec<_>) = ours.listed.iter().partition(|name| *name == MANIFEST);
+    for name in others.into_iter().chain(record) {
         at(aside, "remove the old files of", fs::remove_file(aside.join(name)))?;
     }
     for entry in walkdir::WalkDir::new(aside).contents_first(true).into_iter().flatten() {

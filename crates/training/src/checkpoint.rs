@@ -88,21 +88,8 @@ const ABANDONED: Duration = Duration::from_secs(600);
 
 /// Creates a sibling of `path` that no other process on any machine and no other thread writes.
 fn create_sibling(path: &Path) -> std::io::Result<(PathBuf, File)> {
-    static COUNTER: AtomicU64 = AtomicU64::new(0);
-    // Process ids are told apart on one machine only; hash maps are seeded by chance, and so are names.
-    static CHANCE: LazyLock<u64> = LazyLock::new(|| RandomState::new().build_hasher().finish());
-    loop {
-        let mut name = path.file_name().unwrap_or_default().to_os_string();
-        let number = COUNTER.fetch_add(1, Ordering::Relaxed);
-        name.push(format!("{PART}{}-{:016x}-{number}", std::process::id(), *CHANCE));
-        let part = path.with_file_name(name);
-        // Created, never opened.
-        match File::options().write(true).create_new(true).open(&part) {
-            Ok(file) => return Ok((part, file)),
-            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
-            Err(error) => return Err(error),
-        }
-    }
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    use3d_files::create_beside(path, &format!("{name}{PART}"), "")
 }
 
 /// Removes what processes that were killed while writing left in a folder of checkpoints. Called again and
