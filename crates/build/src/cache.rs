@@ -7,6 +7,7 @@
 //! <folder>/v1/history/<pipeline>/<scene>/<variant>/<stage>.json   the last record of a node
 //! <folder>/v1/logs/…  timings/<machine>.jsonl  stat-table   logs, durations for forecasts, remembered digests
 //! <folder>/v1/leases/<key>  run-…                        who computes what now, what running processes need
+//! <folder>/v1/fetched/<key>                              came from a store, and was not computed here
 //! <folder>/v1/tmp/  damaged/                             being made; found damaged
 //! ```
 //!
@@ -15,7 +16,7 @@
 //! several machines, may share a cache: the first to publish a key wins, and another one's different bytes
 //! raise an alarm. There is no lock to remove by hand, and none of the file system's is used.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -32,6 +33,8 @@ use super::lease::Watch;
 use super::machine::ProcessId;
 use super::manifest::{Circumstances, FileRecord, MANIFEST, Manifest};
 use super::node::Node;
+use super::registry::Registry;
+use super::stage;
 
 /// How late a network file system may show a name that is there: clients
 /// remember for a minute that it was not.
@@ -49,6 +52,8 @@ pub struct Cache {
     verified: Arc<Mutex<BTreeSet<Key>>>,
     leases: Arc<Watch>,
     node: Arc<Node>,
+    /// The files that stages promise, by stage.
+    promises: Arc<BTreeMap<&'static str, &'static [&'static str]>>,
 }
 
 /// An artifact that is there.
@@ -106,13 +111,31 @@ impl Cache {
         }
         let contents = Arc::new(Contents::open(files.clone(), root.join("stat-table"), rehash));
         let node = Arc::new(Node::this());
-        Ok(Self { root, files, contents, verified: Arc::default(), leases: Arc::default(), node })
+        Ok(Self { root, files, contents, verified: Arc::default(), leases: Arc::default(), node, promises: Arc::default() })
     }
 
     /// The same cache as another one of several that share it sees it; for tests.
     #[must_use]
     pub fn as_node(self, node: Node) -> Self {
         Self { node: Arc::new(node), ..self }
+    }
+
+    /// The same cache, in which an artifact without a file that its stage promises is damaged.
+    #[must_use]
+    pub fn with_promises(self, registry: &Registry) -> Self {
+        let promises = registry.stages().iter().map(|stage| (stage.name, stage.promises)).collect();
+        Self { promises: Arc::new(promises), ..self }
+    }
+
+    /// What an artifact lacks of what its stage promises, in words.
+    pub(crate) fn unkept(&self, manifest: &Manifest) -> Option<String> {
+        let stage = manifest.ingredients.stage.as_str();
+        if manifest.files.is_empty() {
+            return Some("lists no files".to_string());
+        }
+        let names = manifest.files.iter().map(|file| file.path.as_str());
+        let missing = stage::unkept(self.promises.get(stage)?, names)?;
+        Some(format!("lists no {missing}, which every result of {stage} has"))
     }
 
     /// Who uses the cache here.
@@ -174,6 +197,9 @@ impl Cache {
             Ok(manifest) => manifest,
             Err(reason) => return Ok(Lookup::Damaged(reason)),
         };
+        if let Some(missing) = self.unkept(&manifest) {
+            return Ok(Lookup::Damaged(format!("{MANIFEST} {missing}")));
+        }
         let wrong = manifest.files.par_iter().find_map_first(|file| {
             let found = self.contents.of_file(&path.join(&file.path));
             wrong_file(file, found.map(|c| (c.bytes, c.digest)))
@@ -249,6 +275,7 @@ impl Cache {
         let parent = self.root.join("damaged");
         files::at(&parent, "create", self.files.create_dir_all(&parent))?;
         files::at(&from, "move aside", files::rename(self.files(), &from, &to))?;
+        self.forget_fetched(key);
         self.verified.lock().unwrap_or_else(PoisonError::into_inner).remove(key);
         Ok(to)
     }
@@ -288,10 +315,27 @@ impl Cache {
         how: Circumstances,
     ) -> Result<Published, FileError> {
         let sealed = self.seal(folder)?;
-        self.put_in_place(folder, Manifest::new(ingredients, sealed, how))
+        let manifest = Manifest::new(ingredients, sealed, how);
+        // An earlier one of this key, which is gone, may have been.
+        self.forget_fetched(&manifest.key);
+        self.put_in_place(folder, manifest)
     }
 
-    /// Makes the `folder` (in `tmp`) with the files of a manifest its artifact.
+    fn fetched_mark(&self, key: &Key) -> PathBuf {
+        self.root.join("fetched").join(key.to_string())
+    }
+
+    /// Forgets that the artifact of a key came from a store: its successor did not.
+    pub(crate) fn forget_fetched(&self, key: &Key) {
+        let _ = self.files.remove_file(&self.fetched_mark(key));
+    }
+
+    /// Whether the artifact of a key came from a store.
+    pub(crate) fn was_fetched(&self, key: &Key) -> bool {
+        matches!(self.files.exists(&self.fetched_mark(key)), Ok(true))
+    }
+
+    /// Makes the `folder` (in `tmp`) with the files of a manifest, which a store gave, its artifact.
     pub(crate) fn adopt(&self, folder: &Path, manifest: Manifest) -> Result<Published, FileError> {
         let mut named = manifest.files.clone();
         named.sort_by(|a, b| a.path.cmp(&b.path));
@@ -301,6 +345,16 @@ impl Cache {
             let source = std::io::Error::other(format!("{what} is not what was written; check the disk"));
             return Err(FileError { path: folder.to_path_buf(), doing: "publish", source });
         }
+        // Before it is there, so that nobody finds it without the mark.
+        let mark = self.fetched_mark(&manifest.key);
+        if let Some(folder) = mark.parent() {
+            files::at(folder, "create", self.files.create_dir_all(folder))?;
+        }
+        let marked = self.files.create_new(&mark, b"").or_else(|e| match e.kind() {
+            ErrorKind::AlreadyExists => Ok(()),
+            _ => Err(e),
+        });
+        files::at(&mark, "write", marked)?;
         self.put_in_place(folder, manifest)
     }
 

@@ -23,6 +23,7 @@ use super::node::Clock;
 use super::pulse::Progress;
 use super::remote::{Fetched, RemoteError, RemoteStore, Sent};
 use super::resolve::{self, Resolved};
+use super::stage;
 
 /// How a job ended.
 pub(crate) enum Ended {
@@ -84,10 +85,12 @@ impl Job<'_> {
             }
             Err(StageError::Cancelled) => Ended::Cancelled,
             // Whatever it says, a stage whose input was taken away under its hands has not failed.
-            Err(error) => match self.damaged_input(&label) {
-                Some(parent) => Ended::DamagedInput(parent),
-                None => Ended::Failed(error.to_string()),
-            },
+            Err(error) => {
+                match self.damaged_input(&label).or_else(|| self.unreadable_input(&label, &error)) {
+                    Some(parent) => Ended::DamagedInput(parent),
+                    None => Ended::Failed(error.to_string()),
+                }
+            }
         }
     }
 
@@ -119,6 +122,28 @@ impl Job<'_> {
             return Some(*parent);
         }
         None
+    }
+
+    /// What a store gave has the bytes that its manifest says, and may still be of no use. Where a stage finds
+    /// fault with its input, what of it was fetched is moved out of the way, to be computed here; the node
+    /// that makes it. What was computed here is not suspected: then the stage has failed.
+    fn unreadable_input(&self, label: &str, error: &StageError) -> Option<usize> {
+        if !error.is_bad_input() {
+            return None;
+        }
+        let cache = &self.builder.cache;
+        let fetched = |artifact: &Artifact| cache.was_fetched(&artifact.manifest.key);
+        let mut suspect = None;
+        for (parent, artifact) in self.resolved.artifacts.iter().filter(|(_, artifact)| fetched(artifact)) {
+            let (stage, key) = (&artifact.manifest.ingredients.stage, &artifact.manifest.key);
+            self.builder.remote.iter().for_each(|store| store.distrust(key));
+            let aside = cache.set_aside(stage, key);
+            let place = aside.map_or_else(|e| e.to_string(), |p| format!("moved to {}", p.display()));
+            let text = format!("its input {stage}, which a store gave, cannot be used: {error}; {place}, computing it");
+            self.listener.event(&Event::Warning { label, text: &text });
+            suspect = Some(*parent);
+        }
+        suspect
     }
 
     fn turn(&self) -> Result<Turn, FileError> {
@@ -254,8 +279,14 @@ impl Job<'_> {
                 "the stage wrote `{MANIFEST}`, a name that is not its own to use"
             )));
         }
-        if files::list(&output)?.is_empty() {
+        let listed = files::list(&output)?;
+        if listed.is_empty() {
             return Err(StageError::message("the stage ended without an error and without writing anything"));
+        }
+        if let Some(name) = stage::unkept(stage.promises, listed.iter().map(|(name, _)| name.as_str())) {
+            return Err(StageError::message(format!(
+                "the stage ended without an error and without {name}, which it promises"
+            )));
         }
         for (path, select, before) in &self.resolved.externals {
             if cache.contents().of_now(path, select.as_deref())?.digest != *before {

@@ -116,6 +116,7 @@ pub struct Stage {
     pub(crate) seeded: bool,
     pub(crate) length_like: &'static [&'static str],
     pub(crate) without_effect: &'static [&'static str],
+    pub(crate) promises: &'static [&'static str],
     pub(crate) device: Option<Device>,
     pub(crate) agreement: Option<Agreement>,
     pub(crate) cores: usize,
@@ -152,6 +153,7 @@ impl Stage {
             seeded: false,
             length_like: &[],
             without_effect: &[],
+            promises: &[],
             device: None,
             agreement: None,
             cores: 0,
@@ -326,6 +328,14 @@ impl Stage {
         self
     }
 
+    /// Every artifact of it has these files, whatever its parameters and inputs; a name with `/` at its end is
+    /// a folder with at least one file. An artifact without one of them is damaged, wherever it comes from.
+    #[must_use]
+    pub fn promises(mut self, files: &'static [&'static str]) -> Self {
+        self.promises = files;
+        self
+    }
+
     /// It computes on a device with these parameters, or on the processor alone (`None`): the device is part
     /// of its class of arithmetic, and so of its key.
     #[must_use]
@@ -481,6 +491,17 @@ impl Stage {
     pub fn parameters(&self, given: &Value) -> Result<Value, ParameterError> {
         (self.canonicalise)(given)
     }
+}
+
+/// The first promise that no file of these names keeps.
+pub(crate) fn unkept<'n>(
+    promises: &[&'static str],
+    names: impl Iterator<Item = &'n str> + Clone,
+) -> Option<&'static str> {
+    let keeps = |promise: &str, name: &str| {
+        name == promise || promise.ends_with('/') && name.starts_with(promise) && name.len() > promise.len()
+    };
+    promises.iter().copied().find(|promise| !names.clone().any(|name| keeps(promise, name)))
 }
 
 impl std::fmt::Debug for Stage {

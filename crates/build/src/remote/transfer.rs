@@ -1,5 +1,6 @@
 //! One artifact to a store, or from it.
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -32,6 +33,8 @@ pub struct RemoteStore {
     pause: Duration,
     /// Artifacts in a row that it failed at.
     failures: AtomicU32,
+    /// Keys whose artifact was of no use: they are computed.
+    distrusted: Mutex<BTreeSet<Key>>,
 }
 
 /// What became of an artifact that a store was asked for.
@@ -61,7 +64,7 @@ pub enum Sent {
 impl RemoteStore {
     /// A store as it is used.
     pub fn new(remote: Arc<dyn Remote>) -> Self {
-        Self { remote, pause: PAUSE, failures: AtomicU32::new(0) }
+        Self { remote, pause: PAUSE, failures: AtomicU32::new(0), distrusted: Mutex::default() }
     }
 
     /// The same with another first pause between tries, for tests.
@@ -179,6 +182,11 @@ impl RemoteStore {
         })
     }
 
+    /// Asks the store no more for a key: what it gave was of no use.
+    pub(crate) fn distrust(&self, key: &Key) {
+        self.distrusted.lock().unwrap_or_else(PoisonError::into_inner).insert(*key);
+    }
+
     /// Brings a key's artifact into the cache, if the store has it.
     ///
     /// # Errors
@@ -191,7 +199,13 @@ impl RemoteStore {
         key: &Key,
         stop: &AtomicBool,
     ) -> Result<Fetched, RemoteError> {
+        if self.distrusted.lock().unwrap_or_else(PoisonError::into_inner).contains(key) {
+            return Ok(Fetched::Missing);
+        }
         let Some(manifest) = self.manifest(stage, key, stop)? else { return Ok(Fetched::Missing) };
+        if let Some(reason) = cache.unkept(&manifest) {
+            return Err(RemoteError::Wrong { place: self.place(), name: super::manifest(stage, key), reason });
+        }
         let scratch = cache.scratch()?;
         let fetched = self.fetch_into(&scratch.join("artifact"), cache, manifest, stop);
         // What cannot be removed now is swept by a later run.
@@ -259,6 +273,11 @@ impl RemoteStore {
         let ours = &artifact.manifest;
         let stage = ours.ingredients.stage.as_str();
         let there = match self.manifest(stage, &ours.key, stop) {
+            // Nobody can use what is there, and nobody who asks will take it.
+            Ok(Some(theirs)) if cache.unkept(&theirs).is_some() => {
+                self.remote.remove(&manifest(stage, &ours.key))?;
+                false
+            }
             Ok(Some(theirs)) if theirs.content != ours.content => {
                 return Ok(Sent::Differs(first_difference(&theirs.files, &ours.files)));
             }

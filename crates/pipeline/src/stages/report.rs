@@ -43,6 +43,7 @@ pub(super) fn stage() -> Stage {
         .about("tables and one page about the whole batch")
         // Its digests of score files are shown in the tables.
         .made_of(&[], &["src/stages/report.rs"])
+        .promises(&["index.html", "scores.json"])
         .input("calibrator", "calibrate")
         .or_external("calibrator")
         .input("import", "import")
