@@ -6,6 +6,7 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use signal_hook::consts::{SIGINT, SIGTERM};
 
@@ -66,6 +67,40 @@ fn ignores(status: &str, signal: i32) -> Option<bool> {
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"))?;
     let mask = u64::from_str_radix(mask.trim(), 16).ok()?;
     Some(mask >> (signal - 1) & 1 == 1)
+}
+
+/// How long work of which nothing is kept may go on after a signal.
+const MANNERS: Duration = Duration::from_millis(300);
+
+/// As long as it lives, a signal ends this process soon, whatever it does: for work of which nothing is kept.
+/// What was being made goes.
+#[must_use]
+pub(crate) struct EndsSoon(Arc<AtomicBool>);
+
+pub(crate) fn ends_soon() -> EndsSoon {
+    let (done, flag) = (Arc::new(AtomicBool::new(false)), install());
+    let over = done.clone();
+    std::thread::spawn(move || {
+        while !over.load(Ordering::Relaxed) {
+            if flag.load(Ordering::Relaxed) {
+                // Most work looks by itself, and says what became of it.
+                std::thread::sleep(MANNERS);
+                if !over.load(Ordering::Relaxed) {
+                    use3d_files::abandon();
+                    let _ = CliError::Stopped.report();
+                    std::process::exit(i32::from(CliError::Stopped.code()));
+                }
+            }
+            std::thread::sleep(MANNERS / 6);
+        }
+    });
+    EndsSoon(done)
+}
+
+impl Drop for EndsSoon {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
 }
 
 /// Whether a signal has come.

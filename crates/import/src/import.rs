@@ -182,8 +182,37 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
         return Err(ImportError::Parameter { field: "normalise", reason });
     }
     let capture = Capture { name: report.name.clone(), views, split: split.split, points, frame };
+    report.notes.extend(useless(&capture));
     capture.validate().map_err(bad_capture)?;
     Ok(Imported { capture, report, plans, model, white_balance: params.white_balance })
+}
+
+/// Why nothing can be learnt from a capture whose numbers are all in order.
+fn useless(capture: &Capture) -> Vec<String> {
+    let mut notes = Vec::new();
+    if let Some((first, others)) = capture.views.split_first() {
+        let at = first.camera.pose.center();
+        let near = 1e-9 * (1.0 + at.abs().max_element());
+        if !others.is_empty() && others.iter().all(|v| v.camera.pose.center().distance(at) <= near) {
+            notes.push(
+                "all views were taken from one place: how far away anything is cannot be found, and no other view comes \
+                 out right; check the model's poses"
+                    .into(),
+            );
+        }
+        let is_ahead = |view: &View, p: DVec3| {
+            (view.camera.pose.rotation * p + view.camera.pose.translation).z > 0.0
+        };
+        let seen = capture.points.iter().any(|p| capture.views.iter().any(|v| is_ahead(v, p.position)));
+        if !capture.points.is_empty() && !seen {
+            notes.push(
+                "all sparse points lie behind all cameras: nothing can be learnt from where they are; check which way the \
+                 model's poses look"
+                    .into(),
+            );
+        }
+    }
+    notes
 }
 
 /// Stands where the intrinsics are not known yet.

@@ -1,8 +1,9 @@
 //! Sockets and threads: one that accepts, one per open connection, one that draws.
 
 use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
-use std::sync::Arc;
+use std::net::Shutdown;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
 use crate::drawing::Drawing;
@@ -11,8 +12,9 @@ use crate::http::{self, NoRequest, Pending, Response};
 use crate::live::Live;
 use crate::site::Site;
 
-/// Most connections at a time: a browser holds up to six per page. As many again are told that they are too
-/// many; further ones are closed without a word.
+/// Most connections at a time: a browser holds up to six per page. One more takes the place of the oldest that
+/// has not shown the token, so that nobody who does not know it keeps others out; where all have, it is told
+/// that they are too many. At twice the number, further ones are closed without a word.
 const CONNECTIONS: usize = 56;
 
 /// A server that cannot be started.
@@ -78,7 +80,7 @@ impl Server {
             .spawn(move || drawer.work())
             .map_err(|e| start(&e))?;
         let accepting =
-            Accepting { site, token: token.clone(), closing: closing.clone(), open: Arc::default() };
+            Accepting { site, token: token.clone(), closing: closing.clone(), open: Arc::default(), guests: Arc::default() };
         thread::Builder::new()
             .name("viewer".into())
             .spawn(move || accepting.accept(&listener))
@@ -111,7 +113,47 @@ struct Accepting {
     site: Arc<Site>,
     token: Token,
     closing: Arc<AtomicBool>,
+    /// Connections, those that are being closed among them.
     open: Arc<AtomicUsize>,
+    guests: Arc<Mutex<Guests>>,
+}
+
+/// The connections that are served, oldest first.
+#[derive(Default)]
+struct Guests {
+    next: u64,
+    all: Vec<Guest>,
+}
+
+struct Guest {
+    number: u64,
+    /// The socket once more, to close it.
+    stream: TcpStream,
+    /// Whether it has shown the token.
+    known: bool,
+}
+
+impl Guests {
+    /// Takes a connection in, in the place of one that has not shown the token where there is no room; its
+    /// number.
+    fn admit(&mut self, stream: &TcpStream) -> Option<u64> {
+        if self.all.len() >= CONNECTIONS {
+            let unknown = self.all.iter().position(|guest| !guest.known)?;
+            let _ = self.all.remove(unknown).stream.shutdown(Shutdown::Both);
+        }
+        let (number, stream) = (self.next, stream.try_clone().ok()?);
+        self.next += 1;
+        self.all.push(Guest { number, stream, known: false });
+        Some(number)
+    }
+
+    fn has_shown_the_token(&mut self, number: u64) {
+        self.all.iter_mut().filter(|guest| guest.number == number).for_each(|guest| guest.known = true);
+    }
+
+    fn leave(&mut self, number: u64) {
+        self.all.retain(|guest| guest.number != number);
+    }
 }
 
 impl Accepting {
@@ -128,8 +170,10 @@ impl Accepting {
             }
             let this = self.clone();
             let served = thread::Builder::new().name("viewer page".into()).spawn(move || {
-                if before < CONNECTIONS {
-                    this.serve(&mut stream);
+                let admitted = this.guests().admit(&stream);
+                if let Some(number) = admitted {
+                    this.serve(&mut stream, number);
+                    this.guests().leave(number);
                 } else {
                     let why = "too many connections; close other pages of this viewer";
                     http::refuse(&mut stream, &Response::text(503, why));
@@ -142,8 +186,12 @@ impl Accepting {
         }
     }
 
+    fn guests(&self) -> std::sync::MutexGuard<'_, Guests> {
+        self.guests.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Answers a connection's requests, one after another.
-    fn serve(&self, stream: &mut TcpStream) {
+    fn serve(&self, stream: &mut TcpStream, number: u64) {
         let _ = stream.set_nodelay(true);
         let mut pending = Pending::default();
         while !self.closing.load(Ordering::Relaxed) {
@@ -155,7 +203,11 @@ impl Accepting {
                     return;
                 }
             };
-            let response = refusal(&request, &self.token).unwrap_or_else(|| self.site.answer(&request));
+            let refused = refusal(&request, &self.token);
+            if refused.is_none() && request.method == "POST" {
+                self.guests().has_shown_the_token(number);
+            }
+            let response = refused.unwrap_or_else(|| self.site.answer(&request));
             if http::write(stream, &response, request.stays).is_err() || !request.stays {
                 return;
             }

@@ -271,3 +271,37 @@ fn a_taken_port_is_said() {
         "{error}"
     );
 }
+
+/// Whoever does not know the token, and only keeps connections open, keeps nobody out.
+#[test]
+fn slow_strangers_make_room_for_who_knows_the_token() {
+    let server = Server::start(None, &Arc::new(Live::new("", None))).unwrap();
+    let address = ("127.0.0.1", server.port());
+    // One that has shown the token stays, however many come.
+    let host = format!("localhost:{}", server.port());
+    let request = format!(
+        "POST /state HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nAuthorization: Bearer {}\r\n\
+         Content-Length: 2\r\n\r\n{{}}",
+        token(&server)
+    );
+    let mut known = TcpStream::connect(address).unwrap();
+    let mut asks = || {
+        known.write_all(request.as_bytes()).unwrap();
+        let mut block = [0; 4096];
+        let read = known.read(&mut block).unwrap();
+        String::from_utf8_lossy(&block[..read]).starts_with("HTTP/1.1 200")
+    };
+    assert!(asks());
+    let slow: Vec<TcpStream> = (0..100)
+        .map(|_| {
+            let mut stream = TcpStream::connect(address).unwrap();
+            stream.write_all(b"GET / HT").unwrap();
+            stream
+        })
+        .collect();
+    for _ in 0..15 {
+        assert_eq!(ask(&server, "/state", &json!({})).0, 200);
+    }
+    assert!(asks());
+    drop(slow);
+}

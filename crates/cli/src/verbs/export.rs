@@ -18,6 +18,7 @@ use crate::App;
 use crate::args::{ExportArgs, ExportFrame, ExportWhat};
 use crate::destination::{check_file, path_text, write_file};
 use crate::error::{CliError, Done};
+use crate::interrupt::ends_soon;
 use crate::verbs::web;
 
 pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
@@ -32,6 +33,7 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
             "say what to write: --web FILE.html, --ply FILE, --compressed-ply FILE, --glb FILE or --spz FILE";
         return Err(CliError::Input(what.into()));
     }
+    let _ends_soon = ends_soon();
     let scene = Scene::load(&args.scene).map_err(CliError::input)?;
     if let Some(path) = &args.web {
         web::write(app, args, path, &scene)?;

@@ -18,6 +18,7 @@ use crate::args::{
     CacheArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PipelineArgs, PlanArgs, RunArgs, Settings,
     WhyArgs, as_typed,
 };
+use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::verbs::outcome::{self, Outcome};
 use crate::verbs::remote::probed;
@@ -59,9 +60,47 @@ pub(crate) fn open(
     };
     let pipeline =
         pipeline.map_err(|error| CliError::Input(as_typed(&error.to_string(), settings.engine.as_ref())))?;
+    outside_captures(&pipeline)?;
     let cache = Cache::open(&pipeline.cache, cache.rehash).map_err(CliError::input)?;
     let graph = Graph::new(&registry, &pipeline.batch).map_err(CliError::input)?;
     Ok(Loaded { pipeline, builder: Builder::new(registry, cache), graph })
+}
+
+/// Refuses a cache in a capture's folder: beside the photographs it would be in the way, and in a prepared
+/// capture, of which every file counts, it would change what it holds the results of.
+fn outside_captures(pipeline: &Pipeline) -> Done {
+    let cache = real(&pipeline.cache);
+    let captures = pipeline.batch.scenes.iter().filter_map(|s| s.externals.get("capture")?.as_ref().ok());
+    match captures.into_iter().find(|capture| cache.starts_with(real(capture))) {
+        None => Ok(()),
+        Some(capture) => Err(CliError::Input(format!(
+            "--cache {}: it would lie in the capture {}; choose a folder outside",
+            path_text(&pipeline.cache),
+            path_text(capture)
+        ))),
+    }
+}
+
+/// Refuses results in the cache: they would lie among its own files.
+fn outside_the_cache(out: &Path, cache: &Path) -> Done {
+    if !real(out).starts_with(real(cache)) {
+        return Ok(());
+    }
+    Err(CliError::Input(format!(
+        "--out {}: it would lie in the cache {}; choose a folder outside",
+        path_text(out),
+        path_text(cache)
+    )))
+}
+
+/// A path with all links followed, as far as it is there.
+fn real(path: &Path) -> PathBuf {
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+    let there = path.ancestors().find_map(|part| Some((part, part.canonicalize().ok()?)));
+    match there {
+        Some((part, real)) => path.strip_prefix(part).map_or(real.clone(), |rest| real.join(rest)),
+        None => path,
+    }
 }
 
 /// What a file is that is given where a pipeline file or a capture folder is
@@ -162,6 +201,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         args.out.clone().unwrap_or_else(|| PathBuf::from("use3d-out").join(&loaded.pipeline.batch.name));
     let out = (!args.cache_only).then_some(out);
     if let Some(out) = &out {
+        outside_the_cache(out, &loaded.pipeline.cache)?;
         results::check(&loaded.graph, until.as_deref(), out)?;
     }
     let loaded = match &args.remote {

@@ -249,8 +249,10 @@ fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<
     if let Some(calibrator) = &args.pipeline.calibration.calibrator {
         run.extend(["--calibrator".to_string(), text(calibrator)?]);
     }
-    // Into comments and lines of a script: one line, whatever the names.
-    if let Some(word) = run.iter().find(|word| word.chars().any(char::is_control)) {
+    // Into comments and lines of a script: one line, whatever the names. `out` names the folder of scripts and
+    // logs, too.
+    let places = [text(&place)?, text(&out)?];
+    if let Some(word) = run.iter().chain(&places).find(|word| word.chars().any(char::is_control)) {
         return Err(CliError::Input(format!(
             "{word:?} has a control character in it; a script cannot hold it"
         )));

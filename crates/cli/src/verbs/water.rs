@@ -7,9 +7,11 @@ use use3d_water::WaterParams;
 use crate::App;
 use crate::args::WaterArgs;
 use crate::error::{CliError, Done};
+use crate::interrupt::ends_soon;
 use crate::verbs::stages::{imported, parameters, scratch, stages};
 
 pub(crate) fn run(app: &App, args: &WaterArgs) -> Done {
+    let _ends_soon = ends_soon();
     let registry = stages()?;
     let parameters = parameters(&registry, &["import"], &args.settings.set)?;
     let scratch = scratch()?;

@@ -8,7 +8,7 @@ mod watch;
 pub(crate) use watch::Watched;
 
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -105,8 +105,15 @@ enum Told {
     Remark,
 }
 
+/// A server that runs, until it is dropped.
+struct Serving {
+    _server: Server,
+    /// The page that leads a browser to it.
+    _leads_there: Option<tempfile::NamedTempFile>,
+}
+
 /// Starts the server, says where it is, and opens a browser where there is a screen.
-fn serve(app: &App, args: &ViewerArgs, live: &Arc<Live>, told: Told) -> Result<Server, CliError> {
+fn serve(app: &App, args: &ViewerArgs, live: &Arc<Live>, told: Told) -> Result<Serving, CliError> {
     let server = Server::start(args.port, live).map_err(CliError::input)?;
     let (address, port) = (server.address(), server.port());
     if told == Told::Result {
@@ -122,15 +129,34 @@ fn serve(app: &App, args: &ViewerArgs, live: &Arc<Live>, told: Told) -> Result<S
              Ctrl-C ends it"
         );
     }
-    if !args.no_open {
-        open(&address);
-    }
-    Ok(server)
+    let leads_there = if args.no_open { None } else { open(&address) };
+    Ok(Serving { _server: server, _leads_there: leads_there })
 }
 
-/// Asks the system to open an address. It is printed in any case, so it does not
-/// matter if there is no browser.
-fn open(address: &str) {
+/// What the name of a page that leads to a server begins with.
+const LEADS_THERE: &str = "use3d-view-";
+
+/// A page that leads to an address, which only this user can read: every user of a machine reads the words of
+/// its commands, and the address ends with the key.
+fn page_to(address: &str) -> std::io::Result<tempfile::NamedTempFile> {
+    let own = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from).filter(|folder| folder.is_dir());
+    let folder = own.unwrap_or_else(std::env::temp_dir);
+    use3d_files::sweep(&folder, LEADS_THERE, |_| true);
+    let prefix = format!("{LEADS_THERE}{}-", use3d_files::unique());
+    let mut page = tempfile::Builder::new().prefix(&prefix).suffix(".html").tempfile_in(folder)?;
+    write!(
+        page,
+        "<!doctype html>\n<meta charset=\"utf-8\">\n<meta name=\"referrer\" content=\"no-referrer\">\n\
+         <meta http-equiv=\"refresh\" content=\"0; url={address}\">\n<title>3D-USE</title>\n\
+         <p><a href=\"{address}\">Open the viewer</a></p>\n"
+    )?;
+    page.flush()?;
+    Ok(page)
+}
+
+/// Asks the system to open an address; the page by which it does. The address is printed in any case, so it
+/// does not matter if there is no browser.
+fn open(address: &str) -> Option<tempfile::NamedTempFile> {
     let screen = ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some());
     let (program, arguments): (&str, &[&str]) = if cfg!(target_os = "macos") {
         ("open", &[])
@@ -139,12 +165,19 @@ fn open(address: &str) {
     } else if screen {
         ("xdg-open", &[])
     } else {
-        return;
+        return None;
+    };
+    let page = match page_to(address) {
+        Ok(page) => page,
+        Err(error) => {
+            tracing::debug!("no page that leads a browser to the viewer: {error}");
+            return None;
+        }
     };
     let quiet = || Stdio::null();
     let started = Command::new(program)
         .args(arguments)
-        .arg(address)
+        .arg(page.path())
         .stdin(quiet())
         .stdout(quiet())
         .stderr(quiet())
@@ -154,4 +187,5 @@ fn open(address: &str) {
         Ok(mut child) => drop(std::thread::spawn(move || child.wait())),
         Err(error) => tracing::debug!("{program}: {error}"),
     }
+    Some(page)
 }
