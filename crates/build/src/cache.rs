@@ -8,6 +8,7 @@
 //! <folder>/v1/logs/…  timings/<machine>.jsonl  stat-table   logs, durations for forecasts, remembered digests
 //! <folder>/v1/leases/<key>  run-…                        who computes what now, what running processes need
 //! <folder>/v1/fetched/<key>                              came from a store, and was not computed here
+//! <folder>/v1/delivered/<results folder>/<part>.json     what was put into a results folder
 //! <folder>/v1/tmp/  damaged/                             being made; found damaged
 //! ```
 //!
@@ -71,7 +72,7 @@ pub enum Lookup {
     /// Nothing.
     Missing,
     /// The artifact.
-    Whole(Box<Artifact>),
+    Whole(Arc<Artifact>),
     /// An artifact that is not what its manifest says.
     Damaged(String),
 }
@@ -206,7 +207,7 @@ impl Cache {
         });
         Ok(match wrong {
             Some(reason) => Lookup::Damaged(reason),
-            None => Lookup::Whole(Box::new(Artifact { path, manifest })),
+            None => Lookup::Whole(Arc::new(Artifact { path, manifest })),
         })
     }
 
@@ -383,11 +384,11 @@ impl Cache {
             };
             return match found {
                 Lookup::Whole(first) if first.manifest.content == manifest.content => {
-                    Ok(Published::Already(*first))
+                    Ok(Published::Already(Arc::unwrap_or_clone(first)))
                 }
                 Lookup::Whole(first) => {
                     let which = first_difference(&first.manifest.files, &manifest.files);
-                    Ok(Published::Differs(*first, which))
+                    Ok(Published::Differs(Arc::unwrap_or_clone(first), which))
                 }
                 Lookup::Damaged(_) => {
                     self.set_aside(&stage, &manifest.key)?;

@@ -6,6 +6,8 @@
 //! remembered: a clock tick may hide a second change. A folder's digest covers the relative paths, sizes and
 //! digests of its files, sorted by path; not its own place, so that moving a capture changes nothing.
 
+mod choices;
+
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs::Metadata;
 use std::io::Read;
@@ -18,6 +20,8 @@ use rayon::prelude::*;
 use super::digest::{Digest, Encoder};
 use super::error::FileError;
 use super::files::{self, Files};
+pub use choices::Choice;
+use choices::Choices;
 
 const CONTEXT: &str = "use3d 2026 folder digest v1";
 /// How long a file must have been left alone before its digest is remembered.
@@ -43,6 +47,19 @@ impl Stat {
         #[cfg(not(unix))]
         let (changed, inode) = (0, 0);
         Self { size: metadata.len(), modified: modified.map_or(0, |d| d.as_nanos()), changed, inode }
+    }
+
+    /// In words, without a line break.
+    fn words(&self) -> String {
+        let Self { size, modified, changed, inode } = self;
+        format!("{size} {modified} {changed} {inode}")
+    }
+
+    fn parse(words: &str) -> Option<Self> {
+        let mut parts = words.split(' ');
+        let (size, modified) = (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
+        let (changed, inode) = (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
+        Some(Self { size, modified, changed, inode })
     }
 
     fn settled(&self) -> bool {
@@ -75,13 +92,19 @@ struct State {
     changed: BTreeSet<PathBuf>,
     whole: BTreeMap<(PathBuf, Vec<PathBuf>), Content>,
     fresh: BTreeSet<PathBuf>,
+    choices: Choices,
 }
+
+/// The table of choices, beside that of digests.
+const CHOICES: &str = "choices";
 
 impl Contents {
     /// Opens the table at `table_path`; an unreadable one is an empty one. `rehash` distrusts it.
     pub fn open(files: Arc<dyn Files>, table_path: PathBuf, rehash: bool) -> Self {
         let table = files.read(&table_path).map(|bytes| parse(&bytes)).unwrap_or_default();
-        Self { files, table_path, rehash, state: Mutex::new(State { table, ..State::default() }) }
+        let known = if rehash { None } else { files.read(&table_path.with_file_name(CHOICES)).ok() };
+        let choices = known.map(|bytes| Choices::read(&bytes)).unwrap_or_default();
+        Self { files, table_path, rehash, state: Mutex::new(State { table, choices, ..State::default() }) }
     }
 
     /// The content of a file, or of a folder: of all its files that are not hidden, or of those `select`ed
@@ -104,7 +127,29 @@ impl Contents {
 
     /// Forgets which inputs were looked at, so that each is looked at once more; a run and a plan begin so.
     pub(crate) fn look_again(&self) {
-        self.lock().whole.clear();
+        let mut state = self.lock();
+        state.whole.clear();
+        state.choices.asked.clear();
+    }
+
+    /// Which files of an input `who` reads, which `choose` finds out.
+    pub(crate) fn choice(
+        &self,
+        who: Digest,
+        input: &Path,
+        choose: impl FnOnce() -> Result<Choice, String>,
+    ) -> Result<Arc<[PathBuf]>, String> {
+        let whose = (who, input.to_path_buf());
+        if let Some(known) = self.lock().choices.asked.get(&whose) {
+            return Ok(known.clone());
+        }
+        let known = self.lock().choices.still_holds(&whose);
+        if let Some(files) = known {
+            self.lock().choices.asked.insert(whose, files.clone());
+            return Ok(files);
+        }
+        let choice = choose()?;
+        Ok(self.lock().choices.remember(&whose, choice))
     }
 
     /// As [`of`](Self::of), looking again at files that were looked at before: whether an input changed while
@@ -203,6 +248,12 @@ impl Contents {
     /// time.
     pub fn save(&self) -> Result<(), FileError> {
         let mut state = self.lock();
+        let path = self.table_path.with_file_name(CHOICES);
+        let there = || self.files.read(&path).unwrap_or_default();
+        if let Some(bytes) = state.choices.to_write(there) {
+            files::write_atomic(self.files.as_ref(), &path, &bytes)?;
+            state.choices.were_written();
+        }
         if state.changed.is_empty() {
             return Ok(());
         }
@@ -216,8 +267,7 @@ impl Contents {
             .iter()
             .filter_map(|(path, (stat, digest))| {
                 let path = serde_json::to_string(path.to_str()?).ok()?;
-                let Stat { size, modified, changed, inode } = stat;
-                Some(format!("{digest} {size} {modified} {changed} {inode} {path}"))
+                Some(format!("{digest} {} {path}", stat.words()))
             })
             .collect();
         lines.sort();
@@ -230,6 +280,9 @@ impl Contents {
     /// Forgets files that are gone; part of cleaning up.
     pub(crate) fn forget_missing(&self) {
         let mut state = self.lock();
+        if state.choices.forget_missing() {
+            let _ = self.files.remove_file(&self.table_path.with_file_name(CHOICES));
+        }
         let gone: Vec<PathBuf> = state.table.keys().filter(|p| !p.exists()).cloned().collect();
         if gone.is_empty() {
             return;

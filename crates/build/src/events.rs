@@ -95,7 +95,7 @@ pub enum Event<'a> {
         scene: &'a str,
         /// The variant; empty where there are none.
         variant: &'a str,
-        /// All nodes of the run as they stand now.
+        /// Its nodes as they stand now.
         nodes: &'a [RanNode],
     },
     /// A stage failed.

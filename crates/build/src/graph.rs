@@ -7,6 +7,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use serde_json::{Map, Value};
 
@@ -146,8 +147,8 @@ pub struct Node {
     pub scene: String,
     /// The variant's name; empty where there are none.
     pub variant: String,
-    /// Its parameters, defaults filled in.
-    pub parameters: Value,
+    /// Its parameters, defaults filled in; nodes with equal ones share them.
+    pub parameters: Arc<Value>,
     pub(crate) seed: Option<u64>,
     pub(crate) inputs: Vec<NodeInput>,
     pub(crate) identity: Digest,
@@ -195,7 +196,14 @@ impl Graph {
         let unnamed = [Variant::default()];
         let variants = if batch.variants.is_empty() { &unnamed[..] } else { &batch.variants };
         let mut builder =
-            GraphBuilder { registry, batch, nodes: Vec::new(), place: HashMap::new(), first: HashMap::new() };
+            GraphBuilder {
+                registry,
+                batch,
+                nodes: Vec::new(),
+                place: HashMap::new(),
+                first: HashMap::new(),
+                merged: HashMap::new(),
+            };
         // Scene by scene, so that results come out early; what they share first, what gathers them last.
         for variant in variants {
             builder.add(None, variant, None, Scope::Shared)?;
@@ -246,6 +254,19 @@ impl Graph {
         wanted
     }
 
+    /// The nodes that have to be over before a node is, each once: the other one, for a node that is the same
+    /// work as another.
+    pub(crate) fn needs(&self, node: usize) -> Vec<usize> {
+        let of = &self.nodes[node];
+        let mut needs = match of.same_as {
+            Some(first) => vec![first],
+            None => of.inputs.iter().filter_map(NodeInput::node).collect(),
+        };
+        needs.sort_unstable();
+        needs.dedup();
+        needs
+    }
+
     /// The nodes whose artifacts a node reads; for a node that is the same work as another, that one.
     pub(crate) fn parents(&self, node: usize) -> impl Iterator<Item = usize> + '_ {
         let node = &self.nodes[node];
@@ -285,12 +306,40 @@ struct GraphBuilder<'a> {
     nodes: Vec<Node>,
     place: HashMap<(String, String, &'static str), usize>,
     first: HashMap<Digest, usize>,
+    /// Parameters that were merged before, by what says them.
+    merged: HashMap<(Option<String>, String), Arc<Merged>>,
+}
+
+/// Parameters of all stages for a scene and variant.
+struct Merged {
+    all: AllParameters,
+    /// Those of each stage, and their digests, as nodes have them.
+    each: BTreeMap<&'static str, (Arc<Value>, Digest)>,
 }
 
 impl GraphBuilder<'_> {
     /// Parameters of every stage for a scene and variant: preset, defaults, scene, variant,
-    /// command line, later ones winning.
-    fn parameters(&self, scene: Option<&BatchScene>, variant: &Variant) -> Result<AllParameters, BuildError> {
+    /// command line, later ones winning. Scenes that say the same share them.
+    fn parameters(&mut self, scene: Option<&BatchScene>, variant: &Variant) -> Result<Arc<Merged>, BuildError> {
+        let said = scene.map(|s| serde_json::to_string(&(&s.overrides, &s.forced)).unwrap_or_default());
+        let whose = (said, variant.name.clone());
+        if let Some(known) = self.merged.get(&whose) {
+            return Ok(known.clone());
+        }
+        let all = self.merge(scene, variant)?;
+        let shared = |stage: &super::stage::Stage| {
+            let value = all[stage.name].clone();
+            let mut encoder = Encoder::new("use3d 2026 node parameters v1");
+            canonical::encode(&value, &mut encoder);
+            (stage.name, (Arc::new(value), encoder.finish()))
+        };
+        let each = self.registry.stages().iter().map(shared).collect();
+        let merged = Arc::new(Merged { all, each });
+        self.merged.insert(whose, merged.clone());
+        Ok(merged)
+    }
+
+    fn merge(&self, scene: Option<&BatchScene>, variant: &Variant) -> Result<AllParameters, BuildError> {
         let mut all = AllParameters::new();
         for stage in self.registry.stages() {
             let scene = scene.filter(|_| stage.scope == Scope::Scene);
@@ -339,12 +388,13 @@ impl GraphBuilder<'_> {
 
     /// The place of a scene's reference variant, where a stage asks for one and a variant fulfils its
     /// condition.
-    fn reference(&self, scene: &BatchScene, variants: &[Variant]) -> Result<Option<usize>, BuildError> {
-        let Some(fulfils) = self.registry.stages().iter().find_map(|s| s.reference.as_ref()) else {
+    fn reference(&mut self, scene: &BatchScene, variants: &[Variant]) -> Result<Option<usize>, BuildError> {
+        let registry = self.registry;
+        let Some(fulfils) = registry.stages().iter().find_map(|s| s.reference.as_ref()) else {
             return Ok(None);
         };
         for (i, variant) in variants.iter().enumerate() {
-            if fulfils(&self.parameters(Some(scene), variant)?) {
+            if fulfils(&self.parameters(Some(scene), variant)?.all) {
                 return Ok(Some(i));
             }
         }
@@ -358,10 +408,12 @@ impl GraphBuilder<'_> {
         reference: Option<&Variant>,
         scope: Scope,
     ) -> Result<(), BuildError> {
-        let all = self.parameters(scene, variant)?;
+        let merged = self.parameters(scene, variant)?;
+        let all = &merged.all;
         let named = self.named(scene, variant);
-        for (index, stage) in self.registry.stages().iter().enumerate().filter(|(_, s)| s.scope == scope) {
-            if stage.condition.as_ref().is_some_and(|asked| !asked(&all, &named)) {
+        let registry = self.registry;
+        for (index, stage) in registry.stages().iter().enumerate().filter(|(_, s)| s.scope == scope) {
+            if stage.condition.as_ref().is_some_and(|asked| !asked(all, &named)) {
                 continue;
             }
             let mut inputs = Vec::new();
@@ -381,7 +433,7 @@ impl GraphBuilder<'_> {
                         input.instead.filter(|name| outside(name).is_some())
                     }
                 };
-                if external.is_none() && input.needed.as_ref().is_some_and(|needed| !needed(&all)) {
+                if external.is_none() && input.needed.as_ref().is_some_and(|needed| !needed(all)) {
                     continue;
                 }
                 let scene_name = scene.map(|s| s.name.clone()).unwrap_or_default();
@@ -423,18 +475,20 @@ impl GraphBuilder<'_> {
             }
             let seed = stage.seeded.then(|| variant.seed.unwrap_or(self.batch.seed));
             let scene_name = scene.map(|s| s.name.clone()).unwrap_or_default();
-            self.push(index, scene_name, variant.name.clone(), all[stage.name].clone(), seed, inputs);
+            self.push(index, scene_name, variant.name.clone(), &merged, seed, inputs);
         }
         Ok(())
     }
 
     fn add_batch_stages(&mut self, variants: &[Variant]) -> Result<(), BuildError> {
-        let all = self.parameters(None, &Variant::default())?;
+        let merged = self.parameters(None, &Variant::default())?;
+        let all = &merged.all;
         let named = self.named(None, &Variant::default());
+        let registry = self.registry;
         let groups: HashMap<&str, &str> =
             self.batch.scenes.iter().map(|s| (s.name.as_str(), s.group.as_str())).collect();
         for (index, stage) in
-            self.registry.stages().iter().enumerate().filter(|(_, s)| s.scope == Scope::Batch)
+            registry.stages().iter().enumerate().filter(|(_, s)| s.scope == Scope::Batch)
         {
             let given =
                 |v: &&Variant| v.overrides.contains_key(stage.name) || v.forced.contains_key(stage.name);
@@ -452,7 +506,7 @@ impl GraphBuilder<'_> {
                     },
                 });
             }
-            if stage.condition.as_ref().is_some_and(|asked| !asked(&all, &named)) {
+            if stage.condition.as_ref().is_some_and(|asked| !asked(all, &named)) {
                 continue;
             }
             let mut inputs = Vec::new();
@@ -503,7 +557,7 @@ impl GraphBuilder<'_> {
                 }
             }
             let seed = stage.seeded.then_some(self.batch.seed);
-            self.push(index, String::new(), String::new(), all[stage.name].clone(), seed, inputs);
+            self.push(index, String::new(), String::new(), &merged, seed, inputs);
         }
         Ok(())
     }
@@ -513,14 +567,14 @@ impl GraphBuilder<'_> {
         stage: usize,
         scene: String,
         variant: String,
-        parameters: Value,
+        merged: &Merged,
         seed: Option<u64>,
         inputs: Vec<NodeInput>,
     ) {
         let name = self.registry.stages()[stage].name;
         let mut identity = Encoder::new("use3d 2026 node identity v1");
-        identity.text(name);
-        canonical::encode(&parameters, &mut identity);
+        let (parameters, digest) = &merged.each[name];
+        identity.text(name).bytes(digest.as_bytes());
         identity.number(u64::from(seed.is_some())).number(seed.unwrap_or(0));
         for input in &inputs {
             identity.text(input.role).text(&input.scene).text(&input.variant);
@@ -541,7 +595,7 @@ impl GraphBuilder<'_> {
             stage_name: name,
             scene,
             variant,
-            parameters,
+            parameters: parameters.clone(),
             seed,
             inputs,
             identity,

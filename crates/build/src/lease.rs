@@ -260,30 +260,41 @@ impl Drop for Lease {
 
 /// What a run has decided on, protected until it ends: the artifacts it has found or made and will read, and
 /// the checkpoints it goes on from.
+///
+/// The keys lie in a few files, each more than twice as large as the next; what is added goes into a small one,
+/// and files of one size become one. So a key is written a few times, however many there are, and there are
+/// few files to renew.
 pub(crate) struct RunLease {
     cache: Cache,
-    path: PathBuf,
     holder: Holder,
-    line: Vec<u8>,
-    beat: Beat,
+    parts: Vec<Part>,
     keys: BTreeSet<Key>,
-    changed: bool,
+    /// Keys that are in no part yet.
+    fresh: Vec<Key>,
+    beat: Beat,
     renewed: Duration,
 }
+
+/// A file of a run's lease.
+struct Part {
+    path: PathBuf,
+    line: Vec<u8>,
+    keys: Vec<Key>,
+}
+
+/// Keys that are written again rather than kept in a file of their own.
+const FEW_KEYS: usize = 64;
 
 impl RunLease {
     /// Of nothing yet.
     pub(crate) fn new(cache: &Cache) -> Self {
-        let holder = Holder::of(cache.node(), Vec::new());
-        let path = folder(cache).join(format!("run-{}", holder.token));
         Self {
             cache: cache.clone(),
-            path,
-            holder,
-            line: Vec::new(),
-            beat: Beat::default(),
+            holder: Holder::of(cache.node(), Vec::new()),
+            parts: Vec::new(),
             keys: BTreeSet::new(),
-            changed: false,
+            fresh: Vec::new(),
+            beat: Beat::default(),
             renewed: cache.node().clock.now(),
         }
     }
@@ -291,41 +302,78 @@ impl RunLease {
     /// Adds keys; others see them after [`show`](Self::show).
     pub(crate) fn extend(&mut self, keys: impl IntoIterator<Item = Key>) {
         for key in keys {
-            self.changed |= self.keys.insert(key);
+            if self.keys.insert(key) {
+                self.fresh.push(key);
+            }
         }
     }
 
     /// Lets others see what was added, and that this process is alive.
     pub(crate) fn show(&mut self) {
+        if !self.fresh.is_empty() {
+            self.write_fresh();
+        }
+        self.keep_alive();
+    }
+
+    fn write_fresh(&mut self) {
+        let mut keys = std::mem::take(&mut self.fresh);
+        let new = keys.len();
+        let mut kept = self.parts.len();
+        while kept > 0 && self.parts[kept - 1].keys.len() <= FEW_KEYS.max(2 * keys.len()) {
+            kept -= 1;
+            keys.extend(&self.parts[kept].keys);
+        }
+        let path = match self.parts.get(kept) {
+            Some(part) => part.path.clone(),
+            None => folder(&self.cache).join(format!("run-{}", files::unique())),
+        };
+        self.holder.reads.clone_from(&keys);
+        let line = self.holder.line();
+        self.beat.number += 1;
+        let files = self.cache.files();
+        if put(files, &path, &[&line[..], &pulse::line(&self.beat)].concat()).is_err() {
+            keys.truncate(new);
+            self.fresh = keys;
+            return;
+        }
+        for part in self.parts.drain(kept..).skip(1) {
+            let _ = files.remove_file(&part.path);
+        }
+        self.parts.push(Part { path, line, keys });
+    }
+
+    /// Lets others see that this process is alive, where it has not for a while.
+    pub(crate) fn keep_alive(&mut self) {
         let now = self.cache.node().clock.now();
-        if !self.changed && now.saturating_sub(self.renewed) < HEARTBEAT {
+        if now.saturating_sub(self.renewed) < HEARTBEAT {
             return;
         }
         self.renewed = now;
         self.beat.number += 1;
-        let files = self.cache.files();
-        let beat = pulse::line(&self.beat);
-        // A lease that somebody removed is written again.
-        if !self.changed && files.overwrite(&self.path, self.line.len() as u64, &beat).is_ok() {
-            return;
+        let (files, beat) = (self.cache.files(), pulse::line(&self.beat));
+        for part in &self.parts {
+            // A lease that somebody removed is written again.
+            if files.overwrite(&part.path, part.line.len() as u64, &beat).is_err() {
+                let _ = put(files, &part.path, &[&part.line[..], &beat].concat());
+            }
         }
-        self.holder.reads = self.keys.iter().copied().collect();
-        self.line = self.holder.line();
-        self.changed = put(files, &self.path, &[&self.line[..], &beat].concat()).is_err();
     }
 }
 
 impl std::fmt::Debug for RunLease {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("RunLease").field("path", &self.path).field("keys", &self.keys.len()).finish()
+        f.debug_struct("RunLease").field("parts", &self.parts.len()).field("keys", &self.keys.len()).finish()
     }
 }
 
 impl Drop for RunLease {
     fn drop(&mut self) {
         let files = self.cache.files();
-        if files.read(&self.path).is_ok_and(|found| !self.line.is_empty() && found.starts_with(&self.line)) {
-            let _ = files.remove_file(&self.path);
+        for part in &self.parts {
+            if files.read(&part.path).is_ok_and(|found| found.starts_with(&part.line)) {
+                let _ = files.remove_file(&part.path);
+            }
         }
     }
 }

@@ -71,7 +71,7 @@
 //! [`cache`]: the folder layout, publishing, verification. [`code`]: token-level code digests. [`content`]:
 //! digests of inputs that are not read twice. [`graph`]: scenes × stages × variants. [`plan`], [`run`]: what
 //! would happen, making it happen. [`executor`]: where its jobs run. [`history`]: what happened, forecasts.
-//! [`place`]: results outside the cache, and what of them may be replaced.
+//! [`place`]: results outside the cache, and what of them may be replaced; [`delivered`]: which are there.
 //! [`remote`]: a store beside the cache.
 
 mod agree;
@@ -81,6 +81,7 @@ pub mod canonical;
 pub mod code;
 pub mod content;
 mod context;
+pub mod delivered;
 pub mod digest;
 pub mod error;
 mod events;

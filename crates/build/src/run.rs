@@ -8,12 +8,16 @@
 //! Any number of processes, on one machine or on many, may run the same batch on one cache at once. What
 //! another one computes is put back and something else is taken; its artifact is found when it is there. So
 //! they share the work without knowing of each other, and all end with the same results.
+//!
+//! What a node costs does not depend on how many others there are: it is looked at when the last of its inputs
+//! is there, its key is found out once and kept until an input changes, and it is looked at again only when it
+//! may be started.
 
 mod need;
 mod others;
 mod records;
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
@@ -29,11 +33,12 @@ use super::job::{Ended, Job};
 use super::key::{Ingredients, Key};
 use super::lease::RunLease;
 use super::machine;
-use super::resolve::{self, Outcome, Unresolved};
+use super::resolve::{self, Outcome, Resolved, Unresolved};
 use super::stage::Scope;
 pub use super::summary::{Became, RanNode, Summary};
 use need::Need;
 use others::{Held, LEAVING};
+use records::Known;
 
 /// How to run.
 #[derive(Clone, Debug)]
@@ -119,6 +124,13 @@ enum Phase {
     Over,
 }
 
+/// Whether a node can be started.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Fits {
+    Now,
+    Later,
+}
+
 struct Running {
     cores: usize,
     memory: u64,
@@ -133,6 +145,20 @@ struct Runner<'r> {
     phase: Vec<Phase>,
     outcomes: Vec<Outcome>,
     nodes: Vec<RanNode>,
+    /// The nodes that read what a node makes.
+    children: Vec<Vec<usize>>,
+    /// How many of a node's inputs are not over.
+    open: Vec<usize>,
+    /// Where a node stands in the order in which nodes are tried.
+    rank: Vec<usize>,
+    /// Nodes to be looked at, by rank.
+    due: BTreeSet<(usize, usize)>,
+    /// Nodes that were looked at and have to be computed, by rank, with their keys.
+    waiting: BTreeMap<(usize, usize), Box<Resolved>>,
+    /// Shared nodes of which it is not known yet whether anybody needs them.
+    unsure: Vec<usize>,
+    /// Nothing that waits can be started before something ends.
+    full: bool,
     running: HashMap<usize, Running>,
     /// What the nodes that could be started will take, bytes.
     memory: Vec<Option<u64>>,
@@ -140,12 +166,8 @@ struct Runner<'r> {
     damaged: HashMap<usize, usize>,
     halted: bool,
     lease: RunLease,
-    /// The order in which nodes are tried.
-    order: Vec<usize>,
     spread: bool,
     held: HashMap<usize, Held>,
-    /// Keys that were looked for and were not there: not looked for again until they could be computed.
-    missing: HashMap<usize, Key>,
     start: Duration,
     leave_at: Option<Duration>,
     /// Durations, where the time is limited.
@@ -155,11 +177,26 @@ struct Runner<'r> {
     left: bool,
     /// Since when there is nothing to do here.
     idle: Option<Duration>,
-    /// The nodes of each scene and variant that is not over.
-    scenes: BTreeMap<(String, String), Vec<usize>>,
+    /// What is remembered of each node from earlier runs.
+    known: Vec<Known>,
+    /// The nodes of each scene and variant, and how many of them are not over.
+    scenes: Vec<OwnNodes>,
+    scene_of: Vec<Option<usize>>,
+    /// Scenes that are over and of which nobody was told yet.
+    untold: BTreeSet<usize>,
     sender: mpsc::Sender<(usize, Ended, Ingredients)>,
     receiver: mpsc::Receiver<(usize, Ended, Ingredients)>,
 }
+
+/// The nodes of a scene and variant.
+#[derive(Default)]
+struct OwnNodes {
+    nodes: Vec<usize>,
+    open: usize,
+}
+
+/// How many nodes that wait are tried before it is taken that none of them fits.
+const LOOK_AHEAD: usize = 64;
 
 impl<'r> Runner<'r> {
     fn new(
@@ -181,28 +218,50 @@ impl<'r> Runner<'r> {
         });
         let (sender, receiver) = mpsc::channel();
         let mut lease = RunLease::new(&builder.cache);
-        let mut scenes: BTreeMap<(String, String), Vec<usize>> = BTreeMap::new();
+        let count = graph.nodes.len();
+        let (mut scenes, mut scene_of) = (Vec::<OwnNodes>::new(), vec![None; count]);
+        let mut places: HashMap<(&str, &str), usize> = HashMap::new();
+        let mut known = vec![Known::default(); count];
+        let records = builder.cache.records(&graph.name);
+        let (mut children, mut open) = (vec![Vec::new(); count], vec![0; count]);
         for (i, node) in graph.nodes.iter().enumerate().filter(|(i, _)| wanted[*i]) {
             // What a node had last is likely what it needs now, also while its inputs are being made.
-            lease.extend(builder.cache.record(&graph.name, node).last.map(|last| last.key));
+            known[i] = Known::of(&records.of(node));
+            lease.extend(known[i].last.map(|(key, _)| key));
             if !node.scene.is_empty() {
-                scenes.entry((node.scene.clone(), node.variant.clone())).or_default().push(i);
+                let place = *places.entry((&node.scene, &node.variant)).or_insert(scenes.len());
+                if place == scenes.len() {
+                    scenes.push(OwnNodes::default());
+                }
+                scenes[place].nodes.push(i);
+                scenes[place].open += 1;
+                scene_of[i] = Some(place);
+            }
+            for parent in graph.needs(i) {
+                children[parent].push(i);
+                open[i] += usize::from(wanted[parent]);
             }
         }
         lease.show();
         let start = builder.cache.node().clock.now();
         let leave_at = options.limit.map(|limit| start + limit - LEAVING.min(limit / 10));
         Self {
-            order: (0..graph.nodes.len()).collect(),
+            due: (0..count).filter(|i| wanted[*i] && open[*i] == 0).map(|i| (i, i)).collect(),
+            rank: (0..count).collect(),
+            children,
+            open,
+            waiting: BTreeMap::new(),
+            unsure: Vec::new(),
+            full: false,
             spread: false,
             held: HashMap::new(),
-            missing: HashMap::new(),
             start,
             leave_at,
             timings: options.limit.map(|_| builder.cache.timings()),
             untimely: false,
             left: false,
             idle: None,
+            known,
             builder,
             graph,
             options,
@@ -214,11 +273,13 @@ impl<'r> Runner<'r> {
                 .collect(),
             nodes: nodes.collect(),
             running: HashMap::new(),
-            memory: vec![None; graph.nodes.len()],
+            memory: vec![None; count],
             damaged: HashMap::new(),
             halted: false,
             lease,
             scenes,
+            scene_of,
+            untold: BTreeSet::new(),
             sender,
             receiver,
         }
@@ -227,15 +288,13 @@ impl<'r> Runner<'r> {
     fn drive(&mut self, starter: &dyn Starter<'r>) {
         loop {
             self.watch_time();
-            let mut moved = true;
-            while moved && !self.stopped() {
-                moved = false;
-                for at in 0..self.order.len() {
-                    let i = self.order[at];
-                    if self.phase[i] == Phase::Pending && !self.stopped() && !self.is_held(i) {
-                        moved |= self.advance(i, starter);
-                    }
+            self.ask_again();
+            while !self.stopped() && self.step(starter) {
+                // What has ended meanwhile makes room, and gives others their inputs.
+                while let Ok((i, ended, ingredients)) = self.receiver.try_recv() {
+                    self.finish(i, ended, ingredients);
                 }
+                self.lease.keep_alive();
             }
             self.lease.show();
             self.tell_scenes();
@@ -247,16 +306,110 @@ impl<'r> Runner<'r> {
         }
     }
 
+    /// Starts the first node that can be started, or looks at the first that is to be looked at, whichever
+    /// comes first in the order; whether there was one.
+    fn step(&mut self, starter: &dyn Starter<'r>) -> bool {
+        let next = self.due.first().copied();
+        if self.has_room() && !self.full {
+            let before = |at: &(usize, usize)| next.is_none_or(|next| *at < next);
+            let candidates: Vec<(usize, usize)> =
+                self.waiting.keys().copied().take_while(before).take(LOOK_AHEAD).collect();
+            let tried = candidates.len();
+            for at in candidates {
+                if self.try_waiting(at, starter) {
+                    return true;
+                }
+            }
+            self.full = tried == LOOK_AHEAD || next.is_none();
+        }
+        let Some((_, i)) = next else { return false };
+        self.due.pop_first();
+        if self.phase[i] == Phase::Pending {
+            self.advance(i, starter);
+        }
+        true
+    }
+
+    /// Starts a node that waits for room, if there is enough for it; what somebody else has made meanwhile is
+    /// taken.
+    fn try_waiting(&mut self, at: (usize, usize), starter: &dyn Starter<'r>) -> bool {
+        let Some(resolved) = self.waiting.remove(&at) else { return false };
+        let i = at.1;
+        if self.fits(i, &resolved) != Fits::Now {
+            return self.keep_waiting(i, resolved);
+        }
+        match self.look_up(i, &resolved.key, false) {
+            Ok(Lookup::Missing) => self.start(i, resolved, starter),
+            found => self.found(i, found, resolved, starter),
+        }
+    }
+
+    /// Puts a node among those that wait, unless it will not be started any more.
+    fn keep_waiting(&mut self, i: usize, resolved: Box<Resolved>) -> bool {
+        if self.comes_too_late(i) {
+            self.untimely = true;
+        } else {
+            self.waiting.insert((self.rank[i], i), resolved);
+        }
+        false
+    }
+
     /// Tells every scene whose last node is over.
     fn tell_scenes(&mut self) {
-        let (phase, nodes, listener) = (&self.phase, &self.nodes, self.listener);
-        self.scenes.retain(|(scene, variant), own| {
-            let over = own.iter().all(|i| phase[*i] == Phase::Over);
-            if over {
-                listener.event(&Event::SceneOver { scene, variant, nodes });
+        for place in std::mem::take(&mut self.untold) {
+            let own = &self.scenes[place].nodes;
+            let nodes: Vec<RanNode> = own.iter().map(|i| self.nodes[*i].clone()).collect();
+            let RanNode { scene, variant, .. } = &nodes[0];
+            self.listener.event(&Event::SceneOver { scene, variant, nodes: &nodes });
+        }
+    }
+
+    /// A node is over: those that read it may be looked at.
+    fn over(&mut self, i: usize) {
+        if std::mem::replace(&mut self.phase[i], Phase::Over) == Phase::Over {
+            return;
+        }
+        if let Some(place) = self.scene_of[i] {
+            self.scenes[place].open -= 1;
+            if self.scenes[place].open == 0 {
+                self.untold.insert(place);
             }
-            !over
-        });
+        }
+        let failed = matches!(self.outcomes[i], Outcome::Unavailable(_));
+        for at in 0..self.children[i].len() {
+            let child = self.children[i][at];
+            self.open[child] -= 1;
+            let blocks = failed && self.scope(child) != Scope::Batch;
+            if self.phase[child] == Phase::Pending && (self.open[child] == 0 || blocks) {
+                self.due.insert((self.rank[child], child));
+            }
+        }
+        for unsure in std::mem::take(&mut self.unsure) {
+            self.due.insert((self.rank[unsure], unsure));
+        }
+    }
+
+    /// A node whose artifact is gone is made again, and what reads it waits.
+    fn reopen(&mut self, i: usize) {
+        self.outcomes[i] = Outcome::Open;
+        self.nodes[i].artifact = None;
+        if std::mem::replace(&mut self.phase[i], Phase::Pending) != Phase::Over {
+            return;
+        }
+        if let Some(place) = self.scene_of[i] {
+            self.scenes[place].open += 1;
+            self.untold.remove(&place);
+        }
+        for at in 0..self.children[i].len() {
+            let child = self.children[i][at];
+            self.open[child] += 1;
+            self.due.remove(&(self.rank[child], child));
+            self.waiting.remove(&(self.rank[child], child));
+        }
+    }
+
+    fn scope(&self, i: usize) -> Scope {
+        self.builder.registry.stages()[self.graph.nodes[i].stage].scope
     }
 
     fn stopped(&self) -> bool {
@@ -264,24 +417,12 @@ impl<'r> Runner<'r> {
     }
 
     /// Decides about a pending node, if that is possible now.
-    fn advance(&mut self, i: usize, starter: &dyn Starter<'r>) -> bool {
+    fn advance(&mut self, i: usize, starter: &dyn Starter<'r>) {
         if let Some(first) = self.graph.nodes[i].same_as {
-            if self.phase[first] != Phase::Over {
-                return false;
+            if self.phase[first] == Phase::Over {
+                self.share(i, first);
             }
-            self.outcomes[i] = self.outcomes[first].clone();
-            self.nodes[i].result = match &self.nodes[first].result {
-                Became::Done => Became::Cached,
-                other => other.clone(),
-            };
-            self.nodes[i].artifact = self.nodes[first].artifact.clone();
-            if let (Outcome::Ready(artifact), Became::Cached) = (&self.outcomes[i], &self.nodes[i].result) {
-                let (ingredients, content) =
-                    (artifact.manifest.ingredients.clone(), artifact.manifest.content);
-                self.record_made(i, ingredients, content);
-            }
-            self.phase[i] = Phase::Over;
-            return true;
+            return;
         }
         let builder = self.builder;
         let resolved = resolve::resolve(
@@ -293,38 +434,57 @@ impl<'r> Runner<'r> {
             &self.outcomes,
         );
         let resolved = match resolved {
-            Ok(resolved) => resolved,
-            Err(Unresolved::Waiting(_)) => return false,
-            Err(Unresolved::Blocked(by)) => {
-                self.nodes[i].result = Became::Blocked(by.clone());
-                self.outcomes[i] = Outcome::Unavailable(by);
-                self.phase[i] = Phase::Over;
-                return true;
-            }
-            Err(Unresolved::Input(reason)) => {
-                self.fail(i, None, reason);
-                return true;
-            }
+            Ok(resolved) => Box::new(resolved),
+            // It comes again when they are there.
+            Err(Unresolved::Waiting(_)) => return,
+            Err(Unresolved::Blocked(by)) => return self.block(i, by),
+            Err(Unresolved::Input(reason)) => return self.fail(i, None, reason),
         };
         self.lease.extend([resolved.key]);
-        if !self.has_room() && self.missing.get(&i) == Some(&resolved.key) {
-            return false;
+        let found = self.look_up(i, &resolved.key, true);
+        self.found(i, found, resolved, starter);
+    }
+
+    /// Takes what another node of the same work came to.
+    fn share(&mut self, i: usize, first: usize) {
+        self.outcomes[i] = self.outcomes[first].clone();
+        self.nodes[i].result = match &self.nodes[first].result {
+            Became::Done => Became::Cached,
+            other => other.clone(),
+        };
+        self.nodes[i].artifact = self.nodes[first].artifact.clone();
+        if let (Outcome::Ready(artifact), Became::Cached) = (&self.outcomes[i], &self.nodes[i].result) {
+            let artifact = artifact.clone();
+            self.record_made(i, &artifact.manifest.ingredients, artifact.manifest.content);
         }
-        match self.look_up(i, &resolved.key) {
+        self.over(i);
+    }
+
+    fn block(&mut self, i: usize, by: String) {
+        self.nodes[i].result = Became::Blocked(by.clone());
+        self.outcomes[i] = Outcome::Unavailable(by);
+        self.over(i);
+    }
+
+    /// Goes on from what is there for a node's key; whether anything came of it.
+    fn found(
+        &mut self,
+        i: usize,
+        found: Result<Lookup, FileError>,
+        resolved: Box<Resolved>,
+        starter: &dyn Starter<'r>,
+    ) -> bool {
+        match found {
             Ok(Lookup::Whole(artifact)) => {
-                builder.cache.touch(&artifact.path);
-                self.listener.event(&Event::Done {
-                    node: i,
-                    label: &self.nodes[i].label,
-                    cached: true,
-                    seconds: 0.0,
-                });
-                self.ready(i, artifact, Became::Cached, 0.0, resolved.ingredients);
+                self.builder.cache.touch(&artifact.path);
+                let label = &self.nodes[i].label;
+                self.listener.event(&Event::Done { node: i, label, cached: true, seconds: 0.0 });
+                self.ready(i, artifact, Became::Cached, 0.0, &resolved.ingredients);
                 return true;
             }
             Ok(Lookup::Missing) => {}
             Ok(Lookup::Damaged(reason)) => {
-                let aside = builder.cache.set_aside(self.graph.nodes[i].stage_name, &resolved.key);
+                let aside = self.builder.cache.set_aside(self.graph.nodes[i].stage_name, &resolved.key);
                 let place = aside.map_or_else(|e| e.to_string(), |p| format!("moved to {}", p.display()));
                 let text = format!("its artifact is damaged: {reason}; {place}, computing it again");
                 self.listener.event(&Event::Warning { label: &self.nodes[i].label, text: &text });
@@ -334,53 +494,58 @@ impl<'r> Runner<'r> {
                 return true;
             }
         }
-        if builder.registry.stages()[self.graph.nodes[i].stage].scope == Scope::Shared {
+        if self.scope(i) == Scope::Shared {
             match self.need(i) {
                 Need::Unasked | Need::Live => {}
-                Need::Unknown => return false,
+                Need::Unknown => {
+                    self.unsure.push(i);
+                    return false;
+                }
                 Need::Nobody(by) => {
-                    self.nodes[i].result = Became::Blocked(by.clone());
-                    self.outcomes[i] = Outcome::Unavailable(by);
-                    self.phase[i] = Phase::Over;
+                    self.block(i, by);
                     return true;
                 }
             }
         }
-        self.start(i, resolved, starter)
+        match self.fits(i, &resolved) {
+            Fits::Now => self.start(i, resolved, starter),
+            Fits::Later => self.keep_waiting(i, resolved),
+        }
     }
 
     /// What is there for a node's key. What is not as it should be is looked at a second time: where the
     /// cache is a network file system, what another machine has made may come late.
-    fn look_up(&mut self, i: usize, key: &Key) -> Result<Lookup, FileError> {
+    fn look_up(&self, i: usize, key: &Key, first: bool) -> Result<Lookup, FileError> {
         let (cache, node) = (&self.builder.cache, &self.graph.nodes[i]);
         let found = cache.lookup(node.stage_name, key)?;
         let suspect = match found {
             Lookup::Whole(_) => return Ok(found),
             Lookup::Damaged(_) => true,
-            Lookup::Missing if self.missing.insert(i, *key) == Some(*key) => false,
-            Lookup::Missing => cache.record(&self.graph.name, node).last.is_some_and(|last| last.key == *key),
+            Lookup::Missing => first && self.known[i].last.is_some_and(|(last, _)| last == *key),
         };
         if suspect { cache.lookup_again(node.stage_name, key) } else { Ok(found) }
     }
 
-    /// Starts a node if there is room for it and nobody here computes the same key.
-    fn start(&mut self, i: usize, resolved: resolve::Resolved, starter: &dyn Starter<'r>) -> bool {
+    /// Whether a node can be started now: whether there is room for it, and nobody here computes the same key.
+    fn fits(&mut self, i: usize, resolved: &Resolved) -> Fits {
+        if !self.has_room() || self.running.values().any(|r| r.key == resolved.key) {
+            return Fits::Later;
+        }
         let stage = &self.builder.registry.stages()[self.graph.nodes[i].stage];
-        let jobs = self.options.jobs.max(1);
-        let used_memory: u64 = self.running.values().map(|r| r.memory).sum();
-        let used_cores: usize = self.running.values().map(|r| r.cores).sum();
         let memory = *self.memory[i]
             .get_or_insert_with(|| stage.memory_on(&self.graph.nodes[i].parameters, &resolved.inputs));
-        let fits = used_memory.saturating_add(memory) <= self.options.memory;
-        if self.comes_too_late(i) {
-            self.untimely = true;
-            return false;
-        }
-        let twin = self.running.values().any(|r| r.key == resolved.key);
-        if twin || self.running.len() >= jobs || (!fits && !self.running.is_empty()) {
-            return false;
-        }
-        if !fits {
+        let used: u64 = self.running.values().map(|r| r.memory).sum();
+        let fits = used.saturating_add(memory) <= self.options.memory;
+        // What is too large for all of it runs alone.
+        if (fits || self.running.is_empty()) && !self.comes_too_late(i) { Fits::Now } else { Fits::Later }
+    }
+
+    /// Starts a node.
+    fn start(&mut self, i: usize, resolved: Box<Resolved>, starter: &dyn Starter<'r>) -> bool {
+        let stage = &self.builder.registry.stages()[self.graph.nodes[i].stage];
+        let jobs = self.options.jobs.max(1);
+        let memory = self.memory[i].unwrap_or(0);
+        if memory > self.options.memory {
             let text = format!(
                 "needs about {} of memory, {} are free: running it alone",
                 machine::bytes(memory),
@@ -388,6 +553,7 @@ impl<'r> Runner<'r> {
             );
             self.listener.event(&Event::Warning { label: &self.nodes[i].label, text: &text });
         }
+        let used_cores: usize = self.running.values().map(|r| r.cores).sum();
         let share = self.options.cores.saturating_sub(used_cores) / (jobs - self.running.len());
         let most = if stage.cores == 0 { usize::MAX } else { stage.cores };
         let threads = share.clamp(1, most.max(1));
@@ -425,7 +591,8 @@ impl<'r> Runner<'r> {
 
     fn finish(&mut self, i: usize, ended: Ended, ingredients: Ingredients) {
         let key = self.running.remove(&i).map(|r| r.key);
-        if !matches!(ended, Ended::Held(_)) {
+        self.full = false;
+        if !matches!(ended, Ended::Held(..)) {
             self.held.remove(&i);
             self.idle = None;
         }
@@ -435,14 +602,14 @@ impl<'r> Runner<'r> {
                 let label = &self.nodes[i].label;
                 self.listener.event(&Event::Done { node: i, label, cached: !computed, seconds });
                 let result = if computed { Became::Done } else { Became::Cached };
-                self.ready(i, artifact, result, seconds, ingredients);
+                self.ready(i, artifact, result, seconds, &ingredients);
             }
             Ended::Failed(reason) => self.fail(i, key, reason),
             Ended::Cancelled => {
-                self.phase[i] = Phase::Over;
                 self.outcomes[i] = Outcome::Unavailable("the interruption".to_string());
+                self.over(i);
             }
-            Ended::Held(holder) => self.put_back(i, holder),
+            Ended::Held(holder, resolved) => self.put_back(i, holder, resolved),
             Ended::DamagedInput(parent) => {
                 // What shares another node's work is made again by that one.
                 let maker = self.graph.nodes[parent].same_as.unwrap_or(parent);
@@ -457,10 +624,17 @@ impl<'r> Runner<'r> {
                     self.fail(i, key, reason);
                     return;
                 }
-                for node in [i, parent, maker] {
-                    if self.phase[node] == Phase::Over || node == i {
-                        self.phase[node] = Phase::Pending;
-                        self.outcomes[node] = Outcome::Open;
+                self.phase[i] = Phase::Pending;
+                for node in BTreeSet::from([parent, maker]) {
+                    // What is running or pending is on its way to being made.
+                    if self.phase[node] == Phase::Over {
+                        self.reopen(node);
+                    }
+                }
+                // Where another one who found it out was faster, it may be there again.
+                for node in [i, maker] {
+                    if self.phase[node] == Phase::Pending && self.open[node] == 0 {
+                        self.due.insert((self.rank[node], node));
                     }
                 }
             }
@@ -470,17 +644,17 @@ impl<'r> Runner<'r> {
     fn ready(
         &mut self,
         i: usize,
-        artifact: Box<Artifact>,
+        artifact: Arc<Artifact>,
         result: Became,
         seconds: f64,
-        ingredients: Ingredients,
+        ingredients: &Ingredients,
     ) {
         self.held.remove(&i);
         self.record_made(i, ingredients, artifact.manifest.content);
-        self.nodes[i].artifact = Some(artifact.as_ref().clone());
+        self.nodes[i].artifact = Some(artifact.clone());
         self.nodes[i].result = result;
         self.nodes[i].seconds += seconds;
         self.outcomes[i] = Outcome::Ready(artifact);
-        self.phase[i] = Phase::Over;
+        self.over(i);
     }
 }

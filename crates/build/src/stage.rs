@@ -11,6 +11,7 @@ use serde_json::{Map, Value};
 
 use super::agree::{Agreement, AlikeFiles, Figure};
 use super::canonical;
+use super::content::Choice;
 use super::context::{StageContext, StageInput};
 use super::error::{ParameterError, StageError};
 use super::key::DeviceClass;
@@ -42,7 +43,7 @@ pub enum Source {
 
 /// Chooses the files of an external input that a stage reads, relative to the input's path, from the
 /// parameters.
-pub type Select = Arc<dyn Fn(&Value, &Path) -> Result<Vec<PathBuf>, String> + Send + Sync>;
+pub type Select = Arc<dyn Fn(&Value, &Path) -> Result<Choice, String> + Send + Sync>;
 
 /// Whether an artifact is read, from the parameters of all stages.
 pub(super) type Needed = Arc<dyn Fn(&AllParameters) -> bool + Send + Sync>;
@@ -276,8 +277,18 @@ impl Stage {
     /// count with everything below). A path that does not exist is skipped.
     #[must_use]
     pub fn select(
-        mut self,
+        self,
         choose: impl Fn(&Value, &Path) -> Result<Vec<PathBuf>, String> + Send + Sync + 'static,
+    ) -> Self {
+        self.select_by(move |parameters, input| choose(parameters, input).map(Choice::from))
+    }
+
+    /// As [`select`](Self::select), where choosing takes long: the choice is remembered for as long as what it
+    /// was made from does not change.
+    #[must_use]
+    pub fn select_by(
+        mut self,
+        choose: impl Fn(&Value, &Path) -> Result<Choice, String> + Send + Sync + 'static,
     ) -> Self {
         if let Some(input) = self.inputs.last_mut() {
             input.select = Some(Arc::new(choose));

@@ -53,7 +53,7 @@ pub struct RanNode {
     pub shared: bool,
     /// Its artifact.
     #[serde(skip)]
-    pub artifact: Option<Artifact>,
+    pub artifact: Option<Arc<Artifact>>,
 }
 
 /// What became of a batch.
@@ -129,7 +129,7 @@ impl Summary {
                 && (n.scene.is_empty() || n.scene == scene)
                 && (variant.is_empty() || n.variant.is_empty() || n.variant == variant)
         };
-        self.nodes.iter().find(fits).and_then(|n| n.artifact.as_ref())
+        self.nodes.iter().find(fits).and_then(|n| n.artifact.as_deref())
     }
 
     pub(crate) fn count(&self, which: impl Fn(&Became) -> bool) -> usize {

@@ -4,15 +4,17 @@
 //! An artifact holds nothing that depends on the clock or the machine. Times, memory, keys and how fast
 //! scenes are drawn are kept beside artifacts; they are added to the page and the tables here.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use serde::Serialize;
 use use3d_build::place::{self, Look, PlaceError, Standing};
-use use3d_build::run::RanNode;
-use use3d_build::{Digest, Graph, Summary};
+use use3d_build::delivered::{MadeOf, Notes};
+use use3d_build::run::{Became, RanNode};
+use use3d_build::{Artifact, Cache, Digest, Graph, Summary};
 use use3d_files::write_atomically;
 
 use crate::judge::report::{StageRow, shortened, with_costs, with_tables, with_views};
@@ -53,37 +55,258 @@ fn folder_of(scene: &str, variant: &str) -> PathBuf {
     if variant.is_empty() { scene.into() } else { format!("{scene}@{variant}").into() }
 }
 
-/// Looks, before anything is computed, whether the results of `until` (all where `None`) may go to `out`:
-/// whether it can be written, and whether everything that stands in their places is ours.
-///
-/// # Errors
-/// The first place that is taken, or that cannot be written. Nothing is touched.
-pub fn check(graph: &Graph, until: Option<&[String]>, out: &Path) -> Result<(), PlaceError> {
-    place::check_writable(out)?;
-    let mut places: BTreeMap<PathBuf, String> = BTreeMap::new();
-    for (node, _) in graph.nodes.iter().zip(graph.wanted(until)).filter(|(_, wanted)| *wanted) {
-        if let Some(place) = place_of(node.stage_name, &node.scene, &node.variant)
-            && let Some(other) = places.insert(place.clone(), node.label())
-        {
-            let reason = format!(
-                "the results of `{other}` and `{}` would both go there; rename a scene or a variant",
-                node.label()
-            );
-            return Err(PlaceError::Occupied { path: out.join(place), reason });
-        }
-        if node.stage_name == "reconstruct" {
-            check_page(&out.join(folder_of(&node.scene, &node.variant)).join(VIEW))?;
-        }
-        if node.stage_name == "report" {
-            check_page(&out.join(PAGE))?;
-            places.insert(TABLES.into(), node.label());
-        }
+/// A results folder, with what is known of it.
+pub struct Results {
+    out: PathBuf,
+    notes: Notes,
+    /// What each part is made of that stands as it was delivered, by part.
+    standing: Mutex<BTreeMap<String, MadeOf>>,
+}
+
+/// The part of a results folder that is over all scenes.
+const OVER_ALL: &str = "";
+
+/// The files and folders of a part.
+fn paths_of(part: &str) -> Vec<PathBuf> {
+    if part == OVER_ALL { vec![PAGE.into(), TABLES.into()] } else { vec![part.into()] }
+}
+
+impl Results {
+    /// The folder `out` for what a cache holds.
+    pub fn new(out: &Path, cache: &Cache) -> Self {
+        Self { out: out.to_path_buf(), notes: Notes::of(cache, out), standing: Mutex::default() }
     }
-    places.keys().try_for_each(|place| {
-        let place = out.join(place);
-        place::sweep(place::parent(&place));
-        place::check(&place, true)
-    })
+
+    /// Where it is.
+    pub fn folder(&self) -> &Path {
+        &self.out
+    }
+
+    fn standing(&self) -> MutexGuard<'_, BTreeMap<String, MadeOf>> {
+        self.standing.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether a part stands as it was delivered; it is looked at once.
+    fn stands(&self, part: &str) -> bool {
+        let mut standing = self.standing();
+        if !standing.contains_key(part) {
+            standing.insert(part.to_string(), self.notes.standing(part, &paths_of(part)));
+        }
+        !standing[part].is_empty()
+    }
+
+    /// What a part is made of, as far as it is known to stand so.
+    fn made_of(&self, part: &str) -> MadeOf {
+        self.standing().get(part).cloned().unwrap_or_default()
+    }
+
+    /// Remembers what a part is made of now.
+    fn keep(&self, part: &str, made_of: MadeOf) {
+        if let Err(error) = self.notes.keep(part, &paths_of(part), made_of.clone()) {
+            tracing::debug!("{error}");
+        }
+        self.standing().insert(part.to_string(), made_of);
+    }
+
+    /// Looks, before anything is computed, whether the results of `until` (all where `None`) may go to the
+    /// folder: whether it can be written, and whether everything that stands in their places is ours.
+    ///
+    /// # Errors
+    /// The first place that is taken, or that cannot be written. Nothing is touched.
+    pub fn check(&self, graph: &Graph, until: Option<&[String]>) -> Result<(), PlaceError> {
+        let out = &self.out;
+        place::check_writable(out)?;
+        place::sweep(out);
+        let mut places: BTreeMap<PathBuf, String> = BTreeMap::new();
+        // A part that stands as it was delivered is ours.
+        let mut looked_at: BTreeMap<PathBuf, bool> = BTreeMap::new();
+        for (node, _) in graph.nodes.iter().zip(graph.wanted(until)).filter(|(_, wanted)| *wanted) {
+            if let Some(place) = place_of(node.stage_name, &node.scene, &node.variant)
+                && let Some(other) = places.insert(place.clone(), node.label())
+            {
+                let reason = format!(
+                    "the results of `{other}` and `{}` would both go there; rename a scene or a variant",
+                    node.label()
+                );
+                return Err(PlaceError::Occupied { path: out.join(place), reason });
+            }
+            let (part, page) = match node.stage_name {
+                "reconstruct" => {
+                    let folder = folder_of(&node.scene, &node.variant);
+                    (folder.clone(), folder.join(VIEW))
+                }
+                "report" => {
+                    places.insert(TABLES.into(), node.label());
+                    (PathBuf::from(OVER_ALL), PathBuf::from(PAGE))
+                }
+                _ => continue,
+            };
+            let stands = self.stands(&part.to_string_lossy());
+            looked_at.insert(part, stands);
+            if !stands {
+                check_page(&out.join(page))?;
+            }
+        }
+        let part_of = |place: &Path| match place.parent() {
+            Some(folder) if place != Path::new(TABLES) => folder.to_path_buf(),
+            _ => PathBuf::from(OVER_ALL),
+        };
+        let unknown = places.keys().filter(|place| looked_at.get(&part_of(place)) != Some(&true));
+        for place in unknown {
+            let place = out.join(place);
+            place::sweep(place::parent(&place));
+            place::check(&place, true)?;
+        }
+        Ok(())
+    }
+
+    /// Fills the folder and says what is where: `report`, `tables`, and the folders of every scene. `command`:
+    /// what was typed, which the report names.
+    ///
+    /// # Errors
+    /// A place that is taken by something that is not ours, or that cannot be written;
+    /// what was delivered before stays.
+    pub fn deliver(&self, summary: &Summary, command: &str) -> Result<Vec<Delivered>, PlaceError> {
+        let out = &self.out;
+        at(out, "create", fs::create_dir_all(out))?;
+        let mut delivered = Vec::new();
+        let mut scenes: Vec<SceneNodes<'_>> = Vec::new();
+        let mut places: HashMap<(&str, &str), usize> = HashMap::new();
+        for node in summary.nodes.iter().filter(|node| !node.scene.is_empty()) {
+            let place = *places.entry((&node.scene, &node.variant)).or_insert(scenes.len());
+            if place == scenes.len() {
+                scenes.push(SceneNodes { scene: &node.scene, variant: &node.variant, nodes: Vec::new() });
+            }
+            scenes[place].nodes.push(node);
+        }
+        let mut views = Vec::new();
+        for scene in &scenes {
+            let own = self.deliver_scene(scene)?;
+            let (view, folders): (Vec<_>, Vec<_>) = own.into_iter().partition(|d| d.what == "view");
+            delivered.extend(folders);
+            views.extend(view);
+        }
+        if let Some(report) = summary.artifact("", "", "report") {
+            delivered.extend(self.deliver_report(summary, report, &views, command)?);
+        }
+        delivered.extend(views);
+        Ok(delivered)
+    }
+
+    /// Puts the results of a scene in their places, unless they are there.
+    fn deliver_scene(&self, own: &SceneNodes<'_>) -> Result<Vec<Delivered>, PlaceError> {
+        let (scene, variant) = (own.scene, own.variant);
+        let part = folder_of(scene, variant).to_string_lossy().into_owned();
+        let mut wanted = MadeOf::new();
+        let mut delivered = Vec::new();
+        for node in &own.nodes {
+            let Some(artifact) = &node.artifact else { continue };
+            let Some(place) = place_of(node.stage, scene, variant) else { continue };
+            wanted.insert(node.stage.to_string(), artifact.manifest.key.to_string());
+            let (scene, variant, path) = (scene.into(), variant.into(), self.out.join(place));
+            delivered.push(Delivered { what: node.stage.to_string(), scene, variant, path });
+        }
+        let shown = own.artifact("reconstruct").and_then(|scene| own.artifact("enhance").or(Some(scene)));
+        let view = shown.map(|shown| {
+            // The page says which scene it was made of, and by what; made of the same one by the same, it is the
+            // same.
+            let source = format!("<!-- of {} by {} -->\n", shown.manifest.key, use3d_web::page::digest());
+            wanted.insert(VIEW.to_string(), source.clone());
+            (shown, source)
+        });
+        let page = self.out.join(&part).join(VIEW);
+        let page =
+            Delivered { what: "view".into(), scene: scene.into(), variant: variant.into(), path: page };
+        let standing = if self.stands(&part) { self.made_of(&part) } else { MadeOf::new() };
+        if wanted.iter().all(|(place, source)| standing.get(place) == Some(source)) {
+            delivered.extend(view.map(|_| page));
+            return Ok(delivered);
+        }
+        for node in &own.nodes {
+            let Some(artifact) = &node.artifact else { continue };
+            let Some(place) = place_of(node.stage, scene, variant) else { continue };
+            // Its manifest is the record.
+            let fill = |made: &Path| place::copy_folder(&artifact.path, made);
+            put(Some(artifact.manifest.key), &self.out.join(place), fill)?;
+        }
+        if let Some((shown, source)) = view {
+            if write_view(own, shown, &source, &page.path)? {
+                delivered.push(page);
+            } else {
+                wanted.remove(VIEW);
+            }
+        }
+        // What else stands there is still what it was.
+        self.keep(&part, standing.into_iter().chain(wanted).collect());
+        Ok(delivered)
+    }
+
+    /// Writes the page and the tables over all scenes, unless nothing was computed since they were written.
+    fn deliver_report(
+        &self,
+        summary: &Summary,
+        report: &Artifact,
+        views: &[Delivered],
+        command: &str,
+    ) -> Result<Vec<Delivered>, PlaceError> {
+        let (page, tables) = (self.out.join(PAGE), self.out.join(TABLES));
+        let has_tables = report.manifest.files.iter().any(|file| file.path.starts_with("tables/"));
+        let mut delivered = vec![Delivered::over_all("report", page.clone())];
+        delivered.extend(has_tables.then(|| Delivered::over_all("tables", tables.clone())));
+        let mut sources = blake3::Hasher::new();
+        for node in &summary.nodes {
+            let key = node.artifact.as_ref().map(|a| (a.manifest.key, &a.manifest.finished));
+            sources.update(format!("{} {key:?}\n", node.label).as_bytes());
+        }
+        views.iter().for_each(|view| drop(sources.update(view.path.as_os_str().as_encoded_bytes())));
+        let wanted = MadeOf::from([(PAGE.to_string(), Digest::from(sources.finalize()).to_string())]);
+        let computed = summary.nodes.iter().any(|n| matches!(n.result, Became::Done));
+        if !computed && self.stands(OVER_ALL) && self.made_of(OVER_ALL) == wanted {
+            return Ok(delivered);
+        }
+        let source = report.path.join("index.html");
+        let html = at(&source, "read", fs::read_to_string(&source))?;
+        check_page(&page)?;
+        let timed = timed_tables(summary, &report.path);
+        let html = timed.as_ref().map_or_else(|| html.clone(), |tables| with_tables(&html, tables));
+        let html = with_costs(&html, &rows(summary), &made(summary, command), &parameters(summary));
+        let links =
+            views.iter().map(|view| (view.scene.as_str(), view.variant.as_str(), view.path.as_path()));
+        let html = with_views(
+            &html,
+            links.map(|(scene, variant, path)| (scene, variant, relative(path, &self.out))),
+        );
+        write(&page, stamped(&html).as_bytes())?;
+        if has_tables {
+            // How fast scenes are drawn follows from no key: they are written anew each time.
+            put(None, &tables, |made| {
+                place::copy_folder(&report.path.join(TABLES), made)?;
+                if let Some(timed) = &timed {
+                    at(
+                        made,
+                        "write",
+                        write_tables(made, timed).map_err(|e| io::Error::other(e.to_string())),
+                    )?;
+                }
+                place::record(made, None)
+            })?;
+        }
+        self.keep(OVER_ALL, wanted);
+        Ok(delivered)
+    }
+}
+
+/// The nodes of a scene in a variant.
+struct SceneNodes<'s> {
+    scene: &'s str,
+    variant: &'s str,
+    nodes: Vec<&'s RanNode>,
+}
+
+impl SceneNodes<'_> {
+    fn artifact(&self, stage: &str) -> Option<&Artifact> {
+        self.nodes.iter().find(|node| node.stage == stage)?.artifact.as_deref()
+    }
 }
 
 /// A result that stands in the results folder.
@@ -105,106 +328,40 @@ impl Delivered {
     }
 }
 
-/// Fills `out` and says what is where: `report`, `tables`, and the folders of every scene. `command`: what
-/// was typed, which the report names.
-///
-/// # Errors
-/// A place that is taken by something that is not ours, or that cannot be written;
-/// what was delivered before stays.
-pub fn deliver(summary: &Summary, out: &Path, command: &str) -> Result<Vec<Delivered>, PlaceError> {
-    let mut delivered = Vec::new();
-    at(out, "create", fs::create_dir_all(out))?;
-    for node in &summary.nodes {
-        let Some(artifact) = &node.artifact else { continue };
-        let Some(place) = place_of(node.stage, &node.scene, &node.variant) else { continue };
-        let target = out.join(place);
-        // Its manifest is the record.
-        put(Some(artifact.manifest.key), &target, |made| place::copy_folder(&artifact.path, made))?;
-        let (scene, variant) = (node.scene.clone(), node.variant.clone());
-        delivered.push(Delivered { what: node.stage.to_string(), scene, variant, path: target });
+/// Writes a scene's page, unless it was made of the same scene by the same program; whether it is there.
+fn write_view(
+    own: &SceneNodes<'_>,
+    shown: &Artifact,
+    source: &str,
+    page: &Path,
+) -> Result<bool, PlaceError> {
+    check_page(page)?;
+    if fs::read_to_string(page).is_ok_and(|text| text.contains(source)) {
+        return Ok(true);
     }
-    let views = pages(summary, out)?;
-    if let Some(report) = summary.artifact("", "", "report") {
-        let page = out.join(PAGE);
-        let source = report.path.join("index.html");
-        let html = at(&source, "read", fs::read_to_string(&source))?;
-        check_page(&page)?;
-        let timed = timed_tables(summary, &report.path);
-        let html = timed.as_ref().map_or_else(|| html.clone(), |tables| with_tables(&html, tables));
-        let html = with_costs(&html, &rows(summary), &made(summary, command), &parameters(summary));
-        let links =
-            views.iter().map(|view| (view.scene.as_str(), view.variant.as_str(), view.path.as_path()));
-        let html =
-            with_views(&html, links.map(|(scene, variant, path)| (scene, variant, relative(path, out))));
-        write(&page, stamped(&html).as_bytes())?;
-        delivered.push(Delivered::over_all("report", page));
-        if report.path.join(TABLES).is_dir() {
-            let tables = out.join(TABLES);
-            // How fast scenes are drawn follows from no key: they are written anew each time.
-            put(None, &tables, |made| {
-                place::copy_folder(&report.path.join(TABLES), made)?;
-                if let Some(timed) = &timed {
-                    at(
-                        made,
-                        "write",
-                        write_tables(made, timed).map_err(|e| io::Error::other(e.to_string())),
-                    )?;
-                }
-                place::record(made, None)
-            })?;
-            delivered.push(Delivered::over_all("tables", tables));
+    let capture = own.artifact("import").map(|import| import.path.as_path());
+    let made = match scene_page::write(own.scene, &shown.path, capture, VIEW_PARTS) {
+        Ok(made) => made,
+        Err(error) => {
+            // The results are whole without it.
+            tracing::warn!("{}: no page for a browser: {error}", own.scene);
+            return Ok(false);
         }
-    }
-    delivered.extend(views);
-    Ok(delivered)
-}
-
-/// Writes the page of every scene of the run, enhanced where it is, and says where they are.
-fn pages(summary: &Summary, out: &Path) -> Result<Vec<Delivered>, PlaceError> {
-    let mut pages = Vec::new();
-    for node in summary.nodes.iter().filter(|n| n.stage == "reconstruct" && !n.scene.is_empty()) {
-        let (scene, variant) = (node.scene.as_str(), node.variant.as_str());
-        let shown = summary.artifact(scene, variant, "enhance").or(node.artifact.as_ref());
-        let Some(shown) = shown else { continue };
-        let folder = out.join(folder_of(scene, variant));
-        let page = folder.join(VIEW);
-        let delivered = Delivered {
-            what: "view".into(),
-            scene: scene.into(),
-            variant: variant.into(),
-            path: page.clone(),
-        };
-        // The page says which scene it was made of, and by what; made of the same one by the same, it is the same.
-        let source = format!("<!-- of {} by {} -->\n", shown.manifest.key, use3d_web::page::digest());
-        check_page(&page)?;
-        if fs::read_to_string(&page).is_ok_and(|text| text.contains(&source)) {
-            pages.push(delivered);
-            continue;
-        }
-        let capture = summary.artifact(scene, variant, "import").map(|import| import.path.as_path());
-        let made = match scene_page::write(scene, &shown.path, capture, VIEW_PARTS) {
-            Ok(made) => made,
-            Err(error) => {
-                // The results are whole without it.
-                tracing::warn!("{scene}: no page for a browser: {error}");
-                continue;
+    };
+    let folder = place::parent(page);
+    at(folder, "create", fs::create_dir_all(folder))?;
+    if !made.parts.is_empty() {
+        put(None, &folder.join(VIEW_PARTS), |parts| {
+            at(parts, "create", fs::create_dir_all(parts))?;
+            for (name, text) in &made.parts {
+                let part = parts.join(name);
+                at(&part, "write", fs::write(&part, text))?;
             }
-        };
-        at(&folder, "create", fs::create_dir_all(&folder))?;
-        if !made.parts.is_empty() {
-            put(None, &folder.join(VIEW_PARTS), |parts| {
-                at(parts, "create", fs::create_dir_all(parts))?;
-                for (name, text) in &made.parts {
-                    let part = parts.join(name);
-                    at(&part, "write", fs::write(&part, text))?;
-                }
-                place::record(parts, None)
-            })?;
-        }
-        write(&page, stamped(&format!("{}{source}", made.html)).as_bytes())?;
-        pages.push(delivered);
+            place::record(parts, None)
+        })?;
     }
-    Ok(pages)
+    write(page, stamped(&format!("{}{source}", made.html)).as_bytes())?;
+    Ok(true)
 }
 
 /// A path below the results folder as an address in its pages.
@@ -219,10 +376,15 @@ fn relative(path: &Path, out: &Path) -> String {
 fn timed_tables(summary: &Summary, report: &Path) -> Option<Vec<Table>> {
     let mut scored: Vec<ScoredScene> =
         serde_json::from_slice(&fs::read(report.join("scores.json")).ok()?).ok()?;
+    let evaluated: HashMap<(&str, &str), &RanNode> = summary
+        .nodes
+        .iter()
+        .filter(|n| n.stage == "evaluate")
+        .map(|n| ((n.scene.as_str(), n.variant.as_str()), n))
+        .collect();
     for scene in &mut scored {
-        let evaluated =
-            |n: &&RanNode| n.stage == "evaluate" && n.scene == scene.scene && n.variant == scene.variant;
-        let artifact = summary.nodes.iter().find(evaluated).and_then(|n| n.artifact.as_ref());
+        let node = evaluated.get(&(scene.scene.as_str(), scene.variant.as_str()));
+        let artifact = node.and_then(|n| n.artifact.as_deref());
         let note = artifact.and_then(|a| a.manifest.notes.get(SPEED).cloned());
         scene.speed = note.and_then(|note| serde_json::from_value(note).ok());
         if let Some(artifact) = artifact {
@@ -253,6 +415,7 @@ fn made(summary: &Summary, command: &str) -> String {
 /// The parameters of every stage of the run, equal ones once, as text.
 fn parameters(summary: &Summary) -> String {
     let mut groups: Vec<(String, Vec<String>)> = Vec::new();
+    let mut known: HashMap<String, usize> = HashMap::new();
     for node in summary.nodes.iter().filter(|n| !n.shared) {
         let Some(artifact) = &node.artifact else { continue };
         let ingredients = &artifact.manifest.ingredients;
@@ -262,10 +425,11 @@ fn parameters(summary: &Summary) -> String {
         let place = [node.scene.as_str(), node.variant.as_str()];
         let place: Vec<&str> = place.into_iter().filter(|p| !p.is_empty()).collect();
         let place = if place.is_empty() { "all scenes".to_string() } else { place.join(" · ") };
-        match groups.iter_mut().find(|(t, _)| *t == text) {
-            Some((_, places)) => places.push(place),
-            None => groups.push((text, vec![place])),
+        let at = *known.entry(text.clone()).or_insert(groups.len());
+        if at == groups.len() {
+            groups.push((text, Vec::new()));
         }
+        groups[at].1.push(place);
     }
     let groups = groups.into_iter().map(|(text, places)| format!("{}:\n{text}\n", places.join(", ")));
     groups.collect::<Vec<_>>().join("\n")

@@ -7,7 +7,7 @@ use std::time::Duration;
 use super::super::digest::Digest;
 use super::super::events::Event;
 use super::super::lease::{self, HEARTBEAT};
-use super::super::resolve;
+use super::super::resolve::{self, Resolved};
 use super::super::summary::Became;
 use super::{Phase, Runner};
 
@@ -22,6 +22,8 @@ pub(super) struct Held {
     times: u32,
     /// When to ask again.
     again: Duration,
+    /// What the node waits with.
+    resolved: Option<Box<Resolved>>,
 }
 
 impl Runner<'_> {
@@ -39,9 +41,18 @@ impl Runner<'_> {
         }
     }
 
-    /// Whether another process computes a node and it is not yet time to ask again.
-    pub(super) fn is_held(&self, i: usize) -> bool {
-        self.held.get(&i).is_some_and(|held| held.again > self.now())
+    /// Lets nodes that others compute be tried again whose time has come.
+    pub(super) fn ask_again(&mut self) {
+        let now = self.now();
+        let come = self.held.iter_mut().filter(|(_, held)| held.again <= now);
+        let come: Vec<(usize, Box<Resolved>)> =
+            come.filter_map(|(i, held)| Some((*i, held.resolved.take()?))).collect();
+        for (i, resolved) in come {
+            if self.phase[i] == Phase::Pending && self.open[i] == 0 {
+                self.full = false;
+                self.waiting.insert((self.rank[i], i), resolved);
+            }
+        }
     }
 
     /// With nothing to do here: whether to go on until others are done. If not, what is left is theirs.
@@ -70,7 +81,8 @@ impl Runner<'_> {
     /// Waits until a job ends, a lease is to be asked for again, or it is time to show that this run lives.
     pub(super) fn wait(&mut self) {
         let (clock, now) = (self.builder.cache.node().clock, self.now());
-        let asks = self.held.values().map(|held| held.again).filter(|_| self.has_room());
+        let waits = self.held.values().filter(|held| held.resolved.is_some());
+        let asks = waits.map(|held| held.again).filter(|_| self.has_room());
         let next = asks.chain(self.leave_at.filter(|_| !self.left)).min();
         let until = next.map_or(HEARTBEAT, |at| at.saturating_sub(now).min(HEARTBEAT));
         let mut left = clock.wait_for(until).max(Duration::from_millis(1));
@@ -91,7 +103,7 @@ impl Runner<'_> {
 
     /// A node turned out to be computed by another process: it is asked for again later, and
     /// meanwhile something else is done.
-    pub(super) fn put_back(&mut self, i: usize, holder: String) {
+    pub(super) fn put_back(&mut self, i: usize, holder: String, resolved: Box<Resolved>) {
         let (now, node) = (self.now(), self.builder.cache.node());
         let times = self.held.get(&i).map_or(0, |held| held.times);
         if times == 0 {
@@ -99,7 +111,7 @@ impl Runner<'_> {
             self.listener.event(&Event::Waiting { node: i, label, holder: &holder });
         }
         let again = now + lease::back_off(times, node.number());
-        self.held.insert(i, Held { holder, times: times + 1, again });
+        self.held.insert(i, Held { holder, times: times + 1, again, resolved: Some(resolved) });
         self.phase[i] = Phase::Pending;
         self.spread();
     }
@@ -117,7 +129,13 @@ impl Runner<'_> {
             let place = Digest::of(format!("{number} {scene}").as_bytes());
             if scene.is_empty() { (None, *i) } else { (Some(place), *i) }
         };
-        self.order.sort_by_cached_key(place);
+        let mut order: Vec<usize> = (0..nodes.len()).collect();
+        order.sort_by_cached_key(place);
+        order.into_iter().enumerate().for_each(|(rank, i)| self.rank[i] = rank);
+        let rank = &self.rank;
+        self.due = self.due.iter().map(|(_, i)| (rank[*i], *i)).collect();
+        let waiting = std::mem::take(&mut self.waiting).into_iter();
+        self.waiting = waiting.map(|((_, i), resolved)| ((rank[i], i), resolved)).collect();
     }
 
     /// Whether a stage that leaves no checkpoints would be cut off by the limit, and would not be in a run

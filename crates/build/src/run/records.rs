@@ -10,6 +10,21 @@ use super::super::resolve::Outcome;
 use super::super::summary::Became;
 use super::{Phase, Runner};
 
+/// What counts of a node's record while it is run; the whole record is read only where it changes.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Known {
+    /// Key and content of what it had last.
+    pub(super) last: Option<(Key, Digest)>,
+    failed: bool,
+}
+
+impl Known {
+    pub(super) fn of(record: &Record) -> Self {
+        let last = record.last.as_ref().map(|made| (made.key, made.content));
+        Self { last, failed: record.failure.is_some() }
+    }
+}
+
 impl Runner<'_> {
     /// Ends a node without a result; what it was is kept with its log for `status`, and the
     /// batch halts unless it is to go on.
@@ -24,26 +39,28 @@ impl Runner<'_> {
         record.failure = Some(Failure { key, reason: reason.clone(), log: log.clone(), at });
         self.write_record(i, &record);
         self.nodes[i].result = Became::Failed { reason, log };
+        self.known[i].failed = true;
         self.outcomes[i] = Outcome::Unavailable(label);
-        self.phase[i] = Phase::Over;
+        self.over(i);
         self.halted |= !self.options.keep_going;
     }
 
     /// Remembers what a node's result follows from; what it followed from before
     /// is kept, to tell what changed.
-    pub(super) fn record_made(&self, i: usize, ingredients: Ingredients, content: Digest) {
-        let mut record = self.builder.cache.record(&self.graph.name, &self.graph.nodes[i]);
+    pub(super) fn record_made(&mut self, i: usize, ingredients: &Ingredients, content: Digest) {
         let key = ingredients.key();
-        let same = record.last.as_ref().is_some_and(|last| last.key == key && last.content == content);
-        if same && record.failure.is_none() {
+        let same = self.known[i].last == Some((key, content));
+        if same && !self.known[i].failed {
             return;
         }
+        let mut record = self.builder.cache.record(&self.graph.name, &self.graph.nodes[i]);
         record.failure = None;
-        if !same {
-            let made = Made { key, ingredients, content, at: machine::utc(machine::now()) };
-            let old = record.last.replace(made);
+        if !record.last.as_ref().is_some_and(|last| last.key == key && last.content == content) {
+            let at = machine::utc(machine::now());
+            let old = record.last.replace(Made { key, ingredients: ingredients.clone(), content, at });
             record.before = old.filter(|o| o.key != key).or(record.before);
         }
+        self.known[i] = Known::of(&record);
         self.write_record(i, &record);
     }
 
@@ -56,10 +73,9 @@ impl Runner<'_> {
 
     /// A key whose artifact was lost and came out different when it was made again.
     pub(super) fn warn_if_changed(&self, i: usize, artifact: &Artifact) {
-        let record = self.builder.cache.record(&self.graph.name, &self.graph.nodes[i]);
-        let other =
-            |made: &Made| made.key == artifact.manifest.key && made.content != artifact.manifest.content;
-        if record.last.as_ref().is_some_and(other) {
+        let manifest = &artifact.manifest;
+        let other = |(key, content)| key == manifest.key && content != manifest.content;
+        if self.known[i].last.is_some_and(other) {
             let text = "determinism alarm: made again for the same key, it came out with other bytes";
             self.listener.event(&Event::Warning { label: &self.nodes[i].label, text });
         }

@@ -11,7 +11,7 @@ use use3d_build::place;
 use use3d_build::{Builder, Cache, Event, Graph, Listener, Plan, RunOptions, Summary, picture};
 use use3d_cluster::quote;
 use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
-use use3d_pipeline::results;
+use use3d_pipeline::results::Results;
 
 use crate::App;
 use crate::args::{
@@ -202,7 +202,10 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     let out = (!args.cache_only).then_some(out);
     if let Some(out) = &out {
         outside_the_cache(out, &loaded.pipeline.cache)?;
-        results::check(&loaded.graph, until.as_deref(), out)?;
+    }
+    let results = out.map(|out| Arc::new(Results::new(&out, &loaded.builder.cache)));
+    if let Some(results) = &results {
+        results.check(&loaded.graph, until.as_deref())?;
     }
     let loaded = match &args.remote {
         Some(address) => {
@@ -222,7 +225,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         until_empty: args.until_empty.then_some(PATIENCE),
         ..of_app(app)
     };
-    let done = execute(app, &loaded, &options, out.as_deref(), args.json);
+    let done = execute(app, &loaded, &options, results.as_ref(), args.json);
     if let Some(watched) = &watched {
         watched.end(&done);
     }
@@ -265,12 +268,18 @@ fn only(graph: &Graph, named: &[String]) -> Result<Option<Vec<(String, String)>>
     Ok((!found.is_empty()).then_some(found))
 }
 
-fn execute(app: &App, loaded: &Loaded, options: &RunOptions, out: Option<&Path>, as_json: bool) -> Done {
+fn execute(
+    app: &App,
+    loaded: &Loaded,
+    options: &RunOptions,
+    out: Option<&Arc<Results>>,
+    as_json: bool,
+) -> Done {
     let listener = out.map_or_else(|| app.listener.clone(), |out| delivering(app, out));
     let summary = loaded.builder.run(&loaded.graph, options, &listener);
     // What an interrupted run has finished was delivered scene by scene.
     let delivered = match out {
-        Some(out) if !summary.interrupted && !summary.left => results::deliver(&summary, out, &typed()),
+        Some(out) if !summary.interrupted && !summary.left => out.deliver(&summary, &typed()),
         _ => Ok(Vec::new()),
     };
     if as_json {
@@ -302,12 +311,12 @@ fn typed() -> String {
 
 /// The app's listener, which also delivers every scene as soon as it is over: the
 /// batch may take days yet, or fail.
-fn delivering(app: &App, out: &Path) -> Arc<dyn Listener> {
-    let (inner, out) = (app.listener.clone(), out.to_path_buf());
+fn delivering(app: &App, out: &Arc<Results>) -> Arc<dyn Listener> {
+    let (inner, out) = (app.listener.clone(), out.clone());
     Arc::new(move |event: &Event<'_>| {
         inner.event(event);
         if let Event::SceneOver { scene, variant, nodes } = event
-            && let Err(error) = results::deliver(&Summary::of_scene(nodes, scene, variant), &out, &typed())
+            && let Err(error) = out.deliver(&Summary::of_scene(nodes, scene, variant), &typed())
         {
             // Tried again at the end, where it counts.
             let text = format!("its results could not be delivered yet: {error}");
@@ -339,15 +348,16 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     let throwaway = CacheArgs { cache: Some(probe.path().join("cache")), ..args.cache.clone() };
     let probed =
         open(&PipelineArgs { settings: settings.clone(), ..PipelineArgs::of(&empty, &throwaway) }, &[])?;
-    results::check(&probed.graph, None, &args.out)?;
+    Results::new(&args.out, &probed.builder.cache).check(&probed.graph, None)?;
     place::check(&capture, true)?;
     place::check_writable(&args.out)?;
     keep_capture(app, &params, &capture)?;
     let mut cache = args.cache.clone();
     cache.cache.get_or_insert_with(|| args.out.join("cache"));
     let loaded = open(&PipelineArgs { settings, ..PipelineArgs::of(&capture, &cache) }, &[])?;
-    results::check(&loaded.graph, None, &args.out)?;
-    execute(app, &loaded, &of_app(app), Some(&args.out), false)?;
+    let results = Arc::new(Results::new(&args.out, &loaded.builder.cache));
+    results.check(&loaded.graph, None)?;
+    execute(app, &loaded, &of_app(app), Some(&results), false)?;
     if !app.quiet {
         println!(
             "the demo took {}; open {} in a browser",

@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
+use use3d_build::content::Choice;
 use use3d_build::{Scope, Stage, StageContext, StageError};
 use use3d_import::{ImportError, ImportParams, import, prepare};
 use use3d_io_colmap::ModelError;
@@ -18,7 +19,9 @@ pub(super) fn stage() -> Stage {
         .promises(&["capture.json", "report.json", "images/"])
         .check(|p: &ImportParams| p.validate().map_err(out_of_range))
         .external("capture", "capture")
-        .select(files)
+        .select_by(|parameters, capture| {
+            Ok(Choice { files: files(parameters, capture)?, made_from: looked_at(capture) })
+        })
         .cost(0, 1 << 30)
 }
 
@@ -48,13 +51,41 @@ fn files(parameters: &Value, capture: &Path) -> Result<Vec<PathBuf>, String> {
     Ok(paths)
 }
 
+/// More files and folders than these are not looked at one by one to see that nothing has changed.
+const MOST_LOOKED_AT: usize = 4096;
+
+/// What the choice of files is made from: all folders of the capture, whose times say whether a file came or
+/// went, and the files that say which images there are, models and lists among them.
+fn looked_at(capture: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in walkdir::WalkDir::new(capture).follow_links(true).sort_by_file_name() {
+        // What cannot be looked at now may be seen later.
+        let Ok(entry) = entry else { return Vec::new() };
+        let tells = |path: &Path| {
+            let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+            extension.is_some_and(|e| ["bin", "txt", "json"].contains(&e.as_str()))
+        };
+        if entry.file_type().is_dir() || tells(entry.path()) {
+            found.push(entry.path().strip_prefix(capture).unwrap_or(entry.path()).to_path_buf());
+        }
+        if found.len() > MOST_LOOKED_AT {
+            return Vec::new();
+        }
+    }
+    found
+}
+
 /// A file below a folder of the capture, relative to the capture, if a part of its name
 /// in the folder begins with a dot.
 fn hidden(file: &Path, capture: &Path, folder: &str) -> Option<PathBuf> {
+    let dotted = |name: &Path| name.iter().any(|part| part.to_string_lossy().starts_with('.'));
+    // As a rule the file's own name says it.
+    if let Ok(name) = file.strip_prefix(capture.join(folder)) {
+        return dotted(name).then(|| Path::new(folder).join(name));
+    }
     let real = |path: &Path| path.canonicalize().ok();
     let name = real(file)?.strip_prefix(real(&capture.join(folder))?).ok()?.to_path_buf();
-    let dotted = name.iter().any(|part| part.to_string_lossy().starts_with('.'));
-    dotted.then(|| Path::new(folder).join(name))
+    dotted(&name).then(|| Path::new(folder).join(name))
 }
 
 fn run(context: &StageContext, params: &ImportParams) -> Result<(), StageError> {
