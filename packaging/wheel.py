@@ -26,6 +26,11 @@ def version():
     return re.search(r'\[workspace\.package\]\nversion = "([^"]+)"', text).group(1)
 
 
+def repository():
+    text = (HERE.parent / "Cargo.toml").read_text(encoding="utf-8")
+    return re.search(r'repository = "([^"]+)"', text).group(1)
+
+
 def is_static(binary):
     """Whether an ELF file asks for no interpreter, so that it needs no C library of the system."""
     data = binary.read_bytes()
@@ -46,13 +51,17 @@ def wheel(binary, licences, out, platform):
     metadata = (
         f"Metadata-Version: 2.1\nName: use3d\nVersion: {number}\n"
         "Summary: Underwater 3D scenes that look clear, from any viewpoint, reproducibly\n"
-        "License: MIT OR Apache-2.0\nRequires-Python: >=3.9\nRequires-Dist: numpy\n"
+        "License: MIT OR Apache-2.0\nLicense-File: LICENSE-MIT\nLicense-File: LICENSE-APACHE\nLicense-File: THIRDPARTY.txt\n"
+        f"Author: the 3D-USE authors\nProject-URL: Source, {repository()}\n"
+        "Classifier: Programming Language :: Rust\nClassifier: Topic :: Scientific/Engineering :: Image Processing\n"
+        "Classifier: Typing :: Typed\nRequires-Python: >=3.9\nRequires-Dist: numpy\n"
         f"Description-Content-Type: text/markdown\n\n{readme}"
     )
     tags_text = "".join(f"Tag: {tag}\n" for tag in tags)
     files = {}
-    for path in sorted((HERE / "python" / "use3d").glob("*.py")):
-        files[f"use3d/{path.name}"] = path.read_bytes()
+    for path in sorted((HERE / "python" / "use3d").glob("*")):
+        if path.suffix == ".py" or path.name == "py.typed":
+            files[f"use3d/{path.name}"] = path.read_bytes()
     files[f"{name}.data/scripts/{program}"] = binary.read_bytes()
     for licence in ("LICENSE-MIT", "LICENSE-APACHE"):
         files[f"{name}.dist-info/{licence}"] = (HERE.parent / licence).read_bytes()

@@ -112,7 +112,15 @@ impl Cache {
         }
         let contents = Arc::new(Contents::open(files.clone(), root.join("stat-table"), rehash));
         let node = Arc::new(Node::this());
-        Ok(Self { root, files, contents, verified: Arc::default(), leases: Arc::default(), node, promises: Arc::default() })
+        Ok(Self {
+            root,
+            files,
+            contents,
+            verified: Arc::default(),
+            leases: Arc::default(),
+            node,
+            promises: Arc::default(),
+        })
     }
 
     /// The same cache as another one of several that share it sees it; for tests.

@@ -195,15 +195,14 @@ impl Graph {
         check_names(registry, batch)?;
         let unnamed = [Variant::default()];
         let variants = if batch.variants.is_empty() { &unnamed[..] } else { &batch.variants };
-        let mut builder =
-            GraphBuilder {
-                registry,
-                batch,
-                nodes: Vec::new(),
-                place: HashMap::new(),
-                first: HashMap::new(),
-                merged: HashMap::new(),
-            };
+        let mut builder = GraphBuilder {
+            registry,
+            batch,
+            nodes: Vec::new(),
+            place: HashMap::new(),
+            first: HashMap::new(),
+            merged: HashMap::new(),
+        };
         // Scene by scene, so that results come out early; what they share first, what gathers them last.
         for variant in variants {
             builder.add(None, variant, None, Scope::Shared)?;
@@ -219,6 +218,30 @@ impl Graph {
         }
         builder.add_batch_stages(variants)?;
         Ok(Self { name: batch.name.clone(), nodes: builder.nodes })
+    }
+
+    /// What a batch comes to: its stages with their code, parameters that count, seeds and inputs. Two processes
+    /// with the same digest compute the same keys.
+    pub fn digest(&self, registry: &Registry) -> Digest {
+        let mut encoder = Encoder::new("use3d 2026 batch v1");
+        for node in &self.nodes {
+            encoder.text(node.stage_name).text(&node.scene).text(&node.variant);
+            for (name, digest) in &registry.code(node.stage).ours {
+                encoder.text(name).bytes(digest.as_bytes());
+            }
+            let stage = &registry.stages()[node.stage];
+            canonical::encode(&stage.key_parameters(&node.parameters), &mut encoder);
+            encoder.number(u64::from(node.seed.is_some())).number(node.seed.unwrap_or(0));
+            for input in &node.inputs {
+                encoder.text(input.role);
+                match &input.from {
+                    From::Node(node) => encoder.number(*node as u64),
+                    From::External(Ok(path)) => encoder.text(&path.to_string_lossy()),
+                    From::External(Err(reason)) => encoder.text(reason),
+                };
+            }
+        }
+        encoder.finish()
     }
 
     /// The node of a stage in a scene (empty for stages over all scenes) and variant (empty: the first).
@@ -320,7 +343,11 @@ struct Merged {
 impl GraphBuilder<'_> {
     /// Parameters of every stage for a scene and variant: preset, defaults, scene, variant,
     /// command line, later ones winning. Scenes that say the same share them.
-    fn parameters(&mut self, scene: Option<&BatchScene>, variant: &Variant) -> Result<Arc<Merged>, BuildError> {
+    fn parameters(
+        &mut self,
+        scene: Option<&BatchScene>,
+        variant: &Variant,
+    ) -> Result<Arc<Merged>, BuildError> {
         let said = scene.map(|s| serde_json::to_string(&(&s.overrides, &s.forced)).unwrap_or_default());
         let whose = (said, variant.name.clone());
         if let Some(known) = self.merged.get(&whose) {
@@ -487,9 +514,7 @@ impl GraphBuilder<'_> {
         let registry = self.registry;
         let groups: HashMap<&str, &str> =
             self.batch.scenes.iter().map(|s| (s.name.as_str(), s.group.as_str())).collect();
-        for (index, stage) in
-            registry.stages().iter().enumerate().filter(|(_, s)| s.scope == Scope::Batch)
-        {
+        for (index, stage) in registry.stages().iter().enumerate().filter(|(_, s)| s.scope == Scope::Batch) {
             let given =
                 |v: &&Variant| v.overrides.contains_key(stage.name) || v.forced.contains_key(stage.name);
             if let Some(variant) = variants.iter().find(given) {

@@ -139,7 +139,9 @@ impl Job<'_> {
             self.builder.remote.iter().for_each(|store| store.distrust(key));
             let aside = cache.set_aside(stage, key);
             let place = aside.map_or_else(|e| e.to_string(), |p| format!("moved to {}", p.display()));
-            let text = format!("its input {stage}, which a store gave, cannot be used: {error}; {place}, computing it");
+            let text = format!(
+                "its input {stage}, which a store gave, cannot be used: {error}; {place}, computing it"
+            );
             self.listener.event(&Event::Warning { label, text: &text });
             suspect = Some(*parent);
         }
@@ -154,6 +156,10 @@ impl Job<'_> {
         let artifacts = self.resolved.artifacts.iter().map(|(_, a)| a.manifest.key);
         let reads: Vec<Key> = artifacts.chain(self.resolved.checkpoints).collect();
         let asked = Lease::ask(cache, key, &reads);
+        if let (Asked::Granted(_), Some(killed)) = (&asked, cache.killed(key)) {
+            let text = format!("{killed}; going on from what it left");
+            self.listener.event(&Event::Warning { label: &self.node.label(), text: &text });
+        }
         // Another process may have finished between this one's look and the lease.
         let found = match &asked {
             Asked::Granted(Some(lease)) if lease.followed => {
@@ -206,7 +212,8 @@ impl Job<'_> {
 
     /// Sends what was computed to the store, where there is one. `check` where it had something damaged.
     fn send(&self, label: &str, artifact: &Artifact, check: bool) {
-        let Some(store) = self.builder.remote.as_ref().filter(|s| s.is_worth_asking()) else { return };
+        let store = self.builder.remote.as_ref().filter(|s| s.is_worth_asking() && s.takes());
+        let Some(store) = store else { return };
         match store.send(&self.builder.cache, artifact, check, &self.stop) {
             Ok(Sent::Now | Sent::Already) => store.worked(),
             Ok(Sent::Differs(file)) => self.alarm(label, &format!("the store has other bytes of {file}")),
@@ -312,6 +319,7 @@ impl Job<'_> {
                 artifact
             }
         };
+        cache.forget_killed(&self.resolved.key);
         log.line(&format!("done in {}", machine::seconds(seconds)));
         cache.add_timing(&Timing {
             stage: stage.name.to_string(),
@@ -401,7 +409,9 @@ fn watched<T>(
             lease.iter().for_each(|l| l.renew(reached));
             let mut renewed = clock.now();
             while let Err(mpsc::RecvTimeoutError::Timeout) = wait.recv_timeout(SAMPLE) {
-                peak.fetch_max(machine::resident_memory().unwrap_or(0), Ordering::Relaxed);
+                let held = machine::resident_memory().unwrap_or(0);
+                peak.fetch_max(held, Ordering::Relaxed);
+                reached.note_memory(held);
                 if clock.now() - renewed > HEARTBEAT {
                     lease.iter().for_each(|l| l.renew(reached));
                     renewed = clock.now();

@@ -22,12 +22,18 @@ use super::key::Key;
 use super::machine::ProcessId;
 use super::node::Node;
 use super::pulse::{self, Beat, Progress};
+use super::task::{Killed, Task};
 
 /// How often a holder renews.
 pub(crate) const HEARTBEAT: Duration = Duration::from_secs(10);
 /// How long a lease of another machine may stay as it is before its holder counts as gone: many times the
-/// heartbeat and the minute for which a network file system may show what was.
-const EXPIRY: Duration = Duration::from_secs(300);
+/// heartbeat, and more than the minute for which a network file system may show what was.
+const EXPIRY: Duration = Duration::from_secs(110);
+/// How long until a scheduler is asked whether the holder's task is over: longer than a heartbeat.
+const ASKING: Duration = Duration::from_secs(12);
+/// How long a run waits for what others compute before it leaves that to them: longer than a holder that is
+/// gone is waited for.
+pub const PATIENCE: Duration = Duration::from_secs(150);
 /// The same for a file that does not say whose it is: being written at this moment, or left half-written by a
 /// crash.
 const HALF: Duration = Duration::from_secs(5);
@@ -40,6 +46,8 @@ pub(crate) struct Holder {
     process: ProcessId,
     host: String,
     token: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    task: Option<Task>,
     /// Keys, of artifacts and of checkpoints, that the holder reads or goes on from: cleaning up leaves
     /// them.
     pub(crate) reads: Vec<Key>,
@@ -47,7 +55,13 @@ pub(crate) struct Holder {
 
 impl Holder {
     fn of(node: &Node, reads: Vec<Key>) -> Self {
-        Self { process: node.process.clone(), host: node.host.clone(), token: files::unique(), reads }
+        Self {
+            process: node.process.clone(),
+            host: node.host.clone(),
+            token: files::unique(),
+            task: node.task.clone(),
+            reads,
+        }
     }
 
     /// The line that a lease begins with; its pulse follows.
@@ -134,10 +148,13 @@ fn judge(cache: &Cache, path: &Path, now: Duration) -> Judged {
         Some((_, Some(beat))) if beat.left => return Judged::Dead(bytes),
         Some((holder, _)) => {
             let name = format!("process {} on {}", holder.process.pid, holder.host);
-            let limit = match node.is_alive(&holder.process) {
-                Some(true) => Duration::MAX,
-                Some(false) => Duration::ZERO,
-                None => EXPIRY,
+            let limit = match (node.is_alive(&holder.process), &holder.task) {
+                (Some(true), _) => Duration::MAX,
+                (Some(false), _) => Duration::ZERO,
+                (None, Some(task)) if node.has_followed(task) => Duration::ZERO,
+                // One that lives has said so meanwhile.
+                (None, Some(task)) if unchanged >= ASKING && node.is_over(task) => Duration::ZERO,
+                (None, _) => EXPIRY,
             };
             (limit, name, Some(holder))
         }
@@ -426,7 +443,10 @@ fn take_over(lease: Lease, dead: &[u8], now: Duration) -> Asked {
     }
     let asked = if files.read(&path).is_ok_and(|found| found == dead) {
         match put(files, &path, &lease.bytes()) {
-            Ok(()) => Asked::Granted(Some(lease)),
+            Ok(()) => {
+                note_how_it_ended(&cache, &path, dead);
+                Asked::Granted(Some(lease))
+            }
             Err(_) => Asked::Granted(lease.never_held()),
         }
     } else {
@@ -434,6 +454,28 @@ fn take_over(lease: Lease, dead: &[u8], now: Duration) -> Asked {
     };
     let _ = files.remove_file(&claim);
     asked
+}
+
+/// What the lease of a holder who is gone says of how he ended; `None` where he gave up himself.
+fn killed(dead: &[u8]) -> Option<Killed> {
+    let (holder, beat) = Holder::parse(dead)?;
+    let beat = beat.unwrap_or_default();
+    (!beat.left).then(|| Killed {
+        host: holder.host,
+        process: holder.process.pid,
+        task: holder.task,
+        seconds: beat.seconds,
+        peak_memory: beat.memory << 20,
+        times: 1,
+    })
+}
+
+/// Remembers of a key's lease whose holder is gone that he was killed, if he was.
+fn note_how_it_ended(cache: &Cache, path: &Path, dead: &[u8]) {
+    let key = path.file_name().and_then(|name| name.to_str()?.parse::<Key>().ok());
+    if let (Some(key), Some(killed)) = (key, killed(dead)) {
+        cache.note_killed(&key, killed);
+    }
 }
 
 /// Writes a lease whole, over what is there. Not synced: after a power cut nobody holds it.
@@ -479,7 +521,10 @@ pub(crate) fn in_use(cache: &Cache) -> BTreeSet<Key> {
         }
         let live = match judge(cache, &path, cache.node().clock.now()) {
             Judged::Absent => continue,
-            Judged::Dead(_) => None,
+            Judged::Dead(dead) => {
+                note_how_it_ended(cache, &path, &dead);
+                None
+            }
             Judged::Live(_, Some(holder)) if cache.node().is_alive(&holder.process) == Some(true) => {
                 Some(Some(holder))
             }
@@ -520,6 +565,9 @@ pub struct Working {
     pub total: u64,
     /// What is counted.
     pub unit: String,
+    /// The scheduler's task, where it is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub task: Option<Task>,
 }
 
 impl Cache {
@@ -529,11 +577,17 @@ impl Cache {
         let path = folder(self).join(key.to_string());
         let (holder, beat) = Holder::parse(&self.files().read(&path).ok()?)?;
         let beat = beat.unwrap_or_default();
-        if beat.left || self.node().is_alive(&holder.process) == Some(false) {
+        let alive = self.node().is_alive(&holder.process);
+        if beat.left || alive == Some(false) {
             return None;
         }
         let modified = std::fs::metadata(&path).and_then(|m| m.modified()).ok();
         let silent = file_time(self).zip(modified).and_then(|(now, at)| now.duration_since(at).ok());
+        let silent_long = silent.is_some_and(|silent| silent >= ASKING);
+        if alive.is_none() && silent_long && holder.task.as_ref().is_some_and(|t| self.node().is_over(t)) {
+            // Whoever takes it up notes how it ended; until then it is known from here.
+            return None;
+        }
         Some(Working {
             host: holder.host,
             process: holder.process.pid,
@@ -542,7 +596,31 @@ impl Cache {
             done: beat.done,
             total: beat.total,
             unit: beat.unit,
+            task: holder.task,
         })
+    }
+}
+
+impl Cache {
+    /// Who was killed while computing a key: as it was noted, or as his lease tells that he has left behind.
+    pub fn killed_at(&self, key: &Key) -> Option<Killed> {
+        let path = folder(self).join(key.to_string());
+        let left = || -> Option<Killed> {
+            let bytes = self.files().read(&path).ok()?;
+            // Still at work, as far as anybody knows.
+            if self.working_on(key).is_some() {
+                return None;
+            }
+            killed(&bytes)
+        };
+        match (self.killed(key), left()) {
+            (Some(noted), Some(left)) => Some(Killed {
+                peak_memory: noted.peak_memory.max(left.peak_memory),
+                times: noted.times + 1,
+                ..left
+            }),
+            (noted, left) => noted.or(left),
+        }
     }
 }
 

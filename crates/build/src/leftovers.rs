@@ -12,7 +12,8 @@ const SCRATCH: &str = "use3d-";
 /// now.
 pub fn scratch() -> std::io::Result<Scratch> {
     sweep(&std::env::temp_dir(), SCRATCH, |_| true);
-    let folder = tempfile::Builder::new().prefix(&format!("{SCRATCH}{}-", use3d_files::unique())).tempdir()?;
+    let folder =
+        tempfile::Builder::new().prefix(&format!("{SCRATCH}{}-", use3d_files::unique())).tempdir()?;
     let making = Making::new(folder.path());
     Ok(Scratch { folder, _making: making })
 }

@@ -109,6 +109,7 @@ pub mod run;
 mod stage;
 pub mod status;
 mod summary;
+pub mod task;
 mod text;
 pub mod verify;
 
@@ -122,7 +123,7 @@ pub use events::{Event, Listener, Silent};
 pub use executor::{Executor, Threads};
 pub use graph::{Batch, BatchScene, Graph, Variant};
 pub use key::DeviceClass;
-pub use lease::Working;
+pub use lease::{PATIENCE, Working};
 pub use plan::Plan;
 pub use registry::{Registry, Shorthand};
 pub use run::{RunOptions, Summary};

@@ -65,6 +65,8 @@ pub struct RunOptions {
     /// Leave to others what they compute, once there was nothing else to do for so long; without, wait for
     /// them.
     pub until_empty: Option<Duration>,
+    /// Compute nothing but what is made of the whole batch, from what there is; the rest is only looked for.
+    pub gather: bool,
     /// Where jobs are done.
     pub executor: Arc<dyn Executor>,
 }
@@ -82,6 +84,7 @@ impl Default for RunOptions {
             limit: None,
             leave: Arc::default(),
             until_empty: None,
+            gather: false,
             executor: Arc::new(Threads),
         }
     }
@@ -295,6 +298,7 @@ impl<'r> Runner<'r> {
                     self.finish(i, ended, ingredients);
                 }
                 self.lease.keep_alive();
+                self.watch_time();
             }
             self.lease.show();
             self.tell_scenes();
@@ -493,6 +497,12 @@ impl<'r> Runner<'r> {
                 self.fail(i, Some(resolved.key), error.to_string());
                 return true;
             }
+        }
+        if self.options.gather && self.scope(i) != Scope::Batch {
+            self.nodes[i].result = Became::Missing;
+            self.outcomes[i] = Outcome::Unavailable(self.nodes[i].label.clone());
+            self.over(i);
+            return true;
         }
         if self.scope(i) == Scope::Shared {
             match self.need(i) {

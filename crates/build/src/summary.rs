@@ -27,6 +27,8 @@ pub enum Became {
     Blocked(String),
     /// Not run because the run ended before.
     NotRun,
+    /// Not there, in a run that computes only what is made of the whole batch.
+    Missing,
     /// Left to another process, which computes it or what it needs: who, in words.
     Elsewhere(String),
     /// Nobody asked for it.
@@ -99,12 +101,19 @@ impl Summary {
         if self.interrupted && !self.left {
             return 130;
         }
-        u8::from(any(|r| matches!(r, Became::Failed { .. } | Became::Blocked(_) | Became::NotRun)))
+        u8::from(any(|r| {
+            matches!(r, Became::Failed { .. } | Became::Blocked(_) | Became::NotRun | Became::Missing)
+        }))
     }
 
     /// How many nodes were left to other processes.
     pub fn elsewhere(&self) -> usize {
         self.count(|r| matches!(r, Became::Elsewhere(_)))
+    }
+
+    /// The nodes that are not there and were not to be computed.
+    pub fn missing(&self) -> impl Iterator<Item = &RanNode> {
+        self.nodes.iter().filter(|n| !n.shared && n.result == Became::Missing)
     }
 
     /// How many nodes were computed now.

@@ -6,7 +6,7 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use signal_hook::consts::{SIGINT, SIGTERM};
 
@@ -15,21 +15,44 @@ use crate::error::CliError;
 static FLAG: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 static LEAVE: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
+/// How long signals of one kind count as one. Slurm sends SIGTERM to every process of a task, and the task's script
+/// passes its own on; a terminal sends to a whole group, and what started us may pass that on.
+fn as_one(signal: i32) -> Duration {
+    if signal == SIGTERM { Duration::from_secs(2) } else { Duration::from_millis(200) }
+}
+
+/// Whether a signal is the second, at which this process leaves at once, and no echo of the first.
+fn is_second(earlier: &[(i32, Instant)], signal: i32, now: Instant) -> bool {
+    let echoes = |(kind, at): &(i32, Instant)| *kind == signal && now.duration_since(*at) < as_one(signal);
+    !earlier.is_empty() && !earlier.iter().any(echoes)
+}
+
 /// Installs the handlers and returns the flag that long work polls.
 pub(crate) fn install() -> Arc<AtomicBool> {
     FLAG.get_or_init(|| {
         let flag = Arc::new(AtomicBool::new(false));
-        // Raised by signals alone: a run that leaves by itself raises the other, and
-        // is not to be cut off for that.
-        let asked = Arc::new(AtomicBool::new(false));
-        for signal in [SIGINT, SIGTERM].into_iter().chain(hang_up()) {
-            // Order matters: the second signal finds the flag set and exits; the first only sets it.
-            let armed = signal_hook::flag::register_conditional_shutdown(signal, 130, asked.clone())
-                .and_then(|_| signal_hook::flag::register(signal, asked.clone()))
-                .and_then(|_| signal_hook::flag::register(signal, flag.clone()));
-            if let Err(error) = armed {
+        let ending: Vec<i32> = [SIGINT, SIGTERM].into_iter().chain(hang_up()).collect();
+        for signal in &ending {
+            // In the handler itself, so that work hears of it at once.
+            if let Err(error) = signal_hook::flag::register(*signal, flag.clone()) {
                 tracing::warn!("cannot handle signal {signal}: {error}; interrupting loses work since the last checkpoint");
             }
+        }
+        match signal_hook::iterator::Signals::new(&ending) {
+            Ok(mut signals) => drop(std::thread::spawn(move || {
+                let mut earlier: Vec<(i32, Instant)> = Vec::new();
+                for signal in signals.forever() {
+                    let now = Instant::now();
+                    if is_second(&earlier, signal, now) {
+                        std::process::exit(130);
+                    }
+                    // Echoes have none of their own: whoever goes on sending is heard in the end.
+                    if !earlier.iter().any(|(kind, _)| *kind == signal) {
+                        earlier.push((signal, now));
+                    }
+                }
+            })),
+            Err(error) => tracing::warn!("a second signal will not end this process at once: {error}"),
         }
         #[cfg(unix)]
         {
@@ -121,6 +144,19 @@ pub(crate) fn check() -> Result<(), CliError> {
 #[cfg(all(test, target_os = "linux"))]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_signal_and_its_echo_are_one() {
+        let start = Instant::now();
+        let at = |signal, milliseconds| (signal, start + Duration::from_millis(milliseconds));
+        let second = |earlier: &[(i32, Instant)], (signal, now)| is_second(earlier, signal, now);
+        assert!(!second(&[], at(SIGTERM, 0)));
+        assert!(!second(&[at(SIGTERM, 0)], at(SIGTERM, 1900)));
+        assert!(second(&[at(SIGTERM, 0)], at(SIGTERM, 2100)));
+        assert!(second(&[at(SIGTERM, 0)], at(SIGINT, 100)));
+        assert!(!second(&[at(SIGINT, 0)], at(SIGINT, 100)));
+        assert!(second(&[at(SIGINT, 0)], at(SIGINT, 300)));
+    }
 
     #[test]
     fn an_ignored_hang_up_stays_ignored() {

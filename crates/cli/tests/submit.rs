@@ -327,12 +327,20 @@ fn no_place_of_a_script_has_a_line_break() {
     let mut command = many.command(&["submit", "slurm"], "cache");
     let output = command.args(["--dry-run", "--out", wrong]).env("PATH", &path).output();
     let output = output.expect("the command starts");
-    assert!(output.status.code() == Some(2) && said(&output).contains("control character"), "{}", said(&output));
+    assert!(
+        output.status.code() == Some(2) && said(&output).contains("control character"),
+        "{}",
+        said(&output)
+    );
     // Nor the folder in which it is called.
     let folder = many.at(wrong);
     fs::create_dir(&folder).expect("a folder");
     let mut command = many.command(&["submit", "slurm"], "cache");
     let output = command.args(["--dry-run", "--out"]).arg(many.at("out")).current_dir(&folder);
     let output = output.env("PATH", &path).output().expect("the command starts");
-    assert!(output.status.code() == Some(2) && said(&output).contains("control character"), "{}", said(&output));
+    assert!(
+        output.status.code() == Some(2) && said(&output).contains("control character"),
+        "{}",
+        said(&output)
+    );
 }

@@ -200,6 +200,8 @@ fn the_browser_is_led_to_the_viewer_by_a_page_that_only_its_user_reads() {
     child.wait().expect("it ends");
     assert!(page.starts_with(at("run")) && !page.to_string_lossy().contains(&token), "{}", page.display());
     assert_eq!(mode.expect("there").permissions().mode() & 0o777, 0o600);
-    assert!(text.expect("read").contains(address.trim()) && !String::from_utf8_lossy(&words).contains(&token));
+    assert!(
+        text.expect("read").contains(address.trim()) && !String::from_utf8_lossy(&words).contains(&token)
+    );
     assert!(!page.exists(), "it goes with the viewer");
 }

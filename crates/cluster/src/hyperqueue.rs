@@ -3,8 +3,8 @@
 //!
 //! HyperQueue starts a task again whose worker was lost, and the task goes on from its last checkpoint, so
 //! that no limit and no signal is needed. It knows no "when that is over, whatever became of it": a task for
-//! which only `finish` waits therefore ends with 0 even where it failed, and `finish`, which tries it once
-//! more, says how the batch ended. A stage for which another one waits fails, and what waits is not begun.
+//! which only `finish` waits therefore ends with 0 even where it failed, and `finish`, which names what is
+//! missing, says how the batch ended. A stage for which another one waits fails, and what waits is not begun.
 
 use std::path::PathBuf;
 
@@ -79,7 +79,7 @@ pub fn script(submission: &Submission, site: &Site) -> String {
     lines.push(format!(r#"code=0; {command} "$@" || code=$?"#));
     // Who is interrupted is not to be followed by anything.
     lines.push(r#"if [ "$code" = 0 ] || [ "$code" = 130 ]; then exit "$code"; fi"#.to_string());
-    lines.push(r#"echo "ended with exit code $code; the task finish tries it once more" >&2"#.to_string());
+    lines.push(r#"echo "ended with exit code $code; the task finish names what is missing" >&2"#.to_string());
     lines.join("\n") + "\n"
 }
 
@@ -99,16 +99,25 @@ pub fn ends_with_a_failure(jobs: &[Job]) -> bool {
 /// The job file of `hq job submit-file`.
 pub fn file(jobs: &[Job], submission: &Submission) -> String {
     let mut tasks: Vec<Task> = Vec::new();
-    // The numbers of every job's tasks.
-    let mut numbers: Vec<Vec<usize>> = Vec::new();
+    // The file's numbers of every job's tasks, each with its own.
+    let mut numbers: Vec<Vec<(Option<usize>, usize)>> = Vec::new();
     for (which, job) in jobs.iter().enumerate() {
         let after = if only_last_waits(jobs, which) { AFTER_ANY } else { AFTER_OK };
         let mut own = Vec::new();
-        for at in 0..job.tasks.unwrap_or(1) {
+        for at in 0..job.count() {
+            let own_number = job.tasks.as_ref().map(|tasks| tasks[at]);
             let id = tasks.len();
             let deps = job.after.iter().flat_map(|after| match after {
-                After::Same(of) => numbers[*of].get(at).copied().into_iter().collect::<Vec<_>>(),
-                After::Done(of) | After::Over(of) => numbers[*of].clone(),
+                After::Same(of) => numbers[*of]
+                    .iter()
+                    .filter(|(number, _)| *number == own_number)
+                    .map(|(_, id)| *id)
+                    .collect(),
+                // What only keeps two jobs from running side by side is a matter of the workers here.
+                After::Over(_) if !job.delivers => Vec::new(),
+                After::Done(of) | After::Over(of) => {
+                    numbers[*of].iter().map(|(_, id)| *id).collect::<Vec<_>>()
+                }
             });
             let deps = deps.collect();
             let script = script_path(submission).to_string_lossy().into_owned();
@@ -117,8 +126,10 @@ pub fn file(jobs: &[Job], submission: &Submission) -> String {
             command.extend(submission.task(job));
             command
                 .extend(job.cells.get(at).into_iter().flat_map(|cell| ["--only".to_string(), cell.clone()]));
-            let number = if job.tasks.is_some() { format!("-{at}") } else { String::new() };
-            let log = submission.folder.join("logs").join(format!("{}{number}.log", job.name));
+            let number = own_number.map_or_else(String::new, |number| format!("-{number}"));
+            // A task that is started again has a log of its own.
+            let log = format!("{}{number}-%{{INSTANCE_ID}}.log", job.name);
+            let log = submission.folder.join("logs").join(log);
             let mut resources = job.asks.needs.resources.clone();
             resources.insert("cpus".to_string(), job.asks.cpus as u64);
             // In megabytes, as its workers find it out; a site may name it otherwise, or say that it is not asked for.
@@ -135,7 +146,7 @@ pub fn file(jobs: &[Job], submission: &Submission) -> String {
                 deps,
                 request: vec![request],
             });
-            own.push(id);
+            own.push((own_number, id));
         }
         numbers.push(own);
     }
@@ -169,9 +180,19 @@ pub fn submit(submission: &Submission) -> Result<Submitted, ClusterError> {
             "expected the number of a job, and it said: {number:?}; see with `hq job list` whether it took the job"
         )));
     }
-    let submitted = Submitted { jobs: vec![(submission.name.clone(), number.to_string())] };
+    let submitted =
+        Submitted { scheduler: "hq".to_string(), jobs: vec![(submission.name.clone(), number.to_string())] };
     submission.keep(&submitted)?;
     Ok(submitted)
+}
+
+/// Cancels jobs.
+///
+/// # Errors
+/// `hq` that is not there or refuses.
+pub fn cancel(numbers: &[String]) -> Result<(), ClusterError> {
+    let words = ["job".to_string(), "cancel".to_string(), numbers.join(",")];
+    call(&words, "").map(drop)
 }
 
 /// The job of the last submission from this folder, where HyperQueue still has work of it, by name and number.

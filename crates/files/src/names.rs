@@ -125,9 +125,8 @@ mod tests {
         }
         let dir = tempfile::tempdir().unwrap();
         let own = "two_processes_of_one_id_write_into_one_folder";
-        let start = |which: &str| {
-            this_test_again(own, dir.path().join(which).to_str().unwrap()).spawn().unwrap()
-        };
+        let start =
+            |which: &str| this_test_again(own, dir.path().join(which).to_str().unwrap()).spawn().unwrap();
         for mut child in [start("one"), start("other")] {
             assert!(child.wait().unwrap().success());
         }

@@ -200,9 +200,8 @@ fn useless(capture: &Capture) -> Vec<String> {
                     .into(),
             );
         }
-        let is_ahead = |view: &View, p: DVec3| {
-            (view.camera.pose.rotation * p + view.camera.pose.translation).z > 0.0
-        };
+        let is_ahead =
+            |view: &View, p: DVec3| (view.camera.pose.rotation * p + view.camera.pose.translation).z > 0.0;
         let seen = capture.points.iter().any(|p| capture.views.iter().any(|v| is_ahead(v, p.position)));
         if !capture.points.is_empty() && !seen {
             notes.push(

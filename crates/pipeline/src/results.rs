@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use serde::Serialize;
-use use3d_build::place::{self, Look, PlaceError, Standing};
 use use3d_build::delivered::{MadeOf, Notes};
+use use3d_build::place::{self, Look, PlaceError, Standing};
 use use3d_build::run::{Became, RanNode};
 use use3d_build::{Artifact, Cache, Digest, Graph, Summary};
 use use3d_files::write_atomically;
@@ -258,7 +258,9 @@ impl Results {
             let key = node.artifact.as_ref().map(|a| (a.manifest.key, &a.manifest.finished));
             sources.update(format!("{} {key:?}\n", node.label).as_bytes());
         }
-        views.iter().for_each(|view| drop(sources.update(view.path.as_os_str().as_encoded_bytes())));
+        for view in views {
+            sources.update(view.path.as_os_str().as_encoded_bytes());
+        }
         let wanted = MadeOf::from([(PAGE.to_string(), Digest::from(sources.finalize()).to_string())]);
         let computed = summary.nodes.iter().any(|n| matches!(n.result, Became::Done));
         if !computed && self.stands(OVER_ALL) && self.made_of(OVER_ALL) == wanted {
@@ -329,12 +331,7 @@ impl Delivered {
 }
 
 /// Writes a scene's page, unless it was made of the same scene by the same program; whether it is there.
-fn write_view(
-    own: &SceneNodes<'_>,
-    shown: &Artifact,
-    source: &str,
-    page: &Path,
-) -> Result<bool, PlaceError> {
+fn write_view(own: &SceneNodes<'_>, shown: &Artifact, source: &str, page: &Path) -> Result<bool, PlaceError> {
     check_page(page)?;
     if fs::read_to_string(page).is_ok_and(|text| text.contains(source)) {
         return Ok(true);

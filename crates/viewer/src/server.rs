@@ -1,7 +1,7 @@
 //! Sockets and threads: one that accepts, one per open connection, one that draws.
 
-use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
 use std::net::Shutdown;
+use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
@@ -79,8 +79,13 @@ impl Server {
             .name("viewer drawing".into())
             .spawn(move || drawer.work())
             .map_err(|e| start(&e))?;
-        let accepting =
-            Accepting { site, token: token.clone(), closing: closing.clone(), open: Arc::default(), guests: Arc::default() };
+        let accepting = Accepting {
+            site,
+            token: token.clone(),
+            closing: closing.clone(),
+            open: Arc::default(),
+            guests: Arc::default(),
+        };
         thread::Builder::new()
             .name("viewer".into())
             .spawn(move || accepting.accept(&listener))

@@ -1,8 +1,11 @@
 """How the command is started: a program that says what it was asked stands in for it."""
 
+import concurrent.futures
 import io
 import json
+import multiprocessing
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -46,8 +49,7 @@ PROGRAM = """
 """
 
 
-@unittest.skipUnless(os.name == "posix", "a script stands in for the program")
-class Command(unittest.TestCase):
+class WithProgram(unittest.TestCase):
     def setUp(self):
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
@@ -59,6 +61,9 @@ class Command(unittest.TestCase):
         named.start()
         self.addCleanup(named.stop)
 
+
+@unittest.skipUnless(os.name == "posix", "a script stands in for the program")
+class Command(WithProgram):
     def test_words_may_be_paths_and_numbers(self):
         said = use3d.run("words", Path("a"), 9, 2.5, "--json")
         self.assertEqual(said, ["words", "a", "9", "2.5", "--json"])
@@ -103,6 +108,46 @@ class Command(unittest.TestCase):
         with redirect_stderr(io.StringIO()), self.assertRaises(subprocess.TimeoutExpired):
             use3d.run("slow", checkpoint, timeout=1)
         self.assertEqual(checkpoint.read_text(), "1")
+
+
+def _fails(_):
+    use3d.run("fails")
+
+
+@unittest.skipUnless(os.name == "posix", "a script stands in for the program")
+class OtherProcesses(WithProgram):
+    """A failure comes back from whatever process it happened in, and nobody waits for ever."""
+
+    def check(self, raised):
+        self.assertEqual(raised.exception.code, 3)
+        self.assertIn("line 999", raised.exception.said)
+        self.assertIn("exit code 3", str(raised.exception))
+
+    def test_an_exception_is_the_same_after_pickling(self):
+        with self.assertRaises(use3d.CommandFailed) as raised, redirect_stderr(io.StringIO()):
+            use3d.run("fails")
+        copy = pickle.loads(pickle.dumps(raised.exception))
+        self.assertEqual((str(copy), copy.code, copy.said), (str(raised.exception), 3, raised.exception.said))
+
+    def test_multiprocessing(self):
+        with multiprocessing.get_context("spawn").Pool(1) as pool, self.assertRaises(use3d.CommandFailed) as raised:
+            pool.map_async(_fails, [0]).get(60)
+        self.check(raised)
+
+    def test_concurrent_futures(self):
+        with concurrent.futures.ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+            with self.assertRaises(use3d.CommandFailed) as raised:
+                pool.submit(_fails, 0).result(60)
+        self.check(raised)
+
+    def test_joblib(self):
+        try:
+            import joblib
+        except ImportError:
+            self.skipTest("joblib is not installed")
+        with self.assertRaises(use3d.CommandFailed) as raised:
+            joblib.Parallel(n_jobs=2, timeout=60)(joblib.delayed(_fails)(i) for i in range(2))
+        self.check(raised)
 
 
 if __name__ == "__main__":

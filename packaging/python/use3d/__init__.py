@@ -11,10 +11,14 @@ Only reading and starting: every computation is the command's.
 """
 
 from ._command import CommandFailed, command, run
+from ._command import version as _version
 from ._files import FormatError, read_ply, read_safetensors
 from ._results import Results, Scene
 
+__version__ = _version()
+
 __all__ = [
+    "__version__",
     "CommandFailed",
     "FormatError",
     "Results",

@@ -21,8 +21,23 @@ class CommandFailed(RuntimeError):
 
     def __init__(self, words, code, said):
         super().__init__(f"{' '.join(words)}: exit code {code}\n{said.strip()}")
+        self.words = words
         self.code = code
         self.said = said
+
+    def __reduce__(self):
+        # How other processes (multiprocessing, concurrent.futures, joblib, dask) hand it back.
+        return type(self), (self.words, self.code, self.said)
+
+
+def version():
+    """The installed package's version; `unknown` where the module is used without being installed."""
+    from importlib import metadata
+
+    try:
+        return metadata.version("use3d")
+    except metadata.PackageNotFoundError:
+        return "unknown"
 
 
 def command():

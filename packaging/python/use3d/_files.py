@@ -26,7 +26,7 @@ _PLY_LINE, _PLY_HEADER = 1 << 12, 1 << 20
 
 
 def read_safetensors(path):
-    """A safetensors file as a dict from name to array."""
+    """A safetensors file as a dict from name to array. The arrays are read-only; `array.copy()` is not."""
     size = os.path.getsize(path)
     with open(path, "rb") as file:
         length = int.from_bytes(file.read(8), "little")
@@ -65,7 +65,10 @@ def _whole(number):
 
 
 def read_ply(path):
-    """The vertices of a binary little-endian PLY (a scene's Gaussians) as a structured array, one field a property."""
+    """The vertices of a binary little-endian PLY (a scene's Gaussians) as a structured array, one field a property.
+
+    It is read-only; `array.copy()` is not.
+    """
     size = os.path.getsize(path)
     with open(path, "rb") as file:
         if file.readline(_PLY_LINE).strip() != b"ply":

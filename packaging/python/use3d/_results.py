@@ -1,5 +1,6 @@
 """What a run has left: results folders and scene folders."""
 
+import csv
 import html
 import json
 import tempfile
@@ -123,7 +124,7 @@ class Results:
 
     @property
     def scenes(self):
-        """The names of its scenes, with variants as `scene/variant`."""
+        """The names of its scenes, with variants as `scene@variant`."""
         found = {p.parent.parent for name in ("scene", "enhanced-scene") for p in self.folder.glob(f"**/{name}/scene.json")}
         return sorted(str(path.relative_to(self.folder)) for path in found)
 
@@ -142,6 +143,29 @@ class Results:
         if name not in self.scenes:
             raise self._unknown(name)
         raise FileNotFoundError(f"{path}: there is no such file; `use3d run` writes it when the stage `evaluate` is done")
+
+    def pictures(self, name):
+        """The rendered pictures of a scene: a dict from mode (`clear`, `enhanced-clear`, `depth`, …) to a dict from view to path."""
+        folder = self.folder / name / "renders"
+        if not folder.is_dir() and name not in self.scenes:
+            raise self._unknown(name)
+        found = {}
+        for path in sorted(folder.glob("*/*.png")):
+            found.setdefault(path.parent.name, {})[path.stem] = path
+        return found
+
+    def table(self, name):
+        """A table of the report (`tables/NAME.csv`) as a list of rows, each a dict from column to text."""
+        path = self.folder / "tables" / f"{name}.csv"
+        if not path.is_file():
+            raise KeyError(f"no table {name!r} in {self.folder}; there are: {', '.join(self.tables) or 'none'}")
+        with open(path, encoding="utf-8", newline="") as file:
+            return list(csv.DictReader(file))
+
+    @property
+    def tables(self):
+        """The names of the report's tables."""
+        return sorted(path.stem for path in (self.folder / "tables").glob("*.csv"))
 
     def _unknown(self, name):
         return KeyError(f"no scene {name!r} in {self.folder}; there are: {', '.join(self.scenes) or 'none'}")

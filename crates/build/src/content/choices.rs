@@ -86,7 +86,9 @@ impl Choices {
             return None;
         }
         let mut merged = Self::read(&there()).table;
-        merged.extend(self.changed.iter().filter_map(|whose| Some((whose.clone(), self.table.get(whose)?.clone()))));
+        merged.extend(
+            self.changed.iter().filter_map(|whose| Some((whose.clone(), self.table.get(whose)?.clone()))),
+        );
         let mut lines: Vec<String> = merged.iter().filter_map(|(whose, made)| line(whose, made)).collect();
         lines.sort();
         lines.push(String::new());

@@ -16,10 +16,12 @@
 mod folder;
 mod memory;
 mod receive;
+mod shelf;
 mod sync;
 mod transfer;
 
 use std::io::{self, Read, Write};
+use std::time::SystemTime;
 
 use super::digest::Digest;
 use super::error::FileError;
@@ -27,6 +29,7 @@ use super::key::Key;
 
 pub use folder::Folder;
 pub use memory::Memory;
+pub use shelf::{Shelf, Swept};
 pub use sync::Transferred;
 pub use transfer::{Fetched, RemoteStore, Sent};
 
@@ -65,6 +68,23 @@ pub trait Remote: Send + Sync {
     /// # Errors
     /// What the store said.
     fn remove(&self, name: &str) -> Result<(), RemoteError>;
+
+    /// All objects whose names begin with `prefix`, a name with `/` at its end, in no order.
+    ///
+    /// # Errors
+    /// What the store said.
+    fn list(&self, prefix: &str) -> Result<Vec<Listed>, RemoteError>;
+}
+
+/// An object in a list.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Listed {
+    /// Its name.
+    pub name: String,
+    /// Its size, bytes.
+    pub size: u64,
+    /// When it was written, by the store's clock.
+    pub written: SystemTime,
 }
 
 /// Why something could not be fetched or sent.
@@ -109,8 +129,13 @@ pub enum RemoteError {
 }
 
 impl RemoteError {
+    /// Whether the store itself is not there, so that nothing of it can be.
+    pub(crate) fn is_of_the_whole_store(&self) -> bool {
+        matches!(self, Self::Refused { reason, .. } if reason.contains("NoSuchBucket"))
+    }
+
     /// Whether the same may work when it is tried again.
-    fn passes(&self) -> bool {
+    pub fn passes(&self) -> bool {
         matches!(self, Self::Refused { passing: true, .. } | Self::Wrong { .. })
     }
 }

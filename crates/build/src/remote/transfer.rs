@@ -14,14 +14,16 @@ use super::super::files;
 use super::super::key::Key;
 use super::super::manifest::{FileRecord, Manifest};
 use super::receive::{Receiver, Sender, wrong_names};
-use super::{Remote, RemoteError, blob, manifest};
+use super::{Remote, RemoteError, Shelf, blob, manifest};
 
 /// How often something is tried that may work the next time.
 const TRIES: u32 = 4;
 /// The first pause between two tries; each is four times the one before.
 const PAUSE: Duration = Duration::from_millis(500);
-/// Files on their way at the same time.
-const SIDE_BY_SIDE: usize = 4;
+/// Files of an artifact on their way at the same time.
+const FILES_AT_ONCE: usize = 4;
+/// Artifacts on their way at the same time, where many are sent or fetched: 32 requests in all.
+pub(super) const ARTIFACTS_AT_ONCE: usize = 8;
 /// A manifest is never larger, bytes.
 const LARGEST_MANIFEST: u64 = 64 << 20;
 /// So many artifacts in a row that a store would not give or take, and a run goes on without it.
@@ -29,7 +31,9 @@ const ENOUGH: u32 = 3;
 
 /// A store, and how it is used.
 pub struct RemoteStore {
-    remote: Arc<dyn Remote>,
+    pub(super) remote: Arc<dyn Remote>,
+    /// Nothing is sent.
+    read_only: bool,
     pause: Duration,
     /// Artifacts in a row that it failed at.
     failures: AtomicU32,
@@ -64,13 +68,30 @@ pub enum Sent {
 impl RemoteStore {
     /// A store as it is used.
     pub fn new(remote: Arc<dyn Remote>) -> Self {
-        Self { remote, pause: PAUSE, failures: AtomicU32::new(0), distrusted: Mutex::default() }
+        Self {
+            remote,
+            read_only: false,
+            pause: PAUSE,
+            failures: AtomicU32::new(0),
+            distrusted: Mutex::default(),
+        }
     }
 
     /// The same with another first pause between tries, for tests.
     #[must_use]
     pub fn with_pause(self, pause: Duration) -> Self {
         Self { pause, ..self }
+    }
+
+    /// The same, to which nothing is sent.
+    #[must_use]
+    pub fn read_only(self) -> Self {
+        Self { read_only: true, ..self }
+    }
+
+    /// Whether what is computed is sent to it.
+    pub(crate) fn takes(&self) -> bool {
+        !self.read_only
     }
 
     /// Where it is, for people.
@@ -135,7 +156,7 @@ impl RemoteStore {
     }
 
     /// Tries until it works, will not, or was tried often enough.
-    fn patiently<T>(
+    pub(super) fn patiently<T>(
         &self,
         stop: &AtomicBool,
         mut attempt: impl FnMut() -> Result<T, RemoteError>,
@@ -164,7 +185,12 @@ impl RemoteStore {
     }
 
     /// The manifest that the store has for a key, where it has one.
-    fn manifest(&self, stage: &str, key: &Key, stop: &AtomicBool) -> Result<Option<Manifest>, RemoteError> {
+    pub(super) fn manifest(
+        &self,
+        stage: &str,
+        key: &Key,
+        stop: &AtomicBool,
+    ) -> Result<Option<Manifest>, RemoteError> {
         let name = manifest(stage, key);
         self.patiently(stop, || {
             let mut to = Receiver::new(Vec::new(), LARGEST_MANIFEST, stop);
@@ -204,7 +230,11 @@ impl RemoteStore {
         }
         let Some(manifest) = self.manifest(stage, key, stop)? else { return Ok(Fetched::Missing) };
         if let Some(reason) = cache.unkept(&manifest) {
-            return Err(RemoteError::Wrong { place: self.place(), name: super::manifest(stage, key), reason });
+            return Err(RemoteError::Wrong {
+                place: self.place(),
+                name: super::manifest(stage, key),
+                reason,
+            });
         }
         let scratch = cache.scratch()?;
         let fetched = self.fetch_into(&scratch.join("artifact"), cache, manifest, stop);
@@ -221,7 +251,9 @@ impl RemoteStore {
         stop: &AtomicBool,
     ) -> Result<Fetched, RemoteError> {
         files::at(folder, "create", cache.files().create_dir_all(folder))?;
-        each(&manifest.files, |file| self.fetch_file(&folder.join(&file.path), cache, file, stop))?;
+        each(&manifest.files, FILES_AT_ONCE, |file| {
+            self.fetch_file(&folder.join(&file.path), cache, file, stop)
+        })?;
         Ok(match cache.adopt(folder, manifest)? {
             Published::Now(artifact) | Published::Already(artifact) => Fetched::Now(Arc::new(artifact)),
             Published::Differs(artifact, file) => Fetched::Differs(Arc::new(artifact), file),
@@ -270,9 +302,25 @@ impl RemoteStore {
         check: bool,
         stop: &AtomicBool,
     ) -> Result<Sent, RemoteError> {
+        self.send_beside(cache, artifact, None, check, stop)
+    }
+
+    /// As [`send`](Self::send), to a store that was listed: what the list has is not asked for again.
+    pub(super) fn send_beside(
+        &self,
+        cache: &Cache,
+        artifact: &Artifact,
+        shelf: Option<&Shelf>,
+        check: bool,
+        stop: &AtomicBool,
+    ) -> Result<Sent, RemoteError> {
         let ours = &artifact.manifest;
         let stage = ours.ingredients.stage.as_str();
-        let there = match self.manifest(stage, &ours.key, stop) {
+        let there = match shelf {
+            Some(shelf) if !check && !shelf.has(stage, &ours.key) => Ok(None),
+            _ => self.manifest(stage, &ours.key, stop),
+        };
+        let there = match there {
             // Nobody can use what is there, and nobody who asks will take it.
             Ok(Some(theirs)) if cache.unkept(&theirs).is_some() => {
                 self.remote.remove(&manifest(stage, &ours.key))?;
@@ -292,8 +340,9 @@ impl RemoteStore {
         };
         cache.verify(artifact, false).map_err(RemoteError::Damaged)?;
         let replaced = AtomicUsize::new(0);
-        each(&ours.files, |file| {
-            if !self.has(file, check, stop)? {
+        each(&ours.files, FILES_AT_ONCE, |file| {
+            let listed = !check && shelf.is_some_and(|shelf| shelf.has_file(&file.digest, file.size));
+            if !listed && !self.has(file, check, stop)? {
                 self.send_file(&artifact.path.join(&file.path), file, stop)?;
                 replaced.fetch_add(1, Ordering::Relaxed);
             }
@@ -348,15 +397,16 @@ impl RemoteStore {
 
 /// Does something for every item, a few at a time; ends at the first error. On threads of its own: those that
 /// compute must not wait for a network.
-fn each<T: Sync>(
+pub(super) fn each<T: Sync>(
     items: &[T],
+    at_once: usize,
     work: impl Fn(&T) -> Result<(), RemoteError> + Sync,
 ) -> Result<(), RemoteError> {
     let next = AtomicUsize::new(0);
     let failed: Mutex<Option<RemoteError>> = Mutex::default();
     let failure = || failed.lock().unwrap_or_else(PoisonError::into_inner);
     std::thread::scope(|scope| {
-        for _ in 0..SIDE_BY_SIDE.min(items.len()) {
+        for _ in 0..at_once.min(items.len()) {
             scope.spawn(|| {
                 while let Some(item) = items.get(next.fetch_add(1, Ordering::Relaxed)) {
                     if failure().is_some() {

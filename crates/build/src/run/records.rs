@@ -8,7 +8,7 @@ use super::super::key::{Ingredients, Key};
 use super::super::machine;
 use super::super::resolve::Outcome;
 use super::super::summary::Became;
-use super::{Phase, Runner};
+use super::Runner;
 
 /// What counts of a node's record while it is run; the whole record is read only where it changes.
 #[derive(Clone, Copy, Debug, Default)]

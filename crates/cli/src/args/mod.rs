@@ -17,10 +17,12 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 pub(crate) use bench::{Baselines, Bench, BenchGpuArgs, BenchTruthArgs};
 pub(crate) use captures::{Synth, SynthCaptureArgs, SynthPairsArgs, WaterArgs};
-pub(crate) use cluster::{Submit, SubmitArgs, SubmitLayout};
+pub(crate) use cluster::{CancelArgs, Submit, SubmitArgs, SubmitLayout};
 pub(crate) use pictures::{CameraPath, ExportArgs, ExportFrame, ExportWhat, FrameFormat, RenderArgs};
-pub(crate) use pipelines::{DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, RunArgs, WhyArgs};
-pub(crate) use remote::{PushArgs, TransferArgs};
+pub(crate) use pipelines::{
+    DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, RunArgs, StatusArgs, WhyArgs,
+};
+pub(crate) use remote::{PushArgs, RemoteArgs, Store, StoreGcArgs, StoreLsArgs, TransferArgs};
 pub(crate) use shared::{CacheArgs, PipelineArgs, Settings, as_typed};
 pub(crate) use stages::{
     CalibrateArgs, EnhanceArgs, EvaluateArgs, ImportArgs, ReconstructArgs, TableFormat, TargetsArgs,
@@ -102,6 +104,9 @@ pub(crate) enum Verb {
         #[command(subcommand)]
         what: Submit,
     },
+    /// End the jobs of the last submission; what is done stays, and `submit` hands over the rest again.
+    #[command(after_help = "Example:\n  use3d cancel pipelines/use26.toml")]
+    Cancel(CancelArgs),
     /// Send what the cache has of a pipeline to a store that other machines reach: a folder or a bucket.
     #[command(
         after_help = "Examples:\n  use3d push my-reef/ --remote /mnt/share/use3d\n  use3d push pipelines/use26.toml --remote s3://lab/use3d --check"
@@ -110,12 +115,20 @@ pub(crate) enum Verb {
     /// Fetch what a store has of a pipeline into the cache. Every byte is checked.
     #[command(after_help = "Example:\n  use3d pull pipelines/use26.toml --remote s3://lab/use3d")]
     Pull(TransferArgs),
+    /// What a store holds, and cleaning it up.
+    Store {
+        /// What to do.
+        #[command(subcommand)]
+        what: Store,
+    },
     /// What would run, what is cached, why, and the forecast cost.
     #[command(after_help = "Examples:\n  use3d plan pipelines/seathru4.toml\n  use3d plan my-reef/ --json")]
     Plan(PlanArgs),
     /// Scene × stage table: cached, stale, missing, failed, or running: where, how far, for how long.
-    #[command(after_help = "Example:\n  use3d status pipelines/seathru4.toml")]
-    Status(PlanArgs),
+    #[command(
+        after_help = "Examples:\n  use3d status pipelines/seathru4.toml\n  use3d status pipelines/use26.toml --summary\n  use3d status pipelines/use26.toml --failed"
+    )]
+    Status(StatusArgs),
     /// Which ingredient of a stage's key changed, with its old and new value.
     #[command(after_help = "Example:\n  use3d why pipelines/seathru4.toml Panama enhance")]
     Why(WhyArgs),
@@ -222,7 +235,10 @@ impl Verb {
             Self::Run(args) => args.json,
             Self::Push(args) => args.what.json,
             Self::Pull(args) => args.json,
-            Self::Plan(args) | Self::Status(args) => args.json,
+            Self::Store { what: Store::Ls(args) } => args.json,
+            Self::Store { what: Store::Gc(args) } => args.json,
+            Self::Plan(args) => args.json,
+            Self::Status(args) => args.plan.json,
             Self::Why(args) => args.json,
             Self::Bench { what: Bench::Truth(args) } => args.json,
             Self::Evaluate(args) => args.json || args.format == TableFormat::Json,

@@ -58,10 +58,14 @@ pub(crate) struct RunArgs {
     /// and the exit code is 75 unless all is done. The same command goes on from there.
     #[arg(long, value_name = "TIME", value_parser = time)]
     pub(crate) max_time: Option<Duration>,
-    /// Leave what other processes on the same cache compute to them, once there was nothing else to do for a
-    /// minute, instead of waiting for it.
+    /// Leave what other processes on the same cache compute to them, once there was nothing else to do for
+    /// longer than a process that was killed is waited for, instead of waiting for it.
     #[arg(long)]
     pub(crate) until_empty: bool,
+    /// Compute nothing but what is made of the whole batch (the report), from what is there, and fill the
+    /// results folder. Where something is missing, it is named, and the exit code is 1.
+    #[arg(long, conflicts_with_all = ["until", "until_empty", "cache_only"])]
+    pub(crate) gather: bool,
     /// Fill the cache and put no results into a folder.
     #[arg(long, conflicts_with = "out")]
     pub(crate) cache_only: bool,
@@ -69,6 +73,13 @@ pub(crate) struct RunArgs {
     /// computed, what is computed is sent to it. It may fail: the run goes on without it.
     #[arg(long, env = "USE3D_REMOTE", value_name = "URL", hide_env_values = true)]
     pub(crate) remote: Option<String>,
+    /// Only fetch from the store: nothing is sent to it, and no right to write is needed.
+    #[arg(long, requires = "remote")]
+    pub(crate) remote_read_only: bool,
+    /// Refuse to run where the pipeline is not the one of this digest, which `use3d submit` writes into its
+    /// scripts: its file was edited since, or another version of this program would compute something else.
+    #[arg(long, value_name = "DIGEST", hide = true)]
+    pub(crate) submitted: Option<String>,
     /// Only say what would run (the same as `use3d plan`).
     #[arg(long)]
     pub(crate) dry_run: bool,
@@ -90,6 +101,21 @@ pub(crate) struct PlanArgs {
     /// One JSON document on stdout.
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct StatusArgs {
+    #[command(flatten)]
+    pub(crate) plan: PlanArgs,
+    /// Only this scene; may be repeated.
+    #[arg(long, value_name = "NAME")]
+    pub(crate) scene: Vec<String>,
+    /// Only rows with a failure.
+    #[arg(long)]
+    pub(crate) failed: bool,
+    /// No rows, but how many cells of each stage stand how.
+    #[arg(long, conflicts_with_all = ["scene", "failed"])]
+    pub(crate) summary: bool,
 }
 
 #[derive(Debug, Args)]

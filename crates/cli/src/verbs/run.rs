@@ -3,25 +3,26 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use serde::Serialize;
 use use3d_build::machine::seconds;
 use use3d_build::place;
-use use3d_build::{Builder, Cache, Event, Graph, Listener, Plan, RunOptions, Summary, picture};
-use use3d_cluster::quote;
+use use3d_build::status::{Row, Standing};
+use use3d_build::{Builder, Cache, Event, Graph, Listener, PATIENCE, Plan, RunOptions, Summary, picture};
+use use3d_cluster::{quote, slurm};
 use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
 use use3d_pipeline::results::Results;
 
 use crate::App;
 use crate::args::{
     CacheArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PipelineArgs, PlanArgs, RunArgs, Settings,
-    WhyArgs, as_typed,
+    StatusArgs, WhyArgs, as_typed,
 };
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::verbs::outcome::{self, Outcome};
-use crate::verbs::remote::probed;
+use crate::verbs::remote::of_run;
 use crate::verbs::stages::{scratch, stages};
 use crate::verbs::synth::keep_capture;
 use crate::verbs::view::Watched;
@@ -61,7 +62,7 @@ pub(crate) fn open(
     let pipeline =
         pipeline.map_err(|error| CliError::Input(as_typed(&error.to_string(), settings.engine.as_ref())))?;
     outside_captures(&pipeline)?;
-    let cache = Cache::open(&pipeline.cache, cache.rehash).map_err(CliError::input)?;
+    let cache = Cache::open(&pipeline.cache, cache.rehash).map_err(CliError::input)?.asking(slurm::is_over());
     let graph = Graph::new(&registry, &pipeline.batch).map_err(CliError::input)?;
     Ok(Loaded { pipeline, builder: Builder::new(registry, cache), graph })
 }
@@ -155,14 +156,32 @@ fn show(plan: &Plan, as_json: bool) -> Done {
     }
 }
 
-pub(crate) fn status(args: &PlanArgs) -> Done {
-    let (_, plan) = planned(args)?;
-    let status = plan.status();
-    if args.json {
-        return json(&status);
+pub(crate) fn status(args: &StatusArgs) -> Done {
+    let (loaded, plan) = planned(&args.plan)?;
+    let mut status = plan.status();
+    for name in &args.scene {
+        let known = || loaded.pipeline.batch.scenes.iter().map(|s| s.name.as_str());
+        if !known().any(|scene| scene == name) {
+            return Err(CliError::input(use3d_build::BuildError::unknown("scene", name, known())));
+        }
     }
-    print!("{status}");
-    Ok(())
+    status.rows.retain(|row| {
+        let asked = args.scene.is_empty() || args.scene.contains(&row.scene);
+        let failed = |row: &Row| row.cells.iter().any(|cell| cell.standing == Standing::Failed);
+        asked && (!args.failed || failed(row))
+    });
+    match (args.summary, args.plan.json) {
+        (true, true) => json(&status.counts()),
+        (true, false) => {
+            print!("{}", status.counts());
+            Ok(())
+        }
+        (false, true) => json(&status),
+        (false, false) => {
+            print!("{status}");
+            Ok(())
+        }
+    }
 }
 
 pub(crate) fn why(args: &WhyArgs) -> Done {
@@ -196,6 +215,15 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     if args.dry_run {
         return show(&loaded.builder.plan(&loaded.graph, until.as_deref()), args.json);
     }
+    if let Some(submitted) = &args.submitted
+        && *submitted != loaded.graph.digest(&loaded.builder.registry).short()
+    {
+        return Err(CliError::Input(format!(
+            "{}: this is not what was submitted: the file was edited since, or this is another version of the program; submit it \
+             again",
+            path_text(&args.pipeline.target)
+        )));
+    }
     let only = only(&loaded.graph, &args.only)?;
     let out =
         args.out.clone().unwrap_or_else(|| PathBuf::from("use3d-out").join(&loaded.pipeline.batch.name));
@@ -209,7 +237,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     }
     let loaded = match &args.remote {
         Some(address) => {
-            let store = probed(app, address)?;
+            let store = of_run(app, address, args.remote_read_only)?;
             Loaded { builder: loaded.builder.with_remote(store), ..loaded }
         }
         None => loaded,
@@ -223,6 +251,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         only,
         limit: args.max_time,
         until_empty: args.until_empty.then_some(PATIENCE),
+        gather: args.gather,
         ..of_app(app)
     };
     let done = execute(app, &loaded, &options, results.as_ref(), args.json);
@@ -231,9 +260,6 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     }
     done
 }
-
-/// How long a run with nothing else to do waits for what others compute.
-const PATIENCE: Duration = Duration::from_secs(60);
 
 /// How this process runs a pipeline, unless more is said.
 fn of_app(app: &App) -> RunOptions {
@@ -297,11 +323,28 @@ fn execute(
         75 => Err(CliError::OutOfTime),
         130 => Err(CliError::Interrupted),
         _ => {
+            let missing: Vec<&str> = summary.missing().map(|node| node.label.as_str()).collect();
+            if !missing.is_empty() {
+                return Err(CliError::Failed(format!(
+                    "{} missing: {}{}; `use3d submit` hands them over once more, `use3d run` without --gather computes them \
+                     here",
+                    if missing.len() == 1 {
+                        "1 stage is".to_string()
+                    } else {
+                        format!("{} stages are", missing.len())
+                    },
+                    missing[..missing.len().min(SHOWN)].join(", "),
+                    if missing.len() > SHOWN { ", …" } else { "" }
+                )));
+            }
             let failed: Vec<&str> = summary.failed().map(|node| node.label.as_str()).collect();
             Err(CliError::Failed(format!("failed: {}; see the reasons and logs above", failed.join(", "))))
         }
     }
 }
+
+/// Stages that are named one by one.
+const SHOWN: usize = 6;
 
 /// The command as it was typed.
 fn typed() -> String {

@@ -13,9 +13,9 @@ use use3d_synth::{
 
 use crate::App;
 use crate::args::{SynthCaptureArgs, SynthPairsArgs};
-use crate::interrupt::ends_soon;
 use crate::error::{CliError, Done};
 use crate::interrupt;
+use crate::interrupt::ends_soon;
 use crate::size::parse_size;
 
 /// Draws the progress, and answers whether to go on.
