@@ -140,6 +140,14 @@ pub struct Camera {
 }
 
 impl Camera {
+    /// The same view with its image divided by the least whole number that brings the longer side to at most
+    /// `side` pixels.
+    pub fn no_larger_than(&self, side: usize) -> Self {
+        let lens = &self.intrinsics;
+        let divisor = lens.width.max(lens.height).div_ceil(side.max(1)).max(1);
+        Self { intrinsics: lens.downscaled(divisor), ..*self }
+    }
+
     /// Checks lens and pose.
     pub fn validate(&self) -> Result<(), CameraError> {
         self.intrinsics.validate()?;
@@ -228,6 +236,19 @@ mod tests {
         let back = frame.invert_pose(&moved.pose);
         assert!((back.translation - pose.translation).length() < 1e-12);
         camera.validate().unwrap();
+    }
+
+    #[test]
+    fn a_smaller_image_shows_the_same_view() {
+        let intrinsics = Intrinsics { width: 640, height: 360, fx: 500.0, fy: 510.0, cx: 320.0, cy: 180.0 };
+        let camera = Camera { intrinsics, pose: Pose::IDENTITY };
+        assert_eq!(camera.no_larger_than(640), camera);
+        let small = camera.no_larger_than(200);
+        assert_eq!((small.intrinsics.width, small.intrinsics.height), (160, 90));
+        let point = DVec3::new(0.3, -0.2, 2.0);
+        let ((large, _), (small, _)) = (camera.project(point).unwrap(), small.project(point).unwrap());
+        assert!((large / 4.0 - small).length() < 1e-9);
+        assert_eq!(camera.no_larger_than(0).intrinsics.width, 1);
     }
 
     #[test]

@@ -56,10 +56,7 @@ pub fn difference(
     let (mut sum, mut worst) = (0.0, 0.0f64);
     let mut drawn = Rendered::new();
     for k in 0..count {
-        let camera = cameras[k * cameras.len() / count];
-        let lens = camera.intrinsics;
-        let divisor = lens.width.max(lens.height).div_ceil(SIDE).max(1);
-        let camera = Camera { intrinsics: lens.downscaled(divisor), ..camera };
+        let camera = cameras[k * cameras.len() / count].no_larger_than(SIDE);
         let lattice = Lattice::full(&camera.intrinsics);
         let mut picture = |renderer: &mut Renderer<'_>| -> Result<Image, RenderError> {
             renderer.render(&camera, &lattice, false, &mut drawn)?;

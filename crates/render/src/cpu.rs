@@ -2,7 +2,7 @@
 //!
 //! [`Cpu`] composes on the processor and defines what is right: the same bytes on any number of threads.
 
-use use3d_capture::{Camera, Image, Lattice, MediumMaps};
+use use3d_capture::{Camera, Image, KeptWater, Lattice, MediumMaps};
 use use3d_scene::{Compositor, Scene};
 use use3d_splat::{Options, Rendered};
 use use3d_ubaf::enhancement::ObjectGrades;
@@ -133,12 +133,10 @@ pub(crate) fn look_through(
 pub(crate) fn thin(maps: &MediumMaps, share: f32, out: &mut MediumMaps) {
     out.resize(maps.color.width(), maps.color.height());
     out.color.data_mut().copy_from_slice(maps.color.data());
+    out.backscatter.data_mut().copy_from_slice(maps.backscatter.data());
+    out.attenuation.data_mut().copy_from_slice(maps.attenuation.data());
     out.formation = maps.formation;
-    let scaled = |from: &Image, to: &mut Image| {
-        to.data_mut().iter_mut().zip(from.data()).for_each(|(to, from)| *to = share * from);
-    };
-    scaled(&maps.backscatter, &mut out.backscatter);
-    scaled(&maps.attenuation, &mut out.attenuation);
+    KeptWater([share; 3]).thin(out);
 }
 
 /// Gives open water its factor, in the picture and in its layers: of the water's light `(1 − Σ w) c_m`

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::kept_water::{Depths, Trust, shares};
 use use3d_build::{StageContext, StageError};
-use use3d_capture::{Camera, KeptWater, View};
+use use3d_capture::{KeptWater, View};
 use use3d_scene::{KnownViews, Scene};
 
 use super::common::read_json;
@@ -77,16 +77,13 @@ pub(super) fn choose(
             "views",
             "measuring the water in front of surfaces",
         );
-        let lens = &view.camera.intrinsics;
-        let divisor = lens.width.max(lens.height).div_ceil(SIDE);
-        let camera = Camera { intrinsics: lens.downscaled(divisor), ..view.camera };
-        let looked = known.view(&camera);
+        let looked = known.view(&view.camera.no_larger_than(SIDE));
         depths.add(&looked.accumulation, &looked.arriving);
     }
     Ok(shares(&depths, trust(context.input("scene")?)))
 }
 
-/// How well stage 1 knew the water when it began, by its own record.
+/// Stage 1's knowledge of the water when it began, by its own record.
 fn trust(scene: &Path) -> Trust {
     let Ok(report) = read_json::<serde_json::Value>(&scene.join(WATER)) else { return Trust::Learnt };
     let measured = |channel: &serde_json::Value| {

@@ -53,9 +53,9 @@ const BEYOND: f32 = 1.3;
 pub struct InWater {
     /// The scene's Gaussians with their colours in water, in its frame; the backdrop's come last.
     pub gaussians: Gaussians,
-    /// How many of them are the backdrop; 0 in a scene without water.
+    /// The number of them that are the backdrop; 0 in a scene without water.
     pub backdrop: usize,
-    /// How far the harmonics are from the colours that they stand for.
+    /// The distance of the harmonics from the colours that they stand for.
     pub report: BakeReport,
 }
 
@@ -124,7 +124,7 @@ impl Seen {
         // The mean water over all pixels, for what no camera saw.
         let mut mean = [0.0f64; 9];
         for camera in cameras {
-            let camera = smaller(camera);
+            let camera = camera.no_larger_than(SIDE);
             let lattice = Lattice::full(&camera.intrinsics);
             look_through(scene, strength, &camera, &lattice, &mut whole);
             thin(&whole, water, &mut maps);
@@ -189,13 +189,6 @@ fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
     (0..3).map(|k| (a[k] - b[k]) * (a[k] - b[k])).sum::<f32>().sqrt()
 }
 
-/// The camera at most [`SIDE`] pixels long.
-fn smaller(camera: &Camera) -> Camera {
-    let lens = &camera.intrinsics;
-    let divisor = lens.width.max(lens.height).div_ceil(SIDE).max(1);
-    Camera { intrinsics: lens.downscaled(divisor), ..*camera }
-}
-
 /// A sphere of Gaussians in the colours of open water, around the scene.
 fn backdrop(scene: &Scene, strength: Option<f32>, water: f32, cameras: &[Camera]) -> Gaussians {
     let count = cameras.len() as f64;
@@ -222,7 +215,7 @@ fn backdrop(scene: &Scene, strength: Option<f32>, water: f32, cameras: &[Camera]
         let camera = Camera { intrinsics: lens, pose: Pose::look_at(middle, middle + direction, up) };
         look_through(scene, strength, &camera, &Lattice::full(&lens), &mut whole);
         thin(&whole, water, &mut maps);
-        // What is left of the open water, as `Renderer` dims it.
+        // `Renderer` dims open water by the same share.
         let color = maps.color.pixel(0, 0).map(|v| water * v);
         let at = (middle + f64::from(radius) * direction).as_vec3().to_array();
         out.means.push(at);
