@@ -1,4 +1,4 @@
-//! What a newcomer's first guesses do: a results folder where a scene or a capture is asked for, common flags, earlier
+//! A newcomer's first guesses: a results folder where a scene or a capture is asked for, common flags, earlier
 //! results, two runs side by side, and colours balanced by hand.
 
 mod tiny;
@@ -80,6 +80,10 @@ fn results_stand_for_what_they_were_made_from_and_earlier_ones_come_back() {
             .flatten()
             .any(|e| e.file_name().to_string_lossy().starts_with("enhanced"))
     );
+    // And its capture, with the settings of its run.
+    let plan = expect(&place, 0, &["plan", "out"]);
+    assert!(plan.contains("0 to run"), "{plan}");
+
     // Another capture's cameras are refused, whatever its photographs are called.
     let other = [
         "synth", "capture", "-o", "other", "--views", "9", "--size", "96x64", "--seed", "7", "--place",
@@ -153,7 +157,7 @@ fn common_flags_are_spellings_of_settings_and_are_refused_by_their_own_names() {
         plan["nodes"].as_array().unwrap().iter().map(|node| node["key"].clone()).collect::<Vec<_>>()
     };
     assert_eq!(keys(&flags), keys(&sets));
-    // What `run` takes does no harm where it is of no account.
+    // Options of `run` do no harm to verbs that ignore them.
     expect(&place, 0, &["status", "tiny", "--cache", "cache", "--out", "x", "-j", "2", "--keep-going"]);
     // A folder without a model is refused in one line, before anything else.
     std::fs::create_dir(place.at("empty")).unwrap();

@@ -184,12 +184,13 @@ fn gradients_agree_with_finite_differences() {
                         model.maps(&camera, &lattice, degree, &mut maps);
                         dot(&maps, &d_maps)
                     };
-                    let h = 1e-3;
-                    let numeric = (at(h) - at(-h)) / (2.0 * f64::from(h));
+                    // Two steps cancel the cubic term, so that the larger one can drown the rounding.
+                    let mut slope = |h: f32| (at(h) - at(-h)) / (2.0 * f64::from(h));
+                    let numeric = (4.0 * slope(4e-3) - slope(8e-3)) / 3.0;
                     let norm = ((to - from) as f64).sqrt() * f64::from(scale);
                     let error = (numeric - expected).abs();
                     assert!(
-                        error <= 5e-3 * norm.max(expected.abs()),
+                        error <= 2e-3 * norm.max(expected.abs()),
                         "{kind:?} degree {degree}, {from} to {to}: {numeric} against {expected}"
                     );
                 }

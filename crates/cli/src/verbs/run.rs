@@ -114,7 +114,7 @@ fn planned(args: &PlanArgs) -> Result<(Loaded, Plan), CliError> {
 }
 
 pub(crate) fn plan(args: &PlanArgs) -> Done {
-    let loaded = open(&args.pipeline, &[])?;
+    let loaded = open(&resolved(&args.pipeline).0, &[])?;
     loaded.nothing_lacks(None, None)?;
     show(&loaded.builder.plan(&loaded.graph, None), args.json)
 }
@@ -278,7 +278,7 @@ fn only(graph: &Graph, named: &[String]) -> Result<Option<Vec<(String, String)>>
     Ok((!found.is_empty()).then_some(found))
 }
 
-/// What a run was given, beside its options.
+/// The arguments of a run, beside its options.
 struct Given<'a> {
     pipeline: &'a PipelineArgs,
     /// Only these scenes.
