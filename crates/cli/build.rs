@@ -42,7 +42,7 @@ fn main() {
     println!("cargo:rerun-if-env-changed=USE3D_COMMIT");
     let here = env::var("CARGO_MANIFEST_DIR").map(PathBuf::from).unwrap_or_default();
     let root = here.ancestors().nth(2).unwrap_or(&here);
-    // Whoever builds from an archive may say which commit that is.
+    // A build from an archive may be told its commit.
     let commit = env::var("USE3D_COMMIT").ok().or_else(|| commit(root));
     let commit = commit.filter(|text| text.len() >= 7 && text.bytes().all(|b| b.is_ascii_hexdigit()));
     let commit = commit.map_or_else(|| "unknown".to_string(), |text| text.chars().take(12).collect());

@@ -1,4 +1,4 @@
-//! How much of the water an enhanced scene keeps.
+//! The share of the water that an enhanced scene keeps.
 //!
 //! A 2D enhancer sees near rock and far rock through different water and gives both one change of colour, so
 //! near rock is pushed too far while the distance stays veiled. A scene that knows its water can take part of
@@ -21,7 +21,7 @@
 use use3d_capture::{Image, KeptWater, Map};
 use use3d_numerics::math;
 
-/// How well a scene's water is known.
+/// The knowledge of a scene's water.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trust {
     /// All three attenuations were measured before training.

@@ -32,7 +32,7 @@ pub struct Batch {
     pub seed: u64,
     /// Parameters for all scenes that everything wins over but the stages' own defaults.
     pub preset: Overrides,
-    /// What these are called; empty for no name. For people only.
+    /// The preset's name, for messages only; empty for none.
     pub preset_name: String,
     /// Parameters for all scenes.
     pub defaults: Overrides,
@@ -82,7 +82,7 @@ pub struct Variant {
     pub seed: Option<u64>,
     /// In place of the batch's.
     pub preset: Option<Overrides>,
-    /// What these are called. For people only.
+    /// The preset's name, for messages only.
     pub preset_name: Option<String>,
     /// Its files and folders, by name; they win over a scene's.
     pub externals: BTreeMap<String, External>,
@@ -141,7 +141,7 @@ pub(crate) struct NodeInput {
     pub(crate) variant: String,
 }
 
-/// What a scene in a variant says: the parameters of all stages, and what lies outside.
+/// The settings of a scene in a variant: the parameters of all stages, and the files from outside.
 #[derive(Debug)]
 pub(crate) struct Place {
     pub(crate) all: AllParameters,

@@ -1,4 +1,4 @@
-//! What stages need from outside before anything runs.
+//! The requirements of stages: files from outside that must be there before anything runs.
 //!
 //! A stage states its requirements as a function of the parameters of all stages and of the places that the
 //! pipeline names ([`Stage::requires`](super::Stage::requires)). A plan and a run ask all of them first: a
@@ -14,9 +14,9 @@ use super::stage::{AllParameters, Named};
 /// Something that is missing, or that does not go together with what was asked for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Lacking {
-    /// What it is, as the subject of a sentence: `the weights of Nu2Net`.
+    /// The missing thing, as the subject of a sentence: `the weights of Nu2Net`.
     pub what: String,
-    /// What to do about it: which file to put where, and where it is published.
+    /// The next step: the file to put somewhere, and the place where it is published.
     pub remedy: String,
     /// The setting of the command line that does without it, as it is typed; empty where there is none.
     pub without: String,
@@ -28,7 +28,7 @@ pub(super) type Requires = Arc<dyn Fn(&AllParameters, &Named) -> Vec<Lacking> + 
 /// One thing that is missing, and who needs it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Gap {
-    /// What is missing.
+    /// The missing thing.
     pub lacking: Lacking,
     /// The stages that need it.
     pub stages: Vec<&'static str>,
@@ -41,7 +41,7 @@ pub struct Gap {
 pub struct Gaps(pub Vec<Gap>);
 
 impl Gaps {
-    /// Whether nothing is missing.
+    /// True if nothing is missing.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
@@ -101,7 +101,7 @@ impl Display for Gaps {
 }
 
 impl Builder {
-    /// What the wanted nodes of a graph need and do not have, before anything is computed.
+    /// Lists everything that the wanted nodes of a graph need and do not have. Computes nothing.
     pub fn gaps(&self, graph: &Graph, until: Option<&[String]>, only: Option<&[(String, String)]>) -> Gaps {
         let mut gaps = Gaps::default();
         let wanted = graph.wanted_of(until, only);

@@ -95,7 +95,7 @@ impl Named {
         self.places.get(name)?.0.as_ref().err().map(String::as_str)
     }
 
-    /// Where the user named it, in words; empty for what is not named.
+    /// The place where the user named it, for messages; empty if it is not named.
     pub fn by(&self, name: &str) -> &str {
         self.places.get(name).map_or("", |(_, by)| by)
     }

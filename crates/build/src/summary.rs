@@ -87,7 +87,7 @@ pub struct Summary {
 impl Summary {
     /// What is known of one scene in one variant, for who wants its results before the batch ends.
     pub fn of_scene(nodes: &[RanNode], scene: &str, variant: &str) -> Self {
-        // What is made for all scenes is part of what made this one.
+        // A result for all scenes is part of this scene's history, too.
         let own = nodes.iter().filter(|n| n.variant == variant && (n.scene == scene || n.scene.is_empty()));
         Self {
             pipeline: String::new(),

@@ -66,7 +66,7 @@ impl Display for Plan {
 }
 
 impl Plan {
-    /// Which stages have results already and run again all the same, and why: a line for each.
+    /// One line for each stage that has results and runs again all the same, with the reason.
     pub fn reruns(&self) -> Vec<String> {
         let again = self.own().filter(|node| node.had && matches!(node.state, State::Run(_)));
         again.map(|node| format!("{}: runs again: {}", label(node), describe(node).1)).collect()

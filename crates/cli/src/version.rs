@@ -1,4 +1,4 @@
-//! What this program is: its version, the commit it was built from, its features and engines.
+//! The identity of this program: its version, the commit it was built from, its features and engines.
 
 /// The version alone.
 pub(crate) const NUMBER: &str = env!("CARGO_PKG_VERSION");
@@ -6,12 +6,12 @@ pub(crate) const NUMBER: &str = env!("CARGO_PKG_VERSION");
 pub(crate) const COMMIT: &str = env!("USE3D_COMMIT");
 /// The features that were chosen when it was built.
 pub(crate) const FEATURES: &str = env!("USE3D_FEATURES");
-/// What can train and draw.
+/// The engines that can train and draw.
 pub(crate) const ENGINES: &str = env!("USE3D_ENGINES");
 /// The kind of machine that it was built for.
 pub(crate) const TARGET: &str = env!("USE3D_TARGET");
 
-/// What `use3d --version` says after the program's name.
+/// The text of `use3d --version` after the program's name.
 pub(crate) const WHOLE: &str = concat!(
     env!("CARGO_PKG_VERSION"),
     " (commit ",

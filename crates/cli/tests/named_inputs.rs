@@ -75,7 +75,7 @@ fn a_mistyped_folder_fails_the_run_and_is_said_by_the_plan() {
     assert!(json.contains("\"exit_code\":2") && json.contains("nope/a does not exist"), "{json}");
     let (_, err) = expect(2, dir.path(), &["-q", "run", "p.toml", "--cache", "cache"]);
     assert!(err.contains("nope/a does not exist") && err.contains("nope/b does not exist"), "{err}");
-    // What does not need them runs.
+    // Stages that do not need them run.
     expect(0, dir.path(), &["-q", "run", "p.toml", "--until", "import", "--cache", "cache"]);
     let pairs = ["--pairs", "absent", "reef/images"];
     let plan = ["plan", capture, "--cache", "cache"];

@@ -58,7 +58,7 @@ fn place(scenes: &[String]) -> tempfile::TempDir {
     dir
 }
 
-/// What makes it a matter of seconds, and does without the weights that are too large to stand in for.
+/// Settings that make it a matter of seconds and do without weights that are too large to stand in for.
 const TINY: [&str; 7] = [
     "import.size=48x32",
     "reconstruct.iterations=12",
@@ -110,7 +110,7 @@ fn the_26_scenes_run_from_end_to_end_and_every_row_says_what_made_it() {
     for text in [first_screen, &enhancement[0], &enhancement[1], &enhancement[2]] {
         let plain = text.replace("&#39;", "'");
         for word in &told {
-            // Of 26 scenes, those that differ are counted.
+            // Values that differ between the 26 scenes are counted.
             assert!(plain.contains(word) || word.contains("held out, counted"), "{word}: {plain}");
         }
         assert!(plain.contains("changed: "), "{plain}");

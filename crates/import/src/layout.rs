@@ -99,7 +99,7 @@ fn instead_of_a_model(root: &Path) -> String {
     let model_of = |p: &PathBuf| {
         ["sparse/0", "sparse", "colmap/sparse/0"].iter().any(|d| ModelForm::of(&p.join(d)).is_some())
     };
-    // Of a list, so many are named.
+    // A message names this many entries of a list.
     const SHOWN: usize = 3;
     if let Some(parent) = parent.filter(model_of) {
         return format!("the parent folder contains a model: did you mean {}?", parent.display());

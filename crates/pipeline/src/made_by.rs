@@ -1,4 +1,4 @@
-//! What made the results of a scene, read from the nodes and artifacts of a run: see [`Configuration`].
+//! The configuration behind a scene's results, read from the nodes and artifacts of a run: see [`Configuration`].
 //!
 //! Parameters are those of the nodes; what parameters leave open (which depth prior was there, what the
 //! tracks told of the water, how many pairs a calibrator learnt from) the stages wrote into their artifacts.
@@ -19,7 +19,7 @@ use crate::stages::{CALIBRATED, CHOICES, Choices, read_json, registry};
 
 /// The preset that writes out every parameter with an effect on a result: only these are compared.
 const COMPLETE: &str = "paper";
-/// How the import says that views were counted in the authors' order.
+/// The import's words for views that were counted in the authors' order.
 const AUTHORS_SPLIT: &str = "one view in 8 is held out, counted by COLMAP image id from the first";
 
 /// Dotted paths and values of some parameters.
@@ -91,7 +91,7 @@ fn calibrator(provenance: &Provenance, calibrated: bool) -> (String, bool) {
     (told, whole && provenance.pairs >= METHOD_PAIRS)
 }
 
-/// What made the results of a scene in a variant; `None` where its stage 1 is not there.
+/// The configuration of a scene in a variant; `None` if its stage 1 is not there.
 pub(crate) fn configuration(summary: &Summary, scene: &str, variant: &str) -> Option<Configuration> {
     const STAGES: [&str; 9] =
         ["import", "depth", "pairs", "calibrate", "propose", "reconstruct", "targets", "enhance", "evaluate"];

@@ -280,7 +280,7 @@ fn timed_tables(
     (!scored.is_empty()).then(|| paper::tables(&scored))
 }
 
-/// What made the results of every scene in every variant of a run.
+/// The configuration of every scene in every variant of a run.
 fn configurations(summary: &Summary) -> BTreeMap<(&str, &str), Configuration> {
     let cells = summary.nodes.iter().filter(|n| n.stage == "reconstruct" && !n.scene.is_empty());
     cells
@@ -322,7 +322,7 @@ fn scores(artifact: &Artifact, configuration: &Configuration, target: &Path) -> 
     })
 }
 
-/// What wrote the results, when and where, in a line.
+/// One line with the program, the time and the place that wrote the results.
 fn written(summary: &Summary, command: &str) -> String {
     let manifests = || summary.nodes.iter().filter_map(|n| Some(&n.artifact.as_ref()?.manifest));
     let mut machines: Vec<String> = manifests()

@@ -56,7 +56,7 @@ pub enum SightsError {
     File {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The problem.
         source: TensorError,
     },
     /// A file that cannot be read.
@@ -64,7 +64,7 @@ pub enum SightsError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
     /// Sightings of another capture.

@@ -1,5 +1,5 @@
-//! Which files and crates a stage reaches, asked of a second reader that knows nothing of the first: it reads
-//! paths out of the text of the sources, where the build system reads tokens. What it finds has to be in
+//! A second reader of the files and crates that a stage reaches. It knows nothing of the first one: it reads
+//! paths out of the text of the sources, where the build system reads tokens. Everything it finds has to be in
 //! every stage's code, or an edit would leave stale artifacts in force.
 #![cfg(feature = "nets")]
 
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use use3d_pipeline::stages::registry;
 
-/// What is known to write no byte of an artifact (`RULES`, and what chooses a stage's inputs).
+/// Folders that write no byte of an artifact (`RULES`, and the code that chooses a stage's inputs).
 const NOT_FOLLOWED: [&str; 2] = ["src/config/", "src/engines/"];
 /// Crates of which the same is true: the build system, and what a card computes, which the numeric class tells.
 const CRATES_NOT_FOLLOWED: [&str; 2] = ["use3d-build", "use3d-gpu"];

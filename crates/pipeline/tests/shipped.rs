@@ -223,7 +223,7 @@ fn presets_are_the_weakest_layer_and_nothing_but_their_values() {
     for name in presets() {
         graph_of(&format!("preset = \"{name}\""), &[]).unwrap_or_else(|e| panic!("{name}: {e}"));
     }
-    // What the paper's values are, tests/paper says; here, that they are in force and the weakest layer.
+    // tests/paper checks the paper's values. Here, they are in force and the weakest layer.
     let paper = graph_of("preset = \"paper\"", &[]).unwrap();
     for (stage, parameter, value) in [
         ("reconstruct", "medium_prior", "off"),
@@ -292,7 +292,7 @@ fn naming_pairs_or_a_calibrator_turns_calibration_on() {
     }
     assert!(calibrated("", &["calibrate.steps=5"], "a", ""));
     assert!(calibrated("", &["targets.calibrated=true"], "a", ""));
-    // What is named for a scene or a variant holds there alone.
+    // A calibrator of a scene or a variant holds there alone.
     let b = "[[scene]]\nname = \"b\"\ncapture = \"b\"\ncalibrator = { file = \"c\" }";
     assert_eq!((calibrated(b, &[], "a", ""), calibrated(b, &[], "b", "")), (false, true));
     let v = "[[variant]]\nname = \"v\"\n[[variant]]\nname = \"w\"\ncalibrator = { file = \"c\" }";

@@ -40,7 +40,7 @@ pub enum MediumPrior {
     Tracks,
 }
 
-/// Where Gaussians start.
+/// The places where Gaussians start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum StartPoints {
@@ -137,7 +137,7 @@ impl Default for LearningRates {
     }
 }
 
-/// How Gaussians are added and removed.
+/// The rule by which Gaussians are added and removed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Strategy {
@@ -151,12 +151,12 @@ pub enum Strategy {
     Frugal,
 }
 
-/// How Gaussians are held back where no view has seen the scene well: what only views from about one
-/// direction show, what lies beyond the last tracked points, and what no view has in its picture.
+/// Bounds on Gaussians that no view has seen well: those that only views from about one direction show,
+/// those beyond the last tracked points, and those outside every picture.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Unseen {
-    /// Whether they are. What that costs and gives was not measured yet.
+    /// Apply the bounds. Their cost and gain have not been measured yet.
     pub enabled: bool,
     /// Steps between two times.
     pub every: u64,
@@ -165,7 +165,7 @@ pub struct Unseen {
     pub spread: f64,
     /// Such a Gaussian is at most this many times as long along the view as across it.
     pub stretch: f64,
-    /// Of what one or two such views show and of what lies beyond: largest standard deviation, as a share of
+    /// Largest standard deviation of a Gaussian that one or two such views show or that lies beyond, as a share of
     /// the picture's width.
     pub width: f64,
     /// A Gaussian lies beyond if it is this many times as far as the last sparse points of every view.
@@ -186,7 +186,7 @@ impl Default for Unseen {
 pub struct Densify {
     /// Whether the number of Gaussians changes at all.
     pub enabled: bool,
-    /// How Gaussians are added and removed.
+    /// The rule by which Gaussians are added and removed.
     pub strategy: Strategy,
     /// Gradient statistics are gathered from this step on.
     pub statistics_from: u64,
@@ -219,9 +219,9 @@ pub struct Densify {
     /// A run with a course of fewer steps than this has no ceilings and removes no Gaussians above half of
     /// `initial_opacity`: opacities have no time to rise. 0: runs of any length are alike.
     pub gentle_below: u64,
-    /// Of the `frugal` strategy: Gaussians below this opacity are removed.
+    /// The `frugal` strategy removes Gaussians below this opacity.
     pub frugal_cull_opacity: f64,
-    /// Of the `frugal` strategy: training pixels for each Gaussian of the budget at the end of growth; a
+    /// Training pixels for each Gaussian of the `frugal` strategy's budget at the end of growth; a
     /// budget is never below one and a half times the initial Gaussians.
     pub frugal_pixels: f64,
     /// Gaussians with a standard deviation above this are removed, scene units.
@@ -310,7 +310,7 @@ pub struct ReconstructParams {
     pub resolution_schedule: Vec<(f64, usize)>,
     /// Opacity of the initial Gaussians.
     pub initial_opacity: f64,
-    /// Where Gaussians start.
+    /// The places where Gaussians start.
     pub start_points: StartPoints,
     /// Initial Gaussians where the capture has fewer than 100 sparse points.
     pub random_points: usize,
@@ -318,7 +318,7 @@ pub struct ReconstructParams {
     pub learning_rates: LearningRates,
     /// Density control.
     pub densify: Densify,
-    /// Where no view has seen the scene well.
+    /// Bounds on Gaussians that no view has seen well.
     pub unseen: Unseen,
     /// Most Gaussians, the initial ones included: of more sparse points a random choice stays. 0: one
     /// for every eight pixels of the training views or four for every sparse point, whichever are
@@ -539,7 +539,7 @@ impl ReconstructParams {
         if self.is_gentle() { usual.min(0.5 * self.initial_opacity) } else { usual }
     }
 
-    /// Whether opacities have no time to rise, or to recover from ceilings.
+    /// True if the run is too short for opacities to rise, or to recover from ceilings.
     pub fn is_gentle(&self) -> bool {
         self.course() < self.densify.gentle_below
     }

@@ -235,9 +235,9 @@ struct Run<'a> {
     most: usize,
     /// Pixels of the training views.
     pixels: u64,
-    /// What the `frugal` strategy asks.
+    /// The views that the `frugal` strategy asks.
     judges: Judges,
-    /// What bounds Gaussians that are poorly seen.
+    /// The views that bound poorly seen Gaussians.
     witnesses: Witnesses,
     cap_told: bool,
     growth: Vec<Stretch>,

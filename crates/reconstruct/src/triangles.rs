@@ -93,7 +93,7 @@ impl Voxel {
     }
 }
 
-/// What was merged in a voxel.
+/// The points merged in a voxel.
 #[derive(Clone, Copy, Debug, Default)]
 struct Merged {
     position: DVec3,
@@ -161,12 +161,12 @@ pub(crate) fn between(
     points
 }
 
-/// Where a view saw a tracked point.
+/// A tracked point as a view saw it.
 #[derive(Clone, Copy, Debug)]
 struct Corner {
     at: DVec2,
     depth: f64,
-    /// How much of the colour behind the water is taken, 0 to 1 per channel.
+    /// The share of the colour behind the water that is taken, 0 to 1 per channel.
     sure: [f64; 3],
 }
 
@@ -236,7 +236,7 @@ fn samples(
     found
 }
 
-/// Whether a triangle is neither small nor large nor steep.
+/// True if a triangle is neither small nor large nor steep.
 fn smooth(corners: &[Corner; 3], step: f64, longest: f64) -> bool {
     let [a, b, c] = corners;
     let side = a.at.distance(b.at).max(b.at.distance(c.at)).max(c.at.distance(a.at));
@@ -458,7 +458,7 @@ mod tests {
         let points = plane();
         let (attenuation, veil) = ([0.4, 0.2, 0.1], [0.1, 0.3, 0.4]);
         let radiance = [0.6, 0.5, 0.4];
-        // What a camera sees of an even surface of this radiance at its pixels.
+        // An even surface of this radiance as a camera sees it at its pixels.
         let shown = |camera: Camera| {
             view(
                 camera,

@@ -91,7 +91,7 @@ impl Mode {
         matches!(self, Self::Enhanced | Self::EnhancedClear)
     }
 
-    /// What a white balance multiplies its colours with, per channel; `None` of a mode that it leaves alone.
+    /// The gains of a white balance for its colours, per channel; `None` for a mode without a white balance.
     pub fn gains(self, gains: &Gains) -> Option<[f32; 3]> {
         match self {
             Self::Clear => Some(gains.clear),

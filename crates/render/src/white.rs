@@ -59,7 +59,7 @@ const REEF: [f64; 2] = [0.27, -0.40];
 const REEF_SPREAD: f64 = 0.5;
 /// The spread of the belief that there is no cast.
 const NO_CAST_SPREAD: f64 = 0.25;
-/// How the logarithm of linear light goes with that of display values.
+/// The ratio of the logarithms of linear light and of display values.
 const GAMMA: f64 = 2.2;
 
 /// The colour of a place.
@@ -67,7 +67,7 @@ const GAMMA: f64 = 2.2;
 pub struct Patch {
     /// Its mean colour in `clear`, `enhanced` and `enhanced-clear`, display values, unclamped.
     pub colors: [[f64; 3]; 3],
-    /// How far it is along the optical axis, scene units.
+    /// Its distance along the optical axis, scene units.
     pub depth: f64,
 }
 
@@ -211,11 +211,11 @@ fn linear(v: f64) -> f64 {
     if v <= 0.04045 { v / 12.92 } else { math::powf((v + 0.055) / 1.055, 2.4) }
 }
 
-/// What the surfaces of a scene look like: per look, the linear colours of its voxels.
+/// The surfaces of a scene: for each look, the linear colours of its voxels.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surfaces {
     colors: [Vec<[f64; 3]>; 3],
-    /// Whether the scene is enhanced, so that the last two looks are its own.
+    /// True if the scene is enhanced, so that the last two looks are its own.
     enhanced: bool,
 }
 
@@ -264,7 +264,7 @@ impl Surfaces {
         Ok(Self { enhanced: renderer.is_enhanced(), ..Self::of_points(&points) })
     }
 
-    /// Of points with their distance and their display colours.
+    /// Merges points with their distance and their display colours.
     fn of_points(points: &[(DVec3, f64, [[f64; 3]; 3])]) -> Self {
         let mut distances: Vec<f64> = points.iter().map(|point| point.1).collect();
         distances.sort_unstable_by(f64::total_cmp);

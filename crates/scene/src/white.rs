@@ -67,7 +67,7 @@ pub struct Click {
     pub x: f64,
     /// And from the top.
     pub y: f64,
-    /// How far the place is from that camera, units of the COLMAP model.
+    /// Distance of the place from that camera, units of the COLMAP model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub distance: Option<f64>,
 }
@@ -76,11 +76,11 @@ pub struct Click {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub struct Gains {
-    /// Of `clear`.
+    /// Gains of `clear`.
     pub clear: [f32; 3],
-    /// Of `enhanced`.
+    /// Gains of `enhanced`.
     pub enhanced: [f32; 3],
-    /// Of `enhanced-clear`.
+    /// Gains of `enhanced-clear`.
     pub enhanced_clear: [f32; 3],
 }
 
@@ -88,7 +88,7 @@ impl Gains {
     /// Those that change nothing.
     pub const ONE: Self = Self { clear: [1.0; 3], enhanced: [1.0; 3], enhanced_clear: [1.0; 3] };
 
-    /// Of a cast per look: `clear`, `enhanced`, `enhanced-clear`.
+    /// The gains that remove one cast for each look: `clear`, `enhanced`, `enhanced-clear`.
     pub fn of_casts([clear, enhanced, enhanced_clear]: [[f64; 2]; 3]) -> Self {
         Self { clear: gains(clear), enhanced: gains(enhanced), enhanced_clear: gains(enhanced_clear) }
     }
@@ -122,12 +122,12 @@ pub struct White {
     /// The places, if a person named some.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub clicks: Vec<Click>,
-    /// What colours are multiplied with.
+    /// The factors of the colours.
     pub gains: Gains,
 }
 
 impl White {
-    /// Of a method, the places that it took for grey, and its gains.
+    /// Makes it from a method, the places taken for grey, and the gains.
     pub fn new(method: Method, clicks: Vec<Click>, gains: Gains) -> Self {
         Self { format: FORMAT.into(), version: VERSION, method, scene: None, clicks, gains }
     }
@@ -138,12 +138,12 @@ impl White {
         Self { scene: key_of(folder), ..self }
     }
 
-    /// Whether it was measured in another scene than the one that now lies in the folder.
+    /// True if it was measured in another scene than the one that now lies in the folder.
     pub fn is_outdated(&self, folder: &Path) -> bool {
         self.scene.is_some() && self.scene != key_of(folder)
     }
 
-    /// Where the white balance of a scene folder lies: beside it.
+    /// The file with the white balance of a scene folder, beside the folder.
     pub fn place(scene: &Path) -> PathBuf {
         let scene = std::path::absolute(scene).unwrap_or_else(|_| scene.to_path_buf());
         let mut name = scene.file_name().unwrap_or_default().to_os_string();
@@ -176,7 +176,7 @@ impl White {
         Ok(white)
     }
 
-    /// What is wrong with it, in words.
+    /// Checks every number.
     fn check(&self) -> Result<(), String> {
         if self.format != FORMAT {
             let format = use3d_capture::shown(&self.format);
@@ -264,7 +264,7 @@ mod tests {
             let error = White::beside(&scene).unwrap_err().to_string();
             assert!(error.contains(said) && error.contains("white.json"), "{from}: {error}");
         }
-        // Of a scene with a key it knows when another one has taken its place.
+        // The key in the manifest tells if another scene has taken the folder.
         let manifest = scene.join("manifest.json");
         std::fs::write(&manifest, r#"{ "key": "abc" }"#).unwrap();
         let of = white.clone().of_scene(&scene);

@@ -11,8 +11,8 @@
 //! | `box` | `[2, 3]` | lower and upper corner of the field |
 //! | `centre` | `[6]` | the removed constant mode |
 //!
-//! What the field was learnt in ([`Enhancement::appearance`], [`Enhancement::kept_water`]) is not in here; a reader that knows sets it,
-//! else it is with water. All f32, little-endian. Unknown tensors are an error: a file that says more than we
+//! The appearance and the share of water that the field was learnt in ([`Enhancement::appearance`],
+//! [`Enhancement::kept_water`]) are not in here: a reader that knows them sets them, else it is all of the water. All f32, little-endian. Unknown tensors are an error: a file that says more than we
 //! read would be read wrongly.
 
 use std::ops::Range;

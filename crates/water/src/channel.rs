@@ -39,8 +39,8 @@ const ROUNDS: usize = 3;
 /// A gain per view is kept where it takes away at least this share of the loss: exposure that changes does
 /// more than this, and gains that are not there would take over part of what distance does.
 const GAINS_EXPLAIN: f64 = 0.35;
-/// Where gains without any water leave less than water without gains, this share is enough: exposure is then
-/// what changes most, and water that is fitted without it takes over part of what exposure does.
+/// If gains without any water leave less than water without gains, this share is enough: exposure then changes
+/// most, and water that is fitted without it takes over part of what exposure does.
 const GAINS_EXPLAIN_FIRST: f64 = 0.15;
 /// Width of the log-gains before anything is known of them.
 const GAIN_PRIOR: f64 = 0.1;
@@ -406,7 +406,7 @@ fn trend(channel: &Channel) -> Vec<f64> {
 /// Standard deviation of the gains that the data show (one step of expectation and maximisation).
 fn gain_width(channel: &Channel, best: &Fit, prior: &Prior) -> f64 {
     let gains = &best.theta[GAIN..];
-    // What a view's own data say about its gain, without the others: an upper bound of its precision.
+    // A view's own data alone give an upper bound of the precision of its gain.
     let mut precision = vec![0.0; gains.len()];
     for (i, view) in channel.view.iter().enumerate() {
         let m = channel.value[i] - best.residuals[i];

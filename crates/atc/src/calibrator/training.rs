@@ -27,18 +27,18 @@ pub const METHOD_PAIRS: usize = 800;
 /// Most cells that enter the statistics.
 const STATISTICS_CELLS: usize = 100_000;
 
-/// Whose interquartile ranges are the scales of errors (R19).
+/// The operators whose interquartile ranges are the scales of errors (R19).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Scales {
-    /// Of the residuals `target − proposal`, as in the authors' release.
+    /// The residuals `target − proposal`, as in the authors' release.
     #[default]
     Residuals,
-    /// Of the paired operators themselves, as the paper writes.
+    /// The paired operators themselves, as the paper writes.
     Operators,
 }
 
-/// How the last layer of a head starts (R18).
+/// The start of a head's last layer (R18).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum LastLayer {
@@ -71,9 +71,9 @@ pub struct CalibratorParams {
     pub global_hidden: usize,
     /// Width of the local head's hidden layers.
     pub local_hidden: usize,
-    /// How the last layers start.
+    /// The start of the last layers.
     pub last_layer: LastLayer,
-    /// What the scales of errors are the ranges of: those of the fit and those of stage 2.
+    /// The operators whose ranges scale the errors of the fit and of stage 2.
     pub scales: Scales,
     /// Share of the pairs held out for the report (0: no report, and no early stopping). The final fit uses
     /// all pairs.

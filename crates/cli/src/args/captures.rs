@@ -52,7 +52,7 @@ pub(crate) struct SynthCaptureArgs {
     /// Water type (Jerlov): I, IA, IB, II, III, 1C, 3C, 5C, 7C, 9C; with --physics spectral also `air`.
     #[arg(long, value_name = "TYPE")]
     pub(crate) water: Option<String>,
-    /// Where it is taken: `reef`; `pool`, a tiled basin of even surfaces; `veil-pool`, whose tiles have the
+    /// The place: `reef`; `pool`, a tiled basin of even surfaces; `veil-pool`, whose tiles have the
     /// colour of open water.
     #[arg(long, value_name = "NAME", default_value = "reef")]
     pub(crate) place: String,

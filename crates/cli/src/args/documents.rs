@@ -131,7 +131,7 @@ fn unknown_keys(arguments: &[String], known: &BTreeSet<String>) -> Vec<String> {
                 bare = rest;
             }
         }
-        // Of the pipeline itself, not of a stage.
+        // These belong to the pipeline, not to a stage.
         let pipeline = ["preset", "seed"].contains(&bare) || bare.starts_with("calibrator.");
         // By hand a stage knows its own names without itself in front.
         let of_a_stage =

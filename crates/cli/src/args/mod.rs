@@ -202,7 +202,7 @@ pub(crate) enum Verb {
         after_help = "Examples:\n  use3d water my-reef/\n  use3d water my-reef/ --set image_dir=images_2 --json"
     )]
     Water(WaterArgs),
-    /// What this installation can do: program, machine, helper programs, networks, graphics cards.
+    /// Show what this installation can do: program, machine, helper programs, networks, graphics cards.
     #[command(after_help = "Examples:\n  use3d doctor\n  use3d doctor --json")]
     Doctor(DoctorArgs),
     /// Networks trained by others: which files are looked for, found or missing, licence, where to get them.

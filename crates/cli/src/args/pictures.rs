@@ -172,7 +172,7 @@ pub(crate) struct ExportArgs {
     /// the page opens with.
     #[arg(long, value_enum)]
     pub(crate) what: Option<ExportWhat>,
-    /// How much of the look's water is left, 0 to 1.
+    /// The share of the look's water that is left, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 1.0)]
     pub(crate) water: f32,
     /// Leave out the sphere of Gaussians that shows open water behind the scene.

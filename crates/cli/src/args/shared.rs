@@ -7,10 +7,10 @@ use clap::Args;
 use clap::builder::{RangedU64ValueParser, TypedValueParser};
 use use3d_reconstruct::EngineChoice;
 
-/// What computes.
+/// The engine that computes.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct EngineArgs {
-    /// What trains and draws: auto, cpu, gpu or gpu:NAME (`use3d devices` lists them;
+    /// The engine that trains and draws: auto, cpu, gpu or gpu:NAME (`use3d devices` lists them;
     /// default: the pipeline's, or cpu).
     #[arg(long, value_name = "ENGINE")]
     engine: Option<EngineChoice>,
@@ -175,12 +175,12 @@ pub(crate) struct CalibrationArgs {
 }
 
 impl CalibrationArgs {
-    /// Of pairs or a calibrator.
+    /// The arguments that name these pairs or this calibrator.
     pub(crate) fn of(pairs: Option<(PathBuf, PathBuf)>, calibrator: Option<PathBuf>) -> Self {
         Self { pairs: pairs.map_or_else(Vec::new, |(input, target)| vec![input, target]), calibrator }
     }
 
-    /// Whether nothing was given.
+    /// True if nothing was given.
     pub(crate) fn is_empty(&self) -> bool {
         self.pairs.is_empty() && self.calibrator.is_none()
     }

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use clap::Args;
 
-/// What the colours are balanced by.
+/// One way to balance the colours.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum WhiteChoice {
     /// Nothing.
@@ -41,7 +41,7 @@ impl Place {
     }
 }
 
-/// What a choice may be.
+/// The list of choices, for messages.
 const EXPECTED: &str = "expected off, reef, grey, a pixel of a photograph that shows something grey or white \
                         (f_0001.jpg:812,430), or a file (white.json)";
 
@@ -101,7 +101,7 @@ pub(crate) struct KeepWhiteArgs {
     /// The scene, or the results folder of a run that made one.
     #[arg(value_name = "SCENE_DIR|RESULTS_DIR")]
     pub(crate) scene: PathBuf,
-    /// What to balance by: one or more pixels of photographs that show something grey or white
+    /// The reference: one or more pixels of photographs that show something grey or white
     /// (f_0001.jpg:812,430), `reef`, `grey`, a file, or `off`. Left out: say what is kept.
     #[arg(value_name = "VIEW:X,Y|reef|grey|FILE.json|off")]
     pub(crate) choices: Vec<WhiteChoice>,

@@ -30,7 +30,7 @@ const FOLDERS: [(&str, &str); 5] = [
     ("render", "renders"),
     ("evaluate", "scores"),
 ];
-/// What is compared in numbers: metric, its head, which direction is good, decimals.
+/// The compared scores: metric, column head, better direction, decimals.
 const METRICS: [(&str, &str, Better, usize); 7] = [
     ("psnr", "PSNR", Better::Higher, 2),
     ("ssim", "SSIM", Better::Higher, 3),
@@ -158,7 +158,7 @@ fn row(label: String, scores: Option<&SceneScores>, method: Method) -> Row {
     Row { label, published: false, made_by, cells: METRICS.iter().map(|(metric, ..)| cell(metric)).collect() }
 }
 
-/// What the two are compared by in numbers; columns that neither has are left out.
+/// The table of scores of both; it leaves out columns that neither has.
 fn table(name: &str, sides: [&BTreeMap<String, PathBuf>; 2]) -> Option<Table> {
     let all = sides.map(scores);
     let mut rows = Vec::new();
@@ -178,7 +178,7 @@ fn table(name: &str, sides: [&BTreeMap<String, PathBuf>; 2]) -> Option<Table> {
     (!columns.is_empty()).then(|| Table { name: "comparison".into(), caption, columns, rows })
 }
 
-/// How the two compare in a sentence.
+/// The comparison in one sentence.
 fn sentence(sides: [&BTreeMap<String, PathBuf>; 2]) -> Option<Sentence> {
     let psnr = |stages| scores(stages)?.mean(Method::Reconstruction, "psnr")?.value();
     let [a, b] = [psnr(sides[0])?, psnr(sides[1])?];

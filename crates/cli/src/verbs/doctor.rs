@@ -1,5 +1,5 @@
-//! What this installation can do: the program itself, the machine, helper programs, networks and graphics cards,
-//! each with what it is good for and how to get it where it is missing.
+//! The abilities of this installation: the program itself, the machine, helper programs, networks and graphics
+//! cards, each with its use and the way to get it if it is missing.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -17,11 +17,11 @@ use crate::version;
 struct Finding {
     /// Its name.
     name: String,
-    /// Whether it is there.
+    /// True if it is there.
     found: bool,
-    /// What was found, or how to get it.
+    /// The version or place that was found, or the way to get it.
     told: String,
-    /// What it is good for.
+    /// Its use.
     #[serde(rename = "use")]
     purpose: String,
 }
@@ -139,7 +139,7 @@ fn free_space(folder: &Path) -> Option<u64> {
     text.lines().nth(1)?.split_whitespace().nth(3)?.parse::<u64>().ok()?.checked_mul(1024)
 }
 
-/// Whether a program starts, and the first line that it says of itself.
+/// Starts a program and reads the first line of its output.
 fn program([name, argument, purpose, origin]: &[&str; 4]) -> Finding {
     let said = Command::new(name).arg(argument).stdin(Stdio::null()).stderr(Stdio::null()).output();
     match said {

@@ -1,4 +1,4 @@
-//! What was run into a results folder: one small file for each run, `RESULTS/runs/0001.json` and so on.
+//! The history of a results folder: one small file for each run, `RESULTS/runs/0001.json` and so on.
 //!
 //! A run replaces the results of the run before in its folder; the work itself stays in the cache. The record says
 //! what the run was given and which artifacts it delivered, so that `use3d results` can tell runs apart and bring
@@ -30,7 +30,7 @@ pub(crate) struct Record {
     version: u32,
     /// When its results were last put into the folder, seconds since 1970.
     pub(crate) delivered: u64,
-    /// What was typed.
+    /// The command line.
     pub(crate) command: String,
     /// The pipeline file or capture folder.
     pub(crate) target: PathBuf,
@@ -48,7 +48,7 @@ pub(crate) struct Record {
     pub(crate) cache: PathBuf,
     /// The models folder.
     pub(crate) models: Option<PathBuf>,
-    /// What was delivered.
+    /// The delivered artifacts.
     pub(crate) artifacts: Vec<Made>,
 }
 
@@ -70,7 +70,7 @@ fn whole(path: &Path) -> PathBuf {
 }
 
 impl Record {
-    /// Of a run that is over.
+    /// Makes the record of a finished run.
     pub(crate) fn of(
         args: &PipelineArgs,
         scenes: &[String],
@@ -114,7 +114,7 @@ impl Record {
         Ok(record)
     }
 
-    /// What sets it apart, in a line.
+    /// The settings that differ from the defaults, in one line.
     pub(crate) fn settings(&self) -> String {
         let mut words = self.sets.clone();
         words.extend(self.pairs.iter().map(|(input, _)| format!("--pairs {}", path_text(input))));

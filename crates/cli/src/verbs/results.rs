@@ -16,7 +16,7 @@ use crate::error::{CliError, Done};
 use crate::verbs::history::{self, Record};
 use crate::verbs::run;
 
-/// Where results go unless somebody says otherwise.
+/// The default folder of results.
 const OUT: &str = "use3d-out";
 
 /// A run, as it is told.
@@ -24,13 +24,13 @@ const OUT: &str = "use3d-out";
 struct Told {
     /// By which it is brought back.
     run: usize,
-    /// Whether its results stand in the folder now.
+    /// True if its results stand in the folder now.
     shown: bool,
     /// When they were put there, UTC.
     delivered: String,
     command: String,
     settings: String,
-    /// Whether all of it is in the cache still.
+    /// True if all of it is still in the cache.
     kept: bool,
     /// PSNR of the held-out views of the first scene, decibels.
     psnr: Option<f64>,

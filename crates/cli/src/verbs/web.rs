@@ -127,7 +127,7 @@ fn check_capture(
     )))
 }
 
-/// Whether a scene's frame is the one that a capture is imported in, or that of COLMAP itself (`normalise = false`).
+/// True if a scene's frame is the one that a capture is imported in, or COLMAP's own (`normalise = false`).
 fn same_place(scene: &Frame, capture: &Frame) -> bool {
     // Far more than rounding, far less than another model would be off.
     const ALIKE: f64 = 0.01;

@@ -33,7 +33,7 @@ fn placed(cameras: Option<&Path>, scene: &Scene) -> Result<Vec<(String, Camera)>
     Ok(read.into_iter().map(place).collect())
 }
 
-/// Where a pixel of a picture of another size lies in a camera's own. One of the two is the other scaled to cover it
+/// The place of a pixel of a picture of another size in the camera's own. One picture is the other scaled to cover it
 /// and cropped centrally, as the import does; the larger one is the whole.
 fn rescaled(place: &Place, camera: &Camera) -> (f64, f64) {
     let Some((width, height)) = place.size else { return (place.x, place.y) };
@@ -85,7 +85,7 @@ fn stem_of(name: &str) -> &str {
     name.rsplit_once('.').map_or(name, |(stem, _)| stem)
 }
 
-/// What is asked for, measured where it must be; `None` for `off`.
+/// The gains of the choices, measured where they must be; `None` for `off`.
 fn measured(
     choices: &[WhiteChoice],
     scene: &Scene,

@@ -1,4 +1,4 @@
-//! What made a scene's numbers: the preset and what was changed of it, the 2D enhancer, the calibrator, the
+//! The configuration behind a scene's numbers: the preset and what was changed of it, the 2D enhancer, the calibrator, the
 //! depth prior, the water, the steps, the split, the views, the seed.
 //!
 //! It stands beside every row of the tables, on the first screen of the report and in `scores.json`. It is
@@ -11,35 +11,35 @@ const PAPER: &str = "paper";
 /// Different values of one field that are said one by one.
 const SHOWN: usize = 3;
 
-/// How the numbers of one scene in one variant came about, in words.
+/// The configuration behind the numbers of one scene in one variant, in words.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Configuration {
     /// The preset's name; empty for none.
     pub preset: String,
-    /// What was said otherwise than the preset (or, without one, than the defaults) has it.
+    /// Parameters that differ from the preset or, without one, from the defaults.
     pub changed: Vec<String>,
-    /// What proposed the transitions.
+    /// The proposer of the transitions.
     pub proposer: String,
-    /// Where the calibrator came from, its pairs, and the share of its correction that was kept.
+    /// The calibrator's origin, its pairs, and the share of its correction that was kept.
     pub calibrator: String,
     /// The depth prior in force.
     pub depth_prior: String,
-    /// What the water started from.
+    /// The start of the water.
     pub water: String,
     /// Steps of stage 1 and of stage 2.
     pub steps: String,
-    /// How views were held out, with the digest of their list.
+    /// The rule by which views were held out, with the digest of their list.
     pub split: String,
     /// Training views and held-out views.
     pub views: String,
     /// The seed.
     pub seed: String,
-    /// Whether pairs and split are the paper's, too, which no preset can say.
+    /// True if pairs and split are the paper's, too; no preset can set them.
     pub data_of_the_paper: bool,
 }
 
 impl Configuration {
-    /// Whether published numbers may stand beside these: everything is the paper's.
+    /// True if everything is the paper's, so that published numbers may stand beside these.
     pub fn is_the_papers(&self) -> bool {
         self.preset == PAPER && self.changed.is_empty() && self.data_of_the_paper
     }
@@ -67,7 +67,7 @@ impl Configuration {
         ]
     }
 
-    /// What made the numbers of several scenes, in a line: a value that they share stands once.
+    /// The configurations of several scenes in one line; a value that they share stands once.
     pub fn told(all: &[&Self]) -> String {
         let Some(first) = all.first() else { return String::new() };
         let each: Vec<_> = all.iter().map(|c| c.fields()).collect();

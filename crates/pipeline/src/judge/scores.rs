@@ -243,7 +243,7 @@ pub struct ScoredScene {
     pub source: String,
     /// The scores.
     pub scores: SceneScores,
-    /// What made them; never part of an artifact, filled in when results are shown.
+    /// The configuration behind them. It is never part of an artifact; delivery fills it in.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub configuration: Option<Configuration>,
     /// How fast the scene is drawn on the machine that evaluated it; never part of an artifact, filled in

@@ -139,7 +139,7 @@ impl Judges {
         scores
     }
 
-    /// What LPIPS keeps of two images, measured (docs/science/networks.md).
+    /// Memory that LPIPS keeps for two images, measured (docs/science/networks.md).
     #[cfg(feature = "nets")]
     fn lpips_bytes_per_pixel(&self) -> u64 {
         if self.lpips.is_ok() { 92 } else { 0 }

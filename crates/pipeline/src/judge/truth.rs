@@ -44,7 +44,7 @@ use crate::judge::scores::{Score, Scores};
 
 /// The true clean images, relative to the capture.
 const CLEAN: &str = "truth/clean";
-/// Where grey patches are.
+/// The folder with the maps of grey patches.
 const GREYS: &str = "truth/greys";
 /// Grey patches are near up to the first and far from the second, metres.
 const NEAR_AND_FAR: [f64; 2] = [3.0, 4.0];

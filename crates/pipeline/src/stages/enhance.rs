@@ -99,7 +99,7 @@ fn reached(report: &Report, params: &EnhanceParams) -> Vec<String> {
     lines
 }
 
-/// How much an error has to grow to be a warning, in its scale: what can be seen in three decimals, and more
+/// An error that grows by more than this, in its scale, is a warning: it can be seen in three decimals, and is more
 /// than the noise of a fit that has nothing to do.
 const GROWTH: f64 = 2e-3;
 

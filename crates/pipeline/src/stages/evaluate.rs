@@ -44,7 +44,7 @@ use crate::judge::speed;
 use crate::judge::strip::{Seen, Strip, choose, sheet};
 use crate::judge::truth::{Truth, files};
 
-/// Which scores an evaluation has to have.
+/// The scores that an evaluation has to have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Wanted {
@@ -61,7 +61,7 @@ pub(super) enum Wanted {
 pub(super) struct Params {
     /// The 2D enhancer of the reference rows; `auto` as in `pairs`.
     pub(super) proposer: ProposerChoice,
-    /// Whether scores may be missing.
+    /// The scores that must be there.
     pub(super) scores: Wanted,
     /// Pairs of captured views next to each other that are compared, evenly chosen; 0: none.
     pub(super) neighbour_pairs: usize,

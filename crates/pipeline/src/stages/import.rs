@@ -59,7 +59,7 @@ fn below<'f>(files: impl Iterator<Item = &'f PathBuf>, capture: &Path, folder: &
     files.filter_map(name).collect()
 }
 
-/// Whether a part of a relative path begins with a dot: such files of a folder count only where they are named.
+/// True if a part of a relative path begins with a dot. Such files count only if they are named.
 fn has_hidden_part(file: &Path) -> bool {
     file.iter().any(|part| part.to_string_lossy().starts_with('.') && part != ".")
 }

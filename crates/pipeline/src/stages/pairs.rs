@@ -25,7 +25,7 @@ pub(super) struct PairsParams {
     pub(super) proposer: ProposerChoice,
     /// The extractor; scenes follow it.
     pub(super) extractor: ExtractorSettings,
-    /// Whether synthetic pairs stand in where the pipeline names none; without them that is an error.
+    /// Let synthetic pairs stand in where the pipeline names none; `false` makes that an error.
     pub(super) stand_in: bool,
     /// The synthetic pairs that stand in when the pipeline names no pairs.
     pub(super) synthetic: use3d_synth::PairsParams,

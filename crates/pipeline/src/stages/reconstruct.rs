@@ -36,7 +36,7 @@ const FIGURES: [Figure; 2] = [
 pub struct Choices {
     /// The depth prior in force.
     pub depth_prior: String,
-    /// What the water started from.
+    /// The start of the water.
     pub water: String,
 }
 
@@ -137,7 +137,7 @@ fn known_from_tracks(context: &StageContext) -> Result<(Known, bool, String), St
     Ok((known, judgement.no_water(), said))
 }
 
-/// What the water starts from where no track is asked.
+/// The start of the water if no track is asked.
 fn water_learnt(params: &ReconstructParams) -> &'static str {
     if params.medium == Medium::None { "none" } else { "learnt from the first step on" }
 }

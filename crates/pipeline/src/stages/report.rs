@@ -142,7 +142,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     write_text(&context.output().join("index.html"), &page.html()?)
 }
 
-/// How many scenes, variants and scores there are, in a line.
+/// One line with the number of scenes, variants and scores.
 fn head(all: &[Parts<'_>], cells: usize, scored: usize) -> String {
     let count = |names: &mut Vec<&str>| {
         names.sort_unstable();

@@ -1,4 +1,4 @@
-//! What each stage needs from outside before anything runs: weights, pairs, calibrators, objectives that go
+//! The requirements of each stage before anything runs: weights, pairs, calibrators, objectives that go
 //! together, truth that can be read.
 //!
 //! The list is laid over the table of stages from outside, as the forecasts of memory are: it decides
@@ -21,7 +21,7 @@ use crate::judge::truth;
 
 /// Fewest pairs that say how transitions vary.
 const FEWEST_PAIRS: usize = 2;
-/// Where pairs are published.
+/// The places where pairs are published.
 const PAIRS: &str = "UIEB, LSUI or EUVP, docs/datasets.md says where they are published";
 
 /// The stage with its requirements.
@@ -103,7 +103,7 @@ fn network(named: &Named, what: &str, networks: &[use3d_nets::Network], without:
     Some(Lacking { what: what.into(), remedy, without })
 }
 
-/// What is named and cannot be said, or is not there, in words.
+/// The reason why a named file cannot be used; `None` if it is there.
 fn unfound(named: &Named, external: &str) -> Option<String> {
     let by = named.by(external);
     let by = if by.is_empty() { String::new() } else { format!(", named by {by}") };
@@ -177,7 +177,7 @@ fn of_reconstruct(all: &AllParameters) -> Option<Lacking> {
     asked.then(|| no_networks("Depth Anything V2, the depth prior of the paper", without))
 }
 
-/// Which proposer the calibrator of the targets is fitted for, and whether that is what is asked for.
+/// Checks that the calibrator of the targets is fitted for the proposer that is asked for.
 fn of_targets(all: &AllParameters, named: &Named) -> Option<Lacking> {
     let choice = all.get("targets").map(|p| p["proposer"].clone()).unwrap_or_default();
     let choice: ProposerChoice = serde_json::from_value(choice).unwrap_or_default();

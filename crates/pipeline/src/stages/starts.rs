@@ -16,7 +16,7 @@ use super::kept_water::{self, KeptWaterChoice};
 use super::proposer::{ProposerChoice, of_calibrator, open};
 use super::targets::{Params, Source};
 
-/// Where the pictures come from.
+/// The source of the pictures.
 enum Pictures<'s> {
     /// The photographs, and proposals for them.
     Photographs(Box<dyn Proposer>),
@@ -31,7 +31,7 @@ pub(super) struct Starts<'s> {
     pictures: Pictures<'s>,
     /// The calibrator; without one, a calibrator that corrects nothing.
     pub(super) calibrator: Calibrator,
-    /// Who proposes.
+    /// The proposer.
     pub(super) proposer: ProposerId,
 }
 
@@ -97,7 +97,7 @@ impl<'s> Starts<'s> {
         Ok((calibrator, proposer))
     }
 
-    /// What is said of the choice.
+    /// The choice in one sentence.
     fn message(&self, context: &StageContext) -> String {
         let calibrated = match context.optional_input("calibrator") {
             Some(_) => "corrected by the calibrator",

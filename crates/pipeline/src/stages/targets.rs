@@ -38,7 +38,7 @@ pub(super) enum Source {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct Params {
-    /// What proposes. A 2D enhancer: `auto` is the one that the calibrator was fitted for (another one is
+    /// The proposer. A 2D enhancer: `auto` is the one that the calibrator was fitted for (another one is
     /// refused), or without a calibrator as in `pairs`. `scene`: a grade by rule from what stage 1 knows, for
     /// `source = "clear"` only.
     pub(super) proposer: ProposerChoice,

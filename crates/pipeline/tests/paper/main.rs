@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use use3d_pipeline::config::{parameters, preset_values};
 use use3d_pipeline::stages::registry;
 
-/// What a parameter is in the paper's configuration.
+/// A parameter in the paper's configuration.
 struct Entry {
     /// The value; `None` where the preset leaves it to the pipeline.
     value: Option<Value>,
@@ -44,7 +44,7 @@ fn leaves(value: &Value, place: &str, found: &mut BTreeMap<String, Value>) {
     }
 }
 
-/// Whether two values are the same number, text or list; a number of 32 bits is that of the table to 7 digits.
+/// True if two values are the same number, text or list; 32-bit numbers agree to 7 digits.
 fn same(a: &Value, b: &Value) -> bool {
     match (a, b) {
         (Value::Number(a), Value::Number(b)) => {

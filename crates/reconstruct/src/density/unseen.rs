@@ -1,6 +1,6 @@
 //! Gaussians where no view has seen the scene well are held back: no streaks, no fog beyond the last tracks.
 //!
-//! What only views from about one direction show has no depth: a Gaussian there may be as long along the
+//! Views from about one direction give no depth: a Gaussian that only they show may be as long along the
 //! view as it likes, or float anywhere in open water, and no photograph objects. From elsewhere it is a
 //! streak or a fog. For every Gaussian, of the training views that have its centre in their picture (occlusion
 //! is not looked at; at most [`MOST_VIEWS`] views are asked):
@@ -44,11 +44,11 @@ struct Witness {
     far: f64,
 }
 
-/// What the training views can have seen.
+/// The part of the scene that the training views can have seen.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Witnesses(Vec<Witness>);
 
-/// What one Gaussian comes to.
+/// The verdict on one Gaussian.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Bounded {
     log_scales: [f32; 3],
@@ -204,7 +204,7 @@ mod tests {
         // From several directions its length is seen.
         let (scales, _, changed) = held(&in_a_row(0.6), streak());
         assert!(close(scales, [0.01, 0.02, 0.5]) && !changed, "{scales:?}");
-        // What lies across the view may be as long as it likes.
+        // Across the view a Gaussian may be as long as it likes.
         let (_, _, changed) = held(&in_a_row(0.05), one([0.0, 0.0, 3.0], [0.5, 0.02, 0.01]));
         assert!(!changed);
         // One view alone also bounds the size: 0.05 of 3 · 200/180.

@@ -1,4 +1,4 @@
-//! Where another Gaussian pays: several views must agree (`densify.strategy = "frugal"`).
+//! The worth of another Gaussian: several views must agree that it pays (`densify.strategy = "frugal"`).
 //!
 //! A strong pull on the screen says that *something* is wrong under a Gaussian in the views that were drawn
 //! since the last refinement; often it is one view's reflection or fish. So some views are drawn again, in
@@ -27,7 +27,7 @@ use crate::Target;
 use crate::engine::{Degrees, TrainingState};
 use crate::views::TrainingView;
 
-/// What the views' sides are divided by.
+/// The divisor of the views' sides.
 const DIVISOR: usize = 2;
 /// Neighbours that are asked together.
 const GROUP: usize = 3;
@@ -42,7 +42,7 @@ const AGREEING: u32 = 2;
 struct Judge {
     camera: Camera,
     photograph: Image8,
-    /// What counts; everything where there is none.
+    /// The pixels that count; all of them without a mask.
     mask: Option<Map>,
 }
 

@@ -46,7 +46,7 @@ fn shown(browser: &mut Chromium, camera: &Camera, mode: &str, strength: f32, wat
     shown_as(browser, &view, &json!({ "mode": mode, "strength": strength, "water": water }))
 }
 
-/// What the browser draws of a camera and a look in its own words.
+/// The browser's picture of a camera and a look, both in its own words.
 fn shown_as(browser: &mut Chromium, view: &Value, look: &Value) -> Vec<f32> {
     let mode = look["mode"].as_str().expect("a mode");
     let scale = if mode == "depth" { 1.0 / DEPTH } else { 1.0 };

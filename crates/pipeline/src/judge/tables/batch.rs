@@ -16,7 +16,7 @@ pub(super) type Quantity = (&'static str, &'static str, Better, usize);
 /// The group of all scenes together.
 pub(super) const ALL: &str = "All scenes";
 
-/// Whether a scene is the paper's: its name, size and number of held-out views, and all that made it.
+/// True if a scene is the paper's: its name, size, number of held-out views and whole configuration.
 fn is_the_papers(scene: &ScoredScene) -> bool {
     let SceneScores { training_views, held_out_views, size, .. } = scene.scores;
     let every_eighth = held_out_views == (training_views + held_out_views).div_ceil(8);
@@ -24,7 +24,7 @@ fn is_the_papers(scene: &ScoredScene) -> bool {
     published::scene(&scene.scene).is_some_and(|(_, wanted)| wanted == size) && every_eighth && configured
 }
 
-/// What the photographs alone decide: the same in every variant, whatever that changes.
+/// Methods that depend on the photographs alone and so are the same in every variant.
 const OF_PHOTOGRAPHS: [Method; 2] = [Method::Captured, Method::Proposal];
 
 /// The scenes of a run, grouped.
@@ -107,7 +107,7 @@ impl<'a> Batch<'a> {
         rows
     }
 
-    /// What made the numbers of a variant.
+    /// The configuration behind the numbers of a variant.
     pub(super) fn made_by(&self, variant: &str) -> String {
         let scenes = self.scenes.iter().filter(|s| s.variant == variant);
         let all: Vec<&Configuration> = scenes.filter_map(|s| s.configuration.as_ref()).collect();

@@ -93,7 +93,7 @@ pub struct Row {
     pub label: String,
     /// Copied from the paper rather than measured here.
     pub published: bool,
-    /// What made its numbers ([`crate::judge::configuration`]); empty where nobody says.
+    /// The configuration behind its numbers ([`crate::judge::configuration`]); empty if it is not known.
     pub made_by: String,
     /// One cell per column.
     pub cells: Vec<Cell>,
@@ -170,7 +170,7 @@ impl Table {
         ranks
     }
 
-    /// What made the rows, each text once, in order of appearance.
+    /// The configurations behind the rows, each text once, in order of appearance.
     pub fn made_by(&self) -> Vec<&str> {
         let mut made: Vec<&str> = Vec::new();
         for row in self.rows.iter().filter(|row| !row.made_by.is_empty()) {

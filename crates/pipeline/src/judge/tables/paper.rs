@@ -380,7 +380,7 @@ mod tests {
         }
     }
 
-    /// Where the enhancement was learnt in clear radiance, `enhanced-clear` is the result.
+    /// If the enhancement was learnt in clear radiance, `enhanced-clear` is the result.
     #[test]
     fn the_row_of_the_method_is_the_look_that_it_was_learnt_in() {
         let mut clear = scene("reef", "", "v", 20.0);
