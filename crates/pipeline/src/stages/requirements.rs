@@ -22,7 +22,7 @@ use crate::judge::truth;
 /// Fewest pairs that say how transitions vary.
 const FEWEST_PAIRS: usize = 2;
 /// The places where pairs are published.
-const PAIRS: &str = "UIEB, LSUI or EUVP, docs/datasets.md says where they are published";
+const PAIRS: &str = "UIEB, LSUI or EUVP, docs/guide/datasets.md says where they are published";
 
 /// The stage with its requirements.
 pub(super) fn with_requirements(stage: Stage) -> Stage {

@@ -57,7 +57,7 @@ fn same(a: &Value, b: &Value) -> bool {
 }
 
 const HELP: &str = "Every parameter stands in crates/pipeline/tests/paper/parameters.toml, with its value in the paper's \
-    configuration and where the paper says so (or by = \"ours\" and the row of docs/decisions.md), and with the same value in \
+    configuration and where the paper says so (or by = \"ours\" and the row of docs/science/decisions.md), and with the same value in \
     crates/pipeline/src/config/presets/paper.toml. A parameter that switches something on which the paper does not have gets \
     the value that leaves the method as the paper has it. Places and bookkeeping get by = \"pipeline\", no value, and no line \
     in the preset";
