@@ -1,12 +1,24 @@
-//! The capture that a stage works on.
+//! The capture that a stage works on, and the cameras that a scene keeps of it.
 
-use use3d_capture::Capture;
+use std::path::Path;
 
 use use3d_build::{StageContext, StageError};
+use use3d_capture::{Camera, Capture};
+use use3d_import::camera_list;
+
+use super::common::write_json;
+use super::names::CAMERAS;
 
 /// A capture as the import stage left it.
 pub(super) fn capture(context: &StageContext) -> Result<Capture, StageError> {
     let imported = use3d_import::load_prepared(context.input("import")?).map_err(StageError::bad_input)?;
     imported.capture.validate().map_err(StageError::bad_input)?;
     Ok(imported.capture)
+}
+
+/// Writes the training cameras beside a scene, in COLMAP's frame, as a list that `use3d render --cameras` reads.
+pub(super) fn write_cameras(out: &Path, capture: &Capture) -> Result<(), StageError> {
+    let in_colmap = |camera: &Camera| Camera { pose: capture.frame.invert_pose(&camera.pose), ..*camera };
+    let cameras = camera_list(capture.training_views().map(|view| (&*view.name, in_colmap(&view.camera))));
+    write_json(&out.join(CAMERAS), &cameras)
 }

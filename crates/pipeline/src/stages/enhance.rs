@@ -4,18 +4,18 @@ use std::path::Path;
 
 use use3d_atc::consensus::Targets;
 use use3d_build::{Figure, Scope, Stage, StageContext, StageError};
-use use3d_capture::{Appearance, Camera, Image, View};
+use use3d_capture::{Appearance, Image, View};
 use use3d_enhance::losses::TERMS;
 use use3d_enhance::{
     EnhanceError, EnhanceParams, EnhanceView, Guidance, LabelSource, LogEntry, Objective, PseudoLabels,
     Report, enhance,
 };
-use use3d_import::{camera_list, load_pixels};
+use use3d_import::load_pixels;
 use use3d_scene::Origin;
 
-use super::captured::capture;
+use super::captured::{capture, write_cameras};
 use super::common::{out_of_range, write_json, write_text};
-use super::names::{CAMERAS, TARGETS};
+use super::names::TARGETS;
 use super::proposals::asked_for;
 use super::proposer::by_name;
 use super::scenes::scene;
@@ -172,10 +172,7 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
     }
     write_text(&out.join("training.jsonl"), &outcome.log_lines())?;
     write_json(&out.join(REPORT), &outcome.report)?;
-    let frame = &outcome.scene.frame;
-    let in_colmap = |view: &View| Camera { pose: frame.invert_pose(&view.camera.pose), ..view.camera };
-    let cameras = camera_list(capture.training_views().map(|view| (&*view.name, in_colmap(view))));
-    write_json(&out.join(CAMERAS), &cameras)?;
+    write_cameras(out, &capture)?;
     let plot = Plot {
         title: "Stage 2: losses".into(),
         x_label: "step".into(),

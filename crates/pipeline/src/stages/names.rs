@@ -24,7 +24,7 @@ pub const SPEED: &str = "speed";
 pub const CHOICES: &str = "choices.json";
 /// In `targets`: where the calibrator that corrected the proposals came from.
 pub const CALIBRATED: &str = "calibrator.json";
-/// In `enhance`: the training cameras, as a list that `use3d render --cameras` reads.
+/// In `reconstruct` and `enhance`: the training cameras, as a list that `use3d render --cameras` reads.
 pub const CAMERAS: &str = "cameras.json";
 /// In `reconstruct`: which images the scene was learnt from, and how held-out ones came out.
 pub(super) const EVALUATION: &str = "evaluation.json";

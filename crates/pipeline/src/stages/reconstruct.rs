@@ -13,7 +13,7 @@ use use3d_reconstruct::{
 use use3d_scene::Origin;
 use use3d_water::WaterParams;
 
-use super::captured::capture;
+use super::captured::{capture, write_cameras};
 use super::common::{out_of_range, write_json, write_text};
 use super::contact::sheet;
 use super::names::{CHOICES, CONTACT, EVALUATION, WATER};
@@ -258,6 +258,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         write_json(&out.join(EXPOSURES), &exposures)?;
     }
     Origin::of(&capture).write(out)?;
+    write_cameras(out, &capture)?;
     if let Some(sheet) = sheet(&learnt_from, &outcome.scene)? {
         write_png(&out.join(CONTACT), &sheet)?;
     }
