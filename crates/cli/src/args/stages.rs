@@ -78,8 +78,8 @@ pub(crate) struct TargetsArgs {
     /// The capture it was made from.
     #[arg(value_name = "CAPTURE_DIR")]
     pub(crate) capture: PathBuf,
-    /// A calibrator: 2D enhancements of the photographs are then what is proposed. Without one it is
-    /// what stage 1 knows of the scene.
+    /// A calibrator: the 2D enhancer's proposals for the photographs are corrected with it. Without one,
+    /// proposals for stage 1's renders are used as they are.
     #[arg(long, value_name = "FILE")]
     pub(crate) calibrator: Option<PathBuf>,
     /// The targets file.
