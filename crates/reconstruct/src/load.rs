@@ -43,15 +43,16 @@ pub(crate) fn load(
     let test = capture.test_views().map(|v| one(v, false)).collect::<Result<Vec<_>, _>>()?;
     check_masks(&train, &test, observer)?;
     let with_prior = train.iter().filter(|v| v.has_prior()).count();
-    if params.depth_prior != DepthPrior::Off && params.depth_weight > 0.0 && with_prior < train.len() {
-        let message = match with_prior {
-            0 => "no training view has a depth prior: the depth term is off".to_string(),
-            n => format!(
-                "only {n} of {} training views have a depth prior; the depth term is off for the others",
-                train.len()
-            ),
-        };
-        observer.notice(&message);
+    // Without any prior the stage says why the depth term is off.
+    if params.depth_prior != DepthPrior::Off
+        && params.depth_weight > 0.0
+        && 0 < with_prior
+        && with_prior < train.len()
+    {
+        observer.notice(&format!(
+            "only {with_prior} of {} training views have a depth prior; the depth term is off for the others",
+            train.len()
+        ));
     }
     Ok(Views { train, test })
 }

@@ -122,7 +122,7 @@ impl Checkpoints {
         {
             notices.push(format!("the checkpoint is of step {beyond}, beyond the {} asked for", self.length));
         } else if notices.is_empty() && !entries.is_empty() {
-            notices.push("the checkpoint there belongs to other inputs, to other parameters, or to a run of another length whose schedules are compressed to it".to_string());
+            notices.push("an earlier run with other inputs or other parameters left a checkpoint, which is kept for that run".to_string());
         }
         if let Some(last) = notices.last_mut() {
             last.push_str("; starting anew");
@@ -233,7 +233,12 @@ mod tests {
         let (found, notice) = Run::new(&folder, 1, 200).load();
         assert!(found.is_none() && notice.contains("step 290, beyond the 200"), "{notice}");
         let (found, notice) = Run::new(&folder, 3, 300).load();
-        assert!(found.is_none() && notice.contains("other parameters; starting anew"), "{notice}");
+        assert!(
+            found.is_none()
+                && notice.contains("other parameters left a checkpoint")
+                && notice.ends_with("starting anew"),
+            "{notice}"
+        );
     }
 
     #[test]
