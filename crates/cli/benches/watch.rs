@@ -1,5 +1,5 @@
-//! Measures the cost of watching, with the built command: `cargo bench -p use3d --bench watch -- SCENE_DIR
-//! CAPTURE_DIR [STEPS]`.
+//! Measures the cost of watching, with the built command:
+//! `cargo bench -p use3d --bench watch -- SCENE_DIR CAPTURE_DIR [STEPS]`.
 //!
 //! * pictures of a scene per second, drawn by the server, requested by one page one after another;
 //! * a page with 100 requests per second: the number of drawn pictures, and the age of a drawn one;

@@ -22,9 +22,10 @@ use super::uses::{modules, uses_of};
 const CONTEXT: &str = "use3d 2026 code digest v1";
 const DEPENDENCY_TABLES: [&str; 2] = ["dependencies", "build-dependencies"];
 
-/// The table of the workspace at `root`, as JSON: `crates.<package>.{tokens, manifest, workspace,
-/// third_party}`, and `files.<path>.{tokens, uses, workspace, third_party}` for the files of the crate in
-/// folder `crates/<by_file>`.
+/// The table of the workspace at `root`, as JSON:
+/// `crates.<package>.{tokens, manifest, workspace, third_party}`, and
+/// `files.<path>.{tokens, uses, workspace, third_party}` for the files of the crate in folder
+/// `crates/<by_file>`.
 pub(crate) fn read(root: &Path, by_file: &str) -> Result<Value, String> {
     let workspace = parse_toml(&root.join("Cargo.toml"))?;
     let inherited = workspace.pointer("/workspace/dependencies").cloned().unwrap_or_default();

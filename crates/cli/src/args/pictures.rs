@@ -157,10 +157,10 @@ pub(crate) struct ExportArgs {
     /// up to 32 MB, else with a folder.
     #[arg(long, value_name = "FILE.html")]
     pub(crate) web: Option<PathBuf>,
-    /// The capture. A page offers its photographs and camera positions (or cameras alone, as for `use3d
-    /// render`), --white is measured in its views, and the other files show the scene through its water.
-    /// Default: the capture that a results folder was made from; for the water, the cameras that an enhanced
-    /// scene keeps.
+    /// The capture. A page offers its photographs and camera positions (or cameras alone, as for
+    /// `use3d render`), --white is measured in its views, and the other files show the scene through its
+    /// water. Default: the capture that a results folder was made from; for the water, the cameras that an
+    /// enhanced scene keeps.
     #[arg(long, value_name = "CAPTURE")]
     pub(crate) cameras: Option<PathBuf>,
     /// With --web: named views that were saved from the page (the page's "Save file").

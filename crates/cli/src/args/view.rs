@@ -56,8 +56,8 @@ pub(crate) struct ViewArgs {
     /// With --follow of a pipeline: the scene to follow (default: the first).
     #[arg(long, value_name = "NAME", requires = "follow")]
     pub(crate) scene: Option<String>,
-    /// The capture whose photographs and camera positions the page offers (or cameras alone, as for `use3d
-    /// render`).
+    /// The capture whose photographs and camera positions the page offers (or cameras alone, as for
+    /// `use3d render`).
     #[arg(long, value_name = "CAPTURE")]
     pub(crate) cameras: Option<PathBuf>,
     /// Named views that were saved from the page (the page's "Save file").

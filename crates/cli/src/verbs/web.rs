@@ -127,8 +127,8 @@ fn check_capture(
     )))
 }
 
-/// Returns true if a scene's frame is the one in which a capture is imported, or COLMAP's own (`normalise =
-/// false`).
+/// Returns true if a scene's frame is the one in which a capture is imported, or COLMAP's own
+/// (`normalise = false`).
 fn same_place(scene: &Frame, capture: &Frame) -> bool {
     // Much larger than rounding, much smaller than the difference to another model.
     const ALIKE: f64 = 0.01;
