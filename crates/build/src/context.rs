@@ -204,8 +204,8 @@ impl StageContext {
         self.notes.is_some()
     }
 
-    /// Keeps a measurement beside the artifact, where it changes neither bytes nor keys. Displays of the
-    /// results may add it.
+    /// Keeps a measurement beside the artifact, where it changes neither bytes nor keys. Pages that show
+    /// the results may include it.
     pub fn note(&self, name: &str, value: &impl serde::Serialize) {
         if let (Some(notes), Ok(value)) = (&self.notes, serde_json::to_value(value)) {
             notes.lock().unwrap_or_else(PoisonError::into_inner).insert(name.to_string(), value);

@@ -157,7 +157,7 @@ pub(crate) struct Lease {
     pub(crate) followed: bool,
 }
 
-/// Result of asking for a lease.
+/// Result of requesting a lease.
 pub(crate) enum Asked {
     /// This process has the lease, or leases do not work here (`None`), which is as good.
     Granted(Option<Lease>),
@@ -166,7 +166,7 @@ pub(crate) enum Asked {
 }
 
 impl Lease {
-    /// Asks for the lease of `key`.
+    /// Requests the lease of `key`.
     pub(crate) fn ask(cache: &Cache, key: &Key, reads: &[Key]) -> Asked {
         Self::ask_at(cache, key, reads, cache.node().clock.now())
     }

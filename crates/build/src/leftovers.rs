@@ -58,7 +58,7 @@ mod tests {
         let this = ProcessId::this();
         let other = ProcessId { started: this.started + 1, ..this };
         if other.is_alive() != Some(false) {
-            return; // a system that does not tell
+            return; // a system that does not report it
         }
         let gone = other.name();
         let dir = tempfile::tempdir().unwrap();

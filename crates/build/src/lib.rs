@@ -63,7 +63,7 @@
 //! # The rules for a stage
 //!
 //! * Its files depend on its inputs, parameters and [seed](StageContext::seed) alone, whatever the number of
-//!   threads: no times, host names or paths in them. `use3d verify --sample` recomputes and compares. Where
+//!   threads: no times, host names or paths in them. `use3d verify --sample` recomputes and compares. If
 //!   this holds within one class of arithmetic only, the stage names the
 //!   [figures](Stage::agrees_across_classes) by which artifacts of two classes are compared.
 //! * It reads nothing but its inputs, and writes nothing but its output folder and its checkpoints.

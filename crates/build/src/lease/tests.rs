@@ -125,7 +125,7 @@ fn of_many_that_take_over_one_gets_it() {
     let key = key_of("key");
     let gone = ProcessId { started: ProcessId::this().started + 1, ..ProcessId::this() };
     if gone.is_alive() != Some(false) {
-        return; // a system that does not tell
+        return; // a system that does not report it
     }
     let dead = Holder { process: gone, ..Holder::of(&Node::this(), Vec::new()) };
     for _ in 0..20 {
