@@ -1,9 +1,9 @@
-//! Tells the program what it was built from, for `use3d --version`: the commit, the target and the features.
+//! Provides the build data for `use3d --version`: the commit, the target and the features.
 
 use std::path::{Path, PathBuf};
 use std::{env, fs};
 
-/// The folder that holds git's own files of the work tree at `root`, and the one that all its work trees share.
+/// The folder with git's own files of the work tree at `root`, and the folder that all its work trees share.
 fn git_folders(root: &Path) -> Option<(PathBuf, PathBuf)> {
     let entry = root.join(".git");
     if entry.is_dir() {
@@ -42,7 +42,7 @@ fn main() {
     println!("cargo:rerun-if-env-changed=USE3D_COMMIT");
     let here = env::var("CARGO_MANIFEST_DIR").map(PathBuf::from).unwrap_or_default();
     let root = here.ancestors().nth(2).unwrap_or(&here);
-    // A build from an archive may be told its commit.
+    // The environment may provide the commit for a build from an archive.
     let commit = env::var("USE3D_COMMIT").ok().or_else(|| commit(root));
     let commit = commit.filter(|text| text.len() >= 7 && text.bytes().all(|b| b.is_ascii_hexdigit()));
     let commit = commit.map_or_else(|| "unknown".to_string(), |text| text.chars().take(12).collect());

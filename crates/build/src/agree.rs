@@ -1,9 +1,9 @@
-//! Whether two artifacts of one stage agree that were computed in two classes of arithmetic.
+//! Compares two artifacts of one stage that were computed in two classes of arithmetic.
 //!
 //! A long training amplifies last bits: on another device the same inputs lead to another scene that is as
-//! good. What must agree then are figures that the stage names, each within a tolerance of its own. What is
-//! drawn of one scene differs in last bits alone: such files are compared one by one, by a distance that the
-//! stage knows, for this crate reads no pictures.
+//! good. Then the figures that the stage names must agree, each within a tolerance of its own. Images drawn
+//! from one scene differ in last bits only: such files are compared one by one, with a distance function that
+//! the stage supplies, because this crate reads no pictures.
 
 use std::path::Path;
 
@@ -16,7 +16,8 @@ use super::manifest::FileRecord;
 pub struct Figure {
     /// The file, relative to the artifact.
     pub file: &'static str,
-    /// Where in it, as a JSON pointer; `*` stands for every entry of a list, of which the mean counts.
+    /// The number in the file, as a JSON pointer; `*` stands for every entry of a list, and the mean of all
+    /// numbers found is compared.
     pub at: &'static str,
     /// The largest difference between two classes of arithmetic.
     pub within: f64,
@@ -25,33 +26,33 @@ pub struct Figure {
 /// Files of an artifact that are alike between two classes of arithmetic, not equal.
 #[derive(Clone, Copy, Debug)]
 pub struct AlikeFiles {
-    /// How their names end, as in `.png`.
+    /// End of their names, such as `.png`.
     pub ending: &'static str,
-    /// How far two of them are apart, or why that cannot be said.
+    /// Returns the distance between two such files, or the reason why it cannot be computed.
     pub distance: fn(&Path, &Path) -> Result<f64, String>,
-    /// What the distance is, in words.
+    /// Unit of the distance, for messages.
     pub unit: &'static str,
     /// The largest distance between two classes of arithmetic.
     pub within: f64,
 }
 
-/// What a stage says of its artifacts in two classes of arithmetic.
+/// The rule by which a stage's artifacts of two classes of arithmetic are compared.
 #[derive(Clone, Copy, Debug)]
 pub enum Agreement {
-    /// Figures are near each other, bytes are not compared.
+    /// Figures agree within their tolerances; bytes are not compared.
     Figures(&'static [Figure]),
-    /// The same files: of these kinds alike, all others equal.
+    /// Both artifacts have the same files: files of these kinds are alike, all others equal.
     Files(&'static [AlikeFiles]),
 }
 
-/// What came of a comparison.
+/// Result of a comparison.
 #[derive(Debug, PartialEq)]
 pub(crate) enum Verdict {
-    /// Everything named is near enough.
+    /// All named figures or files agree within their tolerances.
     Agree,
-    /// What is not, in words.
+    /// The first difference, as text.
     Apart(String),
-    /// Neither artifact has anything of what is named.
+    /// Neither artifact has any of the named figures.
     NothingToCompare(String),
 }
 
@@ -62,7 +63,7 @@ pub(crate) struct Folder<'a> {
     pub(crate) files: &'a [FileRecord],
 }
 
-/// Compares two artifacts as their stage says.
+/// Compares two artifacts by the rule of their stage.
 pub(crate) fn compare(agreement: &Agreement, made: Folder<'_>, again: Folder<'_>) -> Verdict {
     let said = match agreement {
         Agreement::Figures(figures) => compare_figures(figures, made.path, again.path),
@@ -78,7 +79,7 @@ pub(crate) fn compare(agreement: &Agreement, made: Folder<'_>, again: Folder<'_>
     }
 }
 
-/// Whether there was any figure to compare; an error is a difference.
+/// Returns true if there was any figure to compare; a difference is an error.
 fn compare_figures(figures: &[Figure], made: &Path, again: &Path) -> Result<bool, String> {
     let read = |folder: &Path, figure: &Figure| -> Result<Vec<f64>, String> {
         let path = folder.join(figure.file);
@@ -100,7 +101,7 @@ fn compare_figures(figures: &[Figure], made: &Path, again: &Path) -> Result<bool
         any |= !a.is_empty();
         let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
         let (a, b) = (mean(&a), mean(&b));
-        // What is not a number is not near.
+        // NaN never counts as agreement.
         let near = (a - b).abs() <= figure.within;
         if !near {
             return Err(format!("{name} is {a}, and again {b}: more than {} apart", figure.within));
@@ -181,14 +182,14 @@ mod tests {
         assert_eq!(compare_figures(const { &[figure("/psnr/value", 0.2)] }, &a, &b), Verdict::Agree);
         let far = apart(compare_figures(const { &[figure("/psnr/value", 0.05)] }, &a, &b));
         assert!(far.contains("scores.json /psnr/value is 30, and again 30.1"), "{far}");
-        // Of a list, the mean: 1.5 and 1.55.
+        // The mean of a list is compared: 1.5 and 1.55.
         assert_eq!(compare_figures(const { &[figure("/views/*/e", 0.06)] }, &a, &b), Verdict::Agree);
         apart(compare_figures(const { &[figure("/views/*/e", 0.04)] }, &a, &b));
         let gone = apart(compare_figures(const { &[figure("/psnr/value", 9.0)] }, &a, &c));
         assert!(gone.contains("1 times, and again 0 times"), "{gone}");
         const ABSENT: [Figure; 1] = [Figure { file: "no.json", at: "/x", within: 1.0 }];
         assert!(apart(compare_figures(&ABSENT, &a, &b)).contains("no.json"));
-        // One of two figures is enough, none is no agreement.
+        // One of two figures is enough; none at all is no agreement.
         const ONE: [Figure; 2] = [figure("/none", 0.0), figure("/psnr/value", 0.2)];
         assert_eq!(compare_figures(&ONE, &a, &b), Verdict::Agree);
         match compare_figures(const { &[figure("/none", 0.0), figure("/misspelt", 0.0)] }, &a, &b) {

@@ -1,5 +1,5 @@
-//! One stage without the cache: `use3d reconstruct CAPTURE --out SCENE`, same code and defaults as in a
-//! pipeline.
+//! Runs one stage without the cache, as in `use3d reconstruct CAPTURE --out SCENE`, with the same code and
+//! defaults as in a pipeline.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -27,19 +27,19 @@ pub struct Alone<'a> {
     pub parameters: &'a Value,
     /// Its inputs: role and path.
     pub inputs: Vec<(String, PathBuf)>,
-    /// The folder for its result, there only when the stage is done.
+    /// The folder for the result; it appears only when the stage is done.
     pub output: &'a Path,
-    /// Whether the result stays: it then has a record of its files.
+    /// True if the result is kept; it then gets a record of its files.
     pub record: bool,
-    /// Whether an earlier result of ours in that place is replaced.
+    /// True if an earlier result of this program in that place may be replaced.
     pub replace: bool,
-    /// Where a resumable stage keeps checkpoints; without, it keeps none.
+    /// The folder for the checkpoints of a resumable stage; `None` keeps none.
     pub checkpoints: Option<PathBuf>,
     /// The seed.
     pub seed: u64,
     /// Threads to use.
     pub threads: usize,
-    /// Set by whoever wants it to end.
+    /// The flag that stops the stage when it is set.
     pub stop: Arc<AtomicBool>,
 }
 
@@ -87,8 +87,8 @@ impl Stage {
 }
 
 impl Builder {
-    /// Runs a node whose inputs are cached again, into `scratch`, from nothing (no checkpoints); the digests
-    /// of its files.
+    /// Runs a node again whose inputs are cached, into `scratch`, from the start (without checkpoints), and
+    /// returns the records of its files.
     pub(crate) fn run_again(
         &self,
         graph: &Graph,

@@ -1,19 +1,20 @@
 //! The cache on disk.
 //!
 //! ```text
-//! <folder>/CACHEDIR.TAG                                  backup programs leave it out
-//! <folder>/v1/artifacts/<stage>/<key>/…, manifest.json   whole or not at all
-//! <folder>/v1/checkpoints/<stage>/<key without length>/  what long stages go on from
+//! <folder>/CACHEDIR.TAG                                  makes backup programs skip the folder
+//! <folder>/v1/artifacts/<stage>/<key>/…, manifest.json   complete or absent
+//! <folder>/v1/checkpoints/<stage>/<key without length>/  from which long stages resume
 //! <folder>/v1/history/<pipeline>/<scene>/<variant>/<stage>.json   the last record of a node
-//! <folder>/v1/logs/…  timings/<machine>.jsonl  stat-table   logs, durations for forecasts, remembered digests
-//! <folder>/v1/leases/<key>  run-…                        who computes what now, what running processes need
-//! <folder>/v1/tmp/  damaged/                             being made; found damaged
+//! <folder>/v1/logs/…  timings/<machine>.jsonl            logs, durations for forecasts
+//! <folder>/v1/stat-table                                 stored digests of input files
+//! <folder>/v1/leases/<key>  run-…                        leases of keys and of runs
+//! <folder>/v1/tmp/  damaged/                             unfinished folders; damaged artifacts
 //! ```
 //!
 //! An artifact is made in `tmp`, its files synced, its manifest written last, and the folder renamed into
 //! place, so a crash at any moment leaves either no artifact or a whole one. Several processes, also of
 //! several machines, may share a cache: the first to publish a key wins, and another one's different bytes
-//! raise an alarm. There is no lock to remove by hand, and none of the file system's is used.
+//! raise an alarm. There is no lock to remove by hand, and no lock of the file system is used.
 
 use std::collections::BTreeSet;
 use std::io::ErrorKind;
@@ -33,8 +34,8 @@ use super::machine::ProcessId;
 use super::manifest::{Circumstances, FileRecord, MANIFEST, Manifest};
 use super::node::Node;
 
-/// How late a network file system may show a name that is there: clients
-/// remember for a minute that it was not.
+/// The longest time for which a network file system may hide a name that exists: clients cache for a minute
+/// that a name did not exist.
 const LATE: Duration = Duration::from_secs(90);
 
 const TAG: &str = "Signature: 8a477f597d28d172789f06886806bc55\n\
@@ -51,44 +52,44 @@ pub struct Cache {
     node: Arc<Node>,
 }
 
-/// An artifact that is there.
+/// An artifact that exists in the cache.
 #[derive(Clone, Debug)]
 pub struct Artifact {
-    /// Its folder; to be read only.
+    /// Its folder, which is read only by convention.
     pub path: PathBuf,
     /// Its manifest.
     pub manifest: Manifest,
 }
 
-/// What is there for a key.
+/// Result of looking up a key.
 #[derive(Clone, Debug)]
 pub enum Lookup {
-    /// Nothing.
+    /// There is nothing.
     Missing,
-    /// The artifact.
+    /// The complete artifact.
     Whole(Box<Artifact>),
-    /// An artifact that is not what its manifest says.
+    /// An artifact that differs from its manifest, with the reason.
     Damaged(String),
 }
 
-/// What became of a folder that was to be published.
+/// Result of publishing a folder.
 #[derive(Debug)]
 pub(crate) enum Published {
-    /// It is the artifact now.
+    /// The folder is the artifact now.
     Now(Artifact),
-    /// Another process was first, with the same bytes.
+    /// Another process published the same bytes first.
     Already(Artifact),
-    /// Another process was first, with other bytes: the stage is not deterministic.
+    /// Another process published other bytes first: the stage is not deterministic.
     Differs(Artifact, String),
 }
 
 impl Cache {
-    /// Opens the cache in `folder`, creating it where it is missing. `rehash` reads all inputs again.
+    /// Opens the cache in `folder` and creates it where it is missing. `rehash` reads all inputs again.
     pub fn open(folder: &Path, rehash: bool) -> Result<Self, FileError> {
         Self::with_files(folder, rehash, Arc::new(Disk))
     }
 
-    /// As [`open`](Self::open), on other file operations; for tests.
+    /// Like [`open`](Self::open), with other file operations; for tests.
     pub fn with_files(folder: &Path, rehash: bool, files: Arc<dyn Files>) -> Result<Self, FileError> {
         let root = folder.join("v1");
         files::at(&root, "create", files.create_dir_all(&root))?;
@@ -109,13 +110,13 @@ impl Cache {
         Ok(Self { root, files, contents, verified: Arc::default(), leases: Arc::default(), node })
     }
 
-    /// The same cache as another one of several that share it sees it; for tests.
+    /// The same cache, used as if by another process or machine that shares it; for tests.
     #[must_use]
     pub fn as_node(self, node: Node) -> Self {
         Self { node: Arc::new(node), ..self }
     }
 
-    /// Who uses the cache here.
+    /// The identity and clock with which this process uses the cache.
     pub(crate) fn node(&self) -> &Node {
         &self.node
     }
@@ -125,7 +126,7 @@ impl Cache {
         &self.root
     }
 
-    /// What this process has seen of leases.
+    /// The observations of leases by this process.
     pub(crate) fn leases(&self) -> &Watch {
         &self.leases
     }
@@ -139,17 +140,17 @@ impl Cache {
         &self.contents
     }
 
-    /// Where a key's artifact is, or would be.
+    /// The folder of a key's artifact, whether or not it exists.
     pub fn artifact_path(&self, stage: &str, key: &Key) -> PathBuf {
         self.root.join("artifacts").join(stage).join(key.to_string())
     }
 
-    /// Where a resumable stage keeps its checkpoints.
+    /// The folder for the checkpoints of a resumable stage.
     pub fn checkpoint_path(&self, stage: &str, key: &Digest) -> PathBuf {
         self.root.join("checkpoints").join(stage).join(key.to_string())
     }
 
-    /// What is there for a key: the manifest, and every file's size; a file whose times changed since it was
+    /// Looks up a key: checks the manifest, and every file's size. A file whose times changed since it was
     /// last read is read again.
     pub fn lookup(&self, stage: &str, key: &Key) -> Result<Lookup, FileError> {
         let path = self.artifact_path(stage, key);
@@ -159,7 +160,8 @@ impl Cache {
             Err(e)
                 if matches!(e.kind(), std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory) =>
             {
-                // A folder that came between the two looks was never without its manifest.
+                // If the folder appeared between the two checks, its manifest is there: a folder is published
+                // with it.
                 if !matches!(self.files.exists(&path), Ok(true)) {
                     return Ok(Lookup::Missing);
                 }
@@ -184,15 +186,15 @@ impl Cache {
         })
     }
 
-    /// As [`lookup`](Self::lookup), after asking the file system anew what is there.
+    /// Like [`lookup`](Self::lookup), after making the file system refresh its list of names.
     pub(crate) fn lookup_again(&self, stage: &str, key: &Key) -> Result<Lookup, FileError> {
         let path = self.artifact_path(stage, key);
         path.ancestors().skip(1).take(2).for_each(|folder| self.files.look_again(folder));
         self.lookup(stage, key)
     }
 
-    /// Looks for an artifact that another machine has made, until it is seen, `enough` says so, or a network
-    /// file system cannot be that late any more.
+    /// Looks up an artifact that another machine has made, again and again, until it is found, `enough`
+    /// returns true, or more time has passed than a network file system can hide it.
     pub(crate) fn lookup_patiently(
         &self,
         stage: &str,
@@ -212,8 +214,9 @@ impl Cache {
         }
     }
 
-    /// Reads every byte of an artifact and compares; the first difference in words. The bytes once per
-    /// process and key, unless `again`; that the files are still there is looked at every time.
+    /// Reads every byte of an artifact and compares; the error is the first difference. The bytes are read
+    /// once per process and key, unless `again` is true; the presence and sizes of the files are checked
+    /// every time.
     pub fn verify(&self, artifact: &Artifact, again: bool) -> Result<(), String> {
         let key = artifact.manifest.key;
         if !again && self.verified.lock().unwrap_or_else(PoisonError::into_inner).contains(&key) {
@@ -242,7 +245,7 @@ impl Cache {
         }
     }
 
-    /// Moves what is in a key's place aside, to `damaged/`.
+    /// Moves the folder in a key's place to `damaged/`.
     pub(crate) fn set_aside(&self, stage: &str, key: &Key) -> Result<PathBuf, FileError> {
         let from = self.artifact_path(stage, key);
         let to = self.root.join("damaged").join(format!("{stage}-{}-{}", key.short(), files::unique()));
@@ -260,7 +263,7 @@ impl Cache {
         Ok(folder)
     }
 
-    /// Digests of the files of a finished folder, in parallel; everything synced.
+    /// Syncs all files of a finished folder and returns their records with digests, computed in parallel.
     pub(crate) fn seal(&self, folder: &Path) -> Result<Vec<FileRecord>, FileError> {
         let listed = files::list(folder)?;
         let sealed: Vec<Result<FileRecord, FileError>> = listed
@@ -291,7 +294,7 @@ impl Cache {
         self.put_in_place(folder, Manifest::new(ingredients, sealed, how))
     }
 
-    /// Makes the `folder` (in `tmp`) with the files of a manifest its artifact.
+    /// Makes the `folder` (in `tmp`), which holds the files of a manifest, the artifact of that manifest.
     pub(crate) fn adopt(&self, folder: &Path, manifest: Manifest) -> Result<Published, FileError> {
         let mut named = manifest.files.clone();
         named.sort_by(|a, b| a.path.cmp(&b.path));
@@ -318,7 +321,8 @@ impl Cache {
         let parent = self.root.join("artifacts").join(&stage);
         files::at(&parent, "create", self.files.create_dir_all(&parent))?;
         if let Err(source) = self.files.rename(folder, &place) {
-            // Somebody was first, something damaged is in the way, or it was done and the answer was lost.
+            // Another process was first, something damaged is in the way, or the rename succeeded and its
+            // reply was lost.
             let taken = |e: &std::io::Error| {
                 matches!(e.kind(), ErrorKind::AlreadyExists | ErrorKind::DirectoryNotEmpty)
             };
@@ -360,15 +364,15 @@ impl Cache {
         Ok(Published::Now(Artifact { path: place, manifest }))
     }
 
-    /// Notes that an artifact is of use now, for the order of cleaning up. Failing to is harmless.
+    /// Marks an artifact as used now, which sets its order in cleaning up. A failure is harmless.
     pub(crate) fn touch(&self, artifact: &Path) {
         if let Ok(folder) = std::fs::File::open(artifact) {
             let _ = folder.set_modified(SystemTime::now());
         }
     }
 
-    /// Removes what processes that are gone left behind: leases, halves of files, and folders in `tmp`, whose
-    /// number it returns.
+    /// Removes the leftovers of processes that have ended: leases, unfinished files, and folders in `tmp`.
+    /// Returns the number of these folders.
     pub fn sweep(&self) -> usize {
         super::lease::in_use(self);
         for folder in [self.root.clone(), self.root.join("leases")] {
@@ -401,7 +405,7 @@ impl Cache {
         swept
     }
 
-    /// Every artifact folder: stage, key, path; sorted.
+    /// Lists every artifact folder as stage, key and path, sorted.
     pub fn artifacts(&self) -> Vec<(String, Key, PathBuf)> {
         let mut out = Vec::new();
         let list = |path: &Path| std::fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
@@ -431,7 +435,7 @@ fn wrong_file(file: &FileRecord, found: Result<(u64, Digest), FileError>) -> Opt
     }
 }
 
-/// The first file that two artifacts differ in.
+/// Returns the path of the first file in which two artifacts differ.
 pub(crate) fn first_difference(a: &[FileRecord], b: &[FileRecord]) -> String {
     let paths: BTreeSet<&str> = a.iter().chain(b).map(|f| f.path.as_str()).collect();
     let of = |files: &[FileRecord], path: &str| files.iter().find(|f| f.path == path).cloned();

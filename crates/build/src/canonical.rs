@@ -1,4 +1,4 @@
-//! One encoding for equal parameters.
+//! A canonical encoding: equal parameters have equal bytes.
 //!
 //! Parameters arrive as JSON values made from typed structs. Objects are written in key order, integers and
 //! floating point numbers with different tags, floating point numbers by their bits after `-0.0` became
@@ -47,7 +47,7 @@ pub fn encode(value: &Value, encoder: &mut Encoder) {
     }
 }
 
-/// A value as people want to read it: numbers that are exactly an `f32` in the `f32`'s shortest form.
+/// A value in a form for people: numbers that are exactly an `f32` have the `f32`'s shortest form.
 pub fn display(value: &Value) -> String {
     match value {
         Value::Number(n) if n.is_f64() => {
@@ -85,7 +85,8 @@ pub fn remove(value: &mut Value, path: &str) {
     }
 }
 
-/// Every leaf with its dotted path, in order: how two parameter sets are compared field by field.
+/// Lists every leaf with its dotted path, in order, so that two parameter sets can be compared field by
+/// field.
 pub fn leaves(value: &Value) -> Vec<(String, &Value)> {
     fn walk<'v>(path: &str, value: &'v Value, out: &mut Vec<(String, &'v Value)>) {
         match value {
@@ -103,7 +104,7 @@ pub fn leaves(value: &Value) -> Vec<(String, &Value)> {
     out
 }
 
-/// Lays `over` onto `base`: objects merge field by field, anything else replaces.
+/// Merges `over` into `base`: objects merge field by field, anything else replaces.
 pub fn merge(base: &mut Value, over: &Value) {
     match (base, over) {
         (Value::Object(base), Value::Object(over)) => {

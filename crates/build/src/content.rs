@@ -1,10 +1,11 @@
 //! Content digests of files and folders that are not read twice.
 //!
-//! A file's digest is remembered with its size, modification and change time and inode. While these stay, the
-//! content is taken to be the same, so that an unchanged capture of 10 GB costs one `stat` per file; `rehash`
-//! reads everything again. A file that changed within the last two seconds before it was read is not
-//! remembered: a clock tick may hide a second change. A folder's digest covers the relative paths, sizes and
-//! digests of its files, sorted by path; not its own place, so that moving a capture changes nothing.
+//! A file's digest is stored with its size, modification and change time and inode. While these stay the
+//! same, the content is taken to be the same, so that an unchanged capture of 10 GB costs one `stat` per
+//! file; `rehash` reads everything again. The digest of a file that changed within the last two seconds
+//! before it was read is not stored, because a clock tick may hide a second change. A folder's digest covers
+//! the relative paths, sizes and digests of its files, sorted by path. It does not cover the folder's own
+//! path, so that moving a capture changes nothing.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs::Metadata;
@@ -20,10 +21,10 @@ use super::error::FileError;
 use super::files::{self, Files};
 
 const CONTEXT: &str = "use3d 2026 folder digest v1";
-/// How long a file must have been left alone before its digest is remembered.
+/// The time for which a file must have been unchanged before its digest is stored.
 const SETTLE: Duration = Duration::from_secs(2);
 
-/// What the system says about a file without reading it.
+/// The data of a file that the system gives without reading it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Stat {
     size: u64,
@@ -52,7 +53,7 @@ impl Stat {
     }
 }
 
-/// What is in a file or folder.
+/// Digest and size of a file or folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Content {
     /// The digest.
@@ -61,7 +62,7 @@ pub struct Content {
     pub bytes: u64,
 }
 
-/// Hashes content, remembering what it has read. It sees an input as it was when it first looked.
+/// Computes content digests and stores them. An input counts as it was when it was first read.
 pub struct Contents {
     files: Arc<dyn Files>,
     table_path: PathBuf,
@@ -78,14 +79,15 @@ struct State {
 }
 
 impl Contents {
-    /// Opens the table at `table_path`; an unreadable one is an empty one. `rehash` distrusts it.
+    /// Opens the table at `table_path`; an unreadable table counts as empty. `rehash` ignores its entries.
     pub fn open(files: Arc<dyn Files>, table_path: PathBuf, rehash: bool) -> Self {
         let table = files.read(&table_path).map(|bytes| parse(&bytes)).unwrap_or_default();
         Self { files, table_path, rehash, state: Mutex::new(State { table, ..State::default() }) }
     }
 
-    /// The content of a file, or of a folder: of all its files that are not hidden, or of those `select`ed
-    /// (paths relative to it; folders count with everything below; what does not exist is skipped).
+    /// Returns the content of a file or folder. For a folder this covers all files that are not hidden, or
+    /// those in `select`: paths relative to the folder, where a folder counts with everything below, and a
+    /// path that does not exist is skipped.
     pub fn of(&self, path: &Path, select: Option<&[PathBuf]>) -> Result<Content, FileError> {
         let path = files::at(path, "find", std::fs::canonicalize(path))?;
         let memory = (path.clone(), select.unwrap_or_default().to_vec());
@@ -102,13 +104,14 @@ impl Contents {
         Ok(content)
     }
 
-    /// Forgets which inputs were looked at, so that each is looked at once more; a run and a plan begin so.
+    /// Forgets the inputs that this process has read, so that each is checked once more. A run and a plan
+    /// begin with this.
     pub(crate) fn look_again(&self) {
         self.lock().whole.clear();
     }
 
-    /// As [`of`](Self::of), looking again at files that were looked at before: whether an input changed while
-    /// it was read.
+    /// Like [`of`](Self::of), but checks the file or folder again, to find an input that changed while it was
+    /// read.
     pub(crate) fn of_now(&self, path: &Path, select: Option<&[PathBuf]>) -> Result<Content, FileError> {
         let path = files::at(path, "find", std::fs::canonicalize(path))?;
         self.lock().whole.remove(&(path.clone(), select.unwrap_or_default().to_vec()));
@@ -164,14 +167,14 @@ impl Contents {
         Ok(digest)
     }
 
-    /// The digest of one file, trusted as long as its stat stays the same; for files that this program wrote
-    /// and closed.
+    /// Returns the content of one file, and trusts the stored digest as long as its stat stays the same; for
+    /// files that this program wrote and closed.
     pub(crate) fn of_file(&self, path: &Path) -> Result<Content, FileError> {
         let metadata = files::at(path, "read", std::fs::metadata(path))?;
         Ok(Content { digest: self.file(path, &metadata)?, bytes: metadata.len() })
     }
 
-    /// Reads a file whatever is remembered of it.
+    /// Reads a file and returns its digest, even where a digest is stored.
     pub(crate) fn read_digest(&self, path: &Path) -> Result<Digest, FileError> {
         let mut reader = files::at(path, "open", self.files.open(path))?;
         let mut hasher = blake3::Hasher::new();
@@ -185,7 +188,8 @@ impl Contents {
         }
     }
 
-    /// Remembers a file that was just written, synced and read by this program, which nobody else writes to.
+    /// Stores the digest of a file that this program just wrote, synced and read, and that no other process
+    /// writes.
     pub(crate) fn remember_own(&self, path: &Path, digest: Digest) {
         if let Ok(metadata) = std::fs::metadata(path) {
             self.remember(path, Stat::of(&metadata), digest);
@@ -199,8 +203,8 @@ impl Contents {
         state.fresh.insert(path.to_path_buf());
     }
 
-    /// Writes what was learnt, merged with what other processes have written meanwhile. Losing it costs only
-    /// time.
+    /// Writes the new digests, merged with those that other processes have written meanwhile. Losing them
+    /// costs only time.
     pub fn save(&self) -> Result<(), FileError> {
         let mut state = self.lock();
         if state.changed.is_empty() {
@@ -227,7 +231,7 @@ impl Contents {
         Ok(())
     }
 
-    /// Forgets files that are gone; part of cleaning up.
+    /// Forgets files that do not exist any more; part of cleaning up.
     pub(crate) fn forget_missing(&self) {
         let mut state = self.lock();
         let gone: Vec<PathBuf> = state.table.keys().filter(|p| !p.exists()).cloned().collect();
@@ -237,7 +241,7 @@ impl Contents {
         gone.iter().for_each(|path| {
             state.table.remove(path);
         });
-        // An empty table makes the merge start from what is known here.
+        // The table file is removed so that `save` merges into an empty one.
         let _ = self.files.remove_file(&self.table_path);
         state.changed = state.table.keys().cloned().collect();
     }
@@ -275,7 +279,7 @@ mod tests {
     use super::super::files::Disk;
     use super::*;
 
-    /// Counts how many files are opened.
+    /// Counts the opened files.
     struct Counting(AtomicUsize);
 
     impl Files for Counting {
@@ -341,7 +345,7 @@ mod tests {
         assert_eq!(digest(false), (first, 3), "fresh files are read until they have settled");
         assert_eq!(digest(false), (first, 0));
         assert_eq!(digest(true), (first, 3));
-        // Touched: read again, the same digest. Moved: the same digest.
+        // A touched file is read again and has the same digest. A moved folder has the same digest.
         fs::File::options()
             .write(true)
             .open(data.join("notes.txt"))
@@ -350,7 +354,7 @@ mod tests {
         assert_eq!(digest(false), (first, 1));
         fs::write(data.join(".hidden"), "other").expect("file");
         assert_eq!(digest(false).0, first);
-        // Same size, same modification time, other bytes: seen by the change time.
+        // Same size, same modification time, other bytes: the change time shows it.
         fs::write(data.join("images/a.png"), "images/x.png").expect("file");
         fs::File::options()
             .write(true)
@@ -360,7 +364,7 @@ mod tests {
         if cfg!(unix) {
             assert_ne!(digest(false).0, first);
         }
-        // A selection ignores the rest, and what does not exist.
+        // A selection ignores the other files, and names that do not exist.
         let contents = Contents::open(Arc::new(Disk), table, false);
         let some = |names: &[&str]| {
             let select: Vec<PathBuf> = names.iter().map(PathBuf::from).collect();
@@ -369,7 +373,7 @@ mod tests {
         assert_ne!(some(&["images"]), some(&["images/b.png"]));
         assert_eq!(some(&["images"]), some(&["images", "absent", "images/b.png"]));
         assert!(contents.of(&dir.path().join("absent"), None).is_err());
-        // A damaged table is an empty one.
+        // A damaged table counts as empty.
         assert!(parse(b"garbage\n\xff\xfe 1 2 3").is_empty());
     }
 }

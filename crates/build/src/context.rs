@@ -1,5 +1,5 @@
-//! What a stage's function is given: inputs by role, a folder to fill, and nothing that its result may not
-//! depend on.
+//! The data that a stage's function gets: inputs by role and a folder to fill. It holds nothing that the
+//! result must not depend on.
 
 use std::any::Any;
 use std::collections::BTreeMap;
@@ -17,14 +17,14 @@ use super::events::{Event, Listener};
 use super::pulse::Progress;
 use super::{machine, memory};
 
-/// One input as a stage sees it.
+/// One input of a stage.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StageInput {
-    /// What it is for.
+    /// The role of the input in the stage.
     pub role: String,
-    /// The file or folder; to be read only.
+    /// The file or folder, which the stage must not change.
     pub path: PathBuf,
-    /// In a stage over all scenes: the scene it comes from, else empty.
+    /// The scene it comes from, in a stage over all scenes; else empty.
     pub scene: String,
     /// The scene's group, else empty.
     pub group: String,
@@ -32,7 +32,7 @@ pub struct StageInput {
     pub variant: String,
 }
 
-/// What a stage's function is given.
+/// The data that a stage's function gets.
 pub struct StageContext {
     pub(crate) inputs: Vec<StageInput>,
     pub(crate) missing: Vec<String>,
@@ -45,16 +45,16 @@ pub struct StageContext {
     pub(crate) label: String,
     pub(crate) listener: Arc<dyn Listener>,
     pub(crate) log: Log,
-    /// Share of the work found done in checkpoints, in millionths.
+    /// Share of the work that was found done in checkpoints, in millionths.
     pub(crate) resumed: AtomicU64,
-    /// What is kept beside the artifact; none where nothing keeps it.
+    /// Notes that are kept beside the artifact; `None` where nothing keeps them.
     pub(crate) notes: Option<Mutex<Notes>>,
-    /// How far the work is, for those who look at its lease.
+    /// Progress of the work, for other processes that read its lease.
     pub(crate) reached: Arc<Progress>,
 }
 
-/// What a stage measured that does not follow from its inputs, such as times: by name, kept in the manifest
-/// beside the duration, and no part of the artifact or its digest.
+/// Measurements of a stage that do not follow from its inputs, such as times, by name. They are kept in the
+/// manifest beside the duration, and are no part of the artifact or its digest.
 pub type Notes = BTreeMap<String, serde_json::Value>;
 
 impl StageContext {
@@ -66,7 +66,7 @@ impl StageContext {
         })
     }
 
-    /// The input of a role, where there is one.
+    /// The input of a role, or `None`.
     pub fn optional_input(&self, role: &str) -> Option<&Path> {
         self.inputs.iter().find(|i| i.role == role).map(|i| i.path.as_path())
     }
@@ -77,7 +77,7 @@ impl StageContext {
         &self.inputs
     }
 
-    /// In a stage over all scenes: which inputs could not be made, in words.
+    /// The inputs that could not be made, as text; in a stage over all scenes.
     pub fn missing(&self) -> &[String] {
         &self.missing
     }
@@ -88,16 +88,16 @@ impl StageContext {
         &self.output
     }
 
-    /// Where a resumable stage keeps its checkpoints. Another run may have left some, possibly beyond the
-    /// length asked for now, and another process may write the same ones at the same time: names should
-    /// say the step, and files appear by renaming.
+    /// The folder for the checkpoints of a resumable stage. Another run may have left some, possibly beyond
+    /// the length of this run, and another process may write the same ones at the same time. So names should
+    /// contain the step, and files should appear by renaming.
     pub fn checkpoints(&self) -> Option<&Path> {
         self.checkpoints.as_deref()
     }
 
     /// The seed of every random draw of the stage: the pipeline's, or the variant's where it has its own. All
-    /// stages take it as it is (draws are told apart by their purpose), so one number moves everything. 0
-    /// for a stage that did not say it draws random numbers.
+    /// stages use it unchanged (the purpose of a draw tells draws apart), so one number changes all draws. It
+    /// is 0 for a stage that does not declare random draws.
     pub fn seed(&self) -> u64 {
         self.seed
     }
@@ -107,7 +107,7 @@ impl StageContext {
         self.threads
     }
 
-    /// Whether to stop: save a checkpoint and return [`StageError::Cancelled`].
+    /// Returns true if the stage must stop: save a checkpoint and return [`StageError::Cancelled`].
     pub fn cancelled(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }
@@ -117,23 +117,22 @@ impl StageContext {
         self.stop.clone()
     }
 
-    /// Returns [`StageError::Cancelled`] when asked to stop: `context.alive()?` in loops.
+    /// Returns [`StageError::Cancelled`] if the stage must stop: `context.alive()?` in loops.
     pub fn alive(&self) -> Result<(), StageError> {
         if self.cancelled() { Err(StageError::Cancelled) } else { Ok(()) }
     }
 
-    /// Reports how far the work is, e.g. `progress(300, 15_000, "steps")`.
+    /// Reports the progress of the work, e.g. `progress(300, 15_000, "steps")`.
     pub fn progress(&self, done: u64, total: u64, unit: &str) {
         self.progress_with(done, total, unit, "");
     }
 
-    /// As [`progress`](Self::progress), with a few words such as the present loss.
+    /// Like [`progress`](Self::progress), with a short text such as the present loss.
     pub fn progress_with(&self, done: u64, total: u64, unit: &str, message: &str) {
         self.progress_left(done, total, unit, message, None);
     }
 
-    /// As [`progress_with`](Self::progress_with), for work of which the stage knows how many seconds are
-    /// left.
+    /// Like [`progress_with`](Self::progress_with), for work whose remaining seconds the stage can estimate.
     pub fn progress_left(&self, done: u64, total: u64, unit: &str, message: &str, seconds_left: Option<f64>) {
         self.reached.note(done, total, unit);
         self.listener.event(&Event::Progress {
@@ -147,37 +146,38 @@ impl StageContext {
         });
     }
 
-    /// Tells a step's numbers by name, for who draws curves.
+    /// Reports a step's numbers by name, for drawing curves.
     pub fn figures(&self, step: u64, steps: u64, figures: &[(&str, f64)]) {
         self.listener.event(&Event::Figures { label: &self.label, step, steps, figures });
     }
 
-    /// Whether somebody wants to see what the stage is making. To look at only: nothing may depend on it.
+    /// Returns true if a listener wants a view of the unfinished result. It is for display: the result must
+    /// not depend on it.
     pub fn wants_view(&self) -> bool {
         let wanted = AtomicBool::new(false);
         self.listener.event(&Event::AsksForView { label: &self.label, wanted: &wanted });
         wanted.into_inner()
     }
 
-    /// Shows what the stage is making, as it stands.
+    /// Sends a view of the unfinished result to the listeners.
     pub fn view(&self, view: &Arc<dyn Any + Send + Sync>) {
         self.listener.event(&Event::View { label: &self.label, inputs: &self.inputs, view });
     }
 
-    /// Says that `done` of `total` steps were found in a checkpoint, so that the time taken is not mistaken
-    /// for the whole.
+    /// Records that `done` of `total` steps were found in a checkpoint, so that the measured time is not
+    /// taken for the whole.
     pub fn resumed(&self, done: u64, total: u64) {
         let share = if total == 0 { 0.0 } else { done as f64 / total as f64 };
         self.resumed.store((share.clamp(0.0, 1.0) * 1e6) as u64, Ordering::Relaxed);
         self.log(format_args!("going on from step {done} of {total}"));
     }
 
-    /// Says before the work what memory it takes: refuses what cannot even begin here, and tells the user
-    /// when it may end for want of memory. `start` and `most` are bytes, at the start and at the most;
-    /// `lower` says in words what makes it less.
+    /// Checks before the work that there is enough memory: fails if the work cannot even start here, and
+    /// shows a message if it may run out of memory later. `start` and `most` are bytes, at the start and at
+    /// the most; `lower` is the text that says how to need less.
     ///
     /// # Errors
-    /// `start` is more than this process may still take.
+    /// Fails if `start` is more than this process may still take.
     pub fn needs_memory(&self, start: u64, most: u64, lower: &str) -> Result<(), StageError> {
         let Some(free) = machine::available_memory() else { return Ok(()) };
         if let Some(notice) = memory::judge(free, start, most, lower).map_err(StageError::message)? {
@@ -191,34 +191,35 @@ impl StageContext {
         self.log.line(&line.to_string());
     }
 
-    /// Writes a line to the log and tells the user at once.
+    /// Writes a line to the log and shows it to the user at once.
     pub fn say(&self, line: impl Display) {
         let line = line.to_string();
         self.log.line(&line);
         self.listener.event(&Event::Note { label: &self.label, text: &line });
     }
 
-    /// Whether [`note`](Self::note) is heard: not where a stage is run by hand, or again to verify it.
+    /// Returns true if [`note`](Self::note) keeps notes: not where a stage is run by hand, or again to verify
+    /// it.
     pub fn keeps_notes(&self) -> bool {
         self.notes.is_some()
     }
 
-    /// Keeps a measurement beside the artifact, where it changes neither bytes nor keys. Whoever shows
-    /// results may add it.
+    /// Keeps a measurement beside the artifact, where it changes neither bytes nor keys. Pages that show
+    /// the results may include it.
     pub fn note(&self, name: &str, value: &impl serde::Serialize) {
         if let (Some(notes), Ok(value)) = (&self.notes, serde_json::to_value(value)) {
             notes.lock().unwrap_or_else(PoisonError::into_inner).insert(name.to_string(), value);
         }
     }
 
-    /// What was noted.
+    /// Returns the notes and clears them.
     pub(crate) fn take_notes(&self) -> Notes {
         let take =
             |notes: &Mutex<Notes>| std::mem::take(&mut *notes.lock().unwrap_or_else(PoisonError::into_inner));
         self.notes.as_ref().map(take).unwrap_or_default()
     }
 
-    /// Writes to the log where the time went, and tells those who ask.
+    /// Writes the table of time per part to the log and sends it to the listeners.
     pub fn profile(&self, table: &str) {
         self.log.line(table);
         self.listener.event(&Event::Profile { label: &self.label, text: table });
@@ -230,7 +231,8 @@ impl StageContext {
     }
 }
 
-/// A stage's log: lines with the seconds since its start. Losing a line is no reason to lose the work.
+/// A stage's log: lines with the seconds since its start. A line that cannot be written is dropped, and the
+/// work continues.
 #[derive(Clone)]
 pub(crate) struct Log {
     sink: Arc<Mutex<Box<dyn Write + Send>>>,
@@ -244,7 +246,7 @@ impl Log {
 
     pub(crate) fn line(&self, line: &str) {
         let mut sink = self.sink.lock().unwrap_or_else(PoisonError::into_inner);
-        // A log is read on terminals, and quotes what files say.
+        // People read logs on terminals, and lines may quote file contents: control characters are escaped.
         let _ = writeln!(sink, "{:>9.2} {}", self.start.elapsed().as_secs_f64(), shown_lines(line));
     }
 }

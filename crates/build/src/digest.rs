@@ -1,4 +1,4 @@
-//! Content digests (BLAKE3, 32 bytes) and the length-prefixed encoding that everything hashed goes through.
+//! Content digests (BLAKE3, 32 bytes) and the length-prefixed encoding of everything that is hashed.
 //!
 //! A concatenation of variable-length fields without their lengths has collisions (`"ab" ‖ "c"` = `"a" ‖
 //! "bc"`), so every field is written as its length (u64, little-endian) and its bytes. Each purpose hashes in
@@ -30,7 +30,7 @@ impl Digest {
         self.to_string()[..12].to_string()
     }
 
-    /// Where the digest falls in [0, 1), for choosing samples that everybody agrees on.
+    /// The digest as a number in [0, 1), for choosing samples that are the same everywhere.
     pub fn fraction(&self) -> f64 {
         let mut head = [0; 8];
         head.copy_from_slice(&self.0[..8]);
@@ -56,7 +56,7 @@ impl fmt::Debug for Digest {
     }
 }
 
-/// Not 64 hexadecimal digits.
+/// The error for text that is not 64 hexadecimal digits.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is not a digest: 64 hexadecimal digits expected")]
 pub struct NotADigest(String);

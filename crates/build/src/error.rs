@@ -1,4 +1,4 @@
-//! What can go wrong, in words that say what to do next.
+//! Errors, whose messages include the next step for the user.
 
 use std::error::Error;
 use std::fmt;
@@ -6,21 +6,21 @@ use std::path::{Path, PathBuf};
 
 use super::code::CodeError;
 
-/// A parameter that is not what its stage expects.
+/// An invalid parameter of a stage.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ParameterError {
     /// Dotted path of the parameter; empty for the whole.
     pub path: String,
-    /// What is wrong, what is expected.
+    /// The problem, and the expected value.
     pub message: String,
-    /// The name (of a key or a choice) that is not known.
+    /// The unknown name (of a key or a choice), if that is the problem.
     pub unknown: Option<String>,
-    /// The names that are.
+    /// The known names.
     pub known: Vec<String>,
 }
 
 impl ParameterError {
-    /// From a deserialisation error with its path.
+    /// Converts a deserialisation error together with its path.
     pub fn from_path(error: &serde_path_to_error::Error<serde_json::Error>) -> Self {
         let path = error.path().to_string();
         let mut this = Self::from_serde(error.inner());
@@ -37,7 +37,7 @@ impl ParameterError {
         this
     }
 
-    /// From a deserialisation error.
+    /// Converts a deserialisation error.
     pub(crate) fn from_serde(error: &serde_json::Error) -> Self {
         let message = error.to_string();
         let mut quoted = message.split('`').skip(1).step_by(2).map(String::from);
@@ -57,7 +57,7 @@ impl ParameterError {
 impl fmt::Display for ParameterError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if !self.path.is_empty() {
-            // What is said of a value goes on the sentence that its name begins.
+            // A message about a value continues the sentence that begins with its name.
             let joint = if self.message.starts_with("is ") { " " } else { ": " };
             write!(f, "`{}`{joint}", self.path)?;
         }
@@ -71,8 +71,7 @@ impl fmt::Display for ParameterError {
 
 impl Error for ParameterError {}
 
-/// What a deserialiser says, in words that are not its own: `invalid type: integer `-5`, expected u64` and
-/// the like.
+/// Rephrases a deserialiser's message, such as `invalid type: integer `-5`, expected u64`, in plain words.
 pub fn plain(message: &str) -> String {
     if let Some(rest) = message.strip_prefix("unknown variant ") {
         return rest.replacen(", expected ", " is not known here; expected ", 1);
@@ -101,7 +100,7 @@ pub fn plain(message: &str) -> String {
     format!("expected {expected}, found {found}")
 }
 
-/// The name nearest to `wrong`, unless all are far.
+/// The name nearest to `wrong`, or `None` if all names differ too much.
 pub fn nearest<'n>(wrong: &str, names: impl IntoIterator<Item = &'n str>) -> Option<&'n str> {
     let lower = wrong.to_lowercase();
     names
@@ -112,15 +111,15 @@ pub fn nearest<'n>(wrong: &str, names: impl IntoIterator<Item = &'n str>) -> Opt
         .map(|(_, name)| name)
 }
 
-/// Why a stage did not fill its folder.
+/// The reason why a stage did not fill its folder.
 ///
-/// Any error converts with `?`. (It is itself not a `std::error::Error`, which is what makes that conversion
+/// Any error converts with `?`. (This type is itself not a `std::error::Error`, which makes that conversion
 /// possible.)
 #[derive(Debug)]
 pub enum StageError {
-    /// It was asked to stop; its checkpoints are on disk.
+    /// The stage was stopped; its checkpoints are on disk.
     Cancelled,
-    /// It failed.
+    /// The stage failed.
     Failed(Box<dyn Error + Send + Sync>),
 }
 
@@ -130,22 +129,22 @@ impl StageError {
         Self::Failed(Box::new(error))
     }
 
-    /// A failure in words.
+    /// A failure with a message.
     pub fn message(text: impl Into<String>) -> Self {
         Self::Failed(text.into().into())
     }
 
-    /// A failure that lies in what the stage was given, not in the stage's own work.
+    /// A failure caused by the stage's inputs, not by the stage's own work.
     pub fn bad_input(error: impl Error + Send + Sync + 'static) -> Self {
         Self::failed(BadInput(Box::new(error)))
     }
 
-    /// The same in words.
+    /// The same with a message.
     pub fn bad_input_message(text: impl Into<String>) -> Self {
         Self::Failed(Box::new(BadInput(text.into().into())))
     }
 
-    /// Whether it lies in what the stage was given.
+    /// Returns true if the inputs caused the failure.
     pub fn is_bad_input(&self) -> bool {
         matches!(self, Self::Failed(error) if error.is::<BadInput>())
     }
@@ -156,7 +155,7 @@ impl StageError {
     }
 }
 
-/// Marks an error as one of the input; what it says is the error's own.
+/// Marks an error as caused by the input; the text is the inner error's.
 #[derive(Debug)]
 struct BadInput(Box<dyn Error + Send + Sync>);
 
@@ -207,9 +206,9 @@ pub fn chain(error: &dyn Error) -> String {
 pub struct FileError {
     /// The file or folder.
     pub path: PathBuf,
-    /// What was tried.
+    /// The operation that was tried, as a verb.
     pub doing: &'static str,
-    /// What the system said.
+    /// The system's error.
     pub source: std::io::Error,
 }
 
@@ -226,41 +225,41 @@ fn advice(error: &std::io::Error) -> &'static str {
     }
 }
 
-/// What stops the builder as a whole.
+/// The errors that stop the builder as a whole.
 #[derive(Debug, thiserror::Error)]
 pub enum BuildError {
     /// A file operation failed.
     #[error(transparent)]
     File(#[from] FileError),
-    /// A stage names code that is not there.
+    /// A stage names code that does not exist.
     #[error("stage `{stage}`: {source}")]
     Code {
         /// The stage.
         stage: String,
-        /// What is wrong.
+        /// The problem.
         source: CodeError,
     },
-    /// The stages do not fit together: a mistake in the program, found when the registry is built.
+    /// The stages do not fit together. This is a mistake in the program, found when the registry is built.
     #[error("stage table: {0}")]
     Registry(String),
     /// A name that does not exist.
     #[error("no {kind} `{name}`{}; there are: {known}", suggestion.as_ref().map(|s| format!(" (did you mean `{s}`?)")).unwrap_or_default())]
     Unknown {
-        /// What kind of thing.
+        /// The kind of the name, such as a scene or stage.
         kind: &'static str,
-        /// The name asked for.
+        /// The name that was given.
         name: String,
         /// The nearest known one.
         suggestion: Option<String>,
-        /// The names there are.
+        /// The known names.
         known: String,
     },
-    /// Parameters of a stage.
+    /// Invalid parameters of a stage.
     #[error("{place}: {error}")]
     Parameters {
-        /// Where they come from.
+        /// The place where they are written.
         place: String,
-        /// What is wrong.
+        /// The problem.
         error: ParameterError,
     },
 }

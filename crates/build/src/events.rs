@@ -1,4 +1,4 @@
-//! What the builder tells while it works; the command line draws it.
+//! The builder's events during a run; the command line displays them.
 
 use std::any::Any;
 use std::path::Path;
@@ -9,136 +9,135 @@ use super::context::StageInput;
 use super::digest::Digest;
 use super::run::RanNode;
 
-/// Something that happened.
+/// An event of a run.
 #[derive(Clone, Copy, Debug)]
 pub enum Event<'a> {
     /// A stage starts.
     Started {
         /// The node in the graph.
         node: usize,
-        /// BatchScene, variant and stage in words.
+        /// Scene, variant and stage, for display.
         label: &'a str,
         /// Its key.
         key: Digest,
-        /// Threads it was given.
+        /// Number of its threads.
         threads: usize,
     },
-    /// A stage is this far.
+    /// Progress of a stage.
     Progress {
         /// The node in the graph.
         node: usize,
-        /// BatchScene, variant and stage in words.
+        /// Scene, variant and stage, for display.
         label: &'a str,
         /// Work done.
         done: u64,
-        /// Work in all.
+        /// Total work.
         total: u64,
-        /// What is counted.
+        /// The unit of the work.
         unit: &'a str,
-        /// A few words, or nothing.
+        /// A short text, or empty.
         message: &'a str,
-        /// Seconds left, where the stage knows.
+        /// Seconds left, if the stage can estimate them.
         seconds_left: Option<f64>,
     },
-    /// Numbers of a step, by name, for curves. Told after every step; whoever
-    /// holds this up holds up the stage.
+    /// Numbers of a step, by name, for curves. Sent after every step; a slow listener slows down the stage.
     Figures {
-        /// BatchScene, variant and stage in words.
+        /// Scene, variant and stage, for display.
         label: &'a str,
         /// Steps done.
         step: u64,
-        /// Steps in all.
+        /// Total number of steps.
         steps: u64,
         /// Name and value.
         figures: &'a [(&'a str, f64)],
     },
-    /// A stage asks whether somebody wants to see what it is making; who does raises the flag.
+    /// A stage checks if a listener wants a view of its unfinished result; such a listener sets the flag.
     AsksForView {
-        /// BatchScene, variant and stage in words.
+        /// Scene, variant and stage, for display.
         label: &'a str,
-        /// Raised by who wants to see it.
+        /// The flag; a listener that wants a view sets it to true.
         wanted: &'a AtomicBool,
     },
-    /// What a stage is making, as it stands: a copy, of a type that the stage says.
+    /// A view of a stage's unfinished result: a copy, of a type that the stage defines.
     View {
-        /// BatchScene, variant and stage in words.
+        /// Scene, variant and stage, for display.
         label: &'a str,
-        /// What it is made from.
+        /// The inputs of the stage.
         inputs: &'a [StageInput],
-        /// What it is.
+        /// The view.
         view: &'a Arc<dyn Any + Send + Sync>,
     },
-    /// Another process computes the same thing; this one does something else meanwhile, or waits for it. Told
-    /// once.
+    /// Another process computes the same node; this process works on other nodes meanwhile, or waits for it.
+    /// Sent once.
     Waiting {
         /// The node in the graph.
         node: usize,
-        /// BatchScene, variant and stage in words.
+        /// Scene, variant and stage, for display.
         label: &'a str,
-        /// Who.
+        /// The other process, for display.
         holder: &'a str,
     },
     /// A stage is finished.
     Done {
         /// The node in the graph.
         node: usize,
-        /// BatchScene, variant and stage in words.
+        /// Scene, variant and stage, for display.
         label: &'a str,
-        /// Whether it was there already.
+        /// True if the artifact was in the cache already.
         cached: bool,
-        /// How long it took, seconds.
+        /// Duration in seconds.
         seconds: f64,
     },
-    /// All stages of a scene are over, done or failed; the batch may go on for long.
+    /// All stages of a scene are done or failed; other scenes of the batch may still run for long.
     SceneOver {
         /// The scene.
         scene: &'a str,
         /// The variant; empty where there are none.
         variant: &'a str,
-        /// All nodes of the run as they stand now.
+        /// All nodes of the run with their present states.
         nodes: &'a [RanNode],
     },
     /// A stage failed.
     Failed {
         /// The node in the graph.
         node: usize,
-        /// BatchScene, variant and stage in words.
+        /// Scene, variant and stage, for display.
         label: &'a str,
-        /// Why.
+        /// The reason.
         reason: &'a str,
-        /// Where its log is.
+        /// The path of its log.
         log: &'a Path,
     },
-    /// Something the user should know.
+    /// A message for the user.
     Note {
-        /// What it is about.
+        /// The subject of the message.
         label: &'a str,
-        /// What.
+        /// The message.
         text: &'a str,
     },
-    /// Where a stage's time went, for those who ask; no part of any artifact.
+    /// The table of time per part of a stage, for display on request; no part of any artifact.
     Profile {
-        /// What it is about.
+        /// The subject of the table.
         label: &'a str,
         /// A table.
         text: &'a str,
     },
-    /// Something is wrong, and the builder goes on: a damaged artifact, a determinism alarm.
+    /// A problem that does not stop the builder: a damaged artifact, a determinism alarm.
     Warning {
-        /// What it is about.
+        /// The subject of the warning.
         label: &'a str,
-        /// What.
+        /// The warning.
         text: &'a str,
     },
 }
 
-/// Is told what happens, from several threads.
+/// A receiver of events; several threads call it.
 pub trait Listener: Send + Sync {
-    /// Something happened.
+    /// Handles an event.
     fn event(&self, event: &Event<'_>);
 }
 
-/// Listens to nothing.
+/// Ignores all events.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Silent;
 

@@ -1,34 +1,34 @@
-//! Where a run's jobs are done.
+//! The places where a run's jobs are done.
 //!
-//! The run decides what is to be done next and within which cores and memory; an [`Executor`] does it.
-//! [`Threads`] does it in this process. Another executor may hand a [`Task`] to another process or machine
-//! that sees the same cache: an artifact is found by its key, so once it is there [`Task::run`] finds it made
-//! and returns at once. What an executor cannot have done elsewhere it simply runs.
+//! The run chooses the next job and keeps within the limits of cores and memory; an [`Executor`] does the
+//! job. [`Threads`] does it in this process. Another executor may pass a [`Task`] to another process or
+//! machine that shares the same cache. An artifact is found by its key, so once it exists, [`Task::run`]
+//! finds it and returns at once. An executor that cannot pass a task on simply runs it.
 
 use std::fmt;
 
 use super::key::Key;
 
-/// One node's work: data for whoever hands it on, and the work itself.
+/// One node's work: data for an executor that passes it on, and the work itself.
 pub struct Task<'t> {
     /// The pipeline.
     pub pipeline: &'t str,
-    /// The node in words: scene, variant and stage.
+    /// Scene, variant and stage, for display.
     pub label: String,
     /// The stage.
     pub stage: &'static str,
-    /// The key of the artifact that is wanted.
+    /// The key of the artifact to make.
     pub key: Key,
     /// Threads to use.
     pub threads: usize,
-    /// About how much memory it takes, bytes.
+    /// Estimated memory in bytes.
     pub memory: u64,
     pub(crate) work: Box<dyn FnOnce() + Send + 't>,
 }
 
 impl Task<'_> {
-    /// Does the work and tells the run how it ended: takes what is there, computes, or says that another
-    /// process computes it, so that the run takes something else meanwhile.
+    /// Does the work and reports the result to the run. It uses the artifact if it exists, or computes it, or
+    /// reports that another process computes it, so that the run can take another node meanwhile.
     pub fn run(self) {
         (self.work)();
     }
@@ -41,21 +41,21 @@ impl fmt::Debug for Task<'_> {
     }
 }
 
-/// Takes tasks while a run lasts.
+/// Accepts tasks during a run.
 pub trait Starter<'t> {
-    /// Starts a task. Whatever becomes of it, [`Task::run`] is called once, at any time and on any thread,
-    /// and an interruption reaches the work through it.
+    /// Starts a task. [`Task::run`] must be called exactly once, even after a failure, at any time and on any
+    /// thread; an interruption reaches the work through it.
     fn start(&self, task: Task<'t>);
 }
 
 /// Does the jobs of runs.
 pub trait Executor: fmt::Debug + Send + Sync {
-    /// Calls `decide` once with what takes its tasks, and returns when `decide` has returned and every task
-    /// has run.
+    /// Calls `decide` once with the starter that accepts its tasks, and returns when `decide` has returned
+    /// and every task has run.
     fn serve<'t>(&self, decide: &mut dyn FnMut(&dyn Starter<'t>));
 }
 
-/// Every task on a thread of its own in this process.
+/// Runs every task on a thread of its own in this process.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Threads;
 

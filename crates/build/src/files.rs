@@ -1,8 +1,8 @@
 //! The few file operations that the cache relies on, behind a trait, so that tests can make each of them
 //! fail.
 //!
-//! A published name is complete: bytes are synced before the rename that makes them visible, the folder after
-//! it.
+//! A file with its final name is complete: its bytes are synced before the rename that gives the name, and
+//! the folder is synced after it.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -13,12 +13,12 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use super::error::FileError;
 use super::machine::{self, ProcessId};
 
-/// What stands between a file's name and [`unique`] in the name of the sibling that becomes it.
+/// The text between a file's name and [`unique`] in the name of its temporary sibling.
 pub(crate) const SIBLING: &str = ".tmp-";
 
-/// File operations of the cache. Stages write their own files into the folder they are given.
+/// File operations of the cache. Stages write their own files into their output folders.
 pub trait Files: Send + Sync {
-    /// The whole file.
+    /// Reads the whole file.
     fn read(&self, path: &Path) -> io::Result<Vec<u8>>;
     /// Opens for reading in pieces.
     fn open(&self, path: &Path) -> io::Result<Box<dyn Read>>;
@@ -38,7 +38,7 @@ pub trait Files: Send + Sync {
     fn remove_file(&self, path: &Path) -> io::Result<()>;
     /// Removes a folder with everything below.
     fn remove_dir_all(&self, path: &Path) -> io::Result<()>;
-    /// Whether something of that name is there.
+    /// Returns true if a file or folder of that name exists.
     fn exists(&self, path: &Path) -> io::Result<bool> {
         match fs::symlink_metadata(path) {
             Ok(_) => Ok(true),
@@ -46,14 +46,14 @@ pub trait Files: Send + Sync {
             Err(e) => Err(e),
         }
     }
-    /// Writes over some bytes of a file that is there; its length stays.
+    /// Overwrites some bytes of an existing file; its length stays.
     fn overwrite(&self, path: &Path, start: u64, bytes: &[u8]) -> io::Result<()> {
         let mut file = File::options().write(true).open(path)?;
         file.seek(SeekFrom::Start(start))?;
         file.write_all(bytes)
     }
-    /// Has the system ask the server again what is in a folder: a client of a network file system may
-    /// remember for a minute that a name was not there.
+    /// Makes the system ask the server again for the names in a folder: a client of a network file system may
+    /// cache for a minute that a name did not exist.
     fn look_again(&self, folder: &Path) {
         drop(fs::read_dir(folder).map(|mut entries| entries.next().is_some()));
     }
@@ -115,7 +115,7 @@ pub(crate) fn at<T>(path: &Path, doing: &'static str, result: io::Result<T>) -> 
 /// Writes a small file whole or not at all: a synced sibling, renamed. Folders above it are created.
 ///
 /// # Errors
-/// A folder that cannot be created, a file that cannot be written; what was there before is still there.
+/// A folder cannot be created or the file cannot be written. The old file is then unchanged.
 pub fn write_atomic(files: &dyn Files, path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     let parent = path.parent().unwrap_or(Path::new("."));
     at(parent, "create", files.create_dir_all(parent))?;
@@ -125,14 +125,15 @@ pub fn write_atomic(files: &dyn Files, path: &Path, bytes: &[u8]) -> Result<(), 
     let moved = files.write(&sibling, bytes).and_then(|()| rename(files, &sibling, path));
     let written = at(path, "write", moved);
     if written.is_err() {
-        // The error that matters is the one above; the sibling is swept with other leftovers.
+        // The error that matters is the one above; `Cache::sweep` removes the sibling later.
         let _ = files.remove_file(&sibling);
     }
     written
 }
 
-/// Renames what this process alone knows by its old or by its new name. A server whose answer was lost is
-/// asked twice and may then say that there is nothing to rename; what counts is what is there.
+/// Renames a file or folder whose old and new name only this process uses. If a server's reply was lost, the
+/// system repeats the request and the server may answer that the old name does not exist. So after an error
+/// the existing names decide.
 pub(crate) fn rename(files: &dyn Files, from: &Path, to: &Path) -> io::Result<()> {
     let renamed = files.rename(from, to);
     if renamed.is_err() {
@@ -144,9 +145,9 @@ pub(crate) fn rename(files: &dyn Files, from: &Path, to: &Path) -> io::Result<()
     renamed
 }
 
-/// A name that no other process, on whatever machine and in whatever container, and no other call uses. It
-/// says [whose](ProcessId::owner_is_alive) it is, as far as that can be known, and has some chance in it for
-/// where it cannot.
+/// Returns a name that no other process on any machine or in any container, and no other call, uses. It
+/// contains the [process that owns it](ProcessId::owner_is_alive), as far as that can be known, and a random
+/// number for cases where it cannot.
 pub(crate) fn unique() -> String {
     static OWNER: OnceLock<String> = OnceLock::new();
     unique_of(OWNER.get_or_init(|| ProcessId::this().name()))
@@ -159,8 +160,8 @@ fn unique_of(owner: &str) -> String {
     format!("{owner}-{chance:016x}-{}", COUNTER.fetch_add(1, Ordering::Relaxed))
 }
 
-/// Every regular file below a folder with its path (`/` between folders) and size, sorted; symbolic links and
-/// special files are errors.
+/// Lists every regular file below a folder with its path (`/` between folders) and size, sorted; symbolic
+/// links and special files are errors.
 pub(crate) fn list(root: &Path) -> Result<Vec<(String, u64)>, FileError> {
     let mut out = Vec::new();
     for entry in walkdir::WalkDir::new(root).sort_by_file_name() {
@@ -181,13 +182,13 @@ pub(crate) fn list(root: &Path) -> Result<Vec<(String, u64)>, FileError> {
     Ok(out)
 }
 
-/// A relative path with `/` between folders, when it is UTF-8.
+/// A relative path with `/` between folders, or `None` if it is not UTF-8.
 pub(crate) fn relative_name(path: &Path) -> Option<String> {
     let parts: Option<Vec<&str>> = path.components().map(|c| c.as_os_str().to_str()).collect();
     Some(parts?.join("/"))
 }
 
-/// The error of a walk.
+/// Converts the error of a folder walk.
 pub(crate) fn walk_error(root: &Path, error: walkdir::Error) -> FileError {
     let path = error.path().map_or_else(|| root.to_path_buf(), PathBuf::from);
     let source = match error.loop_ancestor() {
@@ -201,7 +202,7 @@ pub(crate) fn walk_error(root: &Path, error: walkdir::Error) -> FileError {
 mod tests {
     use super::*;
 
-    /// Does what it is asked and then says that it did not.
+    /// Performs each operation and then returns an error, like a server whose replies are lost.
     struct LostAnswers;
 
     impl Files for LostAnswers {
@@ -259,8 +260,8 @@ mod tests {
             println!("names: {}", names.join(" "));
             return;
         }
-        // Two containers may have one host name, one process id and one start time, and count alike; chance tells them
-        // apart.
+        // Two containers may have the same host name, process id, start time and counter; the random number
+        // distinguishes them.
         let own = "files::tests::processes_that_think_they_are_one_get_different_names";
         let said = || -> Vec<String> {
             let mut this = std::process::Command::new(std::env::current_exe().unwrap());

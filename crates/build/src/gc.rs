@@ -1,9 +1,11 @@
-//! Cleaning up: what is cheapest to make again goes first, what is in use never.
+//! Cleaning up the cache: the artifacts that are cheapest to make again are removed first; those in use
+//! never.
 //!
-//! In use is what the pipelines to keep would need now, and what running processes compute, read or have
-//! decided on: artifacts, and the checkpoints of trainings that are not finished. Then, until the cache is
-//! small enough: leftovers, checkpoints, artifacts that no last record points to, and at last those that are,
-//! each kind by the seconds it takes to make a byte again.
+//! An artifact is in use if the pipelines to keep would need it now, or if a running process computes it,
+//! reads it or plans to use it. The same holds for the checkpoints of trainings that are not finished. The
+//! rest is removed until the cache is small enough, in this order: leftovers, checkpoints, artifacts that no
+//! last record points to, and finally those that one does. Within each kind the order is by the seconds that
+//! it takes to make a byte again.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -19,50 +21,50 @@ use super::machine;
 use super::manifest::{MANIFEST, Manifest};
 use super::plan::Plan;
 
-/// What to clean up.
+/// Options of a cleaning.
 #[derive(Clone, Debug, Default)]
 pub struct CleanOptions {
     /// Remove until the cache is at most this large.
     pub max_bytes: Option<u64>,
-    /// Remove what was not used for this long.
+    /// Remove items that were not used for this long.
     pub older_than: Option<Duration>,
     /// Artifacts and checkpoints to keep, see [`Plan::keys`].
     pub keep: BTreeSet<Key>,
-    /// Only say what would go.
+    /// Report what would be removed, and remove nothing.
     pub dry_run: bool,
 }
 
-/// Something that is removed.
+/// A removed item.
 #[derive(Clone, Debug, Serialize)]
 pub struct Removed {
-    /// What it is: artifact, checkpoints, damaged, leftover.
+    /// Its kind: artifact, checkpoints, damaged, leftover.
     pub kind: &'static str,
-    /// Stage, and the scene it was made for.
+    /// The stage, and the scene it was made for.
     pub name: String,
     /// Its size.
     pub bytes: u64,
-    /// Why it goes.
+    /// The reason for removing it.
     pub reason: String,
-    /// Where it is.
+    /// Its path.
     pub path: PathBuf,
 }
 
-/// What a cleaning did, or would do.
+/// Report of a cleaning, or of a dry run.
 #[derive(Clone, Debug, Serialize)]
 pub struct Cleaning {
-    /// What was removed.
+    /// The removed items.
     pub removed: Vec<Removed>,
-    /// What could not be removed, and why.
+    /// The items that could not be removed, each with the error.
     pub failed: Vec<(String, String)>,
-    /// Bytes that are left.
+    /// Bytes left in the cache.
     pub left: u64,
-    /// Whether nothing was touched.
+    /// True for a dry run, which removes nothing.
     pub dry_run: bool,
 }
 
 impl Plan {
-    /// What a cleaning that keeps this pipeline leaves: the keys of all artifacts that the plan finds there,
-    /// and of the checkpoints that unfinished stages would go on from.
+    /// The keys that a cleaning must keep for this pipeline: those of all artifacts that the plan finds in
+    /// the cache, and of the checkpoints from which unfinished stages would resume.
     pub fn keys(&self) -> impl Iterator<Item = Key> + '_ {
         self.nodes.iter().filter_map(|n| if n.artifact.is_some() { n.key } else { n.checkpoints })
     }
@@ -76,7 +78,7 @@ struct Item {
     cost: f64,
     used: SystemTime,
     path: PathBuf,
-    /// What keeps it: the key of an artifact or of checkpoints.
+    /// The key of the artifact or of the checkpoints, by which the item can be kept.
     key: Option<Key>,
 }
 
@@ -110,7 +112,7 @@ impl Cache {
                 continue;
             };
             if !options.dry_run {
-                // Removing takes its time; meanwhile a run may have come to need it.
+                // Removing takes time; meanwhile another run may have started to need the item.
                 if kept(&item, &lease::in_use(self)) {
                     continue;
                 }
@@ -134,7 +136,7 @@ impl Cache {
         cleaning
     }
 
-    /// Everything in the cache that takes space.
+    /// Lists all items in the cache that take space.
     fn items(&self) -> Vec<Item> {
         let records = self.all_records();
         let current: BTreeSet<Key> = records.iter().filter_map(|r| r.last.as_ref().map(|m| m.key)).collect();
@@ -170,7 +172,7 @@ impl Cache {
         items
     }
 
-    /// Takes a folder away: first out of sight, so that nobody finds half of it.
+    /// Removes a folder: it is first renamed into `tmp`, so that no process finds half of it.
     fn discard(&self, path: &Path) -> Result<(), super::error::FileError> {
         let scratch = self.scratch()?;
         let gone = scratch.join("gone");
@@ -190,7 +192,7 @@ fn last(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Bytes below a folder, and when it was of use last.
+/// Bytes below a folder, and the time of its last use.
 fn measure(path: &Path) -> (u64, SystemTime) {
     let mut bytes = 0;
     let mut used = SystemTime::UNIX_EPOCH;
@@ -203,7 +205,7 @@ fn measure(path: &Path) -> (u64, SystemTime) {
     (bytes, used)
 }
 
-/// A size such as `50GB`, `1.5 TB`, `800MiB` or `1000`.
+/// Parses a size such as `50GB`, `1.5 TB`, `800MiB` or `1000`.
 pub fn parse_bytes(text: &str) -> Result<u64, String> {
     let wrong =
         || format!("`{text}` is not a size: a number and B, kB, MB, GB, TB, KiB, MiB, GiB or TiB, e.g. 50GB");
@@ -223,7 +225,7 @@ pub fn parse_bytes(text: &str) -> Result<u64, String> {
     Ok((number * factor) as u64)
 }
 
-/// An age such as `30d`, `12h` or `2w`.
+/// Parses an age such as `30d`, `12h` or `2w`.
 pub fn parse_age(text: &str) -> Result<Duration, String> {
     let wrong = || format!("`{text}` is not an age: a number and s, min, h, d or w, e.g. 30d");
     let (number, unit) = split_unit(text).ok_or_else(wrong)?;

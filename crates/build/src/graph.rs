@@ -1,9 +1,9 @@
-//! The static graph of a batch: every stage of every scene and variant, with its parameters and where its
-//! inputs come from.
+//! The static graph of a batch: every stage of every scene and variant, with its parameters and the sources
+//! of its inputs.
 //!
-//! Variants that change nothing below a stage share it: such nodes are recognised before anything is known
-//! about content, by an identity made of stage, parameters, seed and the identities of the inputs, and point
-//! to the first of their kind.
+//! Variants that change nothing up to a stage share that stage's node. Such nodes are found before any
+//! content is read, by an identity made of stage, parameters, seed and the identities of the inputs. They
+//! point to the first node with the same identity.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::PathBuf;
@@ -17,20 +17,20 @@ use super::error::{BuildError, ParameterError};
 use super::registry::Registry;
 use super::stage::{AllParameters, Named, Scope, Source};
 
-/// Parameters given for stages, by stage; whatever is not given has the stage's default.
+/// Parameters given for stages, by stage; a parameter that is not given has the stage's default.
 pub type Overrides = Map<String, Value>;
 
-/// A place outside the pipeline, or why it cannot be said where it is.
+/// A path outside the pipeline, or the reason why it is not known.
 pub type External = Result<PathBuf, String>;
 
-/// What is to be computed: scenes × stages × variants.
+/// The work of a batch: scenes × stages × variants.
 #[derive(Clone, Debug, Default)]
 pub struct Batch {
     /// The pipeline's name, for records and logs.
     pub name: String,
     /// The seed.
     pub seed: u64,
-    /// Parameters for all scenes that everything wins over but the stages' own defaults.
+    /// Parameters for all scenes. They win only over the stages' own defaults.
     pub preset: Overrides,
     /// The preset's name, for messages only; empty for none.
     pub preset_name: String,
@@ -40,11 +40,12 @@ pub struct Batch {
     pub forced: Overrides,
     /// Files and folders for all scenes, by name.
     pub externals: BTreeMap<String, External>,
-    /// Where the user named them, by name: `` `calibrator.file` in reefs.toml ``. For messages only.
+    /// The places where the user named them, by name: `` `calibrator.file` in reefs.toml ``. For messages
+    /// only.
     pub named: BTreeMap<String, String>,
     /// The scenes.
     pub scenes: Vec<BatchScene>,
-    /// The variants; none means one without a name.
+    /// The variants; an empty list means one variant without a name.
     pub variants: Vec<Variant>,
 }
 
@@ -53,40 +54,40 @@ pub struct Batch {
 pub struct BatchScene {
     /// Its name, unique in the batch.
     pub name: String,
-    /// The group whose mean it counts in.
+    /// The group in whose mean the scene counts.
     pub group: String,
     /// Its files and folders, by name.
     pub externals: BTreeMap<String, External>,
-    /// Where the user named them, by name. For messages only.
+    /// The places where the user named them, by name. For messages only.
     pub named: BTreeMap<String, String>,
     /// Parameters for this scene only.
     pub overrides: Overrides,
-    /// Parameters for this scene only that win over everything.
+    /// Parameters for this scene only that win over all others.
     pub forced: Overrides,
 }
 
 impl BatchScene {
-    /// Names a file or folder of this scene; `by` says in words where the user did.
+    /// Names a file or folder of this scene; `by` is the place where the user named it, for messages.
     pub fn name_external(&mut self, name: &str, place: External, by: impl Into<String>) {
         self.externals.insert(name.to_string(), place);
         self.named.insert(name.to_string(), by.into());
     }
 }
 
-/// A named set of changes that every scene is computed with.
+/// A named set of changes; every scene is computed with it.
 #[derive(Clone, Debug, Default)]
 pub struct Variant {
     /// Its name, unique in the batch.
     pub name: String,
-    /// Another seed.
+    /// The variant's own seed.
     pub seed: Option<u64>,
-    /// In place of the batch's.
+    /// The preset used in place of the batch's.
     pub preset: Option<Overrides>,
     /// The preset's name, for messages only.
     pub preset_name: Option<String>,
     /// Its files and folders, by name; they win over a scene's.
     pub externals: BTreeMap<String, External>,
-    /// Where the user named them, by name. For messages only.
+    /// The places where the user named them, by name. For messages only.
     pub named: BTreeMap<String, String>,
     /// Parameters for this variant only.
     pub overrides: Overrides,
@@ -95,7 +96,7 @@ pub struct Variant {
 }
 
 impl Variant {
-    /// Names a file or folder of this variant; `by` says in words where the user did.
+    /// Names a file or folder of this variant; `by` is the place where the user named it, for messages.
     pub fn name_external(&mut self, name: &str, place: External, by: impl Into<String>) {
         self.externals.insert(name.to_string(), place);
         self.named.insert(name.to_string(), by.into());
@@ -103,7 +104,7 @@ impl Variant {
 }
 
 impl Batch {
-    /// Names a file or folder for all scenes; `by` says in words where the user did.
+    /// Names a file or folder for all scenes; `by` is the place where the user named it, for messages.
     pub fn name_external(&mut self, name: &str, place: External, by: impl Into<String>) {
         self.externals.insert(name.to_string(), place);
         self.named.insert(name.to_string(), by.into());
@@ -121,7 +122,7 @@ impl Batch {
     }
 }
 
-/// Where a node's input comes from.
+/// The source of a node's input.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum From {
     Node(usize),
@@ -132,7 +133,7 @@ pub(crate) enum From {
 pub(crate) struct NodeInput {
     pub(crate) role: &'static str,
     pub(crate) from: From,
-    /// Where the user named it; empty for a stage's artifact.
+    /// The place where the user named it; empty for a stage's artifact.
     pub(crate) named: String,
     /// The input's place in the stage's list.
     pub(crate) index: usize,
@@ -162,17 +163,17 @@ pub struct Node {
     pub parameters: Value,
     /// The name of the preset below its parameters; empty for none. For people only.
     pub preset: String,
-    /// The seed that it draws from; `None` for a stage that draws nothing.
+    /// The seed of its random draws; `None` for a stage without random draws.
     pub seed: Option<u64>,
     pub(crate) place: Arc<Place>,
     pub(crate) inputs: Vec<NodeInput>,
     pub(crate) identity: Digest,
-    /// The first node that is the same work, when this is not it.
+    /// The first node with the same work, if this is not the first.
     pub same_as: Option<usize>,
 }
 
 impl NodeInput {
-    /// The node whose artifact it is; `None` for what comes from outside.
+    /// The node whose artifact it is; `None` for an input from outside.
     pub(crate) fn node(&self) -> Option<usize> {
         match self.from {
             From::Node(node) => Some(node),
@@ -182,7 +183,7 @@ impl NodeInput {
 }
 
 impl Node {
-    /// BatchScene, variant and stage in words.
+    /// Scene, variant and stage, for display.
     pub fn label(&self) -> String {
         let parts: Vec<&str> =
             [&self.scene, &self.variant].into_iter().map(String::as_str).filter(|p| !p.is_empty()).collect();
@@ -194,7 +195,7 @@ impl Node {
     }
 }
 
-/// The nodes in an order in which inputs come first.
+/// The nodes, ordered so that inputs come before the nodes that read them.
 #[derive(Clone, Debug)]
 pub struct Graph {
     /// The pipeline's name.
@@ -204,20 +205,20 @@ pub struct Graph {
 }
 
 impl Graph {
-    /// The graph of `batch` over the stages of `registry`. Fails on parameters that a stage refuses and on
-    /// unknown stages.
+    /// Builds the graph of `batch` over the stages of `registry`. Fails on parameters that a stage refuses
+    /// and on unknown stages.
     pub fn new(registry: &Registry, batch: &Batch) -> Result<Self, BuildError> {
         check_names(registry, batch)?;
         let unnamed = [Variant::default()];
         let variants = if batch.variants.is_empty() { &unnamed[..] } else { &batch.variants };
         let mut builder =
             GraphBuilder { registry, batch, nodes: Vec::new(), place: HashMap::new(), first: HashMap::new() };
-        // Scene by scene, so that results come out early; what they share first, what gathers them last.
+        // Scene by scene, so that results come early; shared stages first, stages over all scenes last.
         for variant in variants {
             builder.add(None, variant, None, Scope::Shared)?;
         }
         for scene in &batch.scenes {
-            // The variant that others are compared by comes first, wherever it stands in the list.
+            // The reference variant comes first, at any position in the list.
             let reference = builder.reference(scene, variants)?;
             let others = variants.iter().enumerate().filter(|(i, _)| Some(*i) != reference);
             let ordered = reference.map(|i| &variants[i]).into_iter().chain(others.map(|(_, v)| v));
@@ -229,7 +230,8 @@ impl Graph {
         Ok(Self { name: batch.name.clone(), nodes: builder.nodes })
     }
 
-    /// The node of a stage in a scene (empty for stages over all scenes) and variant (empty: the first).
+    /// Finds the node of a stage in a scene (empty for stages over all scenes) and variant (empty for the
+    /// first).
     pub fn find(&self, scene: &str, variant: &str, stage: &str) -> Option<usize> {
         let fits = |n: &Node| n.stage_name == stage && (n.scene.is_empty() || n.scene == scene);
         self.nodes
@@ -237,12 +239,13 @@ impl Graph {
             .position(|n| fits(n) && (variant.is_empty() || n.variant == variant || n.variant.is_empty()))
     }
 
-    /// Marks the named stages and all they need; `None` marks everything.
+    /// Marks the named stages and all their inputs; `None` marks everything.
     pub fn wanted(&self, until: Option<&[String]>) -> Vec<bool> {
         self.wanted_of(until, None)
     }
 
-    /// As [`wanted`](Self::wanted), of the stages only those of these scenes and variants, and all they need.
+    /// Like [`wanted`](Self::wanted), but marks stages only in these scenes and variants, and all their
+    /// inputs.
     pub fn wanted_of(&self, until: Option<&[String]>, only: Option<&[(String, String)]>) -> Vec<bool> {
         if until.is_none() && only.is_none() {
             return vec![true; self.nodes.len()];
@@ -262,7 +265,8 @@ impl Graph {
         wanted
     }
 
-    /// The nodes whose artifacts a node reads; for a node that is the same work as another, that one.
+    /// The nodes whose artifacts a node reads, and for a node that repeats the work of another, also that
+    /// node.
     pub(crate) fn parents(&self, node: usize) -> impl Iterator<Item = usize> + '_ {
         let node = &self.nodes[node];
         let inputs = node.inputs.iter().filter_map(|i| match i.from {
@@ -304,8 +308,8 @@ struct GraphBuilder<'a> {
 }
 
 impl GraphBuilder<'_> {
-    /// Parameters of every stage for a scene and variant: preset, defaults, scene, variant,
-    /// command line, later ones winning.
+    /// Parameters of every stage for a scene and variant. The layers are preset, defaults, scene, variant and
+    /// command line, and then the forced parameters of the variant and of the scene; later layers win.
     fn parameters(&self, scene: Option<&BatchScene>, variant: &Variant) -> Result<AllParameters, BuildError> {
         let mut all = AllParameters::new();
         for stage in self.registry.stages() {
@@ -333,8 +337,8 @@ impl GraphBuilder<'_> {
         Ok(all)
     }
 
-    /// What is named outside the pipeline for a scene in a variant; without a scene, what is named for all of
-    /// them, together or one by one.
+    /// The external files named for a scene in a variant. Without a scene: the files that are named for all
+    /// scenes, together or one by one.
     fn named(&self, scene: Option<&BatchScene>, variant: &Variant) -> Named {
         type Said<'a> = (&'a BTreeMap<String, External>, &'a BTreeMap<String, String>);
         let of = |(places, named): Said<'_>, counts: &dyn Fn(&String) -> bool| -> Vec<_> {
@@ -355,8 +359,8 @@ impl GraphBuilder<'_> {
         Named::new(batch.into_iter().chain(each).chain(variant))
     }
 
-    /// The place of a scene's reference variant, where a stage asks for one and a variant fulfils its
-    /// condition.
+    /// The index of a scene's reference variant, if a stage declares a condition for it and a variant meets
+    /// that condition.
     fn reference(&self, scene: &BatchScene, variants: &[Variant]) -> Result<Option<usize>, BuildError> {
         let Some(fulfils) = self.registry.stages().iter().find_map(|s| s.reference.as_ref()) else {
             return Ok(None);
@@ -385,7 +389,7 @@ impl GraphBuilder<'_> {
             }
             let mut inputs = Vec::new();
             for (i, input) in stage.inputs.iter().enumerate() {
-                // Who names it: the variant, the scene, or the pipeline, and where in words.
+                // Finds the entry that names an external file, in the order variant, scene, pipeline.
                 let namer = |name: &str| {
                     let variant = [(&variant.externals, &variant.named)].into_iter();
                     let scene = scene.map(|s| (&s.externals, &s.named));
@@ -393,7 +397,8 @@ impl GraphBuilder<'_> {
                     variant.chain(scene).chain(batch).find(|(externals, _)| externals.contains_key(name))
                 };
                 let outside = |name: &str| namer(name)?.0.get(name).cloned().map(From::External);
-                // What is read from outside: its name, or that of what stands in for an artifact.
+                // The name of the external file to read: the input's own, or that of the file that replaces
+                // an artifact.
                 let external = match input.source {
                     Source::External(name) => Some(name),
                     Source::Stage(_) | Source::Reference(_) => {
@@ -501,7 +506,7 @@ impl GraphBuilder<'_> {
                             inputs.push(NodeInput { from: From::External(Err(reason)), ..base });
                         }
                     },
-                    // A stage over all variants reads them all.
+                    // A stage over all variants reads the artifacts of all of them.
                     Source::Stage(name) | Source::Reference(name) => {
                         if let Some((name, external)) =
                             input.instead.and_then(|name| self.batch.externals.get_key_value(name))
@@ -551,7 +556,7 @@ impl GraphBuilder<'_> {
             match &input.from {
                 From::Node(node) => identity.bytes(self.nodes[*node].identity.as_bytes()),
                 From::External(Ok(path)) => identity.text(&path.to_string_lossy()),
-                // What one scene cannot find is not what another cannot find.
+                // A missing file of one scene is not the same input as a missing file of another scene.
                 From::External(Err(reason)) => identity.text(reason).text(&scene),
             };
         }

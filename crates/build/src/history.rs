@@ -1,4 +1,4 @@
-//! What happened to every node last: the memory behind `status`, `why` and the forecasts. Never part of a
+//! The last record of every node: the data for `status`, `why` and the forecasts. It is never part of a
 //! result.
 
 use std::collections::BTreeMap;
@@ -18,24 +18,24 @@ use super::key::{Ingredients, Key};
 pub struct Made {
     /// Its key.
     pub key: Key,
-    /// What the key is made of.
+    /// The ingredients of the key.
     pub ingredients: Ingredients,
     /// Digest of its payload.
     pub content: Digest,
-    /// When it was used first (UTC).
+    /// Time of its first use (UTC).
     pub at: String,
 }
 
 /// A failure.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Failure {
-    /// The key that was to be made; none when an input could not be read.
+    /// The key that was to be made; `None` when an input could not be read.
     pub key: Option<Key>,
-    /// Why it failed.
+    /// The reason.
     pub reason: String,
-    /// Where its log is.
+    /// The path of its log.
     pub log: PathBuf,
-    /// When (UTC).
+    /// Time of the failure (UTC).
     pub at: String,
 }
 
@@ -44,24 +44,24 @@ pub struct Failure {
 pub struct Record {
     /// The artifact it had last.
     pub last: Option<Made>,
-    /// The one before, with another key.
+    /// The artifact before it, with another key.
     pub before: Option<Made>,
-    /// The failure since then, if the last run failed.
+    /// The failure after it, if the last run failed.
     pub failure: Option<Failure>,
 }
 
 impl Record {
-    /// The failure, when it is of this key (or of an input).
+    /// Returns the failure if it belongs to this key (or to an input).
     pub fn failed(&self, key: Option<Key>) -> Option<&Failure> {
         self.failure.as_ref().filter(|f| f.key.is_none() || key.is_none() || f.key == key)
     }
 }
 
-/// The folder of durations, a file for every machine.
+/// The folder of durations, with one file per machine.
 const TIMINGS: &str = "timings";
 
 impl Cache {
-    /// Where a node's record and log are; `kind` is `history` or `logs`.
+    /// The path of a node's record or log; `kind` is `history` or `logs`.
     fn node_path(&self, kind: &str, pipeline: &str, node: &Node, extension: &str) -> PathBuf {
         let folder =
             self.root().join(kind).join(safe(pipeline)).join(safe(&node.scene)).join(safe(&node.variant));
@@ -73,7 +73,7 @@ impl Cache {
         self.node_path("logs", pipeline, node, "log")
     }
 
-    /// The record of a node; an unreadable one is none.
+    /// Reads the record of a node; an unreadable record counts as an empty one.
     pub fn record(&self, pipeline: &str, node: &Node) -> Record {
         let path = self.node_path("history", pipeline, node, "json");
         let bytes = self.files().read(&path).ok();
@@ -85,7 +85,7 @@ impl Cache {
         files::write_atomic(self.files(), &self.node_path("history", pipeline, node, "json"), &bytes)
     }
 
-    /// All records of a pipeline's nodes, for finding what is in use.
+    /// Reads all records of all pipelines, to find the artifacts in use.
     pub(crate) fn all_records(&self) -> Vec<Record> {
         let walk = walkdir::WalkDir::new(self.root().join("history")).sort_by_file_name();
         walk.into_iter()
@@ -95,12 +95,12 @@ impl Cache {
             .collect()
     }
 
-    /// Adds a duration; a line that cannot be written is only a worse forecast.
+    /// Appends a duration. If the line cannot be written, only the forecast gets worse.
     pub(crate) fn add_timing(&self, timing: &Timing) {
         if let Ok(mut line) = serde_json::to_vec(timing) {
             line.push(b'\n');
-            // Appending is safe among the processes of one machine, and on no
-            // network file system between two.
+            // Appending is safe among the processes of one machine, but not between two machines on a network
+            // file system. So every machine has a file of its own.
             let path = self.root().join(TIMINGS).join(format!("{}.jsonl", self.node().machine()));
             let appended = self.files().append(&path, &line);
             if appended.is_err_and(|e| e.kind() == std::io::ErrorKind::NotFound)
@@ -113,7 +113,7 @@ impl Cache {
 
     pub(crate) fn timings(&self) -> Timings {
         let list = std::fs::read_dir(self.root().join(TIMINGS)).into_iter().flatten().filter_map(Result::ok);
-        // What earlier versions wrote comes first, as it came first.
+        // The file of earlier versions comes first, because its lines are older.
         let mut paths: Vec<PathBuf> = list.map(|entry| entry.path()).collect();
         paths.sort();
         paths.insert(0, self.root().join("timings.jsonl"));
@@ -131,8 +131,8 @@ impl Cache {
     }
 }
 
-/// A name as a folder name: everything but letters, digits, `-`, `_` and inner dots as `%` and two
-/// hexadecimal digits.
+/// Converts a name to a folder name: every byte but letters, digits, `-`, `_` and inner dots becomes `%` and
+/// two hexadecimal digits.
 fn safe(name: &str) -> String {
     if name.is_empty() {
         return "_".to_string();
@@ -152,12 +152,12 @@ fn safe(name: &str) -> String {
     out
 }
 
-/// How long a stage took once, without what was found in checkpoints.
+/// Duration of one run of a stage, without the work that was found in checkpoints.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Timing {
     pub(crate) stage: String,
     pub(crate) scene: String,
-    /// The parameters that say how far it goes, multiplied; 1 without.
+    /// Product of the parameters that set the length of the work; 1 if there are none.
     pub(crate) length: f64,
     /// Bytes of its inputs.
     pub(crate) bytes: u64,
@@ -165,7 +165,7 @@ pub(crate) struct Timing {
     pub(crate) peak_memory: u64,
     /// Bytes of its artifact.
     pub(crate) output: u64,
-    /// When, in seconds since 1970 as the machine had it: later ones count more.
+    /// Time of the run, in seconds since 1970 by the machine's clock; forecasts use the latest runs.
     #[serde(default)]
     pub(crate) at: u64,
 }
@@ -174,27 +174,28 @@ pub(crate) struct Timings {
     by_stage: BTreeMap<String, Vec<Timing>>,
 }
 
-/// What a stage will probably take, from earlier records of the same stage.
+/// The estimated cost of a stage, from earlier records of the same stage.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Forecast {
     /// Seconds (the median).
     pub seconds: f64,
-    /// The shortest of the records, scaled alike.
+    /// The shortest of the records in seconds, scaled in the same way.
     pub least: f64,
-    /// The longest.
+    /// The longest of the records in seconds, scaled in the same way.
     pub most: f64,
     /// Bytes it will add to the cache.
     pub output: u64,
-    /// Memory, bytes.
+    /// Memory in bytes.
     pub peak_memory: u64,
-    /// Records it is made from.
+    /// Number of records used.
     pub records: usize,
-    /// Whether they are of the same scene; those of others may be of another size.
+    /// True if the records are of the same scene; those of other scenes may be of another size.
     pub own: bool,
 }
 
 impl Timings {
-    /// The last records of the same scene if there are any, else of all scenes; scaled by length.
+    /// Estimates from the last records of the same scene if there are any, else of all scenes; scaled by
+    /// length.
     pub(crate) fn forecast(&self, stage: &str, scene: &str, length: f64) -> Option<Forecast> {
         let all = self.by_stage.get(stage)?;
         let own: Vec<&Timing> = all.iter().filter(|t| t.scene == scene && !scene.is_empty()).collect();
@@ -273,7 +274,7 @@ mod tests {
         for (cache, at) in [(&east, 10), (&west, 5), (&east, 30), (&west, 20)] {
             cache.add_timing(&timing(at));
         }
-        // Earlier versions kept one file, without times.
+        // Earlier versions wrote one file, without times.
         let old = r#"{"stage":"import","scene":"a","length":1.0,"bytes":0,"seconds":1.0,"peak_memory":0,"output":0}"#;
         std::fs::write(east.root().join("timings.jsonl"), old).unwrap();
         let read: Vec<u64> = west.timings().by_stage["import"].iter().map(|t| t.at).collect();

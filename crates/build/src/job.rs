@@ -1,4 +1,4 @@
-//! One node's work: ask who does it already, run the stage in a scratch folder, publish.
+//! The work of one node: take the lease, run the stage in a scratch folder, publish.
 
 use std::fs::File;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -24,17 +24,17 @@ use super::pulse::Progress;
 use super::remote::{Fetched, RemoteError, RemoteStore, Sent};
 use super::resolve::{self, Resolved};
 
-/// How a job ended.
+/// Result of a job.
 pub(crate) enum Ended {
-    /// Its artifact is there; `computed` by this process just now, or by another one meanwhile.
+    /// The artifact exists; `computed` is true if this process just computed it.
     Ready { artifact: Box<Artifact>, computed: bool, seconds: f64 },
-    /// It failed.
+    /// The job failed.
     Failed(String),
-    /// It was asked to stop.
+    /// The job was stopped.
     Cancelled,
-    /// Another process computes it: who, in words.
+    /// Another process computes the node; the text names it.
     Held(String),
-    /// An input's artifact was damaged and is moved aside; the node that makes it.
+    /// An input's artifact was damaged and has been moved aside; the number is the node that makes it.
     DamagedInput(usize),
 }
 
@@ -83,7 +83,7 @@ impl Job<'_> {
                 Ended::Ready { artifact: Box::new(artifact), computed: true, seconds }
             }
             Err(StageError::Cancelled) => Ended::Cancelled,
-            // Whatever it says, a stage whose input was taken away under its hands has not failed.
+            // An error is no failure of the stage if one of its inputs was removed or damaged meanwhile.
             Err(error) => match self.damaged_input(&label) {
                 Some(parent) => Ended::DamagedInput(parent),
                 None => Ended::Failed(error.to_string()),
@@ -91,14 +91,14 @@ impl Job<'_> {
         }
     }
 
-    /// An input that is not what its manifest says, or gone: told and out of the way; the node that makes it.
+    /// Finds a damaged or missing input, reports it, moves it aside, and returns the node that makes it.
     fn damaged_input(&self, label: &str) -> Option<usize> {
         let cache = &self.builder.cache;
         for (parent, artifact) in &self.resolved.artifacts {
             if cache.verify(artifact, false).is_ok() {
                 continue;
             }
-            // What another machine made may be seen in part for a moment.
+            // An artifact from another machine may be incomplete for a moment on a network file system.
             [Some(artifact.path.as_path()), artifact.path.parent()]
                 .into_iter()
                 .flatten()
@@ -129,7 +129,7 @@ impl Job<'_> {
         let artifacts = self.resolved.artifacts.iter().map(|(_, a)| a.manifest.key);
         let reads: Vec<Key> = artifacts.chain(self.resolved.checkpoints).collect();
         let asked = Lease::ask(cache, key, &reads);
-        // Another process may have finished between this one's look and the lease.
+        // Another process may have finished between the lookup before and the lease.
         let found = match &asked {
             Asked::Granted(Some(lease)) if lease.followed => {
                 cache.lookup_patiently(stage, key, &|| self.stop.load(Ordering::Relaxed))?
@@ -148,7 +148,7 @@ impl Job<'_> {
         })
     }
 
-    /// Asks the store, where there is one. What it cannot give is computed.
+    /// Fetches the artifact from the store, if there is one. If that fails, the artifact is computed.
     fn fetch(&self, label: &str, lease: Option<&Lease>) -> Brought {
         let nothing = Brought::Nothing { damaged: false };
         let Some(store) = self.builder.remote.as_ref().filter(|s| s.is_worth_asking()) else {
@@ -179,13 +179,14 @@ impl Job<'_> {
         }
     }
 
-    /// Sends what was computed to the store, where there is one. `check` where it had something damaged.
+    /// Sends the computed artifact to the store, if there is one. `check` is true if the store's copy was
+    /// damaged.
     fn send(&self, label: &str, artifact: &Artifact, check: bool) {
         let Some(store) = self.builder.remote.as_ref().filter(|s| s.is_worth_asking()) else { return };
         match store.send(&self.builder.cache, artifact, check, &self.stop) {
             Ok(Sent::Now | Sent::Already) => store.worked(),
             Ok(Sent::Differs(file)) => self.alarm(label, &format!("the store has other bytes of {file}")),
-            // `use3d push` sends it.
+            // `use3d push` sends it later.
             Err(RemoteError::Stopped) => {}
             Err(error) => {
                 self.without_store(
@@ -295,7 +296,7 @@ impl Job<'_> {
         Ok(artifact)
     }
 
-    /// The same key with other bytes.
+    /// Reports that the same key has other bytes.
     fn alarm(&self, label: &str, what: &str) {
         let text = format!(
             "determinism alarm: {what} for the same key {}; the first artifact is kept. A result must follow from the \
@@ -313,14 +314,14 @@ enum Turn {
     Cancelled,
 }
 
-/// What a store gave.
+/// Result of a fetch from the store.
 enum Brought {
     Artifact(Box<Artifact>),
     Nothing { damaged: bool },
     Cancelled,
 }
 
-/// A scratch folder that goes when the job ends, however it ends.
+/// A scratch folder that is removed when the job ends, in every case.
 struct Scratch<'a> {
     path: PathBuf,
     cache: &'a super::cache::Cache,
@@ -328,7 +329,7 @@ struct Scratch<'a> {
 
 impl Drop for Scratch<'_> {
     fn drop(&mut self) {
-        // What cannot be removed now is swept by a later run.
+        // If it cannot be removed now, a later run removes it.
         let _ = self.cache.files().remove_dir_all(&self.path);
     }
 }
@@ -354,7 +355,7 @@ pub(crate) fn in_pool(
     })
 }
 
-/// Runs `work` while a companion renews the lease and watches the memory.
+/// Runs `work` while a second thread renews the lease and measures the memory.
 fn watched<T>(
     lease: Option<&Lease>,
     clock: &Clock,

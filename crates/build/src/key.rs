@@ -1,8 +1,9 @@
-//! The key of an artifact: everything that may change its bytes, and nothing else.
+//! The key of an artifact: it covers everything that may change the artifact's bytes, and nothing else.
 //!
 //! key = BLAKE3(stage name, artifact schema ‖ code ‖ third-party versions ‖ canonical parameters ‖ seed ‖
-//! numeric class ‖ content digests of the inputs by role). Never paths, times, hosts or thread counts. The
-//! ingredients are kept spelled out beside every artifact, so that two keys can be compared field by field.
+//! numeric class ‖ content digests of the inputs by role). It never covers paths, times, hosts or thread
+//! counts. The ingredients are kept in readable form beside every artifact, so that two keys can be compared
+//! field by field.
 
 use std::collections::BTreeMap;
 
@@ -19,18 +20,18 @@ const CHECKPOINT_CONTEXT: &str = "use3d 2026 checkpoint key v1";
 /// The key of an artifact.
 pub type Key = Digest;
 
-/// One input of a stage as the key sees it: what it is for, and what is in it.
+/// One input of a stage in the key: its role and its content.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct InputDigest {
-    /// What the stage uses it for.
+    /// The role of the input in the stage.
     pub role: String,
-    /// For a stage over all scenes: which scene it comes from.
+    /// The scene it comes from; for a stage over all scenes.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub scene: String,
-    /// For a stage over all scenes: the scene's group.
+    /// The scene's group; for a stage over all scenes.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub group: String,
-    /// For a stage over all scenes: which variant it comes from.
+    /// The variant it comes from; for a stage over all scenes.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub variant: String,
     /// Digest of its content.
@@ -38,7 +39,7 @@ pub struct InputDigest {
 }
 
 impl InputDigest {
-    /// Role, scene and variant in words.
+    /// Role, scene and variant, for display.
     pub fn label(&self) -> String {
         let place: Vec<&str> =
             [&self.scene, &self.variant].into_iter().map(String::as_str).filter(|p| !p.is_empty()).collect();
@@ -46,16 +47,16 @@ impl InputDigest {
     }
 }
 
-/// Everything a key is made of.
+/// All ingredients of a key.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Ingredients {
     /// The stage's name.
     pub stage: String,
     /// Schema number of the stage's artifact.
     pub version: u32,
-    /// Token digests of the crates and files the stage is made of.
+    /// Token digests of the crates and files whose code the stage depends on.
     pub code: BTreeMap<String, Digest>,
-    /// Versions and checksums of the third-party crates below.
+    /// Versions and checksums of the third-party crates that this code uses.
     pub third_party: BTreeMap<String, String>,
     /// The stage's parameters, defaults filled in.
     pub parameters: Value,
@@ -66,7 +67,7 @@ pub struct Ingredients {
     pub numeric_class: String,
     /// The inputs, sorted.
     pub inputs: Vec<InputDigest>,
-    /// For a stage over all scenes: inputs that could not be made.
+    /// Inputs that could not be made; for a stage over all scenes.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub missing: Vec<String>,
 }
@@ -77,8 +78,8 @@ impl Ingredients {
         self.digest(CONTEXT, &self.parameters)
     }
 
-    /// The key of the chain of checkpoints: as [`key`](Self::key), without the parameters that only say how
-    /// far to go.
+    /// The key of the chain of checkpoints: like [`key`](Self::key), but without the parameters that only set
+    /// the length of the work.
     pub fn checkpoint_key(&self, length_like: &[&str]) -> Digest {
         let mut parameters = self.parameters.clone();
         length_like.iter().for_each(|path| canonical::remove(&mut parameters, path));
@@ -113,7 +114,7 @@ impl Ingredients {
         encoder.finish()
     }
 
-    /// What differs between an earlier record (`self`) and `now`, field by field, in a fixed order.
+    /// Lists the differences between an earlier record (`self`) and `now`, field by field, in a fixed order.
     pub fn differences(&self, now: &Self) -> Vec<Difference> {
         let mut out = Vec::new();
         let mut add = |ingredient: String, old: Option<String>, new: Option<String>| {
@@ -164,11 +165,11 @@ fn compare(
 /// One ingredient that changed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Difference {
-    /// Which, e.g. `parameter iterations` or `input scene`.
+    /// The name of the ingredient, e.g. `parameter iterations` or `input scene`.
     pub ingredient: String,
     /// Its earlier value; absent when it is new.
     pub old: Option<String>,
-    /// Its value now; absent when it is gone.
+    /// Its value now; absent when it was removed.
     pub new: Option<String>,
 }
 
@@ -185,9 +186,9 @@ impl std::fmt::Display for Difference {
 
 /// The class of arithmetic of this machine: within one class a stage's bytes are the same on every machine.
 ///
-/// Fused multiply-add rounds once where its absence rounds twice, so architecture, operating system and FMA
-/// make the class; the number of lanes does not, nor does the C library, which computes nothing
-/// (`use3d_numerics::math`).
+/// A fused multiply-add rounds once; a separate multiplication and addition round twice. So architecture,
+/// operating system and FMA define the class. The number of lanes does not, and neither does the C library,
+/// because it computes nothing (`use3d_numerics::math`).
 pub fn numeric_class() -> String {
     let arch = std::env::consts::ARCH;
     let os = std::env::consts::OS;
@@ -198,8 +199,8 @@ pub fn numeric_class() -> String {
     format!("{arch}-{os}{}", if fused { "+fma" } else { "" })
 }
 
-/// What a stage computes with besides the processor: a device, and what runs on it. Any of it may change last
-/// bits.
+/// The device that a stage computes with besides the processor, and the programs that run on it. Any of these
+/// may change last bits.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeviceClass {
     /// The engine's name.
@@ -208,12 +209,12 @@ pub struct DeviceClass {
     pub adapter: String,
     /// Its driver, with its version.
     pub driver: String,
-    /// Digest of the programs that run on it, as the driver is given them.
+    /// Digest of the programs that run on it, in the form in which the driver gets them.
     pub kernels: Digest,
 }
 
 impl DeviceClass {
-    /// The class of a stage that computes with this on a machine of class `machine`.
+    /// The class of a stage that computes with this device on a machine of class `machine`.
     pub fn on(&self, machine: &str) -> String {
         let Self { engine, adapter, driver, kernels } = self;
         format!("{engine} on {adapter}, driver {driver}, kernels {kernels}; {machine}")

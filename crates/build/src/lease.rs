@@ -1,12 +1,12 @@
-//! Who computes what now: one small file per key, so that two processes rarely do the same work at the same
-//! time; and one per run with everything it has decided on, which cleaning up leaves alone.
+//! Leases: one small file per key that is being computed, so that two processes rarely do the same work at
+//! the same time. Each run also has one lease with all the keys it needs, which cleaning up leaves alone.
 //!
-//! Leases only save time. Results are right without them, because publishing is atomic and the first wins; so
-//! a lease that cannot be written is no error, one whose holder is gone is taken over, and nobody ever has to
-//! remove one by hand. A holder on this machine is asked for by process id and start time. One on another
-//! machine writes its [pulse](super::pulse) every few seconds, and whoever waits for it looks whether the
-//! file *changes*, by his own steady clock: what the clocks of two machines say is never compared. A lease
-//! that goes says that its artifact is there; who gives up leaves his lease behind with a pulse that says so.
+//! Leases only save time. Results are right without them, because publishing is atomic and the first process
+//! wins. So a lease that cannot be written is no error, a lease whose holder has ended is taken over, and
+//! nobody ever has to remove one by hand. A holder on this machine is checked by process id and start time. A
+//! holder on another machine writes its [pulse](super::pulse) every few seconds. A process that waits for it
+//! checks by its own steady clock that the file *changes*; the clocks of two machines are never compared.
+//! Removing a lease announces its artifact. A holder that gives up keeps the file and marks it abandoned.
 
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
@@ -23,16 +23,16 @@ use super::machine::ProcessId;
 use super::node::Node;
 use super::pulse::{self, Beat, Progress};
 
-/// How often a holder renews.
+/// Time between two renewals by a holder.
 pub(crate) const HEARTBEAT: Duration = Duration::from_secs(10);
-/// How long a lease of another machine may stay as it is before its holder counts as gone: many times the
-/// heartbeat and the minute for which a network file system may show what was.
+/// The time for which a lease of another machine may stay unchanged before its holder counts as ended: many
+/// times the heartbeat and the minute for which a network file system may show old content.
 const EXPIRY: Duration = Duration::from_secs(300);
-/// The same for a file that does not say whose it is: being written at this moment, or left half-written by a
-/// crash.
+/// The same limit for a file without a readable holder: it is being written at this moment, or a crash left
+/// it unfinished.
 const HALF: Duration = Duration::from_secs(5);
-/// Who looks only once cannot see a lease change. One so far from what the file system calls now is of a
-/// holder that is gone.
+/// A single look cannot see a lease change, so a lease that is older than this, by the time of the file
+/// system, counts as abandoned.
 const LONG_GONE: Duration = Duration::from_secs(86_400);
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -40,8 +40,7 @@ pub(crate) struct Holder {
     process: ProcessId,
     host: String,
     token: String,
-    /// Keys, of artifacts and of checkpoints, that the holder reads or goes on from: cleaning up leaves
-    /// them.
+    /// Keys of the artifacts and checkpoints that the holder reads or resumes from; cleaning up leaves them.
     pub(crate) reads: Vec<Key>,
 }
 
@@ -50,14 +49,14 @@ impl Holder {
         Self { process: node.process.clone(), host: node.host.clone(), token: files::unique(), reads }
     }
 
-    /// The line that a lease begins with; its pulse follows.
+    /// The first line of a lease; its pulse follows.
     fn line(&self) -> Vec<u8> {
         let mut line = serde_json::to_vec(self).unwrap_or_default();
         line.push(b'\n');
         line
     }
 
-    /// Of a lease's bytes, with its pulse where it has one.
+    /// Parses a lease's bytes: the holder, and the pulse if there is one.
     fn parse(bytes: &[u8]) -> Option<(Self, Option<Beat>)> {
         let end = bytes.iter().position(|b| *b == b'\n').unwrap_or(bytes.len());
         let holder = serde_json::from_slice(&bytes[..end]).ok()?;
@@ -65,11 +64,11 @@ impl Holder {
     }
 }
 
-/// What this process has seen of leases, and since when.
+/// The lease files that this process has observed, each with the time of its last change.
 #[derive(Debug, Default)]
 pub(crate) struct Watch {
     seen: Mutex<HashMap<PathBuf, Seen>>,
-    /// Keys that another machine was seen to compute.
+    /// Keys that another machine was observed to compute.
     elsewhere: Mutex<BTreeSet<Key>>,
 }
 
@@ -80,18 +79,18 @@ struct Seen {
     since: Duration,
 }
 
-/// What a lease is.
+/// State of a lease.
 #[derive(Debug)]
 enum Judged {
     Absent,
-    /// Somebody's, in words; the holder where it can be read.
+    /// Another process holds it: its name, and the holder if it can be read.
     Live(String, Option<Holder>),
-    /// Of a holder that is gone or has given up; its bytes.
+    /// The holder has ended or given up; the bytes of the lease.
     Dead(Vec<u8>),
 }
 
 impl Watch {
-    /// How long the file has been seen as it is.
+    /// The time for which the file has been observed without a change.
     fn unchanged(&self, path: &Path, bytes: &[u8], modified: Option<SystemTime>, now: Duration) -> Duration {
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         match seen.get(path) {
@@ -111,7 +110,7 @@ impl Watch {
         self.elsewhere.lock().unwrap_or_else(PoisonError::into_inner).insert(*key);
     }
 
-    /// Whether another machine was seen to compute the key; told once.
+    /// Returns true if another machine was observed to compute the key, and forgets it.
     fn was_elsewhere(&self, key: &Key) -> bool {
         self.elsewhere.lock().unwrap_or_else(PoisonError::into_inner).remove(key)
     }
@@ -125,7 +124,7 @@ fn judge(cache: &Cache, path: &Path, now: Duration) -> Judged {
             watch.forget(path);
             return Judged::Absent;
         }
-        // Not ours to read: as if it did not say whose it is.
+        // An unreadable file counts as a file without a holder.
         Err(_) => Vec::new(),
     };
     let modified = std::fs::metadata(path).and_then(|m| m.modified()).ok();
@@ -146,27 +145,28 @@ fn judge(cache: &Cache, path: &Path, now: Duration) -> Judged {
     if unchanged < limit { Judged::Live(name, holder) } else { Judged::Dead(bytes) }
 }
 
-/// A lease that this process holds. Dropped, it says that its holder gave up.
+/// A lease that this process holds. Dropping it marks it as abandoned.
 pub(crate) struct Lease {
     cache: Cache,
     path: PathBuf,
     line: Vec<u8>,
     beat: Mutex<Beat>,
     since: Duration,
-    /// Another machine computed this key and its lease went: the artifact may be there and not be seen yet.
+    /// Another machine computed this key and its lease was removed: the artifact may exist but not be visible
+    /// yet.
     pub(crate) followed: bool,
 }
 
-/// What came of asking.
+/// Result of requesting a lease.
 pub(crate) enum Asked {
-    /// It is ours (or leases do not work here, which is as good).
+    /// This process has the lease, or leases do not work here (`None`), which is as good.
     Granted(Option<Lease>),
-    /// Somebody else computes this key: who, in words.
+    /// Another process computes this key; the text names it.
     Held(String),
 }
 
 impl Lease {
-    /// Asks for the lease of `key`.
+    /// Requests the lease of `key`.
     pub(crate) fn ask(cache: &Cache, key: &Key, reads: &[Key]) -> Asked {
         Self::ask_at(cache, key, reads, cache.node().clock.now())
     }
@@ -207,18 +207,19 @@ impl Lease {
         }
     }
 
-    /// The whole file.
+    /// The content of the whole file.
     fn bytes(&self) -> Vec<u8> {
         let beat = self.beat.lock().unwrap_or_else(PoisonError::into_inner);
         [&self.line[..], &pulse::line(&beat)].concat()
     }
 
-    /// Whether the file is this lease's: it may have been taken over while this process was stopped.
+    /// Returns true if the file is this lease's: another process may have taken it over while this one was
+    /// suspended.
     fn is_ours(&self) -> bool {
         self.cache.files().read(&self.path).is_ok_and(|found| found.starts_with(&self.line))
     }
 
-    /// Shows that the holder is alive, and how far it is.
+    /// Writes a new pulse: the holder is alive, and this is its progress.
     pub(crate) fn renew(&self, progress: &Progress) {
         let mut beat = self.beat.lock().unwrap_or_else(PoisonError::into_inner);
         beat.number += 1;
@@ -229,7 +230,7 @@ impl Lease {
         }
     }
 
-    /// The artifact is there: nobody needs to wait any more.
+    /// Removes the lease because the artifact exists: no process needs to wait any more.
     pub(crate) fn finish(mut self) {
         if self.is_ours() {
             let _ = self.cache.files().remove_file(&self.path);
@@ -237,7 +238,7 @@ impl Lease {
         self.line.clear();
     }
 
-    /// It was never there: nothing is given back.
+    /// Drops a lease that was never held, without marking the file as abandoned.
     fn never_held(mut self) -> Option<Self> {
         self.line.clear();
         None
@@ -258,8 +259,8 @@ impl Drop for Lease {
     }
 }
 
-/// What a run has decided on, protected until it ends: the artifacts it has found or made and will read, and
-/// the checkpoints it goes on from.
+/// The keys that a run needs, protected until it ends: the artifacts that it has found or made and will read,
+/// and the checkpoints that it resumes from.
 pub(crate) struct RunLease {
     cache: Cache,
     path: PathBuf,
@@ -272,7 +273,7 @@ pub(crate) struct RunLease {
 }
 
 impl RunLease {
-    /// Of nothing yet.
+    /// A run's lease without keys.
     pub(crate) fn new(cache: &Cache) -> Self {
         let holder = Holder::of(cache.node(), Vec::new());
         let path = folder(cache).join(format!("run-{}", holder.token));
@@ -288,14 +289,14 @@ impl RunLease {
         }
     }
 
-    /// Adds keys; others see them after [`show`](Self::show).
+    /// Adds keys; other processes see them after [`show`](Self::show).
     pub(crate) fn extend(&mut self, keys: impl IntoIterator<Item = Key>) {
         for key in keys {
             self.changed |= self.keys.insert(key);
         }
     }
 
-    /// Lets others see what was added, and that this process is alive.
+    /// Publishes the added keys, and a pulse of this process.
     pub(crate) fn show(&mut self) {
         let now = self.cache.node().clock.now();
         if !self.changed && now.saturating_sub(self.renewed) < HEARTBEAT {
@@ -305,7 +306,7 @@ impl RunLease {
         self.beat.number += 1;
         let files = self.cache.files();
         let beat = pulse::line(&self.beat);
-        // A lease that somebody removed is written again.
+        // If another process removed the lease, it is written again.
         if !self.changed && files.overwrite(&self.path, self.line.len() as u64, &beat).is_ok() {
             return;
         }
@@ -343,7 +344,7 @@ enum Created {
 fn create(files: &dyn Files, path: &Path, bytes: &[u8]) -> Created {
     match files.create_new(path, bytes) {
         Ok(()) => Created::Done,
-        // A server whose first answer was lost says so of what it has just made for us.
+        // A server whose first reply was lost may report that the file exists, although this call created it.
         Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {
             let ours = !bytes.is_empty() && files.read(path).is_ok_and(|found| found == bytes);
             if ours { Created::Done } else { Created::Taken }
@@ -352,8 +353,8 @@ fn create(files: &dyn Files, path: &Path, bytes: &[u8]) -> Created {
     }
 }
 
-/// Puts our lease in the place of that of a holder who is gone. Of several processes that do so at once one
-/// gets it: who first claims these very bytes.
+/// Replaces the lease of a holder that has ended by this one. If several processes try at once, one succeeds:
+/// the first that creates the claim file for these very bytes.
 fn take_over(lease: Lease, dead: &[u8], now: Duration) -> Asked {
     let another = |lease: Lease| {
         lease.never_held();
@@ -369,7 +370,7 @@ fn take_over(lease: Lease, dead: &[u8], now: Duration) -> Asked {
         Created::Taken => {
             let modified = std::fs::metadata(&claim).and_then(|m| m.modified()).ok();
             if cache.leases().unchanged(&claim, &[], modified, now) >= HALF {
-                // Whoever claimed it was killed before he was done.
+                // The process that created the claim was killed before it finished.
                 let _ = files.remove_file(&claim);
             }
             return another(lease);
@@ -388,7 +389,7 @@ fn take_over(lease: Lease, dead: &[u8], now: Duration) -> Asked {
     asked
 }
 
-/// Writes a lease whole, over what is there. Not synced: after a power cut nobody holds it.
+/// Writes a whole lease over the old file. It is not synced: after a power cut no process holds it.
 fn put(files: &dyn Files, path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     let mut name = path.file_name().unwrap_or_default().to_os_string();
     name.push(format!("{}{}", files::SIBLING, files::unique()));
@@ -400,7 +401,7 @@ fn put(files: &dyn Files, path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     written
 }
 
-/// Creates a file under a name that nobody else has: where it is said to be there already, it is ours.
+/// Creates a file under a unique name: if it is reported to exist already, this process created it.
 fn create_own(files: &dyn Files, path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     match files.create_new(path, bytes) {
         Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => Ok(()),
@@ -408,8 +409,8 @@ fn create_own(files: &dyn Files, path: &Path, bytes: &[u8]) -> std::io::Result<(
     }
 }
 
-/// What the file system with the leases calls now: the time it gives a new file. Comparing two of its times
-/// compares no two clocks.
+/// The present time of the file system with the leases: the time it gives to a new file. Comparing two times
+/// of one file system compares no two clocks.
 fn file_time(cache: &Cache) -> Option<SystemTime> {
     let path = folder(cache).join(format!("now{}{}", files::SIBLING, files::unique()));
     create_own(cache.files(), &path, b"now").ok()?;
@@ -418,8 +419,8 @@ fn file_time(cache: &Cache) -> Option<SystemTime> {
     time
 }
 
-/// Everything that running processes compute, read or go on from now; leases of processes that are gone are
-/// removed.
+/// Returns all keys that running processes compute, read or resume from; removes the leases of processes that
+/// have ended.
 pub(crate) fn in_use(cache: &Cache) -> BTreeSet<Key> {
     let mut keys = BTreeSet::new();
     let mut present = None;
@@ -455,28 +456,28 @@ pub(crate) fn in_use(cache: &Cache) -> BTreeSet<Key> {
     keys
 }
 
-/// Who computes a key now, as its lease tells.
+/// The process that computes a key now, from its lease.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Working {
     /// The machine.
     pub host: String,
-    /// The process there.
+    /// The process id there.
     pub process: u32,
-    /// How long it has worked on it by its own clock, seconds; known up to its last sign of life.
+    /// The time it has worked on the key, in seconds by its own clock, up to its last pulse.
     pub seconds: u64,
-    /// How long ago that was, seconds, by the clock of the file system.
+    /// The time since that pulse, in seconds by the clock of the file system.
     pub silent: u64,
     /// Work done.
     pub done: u64,
-    /// Work in all; 0 where the stage does not say.
+    /// Total work; 0 where the stage does not report it.
     pub total: u64,
-    /// What is counted.
+    /// The unit of the work.
     pub unit: String,
 }
 
 impl Cache {
-    /// Who computes `key` now; `None` where nobody is known to. A holder on another machine that has not been
-    /// heard of for long is told as it is: its `silent` says so.
+    /// Returns the process that computes `key` now; `None` if none is known. A holder on another machine
+    /// without a recent pulse is also returned; its `silent` is then large.
     pub fn working_on(&self, key: &Key) -> Option<Working> {
         let path = folder(self).join(key.to_string());
         let (holder, beat) = Holder::parse(&self.files().read(&path).ok()?)?;
@@ -498,8 +499,8 @@ impl Cache {
     }
 }
 
-/// How long to wait before a lease that was held is asked for again, the n-th time: doubled each time up to
-/// ten seconds, and not the same for all processes.
+/// The time to wait before the n-th new request for a lease that was held: doubled each time up to ten
+/// seconds, and different for different processes.
 pub(crate) fn back_off(times: u32, number: u64) -> Duration {
     let base = Duration::from_millis(50).saturating_mul(1 << times.min(8)).min(Duration::from_secs(10));
     let share = (number.rotate_left(times.wrapping_mul(7)) % 256) as u32;

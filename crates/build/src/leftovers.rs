@@ -1,31 +1,31 @@
-//! What a killed process leaves outside the cache: temporary files and folders whose names say whose they
-//! are.
+//! Leftovers of killed processes outside the cache: temporary files and folders whose names contain their
+//! owner.
 //!
-//! Whatever is made under a temporary name carries its [`owner`], this process among all on all machines. The
-//! next process that works in the same folder removes what belongs to those that are known to have ended, and
-//! nothing else.
+//! Every file or folder with a temporary name carries its [`owner`]: the process, unique among all machines.
+//! The next process that works in the same folder removes the leftovers of processes that are known to have
+//! ended, and nothing else.
 
 use std::path::Path;
 
 use super::machine::ProcessId;
 
-/// This process's name in the names of what it makes for a while; what tells them apart may follow after `-`.
+/// This process's name for use in the names of temporary files; a `-` and a distinguishing suffix may follow.
 pub fn owner() -> String {
     ProcessId::this().name()
 }
 
-/// What the names of folders for temporary files begin with.
+/// The prefix of the names of temporary folders.
 const SCRATCH: &str = "use3d-";
 
-/// A folder for temporary files that goes away when it is dropped; those of processes that were killed go
-/// now.
+/// Creates a temporary folder that is removed when it is dropped. It first removes those that killed
+/// processes left.
 pub fn scratch() -> std::io::Result<tempfile::TempDir> {
     sweep(&std::env::temp_dir(), SCRATCH, |_| true);
     tempfile::Builder::new().prefix(&format!("{SCRATCH}{}-", owner())).tempdir()
 }
 
-/// Removes files and folders in `folder` whose names are `prefix` and an [`owner`] who is gone; `may_go` is
-/// asked before. What cannot be removed stays: it is in nobody's way.
+/// Removes files and folders in `folder` whose names are `prefix` and an [`owner`] that has ended, if
+/// `may_go` returns true. An item that cannot be removed stays, which is harmless.
 pub fn sweep(folder: &Path, prefix: &str, may_go: impl Fn(&Path) -> bool) {
     for entry in std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok) {
         let name = entry.file_name();
@@ -58,7 +58,7 @@ mod tests {
         let this = ProcessId::this();
         let other = ProcessId { started: this.started + 1, ..this };
         if other.is_alive() != Some(false) {
-            return; // a system that does not tell
+            return; // a system that does not report it
         }
         let gone = other.name();
         let dir = tempfile::tempdir().unwrap();

@@ -1,18 +1,20 @@
-//! A build system for computations that take hours: what a stage is, its key, its artifact; the plan, the
-//! run, the cache.
+//! A build system for computations that take hours. It defines stages, cache keys and artifacts, and it plans
+//! runs, runs stages and keeps the cache.
 //!
-//! It knows nothing of what is computed.
+//! It is independent of the computations themselves.
 //!
-//! A [`Stage`] is data and one pure function. It says what it is called, which crates it is made of, which
-//! parameters it has and which inputs it reads, and its function fills one folder. From that the builder
-//! derives a [`key`]: a digest of the stage's code, parameters and the *content* of its inputs. The folder of
-//! a key is computed once and never changes; a stage whose inputs came out the same as before is not run
-//! again, whatever happened upstream.
+//! A [`Stage`] is data and one pure function. The data are its name, the crates whose code it depends on, its
+//! parameters and its inputs; the function fills one folder. From these the builder derives a [`key`]: a
+//! digest of the stage's code, parameters and the *content* of its inputs. The folder of a key is computed
+//! once and never changes. A stage whose inputs came out the same as before is not run again, whatever
+//! happened upstream.
 //!
 //! ```
 //! use std::sync::Arc;
 //! use use3d_build::code::CodeTable;
-//! use use3d_build::{Batch, Cache, Builder, Graph, Listener, Registry, RunOptions, BatchScene, Scope, Silent, Stage};
+//! use use3d_build::{
+//!     Batch, Cache, Builder, Graph, Listener, Registry, RunOptions, BatchScene, Scope, Silent, Stage
+//! };
 //!
 //! #[derive(Default, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
 //! #[serde(deny_unknown_fields, default)]
@@ -24,7 +26,7 @@
 //!     Ok(std::fs::write(context.output().join("words.txt"), text)?)
 //! })
 //! .external("capture", "capture")                 // a folder that the pipeline file names
-//! .made_of(&[], &[]);                             // whose code it is, for the key
+//! .made_of(&[], &[]);                             // its code, for the key
 //! let count = Stage::new("count", Scope::Scene, |context, _: &Import| {
 //!     let text = std::fs::read_to_string(context.input("words")?.join("words.txt"))?;
 //!     Ok(std::fs::write(context.output().join("count"), text.split(' ').count().to_string())?)
@@ -36,9 +38,14 @@
 //! std::fs::create_dir(&capture)?;
 //! std::fs::write(capture.join("words.txt"), "clear water")?;
 //!
-//! let builder = Builder::new(Registry::new(vec![import, count], &CodeTable::default())?, Cache::open(&folder.path().join("cache"), false)?);
+//! let builder = Builder::new(
+//!     Registry::new(vec![import, count], &CodeTable::default())?,
+//!     Cache::open(&folder.path().join("cache"), false)?
+//! );
 //! let mut batch = Batch { name: "words".into(), seed: 42, ..Batch::default() };
-//! batch.scenes.push(BatchScene { name: "reef".into(), externals: [("capture".into(), Ok(capture))].into(), ..BatchScene::default() });
+//! batch.scenes.push(BatchScene {
+//!     name: "reef".into(), externals: [("capture".into(), Ok(capture))].into(), ..BatchScene::default()
+//! });
 //!
 //! let listener: Arc<dyn Listener> = Arc::new(Silent);
 //! let graph = Graph::new(&builder.registry, &batch)?;
@@ -53,26 +60,26 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! # What a stage must keep to
+//! # The rules for a stage
 //!
-//! * Its files follow from its inputs, parameters and [seed](StageContext::seed) alone, whatever the number
-//!   of threads: no times, host names or paths in them. `use3d verify --sample` recomputes and compares.
-//!   Where that holds within one class of arithmetic only, it says by which
-//!   [figures](Stage::agrees_across_classes) artifacts of two classes are compared.
+//! * Its files depend on its inputs, parameters and [seed](StageContext::seed) alone, whatever the number of
+//!   threads: no times, host names or paths in them. `use3d verify --sample` recomputes and compares. If
+//!   this holds within one class of arithmetic only, the stage names the
+//!   [figures](Stage::agrees_across_classes) by which artifacts of two classes are compared.
 //! * It reads nothing but its inputs, and writes nothing but its output folder and its checkpoints.
-//! * Long ones are [resumable](Stage::resumable): the checkpoint folder is keyed without the parameters that
-//!   only say how far to go, so that 20 000 steps after 15 000 cost 5 000, as long as nothing else in the
-//!   stage depends on the total.
-//! * They look at [`StageContext::cancelled`] often and return [`StageError::Cancelled`] after saving a
+//! * Long stages are [resumable](Stage::resumable): the checkpoint folder is keyed without the parameters
+//!   that only set the length of the work. So 20 000 steps after 15 000 cost 5 000, as long as nothing else
+//!   in the stage depends on the total.
+//! * Long stages check [`StageContext::cancelled`] often and return [`StageError::Cancelled`] after saving a
 //!   checkpoint.
 //!
-//! # Where things are
+//! # Overview of the modules
 //!
 //! [`cache`]: the folder layout, publishing, verification. [`code`]: token-level code digests. [`content`]:
-//! digests of inputs that are not read twice. [`graph`]: scenes × stages × variants. [`plan`], [`run`]: what
-//! would happen, making it happen. [`executor`]: where its jobs run. [`history`]: what happened, forecasts.
-//! [`place`]: results outside the cache, and what of them may be replaced.
-//! [`remote`]: a store beside the cache.
+//! digests of inputs that are not read twice. [`graph`]: scenes × stages × variants. [`plan`] and [`run`]:
+//! the forecast of a run, and the run. [`executor`]: places where jobs run. [`history`]: records of past
+//! runs, and forecasts. [`place`]: results outside the cache, and the rules for replacing them. [`remote`]: a
+//! store beside the cache.
 
 mod agree;
 mod alone;
@@ -146,8 +153,8 @@ impl Builder {
         Self { registry, cache, numeric_class: key::numeric_class(), remote: None }
     }
 
-    /// The same builder, which asks a store for what the cache does not have before it computes it, and
-    /// sends it what it has computed.
+    /// The same builder, which looks in a store for artifacts that the cache lacks before it computes them,
+    /// and uploads the artifacts that it has computed.
     #[must_use]
     pub fn with_remote(self, remote: std::sync::Arc<remote::RemoteStore>) -> Self {
         Self { remote: Some(remote), ..self }

@@ -1,4 +1,4 @@
-//! The facts about this machine and moment that records carry and keys never do.
+//! Facts about this machine and the present time. Records contain them; keys never do.
 
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::path::Path;
@@ -22,7 +22,7 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// This one.
+    /// This machine.
     pub fn this() -> Self {
         let host = std::fs::read_to_string("/proc/sys/kernel/hostname")
             .ok()
@@ -36,7 +36,7 @@ impl Machine {
     }
 }
 
-/// The processor's name, as the system calls it; the architecture where it does not say.
+/// The processor's name as the system reports it, or else the architecture.
 pub fn processor() -> String {
     let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let name = text.lines().find(|l| l.starts_with("model name")).and_then(|l| l.split_once(':'));
@@ -48,8 +48,8 @@ pub fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// Memory that this process may still take, bytes, limits of its container included; `None` where the system
-/// does not say.
+/// Memory that this process may still take, in bytes, within the limits of its container; `None` where the
+/// system does not report it.
 pub fn available_memory() -> Option<u64> {
     memory::available(Path::new("/"))
 }
@@ -59,14 +59,14 @@ pub(crate) fn resident_memory() -> Option<u64> {
     memory::resident()
 }
 
-/// Identifies this running process among all that ever shared a cache: host and boot, id, start time.
+/// Identifies this running process among all that ever used a cache: host and boot, id, start time.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ProcessId {
-    /// The machine since its last start, and the space that process ids are counted in.
+    /// The machine since its last boot, and the namespace of its process ids.
     pub place: String,
     /// The process id.
     pub pid: u32,
-    /// When it started, in the system's own units, so that a reused id is told apart.
+    /// Its start time in the system's own units, which distinguishes a reused id.
     pub started: u64,
 }
 
@@ -77,13 +77,14 @@ impl ProcessId {
         Self { place: place(), pid, started: start_time(pid).unwrap_or(0) }
     }
 
-    /// A short name that no other process on any machine has; for files and folders that say whose they are.
+    /// A short name that no other process on any machine has; for the names of files and folders, to mark
+    /// their owner.
     pub(crate) fn name(&self) -> String {
         format!("{}-{}-{}", Digest::of(self.place.as_bytes()).short(), self.pid, self.started)
     }
 
-    /// Whether the process that gave a file this name (and anything after a further `-`) runs; `None` when it
-    /// lives on another machine.
+    /// Returns whether the process is running whose name a file carries (a further `-` and anything may
+    /// follow); `None` if it belongs to another machine.
     pub(crate) fn owner_is_alive(name: &str) -> Option<bool> {
         let mut parts = name.split('-');
         let here = place();
@@ -94,7 +95,7 @@ impl ProcessId {
         Self { place: here, pid, started }.is_alive()
     }
 
-    /// Whether it is known to run or to have ended; `None` when it lives on another machine.
+    /// Returns true if the process runs, false if it has ended, and `None` if it belongs to another machine.
     pub fn is_alive(&self) -> Option<bool> {
         if self.place != place() {
             return None;
@@ -116,8 +117,8 @@ fn place() -> String {
     PLACE.get_or_init(find).clone()
 }
 
-/// A host's name alone is no place: two machines may be called the same. Where the system does not say which
-/// machine and which space of process ids this is, the process is in a place of its own.
+/// A host's name alone does not identify a machine, because two machines may have the same name. Where the
+/// system does not report the machine and the namespace of process ids, the process gets a place of its own.
 fn place_of(host: &str, boot: &str, space: &str) -> String {
     if boot.is_empty() || space.is_empty() {
         return format!("{host} {:016x}", random());
@@ -125,8 +126,8 @@ fn place_of(host: &str, boot: &str, space: &str) -> String {
     format!("{host} {boot} {space}")
 }
 
-/// A number that no other call in any process gets, from the system's source of
-/// randomness. Never for results.
+/// A number that no other call in any process gets, from the system's source of randomness. It is never used
+/// for results.
 pub(crate) fn random() -> u64 {
     RandomState::new().build_hasher().finish()
 }

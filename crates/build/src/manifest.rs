@@ -1,4 +1,4 @@
-//! What is written beside every artifact: how it was made and what is in it.
+//! The file that is written beside every artifact: its origin and its list of files.
 
 use serde::{Deserialize, Serialize};
 
@@ -23,7 +23,7 @@ pub struct FileRecord {
     pub digest: Digest,
 }
 
-/// For whom an artifact was made first. Not part of any key.
+/// The node for which an artifact was made first. Not part of any key.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MadeFor {
     /// The pipeline.
@@ -51,7 +51,7 @@ pub struct Manifest {
     pub schema: u32,
     /// The artifact's key.
     pub key: Key,
-    /// What the key is made of.
+    /// The ingredients of the key.
     pub ingredients: Ingredients,
     /// The digest of all files together.
     pub content: Digest,
@@ -59,27 +59,28 @@ pub struct Manifest {
     pub files: Vec<FileRecord>,
     /// The program's version.
     pub tool: String,
-    /// When it was finished (UTC).
+    /// Time when it was finished (UTC).
     pub finished: String,
-    /// How long it took, seconds.
+    /// Duration in seconds.
     pub seconds: f64,
     /// Share of the work that was found in checkpoints.
     #[serde(default)]
     pub resumed: f64,
-    /// Threads it was given.
+    /// Number of its threads.
     pub threads: usize,
-    /// The most memory the process held meanwhile, bytes; 0 where unknown.
+    /// The most memory that the process held meanwhile, in bytes; 0 where unknown.
     pub peak_memory: u64,
-    /// Where it was made.
+    /// The machine that made it.
     pub machine: Machine,
-    /// For whom.
+    /// The node that it was made for.
     pub made_for: MadeFor,
-    /// What the stage measured that does not follow from its inputs.
+    /// Measurements of the stage that do not follow from its inputs.
     #[serde(default, skip_serializing_if = "Notes::is_empty")]
     pub notes: Notes,
 }
 
-/// How long a stage took, and where: the part of a manifest that the content does not follow from.
+/// Duration, machine load and origin of an artifact: the part of a manifest that does not determine the
+/// content.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Circumstances {
     pub(crate) seconds: f64,
@@ -114,7 +115,7 @@ impl Manifest {
     /// Parses and checks what can be checked without the files.
     ///
     /// # Errors
-    /// Another format, another key, or digests that do not fit; in words.
+    /// Another format, another key, or digests that do not match; the error is a message.
     pub fn parse(bytes: &[u8], key: Key) -> Result<Self, String> {
         let manifest: Self =
             serde_json::from_slice(bytes).map_err(|e| format!("{MANIFEST} is damaged: {e}"))?;
@@ -130,8 +131,8 @@ impl Manifest {
         Ok(manifest)
     }
 
-    /// The digest of all files together as this manifest lists them;
-    /// [`content`](Self::content) unless it lies.
+    /// The digest of all files together, computed from the list in this manifest; it equals
+    /// [`content`](Self::content) in a valid one.
     pub fn content_of_files(&self) -> Digest {
         content_digest(&self.files)
     }
@@ -141,7 +142,7 @@ impl Manifest {
         self.files.iter().map(|f| f.size).sum()
     }
 
-    /// How long the stage takes without checkpoints to start from, seconds.
+    /// The duration of the stage without checkpoints to start from, in seconds.
     pub fn full_seconds(&self) -> f64 {
         self.seconds / (1.0 - self.resumed.clamp(0.0, 0.95))
     }

@@ -1,15 +1,16 @@
-//! How much memory this process may still take: for planning, for notices and for refusing work that cannot
-//! be done here.
+//! The memory that this process may still take: for planning, for notices and for refusing work that does not
+//! fit.
 //!
-//! Never for deciding what a stage computes: an artifact does not depend on the machine that made it. The
-//! least of what the system can give without swapping, what the process's control groups (a container's
-//! limit, version 1 or 2) leave it, and what its address-space limit (`ulimit -v`) leaves it.
+//! It never affects the result of a stage, because an artifact does not depend on the machine that made it.
+//! The value is the least of three: the memory that the system can give without swapping, the rest that the
+//! process's control groups (a container's limit, version 1 or 2) leave, and the rest that its address-space
+//! limit (`ulimit -v`) leaves.
 
 use std::path::{Path, PathBuf};
 
 use super::machine::bytes;
 
-/// Bytes that can still be had, from the files below `root` (`/`); `None` where the system says nothing.
+/// Available bytes, from the files below `root` (`/`); `None` where the system reports nothing.
 pub(crate) fn available(root: &Path) -> Option<u64> {
     let system = kibibytes(&root.join("proc/meminfo"), "MemAvailable:");
     [system, control_groups(root), address_space(root)].into_iter().flatten().min()
@@ -20,8 +21,9 @@ pub(crate) fn resident() -> Option<u64> {
     kibibytes(Path::new("/proc/self/status"), "VmRSS:")
 }
 
-/// Of work that takes `start` bytes to begin and `most` in the end, where `free` can be had: an error where
-/// it cannot begin, a notice where it may not end. `lower` says in words what makes it less.
+/// Checks work that takes `start` bytes at the start and `most` at the most, where `free` bytes are
+/// available. Returns an error if it cannot start, and a notice if it may run out of memory. `lower` is the
+/// text that says how to need less.
 pub(crate) fn judge(free: u64, start: u64, most: u64, lower: &str) -> Result<Option<String>, String> {
     let [free_text, start_text, most_text] = [free, start, most].map(bytes);
     if start > free {
@@ -44,7 +46,7 @@ fn kibibytes(file: &Path, name: &str) -> Option<u64> {
     line.split_whitespace().nth(1)?.parse::<u64>().ok()?.checked_mul(1024)
 }
 
-/// Where one version of control groups keeps its numbers.
+/// The files in which one version of control groups reports its numbers.
 struct Version {
     mount: &'static str,
     limit: &'static str,
@@ -65,7 +67,7 @@ const VERSION_2: Version = Version {
     reclaimable: "inactive_file",
 };
 
-/// What the strictest of the process's control groups leaves it.
+/// Memory left by the strictest of the process's control groups.
 fn control_groups(root: &Path) -> Option<u64> {
     let text = std::fs::read_to_string(root.join("proc/self/cgroup")).ok()?;
     let groups = text.lines().filter_map(|line| {
@@ -83,8 +85,8 @@ fn control_groups(root: &Path) -> Option<u64> {
 }
 
 impl Version {
-    /// A limit holds for everything below it. In a container the path may be the host's: then only the mount
-    /// itself is there.
+    /// Memory left by the limits of a group and its parents, because a limit holds for everything below it.
+    /// In a container the path may be the host's; then only the mount folder itself exists.
     fn left(&self, root: &Path, path: &str) -> Option<u64> {
         let mount = root.join(self.mount);
         let mut folder: PathBuf = mount.join(path.trim_start_matches('/'));
@@ -98,7 +100,8 @@ impl Version {
         least
     }
 
-    /// Limit − used + what the page cache gives back first; no limit is `max` or larger than any machine.
+    /// Limit − used + the part of the page cache that is reclaimed first. No limit is written as `max` or as
+    /// a number larger than any machine.
     fn left_in(&self, folder: &Path) -> Option<u64> {
         let number = |file: &str| -> Option<u64> {
             std::fs::read_to_string(folder.join(file)).ok()?.trim().parse().ok()
@@ -114,7 +117,7 @@ impl Version {
     }
 }
 
-/// What `ulimit -v` leaves of the address space.
+/// Address space left by `ulimit -v`.
 fn address_space(root: &Path) -> Option<u64> {
     let text = std::fs::read_to_string(root.join("proc/self/limits")).ok()?;
     let line = text.lines().find_map(|l| l.strip_prefix("Max address space"))?;

@@ -1,11 +1,11 @@
-//! As whom, and by which clock, a process uses a cache that others share: as this process, by the system's
-//! steady clock. Tests use one cache as several machines at once, whose clocks run apart.
+//! The identity and clock with which a process uses a shared cache: this process and the system's steady
+//! clock. Tests use one cache as several machines at once, whose clocks differ.
 
 use std::time::{Duration, Instant};
 
 use super::machine::{self, Machine, ProcessId};
 
-/// A steady clock: seconds since some moment of its own. Two machines' clocks are never compared.
+/// A steady clock: seconds since some moment of its own. The clocks of two machines are never compared.
 #[derive(Clone, Copy, Debug)]
 pub struct Clock {
     start: Instant,
@@ -14,22 +14,22 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// The system's.
+    /// The system's clock.
     pub fn system() -> Self {
         Self { start: Instant::now(), offset: Duration::ZERO, rate: 1.0 }
     }
 
-    /// One that says `offset` more and runs `rate` (above 0) times as fast, for tests.
+    /// A clock that is `offset` ahead and runs `rate` (above 0) times as fast, for tests.
     pub fn other(offset: Duration, rate: f64) -> Self {
         Self { offset, rate, ..Self::system() }
     }
 
-    /// What it says now.
+    /// The present time of this clock.
     pub fn now(&self) -> Duration {
         self.offset + self.start.elapsed().mul_f64(self.rate)
     }
 
-    /// How long to wait until it has advanced by so much.
+    /// The real time that passes until this clock has advanced by `time`.
     pub(crate) fn wait_for(&self, time: Duration) -> Duration {
         time.div_f64(self.rate)
     }
@@ -49,13 +49,13 @@ impl Node {
         Self { process: ProcessId::this(), host: Machine::this().host, clock: Clock::system() }
     }
 
-    /// A process of a machine called `host`, for tests: this one knows nothing of whether that one runs.
+    /// A process of a machine called `host`, for tests: this process cannot check that it runs.
     pub fn elsewhere(host: &str, clock: Clock) -> Self {
         let process = ProcessId { place: format!("{host} {:016x}", machine::random()), pid: 1, started: 1 };
         Self { process, host: host.to_string(), clock }
     }
 
-    /// Whether a process is known to run or to have ended; `None` where it lives on another machine.
+    /// Returns true if the process runs, false if it has ended, and `None` if it belongs to another machine.
     pub(crate) fn is_alive(&self, process: &ProcessId) -> Option<bool> {
         if process.place != self.process.place {
             return None;
@@ -63,13 +63,12 @@ impl Node {
         if *process == self.process { Some(true) } else { process.is_alive() }
     }
 
-    /// A short name of this machine, as far as processes share its kernel, for files.
+    /// A short name for files, shared by all processes of this machine that share its kernel.
     pub(crate) fn machine(&self) -> String {
         super::digest::Digest::of(self.process.place.as_bytes()).short()
     }
 
-    /// A number of this process, for whatever several nodes should not all do in the same order or at the
-    /// same moment.
+    /// A number of this process. It makes nodes differ in order or time where they should not all act alike.
     pub(crate) fn number(&self) -> u64 {
         let name = super::digest::Digest::of(self.process.name().as_bytes());
         name.as_bytes().iter().take(8).fold(0, |all, byte| all << 8 | u64::from(*byte))

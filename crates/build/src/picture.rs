@@ -1,4 +1,4 @@
-//! The graph as a picture, coloured by state: Mermaid text and a self-contained SVG.
+//! The graph as a picture, coloured by state: Mermaid text or a self-contained SVG.
 
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -36,12 +36,12 @@ pub fn mermaid(graph: &Graph, plan: &Plan) -> String {
     out
 }
 
-/// The nodes from which an arrow leads to a node, each once, whatever it is read for.
+/// The nodes from which an arrow leads to a node, each once, even if it is read in several roles.
 fn arrows(graph: &Graph, node: usize) -> BTreeSet<usize> {
     graph.parents(node).map(|parent| root(graph, parent)).collect()
 }
 
-/// A node that is the same work as another stands for that one.
+/// Replaces a node that repeats the work of another by that other node.
 fn root(graph: &Graph, node: usize) -> usize {
     graph.nodes[node].same_as.unwrap_or(node)
 }

@@ -1,12 +1,12 @@
-//! Result folders outside the cache: which of them are ours, and how one takes another's place without losing
-//! anybody's file.
+//! Result folders outside the cache: how to recognise the results of this program, and how a new result
+//! replaces an old one without losing anybody's files.
 //!
-//! A result carries a record, `manifest.json`: an artifact's own, or, where a stage was run by hand, a list
-//! of the files with their digests. A folder is ours if it has a record and every file that the record lists
-//! still has the bytes it lists. Only then, and only the listed files, may go: the new result is complete in
-//! a sibling before the old one is moved out of the way, files that somebody put beside ours move over into
-//! the new folder, and nothing is ever removed that the record does not list. Anything else in the place of a
-//! result is somebody's own and is refused.
+//! A result carries a record, `manifest.json`: an artifact's own, or, for a stage that was run by hand, a
+//! list of the files with their digests. A folder is a result of this program ("ours") if it has a record and
+//! every file that the record lists still has the listed bytes. Only then may it be replaced, and only the
+//! listed files are removed. The new result is complete in a sibling folder before the old one is moved
+//! aside. Files of the user beside ours move to the new folder. Nothing is ever removed that the record does
+//! not list. Any other folder in the place of a result belongs to the user, and the result is refused.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -26,30 +26,30 @@ use super::manifest::{FORMAT as ARTIFACT, FileRecord, MANIFEST};
 
 /// The format line of the record of a stage that was run by hand.
 const FORMAT: &str = "use3d result";
-/// A record of a million files is smaller; what is larger is something else.
+/// The largest file that is read as a record; a record of a million files is smaller.
 const MOST_BYTES: u64 = 1 << 28;
-/// How often another process may come between looking and moving before this one gives up.
+/// Number of attempts while another process keeps changing the folder.
 const TRIES: usize = 32;
 
-/// Why a result cannot go where it should.
+/// The reason why a result cannot be placed.
 #[derive(Debug, thiserror::Error)]
 pub enum PlaceError {
-    /// Something is there that must not be replaced. Nothing was touched.
+    /// There is something that must not be replaced. Nothing was changed.
     #[error("{}: {reason}", shown(&path.to_string_lossy()))]
     Occupied {
         /// The folder or file.
         path: PathBuf,
-        /// What is there, and what to do.
+        /// The present content, and the next step for the user.
         reason: String,
     },
-    /// The file system refused.
+    /// A file operation failed.
     #[error("cannot {doing} {}: {source}; choose a folder with --out that can be written and has space", shown(&path.to_string_lossy()))]
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// What was tried.
+        /// The operation that was tried, as a verb.
         doing: &'static str,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
 }
@@ -64,56 +64,56 @@ fn at<T>(path: &Path, doing: &'static str, result: io::Result<T>) -> Result<T, P
     result.map_err(|source| PlaceError::Io { path: path.to_path_buf(), doing, source })
 }
 
-/// What of a record is needed here; artifacts' manifests have more.
+/// The part of a record that is needed here; artifacts' manifests have more.
 #[derive(Deserialize, Serialize)]
 struct Record {
     format: String,
     schema: u32,
-    /// What the result follows from, where whoever wrote the record says so.
+    /// The key of the result, if the record contains it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     key: Option<Digest>,
     files: Vec<FileRecord>,
 }
 
-/// What stands in the place of a result.
+/// The present content of a result's place.
 #[derive(Debug)]
 pub enum Standing {
     /// Nothing, or an empty folder.
     Free,
-    /// A result of ours, as it was written.
+    /// A result of this program, unchanged.
     Ours(Ours),
-    /// Anything else: why it is not ours, in words.
+    /// Anything else, with the reason why it is not ours.
     Foreign(String),
 }
 
-/// A result of ours.
+/// A result of this program.
 #[derive(Debug)]
 pub struct Ours {
-    /// What it follows from, where its record says so.
+    /// The key of the result, if its record contains it.
     pub key: Option<Digest>,
-    /// Whether every listed file is there.
+    /// True if every listed file exists.
     pub whole: bool,
-    /// Our files that are there, the record among them.
+    /// The listed files that exist, and the record itself.
     listed: Vec<String>,
-    /// Files that somebody put beside ours.
+    /// Other files, which the user put beside ours.
     extra: Vec<String>,
 }
 
-/// How closely listed files are looked at.
+/// The accuracy with which listed files are checked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Look {
-    /// A file that is older than the record and of the listed size is taken to be as listed.
+    /// A file that is older than the record and has the listed size is assumed to be unchanged.
     Quick,
     /// Every byte is read.
     Close,
 }
 
-/// Looks at what stands in the place of a result.
+/// Checks the present content of a result's place.
 pub fn look(folder: &Path, look: Look) -> Result<Standing, PlaceError> {
     for _ in 1..TRIES {
         let before = identity(folder);
         let standing = look_once(folder, look)?;
-        // While one folder was looked at, another process may have put another there.
+        // During the check, another process may have replaced the folder by another one.
         if !matches!(standing, Standing::Foreign(_)) || before == identity(folder) {
             return Ok(standing);
         }
@@ -121,7 +121,7 @@ pub fn look(folder: &Path, look: Look) -> Result<Standing, PlaceError> {
     look_once(folder, look)
 }
 
-/// What tells a folder from another one under its name.
+/// Data that distinguish a folder from another one with the same name.
 fn identity(folder: &Path) -> Option<(u64, SystemTime)> {
     let found = fs::symlink_metadata(folder).ok()?;
     #[cfg(unix)]
@@ -151,7 +151,7 @@ fn look_once(folder: &Path, look: Look) -> Result<Standing, PlaceError> {
     for entry in walkdir::WalkDir::new(folder).min_depth(1) {
         let entry = match entry {
             Ok(entry) => entry,
-            // Another process removes it right now.
+            // Another process is removing it right now.
             Err(e) if e.io_error().is_some_and(|e| e.kind() == io::ErrorKind::NotFound) => continue,
             Err(e) => return Err(files::walk_error(folder, e).into()),
         };
@@ -197,8 +197,8 @@ fn look_once(folder: &Path, look: Look) -> Result<Standing, PlaceError> {
     Ok(Standing::Ours(Ours { key: record.key, whole, listed, extra }))
 }
 
-/// Whether a file was written before the record. Clocks of file systems tick slowly: at the same tick, it may
-/// have been edited.
+/// Returns true if a file was written before the record. Clocks of file systems tick slowly: at the same
+/// tick, it may have been edited.
 fn is_older(data: &fs::Metadata, than: Option<SystemTime>) -> bool {
     matches!((data.modified().ok(), than), (Some(file), Some(record)) if file < record)
 }
@@ -217,7 +217,7 @@ fn digest(path: &Path) -> io::Result<Digest> {
     Ok(hasher.finalize().into())
 }
 
-/// Writes the record of a finished folder: from now on it is a result of ours.
+/// Writes the record of a finished folder, which makes it a result of this program.
 pub fn record(folder: &Path, key: Option<Digest>) -> Result<(), PlaceError> {
     let listed: Vec<(String, u64)> =
         files::list(folder)?.into_iter().filter(|(p, _)| p != MANIFEST).collect();
@@ -235,8 +235,8 @@ pub fn record(folder: &Path, key: Option<Digest>) -> Result<(), PlaceError> {
     at(&path, "write", fs::write(&path, bytes))
 }
 
-/// Refuses what must not be replaced, before any work is done: with `replace`, whatever is not ours, without
-/// it, anything.
+/// Fails, before any work is done, if a result must not be written to `folder`: with `replace` if something
+/// there is not ours, without it if there is anything.
 pub fn check(folder: &Path, replace: bool) -> Result<(), PlaceError> {
     match look(folder, Look::Quick)? {
         Standing::Free => Ok(()),
@@ -258,8 +258,8 @@ fn not_ours(folder: &Path, why: &str) -> PlaceError {
     occupied(folder, &format!("{why}; it is left as it is: choose another name, or move it away first"))
 }
 
-/// Finds out, before any work is done, whether files can be made in `folder`, or, where it is not there, in
-/// the nearest folder above.
+/// Checks, before any work is done, that files can be created in `folder`, or, if it does not exist, in the
+/// nearest folder above it.
 pub fn check_writable(folder: &Path) -> Result<(), PlaceError> {
     let mut there = folder;
     while fs::symlink_metadata(there).is_err() && there != parent(there) {
@@ -268,18 +268,19 @@ pub fn check_writable(folder: &Path) -> Result<(), PlaceError> {
     at(folder, "write", tempfile::tempfile_in(there).map(|_| ()))
 }
 
-/// The folder that `path` lies in.
+/// The folder that contains `path`.
 pub fn parent(path: &Path) -> &Path {
     path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// What begins the name of a thing that is being made.
+/// The prefix of the names of unfinished results.
 const MADE: &str = ".use3d-tmp-";
-/// What begins the name of an old result on its way out. It may hold files of others, so nobody sweeps it.
+/// The prefix of the name of an old result during its removal. It may hold the user's files, so no sweep
+/// removes it.
 const OLD: &str = ".use3d-old-";
 
-/// A place beside `path` for what is being made; not called after it, since a name may be as long as names
-/// can be.
+/// A path beside `path` for an unfinished result. It does not contain the name of `path`, which may already
+/// have the maximum length.
 pub fn sibling(path: &Path) -> PathBuf {
     beside(path, MADE)
 }
@@ -288,7 +289,7 @@ fn beside(path: &Path, begin: &str) -> PathBuf {
     parent(path).join(format!("{begin}{}-{}", leftovers::owner(), files::unique()))
 }
 
-/// Removes from a folder what processes that were killed left half made.
+/// Removes unfinished results of killed processes from a folder.
 pub fn sweep(folder: &Path) {
     leftovers::sweep(folder, MADE, |_| true);
 }
@@ -298,7 +299,7 @@ pub fn copy_folder(from: &Path, to: &Path) -> Result<(), PlaceError> {
     at(to, "create", fs::create_dir_all(to))?;
     let entries: io::Result<Vec<fs::DirEntry>> = fs::read_dir(from).and_then(Iterator::collect);
     let mut entries = at(from, "read", entries)?;
-    // The record last: a file that is newer has to be read to know whether it was edited.
+    // The record is copied last: a file newer than the record would have to be read to check it.
     entries.sort_by_key(|entry| entry.file_name() == MANIFEST);
     for entry in entries {
         let (source, target) = (entry.path(), to.join(entry.file_name()));
@@ -311,10 +312,10 @@ pub fn copy_folder(from: &Path, to: &Path) -> Result<(), PlaceError> {
     Ok(())
 }
 
-/// Puts the finished folder `made`, a [`sibling`] with its record, in the place of `folder`. What stood there
-/// is replaced only if it is ours (and `replace` allows it); files that were put beside ours stay.
+/// Moves the finished folder `made`, a [`sibling`] with its record, to `folder`. An old result is replaced
+/// only if it is ours (and `replace` allows it); the user's files beside ours stay.
 pub fn put(made: &Path, folder: &Path, replace: bool) -> Result<(), PlaceError> {
-    // Another process may deliver into the same place: then look again.
+    // Another process may deliver into the same place: then check again.
     for _ in 0..TRIES {
         let old = match look(folder, Look::Close)? {
             Standing::Foreign(why) => return Err(not_ours(folder, &why)),
@@ -344,7 +345,7 @@ pub fn put(made: &Path, folder: &Path, replace: bool) -> Result<(), PlaceError> 
                     Err(e) if e.kind() == io::ErrorKind::NotFound => continue,
                     other => at(folder, "replace", other)?,
                 }
-                // Nobody else knows it by this name: what it is now, it stays.
+                // No other process knows this name, so the folder does not change any more.
                 match look_once(&aside, Look::Quick)? {
                     Standing::Ours(ours) => Some((aside, ours)),
                     _ => {
@@ -358,7 +359,8 @@ pub fn put(made: &Path, folder: &Path, replace: bool) -> Result<(), PlaceError> 
             (Ok(()), None) => return Ok(()),
             (Ok(()), Some((aside, ours))) => return retire(&aside, &ours, folder),
             (Err(e), old) => {
-                // Back to where it was; if somebody was faster, what was beside it goes to that result.
+                // The old folder moves back; if another process was faster, the user's files move to that
+                // process's result.
                 if let Some((aside, ours)) = old
                     && fs::rename(&aside, folder).is_err()
                 {
@@ -373,7 +375,7 @@ pub fn put(made: &Path, folder: &Path, replace: bool) -> Result<(), PlaceError> 
     Err(occupied(folder, "another process keeps changing it; run again when that one is done"))
 }
 
-/// Whether a file called `name` has no room beside the files of `made`.
+/// Returns true if a file called `name` conflicts with the files of `made`.
 fn in_the_way(made: &Path, name: &str) -> bool {
     let taken = |path: &Path, also_folders: bool| {
         made.join(path).symlink_metadata().is_ok_and(|found| also_folders || !found.is_dir())
@@ -381,8 +383,8 @@ fn in_the_way(made: &Path, name: &str) -> bool {
     Path::new(name).ancestors().any(|part| taken(part, part == Path::new(name)))
 }
 
-/// Moves what others put beside an old result into the new one, and removes our files. A folder that is not
-/// empty then holds something that has no room there or came since, and stays.
+/// Moves the user's files from an old result into the new one, and removes the old result's own files. A
+/// folder that is then not empty holds files that conflict there or were added since; it stays.
 fn retire(aside: &Path, ours: &Ours, folder: &Path) -> Result<(), PlaceError> {
     for name in &ours.extra {
         let to = folder.join(name);
@@ -396,7 +398,7 @@ fn retire(aside: &Path, ours: &Ours, folder: &Path) -> Result<(), PlaceError> {
         at(aside, "remove the old files of", fs::remove_file(aside.join(name)))?;
     }
     for entry in walkdir::WalkDir::new(aside).contents_first(true).into_iter().flatten() {
-        // Only empty folders can be removed in this way.
+        // This removes only empty folders.
         if entry.file_type().is_dir() {
             let _ = fs::remove_dir(entry.path());
         }

@@ -1,7 +1,8 @@
-//! What would run, what is cached, and why: exact, without computing anything.
+//! The plan of a run: the nodes that would run, the cached ones, and the reasons. It is exact and computes
+//! nothing.
 //!
-//! A node below one that has to run has no key yet, since its inputs are not there: it *waits*, and will run
-//! unless what comes out is the same as before (early cut-off).
+//! A node below one that has to run has no key yet, because its inputs do not exist: it *waits*. It will run
+//! unless its inputs come out the same as before (early cut-off).
 
 use std::path::PathBuf;
 
@@ -15,13 +16,13 @@ use super::key::{Difference, Key};
 use super::lease::Working;
 use super::resolve::{self, Outcome, Unresolved};
 
-/// What is to become of a node.
+/// The planned state of a node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase", tag = "state", content = "detail")]
 pub enum State {
-    /// Its artifact is there.
+    /// Its artifact is in the cache.
     Cached,
-    /// It would run: why.
+    /// It would run, for this reason.
     Run(String),
     /// It waits for inputs that would run, and runs unless they come out the same as before.
     Waiting(Vec<String>),
@@ -29,7 +30,7 @@ pub enum State {
     Unavailable(String),
     /// It cannot run because of another node.
     Blocked(String),
-    /// Nobody asked for it.
+    /// It was not requested.
     Unwanted,
 }
 
@@ -42,30 +43,29 @@ pub struct PlannedNode {
     pub scene: String,
     /// The variant; empty where there are none.
     pub variant: String,
-    /// What is to become of it.
+    /// Its planned state.
     #[serde(flatten)]
     pub state: State,
-    /// Its key, where it is known.
+    /// Its key, if it is known.
     pub key: Option<Key>,
-    /// Its artifact, where it is there.
+    /// Its artifact, if it exists.
     pub artifact: Option<PathBuf>,
-    /// The key of the checkpoints it would go on from, for a stage that leaves some.
+    /// The key of the checkpoints from which it would resume, for a stage with checkpoints.
     #[serde(skip)]
     pub checkpoints: Option<Key>,
-    /// What changed since its last artifact.
+    /// The changes since its last artifact.
     pub changes: Vec<Difference>,
-    /// What it will probably cost.
+    /// Its estimated cost.
     pub forecast: Option<Forecast>,
-    /// About how much memory it will take, bytes, judging by those of its inputs that are there; `None`
-    /// where nobody knows.
+    /// Estimated memory in bytes, from those of its inputs that exist; `None` where there is no estimate.
     pub memory: Option<u64>,
-    /// The node that does the same work for it, in words.
+    /// The node that does the same work, for display.
     pub shared_with: Option<String>,
-    /// Why the last attempt failed, when nothing has changed since.
+    /// The reason of the last failure, if nothing has changed since.
     pub failed: Option<String>,
-    /// Whether it ever had an artifact.
+    /// True if it ever had an artifact.
     pub had: bool,
-    /// Who computes it now.
+    /// The process that computes it now.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub working: Option<Working>,
 }
@@ -77,33 +77,33 @@ pub struct Plan {
     pub pipeline: String,
     /// The nodes, inputs first.
     pub nodes: Vec<PlannedNode>,
-    /// How long making it took, seconds.
+    /// Time that planning took, in seconds.
     pub seconds: f64,
 }
 
 impl Plan {
-    /// How many nodes would run or may have to, without those that share another's work.
+    /// Number of nodes that would run or may have to, without those that share another's work.
     pub fn to_run(&self) -> usize {
         self.own().filter(|n| matches!(n.state, State::Run(_) | State::Waiting(_))).count()
     }
 
-    /// How many nodes are cached, without those that share another's work.
+    /// Number of cached nodes, without those that share another's work.
     pub fn cached(&self) -> usize {
         self.own().filter(|n| n.state == State::Cached).count()
     }
 
-    /// How many nodes cannot run because an input that the pipeline names is missing or unreadable, without
-    /// those that share another's work.
+    /// Number of nodes that cannot run because an input that the pipeline names is missing or unreadable,
+    /// without those that share another's work.
     pub fn unavailable(&self) -> usize {
         self.own().filter(|n| matches!(n.state, State::Unavailable(_))).count()
     }
 
-    /// How many nodes cannot run because of others, without those that share another's work.
+    /// Number of nodes that cannot run because of other nodes, without those that share another's work.
     pub fn blocked(&self) -> usize {
         self.own().filter(|n| matches!(n.state, State::Blocked(_))).count()
     }
 
-    /// The sum of the forecasts, and how many nodes that would run have none.
+    /// The sum of the forecasts, and the number of nodes to run without a forecast.
     pub fn forecast(&self) -> (f64, usize) {
         let would_run = self.own().filter(|n| matches!(n.state, State::Run(_) | State::Waiting(_)));
         would_run.fold((0.0, 0), |(sum, without), node| match node.forecast {
@@ -118,7 +118,7 @@ impl Plan {
 }
 
 impl Builder {
-    /// Plans the nodes of `graph` up to the named stages (all without).
+    /// Plans the nodes of `graph` up to the named stages, or all nodes.
     pub fn plan(&self, graph: &Graph, until: Option<&[String]>) -> Plan {
         let start = std::time::Instant::now();
         self.cache.contents().look_again();

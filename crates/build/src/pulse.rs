@@ -1,31 +1,31 @@
-//! What a lease says of its holder besides who it is: that it lives, how long it has worked, and how far it
-//! is. One line of a fixed length behind the holder's, written over in place every few seconds, so that a
-//! lease costs a shared file system one small write and no new names.
+//! The pulse of a lease: a sign that the holder is alive, its working time and its progress. It is one line
+//! of a fixed length after the holder's line, overwritten in place every few seconds. So a lease costs a
+//! shared file system one small write and no new names.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// Letters of a unit that are told.
+/// Most letters of a unit that are written.
 const UNIT: usize = 16;
 
 /// A pulse.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Beat {
-    /// Counts the writes: a holder that lives changes its lease, whatever else it does.
+    /// Number of writes. A living holder changes its lease in this way, even without progress.
     pub(crate) number: u64,
-    /// How long the holder has had the lease, by its own clock.
+    /// The time for which the holder has had the lease, in seconds by its own clock.
     pub(crate) seconds: u64,
     /// Work done.
     pub(crate) done: u64,
-    /// Work in all; 0 where the stage does not say.
+    /// Total work; 0 where the stage does not report it.
     pub(crate) total: u64,
-    /// What is counted.
+    /// The unit of the work.
     pub(crate) unit: String,
-    /// The holder gave up: its artifact is not there.
+    /// True if the holder gave up: its artifact does not exist.
     pub(crate) left: bool,
 }
 
-/// The line of a pulse: of the same length whatever it says.
+/// The line of a pulse, which always has the same length.
 pub(crate) fn line(beat: &Beat) -> Vec<u8> {
     const MOST: u64 = 9_999_999_999;
     let number = |n: u64| n.min(MOST);
@@ -42,7 +42,7 @@ pub(crate) fn line(beat: &Beat) -> Vec<u8> {
     .into_bytes()
 }
 
-/// Reads a line; `None` for what is none.
+/// Parses a line; `None` if it is not a pulse.
 pub(crate) fn parse(bytes: &[u8]) -> Option<Beat> {
     let mut words = std::str::from_utf8(bytes).ok()?.split_whitespace();
     let left = match words.next()? {
@@ -56,7 +56,7 @@ pub(crate) fn parse(bytes: &[u8]) -> Option<Beat> {
     Some(Beat { number, seconds, done, total, unit, left })
 }
 
-/// How far a stage is, from the threads that work to the one that tells.
+/// The progress of a stage, passed from the working threads to the thread that renews the lease.
 #[derive(Debug, Default)]
 pub(crate) struct Progress {
     done: AtomicU64,
@@ -65,7 +65,7 @@ pub(crate) struct Progress {
 }
 
 impl Progress {
-    /// Notes it.
+    /// Stores the progress.
     pub(crate) fn note(&self, done: u64, total: u64, unit: &str) {
         self.done.store(done, Ordering::Relaxed);
         self.total.store(total, Ordering::Relaxed);
@@ -75,7 +75,7 @@ impl Progress {
         }
     }
 
-    /// Puts it into a pulse.
+    /// Copies the progress into a pulse.
     pub(crate) fn read(&self, beat: &mut Beat) {
         beat.done = self.done.load(Ordering::Relaxed);
         beat.total = self.total.load(Ordering::Relaxed);
@@ -106,7 +106,7 @@ mod tests {
         for wrong in [&b""[..], b"here", b"there 1 2 3 4 steps", b"here 1 2 3 x steps", &[0xff, 0xfe]] {
             assert_eq!(parse(wrong), None);
         }
-        // A unit of two words, or one too long, stays one word.
+        // A unit of several words, or a long unit, becomes one word.
         let odd = Beat { unit: "pictures of all views".to_string(), ..Beat::default() };
         assert_eq!(parse(&line(&odd)).map(|b| b.unit), Some("picturesofallvie".to_string()));
     }

@@ -13,13 +13,13 @@ pub struct Registry {
     shorthands: Vec<Shorthand>,
 }
 
-/// A key of the pipeline file that stands for a parameter of a stage, e.g. a scene's `size` for
+/// A key of the pipeline file that is short for a parameter of a stage, e.g. a scene's `size` for
 /// `import.size`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shorthand {
-    /// Where it stands: `scene`, `calibrator`, `models`, or empty for the top.
+    /// The table that contains it: `scene`, `calibrator`, `models`, or empty for the top level.
     pub place: &'static str,
-    /// The key there.
+    /// The key in that table.
     pub key: &'static str,
     /// The stage.
     pub stage: &'static str,
@@ -28,11 +28,12 @@ pub struct Shorthand {
 }
 
 impl Registry {
-    /// A table of these stages, made of the code in `table`. A stage's inputs come from stages before it;
-    /// roles are unique; a shared stage reads only shared ones; the code that a stage names exists.
+    /// Creates a table of these stages, with their code from `table`. A stage's inputs must come from stages
+    /// before it; its roles must be unique; a shared stage must read only shared ones; the code that a stage
+    /// names must exist.
     ///
     /// # Errors
-    /// Stages that do not fit together, or that name code that is not there.
+    /// Stages that do not fit together, or that name code that does not exist.
     pub fn new(stages: Vec<Stage>, table: &CodeTable) -> Result<Self, BuildError> {
         for (i, stage) in stages.iter().enumerate() {
             check(stage, &stages[..i]).map_err(BuildError::Registry)?;
@@ -53,7 +54,7 @@ impl Registry {
         Ok(Self { code: code.collect::<Result<_, _>>()?, stages, shorthands: Vec::new() })
     }
 
-    /// Adds a shorthand; several may share a place and key, then the value goes to all of them.
+    /// Adds a shorthand. If several have the same place and key, the value sets all their parameters.
     #[must_use]
     pub fn shorthand(
         mut self,
@@ -81,18 +82,18 @@ impl Registry {
         Ok(&self.stages[self.index(name)?])
     }
 
-    /// Its place in the table.
+    /// The index of a stage in the table.
     pub(crate) fn index(&self, name: &str) -> Result<usize, BuildError> {
         let found = self.stages.iter().position(|s| s.name == name);
         found.ok_or_else(|| BuildError::unknown("stage", name, self.stages.iter().map(|s| s.name)))
     }
 
-    /// What the stage of that name is made of.
+    /// The code of the stage of that name.
     pub fn code_of(&self, name: &str) -> Result<&StageCode, BuildError> {
         Ok(&self.code[self.index(name)?])
     }
 
-    /// What a stage is made of.
+    /// The code of a stage.
     pub(crate) fn code(&self, index: usize) -> &StageCode {
         &self.code[index]
     }

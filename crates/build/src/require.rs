@@ -1,7 +1,7 @@
 //! The requirements of stages: files from outside that must be there before anything runs.
 //!
 //! A stage states its requirements as a function of the parameters of all stages and of the places that the
-//! pipeline names ([`Stage::requires`](super::Stage::requires)). A plan and a run ask all of them first: a
+//! pipeline names ([`Stage::requires`](super::Stage::requires)). A plan and a run check all of them first: a
 //! training of hours that has to fail at its end never starts.
 
 use std::fmt::{self, Display, Formatter};
@@ -11,7 +11,7 @@ use super::Builder;
 use super::graph::Graph;
 use super::stage::{AllParameters, Named};
 
-/// Something that is missing, or that does not go together with what was asked for.
+/// Something that is missing, or that conflicts with other settings.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Lacking {
     /// The missing thing, as the subject of a sentence: `the weights of Nu2Net`.
@@ -25,14 +25,14 @@ pub struct Lacking {
 /// The requirements of a stage.
 pub(super) type Requires = Arc<dyn Fn(&AllParameters, &Named) -> Vec<Lacking> + Send + Sync>;
 
-/// One thing that is missing, and who needs it.
+/// A missing thing, and the stages and scenes that need it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Gap {
     /// The missing thing.
     pub lacking: Lacking,
     /// The stages that need it.
     pub stages: Vec<&'static str>,
-    /// The scenes that need it; empty where a stage over all scenes does.
+    /// The scenes that need it; empty if a stage over all scenes needs it.
     pub scenes: Vec<String>,
 }
 
@@ -62,7 +62,7 @@ impl Gaps {
     }
 }
 
-/// Scenes that a line names one by one.
+/// Most scenes that a line names one by one.
 const SHOWN: usize = 3;
 
 impl Display for Gap {

@@ -1,4 +1,4 @@
-//! From a node and the artifacts of its inputs to its key.
+//! Computes the key of a node from its parameters and the artifacts of its inputs.
 
 use std::path::{Path, PathBuf};
 
@@ -12,40 +12,40 @@ use super::key::{Ingredients, InputDigest, Key};
 use super::registry::Registry;
 use super::stage::{Scope, Stage};
 
-/// What is known of a node's artifact while a batch is planned or run.
+/// State of a node's artifact while a batch is planned or run.
 #[derive(Clone, Debug)]
 pub(crate) enum Outcome {
     /// Not decided yet.
     Open,
-    /// It is there.
+    /// The artifact exists.
     Ready(Box<Artifact>),
-    /// It cannot be made; whose fault it is, in words.
+    /// It cannot be made; the text names the cause.
     Unavailable(String),
 }
 
-/// A node whose inputs are all there.
+/// A node whose inputs all exist.
 #[derive(Clone, Debug)]
 pub(crate) struct Resolved {
     pub(crate) ingredients: Ingredients,
     pub(crate) key: Key,
-    /// The key of its checkpoints, for a stage that leaves some.
+    /// The key of its checkpoints, for a stage with checkpoints.
     pub(crate) checkpoints: Option<Key>,
     pub(crate) inputs: Vec<StageInput>,
     /// The artifacts among the inputs, with the nodes that made them.
     pub(crate) artifacts: Vec<(usize, Artifact)>,
-    /// The external inputs, with the files that count and what was in them.
+    /// The external inputs, with the files that count and the digest of their content.
     pub(crate) externals: Vec<(PathBuf, Option<Vec<PathBuf>>, Digest)>,
     pub(crate) bytes: u64,
 }
 
-/// Why a node has no key yet.
+/// The reason why a node has no key yet.
 #[derive(Clone, Debug)]
 pub(crate) enum Unresolved {
     /// These inputs are not made yet.
     Waiting(Vec<usize>),
-    /// An input failed: the label of the node that did.
+    /// An input failed; the text is the label of the failed node.
     Blocked(String),
-    /// An external input cannot be read: why.
+    /// An external input cannot be read, for this reason.
     Input(String),
 }
 
@@ -70,7 +70,8 @@ pub(crate) fn resolve(
         let (digest, path) = match &input.from {
             From::Node(parent) => match &outcomes[*parent] {
                 Outcome::Open => {
-                    // One parent may be several inputs, as stage 1 is the scene and the geometry to compare by.
+                    // One node may be several inputs: stage 1, for example, is both the scene and the
+                    // geometry for comparison.
                     if !waiting.contains(parent) {
                         waiting.push(*parent);
                     }
@@ -87,7 +88,7 @@ pub(crate) fn resolve(
                     (artifact.manifest.content, artifact.path.clone())
                 }
             },
-            // An optional input is one that need not be named; what is named has to be there.
+            // An optional input need not be named; a named input must exist.
             From::External(Err(reason)) => return Err(Unresolved::Input(input_error(input, reason))),
             From::External(Ok(path)) => {
                 let found = external(stage, node, input, path, cache);
@@ -134,7 +135,7 @@ pub(crate) fn resolve(
     Ok(Resolved { key: ingredients.key(), checkpoints, ingredients, inputs, artifacts, externals, bytes })
 }
 
-/// The inputs of a node that are there already, for forecasts.
+/// The inputs of a node that exist already, for forecasts.
 pub(crate) fn there(graph: &Graph, node: usize, outcomes: &[Outcome]) -> Vec<StageInput> {
     let path = |input: &NodeInput| match &input.from {
         From::Node(parent) => match &outcomes[*parent] {
@@ -175,7 +176,7 @@ fn input_error(input: &NodeInput, reason: &str) -> String {
     format!("input `{}`, named by {}: {reason}", input.role, input.named)
 }
 
-/// The product of the parameters that say how far a stage goes.
+/// The product of the parameters that set the length of a stage's work.
 pub(crate) fn length(stage: &Stage, node: &Node) -> f64 {
     let of = |path: &&str| canonical::at(&node.parameters, path).and_then(serde_json::Value::as_f64);
     stage.length_like.iter().filter_map(of).product()

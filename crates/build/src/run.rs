@@ -1,13 +1,14 @@
-//! Runs a batch: every node whose inputs are there, within the cores and the memory that there are.
+//! Runs a batch: starts every node whose inputs exist, within the limits of cores and memory.
 //!
-//! One thread decides, an [executor](super::executor) works. Nodes are started in the graph's order, so that
-//! scenes finish one after another. A failed node blocks what reads it and nothing else; stages over the
-//! whole batch go on with what there is. What the run has decided on is protected by a lease until it ends,
-//! and a scene is told as soon as its last stage is over, so that its results need not wait for the others.
+//! One thread decides, an [executor](super::executor) does the work. Nodes are started in the graph's order,
+//! so that scenes finish one after another. A failed node blocks only the nodes that read its artifact;
+//! stages over the whole batch use the results that exist. A lease protects the artifacts that the run needs
+//! until it ends. The end of a scene's last stage is reported at once, so that its results need not wait for
+//! the other scenes.
 //!
-//! Any number of processes, on one machine or on many, may run the same batch on one cache at once. What
-//! another one computes is put back and something else is taken; its artifact is found when it is there. So
-//! they share the work without knowing of each other, and all end with the same results.
+//! Any number of processes, on one machine or on many, may run the same batch on one cache at once. A node
+//! that another process computes is put back, and this process takes another one; the artifact is found once
+//! it exists. So the processes share the work without direct contact, and all end with the same results.
 
 mod need;
 mod others;
@@ -35,32 +36,32 @@ pub use super::summary::{Became, RanNode, Summary};
 use need::Need;
 use others::{Held, LEAVING};
 
-/// How to run.
+/// Options of a run.
 #[derive(Clone, Debug)]
 pub struct RunOptions {
-    /// Stages side by side.
+    /// Most stages at the same time.
     pub jobs: usize,
-    /// Cores in all.
+    /// Most cores for all stages together.
     pub cores: usize,
-    /// Memory in all, bytes.
+    /// Most memory for all stages together, in bytes.
     pub memory: u64,
-    /// Go on with the other scenes when one fails.
+    /// Continue with the other scenes when one fails.
     pub keep_going: bool,
-    /// Stop after these stages; all without.
+    /// Stop after these stages; `None` runs all.
     pub until: Option<Vec<String>>,
-    /// Only these scenes and variants, and what they need; all without.
+    /// Run only these scenes and variants, and the nodes they need; `None` runs all.
     pub only: Option<Vec<(String, String)>>,
-    /// Set by whoever wants the run to end: stages save their checkpoints and leave.
+    /// The flag that ends the run: stages save their checkpoints and stop.
     pub stop: Arc<AtomicBool>,
-    /// Leave before so much time has passed since the run began: stages save their checkpoints, and what is
-    /// left is left for another run.
+    /// The time limit since the start of the run: before it, stages save their checkpoints, and the rest of
+    /// the work is left for another run.
     pub limit: Option<Duration>,
-    /// Set, before `stop`, by whoever wants the run to leave its work to another one and say so.
+    /// A flag that is set before `stop` if another run will continue the work and the exit code should report
+    /// that.
     pub leave: Arc<AtomicBool>,
-    /// Leave to others what they compute, once there was nothing else to do for so long; without, wait for
-    /// them.
+    /// Stop waiting for other processes after this long idle; `None` waits until they finish.
     pub until_empty: Option<Duration>,
-    /// Where jobs are done.
+    /// The executor of the jobs.
     pub executor: Arc<dyn Executor>,
 }
 
@@ -134,9 +135,10 @@ struct Runner<'r> {
     outcomes: Vec<Outcome>,
     nodes: Vec<RanNode>,
     running: HashMap<usize, Running>,
-    /// What the nodes that could be started will take, bytes.
+    /// Estimated memory of the nodes that could be started, in bytes.
     memory: Vec<Option<u64>>,
-    /// How often an artifact was found damaged, so that a bad disk does not keep the run going for ever.
+    /// Number of times that an artifact was found damaged, so that a bad disk cannot keep the run going for
+    /// ever.
     damaged: HashMap<usize, usize>,
     halted: bool,
     lease: RunLease,
@@ -144,18 +146,18 @@ struct Runner<'r> {
     order: Vec<usize>,
     spread: bool,
     held: HashMap<usize, Held>,
-    /// Keys that were looked for and were not there: not looked for again until they could be computed.
+    /// Keys that were looked up and not found: they are not looked up again before they could be computed.
     missing: HashMap<usize, Key>,
     start: Duration,
     leave_at: Option<Duration>,
-    /// Durations, where the time is limited.
+    /// Past durations, if the time is limited.
     timings: Option<Timings>,
-    /// Something was not begun since it would not have come to an end.
+    /// True if a node was not started because it would not have finished in time.
     untimely: bool,
     left: bool,
-    /// Since when there is nothing to do here.
+    /// The time since which this process has nothing to do.
     idle: Option<Duration>,
-    /// The nodes of each scene and variant that is not over.
+    /// The nodes of each scene and variant that is not finished.
     scenes: BTreeMap<(String, String), Vec<usize>>,
     sender: mpsc::Sender<(usize, Ended, Ingredients)>,
     receiver: mpsc::Receiver<(usize, Ended, Ingredients)>,
@@ -186,7 +188,7 @@ impl<'r> Runner<'r> {
         let mut lease = RunLease::new(&builder.cache);
         let mut scenes: BTreeMap<(String, String), Vec<usize>> = BTreeMap::new();
         for (i, node) in graph.nodes.iter().enumerate().filter(|(i, _)| wanted[*i]) {
-            // What a node had last is likely what it needs now, also while its inputs are being made.
+            // A node's last artifact is likely the one it needs now, also while its inputs are being made.
             lease.extend(builder.cache.record(&graph.name, node).last.map(|last| last.key));
             if !node.scene.is_empty() {
                 scenes.entry((node.scene.clone(), node.variant.clone())).or_default().push(i);
@@ -250,7 +252,7 @@ impl<'r> Runner<'r> {
         }
     }
 
-    /// Tells every scene whose last node is over.
+    /// Reports every scene whose last node has finished.
     fn tell_scenes(&mut self) {
         let (phase, nodes, listener) = (&self.phase, &self.nodes, self.listener);
         self.scenes.retain(|(scene, variant), own| {
@@ -352,8 +354,8 @@ impl<'r> Runner<'r> {
         self.start(i, resolved, starter)
     }
 
-    /// What is there for a node's key. What is not as it should be is looked at a second time: where the
-    /// cache is a network file system, what another machine has made may come late.
+    /// Looks up a node's key. An unexpected result is checked a second time: on a network file system,
+    /// another machine's artifact may appear late.
     fn look_up(&mut self, i: usize, key: &Key) -> Result<Lookup, FileError> {
         let (cache, node) = (&self.builder.cache, &self.graph.nodes[i]);
         let found = cache.lookup(node.stage_name, key)?;
@@ -366,7 +368,7 @@ impl<'r> Runner<'r> {
         if suspect { cache.lookup_again(node.stage_name, key) } else { Ok(found) }
     }
 
-    /// Starts a node if there is room for it and nobody here computes the same key.
+    /// Starts a node if there is room for it and this process does not compute the same key already.
     fn start(&mut self, i: usize, resolved: resolve::Resolved, starter: &dyn Starter<'r>) -> bool {
         let stage = &self.builder.registry.stages()[self.graph.nodes[i].stage];
         let jobs = self.options.jobs.max(1);
@@ -447,7 +449,7 @@ impl<'r> Runner<'r> {
             }
             Ended::Held(holder) => self.put_back(i, holder),
             Ended::DamagedInput(parent) => {
-                // What shares another node's work is made again by that one.
+                // A node that shares another node's work is made again by that node.
                 let maker = self.graph.nodes[parent].same_as.unwrap_or(parent);
                 let times = self.damaged.entry(maker).or_default();
                 *times += 1;

@@ -1,5 +1,4 @@
-//! A stage as data: what it is called, what it is made of, what it reads, and the pure function that fills
-//! its folder.
+//! A stage as data: its name, its code, its inputs, and the pure function that fills its folder.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -17,7 +16,7 @@ use super::graph::External;
 use super::key::DeviceClass;
 use super::require::{Lacking, Requires};
 
-/// Over what a stage is made once.
+/// The set over which a stage is made once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Scope {
@@ -29,14 +28,14 @@ pub enum Scope {
     Batch,
 }
 
-/// Where an input comes from.
+/// The source of an input.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Source {
     /// The artifact of a stage.
     Stage(&'static str),
     /// The artifact of a stage for the same scene in the batch's reference variant: the first one whose
-    /// parameters fulfil the condition given with [`Stage::reference_input`]. What variants are compared
-    /// by is then the same for all of them.
+    /// parameters fulfil the condition given with [`Stage::reference_input`]. So all variants are compared
+    /// with the same artifact.
     Reference(&'static str),
     /// A file or folder named by the pipeline: `capture`, `models`, `pairs.input`, …
     External(&'static str),
@@ -46,51 +45,52 @@ pub enum Source {
 /// parameters.
 pub type Select = Arc<dyn Fn(&Value, &Path) -> Result<Vec<PathBuf>, String> + Send + Sync>;
 
-/// Whether an artifact is read, from the parameters of all stages.
+/// A condition on the parameters of all stages: true if an artifact is read.
 pub(super) type Needed = Arc<dyn Fn(&AllParameters) -> bool + Send + Sync>;
 
 /// One input.
 #[derive(Clone)]
 pub struct Input {
-    /// What the stage uses it for; unique in the stage.
+    /// The role of the input; unique in the stage.
     pub role: &'static str,
-    /// Where it comes from.
+    /// The source of the input.
     pub source: Source,
-    /// Whether the stage also runs without it: the pipeline names none, or the stage that makes it is not
-    /// asked for. One that is named and not there is an error, never left out.
+    /// True if the stage also runs without it: the pipeline names none, or the stage that makes it is not
+    /// requested. An input that is named but does not exist is an error and is never left out.
     pub optional: bool,
-    /// Which files count; `None` counts every file that is not hidden.
+    /// The rule by which files count; `None` counts every file that is not hidden.
     pub select: Option<Select>,
     /// A file or folder that is read in place of the stage's artifact where the pipeline names it.
     pub instead: Option<&'static str>,
-    /// For which parameters the stage's artifact is read at all; `None`: for all.
+    /// The condition on the parameters for reading the stage's artifact; `None` reads it always.
     pub needed: Option<Needed>,
 }
 
-/// What the pipeline names outside itself, for [`Stage::when_named`]: for one scene, or, for a stage that is
-/// made once, for all of them.
+/// The files that the pipeline names outside itself, for [`Stage::when_named`]: for one scene, or for all
+/// scenes in a stage that is made once.
 #[derive(Clone, Debug, Default)]
 pub struct Named {
     places: std::collections::BTreeMap<String, (External, String)>,
 }
 
 impl Named {
-    /// From names, places (or why they cannot be said), and where the user named them.
+    /// Creates it from names, paths (or the reasons why a path is not known), and the places where the user
+    /// named them.
     pub(crate) fn new(places: impl IntoIterator<Item = (String, (External, String))>) -> Self {
         Self { places: places.into_iter().collect() }
     }
 
-    /// Whether it is named, there or not.
+    /// Returns true if the name is given, even if the file does not exist.
     pub fn has(&self, name: &str) -> bool {
         self.places.contains_key(name)
     }
 
-    /// Where it is, if it is named and that can be said.
+    /// The path, if the name is given and its path is known.
     pub fn path(&self, name: &str) -> Option<&Path> {
         self.places.get(name)?.0.as_deref().ok()
     }
 
-    /// Why it cannot be said where it is, if it is named and that is so (a variable that is not set).
+    /// The reason why the path of a given name is not known (a variable that is not set).
     pub fn problem(&self, name: &str) -> Option<&str> {
         self.places.get(name)?.0.as_ref().err().map(String::as_str)
     }
@@ -104,12 +104,12 @@ impl Named {
 /// The parameters of all stages of one scene and variant, by stage, for [`Stage::when`].
 pub type AllParameters = Map<String, Value>;
 
-/// Parameters in, parameters with defaults filled in out, or what is wrong with them.
+/// Fills in the defaults of parameters, or returns the problem with them.
 type Canonicalise = Arc<dyn Fn(&Value) -> Result<Value, ParameterError> + Send + Sync>;
 type Condition = Arc<dyn Fn(&AllParameters, &Named) -> bool + Send + Sync>;
-/// Whether a variant with these parameters is what others are compared by.
+/// Returns true if the other variants are compared with a variant of these parameters.
 type IsReference = Arc<dyn Fn(&AllParameters) -> bool + Send + Sync>;
-/// Bytes of memory, from the parameters and from those inputs that are there.
+/// Bytes of memory, from the parameters and from the inputs that exist.
 type Memory = Arc<dyn Fn(&Value, &[StageInput]) -> Option<u64> + Send + Sync>;
 /// The device that the stage computes on, from its parameters.
 type Device = Arc<dyn Fn(&Value) -> Option<DeviceClass> + Send + Sync>;
@@ -144,8 +144,8 @@ pub struct Stage {
 impl Stage {
     /// A stage of `scope` with parameters `P`, which fills its folder with `run`.
     ///
-    /// `P`'s default values are the stage's; unknown fields are refused when `P` says `deny_unknown_fields`,
-    /// as it should.
+    /// `P`'s default values are the stage's; unknown fields are refused if `P` has `deny_unknown_fields`, as
+    /// it should.
     pub fn new<P>(
         name: &'static str,
         scope: Scope,
@@ -182,21 +182,23 @@ impl Stage {
         }
     }
 
-    /// One line about it.
+    /// Sets its description, one line.
     #[must_use]
     pub fn about(mut self, about: &'static str) -> Self {
         self.about = about;
         self
     }
 
-    /// Schema number of its artifact; raise it when the files change their meaning without a change of code.
+    /// Sets the schema number of its artifact; raise it when the files change their meaning without a change
+    /// of code.
     #[must_use]
     pub fn version(mut self, version: u32) -> Self {
         self.version = version;
         self
     }
 
-    /// What it is made of: crates of the workspace (with all below them), and files or folders of this crate.
+    /// Sets its code: crates of the workspace (with all crates they depend on), and files or folders of this
+    /// crate.
     #[must_use]
     pub fn made_of(mut self, crates: &'static [&'static str], sources: &'static [&'static str]) -> Self {
         self.crates = crates;
@@ -217,7 +219,7 @@ impl Stage {
         })
     }
 
-    /// As [`input`](Self::input), when that stage is asked for.
+    /// Like [`input`](Self::input), but only if that stage is requested.
     #[must_use]
     pub fn optional_input(self, role: &'static str, stage: &'static str) -> Self {
         self.with_input(Input {
@@ -230,9 +232,9 @@ impl Stage {
         })
     }
 
-    /// Reads, as `role`, the artifact that `stage` makes for the same scene in the reference variant, where
-    /// there is one: the first variant for whose parameters `is_reference` holds. It is an input like any
-    /// other, so it is part of the key.
+    /// Reads, as `role`, the artifact that `stage` makes for the same scene in the reference variant, if
+    /// there is one: the first variant whose parameters fulfil `is_reference`. It is an input like any other,
+    /// so it is part of the key.
     #[must_use]
     pub fn reference_input(
         mut self,
@@ -264,7 +266,8 @@ impl Stage {
         })
     }
 
-    /// As [`external`](Self::external), when the pipeline names it. Named and absent, it fails the stage.
+    /// Like [`external`](Self::external), but only if the pipeline names it. If it is named and does not
+    /// exist, the stage fails.
     #[must_use]
     pub fn optional_external(self, role: &'static str, name: &'static str) -> Self {
         self.with_input(Input {
@@ -284,8 +287,8 @@ impl Stage {
         self
     }
 
-    /// Lets the parameters choose which files of the input added last count (paths relative to it; folders
-    /// count with everything below). A path that does not exist is skipped.
+    /// Selects the files of the input added last that count, from the parameters (paths relative to the
+    /// input; folders count with everything below). A path that does not exist is skipped.
     #[must_use]
     pub fn select(
         mut self,
@@ -297,8 +300,8 @@ impl Stage {
         self
     }
 
-    /// The input added last, an artifact, is the file or folder `name` instead where the pipeline names that;
-    /// the stage that makes the artifact is then not needed for it.
+    /// Replaces the input added last, an artifact, by the file or folder `name` where the pipeline names it;
+    /// the stage that makes the artifact is then not needed for this input.
     #[must_use]
     pub fn or_external(mut self, name: &'static str) -> Self {
         if let Some(input) = self.inputs.last_mut() {
@@ -307,9 +310,9 @@ impl Stage {
         self
     }
 
-    /// The input added last, an artifact, is read only where this holds for the parameters of all stages. A
-    /// file that the pipeline names in its place is read in any case, so that the stage can say that it
-    /// has no use for it.
+    /// Reads the input added last, an artifact, only if `needed` returns true for the parameters of all
+    /// stages. A file that the pipeline names in its place is read in any case, so that the stage can report
+    /// that it does not use it.
     #[must_use]
     pub fn only_when(mut self, needed: impl Fn(&AllParameters) -> bool + Send + Sync + 'static) -> Self {
         if let Some(input) = self.inputs.last_mut() {
@@ -318,30 +321,31 @@ impl Stage {
         self
     }
 
-    /// It draws random numbers: the pipeline's seed is part of its key.
+    /// Declares random draws: the pipeline's seed becomes part of its key.
     #[must_use]
     pub fn seeded(mut self) -> Self {
         self.seeded = true;
         self
     }
 
-    /// It is long and leaves checkpoints; the parameters at these dotted paths only say how far it goes.
+    /// Declares a long stage with checkpoints; the parameters at these dotted paths only set the length of
+    /// its work.
     #[must_use]
     pub fn resumable(mut self, length_like: &'static [&'static str]) -> Self {
         self.length_like = length_like;
         self
     }
 
-    /// The parameters at these dotted paths change how it works but not one byte of what comes out, such as
-    /// the steps between checkpoints or a cache's size: they are no part of its key.
+    /// Declares parameters, by dotted path, that change the work but not one byte of the result, such as the
+    /// steps between checkpoints or a cache's size. They are no part of its key.
     #[must_use]
     pub fn without_effect(mut self, parameters: &'static [&'static str]) -> Self {
         self.without_effect = parameters;
         self
     }
 
-    /// It computes on a device with these parameters, or on the processor alone (`None`): the device is part
-    /// of its class of arithmetic, and so of its key.
+    /// Sets the device it computes on with given parameters, or `None` for the processor alone. The device is
+    /// part of its class of arithmetic, and so of its key.
     #[must_use]
     pub fn computes_on<P: DeserializeOwned + 'static>(
         mut self,
@@ -351,23 +355,24 @@ impl Stage {
         self
     }
 
-    /// Its bytes are the same within one class of arithmetic, not between two: there, these figures of its
-    /// artifact agree.
+    /// Declares that its bytes are the same within one class of arithmetic but not between two; between two,
+    /// these figures of its artifact agree.
     #[must_use]
     pub fn agrees_across_classes(mut self, figures: &'static [Figure]) -> Self {
         self.agreement = (!figures.is_empty()).then_some(Agreement::Figures(figures));
         self
     }
 
-    /// As [`Self::agrees_across_classes`], for an artifact whose files of these kinds are alike between two classes of
-    /// arithmetic, and all others equal.
+    /// Like [`Self::agrees_across_classes`], for an artifact whose files of these kinds are alike between two
+    /// classes of arithmetic, and all others equal.
     #[must_use]
     pub fn files_agree_across_classes(mut self, kinds: &'static [AlikeFiles]) -> Self {
         self.agreement = (!kinds.is_empty()).then_some(Agreement::Files(kinds));
         self
     }
 
-    /// What it can use: at most `cores` (0: as many as there are), and about `memory` bytes.
+    /// Sets the resources it can use: at most `cores` (0: all cores of the machine), and about `memory`
+    /// bytes.
     #[must_use]
     pub fn cost(mut self, cores: usize, memory: u64) -> Self {
         self.cores = cores;
@@ -375,10 +380,9 @@ impl Stage {
         self
     }
 
-    /// About how many bytes of memory it takes on what it reads, from its parameters and from those of its
-    /// inputs that are there already (a plan knows some of them, a run all). Where they do not say
-    /// (`None`), it is what [`cost`](Self::cost) says. It decides what runs side by side, never what
-    /// comes out.
+    /// Sets an estimate of its memory in bytes, from its parameters and from those of its inputs that exist
+    /// already (a plan knows some of them, a run all). Where the estimate is `None`, the memory of
+    /// [`cost`](Self::cost) counts. It affects only which stages run at the same time, never a result.
     #[must_use]
     pub fn memory<P: DeserializeOwned + 'static>(
         mut self,
@@ -391,15 +395,15 @@ impl Stage {
         self
     }
 
-    /// It is only asked for when this holds for the parameters of all stages.
+    /// Requests it only if this condition on the parameters of all stages is true.
     #[must_use]
     pub fn when(self, condition: impl Fn(&AllParameters) -> bool + Send + Sync + 'static) -> Self {
         self.when_named(move |all, _| condition(all))
     }
 
-    /// As [`when`](Self::when), from what the pipeline names outside itself, too. What is there decides
-    /// whether the stage is asked for when a pipeline is planned; what a stage computes still follows
-    /// from its inputs alone.
+    /// Like [`when`](Self::when), but the condition also depends on the files that the pipeline names outside
+    /// itself. Their presence decides, when a pipeline is planned, if the stage is requested; the stage's
+    /// result still follows from its inputs alone.
     #[must_use]
     pub fn when_named(
         mut self,
@@ -409,8 +413,9 @@ impl Stage {
         self
     }
 
-    /// States what it needs from outside: what of that is missing, from the parameters of all stages and from
-    /// what the pipeline names. Asked before anything runs; it changes nothing of what comes out.
+    /// States its requirements from outside: `missing` lists the unmet ones, from the parameters of all
+    /// stages and from the files that the pipeline names. It is called before anything runs and does not
+    /// change any result.
     #[must_use]
     pub fn requires(
         mut self,
@@ -420,8 +425,8 @@ impl Stage {
         self
     }
 
-    /// Refuses parameters that parse but make no sense; the error names the field (dotted path) and says what
-    /// is expected.
+    /// Refuses parameters that parse but make no sense; the error names the field (dotted path) and the
+    /// expected value.
     #[must_use]
     pub fn check<P: DeserializeOwned + 'static>(
         mut self,
@@ -443,12 +448,13 @@ impl Stage {
         self
     }
 
-    /// How its artifacts of two classes of arithmetic agree; `None` promises the same bytes everywhere.
+    /// The rule by which its artifacts of two classes of arithmetic agree; `None` promises the same bytes
+    /// everywhere.
     pub fn agreement(&self) -> Option<Agreement> {
         self.agreement
     }
 
-    /// Whether it may compute on another device than the processor.
+    /// Returns true if it may compute on another device than the processor.
     pub fn may_use_a_device(&self) -> bool {
         self.device.is_some()
     }
@@ -458,12 +464,12 @@ impl Stage {
         self.name
     }
 
-    /// One line about it.
+    /// Its description, one line.
     pub fn description(&self) -> &'static str {
         self.about
     }
 
-    /// Over what it is made once.
+    /// The set over which it is made once.
     pub fn scope(&self) -> Scope {
         self.scope
     }
@@ -473,7 +479,7 @@ impl Stage {
         &self.inputs
     }
 
-    /// The parameters that a key holds: those with an effect on what comes out.
+    /// The parameters that are part of the key: those with an effect on the result.
     pub fn key_parameters(&self, parameters: &Value) -> Value {
         let mut effective = parameters.clone();
         self.without_effect.iter().for_each(|path| canonical::remove(&mut effective, path));
@@ -491,12 +497,12 @@ impl Stage {
         device.map_or_else(|| machine.to_string(), |device| device.on(machine))
     }
 
-    /// Whether the pipeline's seed is part of its key.
+    /// Returns true if the pipeline's seed is part of its key.
     pub fn is_seeded(&self) -> bool {
         self.seeded
     }
 
-    /// About how much memory it takes with these parameters on these inputs, bytes; 0 where nobody knows.
+    /// Estimated memory with these parameters on these inputs, in bytes; 0 where there is no estimate.
     pub(crate) fn memory_on(&self, parameters: &Value, inputs: &[StageInput]) -> u64 {
         let known = self.memory_of.as_ref().and_then(|of| of(parameters, inputs));
         known.unwrap_or(self.memory)

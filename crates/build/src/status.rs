@@ -1,4 +1,4 @@
-//! Where every node stands, and what changed: `status` and `why`.
+//! The state of every node, and the changes since its last artifact: `status` and `why`.
 
 use serde::Serialize;
 
@@ -11,22 +11,22 @@ use super::plan::{Plan, PlannedNode, State};
 use super::resolve::Unresolved;
 use super::resolve::{self, Outcome};
 
-/// Where a node stands.
+/// The state of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Standing {
-    /// Its artifact is there and fits.
+    /// Its artifact exists and is up to date.
     Cached,
     /// It had an artifact, but something changed.
     Stale,
     /// It was never made.
     Missing,
-    /// Its last attempt failed, and nothing changed since.
+    /// Its last run failed, and nothing changed since.
     Failed,
 }
 
 impl Standing {
-    /// In one word.
+    /// The state as one word.
     pub fn word(self) -> &'static str {
         match self {
             Self::Cached => "cached",
@@ -42,25 +42,25 @@ impl Standing {
 pub struct Cell {
     /// The stage.
     pub stage: &'static str,
-    /// Where it stands.
+    /// Its state.
     pub standing: Standing,
-    /// Why, in a line; empty for what is cached.
+    /// The reason, in one line; empty for a cached node.
     pub reason: String,
-    /// The ingredients that changed, where they are known.
+    /// The ingredients that changed, if they are known.
     pub changes: Vec<Difference>,
-    /// Who computes it now.
+    /// The process that computes it now.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub working: Option<Working>,
 }
 
 impl Cell {
-    /// Where it stands, in one word.
+    /// Its state as one word, with `running` for a node in work.
     pub fn word(&self) -> &'static str {
         if self.working.is_some() { "running" } else { self.standing.word() }
     }
 }
 
-/// One row: a scene and variant, or what all scenes share.
+/// One row: a scene and variant, or the stages that all scenes share.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
     /// The scene; empty for stages over all scenes.
@@ -101,7 +101,7 @@ impl Plan {
     }
 }
 
-/// Where a planned node stands.
+/// The state of a planned node.
 pub(crate) fn cell(node: &PlannedNode) -> Cell {
     let before = if node.had { Standing::Stale } else { Standing::Missing };
     let (standing, reason) = match (&node.state, &node.failed) {
@@ -118,30 +118,30 @@ pub(crate) fn cell(node: &PlannedNode) -> Cell {
 }
 
 impl Status {
-    /// How many cells stand so.
+    /// Number of cells in this state.
     pub fn count(&self, standing: Standing) -> usize {
         self.rows.iter().flat_map(|r| &r.cells).filter(|c| c.standing == standing).count()
     }
 }
 
-/// What changed in a node.
+/// The changes in a node.
 #[derive(Clone, Debug, Serialize)]
 pub struct Why {
-    /// BatchScene, variant and stage in words.
+    /// Scene, variant and stage, for display.
     pub label: String,
-    /// Where it stands.
+    /// Its state.
     pub standing: Standing,
-    /// Why, in a line.
+    /// The reason, in one line.
     pub reason: String,
-    /// Its key now, where it is known.
+    /// Its key now, if it is known.
     pub key: Option<Key>,
     /// The key of the record it is compared with.
     pub earlier: Option<Key>,
-    /// When that record was made (UTC).
+    /// Time of that record (UTC).
     pub earlier_at: Option<String>,
-    /// The ingredients that differ; without a key, those of the inputs that wait are left out.
+    /// The ingredients that differ; without a key, those of inputs that do not exist yet are left out.
     pub changes: Vec<Difference>,
-    /// The nodes upstream that have to run first, each with what changed there.
+    /// The nodes upstream that have to run first, each with its changes.
     pub upstream: Vec<(String, Vec<Difference>)>,
 }
 
@@ -204,7 +204,7 @@ impl Builder {
         })
     }
 
-    /// What a plan found there, for resolving its nodes.
+    /// The outcomes that a plan found in the cache, for resolving its nodes.
     pub(crate) fn outcomes(&self, plan: &Plan) -> Vec<Outcome> {
         let of = |node: &PlannedNode| match (&node.state, node.key) {
             (State::Cached, Some(key)) => match self.cache.lookup(node.stage, &key) {

@@ -1,4 +1,4 @@
-//! What became of a run, node by node.
+//! The result of a run, node by node.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -8,28 +8,28 @@ use serde::Serialize;
 use super::cache::Artifact;
 use super::lease::RunLease;
 
-/// What became of a node.
+/// The result of a node.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "lowercase", tag = "result", content = "detail")]
 pub enum Became {
-    /// Computed now.
+    /// Computed in this run.
     Done,
-    /// There already.
+    /// Found in the cache.
     Cached,
     /// Failed.
     Failed {
-        /// Why.
+        /// The reason.
         reason: String,
         /// Its log.
         log: PathBuf,
     },
-    /// Not run because another node failed: which.
+    /// Not run because another node failed; the text names that node.
     Blocked(String),
-    /// Not run because the run ended before.
+    /// Not run because the run ended before it.
     NotRun,
-    /// Left to another process, which computes it or what it needs: who, in words.
+    /// Left to another process, which computes it or its inputs; the text names that process.
     Elsewhere(String),
-    /// Nobody asked for it.
+    /// Not requested.
     Unwanted,
 }
 
@@ -42,14 +42,14 @@ pub struct RanNode {
     pub scene: String,
     /// The variant; empty where there are none.
     pub variant: String,
-    /// BatchScene, variant and stage in words.
+    /// Scene, variant and stage, for display.
     pub label: String,
-    /// What became of it.
+    /// Its result.
     #[serde(flatten)]
     pub result: Became,
-    /// How long it took, seconds.
+    /// Duration in seconds.
     pub seconds: f64,
-    /// Whether another node did its work.
+    /// True if another node did its work.
     pub shared: bool,
     /// Its parameters, defaults filled in.
     #[serde(skip)]
@@ -57,7 +57,7 @@ pub struct RanNode {
     /// The name of the preset below its parameters; empty for none.
     #[serde(skip)]
     pub preset: String,
-    /// The seed that it draws from.
+    /// The seed of its random draws.
     #[serde(skip)]
     pub seed: Option<u64>,
     /// Its artifact.
@@ -65,29 +65,29 @@ pub struct RanNode {
     pub artifact: Option<Artifact>,
 }
 
-/// What became of a batch.
+/// The result of a batch.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
     /// The pipeline's name.
     pub pipeline: String,
     /// The nodes, inputs first.
     pub nodes: Vec<RanNode>,
-    /// Whether it was interrupted.
+    /// True if it was interrupted.
     pub interrupted: bool,
-    /// Whether it left for want of time, with work for another one.
+    /// True if it ended for lack of time and another run can continue it.
     pub left: bool,
-    /// How long it took, seconds.
+    /// Duration in seconds.
     pub seconds: f64,
-    /// Keeps others from cleaning up what the summary points to while it is being used.
+    /// Protects the artifacts of the summary from being cleaned up while it is used.
     #[serde(skip)]
     #[expect(dead_code, reason = "held until the summary goes, never read")]
     pub(super) lease: Option<Arc<RunLease>>,
 }
 
 impl Summary {
-    /// What is known of one scene in one variant, for who wants its results before the batch ends.
+    /// The present results of one scene in one variant, for use before the batch ends.
     pub fn of_scene(nodes: &[RanNode], scene: &str, variant: &str) -> Self {
-        // A result for all scenes is part of this scene's history, too.
+        // A result for all scenes also belongs to this scene.
         let own = nodes.iter().filter(|n| n.variant == variant && (n.scene == scene || n.scene.is_empty()));
         Self {
             pipeline: String::new(),
@@ -99,8 +99,8 @@ impl Summary {
         }
     }
 
-    /// 0 all done (or in the hands of others), 1 something failed, 75 out of time: the same again goes on,
-    /// 130 interrupted.
+    /// The exit code: 0 if all is done or left to other processes, 1 if something failed, 75 if the time was
+    /// over (the same command continues the work), 130 if it was interrupted.
     pub fn exit_code(&self) -> u8 {
         let any = |bad: fn(&Became) -> bool| self.nodes.iter().any(|n| bad(&n.result));
         if self.left && any(|r| matches!(r, Became::NotRun)) {
@@ -112,17 +112,17 @@ impl Summary {
         u8::from(any(|r| matches!(r, Became::Failed { .. } | Became::Blocked(_) | Became::NotRun)))
     }
 
-    /// How many nodes were left to other processes.
+    /// Number of nodes that were left to other processes.
     pub fn elsewhere(&self) -> usize {
         self.count(|r| matches!(r, Became::Elsewhere(_)))
     }
 
-    /// How many nodes were computed now.
+    /// Number of nodes that were computed in this run.
     pub fn done(&self) -> usize {
         self.count(|r| *r == Became::Done)
     }
 
-    /// How many were there already.
+    /// Number of nodes that were found in the cache.
     pub fn cached(&self) -> usize {
         self.count(|r| *r == Became::Cached)
     }

@@ -1,6 +1,6 @@
-//! Plans, summaries, tables as plain text; the command line prints them.
+//! Plans, summaries and tables as plain text for the command line.
 //!
-//! Names and paths come from outside: characters that command a terminal are printed as escapes.
+//! Names and paths come from outside: terminal control characters in them are escaped.
 
 use std::fmt::{self, Display, Formatter, Write};
 
@@ -14,10 +14,10 @@ use super::run::{Became, Summary};
 use super::status::{Cell, Standing, Status, Why};
 use super::verify::Verification;
 
-/// How many things a line names.
+/// Most items that a line names.
 const SHOWN: usize = 3;
 
-/// Prints what `fill` writes, without a character that would command the terminal.
+/// Prints the text that `fill` writes, with terminal control characters escaped.
 fn printable(f: &mut Formatter<'_>, fill: impl FnOnce(&mut String) -> fmt::Result) -> fmt::Result {
     let mut text = String::new();
     fill(&mut text)?;
@@ -66,7 +66,7 @@ impl Display for Plan {
 }
 
 impl Plan {
-    /// One line for each stage that has results and runs again all the same, with the reason.
+    /// One line, with the reason, for each stage that has results and runs again all the same.
     pub fn reruns(&self) -> Vec<String> {
         let again = self.own().filter(|node| node.had && matches!(node.state, State::Run(_)));
         again.map(|node| format!("{}: runs again: {}", label(node), describe(node).1)).collect()
@@ -78,7 +78,7 @@ fn label(node: &PlannedNode) -> String {
     parts.into_iter().filter(|p| !p.is_empty()).collect::<Vec<_>>().join(" · ")
 }
 
-/// The first of some things, and how many there are beside.
+/// The first items, and the number of the others.
 fn few(all: &[impl Display], between: &str) -> String {
     let mut named: Vec<String> = all.iter().take(SHOWN).map(ToString::to_string).collect();
     if all.len() > SHOWN {
@@ -95,7 +95,7 @@ fn describe(node: &PlannedNode) -> (&'static str, String) {
         State::Run(_) => ("run", few(&node.changes, "; ")),
         State::Waiting(parents) => {
             let parents = few(parents, ", ");
-            // What was made before stays unless something above it changes.
+            // An earlier artifact stays valid unless something upstream changes.
             let again = if node.had { "; runs again only if that comes out different" } else { "" };
             ("waits", format!("for {parents}{again}"))
         }

@@ -1,8 +1,8 @@
-//! Checking the cache: every byte against its digest, and a sample computed again.
+//! Checks the cache: compares every byte with its digest, and computes a sample again.
 //!
-//! What is computed again in its own class of arithmetic must come out the same to the byte. A cache may also
-//! hold what another machine or another device made; where a stage says that its bytes differ between
-//! classes, the figures that it names must agree.
+//! An artifact that is computed again in its own class of arithmetic must have the same bytes. A cache may
+//! also hold artifacts of another machine or another device; if a stage declares that its bytes differ
+//! between classes, the figures that it names must agree.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -25,52 +25,52 @@ use super::manifest::{MANIFEST, content_digest};
 use super::resolve::{self, Outcome};
 use super::run::RunOptions;
 
-/// Something that is not as it was written, or does not come out the same.
+/// An artifact that differs from its manifest, or that is not reproduced.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Problem {
-    /// The artifact: stage, and what it was made for.
+    /// The artifact: its stage, and the node it was made for.
     pub name: String,
-    /// What is wrong.
+    /// The problem.
     pub what: String,
 }
 
-/// What a verification found.
+/// Report of a verification.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Verification {
-    /// Artifacts that were looked at.
+    /// Number of artifacts checked.
     pub artifacts: usize,
-    /// Bytes that were read.
+    /// Number of bytes read.
     pub bytes: u64,
-    /// How much of the pipeline was there to be computed again; none when that was not asked for.
+    /// The part of the pipeline that is cached and can be computed again; `None` when that was not requested.
     pub held: Option<Held>,
-    /// Stages that were computed again; none when that was not asked for.
+    /// Number of stages that were computed again; `None` when that was not requested.
     pub recomputed: Option<usize>,
-    /// Those of them that were made in another class of arithmetic and agree by
-    /// their figures, not to the byte.
+    /// Number of those that were made in another class of arithmetic and agree by their figures, not to the
+    /// byte.
     pub agreed: usize,
-    /// Those that were made in another class and have none of the figures by which
-    /// their stage compares; not in `agreed`.
+    /// Number of those that were made in another class and have none of the figures by which their stage
+    /// compares; not in `agreed`.
     pub not_compared: usize,
-    /// What is wrong.
+    /// The problems found.
     pub problems: Vec<Problem>,
-    /// Damaged artifacts, and files that did not belong into an artifact, that were moved aside.
+    /// Number of damaged artifacts, and of files that did not belong to an artifact, that were moved aside.
     pub repaired: usize,
-    /// Whether it was asked to stop before it was done.
+    /// True if it was stopped before the end.
     pub interrupted: bool,
 }
 
-/// What a cache holds of a pipeline.
+/// The part of a pipeline that a cache holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Held {
-    /// Stages whose artifact is there, of whatever class of arithmetic.
+    /// Number of stages whose artifact is cached, in any class of arithmetic.
     pub cached: usize,
-    /// Stages in all, each counted once for every artifact that it makes.
+    /// Total number of stages, each counted once for every artifact that it makes.
     pub stages: usize,
 }
 
 impl Cache {
-    /// Reads every artifact and compares it with its manifest; with `repair`, moves damaged ones aside, and
-    /// files that somebody put into a whole one.
+    /// Reads every artifact and compares it with its manifest. `repair` moves aside damaged artifacts, and
+    /// files that a whole artifact does not list.
     pub fn verify_all(&self, repair: bool) -> Verification {
         let mut found = Verification::default();
         for (stage, key, _) in self.artifacts() {
@@ -99,8 +99,8 @@ impl Cache {
         found
     }
 
-    /// Names what lies in an artifact's folder without being in its manifest: whoever reads the folder might
-    /// take it for a part of the result.
+    /// Reports files in an artifact's folder that its manifest does not list: a reader of the folder might
+    /// take them for a part of the result.
     fn look_for_strangers(&self, artifact: &Artifact, name: &str, repair: bool, found: &mut Verification) {
         let listed: BTreeSet<&str> = artifact.manifest.files.iter().map(|f| f.path.as_str()).collect();
         for entry in
@@ -136,23 +136,23 @@ impl Cache {
     }
 }
 
-/// What came of computing an artifact again.
+/// Result of computing an artifact again.
 enum Again {
     Same,
-    /// In another class of arithmetic: other bytes, figures within their tolerances.
+    /// Made in another class of arithmetic: other bytes, figures within their tolerances.
     Agrees,
-    /// In another class of arithmetic, and without anything that could be compared; in words.
+    /// Made in another class of arithmetic, with nothing to compare; the text gives the reason.
     NotCompared(String),
-    /// In words.
+    /// It differs; the text says how.
     Wrong(String),
-    /// It was asked to stop.
+    /// The run was stopped.
     Stopped,
 }
 
 impl Builder {
     /// Computes a share of the cached stages of `graph` again, in a scratch folder and from the cached
-    /// inputs, and compares. The choice follows from the keys, so that it is the same everywhere; at
-    /// least one stage is computed.
+    /// inputs, and compares. The choice follows from the keys, so that it is the same everywhere; at least
+    /// one stage is computed.
     pub fn verify_sample(
         &self,
         graph: &Graph,
@@ -174,7 +174,7 @@ impl Builder {
         }
         chosen.sort_by(|a, b| a.0.total_cmp(&b.0));
         let count = chosen.iter().filter(|(draw, _)| *draw < share).count().max(1);
-        // What is read here is needed until it is compared.
+        // The lease keeps the artifacts that are read here until they are compared.
         let mut lease = RunLease::new(&self.cache);
         let ready = |outcome: &Outcome| match outcome {
             Outcome::Ready(artifact) => Some(artifact.manifest.key),
@@ -205,7 +205,7 @@ impl Builder {
                     found.not_compared += 1;
                 }
                 Again::Wrong(what) => found.problems.push(Problem { name: label, what }),
-                // This says nothing about the artifact.
+                // An interruption proves nothing about the artifact.
                 Again::Stopped => {
                     found.interrupted = true;
                     break;
@@ -218,8 +218,8 @@ impl Builder {
         Ok(found)
     }
 
-    /// What the cache holds of a graph, one of each kind: artifacts of this machine's class, else those of
-    /// another with the same ingredients, which the stages after them then read.
+    /// Finds the cached artifact of each node of a graph: that of this machine's class, else one of another
+    /// class with the same ingredients. Later nodes then read the artifact found.
     fn cached_in_any_class(&self, graph: &Graph) -> (Vec<Made>, Vec<Outcome>) {
         let mut outcomes = self.outcomes(&self.plan(graph, None));
         let mut cached = Vec::new();
@@ -258,7 +258,7 @@ impl Builder {
         let result = self.run_again(graph, made.node, outcomes, &scratch, options, listener);
         let again = result.map(|result| match result {
             Err(StageError::Cancelled) => Again::Stopped,
-            // Some stages say in their own words that they were asked to stop.
+            // Some stages report a stop with an error of their own.
             Err(_) if options.stop.load(Ordering::Relaxed) => Again::Stopped,
             Err(error) => Again::Wrong(format!("cannot be computed again: {error}")),
             Ok(files) if content_digest(&files) == made.artifact.manifest.content => Again::Same,
@@ -294,13 +294,13 @@ impl Builder {
 /// An artifact that can be computed again.
 struct Made {
     node: usize,
-    /// The class in which it would be made now.
+    /// The class of arithmetic in which it would be made now.
     class: String,
     artifact: Box<Artifact>,
 }
 
 impl Made {
-    /// The class in which it was made, if that is another one.
+    /// The class of arithmetic in which it was made, if that is another one.
     fn in_another_class(&self) -> Option<&str> {
         let class = self.artifact.manifest.ingredients.numeric_class.as_str();
         (class != self.class).then_some(class)
@@ -308,7 +308,7 @@ impl Made {
 }
 
 impl Cache {
-    /// A whole artifact of these ingredients but for the class of arithmetic; the first by key.
+    /// The first whole artifact, by key, with the same ingredients except for the class of arithmetic.
     fn of_another_class(&self, ingredients: &Ingredients) -> Option<Box<Artifact>> {
         let keys = self.artifacts().into_iter().filter(|(stage, ..)| *stage == ingredients.stage);
         keys.into_iter().find_map(|(stage, key, _)| {

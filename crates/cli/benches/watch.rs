@@ -1,12 +1,12 @@
-//! What watching costs, on the built command: `cargo bench -p use3d --bench watch --
-//! SCENE_DIR CAPTURE_DIR [STEPS]`.
+//! Measures the cost of watching, with the built command:
+//! `cargo bench -p use3d --bench watch -- SCENE_DIR CAPTURE_DIR [STEPS]`.
 //!
-//! * pictures of a scene per second, drawn by the server, asked for by one page one after another;
-//! * a page that asks 100 times a second: how many are drawn, and how old a drawn one is;
-//! * eight pages at once, with one that reads nothing and one that says nothing beside them:
-//!   pictures, and the most memory taken;
-//! * a training of STEPS steps (1500 unless told) alone and with a page that moves all the time, in turns:
-//!   time, and time of the processor, which other programs disturb less. Both hold what is paid once, about a
+//! * pictures of a scene per second, drawn by the server, requested by one page one after another;
+//! * a page with 100 requests per second: the number of drawn pictures, and the age of a drawn one;
+//! * eight pages at once, beside one client that reads nothing and one that sends nothing: pictures, and the
+//!   most memory taken;
+//! * a training of STEPS steps (default: 1500) alone and with a page that moves all the time, in turns: time,
+//!   and processor time, which other programs disturb less. Both include costs that occur once, about a
 //!   second: the photographs for the page, and the wait for its last request.
 
 #[path = "../tests/viewer/mod.rs"]
@@ -24,7 +24,7 @@ use viewer::{Ended, Viewer};
 
 const WIDTH: usize = 640;
 const HEIGHT: usize = 360;
-/// How long each row of the table is measured.
+/// Measuring time of each row of the table.
 const WHILE: Duration = Duration::from_secs(8);
 const ROUNDS: usize = 3;
 
@@ -44,7 +44,7 @@ fn command() -> Command {
     Command::new(env!("CARGO_BIN_EXE_use3d"))
 }
 
-/// What page `page` asks for the `i`th time: a swim around the first camera.
+/// The `i`th request of page `page`: a swim around the first camera.
 fn look(header: &Value, page: &str, i: usize, mode: &str, moving: bool) -> Value {
     let view = &header["cameras"][0];
     let turn = i as f64 * 0.1;
@@ -82,7 +82,7 @@ fn pictures(scene: &str, capture: &str) {
     ] {
         let (mut drawn, mut longest, mut i) = (0, Duration::ZERO, 0);
         let ask = |i| viewer.ask("/frame", &look(&header, "one", i, mode, moving)).map(|(status, _)| status);
-        // The first makes the renderer.
+        // The first request makes the renderer.
         assert_eq!(ask(0), Some(200));
         let started = Instant::now();
         while started.elapsed() < WHILE {
@@ -96,7 +96,7 @@ fn pictures(scene: &str, capture: &str) {
         println!("| {mode}, one after another | {rate:.1} | {whole} | {} |", longest.as_millis());
     }
 
-    // A page that asks faster than anything is drawn.
+    // A page whose requests come faster than pictures can be drawn.
     let (drawn, dropped, waited) = (AtomicUsize::new(0), AtomicUsize::new(0), AtomicUsize::new(0));
     let started = Instant::now();
     std::thread::scope(|threads| {
@@ -124,7 +124,7 @@ fn pictures(scene: &str, capture: &str) {
         waited.into_inner()
     );
 
-    // Eight pages, and two that are no good.
+    // Eight pages, and two clients that do not follow the protocol.
     let before = memory(child.0.id());
     let silent: Vec<TcpStream> =
         (0..2).filter_map(|_| TcpStream::connect(("127.0.0.1", viewer.port)).ok()).collect();
@@ -159,7 +159,7 @@ fn pictures(scene: &str, capture: &str) {
     println!("\nmost memory: {before} MiB with one page, {} MiB with all of them", memory(child.0.id()));
 }
 
-/// The most memory that a process has taken so far, in MiB; zero where that is not told.
+/// The most memory that a process has taken so far, in MiB; zero if the system does not report it.
 fn memory(process: u32) -> usize {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
@@ -170,8 +170,8 @@ fn memory(process: u32) -> usize {
 /// Processor seconds of all commands that have ended so far, as Linux counts them (in hundredths).
 fn processor_seconds() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    // The name in brackets may hold anything; children's user and system times are
-    // the 14th and 15th field after it.
+    // The name in brackets may contain any character; children's user and system times are the 14th and 15th
+    // field after it.
     let fields: Vec<&str> = stat.rsplit_once(')').map_or("", |(_, rest)| rest).split_whitespace().collect();
     let ticks = |i: usize| fields.get(i).and_then(|field| field.parse::<f64>().ok()).unwrap_or(f64::NAN);
     (ticks(13) + ticks(14)) / 100.0

@@ -1,11 +1,11 @@
-//! Elementary functions that other people's crates ask the C library for,
-//! answered by `numerics::math` instead.
+//! Elementary functions that third-party crates call from the C library, computed by `numerics::math`
+//! instead.
 //!
-//! Their last bits would differ from one C library to the next: `exr` builds the tables of its lossy
-//! compression with three of them, which decide what an imported picture holds; the progress bar and
-//! the big integers of `.npy` headers need the others. A function that the program itself defines
-//! under the C name is the one that everything in it is linked with. `tests/c_library.rs` fails when
-//! a dependency brings in another.
+//! Their last bits would differ from one C library to the next. `exr` builds the tables of its lossy
+//! compression with three of them, and these tables affect the pixels of an imported picture; the progress
+//! bar and the big integers of `.npy` headers need the others. If the program itself defines a function under
+//! its C name, the linker uses it for everything in the program. `tests/c_library.rs` fails when a dependency
+//! calls another such function.
 
 #![expect(unsafe_code, reason = "exporting a function under its C name, with the signature of <math.h>")]
 

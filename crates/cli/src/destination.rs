@@ -1,7 +1,7 @@
-//! Where results go: what may stand there, found out before any work is done.
+//! The destinations of results: checks, before any work is done, that a result can be written there.
 //!
-//! Folders follow the rules of [`use3d_build::place`]. A file is replaced only with `--force`, and only a
-//! regular file: never a folder, a device or a symbolic link.
+//! Folders follow the rules of [`use3d_build::place`]. A file is replaced only with `--force`, and only if it
+//! is a regular file: never a folder, a device or a symbolic link.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -12,19 +12,19 @@ use use3d_capture::name::shown;
 
 use crate::error::{CliError, Done};
 
-/// Of a look before any work is done; what fails when a result is written is [`CliError::failed`].
+/// A place refused before any work is bad input; a failed write is [`CliError::failed`].
 impl From<PlaceError> for CliError {
     fn from(error: PlaceError) -> Self {
         Self::Input(error.to_string())
     }
 }
 
-/// A path as it may be printed.
+/// A path with control characters escaped, for printing.
 pub(crate) fn path_text(path: &Path) -> String {
     shown(&path.to_string_lossy()).into_owned()
 }
 
-/// Refuses a folder for a result that is taken, or that cannot be written.
+/// Fails if a folder for a result is taken or cannot be written.
 pub(crate) fn check_folder(out: &Path, force: bool) -> Done {
     let named = |e: PlaceError| match e {
         PlaceError::Occupied { .. } => CliError::Input(format!("--out {e}")),
@@ -39,8 +39,8 @@ pub(crate) fn check_folder(out: &Path, force: bool) -> Done {
     place::check_writable(place::parent(out)).map_err(named)
 }
 
-/// Refuses a file for a result that is taken, that has not one of `extensions`, or that cannot be
-/// written. `flag` is what named it.
+/// Fails if a file for a result is taken, has none of `extensions`, or cannot be written. `flag` is the flag
+/// that names the file.
 pub(crate) fn check_file(flag: &str, path: &Path, force: bool, extensions: &[&str]) -> Done {
     let refuse = |what: &str| Err(CliError::Input(format!("{flag} {}: {what}", path_text(path))));
     if path.file_name().is_none() {
@@ -73,7 +73,7 @@ pub(crate) fn check_file(flag: &str, path: &Path, force: bool, extensions: &[&st
     })
 }
 
-/// Writes a file that [`check_file`] allowed, whole or not at all; parent folders are made.
+/// Writes a file that [`check_file`] allowed, whole or not at all; parent folders are created.
 pub(crate) fn write_file(
     flag: &str,
     path: &Path,
@@ -87,24 +87,24 @@ pub(crate) fn write_file(
     written.map_err(|e| CliError::Failed(format!("{flag} {}: cannot be written: {e}", path_text(path))))
 }
 
-/// Copies a finished file to where the user wants it.
+/// Copies a finished file to the path that the user gave.
 pub(crate) fn copy_file(flag: &str, from: &Path, to: &Path) -> Done {
     write_file(flag, to, |writer| io::copy(&mut File::open(from)?, writer).map(|_| ()))
 }
 
-/// Copies a finished folder to where the user wants it, with a record of its own.
+/// Copies a finished folder to the path that the user gave, with a record of its own.
 pub(crate) fn copy_folder(from: &Path, to: &Path, force: bool) -> Done {
     let made = place::sibling(to);
     let placed = place::copy_folder(from, &made)
         .and_then(|()| place::record(&made, None))
         .and_then(|()| place::put(&made, to, force));
     if placed.is_err() {
-        let _ = std::fs::remove_dir_all(&made); // ours alone; the first error is the one to report
+        let _ = std::fs::remove_dir_all(&made); // only our files; the first error is the one to report
     }
     placed.map_err(CliError::failed)
 }
 
-/// A path as a word of a command line.
+/// A path as a word of a command line, quoted if necessary.
 pub(crate) fn word(path: &Path) -> String {
     let text = path_text(path);
     let plain = |c: char| c.is_alphanumeric() || "/._-+~@:=,".contains(c);

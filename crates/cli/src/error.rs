@@ -1,7 +1,7 @@
-//! What a person reads when something went wrong, and the exit code a script sees.
+//! The errors of the command, with their messages and exit codes.
 //!
-//! 0 done; 1 a stage failed; 2 wrong usage or bad input; 75 out of time, the same
-//! command goes on; 130 interrupted.
+//! The exit codes: 0 done; 1 a stage failed; 2 wrong usage or bad input; 75 time limit reached, the same
+//! command continues; 130 interrupted.
 
 use std::fmt::Display;
 use std::process::ExitCode;
@@ -15,15 +15,15 @@ pub(crate) enum CliError {
     Input(String),
     /// A stage failed.
     Failed(String),
-    /// Interrupted; what was done so far is kept.
+    /// Interrupted; the work so far is kept.
     Interrupted,
-    /// Left for want of time; the same command goes on.
+    /// Ended at the time limit; the same command continues.
     OutOfTime,
-    /// Interrupted in work of which nothing is kept.
+    /// Interrupted in work that keeps no partial result.
     Stopped,
 }
 
-/// What every verb returns.
+/// The return type of every verb.
 pub(crate) type Done = Result<(), CliError>;
 
 impl CliError {
@@ -32,12 +32,12 @@ impl CliError {
         Self::Input(error.to_string())
     }
 
-    /// A failure of our own work, from any error with a message.
+    /// A failure of the program's own work, from any error with a message.
     pub(crate) fn failed(error: impl Display) -> Self {
         Self::Failed(error.to_string())
     }
 
-    /// What happened, in words.
+    /// The message.
     pub(crate) fn text(&self) -> &str {
         match self {
             Self::Input(message) | Self::Failed(message) => message,
@@ -56,13 +56,13 @@ impl CliError {
         match self {
             Self::Input(_) => 2,
             Self::Failed(_) => 1,
-            // What BSD's sysexits.h calls a temporary failure.
+            // A temporary failure by BSD's sysexits.h.
             Self::OutOfTime => 75,
             Self::Interrupted | Self::Stopped => 130,
         }
     }
 
-    /// Prints itself to stderr and gives the exit code.
+    /// Prints the message to stderr and returns the exit code.
     pub(crate) fn report(&self) -> ExitCode {
         let mark = if matches!(self, Self::Input(_) | Self::Failed(_)) { "error: " } else { "" };
         eprintln!("{mark}{}", shown_lines(self.text()));

@@ -1,6 +1,6 @@
-//! Ctrl-C, SIGTERM and a closed terminal (SIGHUP): the first asks the running work to write a
-//! checkpoint and leave, the second leaves at once. SIGUSR1 asks for the same as the first and says
-//! that time is over: another run will go on.
+//! Ctrl-C, SIGTERM and a closed terminal (SIGHUP). The first signal makes the running work write a checkpoint
+//! and end; the second one ends the program at once. SIGUSR1 does the same as a first signal and also marks
+//! that the time limit is reached: another run will continue the work.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -15,12 +15,12 @@ use crate::error::CliError;
 static FLAG: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 static LEAVE: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
-/// Installs the handlers and returns the flag that long work polls.
+/// Installs the handlers and returns the flag that long work checks.
 pub(crate) fn install() -> Arc<AtomicBool> {
     FLAG.get_or_init(|| {
         let flag = Arc::new(AtomicBool::new(false));
-        // Raised by signals alone: a run that leaves by itself raises the other, and
-        // is not to be cut off for that.
+        // Set by signals alone. A run that reaches its time limit sets only the other flag, so that a later
+        // first signal does not end the program at once.
         let asked = Arc::new(AtomicBool::new(false));
         for signal in [SIGINT, SIGTERM].into_iter().chain(hang_up()) {
             // Order matters: the second signal finds the flag set and exits; the first only sets it.
@@ -45,12 +45,13 @@ pub(crate) fn install() -> Arc<AtomicBool> {
     .clone()
 }
 
-/// The flag that says that work is left for want of time.
+/// The flag for work that ends because of a time limit.
 pub(crate) fn leave() -> Arc<AtomicBool> {
     LEAVE.get_or_init(Arc::default).clone()
 }
 
-/// SIGHUP, unless whoever started us (`nohup`) had it ignored: a handler would undo that. Only Linux tells.
+/// SIGHUP, unless the parent process (`nohup`) made this one ignore it: a handler would undo that. Only Linux
+/// reports it.
 fn hang_up() -> Option<i32> {
     #[cfg(target_os = "linux")]
     {
@@ -61,7 +62,8 @@ fn hang_up() -> Option<i32> {
     None
 }
 
-/// Whether a signal is ignored, by the text of `/proc/PID/status`.
+/// Returns true if a signal is ignored, by the text of `/proc/PID/status`; `None` if the text does not show
+/// it.
 #[cfg(target_os = "linux")]
 fn ignores(status: &str, signal: i32) -> Option<bool> {
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"))?;
@@ -69,30 +71,30 @@ fn ignores(status: &str, signal: i32) -> Option<bool> {
     Some(mask >> (signal - 1) & 1 == 1)
 }
 
-/// Whether a signal has come.
+/// Returns true if a signal has arrived.
 pub(crate) fn requested() -> bool {
     FLAG.get().is_some_and(|flag| flag.load(Ordering::Relaxed))
 }
 
-/// The same as an answer to work that asks whether to go on.
+/// The same, as the answer of a callback that decides whether work continues.
 pub(crate) fn go_on() -> ControlFlow<()> {
     if requested() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
 }
 
-/// The same as an error, for loops whose work is not kept.
+/// The same as an error, for loops that keep no partial result.
 pub(crate) fn check() -> Result<(), CliError> {
     if requested() { Err(CliError::Stopped) } else { Ok(()) }
 }
 
-/// Does work that leaves nothing behind, and returns as soon as a signal comes: what is under way then ends with
-/// the program.
+/// Does work that leaves no files behind, and returns as soon as a signal arrives: the rest of the work then
+/// ends with the program.
 pub(crate) fn unless_stopped<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, CliError> {
     const LOOK: Duration = Duration::from_millis(50);
     let (sender, receiver) = mpsc::channel();
     std::thread::spawn(move || {
-        // Nobody listens any more where a signal came first.
+        // After a signal, the receiver is gone.
         let _ = sender.send(work());
     });
     loop {

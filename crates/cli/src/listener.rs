@@ -1,4 +1,5 @@
-//! What stages tell, on stderr: bars on a terminal, else one plain line about every ten seconds.
+//! Prints the events of stages on stderr: progress bars on a terminal, else a plain line about every ten
+//! seconds.
 
 use std::collections::BTreeMap;
 use std::io::IsTerminal;
@@ -10,10 +11,10 @@ use use3d_build::machine::seconds;
 use use3d_build::{Event, Listener};
 use use3d_capture::name::{shown, shown_lines};
 
-/// How often a plain line is printed when stderr is no terminal.
+/// Time between two plain lines when stderr is not a terminal.
 const PLAIN_INTERVAL: Duration = Duration::from_secs(10);
 
-/// Time left that exceeds what the pace so far says by this factor is explained.
+/// A remaining time that is longer than the pace so far predicts by this factor gets an explanation.
 const SLOWER: f64 = 1.5;
 
 /// Draws events.
@@ -26,15 +27,15 @@ pub(crate) struct Terminal {
 struct Node {
     bar: Option<ProgressBar>,
     started: Instant,
-    /// What was done when it started: a run may go on from a checkpoint.
+    /// Work done at the first report: a run may resume from a checkpoint.
     first: u64,
-    /// What was done at the last word; less than that is the beginning of another piece of work.
+    /// Work done at the last report; a smaller value marks the start of another piece of work.
     last: u64,
     last_line: Instant,
 }
 
 impl Node {
-    /// Notes how far the work is; a second fit of the same stage is timed by itself.
+    /// Records the progress of the work; a second fit of the same stage is timed by itself.
     fn reached(&mut self, done: u64, now: Instant) {
         if done < self.last {
             (self.started, self.first) = (now, done);
@@ -42,13 +43,14 @@ impl Node {
         self.last = done;
     }
 
-    /// `[12 s, about 3 min 20 s left]`; by the pace since the start where the stage does not know.
+    /// `[12 s, about 3 min 20 s left]`; computed from the pace since the start if the stage gives no
+    /// estimate.
     fn times(&self, done: u64, total: u64, known: Option<f64>) -> String {
         let elapsed = self.started.elapsed().as_secs_f64();
         let since = done.saturating_sub(self.first);
         let by_pace = (since > 0).then(|| elapsed * total.saturating_sub(done) as f64 / since as f64);
         let (elapsed, left) = (seconds(elapsed), known.or(by_pace).map(seconds));
-        // A rate that stands beside the time would contradict it, where the work to come is heavier.
+        // If the remaining work is heavier, a rate beside the time would contradict it.
         let slower = known.zip(by_pace).is_some_and(|(known, by_pace)| known > SLOWER * by_pace);
         match left {
             Some(left) if slower => format!("[{elapsed}, about {left} left: later steps take longer]"),
@@ -59,14 +61,14 @@ impl Node {
 }
 
 impl Terminal {
-    /// Bars if stderr is a terminal.
+    /// Uses progress bars if stderr is a terminal.
     pub(crate) fn new(quiet: bool) -> Self {
         let bars = (!quiet && std::io::stderr().is_terminal())
             .then(|| MultiProgress::with_draw_target(ProgressDrawTarget::stderr_with_hz(8)));
         Self { quiet, bars, nodes: Mutex::default() }
     }
 
-    /// Prints a line above the bars; what files say in it cannot command the terminal.
+    /// Prints a line above the bars, with terminal control characters escaped.
     fn line(&self, text: &str) {
         let text: &str = &shown_lines(text);
         match &self.bars {
@@ -121,14 +123,14 @@ impl Listener for Terminal {
     fn event(&self, event: &Event<'_>) {
         match event {
             Event::Warning { label, text } => self.line(&format!("{label}: warning: {text}")),
-            // Why is said once, by the summary at the end.
+            // The summary at the end prints the reason, once.
             Event::Failed { label, log, .. } => {
                 self.end(label);
                 if !self.quiet {
                     self.line(&format!("{label}: failed; its log: {}", log.display()));
                 }
             }
-            // Whoever asked for it listens itself.
+            // Other listeners handle these events.
             Event::Profile { .. }
             | Event::SceneOver { .. }
             | Event::Figures { .. }
@@ -175,14 +177,14 @@ mod tests {
     fn a_run_gone_on_from_a_checkpoint_counts_its_own_steps() {
         // 100 steps in 20 s, after 9000 found; 900 to go.
         assert_eq!(node(9000, 20).times(9100, 10_000, None), "[20 s, about 3 min 00 s left]");
-        // Nothing is known of the pace at the first word.
+        // The pace is unknown at the first report.
         assert_eq!(node(9000, 20).times(9000, 10_000, None), "[20 s]");
     }
 
     #[test]
     fn what_the_stage_knows_goes_before_the_pace() {
         assert_eq!(node(0, 20).times(100, 200, Some(25.0)), "[20 s, about 25 s left]");
-        // 100 steps in 20 s, and the other 100 are to take 45 s.
+        // 100 steps took 20 s, and the other 100 will take 45 s.
         assert_eq!(
             node(0, 20).times(100, 200, Some(45.0)),
             "[20 s, about 45 s left: later steps take longer]"

@@ -1,4 +1,4 @@
-//! Log lines go to stderr; `-v`, `-q` and `RUST_LOG` choose how many, `NO_COLOR` is honoured.
+//! Log lines on stderr; `-v`, `-q` and `RUST_LOG` set their level, and `NO_COLOR` is honoured.
 
 use std::io::IsTerminal;
 
@@ -33,8 +33,8 @@ pub(crate) fn start(verbose: u8, quiet: bool) {
         }
     }
     if verbose < 2 {
-        // What drivers of graphics cards and their loader grumble; what goes wrong
-        // is told by the engine, in words.
+        // Drivers of graphics cards and their loader log many warnings; the engine reports real errors
+        // itself.
         filter.push_str(",wgpu_core=off,wgpu_hal=off");
     }
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(filter));
@@ -45,7 +45,7 @@ pub(crate) fn start(verbose: u8, quiet: bool) {
         .with_ansi(color)
         .with_target(verbose > 1)
         .without_time()
-        // A closed stderr is no reason to panic.
+        // A closed stderr must not cause a panic.
         .log_internal_errors(false)
         .init();
 }

@@ -1,4 +1,4 @@
-//! The `use3d` command: arguments, progress, error texts. Nothing else.
+//! The `use3d` command: reads the arguments, runs the verbs, and prints progress, results and errors.
 
 #[macro_use]
 mod output;
@@ -24,20 +24,20 @@ use use3d_build::Listener;
 use args::{Bench, Cli, Synth, Verb};
 use error::{CliError, Done};
 
-/// The seed of stages that are run by hand, as in a pipeline without one; `--set seed=N` is another.
+/// The seed of stages that are run by hand, the same as in a pipeline without one; `--set seed=N` changes it.
 const SEED: u64 = 42;
 
-/// What every verb is given.
+/// The data that every verb gets.
 pub(crate) struct App {
-    /// Say only what went wrong.
+    /// True if only errors are printed.
     pub(crate) quiet: bool,
     /// The seed of stages that are run by hand.
     pub(crate) seed: u64,
-    /// Threads to compute with.
+    /// Number of threads for computing.
     pub(crate) threads: usize,
-    /// Raised by Ctrl-C, SIGTERM and SIGHUP.
+    /// Set by Ctrl-C, SIGTERM and SIGHUP.
     pub(crate) stop: Arc<AtomicBool>,
-    /// Draws what stages tell.
+    /// Displays the events of stages.
     pub(crate) listener: Arc<dyn Listener>,
 }
 
@@ -60,7 +60,7 @@ fn main() -> ExitCode {
         && wants_json
         && !output::said()
     {
-        // Whoever reads JSON gets one document in any case.
+        // A program that reads JSON gets one document in any case.
         println!("{}", serde_json::json!({ "error": error.text(), "exit_code": error.code() }));
     }
     done.map_or_else(|error| error.report(), |()| ExitCode::SUCCESS)

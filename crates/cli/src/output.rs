@@ -1,9 +1,9 @@
-//! What the command says: results on stdout, everything else on stderr.
+//! The output of the command: results on stdout, everything else on stderr.
 //!
-//! A reader that has gone away (`use3d plan … | head -1`) is no failure: what it does not want is dropped
-//! and the work goes on. The standard library's macros would panic there, so this crate's `print!`,
-//! `println!` and `eprintln!` are those below. Any other failure to write results (a full disk) is kept for
-//! [`failure`], which decides the exit code.
+//! A closed reader (`use3d plan … | head -1`) is no failure: the rest of the output is dropped and the work
+//! continues. The standard library's macros would panic there, so this crate's `print!`, `println!` and
+//! `eprintln!` are those below. Any other failure to write results (a full disk) is kept for [`failure`],
+//! which decides the exit code.
 
 use std::fmt;
 use std::io::{self, Write};
@@ -12,7 +12,7 @@ use std::sync::{Mutex, PoisonError};
 
 /// The first failure to write to stdout; nothing is written after it.
 static FAILED: Mutex<Option<io::Error>> = Mutex::new(None);
-/// Whether anything was said on stdout.
+/// True if anything was written to stdout.
 static SAID: AtomicBool = AtomicBool::new(false);
 
 /// Writes to a stream until its first failure.
@@ -28,34 +28,34 @@ pub(crate) fn to_stdout(text: fmt::Arguments<'_>) {
     write(&mut io::stdout().lock(), &mut failed, text);
 }
 
-/// Messages have nowhere else to go: losing one is no reason to stop.
+/// Writes a message; a message that cannot be written is dropped.
 pub(crate) fn to_stderr(text: fmt::Arguments<'_>) {
     let _ = io::stderr().lock().write_fmt(text);
 }
 
-/// Whether anything was said on stdout.
+/// Returns true if anything was written to stdout.
 pub(crate) fn said() -> bool {
     SAID.load(Ordering::Relaxed)
 }
 
-/// Why results did not reach stdout, unless the reader simply left.
+/// The reason why results did not reach stdout; a closed reader does not count.
 pub(crate) fn failure() -> Option<String> {
     let failed = FAILED.lock().unwrap_or_else(PoisonError::into_inner);
     failed.as_ref().filter(|e| e.kind() != io::ErrorKind::BrokenPipe).map(ToString::to_string)
 }
 
-/// As the standard library's, without the panic.
+/// Like the standard library's macro, without the panic.
 macro_rules! print {
     ($($text:tt)*) => { $crate::output::to_stdout(format_args!($($text)*)) };
 }
 
-/// As the standard library's, without the panic.
+/// Like the standard library's macro, without the panic.
 macro_rules! println {
     () => { $crate::output::to_stdout(format_args!("\n")) };
     ($($text:tt)*) => { $crate::output::to_stdout(format_args!("{}\n", format_args!($($text)*))) };
 }
 
-/// As the standard library's, without the panic.
+/// Like the standard library's macro, without the panic.
 macro_rules! eprintln {
     () => { $crate::output::to_stderr(format_args!("\n")) };
     ($($text:tt)*) => { $crate::output::to_stderr(format_args!("{}\n", format_args!($($text)*))) };
@@ -65,7 +65,7 @@ macro_rules! eprintln {
 mod tests {
     use super::*;
 
-    /// A stream that takes `room` bytes.
+    /// A stream that accepts `room` bytes.
     struct Narrow {
         room: usize,
         taken: usize,

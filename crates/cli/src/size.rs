@@ -4,7 +4,7 @@ use use3d_io_image::MAX_PIXELS;
 
 use crate::error::CliError;
 
-/// Parses `WxH`. The program draws no picture of more pixels than it would read from a file.
+/// Parses `WxH`. The program draws no picture with more pixels than it would read from a file.
 pub(crate) fn parse_size(text: &str) -> Result<(usize, usize), CliError> {
     let sides = text.split_once(['x', 'X', '×']).and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
     match sides {

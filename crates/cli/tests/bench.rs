@@ -1,5 +1,5 @@
-//! `use3d bench truth` on tiny captures: every figure is there and finite, an interrupted call goes
-//! on, nothing foreign is touched.
+//! Tests `use3d bench truth` on tiny captures: every figure exists and is finite, an interrupted call
+//! continues, and files of the user stay.
 
 mod tiny;
 
@@ -12,7 +12,7 @@ use serde_json::Value;
 use tiny::{TINY, command, files};
 use use3d_io_image::read_image;
 
-/// The smallest bench there is; what `extra` says comes in place of its own.
+/// The smallest benchmark; the arguments in `extra` replace its own.
 fn bench(out: &Path, extra: &[&str]) -> Command {
     let own = [
         ("--captures", "display-III,spectral"),
@@ -39,7 +39,7 @@ fn run(out: &Path, extra: &[&str]) -> (Option<i32>, String, String) {
     (status.code(), text(&stdout), text(&stderr))
 }
 
-/// When every artifact in the cache was finished.
+/// The time at which every artifact in the cache was finished.
 fn made(out: &Path) -> BTreeMap<String, SystemTime> {
     let artifacts = out.join("cache/v1/artifacts");
     let manifests = files(&artifacts).into_keys().filter(|path| path.ends_with("manifest.json"));
@@ -59,7 +59,7 @@ fn number(row: &Value, metric: &str) -> f64 {
 fn every_row_has_its_figures_and_an_interrupted_call_goes_on() {
     let dir = tempfile::tempdir().expect("a folder");
     let out = dir.path().join("bench");
-    // Killed once a scene is trained.
+    // Killed as soon as a scene is trained.
     let mut child = bench(&out, &[]).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
     let trained = || made(&out).keys().any(|path| path.starts_with("reconstruct"));
     while !trained() {
@@ -107,7 +107,7 @@ fn every_row_has_its_figures_and_an_interrupted_call_goes_on() {
             }
             if !label.ends_with("photographs") {
                 assert!(number(row, "path_w_delta_e") >= 0.0, "{label}");
-                // So few pixels may share no whole window; then that is said.
+                // Such small pictures may share no whole window; then the document gives the reason.
                 let similarity = &row["figures"]["path_w_ssim"];
                 let why = similarity["of"]["7"]["undefined"].as_str();
                 assert!(similarity["mean"].as_f64().is_some_and(|v| v <= 1.0) || why.is_some(), "{row}");
@@ -131,7 +131,7 @@ fn every_row_has_its_figures_and_an_interrupted_call_goes_on() {
     let page = std::fs::read_to_string(out.join("truth.md")).expect("a page");
     assert!(page.contains("--captures display-III,spectral --seeds 7 --size 48x32"), "{page}");
 
-    // Again: the same to the byte, and nothing is computed; with fewer baselines neither.
+    // A second call: the same to the byte, and nothing is computed; the same with fewer baselines.
     let whole = files(&out.join("pictures"));
     let (code, again, stderr) = run(&out, &["--json"]);
     assert_eq!((code, again == stdout), (Some(0), true), "{stderr}");

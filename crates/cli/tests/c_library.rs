@@ -1,5 +1,6 @@
-//! The command takes no elementary function from the C library, whose last bits differ from one to the next:
-//! its list of imported symbols names none. Other crates' code counts too, since it ends in the same program.
+//! Tests that the command calls no elementary function of the C library, whose last bits differ from one
+//! library to the next: its list of imported symbols names none. Third-party code counts too, because it is
+//! part of the same program.
 
 use std::path::Path;
 
@@ -15,7 +16,8 @@ fn number(bytes: &[u8], at: usize, width: usize) -> Option<usize> {
     Some(field.iter().rev().fold(0, |n, &b| n << 8 | usize::from(b)))
 }
 
-/// The undefined names in the dynamic symbol tables of a 64-bit little-endian ELF file; `None` if it is none.
+/// The undefined names in the dynamic symbol tables of a 64-bit little-endian ELF file; `None` for any other
+/// file.
 fn imports(elf: &[u8]) -> Option<Vec<String>> {
     const DYNAMIC_SYMBOLS: usize = 11;
     if !elf.starts_with(b"\x7fELF\x02\x01") {
@@ -44,9 +46,9 @@ fn is_open(name: &str) -> bool {
     OPEN.iter().any(|open| name.strip_prefix(open).is_some_and(|rest| ["", "f", "l"].contains(&rest)))
 }
 
-/// With engines for graphics cards the program has a compiler of their kernels in it, which can evaluate
-/// constants by the C library (and finds none to evaluate: what they compute stands in the numeric class).
-/// The rest is looked at in a program without them.
+/// With engines for graphics cards, the program contains a compiler of their kernels, which can evaluate
+/// constants with the C library (and finds none to evaluate: the kernels' arithmetic is part of the numeric
+/// class). So the rest is tested in a program without these engines.
 #[test]
 fn no_elementary_function_is_imported() {
     if cfg!(feature = "gpu") {
@@ -66,7 +68,7 @@ fn no_elementary_function_is_imported() {
 
 #[test]
 fn the_reader_finds_imports() {
-    // This test's own program imports memory functions at least, unless it is linked statically.
+    // This test's own program imports at least memory functions, unless it is linked statically.
     let own = imports(&std::fs::read(std::env::current_exe().unwrap()).unwrap());
     if cfg!(all(target_os = "linux", target_env = "gnu", target_pointer_width = "64")) {
         let own = own.expect("an ELF file");

@@ -1,5 +1,5 @@
-//! Finished calibrators, this program's and the authors' (stand-ins of the same layout): in a pipeline,
-//! by hand, in the list of models.
+//! Tests of finished calibrators, this program's and the authors' (stand-ins with the same layout): in a
+//! pipeline, by hand, and in the list of models.
 #![cfg(feature = "nets")]
 
 use std::path::Path;
@@ -9,7 +9,7 @@ use use3d_golden::torch::{released_calibrator, released_calibrator_tensors, safe
 
 mod standin;
 
-/// Runs the command in `dir` and expects an exit code; gives stdout and stderr.
+/// Runs the command in `dir`, expects an exit code, and returns stdout and stderr.
 fn expect(code: i32, dir: &Path, arguments: &[&str]) -> (String, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_use3d"));
     command.args(arguments).current_dir(dir).env("USE3D_CACHE", dir.join("cache"));
@@ -40,13 +40,13 @@ fn the_authors_calibrator_serves_a_whole_run_and_by_hand() {
     let at = dir.path();
     let run = ["-q", "run", "reef", "--out", "out", "--calibrator", RELEASED];
     let (out, _) = expect(0, at, &[&run[..], &QUICK].concat());
-    // Neither pairs nor a fit: import, reconstruct, targets, enhance, render, evaluate, report.
+    // No pairs and no fit: import, reconstruct, targets, enhance, render, evaluate, report.
     assert!(out.contains("reef: 7 done, 0 cached"), "{out}");
     let page = std::fs::read_to_string(at.join("out/report.html")).expect("the report");
     assert!(page.contains("A finished calibrator: released by the paper"), "the report names the calibrator");
 
-    // The same tensors as safetensors are the same calibrator; another proposer
-    // than its own is refused (R25).
+    // The same tensors as safetensors are the same calibrator; a proposer other than the calibrator's own is
+    // refused (R25).
     let tensors = released_calibrator_tensors([128, 256]);
     std::fs::write(at.join("c.safetensors"), safetensors_file(&tensors)).expect("written");
     for (file, out) in [(RELEASED, "a.safetensors"), ("c.safetensors", "b.safetensors")] {
@@ -67,7 +67,7 @@ fn the_authors_calibrator_serves_a_whole_run_and_by_hand() {
     let read = |name: &str| std::fs::read(at.join(name)).expect("targets");
     assert!(read("a.safetensors") == read("b.safetensors"));
     let other = [&run[..], &QUICK, &["--set", "calibrator.proposer=fusion"]].concat();
-    // Before anything is computed, and the plan says the same.
+    // The error comes before anything is computed, and the plan reports the same.
     for verb in ["run", "plan"] {
         let arguments = match verb {
             "run" => other.clone(),
@@ -77,7 +77,7 @@ fn the_authors_calibrator_serves_a_whole_run_and_by_hand() {
         assert!(err.contains("fitted for the proposer `nu2net`, but `fusion` is asked for"), "{err}");
     }
 
-    // What is not a calibrator is said to be none, and what would be.
+    // A file that is not a calibrator is reported, with the expected kind of file.
     std::fs::write(at.join("not.pth"), "not a calibrator").expect("written");
     std::fs::write(at.join("old.pth"), released_calibrator(4, &tensors)).expect("written");
     let lists =
@@ -103,8 +103,8 @@ fn the_authors_calibrator_serves_a_whole_run_and_by_hand() {
     }
 }
 
-/// From stage 1's own knowledge of the scene: a whole run and by hand, without a calibrator, and
-/// what does not go together is said.
+/// The targets come from stage 1's own knowledge of the scene: a whole run and stages by hand, without a
+/// calibrator, and errors for settings that conflict.
 #[test]
 fn a_scene_proposes_for_itself_in_clear_radiance() {
     let dir = place();
@@ -112,7 +112,7 @@ fn a_scene_proposes_for_itself_in_clear_radiance() {
     let own = ["--set", "targets.proposer=scene", "--set", "targets.source=clear"];
     let run = ["-q", "run", "reef", "--out", "out"];
     let (out, _) = expect(0, at, &[&run[..], &QUICK, &own].concat());
-    // Neither pairs nor a fit: import, reconstruct, targets, enhance, render, evaluate, report.
+    // No pairs and no fit: import, reconstruct, targets, enhance, render, evaluate, report.
     assert!(out.contains("reef: 7 done, 0 cached"), "{out}");
     let page = std::fs::read_to_string(at.join("out/report.html")).expect("the report");
     assert!(page.contains("without its water: not calibrated"), "the report says what was done");
@@ -123,7 +123,7 @@ fn a_scene_proposes_for_itself_in_clear_radiance() {
     assert_eq!(read("out/reef/enhanced-scene/scene.json")["enhancement"]["appearance"], "clear");
 
     let hand = ["targets", "out/reef/scene", "reef", "--out", "t.safetensors"];
-    // Without a calibrator a 2D enhancer proposes, and nothing is learnt from pairs.
+    // Without a calibrator a 2D enhancer makes the proposals, and nothing is learnt from pairs.
     let (_, err) = expect(0, at, &[&hand[..], &["--set", "proposer=fusion"]].concat());
     assert!(err.contains("`fusion` proposes for ") && err.contains("not calibrated"), "{err}");
     let (_, err) = expect(2, at, &[&hand[..], &["--force", "--set", "calibrated=true"]].concat());
@@ -172,8 +172,8 @@ fn a_calibrator_of_our_own_serves_a_pipeline_and_a_scene_of_it() {
     assert_eq!(stages(), [false; 2]);
     let (out, _) = expect(0, at, &["-q", "run", "p.toml", "--until", "targets", "--out", "out"]);
     assert!(out.contains("3 done") || out.contains("6 done"), "{out}");
-    // The calibrator was fitted for `fusion`, although the network's weights are there;
-    // the other way round is an error.
+    // The calibrator was fitted for `fusion`, although the network's weights exist; the other combination is
+    // an error.
     pipeline("[calibrator]\nfile = \"own.safetensors\"\nproposer = \"nu2net\"", "");
     let (_, err) = expect(2, at, &["-q", "run", "p.toml", "--until", "targets", "--out", "out"]);
     assert!(err.contains("fitted for the proposer `fusion`, but `nu2net` is asked for"), "{err}");
@@ -181,7 +181,7 @@ fn a_calibrator_of_our_own_serves_a_pipeline_and_a_scene_of_it() {
     let (_, err) = expect(2, at, &["plan", "p.toml"]);
     let words = ["the environment variable USE3D_TEST_UNSET", "named by `calibrator.file` in p.toml"];
     assert!(words.iter().all(|word| err.contains(word)), "{err}");
-    // A damaged file is told before stage 1 runs, not after it.
+    // A damaged file is reported before stage 1 runs, not after it.
     std::fs::write(at.join("damaged.safetensors"), "not a calibrator").expect("written");
     let damaged = ["-q", "run", "reef", "--calibrator", "damaged.safetensors", "--out", "none"];
     let (out, err) = expect(2, at, &damaged);

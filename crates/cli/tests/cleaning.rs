@@ -1,5 +1,5 @@
-//! `gc` cleans the cache that the pipelines to keep name, and says when that is not enough; a plan names every
-//! stage once.
+//! Tests that `gc` cleans the cache that the pipelines to keep name, and reports if that is not enough; and
+//! that a plan names every stage once.
 
 mod tiny;
 
@@ -50,11 +50,11 @@ fn the_cache_of_the_pipelines_to_keep_is_the_one_that_is_cleaned() {
         assert!(!dir.join("of-onne").exists(), "a mistyped folder was made");
     }
 
-    // Stage 1 is two inputs of the scores: the scene, and the geometry that variants are compared by.
+    // Stage 1 is two inputs of the scores: the scene, and the geometry with which variants are compared.
     let (_, said) = use3d(dir, &["plan", "one.toml"]);
     let scores = said.lines().find(|line| line.contains("cap · evaluate: ")).expect("a line");
     assert_eq!(scores.matches("reconstruct").count(), 1, "{scores}");
-    // The report waits for a part of every scene.
+    // The report waits for an artifact of every scene.
     let report = said.lines().find(|line| line.contains(" report: ")).expect("a line");
     assert!(report.contains(" more") && report.matches(',').count() == 3, "{report}");
     let (_, said) = use3d(dir, &["graph", "one.toml"]);

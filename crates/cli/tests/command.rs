@@ -1,5 +1,5 @@
-//! The command as a user meets it: exit codes, messages, golden renders, and the
-//! whole chain on a tiny capture.
+//! Tests of the command from a user's view: exit codes, messages, golden renders, and the whole chain on a
+//! tiny capture.
 
 mod tiny;
 
@@ -25,7 +25,7 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// Runs and expects an exit code; gives stdout and stderr.
+/// Runs the command, expects an exit code, and returns stdout and stderr.
 fn expect(code: i32, arguments: &[&str]) -> (String, String) {
     let output = use3d(arguments);
     let (out, err) = (text(&output.stdout), text(&output.stderr));
@@ -98,11 +98,11 @@ fn water_is_told_as_a_table_and_as_json_also_where_a_capture_cannot_tell() {
     let (json, _) = expect(0, &["-q", "water", &capture, "--json"]);
     let told: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert_eq!((&told["format"], &told["channels"][2]["channel"]), (&"3d-use water".into(), &"blue".into()));
-    // The size that a scene is learnt at is none of the water's business.
+    // The size at which a scene is learnt does not affect the water.
     let (small, _) = expect(0, &["-q", "water", &capture, "--json", "--set", "import.max_side=24"]);
     assert_eq!(small, json);
     assert!(table.contains(told["told"].as_str().unwrap()), "one judgement in both: {table}");
-    // Without tracks there is nothing to go by, and that is said, not guessed.
+    // Without tracks the water cannot be estimated; this is reported, not guessed.
     let model = Path::new(&capture).join("sparse/0");
     let mut untracked = use3d_io_colmap::read_model(&model).unwrap();
     untracked.points.iter_mut().for_each(|p| p.track.clear());
@@ -146,7 +146,7 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     ] {
         assert!(Path::new(&out).join(file).exists(), "{file} is missing");
     }
-    // The capture is synthetic: what can be held against its truth was, for every view and for the water.
+    // The capture is synthetic: every view and the water were compared with the truth.
     let text = std::fs::read_to_string(Path::new(&out).join("tiny/scores/scores.json")).unwrap();
     let scores: use3d_pipeline::judge::scores::SceneScores = serde_json::from_str(&text).unwrap();
     use use3d_pipeline::judge::scores::Method;
@@ -157,8 +157,8 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
             assert!(value > 0.0 && value < 60.0, "{method:?} {metric}: {value}");
         }
     }
-    // Consistency has the fair baseline, by one warp, over the path and over
-    // neighbours, with what was compared.
+    // Consistency has the fair baseline, with one warp, over the path and over neighbours, with the share
+    // that was compared.
     assert_eq!(scores.warp, use3d_pipeline::judge::scores::Warp::Reference);
     for method in [Method::ProposalOfRender, Method::Clear, Method::Enhanced, Method::EnhancedClear] {
         for metric in ["w_delta_e", "coverage", "path_w_delta_e", "path_coverage"] {
@@ -178,7 +178,8 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     assert!(json.contains("96×") && json.contains("threads"), "{json}");
     assert!(!text.contains("fps"), "a time in an artifact");
     let page = std::fs::read_to_string(Path::new(&out).join("report.html")).unwrap();
-    // The same look in the captions; what a cell came from stands in the table of costs; and what made it all.
+    // The captions show the same look; the table of costs shows the source of a cell; and the page names the
+    // program and machine.
     assert!(page.contains("UCIQE enhanced ") && !page.contains("UCIQE enhanced-clear"));
     let source = page.split("from the scores of tiny ").nth(1).and_then(|s| s.split('"').next()).unwrap();
     assert!(source.len() == 12 && page.contains(&format!("<code>{source}</code>")), "{source}");
@@ -199,13 +200,13 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     assert!(depth < 0.5, "depth off by {depth}");
     let water = scores.water.expect("the scene has water");
     assert!(water.attenuation.iter().chain(&water.true_backscatter).all(|v| *v > 0.0), "{water:?}");
-    // Stage 2 leaves stage 1 untouched.
+    // Stage 2 does not change the files of stage 1.
     let bytes =
         |scene: &str, file: &str| std::fs::read(Path::new(&out).join("tiny").join(scene).join(file)).unwrap();
     for file in ["gaussians.ply", "medium.safetensors"] {
         assert_eq!(bytes("scene", file), bytes("enhanced-scene", file), "{file}");
     }
-    // The page of a scene that another program wrote is written anew.
+    // A page of a scene that another program wrote is written again.
     let view = Path::new(&out).join("tiny/view.html");
     let written = std::fs::read_to_string(&view).unwrap();
     let (_, by) = written.rsplit_once("<!-- of ").and_then(|(_, rest)| rest.split_once(" by ")).unwrap();
@@ -217,7 +218,7 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     let second = run(&[]);
     assert_eq!(std::fs::read_to_string(&view).unwrap(), written, "by this program again");
     assert!(second.contains("0 done, 9 cached"), "{second}");
-    // People are told by the look that the report leads with.
+    // The printed summary uses the look that leads the report.
     let mut aloud = vec!["run", &capture, "--cache", &cache, "--out", &out];
     TINY.iter().for_each(|set| aloud.extend(["--set", set]));
     let (told, _) = expect(0, &aloud);
@@ -227,7 +228,7 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
         let (_, err) = expect(2, &["run", &capture, "--cache", &cache, "--out", &out, "--set", setting]);
         assert!(err.contains("water") && err.contains("expected 0 to 1"), "{err}");
     }
-    // For programs: one document that says where everything is and what it scored.
+    // For programs: one document with the path and the scores of everything.
     let told: serde_json::Value = serde_json::from_str(&run(&["--json"])).unwrap();
     assert_eq!(told["nodes"].as_array().unwrap().len(), 9);
     for (what, scene, place) in [
@@ -267,7 +268,7 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     assert!(threads.contains("0 done, 9 cached"), "{threads}");
 }
 
-/// The same words mean the same pictures in `render`, `export` and at every amount of water.
+/// The name of a look means the same pictures in `render`, in `export` and at every share of water.
 fn one_word_for_each_look(scene: &str, capture: &str, dir: &Path) {
     let at = |name: &str| path(&[dir, Path::new(name)]);
     let render = |out: &str, modes: &str, more: &[&str]| {
@@ -320,7 +321,7 @@ fn one_word_for_each_look(scene: &str, capture: &str, dir: &Path) {
         let dry = std::fs::read(&ply).unwrap();
         assert_eq!(count(&dry).0, without, "{mode} without water");
     }
-    // Without a word it is the look that the page opens with.
+    // Without an argument it is the look with which the page opens.
     let ply = at("opening.ply");
     let (_, said) = expect(0, &["export", scene, "--ply", &ply]);
     assert!(count(&std::fs::read(&ply).unwrap()).1.contains("comment what: enhanced\n"));
@@ -360,8 +361,8 @@ fn a_scene_can_be_learnt_from_proposals_and_is_scored_as_such() {
     use use3d_pipeline::judge::scores::Method;
     assert!(scores.mean(Method::EnhanceThenReconstruct, "truth_psnr").and_then(|s| s.value()).is_some());
     assert!(scores.mean(Method::Reconstruction, "psnr").is_none());
-    // Both variants are compared by the depth of the one that learnt from
-    // photographs, although it is listed last.
+    // Both variants are compared by the depth of the one that was trained on photographs, although it is
+    // listed last.
     let text = std::fs::read_to_string(Path::new(&out).join("tiny@plain/scores/scores.json")).unwrap();
     let plain: use3d_pipeline::judge::scores::SceneScores = serde_json::from_str(&text).unwrap();
     assert_eq!(scores.warp, use3d_pipeline::judge::scores::Warp::Reference);
@@ -370,7 +371,7 @@ fn a_scene_can_be_learnt_from_proposals_and_is_scored_as_such() {
     };
     assert!(!photographs(&plain).is_empty());
     assert_eq!(photographs(&scores), photographs(&plain), "the same photographs, judged by other depths");
-    // By hand the same scene comes out.
+    // The stages by hand make the same scene.
     let scene = at("scene");
     let steps = TINY.iter().find_map(|set| set.strip_prefix("reconstruct.")).unwrap();
     let sets = ["--set", "images=proposed", "--set", "medium=none", "--set", steps];
@@ -382,7 +383,7 @@ fn a_scene_can_be_learnt_from_proposals_and_is_scored_as_such() {
     expect(0, &arguments.iter().map(String::as_str).collect::<Vec<_>>());
     let read = |folder: &str| std::fs::read(Path::new(folder).join("gaussians.ply")).unwrap();
     assert_eq!(read(&scene), read(&path(&[Path::new(&out), Path::new("tiny@first/scene")])));
-    // And by hand it is scored as what it is.
+    // By hand it is also scored under its own name.
     let (rows, _) = expect(0, &["-q", "evaluate", &scene, &at("tiny"), "--format", "csv"]);
     assert!(rows.contains("\nenhance-then-reconstruct,") && !rows.contains("\nreconstruction,"), "{rows}");
 }
@@ -395,7 +396,7 @@ fn a_black_held_out_photograph_and_anothers_truth_folder_do_not_end_a_run() {
     std::fs::remove_dir_all(at("tiny/truth")).unwrap();
     std::fs::create_dir_all(at("tiny/truth/clean")).unwrap();
     std::fs::write(at("tiny/truth/clean/readme.txt"), "another project's truth").unwrap();
-    // Every eighth view from the first on is held out.
+    // Every eighth view is held out, beginning with the first.
     let mut images: Vec<_> =
         std::fs::read_dir(at("tiny/images")).unwrap().map(|e| e.unwrap().path()).collect();
     images.sort();
@@ -422,7 +423,7 @@ fn a_black_held_out_photograph_and_anothers_truth_folder_do_not_end_a_run() {
     let proposal = scores.method(use3d_pipeline::judge::scores::Method::Proposal).unwrap();
     assert_eq!(proposal.left_out.get("psnr"), Some(&1));
     assert!(proposal.mean["psnr"].value().is_some(), "the other held-out view has one");
-    // Equal images by hand: a reason, not null.
+    // Equal images by hand give a reason, not null.
     let (json, _) =
         expect(0, &["evaluate", "--images", &at("tiny/images"), "--reference", &at("tiny/images"), "--json"]);
     assert!(json.contains("undefined") && !json.contains("null"), "{json}");

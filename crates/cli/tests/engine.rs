@@ -1,5 +1,5 @@
-//! The choice of engine on the command line: what is said where no card, only a software card or another name
-//! is there, and a training on a software card where this machine has one.
+//! Tests of the choice of engine on the command line: the messages without a card, with only a software card
+//! or with another name, and a training on a software card if this machine has one.
 
 mod tiny;
 
@@ -14,7 +14,7 @@ fn reconstruct(place: &Place, out: &str, engine: &str, environment: &[(&str, &st
     training(place, out, engine, STEPS, environment)
 }
 
-/// A training of so many steps with a water that has kernels everywhere.
+/// A training of `steps` steps with a water model that has kernels on every engine.
 fn training(place: &Place, out: &str, engine: &str, steps: usize, environment: &[(&str, &str)]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_use3d"));
     command.args(["reconstruct", &place.at("tiny"), "--out", &place.at(out), "--engine", engine]);
@@ -32,7 +32,7 @@ fn said(output: &Output) -> String {
 #[test]
 fn an_engine_that_cannot_be_had_is_refused_and_nothing_is_written() {
     let place = Place::new();
-    // No driver at all, whatever this machine has.
+    // The variables hide all drivers of this machine.
     let nothing =
         [("VK_DRIVER_FILES", "/nonexistent/icd.json"), ("VK_ICD_FILENAMES", "/nonexistent/icd.json")];
     for (engine, parts) in [
@@ -46,7 +46,7 @@ fn an_engine_that_cannot_be_had_is_refused_and_nothing_is_written() {
         for part in parts {
             assert!(text.contains(part), "{engine} does not say {part:?}:\n{text}");
         }
-        // One message in our words, nothing of what the loader says to those who write drivers.
+        // One message of this program, and no messages of the loader for driver developers.
         assert!(!text.contains("ERROR") && !text.contains("vkCreateInstance"), "{engine}: {text}");
         assert!(!std::path::Path::new(&place.at("refused")).exists(), "{engine}");
     }
@@ -56,8 +56,8 @@ fn an_engine_that_cannot_be_had_is_refused_and_nothing_is_written() {
     assert!(text.contains("engine: cpu") && text.contains("no graphics card was found"), "{text}");
 }
 
-/// Whether a run was refused since this machine has no software card: the test is left out then, with a word;
-/// an error where one is required.
+/// Returns true if a run was refused because this machine has no software card: the test is then skipped with
+/// a message, or fails where a card is required.
 fn no_card(output: &Output) -> bool {
     let text = said(output);
     let missing = text.contains("no graphics card was found") || text.contains("no adapter's name has");
@@ -69,8 +69,8 @@ fn no_card(output: &Output) -> bool {
     refused
 }
 
-/// On a software card, if this machine has one: the scene is that of the processor to a twentieth of a
-/// decibel, and not one that hardly anything was done to.
+/// On a software card, if this machine has one: the scene agrees with the processor's to a twentieth of a
+/// decibel, and training has clearly improved it.
 #[test]
 fn a_training_runs_on_a_software_card_by_its_name() {
     let place = Place::new();
@@ -95,7 +95,7 @@ fn a_training_runs_on_a_software_card_by_its_name() {
     assert!((card - cpu).abs() < 0.05, "{card} dB on the card, {cpu} dB on the processor");
     assert!(card > least + 0.3, "{card} dB on the card, {least} dB after a single step");
 
-    // The same scene drawn by both: pictures of 8 bits differ by a level at most.
+    // Both engines draw the same scene: pictures of 8 bits differ by at most one level.
     let draw = |engine: &str| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_use3d"));
         command.args(["render", &place.at("card"), "--cameras", &place.at("tiny"), "--held-out"]);
@@ -120,8 +120,8 @@ fn a_training_runs_on_a_software_card_by_its_name() {
     }
 }
 
-/// A whole run takes the card for both stages and for what is drawn; stage 2 ends where the processor's does,
-/// and the same scene is drawn and scored alike by both.
+/// A whole run uses the card for both stages and for drawing; stage 2 ends where the processor's does, and
+/// both engines draw and score the same scene alike.
 #[test]
 fn a_whole_run_on_a_software_card_trains_and_draws_there() {
     let place = Place::new();
@@ -144,15 +144,15 @@ fn a_whole_run_on_a_software_card_trains_and_draws_there() {
     for stage in ["reconstruct", "targets", "enhance", "render", "evaluate"] {
         assert!(text.contains(&format!("{stage}: engine: gpu, llvmpipe")), "{stage}: {text}");
     }
-    // Another machine, without a card, finds nothing wrong with what was made on this one.
+    // Another machine, without a card, finds no problem in the artifacts of this one.
     let verified = command(&["verify", &tiny, "--sample", "100%"], &[]);
     let found = String::from_utf8_lossy(&verified.stdout).into_owned() + &said(&verified);
     assert_eq!(verified.status.code(), Some(0), "{found}");
     assert!(found.contains("5 in another numeric class: within their stage's tolerances"), "{found}");
-    // The same scene, so that only what lifts its targets and stage 2 differ.
+    // The same scene, so that only the lifting of its targets and stage 2 differ.
     let processor = run("processor", &["--set", "reconstruct.engine=gpu:llvmpipe", "--until", "enhance"]);
     assert_eq!(processor.status.code(), Some(0), "{}", said(&processor));
-    // The same scenes, so that what draws them alone differs.
+    // The same scenes, so that only the drawing differs.
     let trained = ["reconstruct", "targets", "enhance"].map(|stage| format!("{stage}.engine=gpu:llvmpipe"));
     let drawn = run("drawn", &["--set", &trained[0], "--set", &trained[1], "--set", &trained[2]]);
     assert_eq!(drawn.status.code(), Some(0), "{}", said(&drawn));
@@ -188,7 +188,7 @@ fn a_whole_run_on_a_software_card_trains_and_draws_there() {
     }
 }
 
-/// What is there to know of a software card: `devices`, and the smallest benchmark into a file.
+/// The data of a software card: `devices`, and the smallest benchmark into a file.
 #[test]
 fn a_software_card_is_listed_and_measured_in_one_file() {
     let listed = tiny::command().args(["devices", "--json"]).output().expect("the command starts");

@@ -1,5 +1,5 @@
-//! A newcomer's first guesses: a results folder where a scene or a capture is asked for, common flags, earlier
-//! results, two runs side by side, and colours balanced by hand.
+//! Tests of a new user's first attempts: a results folder in place of a scene or a capture, common flags,
+//! earlier results, two runs side by side, and colours balanced by hand.
 
 mod tiny;
 
@@ -42,7 +42,7 @@ fn results_stand_for_what_they_were_made_from_and_earlier_ones_come_back() {
     assert!(shorter.contains("run 1 (") && shorter.contains("use3d results out 1"), "{shorter}");
     assert_ne!(read("out/tiny/scene/gaussians.ply").len(), 0);
 
-    // Both are listed, and the first one comes back without any work.
+    // Both are listed, and the first one is restored without any work.
     let listed = expect(&place, 0, &["results", "out"]);
     assert!(listed.contains("iterations=30") && listed.contains("iterations=20"), "{listed}");
     assert_eq!(listed.matches("shown now").count(), 1);
@@ -56,7 +56,7 @@ fn results_stand_for_what_they_were_made_from_and_earlier_ones_come_back() {
     assert!(expect(&place, 2, &["results", "out", "7"]).contains("there are: 1, 2"));
     assert!(expect(&place, 2, &["results", "nothing"]).contains("no results of `use3d run`"));
 
-    // The two side by side.
+    // The two runs side by side.
     let told = expect(&place, 0, &["compare", "out:1", "out:2", "-o", "ab.html"]);
     assert!(told.contains("by A and at"), "{told}");
     let page = std::fs::read_to_string(place.at("ab.html")).unwrap();
@@ -65,7 +65,7 @@ fn results_stand_for_what_they_were_made_from_and_earlier_ones_come_back() {
     expect(&place, 0, &["compare", "out", "out:2", "-o", "b.html"]);
     assert!(expect(&place, 2, &["compare", "out:9", "out"]).contains("use3d results out"));
 
-    // A results folder is its scene, with the photographs of its capture, and its own look.
+    // A results folder stands for its scene, with the photographs of its capture and its own look.
     let told = expect(&place, 0, &["export", "out", "--web", "page.html", "--ply", "a.ply"]);
     assert!(told.contains("enhanced-scene") && told.contains("9 photographs"), "{told}");
     assert!(told.contains("what: enhanced"), "the look that the page opens with: {told}");
@@ -80,11 +80,11 @@ fn results_stand_for_what_they_were_made_from_and_earlier_ones_come_back() {
             .flatten()
             .any(|e| e.file_name().to_string_lossy().starts_with("enhanced"))
     );
-    // And its capture, with the settings of its run.
+    // It also stands for its capture, with the settings of its run.
     let plan = expect(&place, 0, &["plan", "out"]);
     assert!(plan.contains("0 to run"), "{plan}");
 
-    // Another capture's cameras are refused, whatever its photographs are called.
+    // Another capture's cameras are refused, whatever the names of its photographs.
     let other = [
         "synth", "capture", "-o", "other", "--views", "9", "--size", "96x64", "--seed", "7", "--place",
         "pool",
@@ -104,7 +104,7 @@ fn white(place: &Place) {
     let view =
         std::fs::read_dir(place.at("tiny/images")).unwrap().flatten().map(|e| e.file_name()).min().unwrap();
     let view = view.to_string_lossy().into_owned();
-    // Any place that is bright enough: the tiny scene knows little of grey.
+    // Any place that is bright enough: the tiny scene has hardly any grey.
     let spots = ["48,40", "30,50", "60,50", "20,40", "70,40", "48,56"].map(|spot| format!("{view}:{spot}"));
     let grey = spots.iter().find(|spot| said(place, &["white", "out", spot]).0 == Some(0));
     let grey = grey.expect("a place that has a colour");
@@ -116,14 +116,14 @@ fn white(place: &Place) {
     expect(place, 0, &["export", "out", "--ply", "off.ply", "--what", "clear", "--white", "off"]);
     let bytes = |name: &str| std::fs::read(place.at(name)).unwrap();
     assert_ne!(bytes("white.ply"), bytes("off.ply"));
-    // The page opens with it, and once it is taken away everything is as it was.
+    // The page opens with it, and after its removal everything is as before.
     expect(place, 0, &["export", "out", "--web", "white.html"]);
     assert!(String::from_utf8_lossy(&bytes("white.html")).contains("3d-use white"));
     expect(place, 0, &["white", "out", "off"]);
     assert!(!Path::new(&kept).exists());
     expect(place, 0, &["export", "out", "--ply", "again.ply", "--what", "clear"]);
     assert_eq!(bytes("again.ply"), bytes("off.ply"));
-    // The same by a file, and once.
+    // The same balance by a file, and for one command only.
     expect(place, 0, &["white", "out", grey, "-o", "my.white.json"]);
     expect(place, 0, &["export", "out", "--ply", "file.ply", "--what", "clear", "--white", "my.white.json"]);
     expect(place, 0, &["export", "out", "--ply", "once.ply", "--what", "clear", "--white", grey]);
@@ -157,7 +157,7 @@ fn common_flags_are_spellings_of_settings_and_are_refused_by_their_own_names() {
         plan["nodes"].as_array().unwrap().iter().map(|node| node["key"].clone()).collect::<Vec<_>>()
     };
     assert_eq!(keys(&flags), keys(&sets));
-    // Options of `run` do no harm to verbs that ignore them.
+    // Options of `run` have no effect on verbs that ignore them.
     expect(&place, 0, &["status", "tiny", "--cache", "cache", "--out", "x", "-j", "2", "--keep-going"]);
     // A folder without a model is refused in one line, before anything else.
     std::fs::create_dir(place.at("empty")).unwrap();

@@ -1,7 +1,8 @@
-//! A batch through a real HyperQueue with two workers on this machine, tasks killed at random; the bytes are
-//! those of a run of one process.
+//! Runs a batch through a real HyperQueue with two workers on this machine, with tasks killed at random; the
+//! bytes are those of a run of one process.
 //!
-//! Needs the command `hq` on the path, or HyperQueue's Python package, and some minutes, so it is asked for:
+//! It needs the command `hq` on the path, or HyperQueue's Python package, and some minutes, so it runs only
+//! on request:
 //!
 //! ```text
 //! pip install hyperqueue
@@ -20,7 +21,7 @@ use std::time::{Duration, Instant};
 
 use many::{Many, workers};
 
-/// A server and two workers. They end with it.
+/// A server and two workers, which are ended when this value is dropped.
 struct HyperQueue {
     path: String,
     server: PathBuf,
@@ -28,14 +29,15 @@ struct HyperQueue {
 }
 
 impl HyperQueue {
-    /// Starts one; says so where it is not asked for or not there.
+    /// Starts one, or prints the reason if it is not requested or not installed.
     fn asked(folder: &Path) -> Option<Self> {
         Self::start(folder)
             .inspect_err(|reason| println!("SKIPPED, nothing was tested with a real HyperQueue: {reason}"))
             .ok()
     }
 
-    /// Starts one with its files below `folder`; why not, where it is not asked for or not there.
+    /// Starts one with its files below `folder`; the error is the reason if it is not requested or not
+    /// installed.
     fn start(folder: &Path) -> Result<Self, String> {
         if std::env::var_os("USE3D_HQ").is_none() {
             return Err("set USE3D_HQ=1 to run it".to_string());
@@ -74,7 +76,7 @@ impl HyperQueue {
         let stdout = child.stdout.take().expect("its stdout");
         this.running.push(child);
         let (told, ready) = std::sync::mpsc::channel();
-        // Read to its end, so that the server never writes into a closed pipe.
+        // The output is read to its end, so that the server never writes into a closed pipe.
         std::thread::spawn(move || {
             BufReader::new(stdout).lines().map_while(Result::ok).filter(|line| line == "ready").for_each(
                 |_| {
@@ -86,7 +88,7 @@ impl HyperQueue {
         Ok(this)
     }
 
-    /// A command that sees this HyperQueue.
+    /// A command with the environment of this HyperQueue.
     fn with(&self, mut command: Command) -> Command {
         command.env("HQ_SERVER_DIR", &self.server).env("PATH", &self.path);
         command
@@ -113,7 +115,8 @@ impl Drop for HyperQueue {
     }
 }
 
-/// Submits what is missing; the command's exit code, what it said, and the job's number where there is one.
+/// Submits the missing stages; returns the command's exit code, its output, and the job's number if there is
+/// one.
 fn submit(
     hyperqueue: &HyperQueue,
     many: &Many,
@@ -137,8 +140,8 @@ fn write_site(many: &Many) {
     fs::write(many.at("cluster.toml"), site).expect("written");
 }
 
-/// One scene fails for good: the others are delivered all the same, and it is said how to get there where a
-/// job of HyperQueue cannot.
+/// One scene fails for good: the others are delivered all the same, and the output names the command for it
+/// where a job of HyperQueue cannot deliver.
 #[test]
 fn a_scene_that_cannot_be_done_keeps_the_others_from_nothing() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -147,7 +150,7 @@ fn a_scene_that_cannot_be_done_keeps_the_others_from_nothing() {
     write_site(&many);
     let images = many.at("s2/images");
     for image in fs::read_dir(images).expect("images").flatten() {
-        // Its beginning, which plans look at, is right.
+        // The beginning of the file, which plans read, is intact.
         let bytes = fs::read(image.path()).expect("an image");
         fs::write(image.path(), &bytes[..bytes.len() / 2]).expect("damaged");
     }
@@ -155,7 +158,7 @@ fn a_scene_that_cannot_be_done_keeps_the_others_from_nothing() {
         let out = format!("out-{layout}");
         let (code, text, id) = submit(&hyperqueue, &many, layout, layout);
         assert_eq!(code, Some(0), "{text}");
-        // Beside a job that is not over nothing is submitted.
+        // Nothing is submitted while a job is not finished.
         let (code, again, _) = submit(&hyperqueue, &many, layout, layout);
         assert!(code == Some(2) && again.contains("still in the queue"), "{again}");
         let id = id.expect("a number");
@@ -185,7 +188,7 @@ fn a_batch_through_a_real_hyperqueue_ends_like_a_run_of_one_process() {
     write_site(&many);
     for layout in ["workers", "stages"] {
         let (start, mut rounds, mut kills) = (Instant::now(), 0, 0);
-        // Again, until there is nothing to submit: what was killed is repaired by the same command.
+        // Repeated until there is nothing to submit: the same command repairs killed work.
         loop {
             rounds += 1;
             let (code, text, id) = submit(&hyperqueue, &many, layout, layout);
@@ -203,7 +206,7 @@ fn a_batch_through_a_real_hyperqueue_ends_like_a_run_of_one_process() {
                 assert!(start.elapsed() < Duration::from_secs(3600), "{layout}: it does not end");
                 std::thread::sleep(Duration::from_millis(500));
                 let running = workers(&many.at(layout).to_string_lossy());
-                // Early enough that there is one, and whichever there is.
+                // Early enough that a worker exists; any worker may be chosen.
                 if let Some(pid) =
                     running.get(looks % running.len().max(1)).filter(|_| looks % 4 == 0 && kills < 4)
                 {

@@ -1,4 +1,4 @@
-//! How much memory `evaluate --images` takes, by the format of the files.
+//! Measures the memory that `evaluate --images` takes, for each file format.
 #![cfg(target_os = "linux")]
 
 use std::path::Path;
@@ -10,7 +10,7 @@ use use3d_io_image::{ImageError, write_exr, write_png, write_png16};
 
 const SIZE: (usize, usize) = (2400, 1600);
 
-/// The most memory the process ever held so far, bytes; `None` once it is gone.
+/// The most memory that the process has held so far, in bytes; `None` after its end.
 fn peak(process: u32) -> Option<u64> {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
     let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
@@ -34,7 +34,7 @@ fn scored(images: &Path, reference: &Path) -> u64 {
     }
 }
 
-/// Bands of colour, slightly another picture for another shift.
+/// Bands of colour; another shift gives a slightly different picture.
 fn picture((width, height): (usize, usize), shift: usize) -> Image {
     let mut image = Image::new(width, height);
     for c in 0..3 {
@@ -68,9 +68,9 @@ fn two_pictures_and_what_decoding_one_takes_are_all_there_is() {
         let taken = made(kind, extension, SIZE, write).saturating_sub(alone);
         let per_pixel = taken as f64 / (SIZE.0 * SIZE.1) as f64;
         println!("{kind}: {per_pixel:.1} bytes a pixel");
-        // What the command asks for beforehand is 40: two pictures, and four floats.
+        // The command's own estimate is 40: two pictures, and four floats.
         assert!(per_pixel < most, "{kind}: {per_pixel} bytes a pixel");
-        // The two pictures at least, or nothing was measured.
+        // At least the two pictures, or nothing was measured.
         assert!(per_pixel > 23.0, "{kind}: {per_pixel} bytes a pixel");
     }
 }

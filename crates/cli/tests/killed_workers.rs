@@ -1,10 +1,10 @@
-//! Workers that share a cache, killed at random moments and begun anew: whatever they are at, nothing is
-//! lost, and the end is that of one process left in peace, to the byte.
+//! Workers that share a cache are killed at random moments and started again: whenever that happens, nothing
+//! is lost, and the result is that of one undisturbed process, to the byte.
 //!
-//! Where `kills` aims at stages one after the other, this hits what several processes do to one another:
-//! leases whose holder is gone, work put back and taken up, names published twice, results delivered by
-//! two. Only kills of a worker that held a lease count, so each of them cut off a stage. A few in the
-//! normal run; for many, and the figures:
+//! While `kills` aims at stages one after the other, this test aims at interactions of several processes:
+//! leases of ended holders, work put back and taken again, names published twice, results delivered by two.
+//! Only kills of a worker that held a lease count, so each of them interrupted a stage. The normal run has a
+//! few; for many, and the figures:
 //!
 //! ```text
 //! USE3D_KILLS=1000 cargo test -p use3d --test killed_workers -- --nocapture
@@ -21,13 +21,12 @@ use std::time::{Duration, Instant};
 use many::Many;
 use tiny::files;
 
-/// Workers at once.
+/// Number of workers at the same time.
 const WORKERS: usize = 3;
-/// The longest that they are left alone between two kills, as a share of what one process
-/// takes for everything: so that they get on, and every stage comes under the knife, on
-/// quick machines and on slow ones.
+/// The longest time between two kills, as a share of the time that one process takes for everything. With it
+/// the workers make progress, and every stage is hit, on quick machines and on slow ones.
 const PEACE: u32 = 24;
-/// Kills after which a cache is brought to its end and compared.
+/// Number of kills after which the runs on a cache may finish and are compared.
 const CAMPAIGN: usize = 50;
 
 /// Marsaglia's xorshift: the same moments in every run, as far as the clock allows.
@@ -42,14 +41,14 @@ impl Random {
     }
 }
 
-/// A cache that workers are killed on, and what is to come out of it.
+/// A cache on which workers are killed, and the expected results.
 struct Target<'m> {
     many: &'m Many,
     cache: String,
     whole: &'m BTreeMap<PathBuf, Vec<u8>>,
     scores: &'m BTreeMap<PathBuf, Vec<u8>>,
     peace: Duration,
-    /// Files of artifacts that are there before the first kill: a campaign that always began at nothing
+    /// Number of artifact files that exist before the first kill: a campaign that always began with nothing
     /// would spend its kills on the first stages.
     from: usize,
 }
@@ -61,7 +60,7 @@ impl Target<'_> {
 
     fn worker(&self) -> Child {
         let mut command = self.many.command(&["-q", "run"], &self.cache);
-        // A checkpoint after every step: wherever a training is cut off, it goes on from inside.
+        // A checkpoint after every step: a training that is interrupted anywhere resumes from the middle.
         command.args(["--set", "reconstruct.checkpoint_steps=1", "--set", "enhance.checkpoint_every=1"]);
         command.args(["--threads", "1", "--out"]).arg(self.many.at(&self.out()));
         command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the command starts")
@@ -71,13 +70,13 @@ impl Target<'_> {
         files(&self.many.at(&self.cache).join("v1/leases"))
     }
 
-    /// The stage that a process computes now; none while it only looks or waits.
+    /// The stage that a process computes now; `None` while it only checks or waits.
     fn works_at(&self, pid: u32) -> Option<String> {
         let holder = |bytes: &[u8]| {
             let line = bytes.split(|b| *b == b'\n').next()?;
             serde_json::from_slice::<serde_json::Value>(line).ok()?["process"]["pid"].as_u64()
         };
-        // A lease is called like its artifact, which lies in its stage's folder.
+        // A lease has the name of its artifact, which lies in its stage's folder.
         let stage = |lease: &Path| {
             let artifact = self.whole.keys().find(|path| path.iter().nth(1) == Some(lease.as_os_str()))?;
             Some(artifact.iter().next()?.to_string_lossy().into_owned())
@@ -86,8 +85,8 @@ impl Target<'_> {
         own.filter_map(|(path, _)| stage(&path)).next()
     }
 
-    /// Kills workers, one after the other, until one of them comes to the end of everything; then all do.
-    /// Every artifact that is there at any time is what it is to be.
+    /// Kills workers one after the other until one of them finishes everything; then all may finish. Every
+    /// artifact that exists at any time must have the expected bytes.
     fn campaign(&self, random: &mut Random, kills: &mut BTreeMap<String, usize>, enough: usize) {
         let mut workers: Vec<Child> = (0..WORKERS).map(|_| self.worker()).collect();
         let total = |kills: &BTreeMap<String, usize>| kills.values().sum::<usize>();
@@ -148,7 +147,7 @@ fn workers_that_are_killed_at_random_lose_nothing() {
     let (mut random, mut kills) = (Random(0x2545_f491_4f6c_dd1d), BTreeMap::new());
     let (started, mut campaigns) = (Instant::now(), 0);
     while kills.values().sum::<usize>() < enough {
-        // One is enough for a few but on a machine so busy that the moments are missed.
+        // One campaign is enough for a few kills, except on a machine so busy that the moments are missed.
         assert!(campaigns < 10 + enough, "too few kills: {kills:?}");
         let cache = format!("cut{campaigns}");
         let from = if campaigns == 0 { 0 } else { random.below(whole.len() as u64) as usize };

@@ -1,9 +1,8 @@
-//! The real stages, killed again and again: what is left is whole at every moment, trainings go on from
-//! inside, and the end is that of an undisturbed run to the byte.
+//! The real stages are killed again and again: the files left are complete at every moment, trainings resume
+//! from the middle, and the result is that of an undisturbed run, to the byte.
 //!
-//! Kills are aimed at stages, by watching which log and which checkpoint appear, so that every
-//! stage comes under the knife on slow machines and quick ones. A few of each in the normal
-//! run; for many, and the figures:
+//! The test aims its kills at stages, by checking which logs and checkpoints appear, so that every stage is
+//! hit on slow machines and quick ones. The normal run has a few of each; for many, and the figures:
 //!
 //! ```text
 //! USE3D_KILLS=100 cargo test -p use3d --test kills -- --nocapture
@@ -21,7 +20,7 @@ use tiny::{Place, files};
 const STAGES: [&str; 9] =
     ["import", "pairs", "calibrate", "reconstruct", "targets", "enhance", "render", "evaluate", "report"];
 const TRAININGS: [&str; 2] = ["reconstruct", "enhance"];
-/// Steps of each training, and a checkpoint after every one.
+/// Steps of each training, with a checkpoint after every step.
 const STEPS: u64 = 80;
 const OFTEN: [&str; 4] = [
     "reconstruct.iterations=80",
@@ -45,11 +44,11 @@ impl Random {
 #[derive(Debug, Default)]
 struct Tally {
     kills: BTreeMap<&'static str, usize>,
-    /// How often a training went on from one of its own steps.
+    /// Number of times that a training resumed from one of its own steps.
     inside: BTreeMap<&'static str, usize>,
 }
 
-/// A cache that runs are killed on.
+/// A cache on which runs are killed.
 struct Target<'p> {
     place: &'p Place,
     cache: String,
@@ -94,23 +93,23 @@ impl Target<'_> {
         std::fs::read_dir(self.below("artifacts").join(stage)).is_ok_and(|mut list| list.next().is_some())
     }
 
-    /// Everything in artifacts but their manifests, which tell times and hosts.
+    /// All files of artifacts except their manifests, which contain times and hosts.
     fn artifacts(&self) -> BTreeMap<PathBuf, Vec<u8>> {
         let mut all = files(&self.below("artifacts"));
         all.retain(|path, _| !path.ends_with("manifest.json"));
         all
     }
 
-    /// What was delivered of the scene.
+    /// The delivered results of the scene.
     fn results(&self) -> BTreeMap<PathBuf, Vec<u8>> {
         let mut all = files(&Path::new(&self.place.at(&self.out())).join("tiny"));
         all.retain(|path, _| !path.ends_with("manifest.json"));
         all
     }
 
-    /// Starts a run and kills it in the first stage that is still to be killed in, a training
-    /// after another step of it is safe; false where it came to its end. Stages are caught as they
-    /// come: their order is the engine's.
+    /// Starts a run and kills it in the first stage that still needs kills; a training is killed after the
+    /// checkpoint of another step. Returns false if the run finished. Stages are caught in any order, which
+    /// the engine chooses.
     fn kill_once(
         &self,
         left: &mut BTreeMap<&'static str, usize>,
@@ -153,7 +152,7 @@ impl Target<'_> {
     }
 }
 
-/// Kills a run again and again, `trainings` and `others` times in each stage, then lets it end.
+/// Kills a run again and again, `trainings` and `others` times in each stage, then lets it finish.
 fn campaign(
     target: &Target<'_>,
     (trainings, others): (usize, usize),
@@ -199,7 +198,7 @@ fn killed_at_any_moment_the_artifacts_are_those_of_an_undisturbed_run() {
         tally.kills.values().sum::<usize>() >= kills
             && TRAININGS.iter().all(|t| tally.inside.get(t).is_some_and(|n| *n >= inside))
     };
-    // One is enough but on a machine so busy that the moments are missed.
+    // One campaign is enough, except on a machine so busy that the moments are missed.
     while !enough(&tally) {
         assert!(campaigns < 3 + kills / 5, "too few kills: {tally:?}");
         let often = if many.is_some() { (5, 2) } else { (3, 1) };
@@ -238,7 +237,7 @@ fn runs_of_two_lengths_with_one_cache_and_one_folder_for_results_end_both() {
         (target.artifacts(), target.checkpoints("reconstruct").len(), target.results())
     };
     let (found, checkpoints, delivered) = ends([40, 45], "shared");
-    // Both delivered into one folder: one of the two scenes is there, whole.
+    // Both delivered into one folder: it holds one of the two scenes, complete.
     let scenes: BTreeSet<&Path> = found
         .keys()
         .filter(|path| path.starts_with("reconstruct"))
@@ -253,7 +252,7 @@ fn runs_of_two_lengths_with_one_cache_and_one_folder_for_results_end_both() {
     };
     assert_eq!(scenes.iter().filter(is_delivered).count(), 1, "{:?}", delivered.keys());
     assert_eq!(checkpoints, 2, "each keeps its last");
-    // One after the other, the same.
+    // One run after the other gives the same.
     let target = Target { place: &place, cache: "alone".to_string() };
     for n in ["reconstruct.iterations=45", "reconstruct.iterations=40"] {
         let output = target

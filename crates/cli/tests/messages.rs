@@ -1,5 +1,5 @@
-//! What the command says when something is wrong, and how it ends: bounds, closed pipes, signals, wrong
-//! folders. Every case takes a second or two; what trains does five steps.
+//! Tests of the command's error messages and exit codes: limits, closed pipes, signals, wrong folders. Every
+//! case takes a second or two; trainings do five steps.
 
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
@@ -22,7 +22,7 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// Runs each case and asks its exit code and, of what it says on stderr, every given part.
+/// Runs each case and checks its exit code and that stderr contains every given part.
 fn check(cases: &[(&[&str], i32, &[&str])]) {
     for (arguments, code, parts) in cases {
         let output = use3d(arguments);
@@ -57,7 +57,7 @@ fn a_closed_pipe_ends_quietly_and_a_full_disk_does_not() {
         let output = command(arguments).stdout(writer).stderr(Stdio::piped()).output().unwrap();
         assert_eq!((output.status.code(), text(&output.stderr)), (Some(0), String::new()), "{arguments:?}");
     }
-    // Nothing to say it to, nothing to panic about.
+    // Without a reader of its messages, the command must not panic.
     let (reader, writer) = std::io::pipe().unwrap();
     drop(reader);
     let output = command(&["export", "nowhere", "--ply", "x.ply"]).stderr(writer).output().unwrap();
@@ -72,7 +72,7 @@ fn a_closed_pipe_ends_quietly_and_a_full_disk_does_not() {
     }
 }
 
-/// Starts a long command, sends it a signal once `begun` holds, and gives its exit code.
+/// Starts a long command, sends it a signal once `begun` returns true, and returns its exit code.
 #[cfg(unix)]
 fn interrupted(arguments: &[&str], signal: &str, begun: impl Fn() -> bool) -> Option<i32> {
     let mut child = command(arguments).stderr(Stdio::null()).stdout(Stdio::null()).spawn().unwrap();
@@ -82,7 +82,7 @@ fn interrupted(arguments: &[&str], signal: &str, begun: impl Fn() -> bool) -> Op
     }
     let sent = Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
     assert!(sent.success());
-    // A signal that is not heard fails the test and does not hang it.
+    // An ignored signal makes the test fail instead of hang.
     for _ in 0..6000 {
         if let Some(status) = child.try_wait().unwrap() {
             return status.code();
@@ -93,7 +93,7 @@ fn interrupted(arguments: &[&str], signal: &str, begun: impl Fn() -> bool) -> Op
     child.wait().unwrap().code()
 }
 
-/// Whether this process, and so what it starts, ignores hang-ups, as under `nohup`.
+/// Returns true if this process, and so its child processes, ignores hang-ups, as under `nohup`.
 #[cfg(unix)]
 fn ignores_hang_ups() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
@@ -164,7 +164,7 @@ fn a_stage_that_fails_by_hand_exits_with_1_and_bad_input_with_2() {
     let dir = tempfile::tempdir().unwrap();
     let reef = capture(dir.path());
     let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
-    // The capture is right, the training diverges.
+    // The capture is right, but the training diverges.
     let mut arguments = vec!["-q", "reconstruct", &reef, "--out"];
     let failed = at("failed");
     arguments.extend([failed.as_str(), "--set", "iterations=3", "--set", "random_points=200"]);
@@ -199,7 +199,7 @@ fn settings_are_explained() {
     piped("reconstruct.anchors=100000", &["`anchors` is 100000; expected 1 to 4096"]);
     piped("reconstruct.iterations=many", &["expected a whole number, 0 or more, found \"many\""]);
     piped("calibrate.trust=5", &["`trust` is 5; expected 0 to 1"]);
-    // Before a single picture is rendered.
+    // The error comes before a single picture is rendered.
     let demo = dir.path().join("demo").to_str().unwrap().to_string();
     check(&[(&["demo", "--out", &demo, "--set", "iterations=100"], 2, &["`reconstruct.iterations`"])]);
     assert!(!Path::new(&demo).exists());
@@ -223,7 +223,7 @@ fn what_is_no_capture_is_said_with_the_next_step() {
     ]);
 }
 
-/// A path that a pipeline file names is printed, and may hold anything.
+/// A pipeline file's path is printed, and may contain any character.
 #[test]
 fn a_plan_prints_no_character_that_commands_the_terminal() {
     let dir = tempfile::tempdir().unwrap();
@@ -264,7 +264,7 @@ fn parameters_completions_and_man_pages_can_be_had() {
     assert!(["rbf", "mlp", "none"].iter().all(|m| medium["kind"].as_str().unwrap().contains(m)), "{medium}");
     assert_eq!(medium["default"], "rbf");
     check(&[(&["params", "reconstuct"], 2, &["did you mean `reconstruct`"])]);
-    // No parameter without a word about it.
+    // Every parameter has a description.
     let json: serde_json::Value = serde_json::from_slice(&use3d(&["params", "--json"]).stdout).unwrap();
     for stage in json.as_array().unwrap() {
         for parameter in stage["parameters"].as_array().unwrap() {
@@ -276,7 +276,8 @@ fn parameters_completions_and_man_pages_can_be_had() {
     let out = dir.path().join("man");
     check(&[(&["man", "--out", out.to_str().unwrap()], 0, &["use3d.1"])]);
     assert!(std::fs::read_to_string(out.join("use3d.1")).unwrap().contains("use3d"));
-    // The same pages again are nothing to replace; a page that differs is, and no page goes through a link.
+    // Writing the same pages again needs no permission; a page that differs does, and no page is written
+    // through a link.
     let man = |more: &[&str]| {
         let mut command = vec!["man", "--out", out.to_str().unwrap()];
         command.extend(more);
@@ -337,7 +338,7 @@ fn a_scene_is_not_scored_on_what_it_was_trained_with_nor_on_another_capture() {
         (&["evaluate", &most, &reef], 2, &["was trained with", "--set split.every=N"]),
         (&["-q", "evaluate", &most, &reef, "--set", "split.every=5"], 0, &[]),
     ]);
-    // The same swim under other names is another capture.
+    // The same swim with other file names is another capture.
     let other = at("other");
     std::fs::rename(&reef, &other).unwrap();
     let model = Path::new(&other).join("sparse/0/images.bin");

@@ -1,11 +1,11 @@
-//! Inputs that a user names: found, or said to be missing before anything is
-//! computed. Nothing takes their place.
+//! Tests of inputs that a user names: they are found, or reported missing before anything is computed. They
+//! are never replaced by a default.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Runs the command in `dir` without the variables that name data, and expects an exit
-/// code; gives stdout and stderr.
+/// Runs the command in `dir` without the variables that name data, expects an exit code, and returns stdout
+/// and stderr.
 fn expect(code: i32, dir: &Path, arguments: &[&str]) -> (String, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_use3d"));
     command.args(arguments).current_dir(dir);
@@ -46,7 +46,7 @@ fn the_plan_of_every_shipped_pipeline_names_the_pairs_that_are_missing() {
         if cfg!(not(feature = "nets")) {
             continue;
         }
-        // Each thing once, with its file, where it is published, and what does without.
+        // Each missing file is listed once, with its name, its source, and the setting that avoids it.
         for (what, file, without) in [
             ("Nu2Net", "uie_proposer.pth", "--set targets.proposer=fusion"),
             ("Depth Anything V2", "depth_anything_v2_vitl.pth", "--set reconstruct.depth_prior=off"),
@@ -82,7 +82,7 @@ fn a_mistyped_folder_fails_the_run_and_is_said_by_the_plan() {
     let plan = ["plan", capture, "--cache", "cache"];
     let (_, err) = expect(2, dir.path(), &[&plan[..], &pairs].concat());
     assert!(err.contains("absent does not exist, named by --pairs"), "{err}");
-    // Two folders without a pair, settings that do not go together, truth that cannot be read.
+    // Two folders without a pair, settings that conflict, truth that cannot be read.
     std::fs::create_dir_all(dir.path().join("a")).expect("folder");
     let (_, err) = expect(2, dir.path(), &[&plan[..], &["--pairs", "a", "a"]].concat());
     assert!(err.contains("0 files of a have a counterpart"), "{err}");

@@ -1,5 +1,5 @@
-//! Nobody's files are lost and nothing is written where it should not be: hostile names, folders
-//! of others, results of our own.
+//! Tests that no file of the user is lost and that nothing is written outside the given folders: hostile
+//! names, folders of other programs, results of this program.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use use3d_synth::{CaptureParams, write_capture};
 
-/// A folder to try things in; commands run there.
+/// A temporary folder, in which the commands run.
 struct Place(tempfile::TempDir);
 
 impl Place {
@@ -29,7 +29,7 @@ impl Place {
         String::from_utf8_lossy(&std::fs::read(self.at(name)).unwrap_or_default()).into_owned()
     }
 
-    /// A capture of a few tiny views.
+    /// Makes a capture of a few tiny views.
     fn capture(&self, name: &str) {
         let params = CaptureParams {
             views: 4,
@@ -49,14 +49,14 @@ impl Place {
         command
     }
 
-    /// Runs and expects an exit code; gives what was said.
+    /// Runs the command, expects an exit code, and returns its output.
     fn expect(&self, code: i32, arguments: &[&str]) -> String {
         let (found, said) = self.run(arguments);
         assert_eq!(found, Some(code), "use3d {arguments:?}\n{said}");
         said
     }
 
-    /// Runs and expects a complaint.
+    /// Runs the command, expects an error, and returns its output.
     fn refused(&self, arguments: &[&str]) -> String {
         let (found, said) = self.run(arguments);
         assert!(matches!(found, Some(1 | 2)), "use3d {arguments:?}\n{said}");
@@ -70,7 +70,7 @@ impl Place {
         (status.code(), said)
     }
 
-    /// Everything below the folder, with its bytes; links as what they point to by name.
+    /// Everything below the folder, with its bytes; links with the path that they point to.
     fn all(&self) -> Vec<(PathBuf, Vec<u8>)> {
         let mut all = Vec::new();
         let mut open = vec![self.0.path().to_path_buf()];
@@ -102,7 +102,7 @@ fn scene() -> String {
     text(&use3d_golden::root().join("scene-mini/scene"))
 }
 
-/// A list of one camera per name.
+/// A list with one camera for each name.
 fn cameras(names: &[&str]) -> String {
     let camera = |name: &&str| {
         serde_json::json!({"name": name, "width": 16, "height": 12, "fx": 15, "fy": 15, "cx": 8, "cy": 6,
@@ -117,7 +117,7 @@ fn a_prepared_capture_of_somebody_else_writes_nowhere_but_in_the_result() {
     place.capture("cap");
     place.expect(0, &["-q", "import", "cap", "--out", "prepared"]);
     place.write("home/.profile", "good");
-    // The second view's result would be `<name>.profile`: a picture first, then any bytes.
+    // The second view's result would be `<name>.profile`; its file is a picture followed by other bytes.
     let mut forged: serde_json::Value =
         serde_json::from_str(&place.read("prepared/capture.json")).expect("JSON");
     let image = forged["views"][1]["image"].as_str().expect("a name").to_string();
@@ -213,7 +213,7 @@ fn pictures_films_and_splats_replace_only_what_is_meant() {
         ("pipe.ply", "regular"),
     ] {
         if place.at(ply).symlink_metadata().is_err() && !["-", "a.splat"].contains(&ply) {
-            continue; // where there are no links
+            continue; // systems without links
         }
         let said = export(2, ply, true);
         assert!(said.contains(why), "{said}");
@@ -225,7 +225,7 @@ fn pictures_films_and_splats_replace_only_what_is_meant() {
 fn folders_of_others_are_refused_and_our_own_are_replaced_when_meant() {
     let place = Place::new();
     place.capture("cap");
-    // Other programs call files so too.
+    // Other programs use these file names too.
     for file in ["scene.json", "capture.json", "scores.json"] {
         place.write(&format!("project/{file}"), "{}");
     }
@@ -260,7 +260,7 @@ fn folders_of_others_are_refused_and_our_own_are_replaced_when_meant() {
     assert_eq!(place.read("my scene/notes.txt"), "mine");
     let old = before.iter().find(|(path, _)| path.ends_with("gaussians.ply")).expect("a scene");
     assert_ne!(std::fs::read(&old.0).expect("a scene"), old.1, "not replaced");
-    // What was edited is the user's.
+    // An edited file belongs to the user.
     place.write("my scene/evaluation.json", "edited");
     assert!(make(2, "iterations=2", Some("--force")).contains("evaluation.json"));
     assert_eq!(place.read("my scene/evaluation.json"), "edited");
@@ -276,7 +276,7 @@ fn a_run_replaces_its_own_results_and_refuses_what_others_put_there() {
             ["run", "dl/cap", "--cache", "cache", "--out", out, "--until", "reconstruct", "--set", steps];
         place.expect(code, &arguments)
     };
-    // Results would go into the capture's own folder, where somebody keeps a scene of another program.
+    // Results would go into the capture's own folder, in which the user keeps a scene of another program.
     place.write("dl/cap/scene/reef.blend", "mine");
     let before = place.all();
     let said = run(2, "reconstruct.iterations=2");
@@ -301,7 +301,7 @@ fn a_place_that_cannot_be_written_is_named_before_anything_is_computed() {
     let place = Place::new();
     place.capture("cap");
     place.write("file", "mine");
-    // A folder below a file can be made by nobody, not even by root.
+    // Nobody, not even root, can create a folder below a file.
     for arguments in [
         &["run", "cap", "--cache", "cache", "--out", "file/out"][..],
         &["import", "cap", "--out", "file/out/prepared"],
@@ -326,7 +326,7 @@ fn a_disk_that_fills_while_results_are_written_is_no_wrong_request() {
     let run = |out| ["run", "cap", "--cache", "cache", "--out", out, "--until", "reconstruct"];
     let quick = ["--set", "reconstruct.iterations=2"];
     place.expect(0, &[&run("whole")[..], &quick].concat());
-    // Files may be 16 kB, as if there were room for no more: every scene here is larger.
+    // Files may have 16 kB, as on a full disk: every scene here is larger.
     let cramped = |arguments: &[&str]| {
         let mut shell = Command::new("sh");
         shell.args(["-c", "ulimit -f 32; trap '' XFSZ; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_use3d")]);
@@ -386,7 +386,7 @@ fn a_changed_parameter_leaves_the_checkpoint_of_an_interrupted_training() {
         .stderr(Stdio::null())
         .spawn()
         .expect("the command starts");
-    // Wherever below the hidden folder it lies.
+    // The checkpoint may be at any depth below the hidden folder.
     let find = || {
         let mut open = vec![place.at(".scene.checkpoints")];
         while let Some(folder) = open.pop() {

@@ -1,5 +1,5 @@
-//! The paper's pipelines with stand-ins for what nobody here has: 26 tiny scenes, weights of the right shapes,
-//! a few pairs. What was changed of the paper is said wherever a number stands.
+//! Runs the paper's pipelines with stand-ins for data that are not available here: 26 tiny scenes, weights of
+//! the right shapes, a few pairs. The changes to the paper's settings must be printed beside every number.
 #![cfg(feature = "nets")]
 
 use std::path::Path;
@@ -23,7 +23,7 @@ fn expect(code: i32, dir: &Path, arguments: &[&str]) -> String {
     said
 }
 
-/// The names of the paper's scenes, where the pipelines look for them.
+/// The names of the paper's scenes, with the folders in which the pipelines expect them.
 fn scenes() -> Vec<String> {
     let seathru = ["IUI3-RedSea", "Curasao", "JapaneseGradens-RedSea", "Panama"];
     let mut all: Vec<String> = seathru.iter().map(|name| format!("seathru/{name}")).collect();
@@ -58,7 +58,7 @@ fn place(scenes: &[String]) -> tempfile::TempDir {
     dir
 }
 
-/// Settings that make it a matter of seconds and do without weights that are too large to stand in for.
+/// Settings that make it take seconds and avoid weights that are too large for stand-ins.
 const TINY: [&str; 7] = [
     "import.size=48x32",
     "reconstruct.iterations=12",
@@ -88,7 +88,7 @@ fn the_26_scenes_run_from_end_to_end_and_every_row_says_what_made_it() {
     let mut run = vec!["-q", "run", &file, "--models", "models", "--out", "out"];
     TINY.iter().for_each(|set| run.extend(["--set", set]));
     let said = expect(0, at, &run);
-    // Pairs and calibrator once, seven stages less the report for each scene, one report.
+    // Pairs and calibrator once, seven stages except the report for each scene, one report.
     assert!(said.contains(&format!("use26: {} done", 2 + 26 * 6 + 1)), "{said}");
     let told = [
         "preset paper, changed: ",
@@ -110,7 +110,7 @@ fn the_26_scenes_run_from_end_to_end_and_every_row_says_what_made_it() {
     for text in [first_screen, &enhancement[0], &enhancement[1], &enhancement[2]] {
         let plain = text.replace("&#39;", "'");
         for word in &told {
-            // Values that differ between the 26 scenes are counted.
+            // For values that differ between the 26 scenes, the page shows counts.
             assert!(plain.contains(word) || word.contains("held out, counted"), "{word}: {plain}");
         }
         assert!(plain.contains("changed: "), "{plain}");
@@ -122,7 +122,7 @@ fn the_26_scenes_run_from_end_to_end_and_every_row_says_what_made_it() {
     assert!(configuration["split"].as_str().expect("text").starts_with(told[9]), "{configuration}");
     assert!(configuration["changed"].as_array().expect("a list").len() >= TINY.len() - 1, "{configuration}");
     assert!(!page.contains("(published)") && !enhancement[0].contains("(published)"));
-    // All of it again is nothing to do.
+    // A second run has nothing to do.
     assert!(expect(0, at, &run).contains("use26: 0 done"));
 }
 

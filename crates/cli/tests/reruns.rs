@@ -1,4 +1,4 @@
-//! The real stages on a tiny capture: what reruns after each change, and what does not.
+//! Tests with the real stages on a tiny capture that each change reruns the expected stages and no others.
 
 mod tiny;
 
@@ -21,11 +21,11 @@ fn without_pairs_proposals_stay_as_they_are() {
         |path: &Path| path.iter().any(|part| part == "calibrate") && path.ends_with("report.json");
     let (_, report) = cache.iter().find(|(path, _)| of_calibrate(path)).expect("the calibrator's report");
     let report: serde_json::Value = serde_json::from_slice(report).expect("JSON");
-    // Nothing is fitted that would be thrown away; the pairs give the scales.
+    // There is no fit whose result would not be used; the pairs give the scales.
     assert_eq!((report["steps"].as_u64(), report["pairs"].as_u64()), (Some(0), Some(8)), "{report}");
     assert!(report["held_out"].is_null(), "{report}");
 
-    // A sample of this cache needs the settings of the run; nothing looked at is no success.
+    // A sample of this cache needs the settings of the run; a sample that checked nothing is no success.
     let verify = |more: &[&str]| {
         let mut verify = command();
         verify
@@ -79,7 +79,7 @@ fn a_change_reruns_its_stage_and_what_reads_the_changed_output() {
         assert!(place.computed(&[change]).is_empty(), "{change}, again");
     }
 
-    // Touched files, another place, another number of threads: nothing runs.
+    // After touched files, another folder or another number of threads, nothing runs.
     let images = place.dir.path().join("tiny/images");
     for entry in std::fs::read_dir(&images).expect("images").flatten() {
         let bytes = std::fs::read(entry.path()).expect("an image");

@@ -1,7 +1,7 @@
-//! A batch of real scenes, one of them broken: the results of a scene are there as soon as it is finished,
-//! and neither a kill nor another scene's failure takes them away.
+//! Runs a batch of real scenes, one of them broken: the results of a scene exist as soon as it is finished,
+//! and neither a kill nor another scene's failure removes them.
 //!
-//! Three scenes in the normal run; a whole benchmark of tiny ones with
+//! The normal run has three scenes; a whole benchmark of tiny ones:
 //!
 //! ```text
 //! USE3D_SCENES=26 cargo test -p use3d --test scenes -- --nocapture
@@ -58,7 +58,7 @@ impl Batch {
         command
     }
 
-    /// What a run became: its exit code, and how many stages of each scene were computed.
+    /// The result of a run: its exit code, and the number of computed stages of each scene.
     fn summary(&self, extra: &[&str]) -> (Option<i32>, BTreeMap<String, usize>) {
         let output = self.run(extra).arg("--json").output().expect("the command starts");
         let text = String::from_utf8_lossy(&output.stdout);
@@ -71,7 +71,7 @@ impl Batch {
         (output.status.code(), done)
     }
 
-    /// What was delivered of a scene.
+    /// The delivered results of a scene.
     fn results(&self, scene: &str) -> BTreeMap<PathBuf, Vec<u8>> {
         files(&self.at("out").join(scene))
     }
@@ -89,7 +89,7 @@ fn a_scene_is_delivered_when_it_is_finished_whatever_becomes_of_the_others() {
     let good = std::fs::read(&image).expect("an image");
     std::fs::write(&image, b"no picture").expect("written");
 
-    // While others still run, what the first one gave is there. Then the power fails.
+    // While others still run, the results of the first one exist. Then the process is killed.
     let mut child = batch
         .run(&["--keep-going"])
         .stdout(Stdio::null())
@@ -104,7 +104,7 @@ fn a_scene_is_delivered_when_it_is_finished_whatever_becomes_of_the_others() {
     }
     child.kill().expect("killed");
     child.wait().expect("gone");
-    // The scores are the last that is delivered: everything before them is there and stays.
+    // The scores are delivered last: everything before them exists and stays.
     let delivered = batch.results(first);
     assert!(delivered.len() > 10, "{:?}", delivered.keys());
     let stays = |when: &str| {
@@ -130,7 +130,7 @@ fn a_scene_is_delivered_when_it_is_finished_whatever_becomes_of_the_others() {
     let text = table(&batch);
     assert!(scenes.iter().all(|s| text.contains(s.as_str()) == (s != broken)), "{text}");
 
-    // Without --keep-going it ends there, and takes nothing back.
+    // Without --keep-going the run ends there, and removes nothing.
     assert_eq!(batch.summary(&[]).0, Some(1));
     stays("after a run that failed");
 

@@ -1,7 +1,7 @@
-//! A batch through a real Slurm: a controller and two nodes on this machine, workers killed, a node drained,
-//! the controller restarted, a time limit; the bytes are those of a run of one process.
+//! Runs a batch through a real Slurm with a controller and two nodes on this machine, with workers killed, a
+//! node drained, the controller restarted, and a time limit; the bytes are those of a run of one process.
 //!
-//! Needs Slurm and munge, root, and some minutes, so it is asked for:
+//! It needs Slurm and munge, root, and some minutes, so it runs only on request:
 //!
 //! ```text
 //! apt-get install --no-install-recommends slurm-wlm munge
@@ -18,16 +18,16 @@ use std::time::{Duration, Instant};
 
 use many::{Many, workers};
 
-/// How long the queue may take to become empty, before the test gives up.
+/// The longest time to wait for an empty queue.
 const PATIENCE: Duration = Duration::from_secs(3600);
 
-/// A controller and two nodes. Everything they have started ends with them.
+/// A controller and two nodes. All their processes end with this value.
 struct Slurm {
     folder: PathBuf,
     running: Vec<(&'static str, Child)>,
 }
 
-/// Where a program is, also those for administrators.
+/// The path of a program, including programs for administrators.
 fn find(name: &str) -> Option<PathBuf> {
     let path = std::env::var("PATH").unwrap_or_default() + ":/usr/sbin:/sbin";
     path.split(':').map(|folder| PathBuf::from(folder).join(name)).find(|path| path.is_file())
@@ -107,7 +107,7 @@ impl Slurm {
         self.running.push((name, child.unwrap_or_else(|e| panic!("{name}: {e}"))));
     }
 
-    /// A command that sees this Slurm.
+    /// A command with the environment of this Slurm.
     fn with(&self, mut command: Command) -> Command {
         command.env("SLURM_CONF", self.folder.join("slurm.conf"));
         command
@@ -118,7 +118,7 @@ impl Slurm {
         String::from_utf8_lossy(&output.stdout).into_owned()
     }
 
-    /// Ends those of a name as their service would.
+    /// Ends the processes of a name with a signal, like their service would.
     fn end(&mut self, name: &str) {
         for (_, mut child) in self.running.extract_if(.., |(n, _)| *n == name) {
             let told = Command::new("kill").arg(child.id().to_string()).status();
@@ -149,12 +149,12 @@ impl Drop for Slurm {
     }
 }
 
-/// A folder for a Slurm: munged wants every folder above its socket to be its user's alone.
+/// The folder of a Slurm: munged requires that its user owns every folder above its socket.
 fn place(name: &str) -> PathBuf {
     PathBuf::from(format!("/run/use3d-slurm-{}-{name}", std::process::id()))
 }
 
-/// Why the test cannot run here, if it cannot.
+/// The reason why the test cannot run here, if there is one.
 fn refused() -> Option<String> {
     if std::env::var_os("USE3D_SLURM").is_none() {
         return Some("set USE3D_SLURM=1 to run it".to_string());
@@ -165,7 +165,7 @@ fn refused() -> Option<String> {
     })
 }
 
-/// Submits what is missing in a cache; what is said.
+/// Submits the missing stages of a cache; returns the output.
 fn submit(slurm: &Slurm, many: &Many, cache: &str, words: &[&str]) -> String {
     let mut command = slurm.with(many.command(&["submit", "slurm"], cache));
     command.args(["--cluster", "cluster.toml", "--out", &format!("out-{cache}")]).args(words);
@@ -190,7 +190,7 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
     let mut slurm = Slurm::start(root.clone());
     let command = env!("CARGO_BIN_EXE_use3d");
     let mut site = format!("command = \"{command}\"\ncpus = 1\npartition = \"main\"\nat_once = 2\n");
-    // Stages ask for what real scenes need, which is more than these nodes have.
+    // Without these lines stages would request the memory of real scenes, which these nodes do not have.
     for stage in
         ["run", "import", "pairs", "calibrate", "reconstruct", "targets", "enhance", "render", "evaluate"]
     {
@@ -201,7 +201,7 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
         let start = Instant::now();
         let (mut rounds, mut signals, mut kills) = (0, 0, 0);
         let (mut drained, mut restarted) = (false, false);
-        // Again, until there is nothing to submit: what was killed is repaired by the same command.
+        // Repeated until there is nothing to submit: the same command repairs killed work.
         loop {
             rounds += 1;
             let text = submit(&slurm, &many, layout, &["--layout", layout]);
@@ -226,7 +226,8 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
                                 .success(),
                         );
                     }
-                    // As Slurm does shortly before a time limit: a checkpoint, and into the queue again.
+                    // Slurm sends this signal shortly before a time limit: the job writes a checkpoint and
+                    // enters the queue again.
                     let running = || slurm.queue().into_iter().find(|line| line.contains(" RUNNING "));
                     if looks >= 4
                         && signals == 0
@@ -268,8 +269,8 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
     fs::remove_dir_all(root).expect("removed");
 }
 
-/// No signal of the test's: the controller's own, since the job's time is nearly over. What is being computed
-/// leaves a checkpoint, the script has itself queued again, and the next attempt goes on from there.
+/// The test sends no signal: the controller does, because the job's time is nearly over. The training writes
+/// a checkpoint, the script enters the queue again, and the next attempt resumes from there.
 #[test]
 fn what_is_longer_than_its_jobs_limit_goes_on_in_the_next() {
     if let Some(reason) = refused() {
@@ -292,7 +293,7 @@ fn what_is_longer_than_its_jobs_limit_goes_on_in_the_next() {
         let sets = [format!("reconstruct.iterations={steps}"), "reconstruct.checkpoint_steps=20".to_string()];
         sets.into_iter().flat_map(|set| ["--set".to_string(), set]).collect::<Vec<_>>()
     };
-    // As many steps as take this machine about as long as a job may.
+    // Enough steps for about the time limit of a job on this machine.
     let (short, until) = (500, ["--until".to_string(), "reconstruct".to_string()]);
     let speed = short as f64 / alone("short", &[&sets(short)[..], &until].concat()).as_secs_f64();
     let steps = sets((speed * 100.0) as u64);
@@ -300,8 +301,8 @@ fn what_is_longer_than_its_jobs_limit_goes_on_in_the_next() {
     println!("by one process: {} in {:.0} s", steps[1], whole.as_secs_f64());
     let root = place("limit");
     let slurm = Slurm::start(root.clone());
-    // A later option of a script wins: two minutes, of which the last is for leaving. Slurm
-    // may tell half a minute earlier.
+    // A later option of a script wins: two minutes, of which the last is for saving. Slurm may send the
+    // signal half a minute earlier.
     let site = format!(
         "command = \"{}\"\ncpus = 1\npartition = \"main\"\noptions = [\"--time=2\", \"--signal=B:USR1@75\"]\n\
          [stage.run]\nmemory = \"900MB\"\n",

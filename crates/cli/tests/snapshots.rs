@@ -1,6 +1,6 @@
-//! What a user reads, word for word: the help of every verb and the messages that a beginner
-//! meets. `USE3D_UPDATE_SNAPSHOTS=1` writes the files below `snapshots/` anew; the
-//! difference is then read like code.
+//! Snapshots of the user's texts, word for word: the help of every verb and common error messages.
+//! `USE3D_UPDATE_SNAPSHOTS=1` writes the files below `snapshots/` again; the difference is then reviewed like
+//! code.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -18,10 +18,10 @@ fn said(folder: &Path, arguments: &[&str]) -> String {
     format!("$ use3d {}\n{}{}[{code}]\n", arguments.join(" "), text(&output.stdout), text(&output.stderr))
 }
 
-/// Compares with the file of that name.
+/// Compares a text with the file of that name.
 fn check(name: &str, text: &str) {
     let file = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/snapshots").join(format!("{name}.txt"));
-    // Whoever reads the file should see no spaces at the ends of lines.
+    // The file should have no spaces at the ends of lines.
     let text: String = text.lines().map(|line| format!("{}\n", line.trim_end())).collect();
     if std::env::var_os("USE3D_UPDATE_SNAPSHOTS").is_some() {
         std::fs::write(&file, &text).expect("the snapshot can be written");
@@ -43,7 +43,7 @@ fn check(name: &str, text: &str) {
 fn the_help_of_every_verb() {
     let folder = tempfile::tempdir().expect("a folder");
     let top = said(folder.path(), &["--help"]);
-    // Verbs stand in the list of commands behind two spaces; what goes on in the next line stands further in.
+    // Verbs are indented by two spaces in the list of commands; continuation lines are indented further.
     let list = top.split("Commands:\n").nth(1).and_then(|rest| rest.split("\n\n").next()).unwrap_or_default();
     let verbs = list.lines().filter(|line| line.starts_with("  ") && !line.starts_with("   "));
     let verbs: Vec<&str> = verbs.filter_map(|line| line.split_whitespace().next()).collect();

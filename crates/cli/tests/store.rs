@@ -1,5 +1,5 @@
-//! `push`, `pull` and `run --remote` on a folder: results computed in one cache are fetched into another to
-//! the byte, and what is wrong with a store is said.
+//! Tests `push`, `pull` and `run --remote` on a folder: results computed in one cache are fetched into
+//! another to the byte, and problems of a store are reported.
 
 mod many;
 mod tiny;
@@ -9,7 +9,7 @@ use std::process::Command;
 
 use many::Many;
 
-/// Exit code, and what was said.
+/// Exit code and output.
 fn ended(mut command: Command) -> (Option<i32>, String) {
     let output = command.output().expect("the command starts");
     let said = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
@@ -29,7 +29,7 @@ fn what_was_computed_in_one_cache_is_fetched_into_another() {
     assert_eq!(code, Some(0), "{said}");
     let whole = many.artifacts("first");
 
-    // An address with nothing at it, and one of nothing at all.
+    // The address of an empty folder, and one of no folder.
     fs::create_dir(many.at("empty")).expect("folder");
     for (address, code, words) in [
         ("empty", 0, "has none of what is missing here; is the address right?"),
@@ -46,12 +46,12 @@ fn what_was_computed_in_one_cache_is_fetched_into_another() {
     assert!(!said.contains("is the address right"), "{said}");
     assert!(code == Some(0) && said.contains(" 0 missing"), "{said}");
     assert!(many.artifacts("second") == whole);
-    // Another machine's run finds all of it as well, computes nothing, and delivers results.
+    // Another machine's run also finds all of it, computes nothing, and delivers results.
     let (code, said) = ended(command("run", "third", &["--out", "out-third"]));
     assert!(code == Some(0) && said.contains(" 0 done,"), "{said}");
     assert!(many.artifacts("third") == whole && many.scores("out-third".as_ref()).len() == 1);
 
-    // The store's disk rots: it is found out by who fetches, and mended by who checks.
+    // The store's disk rots: fetching detects it, and checking repairs it.
     let blobs = many.at("store/v1/blobs");
     let blob = fs::read_dir(&blobs).expect("blobs").flatten().map(|e| e.path());
     let blob = blob.max_by_key(|path| fs::metadata(path).map_or(0, |m| m.len())).expect("a blob");

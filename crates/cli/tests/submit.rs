@@ -1,4 +1,4 @@
-//! `use3d submit` with commands that stand in for Slurm's: what they are told is done at once, by
+//! Tests `use3d submit` with commands that stand in for Slurm's: they run each submitted job at once, with
 //! real processes that share a cache.
 
 mod many;
@@ -11,7 +11,7 @@ use std::process::Output;
 
 use many::Many;
 
-/// Runs the tasks of what it is handed side by side, then prints its number.
+/// Runs the tasks of a submitted script in parallel, then prints the job's number.
 const SBATCH: &str = r#"
 echo "$*" >> "$here/sbatch.log"
 script="${!#}"
@@ -82,7 +82,7 @@ fn what_is_handed_over_ends_like_a_run_of_one_process_and_again_means_only_what_
         let (code, text) = submit(layout, &["--layout", layout]);
         assert!(code == Some(0) && text.contains("nothing to submit"), "{text}");
     }
-    // What is lost of one scene is all that is handed over again.
+    // Only the lost artifact of one scene is submitted again.
     let lost =
         fs::read_dir(many.at("stages/v1/artifacts/evaluate")).expect("two").flatten().next().expect("one");
     fs::remove_dir_all(lost.path()).expect("removed");
@@ -92,12 +92,12 @@ fn what_is_handed_over_ends_like_a_run_of_one_process_and_again_means_only_what_
     assert!(!text.contains("submitted reconstruct"), "{text}");
     assert!(many.artifacts("stages") == whole);
 
-    // While something is in the queue, nothing is handed over twice by accident.
+    // While a job is in the queue, nothing is submitted twice by accident.
     fs::remove_dir_all(many.at("stages/v1/artifacts/evaluate")).expect("removed");
     fs::write(many.at("bin/queue"), "101\n").expect("written");
     let (code, text) = submit("stages", &["--layout", "stages"]);
     assert!(code == Some(2) && text.contains("still in the queue") && text.contains("--again"), "{text}");
-    // A scheduler that refuses halfway is left with nothing of it.
+    // If a scheduler refuses a later job, the earlier ones are cancelled.
     fs::write(
         many.at("bin/sbatch"),
         "#!/bin/bash\n[ -e once ] && { echo 'QOSMaxSubmitJob' >&2; exit 1; }; touch once; echo 7\n",
@@ -126,7 +126,7 @@ fn tasks_get_every_setting_the_engine_too_and_status_is_asked_with_the_same() {
     assert!(status.contains("use3d status") && status.contains(engines), "{text}");
 }
 
-/// `use3d submit` of these words, with the stand-ins; exit code, and what was said.
+/// Runs `use3d submit` with these arguments and the stand-ins; returns exit code and output.
 fn submit(many: &Many, path: &str, scheduler: &str, cache: &str, extra: &[&str]) -> (Option<i32>, String) {
     let mut command = many.command(&["submit", scheduler], cache);
     let output = command.args(extra).env("PATH", path).output().expect("the command starts");
@@ -143,13 +143,13 @@ fn what_has_no_capture_is_said_and_is_no_success() {
     let words = ["-q", "--cluster", "cluster.toml"];
     let (code, text) = submit(&many, &path, "slurm", "cache", &[&words[..], &["--dry-run"]].concat());
     assert!(code == Some(1) && text.contains("warning: gone import: "), "{text}");
-    // The rest is submitted, and done.
+    // The rest is submitted and done.
     let (code, text) = submit(&many, &path, "slurm", "cache", &words);
     let rest =
         text.contains("submitted finish as job") && text.contains("error: what needs them is not submitted");
     assert!(code == Some(1) && rest && text.contains("1 input is missing, see above"), "{text}");
     assert_eq!(many.scores("use3d-out/many".as_ref()).len(), 1);
-    // Where nothing is left that could be submitted, it is not said that everything is there.
+    // If nothing is left to submit, the message must not claim that everything is done.
     let alone = "name = \"many\"\n[[scene]]\nname = \"gone\"\ncapture = \"gone\"\n";
     fs::write(many.at("alone.toml"), alone).expect("written");
     let mut command = tiny::command();
@@ -186,7 +186,7 @@ fn tasks_get_the_variables_that_the_pipeline_names_and_no_secrets() {
         for line in [
             format!("export REEF_DATA='{here}/my data/..'"),
             "export USE3D_REMOTE=/mnt/share/use3d".to_string(),
-            // Other networks than the plan knows of would give stages other keys, and never an end.
+            // Other networks than the plan uses would give stages other keys, and the work would never end.
             "unset USE3D_MODELS".to_string(),
         ] {
             assert_eq!(text.lines().filter(|l| **l == line).count(), scripts, "{line}: {text}");
@@ -213,14 +213,14 @@ fn words_without_effect_and_answers_that_are_none_are_refused() {
         code == Some(2) && text.contains("nowhere.toml: ") && text.contains("--cluster expects"),
         "{text}"
     );
-    // No scheduler here: the scripts lie there all the same.
+    // Without a scheduler the scripts are written all the same.
     let scripts = many.at("use3d-out/many-submit");
     for (scheduler, file) in [("slurm", "workers.sbatch"), ("hq", "job.toml")] {
         let (code, text) = submit(&many, "/nowhere", scheduler, "cache", &[]);
         assert!(code == Some(1) && text.contains(&scripts.display().to_string()), "{text}");
         assert!(!text.contains("--dry-run") && scripts.join(file).is_file(), "{text}");
     }
-    // The second job is answered with something else than a number: the first is taken back.
+    // The reply to the second job is not a number: the first one is cancelled.
     for answer in ["", "Welcome to reef", "7b"] {
         let body = format!(
             "#!/bin/bash\n[ -e once ] && {{ echo '{answer}'; exit 0; }}; touch once; echo '7;reef'\n"
@@ -243,7 +243,7 @@ fn words_without_effect_and_answers_that_are_none_are_refused() {
 fn hyperqueue_is_asked_whether_the_last_job_is_over() {
     let many = Many::new(&["s1".to_string()]);
     let path = stand_ins(&many);
-    // What the real one prints with `--output-mode quiet`.
+    // The output of the real program with `--output-mode quiet`.
     let body = "#!/bin/bash\necho \"$*\" >> hq.log\ncase \"$*\" in\n*'job list') cat open; exit 0 ;;\n*) echo 12 ;;\nesac\n";
     fs::write(many.at("bin/hq"), body).expect("written");
     fs::set_permissions(many.at("bin/hq"), fs::Permissions::from_mode(0o755)).expect("executable");
@@ -291,11 +291,11 @@ fn a_run_leaves_when_its_time_is_over_or_slurm_says_so_and_the_next_goes_on() {
         command.args(extra);
         command
     };
-    // However quick the machine is, this is no time.
+    // Too little time, even on a very fast machine.
     let output = run(&["--max-time", "0.05s"]).output().expect("the command starts");
     assert_eq!(output.status.code(), Some(75), "{}", said(&output));
     assert!(said(&output).contains("out of time"), "{}", said(&output));
-    // Signalled in a training: its checkpoint is there, and is gone on from.
+    // After a signal during a training, its checkpoint exists, and the training resumes from it.
     let long = ["--set", "reconstruct.iterations=4000"];
     let mut child =
         run(&long).stderr(std::process::Stdio::null()).stdout(std::process::Stdio::null()).spawn();

@@ -1,5 +1,5 @@
-//! Watching a training changes nothing about it; what is watched can be paused, stopped, followed by its
-//! files, and looked at when it is done.
+//! Tests that watching a training does not change it, and that a watched training can be paused, stopped,
+//! followed by its files, and viewed when it is done.
 
 mod tiny;
 mod viewer;
@@ -40,7 +40,7 @@ fn a_watched_training_gives_the_same_bytes_however_it_is_watched() {
     let [alone, seen, stopped] = ["alone/scene", "seen/scene", "stopped/scene"].map(|name| place.at(name));
     assert!(reconstruct(&capture, &alone).status().expect("the command starts").success());
 
-    // Moved, paused and looked at in every way from the first step to the last.
+    // Moved, paused and viewed in every way from the first step to the last.
     let mut child = watched(&capture, &seen);
     let viewer = Viewer::of(child.stderr.take().expect("a pipe"));
     viewer.command("pause").expect("paused before it begins");
@@ -65,7 +65,7 @@ fn a_watched_training_gives_the_same_bytes_however_it_is_watched() {
     assert!(steps.len() > 1, "it was watched at several steps: {steps:?}");
     same(&alone, &seen);
 
-    // Stopped from the page, followed by its checkpoint, gone on with.
+    // Stopped from the page, followed by its checkpoint, then resumed.
     let mut child = watched(&capture, &stopped);
     let viewer = Viewer::of(child.stderr.take().expect("a pipe"));
     viewer.command("pause").expect("paused");
@@ -90,7 +90,7 @@ fn a_watched_training_gives_the_same_bytes_however_it_is_watched() {
     );
     assert!(reconstruct(&capture, &stopped).status().expect("the command starts").success());
     same(&alone, &stopped);
-    // The finished scene takes the checkpoint's place.
+    // The finished scene replaces the checkpoint in the view.
     let ends = std::time::Instant::now() + std::time::Duration::from_secs(60);
     while at(&follower).is_some() {
         assert!(std::time::Instant::now() < ends, "the finished scene is shown");
@@ -141,7 +141,7 @@ fn scenes_and_captures_are_looked_at_and_bad_cases_are_said() {
     assert!(said(&["view", &place.at("tiny/sparse/0/images.bin")]).contains("this is a file"));
     assert!(said(&["view", "--follow", &place.at("nowhere/scene")]).contains("there is no folder"));
     assert!(said(&["view"]).contains("SCENE_DIR"));
-    // Files of views: which file, what is wrong, what was expected.
+    // Errors in files of views: the message has the file, the problem, and the expected content.
     let file = place.at("views.json");
     for (bytes, wrong) in [
         (None, "there is no such file"),
@@ -154,7 +154,7 @@ fn scenes_and_captures_are_looked_at_and_bad_cases_are_said() {
         let told = said(&["view", &scene, "--views", &file]);
         assert!(told.contains("--views") && told.contains(wrong) && told.contains("Save file"), "{told}");
     }
-    // What is not there yet is waited for, and said to be.
+    // A missing target is waited for, with a message.
     let mut waits = command();
     waits
         .args(["view", "--follow", &place.at("soon"), "--no-open"])

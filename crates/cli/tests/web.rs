@@ -1,4 +1,5 @@
-//! What a scene becomes for browsers and other viewers, and a camera path drawn as the page saved it.
+//! Tests of exporting a scene for browsers and other viewers, and of drawing a camera path that the page
+//! saved.
 
 mod tiny;
 
@@ -29,7 +30,7 @@ fn a_scene_goes_to_browsers_and_viewers_and_follows_a_path() {
     assert!(said.contains("9 photographs") && said.contains("open it in a browser"), "{said}");
     let html = std::fs::read_to_string(&page).unwrap();
     assert!(html.contains("<title>reef</title>") && html.matches("data:image/jpeg").count() == 9);
-    // Every eighth view is held out, from the first.
+    // Every eighth view is held out, beginning with the first.
     assert_eq!(html.matches("\"heldOut\":true").count(), 2);
     assert!(expect(2, &["export", &scene, "--web", &page]).contains("--force"));
     assert!(expect(2, &["export", &scene, "--web", &place.at("reef.htm")]).contains(".html"));
@@ -39,7 +40,7 @@ fn a_scene_goes_to_browsers_and_viewers_and_follows_a_path() {
     expect(0, &["export", &scene, "--glb", &glb, "--spz", &spz, "--compressed-ply", &compressed]);
     let begins = |path: &str, bytes: &[u8]| std::fs::read(path).unwrap().starts_with(bytes);
     assert!(begins(&glb, b"glTF") && begins(&spz, &[0x1f, 0x8b]) && begins(&compressed, b"ply\n"));
-    // What cannot travel is said in every file that has room for words.
+    // Every file with room for text says what it cannot contain.
     let plain = place.at("plain.ply");
     let said = expect(0, &["export", &scene, "--ply", &plain, "--what", "reconstruction"]);
     assert!(said.contains("these files hold no water"), "{said}");
@@ -85,7 +86,7 @@ fn a_scene_goes_to_browsers_and_viewers_and_follows_a_path() {
     assert!(go(2, &["--out", &frames]).contains("--force"));
     go(0, &["--out", &frames, "--modes", "depth,clear"]);
     assert!(Path::new(&frames).join("depth").is_dir() && Path::new(&frames).join("clear").is_dir());
-    // Other programs' paths: told by what they hold, and by their names.
+    // Paths of other programs, recognised by their content and their names.
     let nerfstudio = place.at("camera_path.json");
     let matrix = "[1,0,0,0, 0,-1,0,0, 0,0,-1,-1, 0,0,0,1]";
     std::fs::write(

@@ -1,10 +1,11 @@
-//! HyperQueue: one job file with every task and what it waits for, and a small script that all tasks go
-//! through.
+//! HyperQueue: writes one job file with every task and its dependencies, and a small script that runs every
+//! task.
 //!
-//! HyperQueue starts a task again whose worker was lost, and the task goes on from its last checkpoint, so
-//! that no limit and no signal is needed. It knows no "when that is over, whatever became of it": a task for
-//! which only `finish` waits therefore ends with 0 even where it failed, and `finish`, which tries it once
-//! more, says how the batch ended. A stage for which another one waits fails, and what waits is not begun.
+//! If a worker is lost, HyperQueue starts its task again, and the task resumes from its last checkpoint; so
+//! no limit and no signal is needed. HyperQueue has no dependency of the kind "after that task, even if it
+//! failed". Therefore a task that only `finish` waits for ends with 0 even after a failure, and `finish`
+//! tries it once more and reports the result of the batch. If another stage waits for a stage that failed,
+//! HyperQueue does not start the waiting tasks.
 
 use std::path::PathBuf;
 
@@ -16,7 +17,7 @@ use super::quote::{word, words};
 use super::site::Site;
 use super::slurm::{Submission, Submitted, create_logs, put};
 
-/// How often a task is started again whose worker was lost.
+/// Number of times that a task is started again after its worker was lost.
 const CRASHES: u32 = 50;
 
 #[derive(Serialize)]
@@ -44,22 +45,22 @@ struct Request {
     resources: std::collections::BTreeMap<String, u64>,
 }
 
-/// The job file.
+/// The path of the job file.
 pub fn file_path(submission: &Submission) -> PathBuf {
     submission.folder.join("job.toml")
 }
 
-/// The script that tasks go through.
+/// The path of the script that runs every task.
 pub fn script_path(submission: &Submission) -> PathBuf {
     submission.folder.join("task.sh")
 }
 
-/// For the script: who waits for this task begins when it is done.
+/// For the script: tasks that wait for this one start after it succeeded.
 const AFTER_OK: &str = "afterok";
-/// For the script: who waits for this task begins when it is over, whatever became of it.
+/// For the script: tasks that wait for this one start after its end, even if it failed.
 const AFTER_ANY: &str = "afterany";
 
-/// The script: what the site says, then `use3d` with the words it is given behind the first.
+/// The text of the script: the setup of the site, then `use3d` with the script's arguments after the first.
 pub fn script(submission: &Submission, site: &Site) -> String {
     let mut lines = vec![
         "#!/bin/bash".to_string(),
@@ -77,13 +78,13 @@ pub fn script(submission: &Submission, site: &Site) -> String {
     let command = words(&site.command);
     lines.push(format!(r#"[ "$after" = {AFTER_ANY} ] || exec {command} "$@""#));
     lines.push(format!(r#"code=0; {command} "$@" || code=$?"#));
-    // Who is interrupted is not to be followed by anything.
+    // No task must follow one that was interrupted.
     lines.push(r#"if [ "$code" = 0 ] || [ "$code" = 130 ]; then exit "$code"; fi"#.to_string());
     lines.push(r#"echo "ended with exit code $code; the task finish tries it once more" >&2"#.to_string());
     lines.join("\n") + "\n"
 }
 
-/// Whether only the last job waits for this one, so that it may begin whatever became of it.
+/// Returns true if only the last job waits for this one, so that the last job may start even after a failure.
 fn only_last_waits(jobs: &[Job], at: usize) -> bool {
     let waits = |job: &Job| {
         job.after.iter().any(|after| matches!(after, After::Done(of) | After::Same(of) if *of == at))
@@ -91,7 +92,8 @@ fn only_last_waits(jobs: &[Job], at: usize) -> bool {
     !jobs[at].delivers && !jobs.iter().any(waits)
 }
 
-/// Whether after a failure the last task is not begun, since HyperQueue does not begin what waits for what failed.
+/// Returns true if a failure prevents the last task, because HyperQueue does not start a task that waits for
+/// a failed one.
 pub fn ends_with_a_failure(jobs: &[Job]) -> bool {
     (0..jobs.len()).any(|at| !jobs[at].delivers && !only_last_waits(jobs, at))
 }
@@ -99,7 +101,7 @@ pub fn ends_with_a_failure(jobs: &[Job]) -> bool {
 /// The job file of `hq job submit-file`.
 pub fn file(jobs: &[Job], submission: &Submission) -> String {
     let mut tasks: Vec<Task> = Vec::new();
-    // The numbers of every job's tasks.
+    // The task numbers of every job.
     let mut numbers: Vec<Vec<usize>> = Vec::new();
     for (which, job) in jobs.iter().enumerate() {
         let after = if only_last_waits(jobs, which) { AFTER_ANY } else { AFTER_OK };
@@ -121,7 +123,8 @@ pub fn file(jobs: &[Job], submission: &Submission) -> String {
             let log = submission.folder.join("logs").join(format!("{}{number}.log", job.name));
             let mut resources = job.asks.needs.resources.clone();
             resources.insert("cpus".to_string(), job.asks.cpus as u64);
-            // In megabytes, as its workers find it out; a site may name it otherwise, or say that it is not asked for.
+            // In megabytes, the unit of HyperQueue's workers; a site may use another name for it, or 0 for no
+            // request.
             resources.entry("mem".to_string()).or_insert(job.asks.memory.div_ceil(1_048_576));
             resources.retain(|_, amount| *amount > 0);
             let request = Request { time_request: format!("{}s", job.asks.time.as_secs()), resources };
@@ -140,25 +143,25 @@ pub fn file(jobs: &[Job], submission: &Submission) -> String {
         numbers.push(own);
     }
     let file = JobFile { name: submission.name.clone(), task: tasks };
-    // Nothing in it has a form that TOML does not know.
+    // All values have forms that TOML supports, so this cannot fail.
     let text = toml::to_string(&file).unwrap_or_default();
     format!("# Written by `{}`; submit it with `hq job submit-file`.\n{text}", submission.by)
 }
 
-/// Writes both.
+/// Writes the script and the job file.
 ///
 /// # Errors
-/// A file that cannot be written.
+/// A file cannot be written.
 pub fn write(jobs: &[Job], submission: &Submission, site: &Site) -> Result<(), ClusterError> {
     create_logs(submission)?;
     put(&script_path(submission), &script(submission, site))?;
     put(&file_path(submission), &file(jobs, submission))
 }
 
-/// Hands the written file to HyperQueue; the job's number.
+/// Submits the written job file to HyperQueue, and returns the job's number.
 ///
 /// # Errors
-/// `hq` that is not there, refuses, or does not say a number.
+/// `hq` does not exist, refuses, or does not print a number.
 pub fn submit(submission: &Submission) -> Result<Submitted, ClusterError> {
     let file = file_path(submission).to_string_lossy().into_owned();
     let scripts = format!("; the job file is {file}");
@@ -174,16 +177,17 @@ pub fn submit(submission: &Submission) -> Result<Submitted, ClusterError> {
     Ok(submitted)
 }
 
-/// The job of the last submission from this folder, where HyperQueue still has work of it, by name and number.
+/// The job of the last submission from this folder, by name and number, if HyperQueue still has unfinished
+/// work of it.
 ///
 /// # Errors
-/// `hq` that is not there or whose server does not answer.
+/// `hq` does not exist or its server does not answer.
 pub fn queued(submission: &Submission) -> Result<Vec<(String, String)>, ClusterError> {
     let last = submission.submitted().jobs;
     if last.is_empty() {
         return Ok(Vec::new());
     }
-    // A line for each job that is not over: its number, its state.
+    // There is one line for each unfinished job: its number and its state.
     let said = call(&["job", "list"].map(String::from), "")?;
     let open: Vec<&str> = said.lines().filter_map(|line| line.split_whitespace().next()).collect();
     Ok(last.into_iter().filter(|(_, number)| open.contains(&number.as_str())).collect())
@@ -193,7 +197,8 @@ fn wrong(reason: String) -> ClusterError {
     ClusterError::Command { command: "hq".to_string(), reason }
 }
 
-/// What `hq` prints where only what scripts need is asked for. `more` is said where there is no such command.
+/// Returns the output of `hq` in its mode for scripts. `more` is added to the error if there is no such
+/// command.
 fn call(arguments: &[String], more: &str) -> Result<String, ClusterError> {
     let mut command = std::process::Command::new("hq");
     command.args(["--output-mode", "quiet"]).args(arguments);

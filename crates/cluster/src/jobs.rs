@@ -1,10 +1,11 @@
-//! Which jobs do what a plan says is missing: what each runs, on what it waits, what it asks for.
+//! The jobs for the missing stages of a plan: their commands, their dependencies, and the resources they
+//! request.
 //!
-//! Two layouts. *Workers*: one array of equal tasks that share the batch among themselves, whatever its
-//! graph; it is immune to limits of arrays and to accidents of dependencies, and every task asks for as much
-//! as the largest stage. *Stages*: an array over the scenes and variants for every stage, element after
-//! element, each asking for what its stage needs, such as a GPU. Both end with one task that waits for all
-//! others, whatever became of them, makes the report and fills the results folder.
+//! There are two layouts. *Workers*: one array of equal tasks that share the batch, whatever its graph. It
+//! does not depend on limits of arrays or on failures of dependencies, and every task requests the resources
+//! of the largest stage. *Stages*: an array over the scenes and variants for every stage, element after
+//! element, each with a request for its own stage, such as a GPU. Both end with one task that runs after all
+//! others, even after failures, makes the report and fills the results folder.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -17,7 +18,7 @@ use super::ClusterError;
 use super::site::{Needs, SHORTEST, Site, WORKERS};
 use super::time;
 
-/// How a batch is cut into tasks.
+/// The way in which a batch is cut into tasks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
     /// Equal tasks that share the work.
@@ -26,27 +27,27 @@ pub enum Layout {
     Stages,
 }
 
-/// When a job may begin.
+/// The condition for starting a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum After {
-    /// When all tasks of that job are done.
+    /// After all tasks of that job succeeded.
     Done(usize),
-    /// A task when the same task of that job is done.
+    /// Each task after the task with the same number of that job succeeded.
     Same(usize),
-    /// When that job is over, whatever became of it.
+    /// After the end of that job, even if it failed.
     Over(usize),
 }
 
-/// What a task asks for.
+/// The resources that a task requests.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Asks {
-    /// How long it may take.
+    /// The time limit.
     pub time: Duration,
-    /// Memory, bytes.
+    /// Memory in bytes.
     pub memory: u64,
-    /// Processors.
+    /// Number of processors.
     pub cpus: usize,
-    /// What the site says of its stage.
+    /// The site's settings for its stage.
     pub needs: Needs,
 }
 
@@ -55,27 +56,26 @@ pub struct Asks {
 pub struct Job {
     /// Its name: a stage, `workers`, or `finish`.
     pub name: String,
-    /// In a sentence.
+    /// Its description in a sentence.
     pub about: String,
-    /// How many tasks, where it is an array.
+    /// Number of tasks, if it is an array.
     pub tasks: Option<usize>,
-    /// The scene and variant of every task, as `--only` takes them; empty where tasks are equal.
+    /// The scene and variant of every task, in the form of `--only`; empty if the tasks are equal.
     pub cells: Vec<String>,
-    /// When it may begin.
+    /// The conditions for starting it.
     pub after: Vec<After>,
-    /// What `use3d run` is told besides what all jobs tell it.
+    /// Arguments of `use3d run` besides those of all jobs.
     pub words: Vec<String>,
-    /// Whether it fills the results folder.
+    /// True if it fills the results folder.
     pub delivers: bool,
-    /// What each task asks for.
+    /// The resources that each task requests.
     pub asks: Asks,
 }
 
-/// The jobs that do what is missing, in an order in which each comes after those it waits for; none where
-/// nothing is missing.
+/// The jobs that compute the missing stages, each after the jobs it waits for; empty if nothing is missing.
 ///
 /// # Errors
-/// A scene's or variant's name that a list of tasks cannot hold.
+/// The name of a scene or variant cannot be written in a list of tasks.
 pub fn of(
     plan: &Plan,
     registry: &Registry,
@@ -113,7 +113,7 @@ pub fn of(
     Ok(jobs)
 }
 
-/// Scenes and variants with something to do, in the plan's order.
+/// The scenes and variants with missing stages, in the plan's order.
 fn cells(todo: &[&PlannedNode]) -> Result<Vec<String>, ClusterError> {
     let mut cells: Vec<String> = Vec::new();
     for node in todo.iter().filter(|n| !n.scene.is_empty()) {
@@ -143,7 +143,7 @@ fn workers_of(todo: &[&PlannedNode], site: &Site, cells: &[String], most: usize)
     if cells.is_empty() {
         return Vec::new();
     }
-    // The longest chain is that of one scene; the rest is shared.
+    // The longest chain is that of one scene; the rest of the work is shared.
     let time = |nodes: &[&PlannedNode]| {
         let sum: f64 = nodes.iter().filter_map(|n| longest(n)).sum();
         let mut chains: BTreeMap<(&str, &str), f64> = BTreeMap::new();
@@ -173,7 +173,7 @@ fn workers_of(todo: &[&PlannedNode], site: &Site, cells: &[String], most: usize)
 }
 
 /// The tasks of every stage, in arrays no larger than the site allows. All stages are cut at the same places,
-/// so that a task's predecessor has its number in the array of the same number.
+/// so that a task's predecessor has the same number in the array with the same number.
 fn stages_of(todo: &[&PlannedNode], registry: &Registry, site: &Site, cells: &[String]) -> Vec<Job> {
     let mut jobs: Vec<Job> = Vec::new();
     let mut made: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
@@ -206,7 +206,7 @@ fn stages_of(todo: &[&PlannedNode], registry: &Registry, site: &Site, cells: &[S
             delivers: false,
             asks,
         };
-        // The jobs of a stage before: of an array of this one, the array of the same scenes alone.
+        // The jobs of earlier stages. If both are arrays, only the array with the same scenes counts.
         let after = |part: Option<usize>, jobs: &[Job]| {
             let before = parents.iter().filter_map(|parent| made.get(parent));
             let mut waits: Vec<usize> = before
@@ -250,15 +250,15 @@ fn stages_of(todo: &[&PlannedNode], registry: &Registry, site: &Site, cells: &[S
     jobs
 }
 
-/// The longest that a node took so far, seconds, scaled to what it is to do.
+/// The longest duration of a node so far in seconds, scaled to its present length.
 fn longest(node: &PlannedNode) -> Option<f64> {
     node.forecast.map(|f| f.most)
 }
 
-/// What tasks of these nodes ask for: half as much time again as the forecast, a quarter more memory.
+/// The request for tasks of these nodes: 1.5 times the forecast time, and a quarter more memory.
 fn asks(nodes: &[&PlannedNode], site: &Site, stage: &str, seconds: impl Fn(&[&PlannedNode]) -> f64) -> Asks {
     let needs = site.needs(stage);
-    // The site was checked when it was read.
+    // The site was checked when it was read, so parsing cannot fail here.
     let of_time = |text: &str| time::parse(text).unwrap_or(SHORTEST);
     let of_bytes = |text: &str| parse_bytes(text).unwrap_or(0);
     let known = !nodes.is_empty() && nodes.iter().all(|n| n.forecast.is_some());

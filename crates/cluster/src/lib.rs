@@ -1,11 +1,11 @@
-//! From a plan to jobs of a cluster's scheduler.
+//! Converts a plan to jobs of a cluster's scheduler.
 //!
-//! The graph is handed over and the head process ends. A [`site::Site`] says what is so on a cluster
-//! (account, partition, what a stage needs), [`jobs::of`] makes of a plan the few jobs that do what is
-//! missing, with arrays, dependencies, times and memory from the forecasts, and [`slurm`] or [`hyperqueue`]
-//! writes them in the scheduler's own words. Every task is `use3d run` on a shared cache, so what is there
-//! is not computed again, whichever task comes first, is cut off, or is submitted twice: nothing is ever
-//! learnt from the scheduler's memory.
+//! The whole graph is submitted at once, and no process stays behind. A [`site::Site`] describes a cluster
+//! (account, partition, resources of a stage). [`jobs::of`] makes the few jobs that compute the missing
+//! stages of a plan, with arrays, dependencies, times and memory from the forecasts, and [`slurm`] or
+//! [`hyperqueue`] writes them in the scheduler's own format. Every task is `use3d run` on a shared cache, so
+//! existing artifacts are not computed again, in whatever order tasks run, and even if one is interrupted or
+//! submitted twice. The state of the work is never read from the scheduler.
 
 pub mod hyperqueue;
 pub mod jobs;
@@ -14,36 +14,36 @@ pub mod site;
 pub mod slurm;
 pub mod time;
 
-/// What cannot be submitted, and what to do about it.
+/// An error of a submission, with the next step for the user.
 #[derive(Debug, thiserror::Error)]
 pub enum ClusterError {
-    /// The site file.
+    /// The site file is wrong.
     #[error("{file}: {reason}")]
     Site {
         /// The file.
         file: String,
-        /// Field, expectation, next step.
+        /// The field, the expected value, and the next step.
         reason: String,
     },
     /// A name that a scheduler's file cannot hold.
     #[error("{what} `{name}` {reason}; rename it")]
     Name {
-        /// What it names.
+        /// The kind of the name.
         what: &'static str,
-        /// As it is.
+        /// The name.
         name: String,
-        /// What is wrong with it.
+        /// The problem with it.
         reason: &'static str,
     },
     /// A file that cannot be written or read.
     #[error(transparent)]
     File(#[from] use3d_build::FileError),
-    /// The scheduler's command.
+    /// The scheduler's command failed.
     #[error("{command}: {reason}")]
     Command {
         /// The command.
         command: String,
-        /// What went wrong, what to do.
+        /// The problem, and the next step.
         reason: String,
     },
 }

@@ -1,6 +1,6 @@
-//! Words that a shell reads as they are.
+//! Quotes words so that a shell reads them unchanged.
 
-/// A word for `bash`, quoted where it has to be.
+/// A word for `bash`, quoted if necessary.
 pub fn word(text: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,@%+".contains(c);
     if !text.is_empty() && text.chars().all(plain) {

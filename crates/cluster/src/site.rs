@@ -1,4 +1,4 @@
-//! The facts of a site, `cluster.toml`: what a plan cannot know. All may be left out.
+//! The facts of a site, `cluster.toml`, which a plan cannot contain. All fields are optional.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -16,40 +16,39 @@ use super::time;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Site {
-    /// The account that jobs are charged to.
+    /// The account that is charged for jobs.
     pub account: Option<String>,
-    /// The partition that jobs go to.
+    /// The partition in which jobs run.
     pub partition: Option<String>,
-    /// Processors of a task.
+    /// Number of processors of a task.
     pub cpus: usize,
     /// Memory of a task whose stages never ran before, e.g. `8GB`.
     pub memory: String,
     /// Time of a task whose stages never ran before, e.g. `4h`.
     pub time: String,
-    /// The longest time that a job may ask for, e.g. `24h`: what takes longer is asked for again.
+    /// The longest time that a job may request, e.g. `24h`; longer work continues in another job.
     pub longest: String,
-    /// Tasks of an array that run at once, at the most.
+    /// Most tasks of an array that run at the same time.
     pub at_once: usize,
-    /// Tasks of an array, at the most: Slurm's `MaxArraySize` less one. What has
-    /// more is cut into several arrays.
+    /// Most tasks of an array: Slurm's `MaxArraySize` minus one. Larger arrays are cut into several.
     pub largest_array: usize,
-    /// How often a task that ran out of time is put into the queue again.
+    /// Number of times that a task which reached its time limit enters the queue again.
     pub requeues: usize,
     /// Lines of shell before the command: modules, variables.
     pub setup: Vec<String>,
     /// Further options of the scheduler, e.g. `--qos=low`.
     pub options: Vec<String>,
-    /// The command, where it is not `use3d`: its name or path, or a list of words such as
+    /// The command, if it is not `use3d`: its name or path, or a list of words such as
     /// `["apptainer", "exec", "use3d.sif", "use3d"]`.
     #[serde(deserialize_with = "one_word_or_several")]
     #[schemars(with = "Vec<String>")]
     pub command: Vec<String>,
-    /// What tasks of a stage need that others do not, by its name; for the
-    /// workers of `--layout workers`, `run`.
+    /// Settings for tasks of a stage, by its name, that differ from those of other stages; for the workers of
+    /// `--layout workers`, `run`.
     pub stage: BTreeMap<String, Needs>,
 }
 
-/// What tasks of a stage need.
+/// Settings for tasks of a stage.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Needs {
@@ -57,14 +56,14 @@ pub struct Needs {
     pub partition: Option<String>,
     /// Another number of processors.
     pub cpus: Option<usize>,
-    /// Memory, whatever the forecast.
+    /// Memory, instead of the forecast.
     pub memory: Option<String>,
-    /// Time, whatever the forecast.
+    /// Time, instead of the forecast.
     pub time: Option<String>,
     /// More options, e.g. `--gres=gpu:1`.
     pub options: Vec<String>,
-    /// HyperQueue's resources besides processors, e.g. `{ "gpus/nvidia" = 1 }`. Memory is asked for as `mem`, in
-    /// megabytes, unless it is named here; what is 0 is not asked for.
+    /// HyperQueue's resources besides processors, e.g. `{ "gpus/nvidia" = 1 }`. Memory is requested as `mem`,
+    /// in megabytes, unless it is named here; a resource of 0 is not requested.
     pub resources: BTreeMap<String, u64>,
     /// More settings of `use3d run`, e.g. `["--set", "reconstruct.engine=gpu"]`.
     pub arguments: Vec<String>,
@@ -94,7 +93,7 @@ impl Site {
     /// Reads a site file; `stages` are the names that `[stage.NAME]` may have.
     ///
     /// # Errors
-    /// What is wrong with it: file, field, expectation.
+    /// The file is wrong: the message has the file, the field and the expected value.
     pub fn read(path: &Path, stages: &[&str]) -> Result<Self, ClusterError> {
         let wrong = |reason| ClusterError::Site { file: path.display().to_string(), reason };
         let text = std::fs::read_to_string(path).map_err(|e| {
@@ -106,10 +105,10 @@ impl Site {
         Self::parse(&text, stages).map_err(wrong)
     }
 
-    /// Of a site file's text.
+    /// Parses the text of a site file.
     ///
     /// # Errors
-    /// What is wrong with it, in words.
+    /// The text is wrong; the error is a message.
     pub fn parse(text: &str, stages: &[&str]) -> Result<Self, String> {
         let read = toml::Deserializer::parse(text).map_err(|e| e.to_string())?;
         let site: Self = serde_path_to_error::deserialize(read).map_err(|e| {
@@ -160,7 +159,7 @@ impl Site {
         self.check_words()
     }
 
-    /// That every text can stand where it is written.
+    /// Checks that every text can be written in its place in a script.
     fn check_words(&self) -> Result<(), String> {
         let of_stages =
             |field: &str| self.stage.keys().map(|name| format!("stage.{name}.{field}")).collect::<Vec<_>>();
@@ -186,7 +185,7 @@ impl Site {
                     .to_string(),
             );
         }
-        // Whatever stands in a script stands in a line of its own.
+        // Every text is written on a line of its own in a script.
         let lines = [&self.account, &self.partition].into_iter().flatten();
         let lines = lines.chain(&self.options).chain(&self.setup).chain(&self.command);
         let needs =
@@ -199,13 +198,13 @@ impl Site {
         }
     }
 
-    /// What tasks of a stage, or the workers, need.
+    /// The settings of a stage, or of the workers.
     pub fn needs(&self, stage: &str) -> Needs {
         self.stage.get(stage).cloned().unwrap_or_default()
     }
 }
 
-/// A scheduler, where a site's fields are not for all of them.
+/// A scheduler, because some fields of a site are not for all schedulers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scheduler {
     /// Slurm.
@@ -215,7 +214,7 @@ pub enum Scheduler {
 }
 
 impl Site {
-    /// The fields that say something and that this scheduler has no place for.
+    /// The fields that are set but that this scheduler does not support.
     pub fn unused(&self, scheduler: Scheduler) -> Vec<String> {
         let usual = Self::default();
         let of_all = [
@@ -244,8 +243,8 @@ impl Site {
     }
 }
 
-/// A command as one word, or as a list of them. One with spaces in it is refused: a shell would look for a file of
-/// that name.
+/// Reads a command as one word, or as a list of words. A word with spaces is refused: a shell would search
+/// for a file of that name.
 fn one_word_or_several<'de, D: de::Deserializer<'de>>(from: D) -> Result<Vec<String>, D::Error> {
     struct Words;
     impl<'de> de::Visitor<'de> for Words {
@@ -273,11 +272,11 @@ fn one_word_or_several<'de, D: de::Deserializer<'de>>(from: D) -> Result<Vec<Str
     from.deserialize_any(Words)
 }
 
-/// As many processors as `use3d --threads` takes.
+/// The most processors, equal to the limit of `use3d --threads`.
 const MOST_CPUS: usize = 1024;
-/// The name under which the tasks of `--layout workers`, and the one that ends a batch, stand in a site file.
+/// The name in a site file for the tasks of `--layout workers` and for the last task of a batch.
 pub const WORKERS: &str = "run";
-/// No job asks for less: schedulers, modules and checkpoints take their time.
+/// The shortest time that a job requests: schedulers, modules and checkpoints need time.
 pub(crate) const SHORTEST: Duration = Duration::from_secs(300);
 
 #[cfg(test)]

@@ -1,9 +1,9 @@
-//! Slurm: a readable script for every job, and `sbatch` for each in turn.
+//! Slurm: writes a readable script for every job, and calls `sbatch` for one after the other.
 //!
-//! A task leaves before its limit with a checkpoint and the exit code 75, by itself (`--max-time`) or, where
-//! the node's clock or another queue cuts it shorter, at the signal that Slurm sends before; the script then
-//! has it queued again. A task that finds its work done ends at once, so that tasks may be queued again or
-//! submitted twice without harm.
+//! A task ends before its time limit with a checkpoint and exit code 75: by itself (`--max-time`), or at the
+//! signal that Slurm sends before the limit if the node's clock or another queue makes the time shorter. The
+//! script then puts the task into the queue again. A task whose work is done ends at once, so tasks may enter
+//! the queue again or be submitted twice without harm.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -19,47 +19,47 @@ use super::quote::{word, words};
 use super::site::Site;
 use super::time::clock;
 
-/// How long before the limit Slurm sends its signal.
+/// Time before the limit at which Slurm sends its signal.
 const SIGNAL: Duration = Duration::from_secs(120);
-/// How long before the limit a task is to be gone by itself.
+/// Time before the limit at which a task should have ended by itself.
 const SPARE: Duration = Duration::from_secs(60);
 
 /// The first line of a task's log.
 const ATTEMPT: &str = r#"echo "$(date -u +%FT%TZ) $(hostname), attempt $((${SLURM_RESTART_COUNT:-0} + 1))""#;
 
-/// What all jobs of a submission have in common.
+/// Data that all jobs of a submission share.
 #[derive(Clone, Debug)]
 pub struct Submission {
     /// The pipeline's name.
     pub name: String,
     /// The command line that wrote the scripts, for their readers.
     pub by: String,
-    /// Where `use3d run` is to be started.
+    /// The folder in which `use3d run` starts.
     pub place: PathBuf,
-    /// The words after `use3d run`, the same for all jobs.
+    /// The arguments of `use3d run` that all jobs share.
     pub run: Vec<String>,
-    /// The words that say where results go.
+    /// The arguments that set the results folder.
     pub results: Vec<String>,
     /// The folder of the scripts, lists and logs.
     pub folder: PathBuf,
-    /// Environment variables that tasks need and that a scheduler may not hand on, with their values.
+    /// Environment variables, with their values, that tasks need and that a scheduler may not pass on.
     pub variables: Vec<(String, String)>,
 }
 
-/// The jobs of a submission that the scheduler knows.
+/// The submitted jobs of a submission.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Submitted {
-    /// Name and the scheduler's number of each.
+    /// Each job's name, and its number from the scheduler.
     pub jobs: Vec<(String, String)>,
 }
 
 impl Submission {
-    /// The script of a job.
+    /// The path of the script of a job.
     pub fn script_path(&self, job: &Job) -> PathBuf {
         self.folder.join(format!("{}.sbatch", job.name))
     }
 
-    /// The list of a job's tasks.
+    /// The path of the list of a job's tasks.
     pub fn list_path(&self, job: &Job) -> PathBuf {
         self.folder.join(format!("{}.tasks", job.name))
     }
@@ -70,20 +70,20 @@ impl Submission {
         serde_json::from_str(&text).unwrap_or_default()
     }
 
-    /// Keeps what was submitted, for [`Self::submitted`].
+    /// Stores the submitted jobs, for [`Self::submitted`].
     pub(crate) fn keep(&self, submitted: &Submitted) -> Result<(), ClusterError> {
         let text = serde_json::to_string_pretty(submitted).unwrap_or_default();
         put(&self.folder.join("submitted.json"), &text)
     }
 
-    /// A script's lines for the variables. The networks are those that were there at submission, or none:
-    /// what a task's machine names would give its stages other keys than were planned.
+    /// The lines of a script that set the variables. The networks are those at the time of submission, or
+    /// none: a variable of a task's machine would give its stages other keys than planned.
     pub(crate) fn exports(&self) -> Vec<String> {
         let exports = self.variables.iter().map(|(name, value)| format!("export {name}={}", word(value)));
         ["unset USE3D_MODELS".to_string()].into_iter().chain(exports).collect()
     }
 
-    /// The words of a task of a job after the command's name; the task's own scene and variant come last.
+    /// The arguments of a job's task after the command's name; the task's own scene and variant come last.
     pub(crate) fn task(&self, job: &Job) -> Vec<String> {
         let own = if job.delivers { &self.results } else { &Vec::new() };
         [&["run".to_string()][..], &self.run, own, &job.words].concat()
@@ -103,7 +103,7 @@ pub fn script(job: &Job, submission: &Submission, site: &Site) -> String {
     let mut option = |text: String| lines.push(format!("#SBATCH {text}"));
     option(format!("--job-name={}", word(&format!("{}-{}", submission.name, job.name))));
     let number = if job.tasks.is_some() { "%A_%a" } else { "%j" };
-    // In a name of a log, Slurm reads `%` as the beginning of a number.
+    // In the name of a log, Slurm treats `%` as the beginning of a number.
     let log = submission.folder.join("logs").join(&job.name).to_string_lossy().replace('%', "%%");
     option(format!("--output={}", word(&format!("{log}-{number}.log"))));
     option("--open-mode=append".to_string());
@@ -164,7 +164,7 @@ pub fn script(job: &Job, submission: &Submission, site: &Site) -> String {
     lines.join("\n") + "\n"
 }
 
-/// What `sbatch` is told besides the script: on which jobs, by Slurm's numbers, this one waits.
+/// The option of `sbatch` with the jobs, by Slurm's numbers, that this one waits for.
 pub fn dependency(job: &Job, numbers: &[String]) -> Option<String> {
     let part = |after: &After| match after {
         After::Done(of) => Some(format!("afterok:{}", numbers.get(*of)?)),
@@ -178,7 +178,7 @@ pub fn dependency(job: &Job, numbers: &[String]) -> Option<String> {
 /// Writes scripts and lists into the submission's folder.
 ///
 /// # Errors
-/// A file that cannot be written.
+/// A file cannot be written.
 pub fn write(jobs: &[Job], submission: &Submission, site: &Site) -> Result<(), ClusterError> {
     create_logs(submission)?;
     for job in jobs {
@@ -190,10 +190,11 @@ pub fn write(jobs: &[Job], submission: &Submission, site: &Site) -> Result<(), C
     Ok(())
 }
 
-/// Hands the written jobs to Slurm, one after the other; their numbers in the same order.
+/// Submits the written jobs to Slurm, one after the other, and returns their numbers in the same order.
 ///
 /// # Errors
-/// `sbatch` that is not there, refuses or does not say a job's number; what it had taken before is cancelled.
+/// `sbatch` does not exist, refuses or does not print a job's number; jobs submitted before are then
+/// cancelled.
 pub fn submit(jobs: &[Job], submission: &Submission) -> Result<Submitted, ClusterError> {
     let mut numbers: Vec<String> = Vec::new();
     let scripts = format!("; the scripts lie in {}", submission.folder.display());
@@ -218,7 +219,8 @@ pub fn submit(jobs: &[Job], submission: &Submission) -> Result<Submitted, Cluste
     Ok(submitted)
 }
 
-/// The job's number in what `sbatch --parsable` prints: behind a semicolon stands the cluster where there are several.
+/// The job's number in the output of `sbatch --parsable`: if there are several clusters, a semicolon and the
+/// cluster follow.
 fn number(said: &str) -> Result<String, ClusterError> {
     let number = said.trim().split(';').next().unwrap_or_default();
     if !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit()) {
@@ -231,15 +233,15 @@ fn number(said: &str) -> Result<String, ClusterError> {
     Err(ClusterError::Command { command: "sbatch".to_string(), reason })
 }
 
-/// The jobs of the last submission from this folder that Slurm still has in its queue, by name and number.
-/// What Slurm does not know any more is over.
+/// The jobs of the last submission from this folder that are still in Slurm's queue, by name and number. A
+/// job that Slurm no longer knows has ended.
 ///
 /// # Errors
-/// `squeue` that is not there.
+/// `squeue` does not exist.
 pub fn queued(submission: &Submission) -> Result<Vec<(String, String)>, ClusterError> {
     let mut found = Vec::new();
     for (name, number) in submission.submitted().jobs {
-        // Asked for one by one: a number that Slurm has forgotten is an error of the whole call.
+        // One call for each job: an unknown number is an error of the whole call.
         let arguments = ["--noheader", "--format=%i", "--jobs", &number].map(String::from);
         match call("squeue", &arguments, "") {
             Ok(lines) if !lines.trim().is_empty() => found.push((name, number)),
@@ -251,7 +253,7 @@ pub fn queued(submission: &Submission) -> Result<Vec<(String, String)>, ClusterE
     Ok(found)
 }
 
-/// What a command of Slurm's prints. `more` is said where there is no such command.
+/// Returns the output of a command of Slurm. `more` is added to the error if there is no such command.
 fn call(command: &str, arguments: &[String], more: &str) -> Result<String, ClusterError> {
     let wrong = |reason: String| ClusterError::Command { command: command.to_string(), reason };
     let output = Command::new(command)
@@ -272,7 +274,7 @@ pub(crate) fn create_logs(submission: &Submission) -> Result<(), ClusterError> {
     Ok(created.map_err(|source| FileError { path, doing: "create", source })?)
 }
 
-/// Puts a file in place of another one. A shell that is in the middle of the one before reads on in that one.
+/// Replaces a file by another one. A shell that is reading the old file continues to read it.
 pub(crate) fn put(path: &Path, text: &str) -> Result<(), ClusterError> {
     Ok(write_atomic(&Disk, path, text.as_bytes())?)
 }

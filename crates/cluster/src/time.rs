@@ -1,13 +1,13 @@
-//! Times as people and schedulers write them.
+//! Times in the forms of people and schedulers.
 
 use std::time::Duration;
 
 use use3d_build::gc::parse_age;
 
-/// `90min`, `3h`, `1.5d`, or hours, minutes and seconds as `3:50:00`.
+/// Parses `90min`, `3h`, `1.5d`, or hours, minutes and seconds as `3:50:00`.
 ///
 /// # Errors
-/// Anything else, in words.
+/// Any other text; the error is a message.
 pub fn parse(text: &str) -> Result<Duration, String> {
     let wrong =
         || format!("`{text}` is not a time: write it as 90min, 3h or 3:50:00 (hours:minutes:seconds)");
@@ -22,7 +22,7 @@ pub fn parse(text: &str) -> Result<Duration, String> {
     Ok(Duration::from_secs(hours * 3600 + minutes * 60 + seconds))
 }
 
-/// As `3:50:00`, whole minutes, rounded up.
+/// A time as `3:50:00`, in whole minutes, rounded up.
 pub fn clock(time: Duration) -> String {
     let minutes = time.as_secs().div_ceil(60);
     format!("{}:{:02}:00", minutes / 60, minutes % 60)

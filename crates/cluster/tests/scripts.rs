@@ -1,5 +1,5 @@
-//! What is written for schedulers, word for word (`USE3D_UPDATE_SNAPSHOTS=1` writes `golden/` anew), and
-//! whether a shell does with it what it should.
+//! Tests of the files for schedulers, word for word (`USE3D_UPDATE_SNAPSHOTS=1` writes `golden/` again), and
+//! of their effect in a shell.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -215,7 +215,7 @@ fn a_script_that_is_being_read_is_not_written_into() {
     let jobs = of(Layout::Workers);
     hyperqueue::write(&jobs, &submission, &site()).expect("written");
     let script = hyperqueue::script_path(&submission);
-    // A second name of the file stands for a shell that has it open: it reads a script bit by bit.
+    // A hard link stands for a shell that has the file open: a shell reads a script piece by piece.
     let read = folder.path().join("read");
     fs::hard_link(&script, &read).expect("linked");
     let before = fs::read_to_string(&read).expect("text");
@@ -230,7 +230,8 @@ fn only_what_is_missing_is_submitted_and_each_waits_for_what_it_needs() {
     let jobs = of(Layout::Stages);
     let names: Vec<&str> = jobs.iter().map(|j| j.name.as_str()).collect();
     assert_eq!(names, ["import", "calibrate", "reconstruct", "enhance", "evaluate", "finish"]);
-    // The scene that is done is in no list, and the lists are the same for all stages: task stands for task.
+    // The finished scene is in no list, and the lists are the same for all stages, so tasks with equal
+    // numbers match.
     let cells = ["Panama@full", "Panama@mlp", "Curaçao north@full", "Curaçao north@mlp"];
     for job in jobs.iter().filter(|j| j.tasks.is_some()) {
         assert_eq!(
@@ -243,11 +244,11 @@ fn only_what_is_missing_is_submitted_and_each_waits_for_what_it_needs() {
     assert_eq!(jobs[2].after, [After::Same(0)]);
     assert_eq!(jobs[3].after, [After::Done(1), After::Same(2)]);
     assert_eq!(jobs[5].after, [0, 1, 2, 3, 4].map(After::Over));
-    // Half as much again as the longest, and no more than the site allows.
+    // 1.5 times the longest duration, but no more than the site allows.
     assert_eq!(jobs[2].asks.time, Duration::from_secs(100 * 80 * 3 / 2 + 300));
     assert_eq!(jobs[3].asks.time, Duration::from_secs(7200));
     assert_eq!(jobs[3].asks.memory, 32_000_000_000);
-    // What never ran asks for what the site says.
+    // A stage that never ran requests the site's defaults.
     assert_eq!(jobs[4].asks.time, Duration::from_secs(4 * 3600));
 
     let workers = of(Layout::Workers);
@@ -258,7 +259,7 @@ fn only_what_is_missing_is_submitted_and_each_waits_for_what_it_needs() {
     let mut done = plan();
     done.nodes.iter_mut().for_each(|n| n.state = State::Cached);
     assert_eq!(jobs::of(&done, &registry(), &site(), Layout::Stages, None).expect("none"), []);
-    // Nothing but the report: one task.
+    // Only the report is missing: one task.
     done.nodes.last_mut().expect("the report").state = State::Run("changed".to_string());
     let jobs = jobs::of(&done, &registry(), &site(), Layout::Workers, None).expect("one");
     assert_eq!(jobs.iter().map(|j| j.name.as_str()).collect::<Vec<_>>(), ["finish"]);
@@ -284,7 +285,7 @@ fn what_is_more_than_an_array_may_hold_is_cut_alike_for_all_stages() {
         [&import[..], &[("calibrate", None)], &reconstruct, &enhance, &evaluate, &[("finish", None)]]
             .concat();
     assert_eq!(named, expected);
-    // Task stands for task in the arrays of one part, and nobody is left out.
+    // Tasks with equal numbers match in the arrays of one part, and no scene is left out.
     for job in &jobs[..jobs.len() - 1] {
         let cells: &[&str] = match job.tasks {
             Some(3) => &["Panama@full", "Panama@mlp", "Curaçao north@full"],
@@ -321,7 +322,7 @@ impl StandIn {
         fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).expect("executable");
     }
 
-    /// The script of a job, for this folder.
+    /// The script of a job, run in this folder.
     fn script(&self, job: &Job) -> Command {
         let mut own = submission();
         own.place = self.dir.path().to_path_buf();
@@ -356,7 +357,7 @@ fn a_task_runs_its_own_scene_and_tells_how_it_ended() {
     }
 }
 
-/// HyperQueue begins nothing that waits for a task that failed.
+/// HyperQueue starts no task that waits for a failed one.
 #[test]
 fn what_only_finish_waits_for_keeps_it_from_nothing_in_hyperqueue() {
     let file = hyperqueue::file(&of(Layout::Workers), &submission());

@@ -1,11 +1,11 @@
-//! What many cases have alike: cameras and Gaussians, read once.
+//! Inputs that many cases share: cameras and Gaussians.
 
 use glam::{DMat3, DVec3};
 use use3d_capture::{Camera, Intrinsics, Pose};
 
 use crate::Case;
 
-/// Gaussians of a case, array by array: this crate stands below the one that has a type for them.
+/// Gaussians of a case, array by array: the crate with a type for them depends on this one.
 #[derive(Clone, Debug)]
 pub struct CaseGaussians {
     /// `in.means`, `[N, 3]`.
@@ -21,7 +21,7 @@ pub struct CaseGaussians {
 }
 
 impl Case<'_> {
-    /// `width`, `height`, `fx`, `fy`, `cx`, `cy` of its configuration.
+    /// The intrinsics in its configuration: `width`, `height`, `fx`, `fy`, `cx`, `cy`.
     pub fn intrinsics(&self) -> Intrinsics {
         Intrinsics {
             width: self.count("width"),
@@ -33,13 +33,13 @@ impl Case<'_> {
         }
     }
 
-    /// World to camera of each of its cameras: `in.R_cw`, row-major.
+    /// Rotation from world to camera for each of its cameras: `in.R_cw`, row-major.
     pub fn rotations(&self) -> Vec<DMat3> {
         let flat = self.f64("in.R_cw");
         flat.chunks_exact(9).map(|rows| DMat3::from_cols_slice(rows).transpose()).collect()
     }
 
-    /// Its cameras: `in.R_cw` and `in.t_cw`, and the intrinsics, which they share.
+    /// Its cameras: `in.R_cw` and `in.t_cw`, with the intrinsics, which they share.
     pub fn cameras(&self) -> Vec<Camera> {
         let (intrinsics, translations) = (self.intrinsics(), self.f64("in.t_cw"));
         let poses = self.rotations().into_iter().zip(translations.chunks_exact(3));
@@ -51,7 +51,7 @@ impl Case<'_> {
             .collect()
     }
 
-    /// Its one camera.
+    /// Its only camera.
     pub fn camera(&self) -> Camera {
         let [camera] = self.cameras()[..] else { panic!("{}: not one camera", self.name()) };
         camera

@@ -1,14 +1,14 @@
-//! Test support: golden cases by an independent float64 oracle, compared at the tolerances stated beside
-//! them.
+//! Test support: golden cases from an independent float64 oracle, compared at the tolerances in the files
+//! beside them.
 //!
-//! A part is `math/<part>.safetensors` with `math/<part>.json`. Tensors are named `<case>/in.<name>`,
-//! `<case>/out.<name>`, `<case>/cot.<out>` and `<case>/grad.<pull>.<input>`; a *pull* is a set of outputs
-//! whose gradient is that of the sum of `<cotangent, output>` over the set. The JSON holds each case's
+//! A part is `math/<part>.safetensors` with `math/<part>.json`. Tensors have the names `<case>/in.<name>`,
+//! `<case>/out.<name>`, `<case>/cot.<out>` and `<case>/grad.<pull>.<input>`. A *pull* is a set of outputs;
+//! its gradient is that of the sum of `<cotangent, output>` over the set. The JSON contains each case's
 //! configuration and each tensor's absolute tolerance. Tests must loop over [`Part::cases`], so that other
-//! cases of the same form can be dropped in.
+//! cases of the same form can be added.
 //!
-//! The root is the folder that `USE3D_GOLDEN` names, else the copy in the project. Everything here panics
-//! with a message on a missing file or tensor: golden tests never skip.
+//! The root is the folder in `USE3D_GOLDEN`, else the copy in the project. All functions here panic with a
+//! message if a file or tensor is missing: golden tests never skip.
 
 mod fixtures;
 pub mod torch;
@@ -29,7 +29,7 @@ pub fn root() -> PathBuf {
     }
 }
 
-/// One safetensors file with its JSON, wholly in memory.
+/// One safetensors file with its JSON, completely in memory.
 pub struct Part {
     tensors: BTreeMap<String, Tensor>,
     info: Value,
@@ -76,7 +76,7 @@ impl Part {
         Self { tensors, info, path: path.to_path_buf() }
     }
 
-    /// Every case, by name. At least one, or it panics.
+    /// Every case, by name. Panics if there is none.
     pub fn cases(&self) -> Vec<Case<'_>> {
         let cases =
             self.info["cases"].as_object().unwrap_or_else(|| panic!("{}: no cases", self.path.display()));
@@ -84,7 +84,7 @@ impl Part {
         cases.keys().map(|name| Case { part: self, name: name.clone() }).collect()
     }
 
-    /// The whole file as one case without a name prefix.
+    /// The whole file as one case with an empty name.
     pub fn whole(&self) -> Case<'_> {
         Case { part: self, name: String::new() }
     }
@@ -121,7 +121,7 @@ impl Case<'_> {
         self.number(key) as usize
     }
 
-    /// Its pulls: name to the outputs they sum over.
+    /// Its pulls: the name of each, with the outputs in its sum.
     pub fn pulls(&self) -> BTreeMap<String, Vec<String>> {
         match self.part.info["cases"][&self.name].get("pulls") {
             Some(pulls) => serde_json::from_value(pulls.clone()).expect("pulls map names to lists of names"),
@@ -129,7 +129,7 @@ impl Case<'_> {
         }
     }
 
-    /// The inputs it has gradients for.
+    /// The inputs for which it has gradients.
     pub fn grads(&self) -> Vec<String> {
         match self.part.info["cases"][&self.name].get("grads") {
             Some(grads) => serde_json::from_value(grads.clone()).expect("grads is a list of names"),
@@ -141,7 +141,7 @@ impl Case<'_> {
         if self.name.is_empty() { tensor.to_string() } else { format!("{}/{tensor}", self.name) }
     }
 
-    /// Whether the case has this tensor, e.g. `in.means`.
+    /// Returns true if the case has this tensor, e.g. `in.means`.
     pub fn has(&self, tensor: &str) -> bool {
         self.part.tensors.contains_key(&self.key(tensor))
     }
@@ -162,7 +162,7 @@ impl Case<'_> {
         &self.tensor(tensor).shape
     }
 
-    /// The tensor's values as f64, whatever its type.
+    /// The tensor's values as f64, for any element type.
     pub fn f64(&self, tensor: &str) -> Vec<f64> {
         let t = self.tensor(tensor);
         let b = &t.bytes;
@@ -224,7 +224,7 @@ impl Case<'_> {
         self.check_within(tensor, &actual, self.tolerance(tensor));
     }
 
-    /// As [`Case::check`], for an image as planes (the golden tensor is `[H, W, C]`).
+    /// Like [`Case::check`], for an image as planes (the golden tensor is `[H, W, C]`).
     pub fn check_planes(&self, tensor: &str, planes: &[f32]) {
         let shape = self.shape(tensor);
         let n = shape[0] * shape[1];
@@ -234,12 +234,12 @@ impl Case<'_> {
         self.check(tensor, &interleaved);
     }
 
-    /// As [`Case::check`], for values computed in f64: still at the float32 tolerance.
+    /// Like [`Case::check`], for values computed in f64, with the same float32 tolerance.
     pub fn check_f64(&self, tensor: &str, actual: &[f64]) {
         self.check_within(tensor, actual, self.tolerance(tensor));
     }
 
-    /// Asserts element-wise agreement within `tolerance`, naming the worst element.
+    /// Asserts element-wise agreement within `tolerance`; the message names the worst element.
     pub fn check_within(&self, tensor: &str, actual: &[f64], tolerance: f64) {
         let expected = self.f64(tensor);
         let key = self.key(tensor);

@@ -1,26 +1,26 @@
-//! Writers of the checkpoint containers: PyTorch's zip archive and its older pickle stream, just enough of
-//! both, and safetensors.
+//! Writers of checkpoint files for tests: PyTorch's zip archive and its older pickle stream, each only in
+//! part, and safetensors.
 
 use std::collections::BTreeMap;
 
 /// Names to shapes and values.
 pub type Tensors = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
 
-/// How the state dict lies in the file.
+/// The place of the state dict in the file.
 #[derive(Clone, Copy, Debug)]
 pub enum Nesting {
     /// At the root.
     Root,
     /// Under `net`, with an optimiser beside it.
     Net,
-    /// At the root, every name with `module.` in front.
+    /// At the root, with `module.` before every name.
     Module,
 }
 
 /// Pickle opcodes, protocol 2.
 #[derive(Default)]
 pub struct Pickle(
-    /// What was written so far.
+    /// The bytes written so far.
     pub Vec<u8>,
 );
 
@@ -91,7 +91,7 @@ impl Pickle {
             Nesting::Module => p.state(tensors, "module.", legacy),
             Nesting::Net => {
                 p.op(b'}').op(b'(').text("epoch").int(7).text("net").state(tensors, "", legacy);
-                // Moments of an optimiser under integer keys; the first storage again.
+                // Moments of an optimiser under integer keys; they use the first storage again.
                 let shape = &tensors.values().next().expect("a tensor").0;
                 p.text("optimizer").op(b'}').op(b'(').text("state").op(b'}').op(b'(').int(0);
                 p.tensor(0, shape, legacy).op(b'u').op(b'u').op(b'u')
@@ -106,7 +106,7 @@ fn bytes(values: &[f32]) -> Vec<u8> {
     values.iter().flat_map(|v| v.to_le_bytes()).collect()
 }
 
-/// PyTorch 1.6 and later.
+/// A file of PyTorch 1.6 and later.
 pub fn zip_file(tensors: &Tensors, nesting: Nesting) -> Vec<u8> {
     zip_with_pickle(&Pickle::object(tensors, nesting, false), tensors)
 }
@@ -159,7 +159,7 @@ fn crc32(data: &[u8]) -> u32 {
     !data.iter().fold(!0u32, |c, &b| table[((c ^ u32::from(b)) & 0xff) as usize] ^ c >> 8)
 }
 
-/// PyTorch before 1.6.
+/// A file of PyTorch before 1.6.
 pub fn legacy_file(tensors: &Tensors, nesting: Nesting) -> Vec<u8> {
     legacy_with_pickle(&Pickle::object(tensors, nesting, true), tensors)
 }
@@ -189,7 +189,7 @@ pub fn legacy_with_pickle(pickle: &[u8], tensors: &Tensors) -> Vec<u8> {
     file
 }
 
-/// Safetensors.
+/// A safetensors file.
 pub fn safetensors_file(tensors: &Tensors) -> Vec<u8> {
     let data: Vec<(&String, &Vec<usize>, Vec<u8>)> =
         tensors.iter().map(|(name, (shape, values))| (name, shape, bytes(values))).collect();
@@ -201,7 +201,7 @@ pub fn safetensors_file(tensors: &Tensors) -> Vec<u8> {
 }
 
 /// A calibrator in the layout of the paper's authors (`transition_calibrator.pth`): an archive with a schema
-/// beside the state dict.
+/// and the state dict.
 pub fn released_calibrator(schema_version: usize, tensors: &Tensors) -> Vec<u8> {
     let mut p = Pickle::start();
     p.op(b'}').op(b'(').text("schema").text("3duse_transition_calibrator");
@@ -220,7 +220,7 @@ pub fn released_calibrator(schema_version: usize, tensors: &Tensors) -> Vec<u8> 
     zip_with_pickle(&p.0, tensors)
 }
 
-/// The tensors of such a calibrator: both heads with small reproducible weights (of these hidden widths),
+/// The tensors of such a calibrator: both heads with small reproducible weights (with these hidden widths),
 /// medians 0 and ranges 1.
 pub fn released_calibrator_tensors(hidden: [usize; 2]) -> Tensors {
     let mut out = Tensors::new();
@@ -228,7 +228,7 @@ pub fn released_calibrator_tensors(hidden: [usize; 2]) -> Tensors {
         let n = shape.iter().product();
         out.insert(name, (shape, (0..n).map(value).collect()));
     };
-    // Every 7th, 11th … value of a short cycle: no two neighbours alike, sums near zero.
+    // Multiples of 7919 in a short cycle: neighbours differ, and sums are near zero.
     let small = |i: usize| ((i * 7919) % 101) as f32 / 5050.0 - 0.01;
     for (head, inputs, hidden, outputs) in [("global", 30, hidden[0], 12), ("local", 54, hidden[1], 6)] {
         for (position, (i, o)) in [(0, (inputs, hidden)), (2, (hidden, hidden)), (4, (hidden, outputs))] {

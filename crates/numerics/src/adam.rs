@@ -17,7 +17,7 @@ pub struct Adam {
     pub beta2: f64,
     /// Added to the root of the second moment.
     pub epsilon: f64,
-    /// Decoupled weight decay, per unit learning rate (0: plain Adam).
+    /// Decoupled weight decay, per unit of learning rate (0: plain Adam).
     pub weight_decay: f64,
 }
 
@@ -82,8 +82,8 @@ pub struct AdamScalars {
 }
 
 impl AdamScalars {
-    /// The learning rate over the first moment's correction, `lr / (1-β₁ᵗ)`, for whoever updates elsewhere
-    /// than in [`AdamScalars::apply`].
+    /// The learning rate over the first moment's correction, `lr / (1-β₁ᵗ)`, for code that does the update
+    /// without [`AdamScalars::apply`].
     pub fn step_size(&self) -> f32 {
         self.step_size
     }
@@ -113,7 +113,7 @@ pub fn exponential_decay(first: f64, last: f64, step: u64, steps: u64) -> f64 {
 mod tests {
     use super::*;
 
-    /// A scalar f64 transcription of the formula.
+    /// A scalar f64 version of the formula.
     #[test]
     fn agrees_with_the_formula_in_f64() {
         let adam = Adam { weight_decay: 0.01, ..Adam::CALIBRATOR };

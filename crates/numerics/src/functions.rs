@@ -1,11 +1,11 @@
-//! Functions of networks and water on 16 lanes, each with its scalar twin; equal bits
-//! wherever fused multiply-add exists.
+//! Functions for networks and the water on 16 lanes, each with its scalar twin; the bits are equal wherever
+//! fused multiply-add exists.
 //!
-//! Two ways to an exponential. [`lanes::exp`](crate::lanes::exp) is short and of the whole range;
-//! [`logistic`] and [`tanh`] are made of it (logistic relative 4e-7, tanh absolute 2e-7).
-//! [`exp_negative`] keeps `e^x - 1` apart: `e^x = 2^n (1 + q(r))` with `n = round(x / ln 2)`,
-//! `r = x - n ln 2` in two steps, `q` a polynomial of degree 7. [`softplus`], its slope and [`sigmoid`]
-//! are made of that and relatively accurate (4e-7) also where they vanish:
+//! There are two ways to compute an exponential. [`lanes::exp`](crate::lanes::exp) is short and covers the
+//! whole range; [`logistic`] and [`tanh`] use it (logistic relative error 4e-7, tanh absolute error 2e-7).
+//! [`exp_negative`] keeps `e^x - 1` separate: `e^x = 2^n (1 + q(r))` with `n = round(x / ln 2)`,
+//! `r = x - n ln 2` in two steps, `q` a polynomial of degree 7. [`softplus`], its derivative and [`sigmoid`]
+//! use that and are accurate relatively (4e-7) even where they go to zero:
 //! `ln(1 + t) = 2 artanh(t / (2 + t))` for `0 ≤ t ≤ 1`, again a polynomial.
 
 use fearless_simd::prelude::*;
@@ -22,10 +22,10 @@ const EXP: [f32; 6] = [1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0, 1.0 / 120.0, 1.0 / 720.
 /// `artanh(s) / s - 1` over `s²`.
 const ARTANH: [f32; 8] =
     [1.0 / 3.0, 1.0 / 5.0, 1.0 / 7.0, 1.0 / 9.0, 1.0 / 11.0, 1.0 / 13.0, 1.0 / 15.0, 1.0 / 17.0];
-/// Below this `e^x` is taken as `e^LOWEST`, 1.6e-38.
+/// The smallest argument; for any smaller `x` the result is `e^LOWEST`, 1.6e-38.
 const LOWEST: f32 = -87.0;
 
-/// `(2^n, e^r - 1)` of `x ≤ 0`.
+/// `(2^n, e^r - 1)` for `x ≤ 0`.
 #[inline(always)]
 fn exp_parts<S: Simd>(simd: S, x: f32x16<S>) -> (f32x16<S>, f32x16<S>) {
     let x = x.max(LOWEST);
@@ -65,7 +65,7 @@ pub fn softplus<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
     artanh.mul_add(2.0, x.max(zero))
 }
 
-/// The slope of softplus from its value `y = ln(1 + e^x)`: `e^x / (1 + e^x) = 1 - e^{-y}`.
+/// The derivative of softplus from its value `y = ln(1 + e^x)`: `e^x / (1 + e^x) = 1 - e^{-y}`.
 #[inline(always)]
 pub fn softplus_slope<S: Simd>(simd: S, y: f32x16<S>) -> f32x16<S> {
     let (scale, q) = exp_parts(simd, f32x16::splat(simd, 0.0) - y);
@@ -111,7 +111,7 @@ pub mod scalar {
         (f32::from_bits(((n as i32 + 127) << 23) as u32), q)
     }
 
-    /// `e^x` for `x ≤ 0`; not below `e^-87`.
+    /// `e^x` for `x ≤ 0`; at least `e^-87`.
     #[inline(always)]
     pub fn exp_negative(x: f32) -> f32 {
         let (scale, q) = exp_parts(x);
@@ -128,14 +128,14 @@ pub mod scalar {
         (s * ss).mul_add(p, s).mul_add(2.0, x.max(0.0))
     }
 
-    /// `1 - e^-y`: the slope of softplus where it is `y`.
+    /// `1 - e^-y`: the derivative of softplus at the point where its value is `y`.
     #[inline(always)]
     pub fn softplus_slope(y: f32) -> f32 {
         let (scale, q) = exp_parts(-y);
         0.0 - scale.mul_add(q, scale - 1.0)
     }
 
-    /// `1 / (1 + e^-x)`, relatively accurate at both ends.
+    /// `1 / (1 + e^-x)`, accurate relatively at both ends.
     #[inline(always)]
     pub fn sigmoid(x: f32) -> f32 {
         let t = exp_negative(-x.abs());

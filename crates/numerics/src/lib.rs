@@ -1,4 +1,4 @@
-//! Ground: what more than one method crate computes.
+//! Numerical functions that several method crates share.
 //!
 //! Everything here is deterministic: the same inputs give the same bits on any number of threads, and the
 //! vector code gives the bits of its scalar twin wherever fused multiply-add exists.

@@ -1,15 +1,16 @@
 //! Elementary functions with the same bits on every C library.
 //!
-//! `f32::exp`, `f64::sin` and the like of the standard library call the C library (or are evaluated by the
-//! one of the machine that compiles), and C libraries differ in last bits: glibc from musl, one glibc from
-//! the next. These functions are compiled from Rust, with IEEE operations in a fixed order, so a program
-//! carries its own. The lint `disallowed_methods` (`clippy.toml`) sends every caller here.
+//! `f32::exp`, `f64::sin` and similar functions of the standard library call the C library (or the compiler
+//! evaluates them with the C library of its own machine), and C libraries differ in last bits: glibc from
+//! musl, one glibc from the next. The functions here are compiled from Rust, with IEEE operations in a fixed
+//! order, so they are part of the program. The lint `disallowed_methods` (`clippy.toml`) directs every caller
+//! here.
 //!
-//! What needs no twin here, because IEEE 754 fixes every bit: `+ - * /`, `%`, `sqrt`, `mul_add`, `abs`,
+//! These need no replacement, because IEEE 754 fixes every bit: `+ - * /`, `%`, `sqrt`, `mul_add`, `abs`,
 //! `floor`, `ceil`, `round`, `trunc`, `min`, `max`, conversions.
 //!
 //! Errors are below 1 ulp except `tanh` (2 ulp), each for `f32` and `f64`. Argument ranges, infinities and
-//! NaN are as in the standard library. Where millions are wanted, take [`lanes`](crate::lanes).
+//! NaN are as in the standard library. For millions of values, use [`lanes`](crate::lanes).
 
 use std::ops::{Div, Mul};
 
@@ -22,7 +23,7 @@ impl Real for f64 {}
 macro_rules! functions {
     ($($(#[$doc:meta])* $name:ident($($arg:ident),+) = $single:expr, $double:expr;)+) => {
         mod private {
-            /// One method a function; sealed, so that `f32` and `f64` stay the only two.
+            /// One method per function; sealed, so that `f32` and `f64` stay the only two types.
             pub trait Functions: Sized {
                 $(fn $name($($arg: Self),+) -> Self;)+
                 fn sin_cos(self) -> (Self, Self);
@@ -112,8 +113,8 @@ pub fn sin_cos<T: Real>(x: T) -> (T, T) {
 
 /// `x^n` by repeated squaring, lowest bit first; `1/x^|n|` for negative `n`. `powi(x, 2)` is `x * x`.
 ///
-/// The standard library leaves the precision of its `powi` open, and the compiler evaluates it otherwise
-/// where both arguments are known.
+/// The standard library does not fix the precision of its `powi`, and the compiler evaluates it in another
+/// way if both arguments are known.
 #[inline]
 pub fn powi<T: Real>(x: T, n: i32) -> T {
     let (mut square, mut rest, mut product) = (x, n.unsigned_abs(), T::from(1.0));
@@ -130,8 +131,8 @@ pub fn powi<T: Real>(x: T, n: i32) -> T {
     if n < 0 { T::from(1.0) / product } else { product }
 }
 
-/// `x^y` in f32: for `x > 0` through f64, rounded once, which is three times as
-/// fast as `libm::powf` and closer.
+/// `x^y` in f32. For `x > 0` it is computed in f64 and rounded once, which is three times as fast as
+/// `libm::powf` and more accurate.
 #[inline]
 fn power_single(x: f32, y: f32) -> f32 {
     if x > 0.0 && x.is_finite() && y.is_finite() {
@@ -145,7 +146,7 @@ fn power_single(x: f32, y: f32) -> f32 {
 mod tests {
     use super::*;
 
-    /// FNV-1a over the bits of 20,000 arguments in `[low, high]`, single and double.
+    /// FNV-1a over the bits of 20,000 arguments in `[low, high]`, in single and double precision.
     fn digest(low: f64, high: f64, single: impl Fn(f32) -> f32, double: impl Fn(f64) -> f64) -> u64 {
         (0..20_000).fold(0xcbf2_9ce4_8422_2325, |hash, i| {
             let x = low + (high - low) * (f64::from(i) + 0.5) / 20_000.0;
@@ -154,7 +155,8 @@ mod tests {
         })
     }
 
-    /// The bits do not depend on the machine, the C library or the compiler: these digests hold everywhere.
+    /// The bits do not depend on the machine, the C library or the compiler: these digests are the same
+    /// everywhere.
     #[test]
     fn every_function_has_the_bits_it_always_had() {
         let mut other = Vec::new();

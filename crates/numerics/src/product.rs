@@ -4,24 +4,24 @@
 //! sums[r][c] += Σ_k left[r, k] · right[k, c]        r < R rows,  c < 16 V columns
 //! ```
 //!
-//! Every element is one chain of fused multiply-adds over `k` ascending, started from what `sums` holds. So
-//! the size of a tile, the order of tiles, the packing and the number of threads change no bit, and the plain
-//! loop over [`f32::mul_add`] is the twin of every product made of tiles (without fused multiply-add in the
-//! processor the two differ by rounding).
+//! Every element is one chain of fused multiply-adds over ascending `k`, which starts from the value in
+//! `sums`. So the size of a tile, the order of tiles, the packing and the number of threads change no bit,
+//! and the plain loop over [`f32::mul_add`] is the twin of every product made of tiles. (Without fused
+//! multiply-add in the processor the two differ by rounding.)
 //!
-//! The loops around the tile stay with their products, which differ there and nowhere else: networks gather
-//! windows of pictures into the right factor, the calibrator reads transposes through strides, the network of
-//! the water keeps a block of pixels in the first-level cache. So does the choice of `R` and `V`: what fits
-//! the registers with the left factor as it lies.
+//! The loops around the tile are in the crates of their products, and only these loops differ: networks copy
+//! windows of pictures into the right factor, the calibrator reads transposed matrices through strides, the
+//! network of the water keeps a block of pixels in the first-level cache. The choice of `R` and `V` is also
+//! made there, by the number of registers and the layout of the left factor.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16};
 
-/// Numbers of a vector: a tile is a multiple of it wide.
+/// Numbers in a vector; the width of a tile is a multiple of it.
 pub const LANES: usize = 16;
 
-/// Whether one register holds [`LANES`] numbers, so that there are 32 of such registers (AVX-512), or several are
-/// needed for a vector and the tile must be smaller. Known when compiled.
+/// Returns true if one register holds [`LANES`] numbers, so that there are 32 such registers (AVX-512).
+/// Otherwise a vector needs several registers and the tile must be smaller. Known when compiled.
 #[inline(always)]
 pub const fn is_wide<S: Simd>() -> bool {
     <S::f32s as SimdBase<S>>::LEN == LANES
@@ -33,14 +33,14 @@ pub trait Left {
     fn at(&self, r: usize, k: usize) -> f32;
 }
 
-/// Rows as they lie in a row-major matrix.
+/// Rows in the layout of a row-major matrix.
 pub struct Rows<'a, const R: usize>([&'a [f32]; R]);
 
 impl<'a, const R: usize> Rows<'a, R> {
     /// `R` rows that begin `stride` numbers apart, of `terms` terms each.
     #[inline(always)]
     pub fn new(values: &'a [f32], stride: usize, terms: usize) -> Self {
-        // Slices of one length: then nothing is checked inside the tile's loop.
+        // With slices of one length, the tile's loop has no bounds checks.
         let mut rows = [values; R];
         for (r, row) in rows.iter_mut().enumerate() {
             *row = &values[r * stride..][..terms];
@@ -56,14 +56,14 @@ impl<const R: usize> Left for Rows<'_, R> {
     }
 }
 
-/// Rows packed side by side, `[term][N]`; the tile's first is row `first` of them.
+/// Rows packed side by side, `[term][N]`; the tile's first row is row `first` of them.
 pub struct Panel<'a, const N: usize> {
     terms: &'a [[f32; N]],
     first: usize,
 }
 
 impl<'a, const N: usize> Panel<'a, N> {
-    /// The rows from `first` on of `values`, `[term][N]`.
+    /// The rows of `values`, `[term][N]`, from `first` on.
     #[inline(always)]
     pub fn new(values: &'a [f32], first: usize) -> Self {
         Self { terms: values.as_chunks().0, first }
@@ -77,8 +77,8 @@ impl<const N: usize> Left for Panel<'_, N> {
     }
 }
 
-/// Adds to `sums` the products of `left` and of the columns from `start` on of `right`, which has rows of
-/// `width` numbers and as many as there are terms.
+/// Adds to `sums` the products of `left` with the columns of `right` from `start` on. `right` has rows of
+/// `width` numbers, one for each term.
 #[inline(always)]
 pub fn tile<S: Simd, const R: usize, const V: usize>(
     simd: S,
@@ -88,7 +88,8 @@ pub fn tile<S: Simd, const R: usize, const V: usize>(
     sums: &mut [[f32x16<S>; V]; R],
 ) {
     for (k, right) in right.chunks_exact(width).enumerate() {
-        // Loops: `array::from_fn` and `map` are calls that the instruction set does not reach into.
+        // These are loops because `array::from_fn` and `map` are calls to which the enabled instruction set
+        // does not apply.
         let mut x = [f32x16::splat(simd, 0.0); V];
         for v in 0..V {
             x[v] = f32x16::from_slice(simd, &right[start + v * LANES..][..LANES]);
@@ -123,7 +124,7 @@ mod tests {
         sums.as_flattened().iter().flat_map(|v| v.to_array()).collect()
     }
 
-    /// Wherever multiply-add is fused, every shape of tile and either packing gives the plain loop's bits.
+    /// Wherever multiply-add is fused, every tile shape and both packings give the plain loop's bits.
     #[test]
     fn tiles_of_every_shape_are_plain_chains() {
         let stream = Stream::new(5, Purpose::new("tiles"), 0);

@@ -1,20 +1,19 @@
 //! Counter-based random numbers: every draw is a function of (seed, purpose, step, index) (R29).
 //!
-//! No generator state is carried around, so a resumed run, another thread count or another order of
-//! evaluation draws the same numbers. The mixing function is the finaliser of SplitMix64 (Steele,
-//! Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014), applied after each
-//! key word. Not for cryptography.
+//! There is no generator state, so a resumed run, another thread count or another order of evaluation draws
+//! the same numbers. The mixing function is the finaliser of SplitMix64 (Steele, Lea, Flood, "Fast splittable
+//! pseudorandom number generators", OOPSLA 2014), applied after each key word. Not for cryptography.
 
 use crate::math;
 
-/// What a draw is for. Two purposes never share a stream.
+/// The purpose of a draw. Two purposes never share a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Purpose(u64);
 
 impl Purpose {
     /// A purpose from its name, e.g. `Purpose::new("split Gaussians")`.
     pub const fn new(name: &str) -> Self {
-        // FNV-1a over the name: only has to tell a few dozen names apart.
+        // FNV-1a over the name; it only has to distinguish a few dozen names.
         let (bytes, mut hash, mut i) = (name.as_bytes(), 0xcbf2_9ce4_8422_2325u64, 0);
         while i < bytes.len() {
             hash = (hash ^ bytes[i] as u64).wrapping_mul(0x0000_0100_0000_01b3);

@@ -1,5 +1,5 @@
-//! Parameters outside their range: which one, what was found, what is expected. Whoever reads parameters from
-//! a file can point at the line, since the path is kept apart from the words.
+//! Errors for parameters outside their range: the name, the value found, and the expected values. The path is
+//! separate from the text, so that a reader of parameter files can point to the line.
 
 use std::error::Error;
 use std::fmt;
@@ -9,25 +9,25 @@ use std::fmt;
 pub struct OutOfRange {
     /// Its name among its siblings, or its path below them: `learning_rates.means[1]`.
     pub path: String,
-    /// What was found.
+    /// The value found.
     pub found: String,
-    /// What is expected.
+    /// The expected values.
     pub expected: String,
 }
 
 impl OutOfRange {
-    /// The parameter at `path` is not what is expected.
+    /// Creates the error for the parameter at `path`.
     pub fn new(path: impl Into<String>, found: impl fmt::Display, expected: impl Into<String>) -> Self {
         Self { path: path.into(), found: found.to_string(), expected: expected.into() }
     }
 
-    /// The same of a parameter in the table `table`.
+    /// The same error for a parameter inside the table `table`.
     #[must_use]
     pub fn within(self, table: &str) -> Self {
         Self { path: format!("{table}.{}", self.path), ..self }
     }
 
-    /// Without the path: `is 7; expected 0 to 1`.
+    /// The text without the path: `is 7; expected 0 to 1`.
     pub fn words(&self) -> String {
         format!("is {}; expected {}", self.found, self.expected)
     }
@@ -41,7 +41,7 @@ impl fmt::Display for OutOfRange {
 
 impl Error for OutOfRange {}
 
-/// `value` lies in `[least, most]`.
+/// Checks that `value` lies in `[least, most]`.
 pub fn within<T: Copy + PartialOrd + fmt::Display>(
     path: impl Into<String>,
     value: T,
@@ -55,12 +55,12 @@ pub fn within<T: Copy + PartialOrd + fmt::Display>(
     }
 }
 
-/// `value` is at least this.
+/// Checks that `value` is at least `least`.
 pub fn at_least(path: impl Into<String>, value: u64, least: u64) -> Result<(), OutOfRange> {
     if value >= least { Ok(()) } else { Err(OutOfRange::new(path, value, format!("at least {least}"))) }
 }
 
-/// `value` is finite and above 0.
+/// Checks that `value` is finite and above 0.
 pub fn positive(path: impl Into<String>, value: f64) -> Result<(), OutOfRange> {
     if value.is_finite() && value > 0.0 {
         Ok(())
@@ -69,7 +69,7 @@ pub fn positive(path: impl Into<String>, value: f64) -> Result<(), OutOfRange> {
     }
 }
 
-/// `value` is finite and not below 0.
+/// Checks that `value` is finite and not below 0.
 pub fn not_negative(path: impl Into<String>, value: f64) -> Result<(), OutOfRange> {
     if value.is_finite() && value >= 0.0 {
         Ok(())

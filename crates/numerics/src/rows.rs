@@ -1,4 +1,4 @@
-//! Rows of floats, sixteen at a time, whatever their length: the last vector is filled with zeros when it is
+//! Rows of floats of any length, processed sixteen at a time: the last vector is filled with zeros when it is
 //! read, and cut when it is written.
 
 use fearless_simd::prelude::*;

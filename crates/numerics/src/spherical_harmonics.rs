@@ -1,5 +1,5 @@
-//! Real spherical harmonics to degree 3, in the order and signs of 3D Gaussian Splatting; one
-//! basis for Gaussians and medium.
+//! Real spherical harmonics to degree 3, in the order and signs of 3D Gaussian Splatting; Gaussians and
+//! medium use the same basis.
 //!
 //! For a unit direction `(x, y, z)` the 16 values are `Y₀₀, Y₁₋₁ … Y₃₃`; a lower
 //! degree `d` uses the first `(d+1)²`.
@@ -7,17 +7,17 @@
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16};
 
-/// `Y₀₀`.
+/// Constant of degree 0, `Y₀₀`.
 pub const C0: f32 = 0.282_094_8;
-/// Degree 1.
+/// Constant of degree 1.
 pub const C1: f32 = 0.488_602_5;
-/// Degree 2.
+/// Constants of degree 2.
 pub const C2: [f32; 5] = [1.092_548_4, -1.092_548_4, 0.315_391_57, -1.092_548_4, 0.546_274_2];
-/// Degree 3.
+/// Constants of degree 3.
 pub const C3: [f32; 7] =
     [-0.590_043_6, 2.890_611_4, -0.457_045_8, 0.373_176_34, -0.457_045_8, 1.445_305_7, -0.590_043_6];
 
-/// Bands of degree `degree` and below.
+/// Number of basis functions of degree `degree` and below.
 pub const fn bands(degree: usize) -> usize {
     (degree + 1) * (degree + 1)
 }

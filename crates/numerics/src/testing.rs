@@ -1,6 +1,6 @@
-//! What several tests of this crate ask.
+//! Functions that several tests of this crate share.
 
-/// Whether vector code fuses multiply and add here, as the scalar twins always do.
+/// Returns true if vector code fuses multiply and add here, as the scalar twins always do.
 pub(crate) fn fuses() -> bool {
     #[cfg(target_arch = "x86_64")]
     return std::arch::is_x86_feature_detected!("fma");

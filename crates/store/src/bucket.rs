@@ -1,4 +1,4 @@
-//! S3 and what speaks its language, through `object_store`. Keys, region and server come from the usual
+//! S3 and servers with the same protocol, through `object_store`. Keys, region and server come from the usual
 //! `AWS_…` variables; none of them is ever written anywhere.
 
 use std::io::{Read, Write};
@@ -14,12 +14,12 @@ use object_store::{
 use tokio::runtime::Runtime;
 use use3d_build::remote::{Remote, RemoteError};
 
-/// Larger objects go in parts of this size, bytes.
+/// Larger objects are uploaded in parts of this size, in bytes.
 const PART: u64 = 16 << 20;
-/// How often a request is made again at once where the server is busy; whoever asked tries again later.
+/// Number of immediate retries if the server is busy; the caller retries later.
 const RETRIES: usize = 3;
 
-/// A bucket, or what of it lies below a prefix.
+/// A bucket, or the part of it below a prefix.
 pub(crate) struct Bucket {
     place: String,
     prefix: Path,
@@ -38,7 +38,7 @@ impl Bucket {
             max_retries: RETRIES,
             retry_timeout: Duration::from_secs(60),
         };
-        // A large object may take long; what counts is that its bytes go on coming.
+        // A large object may take long; the limit is on the time without new bytes.
         let client = |key| AmazonS3ConfigKey::Client(key);
         let mut builder = AmazonS3Builder::new()
             .with_config(client(ClientConfigKey::Timeout), "1 day")
@@ -46,7 +46,8 @@ impl Bucket {
             .with_config(client(ClientConfigKey::ConnectTimeout), "10 seconds");
         for (name, value) in std::env::vars().filter(|(name, _)| name.starts_with("AWS_")) {
             let Ok(key) = name.to_ascii_lowercase().parse::<AmazonS3ConfigKey>() else { continue };
-            // A server on this machine, or in a lab, is often without TLS; its address says so.
+            // A server on this machine, or in a lab, often has no TLS; its address then begins with
+            // `http://`.
             if matches!(key, AmazonS3ConfigKey::Endpoint | AmazonS3ConfigKey::S3Endpoint)
                 && value.starts_with("http://")
             {
@@ -97,8 +98,8 @@ impl Bucket {
             first = part(from)?;
         }
         match upload.complete().await {
-            // The answer to a first try may have been lost, and with it the upload is over; so is one that
-            // the bucket has swept.
+            // The reply to a first attempt may have been lost: the upload is then finished and no longer
+            // exists. The bucket may also have removed it.
             Err(Error::NotFound { source, .. }) => {
                 let error = Error::Generic { store: "S3", source };
                 Err(self.refused("write", name, &error))
@@ -108,7 +109,7 @@ impl Bucket {
     }
 }
 
-/// The next bytes of an object, as many as a part has; fewer at its end.
+/// Reads the next part of an object; less at its end.
 fn part(from: &mut (dyn Read + Send)) -> Result<Vec<u8>, RemoteError> {
     let mut bytes = Vec::new();
     from.take(PART).read_to_end(&mut bytes).map_err(RemoteError::Local)?;
@@ -150,7 +151,8 @@ impl Remote for Bucket {
         let first = part(from)?;
         self.runtime.block_on(async {
             if size <= PART {
-                // Its end is where it is found out whether it is what it should be.
+                // The reader checks the digest at the end of the data, so all of it is read before the
+                // upload.
                 let rest = part(from)?;
                 let payload = PutPayload::from([first, rest].concat());
                 return self
@@ -164,7 +166,7 @@ impl Remote for Bucket {
             let mut upload = upload.map_err(|e| self.refused("write", name, &e))?;
             let done = self.upload(&mut upload, from, first, name).await;
             if done.is_err() {
-                // What cannot be taken back now is for the bucket's own rule for unfinished uploads.
+                // If this fails, the bucket's own rule for unfinished uploads applies.
                 let _ = upload.abort().await;
             }
             done

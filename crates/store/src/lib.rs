@@ -1,8 +1,7 @@
-//! A store beside the cache by its address: a folder's path, `file:///…`, or `s3://BUCKET/PREFIX`.
+//! Opens a store beside the cache by its address: a folder's path, `file:///…`, or `s3://BUCKET/PREFIX`.
 //!
-//! What a store has to do is said by [`Remote`]; how artifacts go to and from one is in
-//! `use3d_build::remote`. Only here, and only with the feature `s3`, the program talks to a network, and
-//! only to the address it was given.
+//! [`Remote`] defines the operations of a store; `use3d_build::remote` sends artifacts to one and fetches
+//! them. The program uses a network only here, only with the feature `s3`, and only for the given address.
 
 #[cfg(feature = "s3")]
 mod bucket;
@@ -12,7 +11,7 @@ use std::sync::Arc;
 
 use use3d_build::remote::{Folder, Remote};
 
-/// The folder that an address names, if it is one.
+/// The folder of an address, if the address is one of a folder.
 pub fn folder(address: &str) -> Option<PathBuf> {
     match address.split_once("://") {
         None if address.is_empty() => None,
@@ -25,8 +24,7 @@ pub fn folder(address: &str) -> Option<PathBuf> {
 /// The store at an address.
 ///
 /// # Errors
-/// An address that cannot be understood, or one that this program was built
-/// without, in words that say what to do.
+/// An address that cannot be parsed, or one that this program was built without; the message says what to do.
 pub fn open(address: &str) -> Result<Arc<dyn Remote>, String> {
     let shown = without_credentials(address);
     let Some((scheme, rest)) = address.split_once("://") else {
@@ -74,7 +72,7 @@ fn open_bucket(shown: &str, _: &str, _: &str) -> Result<Arc<dyn Remote>, String>
     ))
 }
 
-/// An address with what may be a password left out, for messages.
+/// An address without any part that may be a password, for messages.
 fn without_credentials(address: &str) -> String {
     let (scheme, rest) = address.split_once("://").unwrap_or(("", address));
     let rest = rest.split('?').next().unwrap_or_default();

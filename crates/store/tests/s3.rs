@@ -1,13 +1,14 @@
-//! A bucket of a real server that speaks S3, where one is named; moto's is enough:
+//! Tests with a bucket of a real S3 server, if one is given in `USE3D_S3`; moto's server is enough:
 //!
 //! ```text
 //! pip install 'moto[server]' && moto_server -p 5555 & curl -X PUT http://127.0.0.1:5555/use3d-test
-//! AWS_ENDPOINT_URL=http://127.0.0.1:5555 AWS_ACCESS_KEY_ID=any AWS_SECRET_ACCESS_KEY=any AWS_REGION=us-east-1 \
-//!     USE3D_S3=s3://use3d-test/here cargo test -p use3d-store --features s3 --test s3 -- --nocapture
+//! AWS_ENDPOINT_URL=http://127.0.0.1:5555 AWS_ACCESS_KEY_ID=any AWS_SECRET_ACCESS_KEY=any \
+//!     AWS_REGION=us-east-1 USE3D_S3=s3://use3d-test/here \
+//!     cargo test -p use3d-store --features s3 --test s3 -- --nocapture
 //! ```
 //!
-//! What is computed here and fetched there is then done again through a [server that fails](faults) in all
-//! the ways that servers do.
+//! Results are computed in one cache and fetched into another. Then the same happens through a [server that
+//! fails](faults) in all the ways in which servers fail.
 #![cfg(feature = "s3")]
 
 mod faults;
@@ -27,7 +28,7 @@ use use3d_build::{
     Batch, BatchScene, Builder, Cache, Graph, Listener, Registry, RunOptions, Scope, Silent, Stage,
 };
 
-/// Set where nothing can be had from the server: all is computed.
+/// Set if the server returns nothing usable: everything is computed.
 const USELESS: &str = "USE3D_S3_USELESS";
 
 fn remote() -> Option<Arc<dyn Remote>> {
@@ -43,7 +44,8 @@ fn read(remote: &dyn Remote, name: &str) -> Option<Vec<u8>> {
     remote.get(name, &mut found).expect("an answer").then_some(found)
 }
 
-/// Two stages whose artifacts have a small file and one that goes in parts; their key is this process's own.
+/// Two stages whose artifacts have a small file and a large one that is uploaded in parts; their keys are
+/// unique to this process.
 fn builder(folder: &Path) -> Builder {
     type Nothing = BTreeMap<String, u8>;
     let number = std::process::id().to_string();
@@ -79,7 +81,7 @@ fn what_is_computed_here_is_fetched_there() {
         let graph = Graph::new(&builder.registry, &batch).expect("a graph");
         let summary = builder.run(&graph, &RunOptions::default(), &listener);
         assert_eq!((summary.exit_code(), summary.done()), (0, computed), "{name}");
-        // Manifests tell when something was computed: the same where it was computed once.
+        // Manifests contain the time of the computation: they are equal if it happened once.
         let manifest = if useless { "" } else { "manifest.json" };
         let read = |(_, _, path): (String, _, std::path::PathBuf)| {
             [manifest, "deep/number", "large", "copy"]
@@ -120,7 +122,7 @@ fn a_bucket_does_what_a_store_must() {
     let Some(remote) = remote() else { return };
     RemoteStore::new(remote.clone()).probe(&AtomicBool::new(false)).expect("one that can be relied on");
     let own = format!("v1/test-{}", std::process::id());
-    // Nothing, something, more than a part has, exactly two parts.
+    // Empty, small, larger than one part, exactly two parts.
     for size in [0, 5, (16 << 20) + 1, 32 << 20] {
         let bytes: Vec<u8> = (0..size).map(|i: usize| (i % 251) as u8).collect();
         let name = format!("{own}/{size}");
@@ -128,7 +130,7 @@ fn a_bucket_does_what_a_store_must() {
         remote.put(&name, &mut &bytes[..], size as u64).expect("put");
         assert_eq!(remote.size(&name).expect("an answer"), Some(size as u64));
         assert!(read(remote.as_ref(), &name).is_some_and(|found| found == bytes), "{size}");
-        // What fails on its way leaves what was there.
+        // A source that fails during the upload leaves the old object.
         struct Fails(usize);
         impl Read for Fails {
             fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {

@@ -1,4 +1,4 @@
-//! A file of tensors as it is read.
+//! Reads a file of tensors.
 
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
@@ -6,7 +6,7 @@ use serde::de::DeserializeOwned;
 
 use crate::{KEY, TensorError};
 
-/// A parsed file; tensors are checked as they are asked for.
+/// A parsed file; each tensor is checked when it is read.
 #[derive(Debug)]
 pub struct TensorFile<'a> {
     tensors: SafeTensors<'a>,
@@ -21,8 +21,8 @@ impl<'a> TensorFile<'a> {
         Ok(Self { tensors: SafeTensors::deserialize(bytes)?, document })
     }
 
-    /// Whether a safetensors file has a document of this program in its header. A damaged
-    /// file that begins as one counts.
+    /// Returns true if a safetensors file has a document of this program in its header; a damaged file counts
+    /// if its beginning contains the key.
     pub fn has_document(bytes: &[u8]) -> bool {
         match SafeTensors::read_metadata(bytes) {
             Ok((_, metadata)) => metadata.metadata().as_ref().is_some_and(|m| m.contains_key(KEY)),
@@ -62,7 +62,7 @@ impl<'a> TensorFile<'a> {
         names
     }
 
-    /// Refuses the first tensor that is not known.
+    /// Fails on the first tensor that `known` does not accept.
     pub fn only(&self, known: impl Fn(&str) -> bool) -> Result<(), TensorError> {
         match self.names().into_iter().find(|name| !known(name)) {
             Some(name) => Err(TensorError::Unknown { name }),
@@ -79,7 +79,7 @@ impl<'a> TensorFile<'a> {
         Ok(self.tensor(name)?.shape().to_vec())
     }
 
-    /// The sides of a tensor that has `N`; `expected` says of what kind.
+    /// The shape of a tensor with `N` dimensions; `expected` describes the shape in the error.
     pub fn sides<const N: usize>(&self, name: &str, expected: &str) -> Result<[usize; N], TensorError> {
         let found = self.shape(name)?;
         found.as_slice().try_into().map_err(|_| TensorError::Shape {
@@ -121,8 +121,8 @@ impl<'a> TensorFile<'a> {
         Ok(bytes.as_chunks::<4>().0.iter().map(|b| u32::from_le_bytes(*b)).collect())
     }
 
-    /// Shape and values of an f32 tensor, or of an f64 one narrowed, not yet checked: for readers that
-    /// learn the shape from the file.
+    /// Shape and values of an f32 tensor, or of an f64 one rounded to f32, without further checks; for
+    /// readers that take the shape from the file.
     pub fn narrowed(&self, name: &str) -> Result<(Vec<usize>, Vec<f32>), TensorError> {
         let tensor = self.tensor(name)?;
         let values = match tensor.dtype() {

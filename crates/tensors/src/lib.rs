@@ -1,9 +1,9 @@
 //! Named tensors in safetensors files, little-endian.
 //!
-//! A file may hold one JSON document besides, in its header under the key `3d-use`; the document's `format`
-//! and `version` are checked before anything else of it. Bytes are deterministic: one metadata key at most,
-//! tensors in the format's own order (type, then name). Whoever reads says which tensors there are to be, of
-//! which type and shape; what differs is named.
+//! A file may also hold one JSON document, in its header under the key `3d-use`; the document's `format` and
+//! `version` are checked before anything else in it. The bytes are deterministic: at most one metadata key,
+//! and tensors in the format's own order (type, then name). A reader gives the names, types and shapes of the
+//! tensors it expects; an error names the first difference.
 
 mod file;
 mod writer;
@@ -13,58 +13,58 @@ use safetensors::Dtype;
 pub use file::TensorFile;
 pub use writer::TensorWriter;
 
-/// Where a header keeps its document.
+/// The key of the document in a header.
 const KEY: &str = "3d-use";
 
-/// What is wrong with a file of tensors.
+/// An error in a file of tensors.
 #[derive(Debug, thiserror::Error)]
 pub enum TensorError {
-    /// Not a safetensors file, or a truncated one; also what cannot be written as one.
+    /// The file is not a safetensors file, or is truncated; also an error in writing one.
     #[error("not a whole safetensors file ({0}); make it again")]
     Container(#[from] safetensors::SafeTensorError),
-    /// The header's document.
+    /// The header's document is wrong.
     #[error("{0}")]
     Document(String),
-    /// A tensor is not there.
+    /// A tensor is missing.
     #[error("tensor `{name}` is missing")]
     Missing {
         /// Its name.
         name: String,
     },
-    /// A tensor that nobody asked for: a file that says more than is read would be read wrongly.
+    /// There is an unknown tensor: ignoring it would misread the file.
     #[error("tensor `{name}` is not known here; the file may be of a newer version")]
     Unknown {
         /// Its name.
         name: String,
     },
-    /// Another element type.
+    /// A tensor has another element type.
     #[error("tensor `{name}` holds {found:?}; expected {expected:?}")]
     Type {
         /// Its name.
         name: String,
         /// Its type.
         found: Dtype,
-        /// What it should be.
+        /// The expected type.
         expected: Dtype,
     },
-    /// Another shape.
+    /// A tensor has another shape.
     #[error("tensor `{name}` has shape {found:?}; expected {expected}")]
     Shape {
         /// Its name.
         name: String,
         /// Its shape.
         found: Vec<usize>,
-        /// What it should be.
+        /// The expected shape.
         expected: String,
     },
-    /// A NaN or an infinity.
+    /// A tensor contains a NaN or an infinity.
     #[error("tensor `{name}` is {value} at flat index {index}; expected finite numbers")]
     NotFinite {
         /// Its name.
         name: String,
-        /// Where.
+        /// The flat index of the value.
         index: usize,
-        /// What.
+        /// The value.
         value: f64,
     },
 }

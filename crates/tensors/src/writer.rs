@@ -1,4 +1,4 @@
-//! Tensors on their way into a file.
+//! Writes tensors into a file.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
@@ -40,7 +40,7 @@ impl View for &Raw {
 }
 
 impl TensorWriter {
-    /// With no tensors yet.
+    /// Creates a writer without tensors.
     pub fn new() -> Self {
         Self::default()
     }
@@ -64,12 +64,12 @@ impl TensorWriter {
         self.add(name, Dtype::U32, shape, values.iter().flat_map(|v| v.to_le_bytes()).collect());
     }
 
-    /// The bytes of a file that holds the tensors alone. An error where values do not fill a shape.
+    /// The bytes of a file that holds only the tensors. Fails if values do not match a shape.
     pub fn finish(&self) -> Result<Vec<u8>, TensorError> {
         self.bytes(None)
     }
 
-    /// The bytes of a file with a document in its header, which names its `format` and `version`.
+    /// The bytes of a file with a document in its header, which contains its `format` and `version`.
     pub fn finish_with(&self, document: &impl Serialize) -> Result<Vec<u8>, TensorError> {
         let json = serde_json::to_string(document).map_err(|e| TensorError::Document(e.to_string()))?;
         self.bytes(Some(HashMap::from([(KEY.to_string(), json)])))

@@ -1,17 +1,17 @@
-//! The checkpoints of a run in a folder that it shares with others.
+//! The checkpoints of a run, in a folder that it shares with other runs.
 //!
-//! Runs that differ only in how far they go share a folder, since the longer can go on from the shorter;
-//! other runs may lie there too. None may take away what another one would go on from. So a file's name says
-//! which run it belongs to, how far that run is to go, and how far it is:
+//! Runs that differ only in their length share a folder, because the longer one can resume from the shorter
+//! one; other runs may also use it. No run may remove a file from which another one would resume. So a file's
+//! name contains the run it belongs to, the length of that run, and the step:
 //!
 //! ```text
 //! reconstruct-<fingerprint>-<length>-<step>.checkpoint
 //! ```
 //!
-//! A run writes and removes files of its own fingerprint and length only, and the last of them stays until a
-//! later one is in place. It goes on from the furthest whole file of its fingerprint that is not beyond its
-//! length, whoever wrote it. Two processes may do the same work at once: a step has one state, so it does not
-//! matter whose file stays.
+//! A run writes and removes only files of its own fingerprint and length, and the last of them stays until a
+//! later one is in place. It resumes from the furthest complete file of its fingerprint that is not beyond
+//! its length, whichever run wrote it. Two processes may do the same work at once: a step has only one state,
+//! so it does not matter whose file remains.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -23,39 +23,39 @@ use serde::de::DeserializeOwned;
 use crate::checkpoint::{CheckpointError, CheckpointFile, sweep};
 
 const EXTENSION: &str = "checkpoint";
-/// Hexadecimal digits of the fingerprint in a name; the state itself holds all of it.
+/// Hexadecimal digits of the fingerprint in a name; the state itself contains all of it.
 const DIGITS: usize = 16;
-/// How often the folder is looked at when others take files away meanwhile.
+/// Number of attempts to list the folder while other processes remove files.
 const LOOKS: usize = 32;
 
-/// A state that can be gone on from.
+/// A state from which a run can resume.
 pub trait Resumable: DeserializeOwned {
-    /// The digest of everything that shapes the run.
+    /// The digest of everything that affects the run.
     fn fingerprint(&self) -> &[u8; 32];
-    /// Steps done.
+    /// Number of steps done.
     fn step(&self) -> u64;
 }
 
-/// The place of a run's checkpoints.
+/// The folder and names of a run's checkpoints.
 #[derive(Clone, Debug)]
 pub struct Checkpoints {
     dir: PathBuf,
-    /// What the names of this loop's files begin with.
+    /// The prefix of the names of this loop's files.
     name: String,
     fingerprint: [u8; 32],
     length: u64,
 }
 
-/// What was found to go on from.
+/// Result of searching for a state to resume from.
 #[derive(Debug)]
 pub struct Found<T> {
-    /// The furthest state; none where the run starts anew.
+    /// The furthest state; `None` if the run starts from the beginning.
     pub state: Option<T>,
-    /// What a person should know: files that are damaged, or belong to other runs.
+    /// Messages for the user: files that are damaged or belong to other runs.
     pub notices: Vec<String>,
 }
 
-/// A checkpoint file as its name tells it.
+/// The data in the name of a checkpoint file.
 struct Entry {
     path: PathBuf,
     ours: bool,
@@ -63,18 +63,18 @@ struct Entry {
     step: u64,
 }
 
-/// What one look at the folder came to.
+/// Result of one search in the folder.
 enum Look<T> {
     Found(Found<T>),
-    /// None can be gone on from; what a person should know.
+    /// No state is usable; the messages for the user.
     Nothing(Vec<String>),
-    /// One was taken away between listing and reading.
+    /// A file was removed between listing and reading.
     Vanished,
 }
 
 impl Checkpoints {
-    /// Those of a run of the loop `name` (a word) in `dir`, which is made when the first is written: the
-    /// digest of everything that shapes the run, and the steps it is to take.
+    /// The checkpoints of a run of the loop `name` (one word) in `dir`, which is created by the first write.
+    /// `fingerprint` is the digest of everything that affects the run, `length` the number of its steps.
     pub fn new(dir: &Path, name: &str, fingerprint: &[u8; 32], length: u64) -> Self {
         Self { dir: dir.to_path_buf(), name: name.to_string(), fingerprint: *fingerprint, length }
     }
@@ -83,7 +83,7 @@ impl Checkpoints {
         self.fingerprint[..DIGITS / 2].iter().map(|b| format!("{b:02x}")).collect()
     }
 
-    /// Where the checkpoint of a step is, or would be.
+    /// The path of the checkpoint of a step, whether or not it exists.
     pub fn path(&self, step: u64) -> PathBuf {
         self.dir.join(format!("{}-{}-{}-{step}.{EXTENSION}", self.name, self.run(), self.length))
     }
@@ -93,16 +93,16 @@ impl Checkpoints {
         CheckpointFile::at(self.path(step)).save(state)?;
         sweep(&self.dir);
         for earlier in self.entries().iter().filter(|e| e.ours && e.length == self.length && e.step < step) {
-            // It only takes up room, and another process may have been quicker.
+            // The old file only takes up space, and another process may have removed it already.
             let _ = fs::remove_file(&earlier.path);
         }
         Ok(())
     }
 
-    /// The furthest whole state of this run that is not beyond its length.
+    /// The furthest complete state of this run that is not beyond its length.
     ///
     /// # Errors
-    /// A file that is there and cannot be read. What is damaged or vanishes meanwhile is passed over.
+    /// An existing file cannot be read. Files that are damaged or disappear meanwhile are skipped.
     pub fn load<T: Resumable>(&self) -> Result<Found<T>, CheckpointError> {
         sweep(&self.dir);
         let (mut entries, mut notices) = (Vec::new(), Vec::new());
@@ -130,7 +130,7 @@ impl Checkpoints {
         Ok(Found { state: None, notices })
     }
 
-    /// The furthest of these, sorted by step, that can be gone on from.
+    /// The furthest usable state of these entries, which are sorted by step.
     fn furthest<T: Resumable>(&self, entries: &[Entry]) -> Result<Look<T>, CheckpointError> {
         let mut notices = Vec::new();
         for entry in entries.iter().filter(|e| e.ours && e.step <= self.length) {
@@ -142,7 +142,7 @@ impl Checkpoints {
                     "the checkpoint {} does not hold what its name says; it is left alone",
                     entry.path.display()
                 )),
-                // Its writer has a later one by now, which is not in this list.
+                // The run that wrote it has a later file by now, which is not in this list.
                 Ok(None) => return Ok(Look::Vanished),
                 Err(damaged @ CheckpointError::Damaged { .. }) => notices.push(damaged.to_string()),
                 Err(error) => return Err(error),
@@ -151,8 +151,9 @@ impl Checkpoints {
         Ok(Look::Nothing(notices))
     }
 
-    /// How far this run is, of how many steps, under another key: in a cache the folder's name is a key, and
-    /// those beside it are of the same stage. None where there is anything of this run in its own folder.
+    /// The step and length of this run under another key, if there is one. In a cache the folder's name is a
+    /// key, and the folders beside it belong to the same stage. `None` if this run's own folder contains any
+    /// of its files.
     pub(crate) fn apart(&self) -> Option<(u64, u64)> {
         let is_key = |name: &std::ffi::OsStr| {
             name.to_str().is_some_and(|name| name.len() == 64 && name.bytes().all(|b| b.is_ascii_hexdigit()))
@@ -166,7 +167,7 @@ impl Checkpoints {
         entries.filter(|e| e.ours && e.step > 0).map(|e| (e.step, e.length)).max()
     }
 
-    /// This loop's checkpoints in the folder, of whatever run.
+    /// This loop's checkpoints in the folder, of all runs.
     fn entries(&self) -> Vec<Entry> {
         let run = self.run();
         let parse = |path: PathBuf| {
@@ -222,14 +223,14 @@ mod tests {
             short.save(step);
             other.save(step - 50);
         }
-        // The longer run goes on from the shorter one's work, which the shorter one keeps.
+        // The longer run resumes from the shorter one's file, and the shorter one keeps it.
         assert_eq!(long.load(), (Some(290), String::new()));
         long.save(305);
         long.save(310);
         assert_eq!(short.load(), (Some(290), String::new()));
         assert_eq!(other.load(), (Some(240), String::new()));
         assert_eq!(fs::read_dir(&folder).unwrap().count(), 3, "each keeps its last only");
-        // Beyond what is asked for, and of others: said.
+        // Files beyond the requested length, and files of other runs, are reported.
         let (found, notice) = Run::new(&folder, 1, 200).load();
         assert!(found.is_none() && notice.contains("step 290, beyond the 200"), "{notice}");
         let (found, notice) = Run::new(&folder, 3, 300).load();
@@ -251,7 +252,7 @@ mod tests {
         let (found, notice) = second.load();
         assert_eq!(found, Some(80));
         assert!(notice.contains("cut short") && !notice.contains("starting anew"), "{notice}");
-        // A file under another's name is not taken for it.
+        // A file under another step's name is not used.
         fs::copy(first.0.path(80), first.0.path(90)).unwrap();
         let (found, notice) = first.load();
         assert!(found == Some(80) && notice.contains("what its name says"), "{notice}");
@@ -273,8 +274,8 @@ mod tests {
                     let run = Run::new(folder, 1, length);
                     for step in 1..=60 {
                         run.save(step);
-                        // At every moment something whole is there, at least as far as this run. (A listing
-                        // made while others rename may lack what was there before and
+                        // At every moment there is a complete file that is at least as far as this run. (A
+                        // listing during another process's rename may lack files that existed before and
                         // after.)
                         let far = |_| run.load().0.is_some_and(|found| found >= step);
                         assert!((0..5).any(far), "{step}");

@@ -1,12 +1,12 @@
-//! Checkpoints of a training loop: one file, whole or absent.
+//! Checkpoints of a training loop: one file, complete or absent.
 //!
 //! Layout: 16 bytes of magic and format version, the 32-byte BLAKE3 digest of everything after it, then the
-//! state in bincode's standard configuration. State goes to the file and comes back through a small buffer: a
-//! checkpoint needs no memory of its own size. A new one is written to a sibling of its own, synced and
-//! renamed over the old one, so that the machine may die at any moment, and several processes may write the
-//! same one at once, and a good file remains. A file that is cut short, altered, or of another version is
-//! an error that says so; the loop then starts anew (and the caller says so), never from half a state.
-//! Internal state only: exchange formats are open ones.
+//! state in bincode's standard configuration. The state is written and read through a small buffer, so a
+//! checkpoint needs no memory of its own size. A new one is written to a temporary sibling, synced and
+//! renamed over the old one. So the machine may stop at any moment, several processes may write the same file
+//! at once, and a good file remains. A file that is cut short, altered, or of another version is an error
+//! with that reason; the loop then starts from the beginning (and the caller reports it), never from a
+//! damaged state. The format is for internal state only: exchange formats are open ones.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
@@ -21,21 +21,22 @@ use bincode::error::{DecodeError, EncodeError};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// The version rises whenever a loop's state changes its form: an older file is then refused by name.
+/// The version rises with every change to the form of a loop's state: the error for an older file then names
+/// its version.
 const MAGIC: &[u8; 16] = b"3d-use state v03";
 const DIGEST: usize = blake3::OUT_LEN;
-/// Bytes that are digested, written or read at a time.
+/// Number of bytes that are digested, written or read at a time.
 const BLOCK: usize = 1 << 20;
 
-/// Why a checkpoint could not be written or read.
+/// The reason why a checkpoint could not be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
-    /// The file system refused.
+    /// A file operation failed.
     #[error("checkpoint {}: {source}{}", path.display(), advice(source))]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
     /// The file is not a checkpoint of this version, is cut short, or was altered.
@@ -43,7 +44,7 @@ pub enum CheckpointError {
     Damaged {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The problem.
         reason: String,
     },
     /// The state could not be encoded.
@@ -51,7 +52,7 @@ pub enum CheckpointError {
     Encode(String),
 }
 
-/// What to do about a full disk.
+/// The advice for a full disk.
 fn advice(error: &std::io::Error) -> &'static str {
     match error.kind() {
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded => {
@@ -61,7 +62,7 @@ fn advice(error: &std::io::Error) -> &'static str {
     }
 }
 
-/// Passes bytes on to a file and digests them.
+/// Writes bytes to a file and digests them.
 struct Digesting {
     file: File,
     hasher: blake3::Hasher,
@@ -79,24 +80,25 @@ impl Write for Digesting {
     }
 }
 
-/// What a sibling's name has between the file's own and what tells siblings apart.
+/// The text in a sibling's name between the file's own name and the suffix that distinguishes siblings.
 const PART: &str = ".part-";
-/// How long a sibling must have stayed as it is, as this process saw it by its own clock, for its writer to
-/// count as gone. Locks would tell sooner, where all machines that share a folder agree on them; on network
-/// file systems they may not, or may hang.
+/// The time for which a sibling must be unchanged, by this process's own clock, before its writer counts as
+/// ended. Locks would show this sooner if all machines that share a folder agreed on them; on network file
+/// systems they may not work, or may hang.
 const ABANDONED: Duration = Duration::from_secs(600);
 
 /// Creates a sibling of `path` that no other process on any machine and no other thread writes.
 fn create_sibling(path: &Path) -> std::io::Result<(PathBuf, File)> {
     static COUNTER: AtomicU64 = AtomicU64::new(0);
-    // Process ids are told apart on one machine only; hash maps are seeded by chance, and so are names.
+    // Process ids differ on one machine only; hash maps are seeded at random, so names get a random number
+    // too.
     static CHANCE: LazyLock<u64> = LazyLock::new(|| RandomState::new().build_hasher().finish());
     loop {
         let mut name = path.file_name().unwrap_or_default().to_os_string();
         let number = COUNTER.fetch_add(1, Ordering::Relaxed);
         name.push(format!("{PART}{}-{:016x}-{number}", std::process::id(), *CHANCE));
         let part = path.with_file_name(name);
-        // Created, never opened.
+        // The file must be new; an existing file is never opened.
         match File::options().write(true).create_new(true).open(&part) {
             Ok(file) => return Ok((part, file)),
             Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
@@ -105,8 +107,8 @@ fn create_sibling(path: &Path) -> std::io::Result<(PathBuf, File)> {
     }
 }
 
-/// Removes what processes that were killed while writing left in a folder of checkpoints. Called again and
-/// again while a training lasts.
+/// Removes the unfinished files of killed processes from a folder of checkpoints. A training calls it again
+/// and again.
 pub(crate) fn sweep(dir: &Path) {
     sweep_at(dir, Instant::now());
 }
@@ -137,8 +139,8 @@ fn sweep_at(dir: &Path, now: Instant) {
     seen.retain(|path, _| path.parent() != Some(dir) || there.contains(path));
 }
 
-/// Writes and syncs a whole file. The digest is known last and put in its place then; until then the file has
-/// none that fits.
+/// Writes and syncs a whole file. The digest is known only at the end and then written in its place; until
+/// then the file has no valid digest.
 fn write(mut file: File, state: &impl Serialize) -> Result<(), EncodeError> {
     let io = |inner| EncodeError::Io { inner, index: 0 };
     file.write_all(MAGIC).and_then(|()| file.write_all(&[0; DIGEST])).map_err(io)?;
@@ -151,14 +153,14 @@ fn write(mut file: File, state: &impl Serialize) -> Result<(), EncodeError> {
         .map_err(io)
 }
 
-/// The place of a loop's checkpoint.
+/// The path of a loop's checkpoint.
 #[derive(Clone, Debug)]
 pub struct CheckpointFile {
     path: PathBuf,
 }
 
 impl CheckpointFile {
-    /// `name` in `dir`; the folder is made when the first checkpoint is written.
+    /// The file `name` in `dir`; the folder is created when the first checkpoint is written.
     pub fn new(dir: &Path, name: &str) -> Self {
         Self::at(dir.join(name))
     }
@@ -168,15 +170,15 @@ impl CheckpointFile {
         Self { path }
     }
 
-    /// The file.
+    /// The path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Writes the state in place of the last one.
+    /// Replaces the last state by this one.
     ///
-    /// Where the folder is removed meanwhile, it is made again. A folder that is removed again and again
-    /// leaves no checkpoint, and a warning: the work that a checkpoint only secures goes on.
+    /// If the folder is removed meanwhile, it is created again. If it is removed again and again, there is no
+    /// checkpoint but a warning, and the training continues, because checkpoints only protect its work.
     pub fn save<T: Serialize>(&self, state: &T) -> Result<(), CheckpointError> {
         for _ in 0..3 {
             match self.save_once(state) {
@@ -202,12 +204,12 @@ impl CheckpointFile {
             Err(error) => Err(CheckpointError::Encode(error.to_string())),
         };
         if written.is_err() {
-            // What is left of it only takes up room.
+            // The unfinished file only takes up space.
             let _ = fs::remove_file(&part);
             return written;
         }
-        // The rename itself must survive a power cut; some file systems cannot sync a folder, which is no
-        // reason to fail.
+        // The sync makes the rename itself survive a power cut; some file systems cannot sync a folder, which
+        // is no reason to fail.
         if let Ok(folder) = File::open(dir) {
             let _ = folder.sync_all();
         }
@@ -240,8 +242,8 @@ impl CheckpointFile {
         }
         file.seek(SeekFrom::Start(head.len() as u64)).map_err(io)?;
         let mut body = BufReader::with_capacity(BLOCK, file);
-        // The digest vouches for the contents; a state of another shape still cannot ask for absurd lengths,
-        // since arrays grow as they are read.
+        // The digest protects the contents. A state of another form still cannot cause huge allocations,
+        // because arrays grow while they are read.
         match bincode::serde::decode_from_std_read::<T, _, _>(&mut body, bincode::config::standard()) {
             Ok(state) if body.fill_buf().map_err(io)?.is_empty() => Ok(Some(state)),
             Ok(_) => Err(damaged("it holds more than this version's state")),
@@ -283,10 +285,10 @@ mod tests {
             file.save(&state).unwrap();
             assert_eq!(file.load::<State>().unwrap().unwrap(), state);
         }
-        // Another version's state, however whole, is not ours.
+        // A state of another version is refused, even if it is complete.
         assert!(matches!(file.load::<(State, State)>(), Err(CheckpointError::Damaged { .. })));
         assert!(matches!(file.load::<u64>(), Err(CheckpointError::Damaged { .. })));
-        // Nothing but the checkpoint lies there.
+        // The folder contains only the checkpoint.
         assert_eq!(fs::read_dir(dir.path().join("deep/down")).unwrap().count(), 1);
         file.remove().unwrap();
         file.remove().unwrap();
@@ -300,8 +302,8 @@ mod tests {
         let (written, mut file) = create_sibling(&path).unwrap();
         let (left, _) = create_sibling(&path).unwrap();
         assert_ne!(written, left);
-        // It may be another machine's, which no lock and no process id tells
-        // of: what counts is that it grows.
+        // The writer may be on another machine, where neither locks nor process ids are visible: the growing
+        // file shows that it is alive.
         let now = Instant::now();
         for minutes in [0, 5, 9] {
             sweep_at(dir.path(), now + Duration::from_secs(60 * minutes));
@@ -338,7 +340,7 @@ mod tests {
             fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
                 use serde::ser::{Error, SerializeTuple};
 
-                // More than a block, so that part of it is in the file by then.
+                // More than a block, so that a part of it is in the file by then.
                 let mut tuple = serializer.serialize_tuple(BLOCK)?;
                 for _ in 0..BLOCK {
                     tuple.serialize_element(&1.0f32)?;

@@ -1,25 +1,25 @@
-//! Which engine a training is asked to use, as command lines and pipeline files say it.
+//! The choice of the engine for a training, in the form of command lines and pipeline files.
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// What computes a training.
+/// The engine that computes a training.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum EngineChoice {
-    /// The best graphics card that passes its check at the start and can do
-    /// what is asked, else the processor.
+    /// The best graphics card that passes its check at the start and supports the requested training, else
+    /// the processor.
     Auto,
     /// The processor.
     #[default]
     Cpu,
-    /// A graphics card: the best, or the first whose name contains this, in any case.
+    /// A graphics card: the best one, or the first one whose name contains this text, in any case.
     Gpu(Option<String>),
 }
 
-/// A text that names no engine.
+/// The error for a text that names no engine.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{0}` is no engine; expected auto, cpu, gpu or gpu:NAME with any part of an adapter's name (`use3d devices` lists them)"

@@ -1,42 +1,42 @@
-//! What may go wrong in an engine, wherever it computes.
+//! The errors of engines on all devices.
 //!
-//! A training loop decides *what* happens; an engine holds parameters, moments and buffers and does it, on
-//! the processor or on another device. The seams are traits of `reconstruct` and `enhance`; both fail in the
-//! same ways, and a loop treats them alike: the run ends with the error, and says which checkpoint, written
-//! before, any engine can go on from.
+//! A training loop decides *what* to do; an engine holds parameters, moments and buffers and does it, on the
+//! processor or on another device. The interfaces are traits of `reconstruct` and `enhance`. Both fail in the
+//! same ways, and a loop handles the errors alike: the run ends with the error, and names the earlier
+//! checkpoint from which any engine can resume.
 
 use std::error::Error;
 
-/// An engine could not do what it was asked to.
+/// The error of an engine.
 #[derive(Debug, thiserror::Error)]
 pub enum EngineError {
-    /// The device's memory does not suffice.
+    /// The device has not enough memory.
     #[error(
         "the engine `{engine}` is out of memory: {what}; use smaller images or fewer Gaussians, or another engine"
     )]
     OutOfMemory {
         /// The engine's name.
         engine: &'static str,
-        /// What it needed memory for, and how much, as far as that is known.
+        /// The purpose of the memory, and its size if it is known.
         what: String,
     },
-    /// The device does not answer any more: it was reset or removed, or its driver gave up.
+    /// The device does not answer any more: it was reset or removed, or its driver failed.
     #[error("the engine `{engine}` lost its device ({reason})")]
     DeviceLost {
         /// The engine's name.
         engine: &'static str,
-        /// What the driver said.
+        /// The driver's error.
         reason: String,
     },
-    /// A state that is of another version, or that does not agree with itself or with what was uploaded.
+    /// The state has another version, or is not consistent with itself or with the uploaded data.
     #[error("the training state cannot be used: {0}")]
     State(String),
-    /// A request that makes no sense, such as a step on a view that was never uploaded.
+    /// The request makes no sense, such as a step on a view that was never uploaded.
     #[error("the engine `{engine}` cannot do that: {what}")]
     Request {
         /// The engine's name.
         engine: &'static str,
-        /// What was asked, and what would be right.
+        /// The request, and the expected one.
         what: String,
     },
     /// A computation failed.
@@ -44,11 +44,11 @@ pub enum EngineError {
     Failed(Box<dyn Error + Send + Sync>),
 }
 
-/// Which reports a loop waits for.
+/// The reports for which a loop waits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Drain {
-    /// Those that are there; none where every step is still under way.
+    /// The finished ones; possibly none, if every step is still running.
     Ready,
-    /// All: every step that was asked for is done and reported afterwards.
+    /// All: afterwards every requested step is done and reported.
     All,
 }

@@ -4,7 +4,7 @@ use use3d_numerics::sums::BLOCK;
 
 use rayon::prelude::*;
 
-/// A loss, gradient or parameter that is infinite or not a number: where it was first seen.
+/// A loss, gradient or parameter that is infinite or NaN, with the place where it first occurred.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "step {step}, view `{view}`: {what} is not finite{}",
@@ -15,16 +15,16 @@ pub struct NonFinite {
     pub step: u64,
     /// The view's name.
     pub view: String,
-    /// What it was: `loss`, `means`, …
+    /// The quantity: `loss`, `means`, …
     pub what: String,
-    /// The first bad element, where there are several.
+    /// The index of the first bad element, if the quantity has several.
     pub index: Option<usize>,
 }
 
 /// The index of the first value that is not finite.
 pub fn first_non_finite(values: &[f32]) -> Option<usize> {
     values.par_chunks(BLOCK).enumerate().find_map_first(|(block, chunk)| {
-        // One pass without branches per block; the position is looked for only where there is one.
+        // One pass without branches per block; the index is searched only in a block with a bad value.
         let bad = chunk.iter().fold(false, |bad, v| bad | !v.is_finite());
         bad.then(|| block * BLOCK + chunk.iter().position(|v| !v.is_finite()).unwrap_or(0))
     })

@@ -1,11 +1,11 @@
-//! What both training loops share: their skeleton, observers, checkpoints, view order, the guard against
-//! non-finite numbers, profiles.
+//! Parts that both training loops share: their skeleton, observers, checkpoints, view order, the guard
+//! against non-finite numbers, profiles.
 //!
-//! What the loops do lives in `reconstruct` and `enhance`; a [`Session`] runs it. They tell an [`Observer`]
-//! what happens and ask it whether to stop, keep their state in [`Checkpoints`] that are whole or absent and
-//! their own, draw views through a [`ViewOrder`] that is a function of (seed, step), tell their [`Pace`], and
-//! hand numbers to the [`guard`] so that a run that has diverged says where. The work of a step is an
-//! engine's, which fails with an [`EngineError`].
+//! The work of the loops is in `reconstruct` and `enhance`; a [`Session`] runs it. The loops report to an
+//! [`Observer`] and stop at its request, keep their state in [`Checkpoints`] that are complete or absent and
+//! separate for each run, draw views through a [`ViewOrder`] that is a function of (seed, step), measure
+//! their [`Pace`], and check numbers with the [`guard`], so that a run that has diverged reports the place.
+//! An engine does the work of a step, and fails with an [`EngineError`].
 
 mod chain;
 pub mod checkpoint;

@@ -1,15 +1,15 @@
-//! Who watches a long loop, and may ask it to stop.
+//! Observers of a long loop, which may also stop it.
 
 use std::any::Any;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Where a loop is. Optional numbers are absent where a loop has none.
+/// The progress of a loop. Optional numbers are absent if a loop does not have them.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Progress {
-    /// Steps done.
+    /// Number of steps done.
     pub step: u64,
-    /// Steps in all.
+    /// Total number of steps.
     pub steps: u64,
     /// Smoothed loss.
     pub loss: Option<f64>,
@@ -17,68 +17,68 @@ pub struct Progress {
     pub psnr: Option<f64>,
     /// PSNR of the held-out views when they were last measured, dB.
     pub held_out_psnr: Option<f64>,
-    /// Gaussians in the scene.
+    /// Number of Gaussians in the scene.
     pub gaussians: Option<usize>,
     /// Steps per second over the last seconds.
     pub steps_per_second: Option<f64>,
-    /// Seconds left, by that pace and what the steps to come are known to cost.
+    /// Seconds left, estimated from that pace and the known work of the remaining steps.
     pub seconds_left: Option<f64>,
 }
 
-/// What is being trained as it stands after a step, copied so that it may be looked at in another thread
-/// while training goes on. Which type it is, the loop's crate says: this one knows no scenes.
+/// A copy of the trained state after a step, so that another thread can read it while training continues. The
+/// loop's crate defines its type, because this crate has no type for scenes.
 pub type Snapshot = Arc<dyn Any + Send + Sync>;
 
-/// Watches a loop. Every method has a default that does nothing, so a test may pass [`Silent`].
+/// Observes a loop. Every method has a default that does nothing, so a test may pass [`Silent`].
 pub trait Observer {
-    /// After every step; implementations decide how often to show it.
+    /// Called after every step; implementations decide how often to display it.
     fn progress(&mut self, _progress: &Progress) {}
 
-    /// Something a person should know, said once: a fallback taken, a cap that bites.
+    /// Reports a message for the user, once: a fallback, a limit that was reached.
     fn notice(&mut self, _message: &str) {}
 
-    /// Whether the loop should write its checkpoint and leave. Asked after every step.
+    /// Returns true if the loop should write its checkpoint and stop. Called after every step.
     fn should_stop(&self) -> bool {
         false
     }
 
-    /// Whether somebody wants to see what is being trained. Asked after every step; whatever
-    /// the answer, results are the same.
+    /// Returns true if the observer wants a view of the training. Called after every step; the answer never
+    /// changes a result.
     fn wants_view(&self) -> bool {
         false
     }
 
-    /// What is being trained, for who wanted it.
+    /// Receives a view of the training, if one was wanted.
     fn view(&mut self, _view: Snapshot) {}
 }
 
-/// Watches nothing and never stops anything.
+/// Ignores all reports and never stops the loop.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Silent;
 
 impl Observer for Silent {}
 
-/// A request to stop that can be raised from another thread or a signal handler.
+/// A request to stop that another thread or a signal handler can make.
 #[derive(Clone, Debug, Default)]
 pub struct StopFlag(Arc<AtomicBool>);
 
 impl StopFlag {
-    /// A flag that is down.
+    /// A flag that is not set.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Asks to stop.
+    /// Requests a stop.
     pub fn raise(&self) {
         self.0.store(true, Ordering::Relaxed);
     }
 
-    /// Whether someone asked.
+    /// Returns true if a stop was requested.
     pub fn is_raised(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
 
-    /// The shared flag itself, as signal handlers want it.
+    /// The shared flag itself, in the form for signal handlers.
     pub fn shared(&self) -> Arc<AtomicBool> {
         Arc::clone(&self.0)
     }

@@ -1,9 +1,9 @@
-//! The order in which a loop looks at its views: shuffled epochs without replacement.
+//! The order in which a loop uses its views: shuffled epochs without replacement.
 
 use use3d_numerics::random::{Purpose, Stream};
 
-/// A new permutation of the views for every epoch, as a function of (seed, purpose, epoch): the view of a
-/// step does not depend on how the loop got there, so a resumed run sees the views it would have seen.
+/// A new permutation of the views for every epoch, as a function of (seed, purpose, epoch). The view of a
+/// step does not depend on the steps before, so a resumed run uses the same views as an uninterrupted one.
 #[derive(Clone, Debug)]
 pub struct ViewOrder {
     seed: u64,
@@ -44,7 +44,7 @@ mod tests {
             assert_eq!(sorted, [0, 1, 2, 3, 4, 5, 6]);
         }
         assert!(epochs.windows(2).any(|w| w[0] != w[1]));
-        // Asked out of order, the answers are the same.
+        // Other orders of the calls give the same answers.
         let mut again = ViewOrder::new(1, Purpose::new("views"), 7);
         assert_eq!(again.view(20), epochs[2][6]);
         assert_eq!(again.view(3), epochs[0][3]);

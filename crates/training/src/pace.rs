@@ -1,20 +1,20 @@
-//! How fast a loop goes now, and how long the rest will take.
+//! The present speed of a loop, and the estimated time of the remaining steps.
 //!
-//! Steps are not alike: those on smaller images take less time. A loop therefore gives each step a weight,
-//! its *work*, in any unit that stays the same over the run, and says how much work is left. The pace is that
-//! of the last seconds, so that it follows growing scenes and a machine that slows down, and a run gone on
-//! from a checkpoint does not count the steps it did not do.
+//! Steps differ: those on smaller images take less time. A loop therefore gives each step a weight, its
+//! *work*, in any unit that stays the same during the run, and reports the remaining work. The pace is that
+//! of the last seconds, so that it follows growing scenes and a slower machine, and a resumed run does not
+//! count steps that it did not do.
 //!
-//! For a person's eyes alone: nothing here may enter a result.
+//! The pace is for display only: it must not affect any result.
 
 use std::time::Instant;
 
 use use3d_numerics::math;
 
-/// Older steps count by `e^(−age / WINDOW)`, seconds.
+/// Older steps have the weight `e^(−age / WINDOW)`, in seconds.
 const WINDOW: f64 = 20.0;
 
-/// Steps and work per second of the last seconds.
+/// Steps and work per second, over the last seconds.
 #[derive(Clone, Copy, Debug)]
 pub struct Pace {
     last: Instant,
@@ -29,7 +29,7 @@ impl Pace {
         Self { last: Instant::now(), seconds: 0.0, steps: 0.0, work: 0.0 }
     }
 
-    /// A step of `work` ended now.
+    /// Records the end of a step with this work.
     pub fn step(&mut self, work: f64) {
         let now = Instant::now();
         self.took(now.duration_since(self.last).as_secs_f64(), work);
@@ -43,12 +43,12 @@ impl Pace {
         self.work = kept * self.work + work;
     }
 
-    /// Steps per second; none before the first step.
+    /// Steps per second; `None` before the first step.
     pub fn steps_per_second(&self) -> Option<f64> {
         (self.seconds > 0.0).then(|| self.steps / self.seconds)
     }
 
-    /// Seconds that `work` will take; none before the first step.
+    /// Estimated seconds for `work`; `None` before the first step.
     pub fn seconds_for(&self, work: f64) -> Option<f64> {
         (self.work > 0.0).then(|| work.max(0.0) * self.seconds / self.work)
     }
@@ -73,7 +73,7 @@ mod tests {
         let mut pace = Pace::start();
         (0..1000).for_each(|_| pace.took(0.01, 1.0));
         assert!(close(pace.steps_per_second(), 100.0));
-        // Ten times slower: after many windows the fast steps are forgotten.
+        // Ten times slower: after a time of many windows the fast steps have no weight.
         (0..3000).for_each(|_| pace.took(0.1, 1.0));
         assert!(close(pace.steps_per_second(), 10.0), "{pace:?}");
         assert!(close(pace.seconds_for(50.0), 5.0));

@@ -1,4 +1,4 @@
-//! Where the time of a step goes.
+//! The time of each part of a step.
 
 use std::time::{Duration, Instant};
 
@@ -11,7 +11,7 @@ pub trait Part: Copy + PartialEq + 'static {
 /// Time per part, summed over steps. Never stored: it differs from run to run.
 #[derive(Clone, Debug)]
 pub struct Profile<P> {
-    /// Steps measured.
+    /// Number of steps measured.
     pub steps: u64,
     parts: std::marker::PhantomData<P>,
     spent: Vec<Duration>,
@@ -39,7 +39,7 @@ impl<P: Part> Profile<P> {
         self.last = Some(Instant::now());
     }
 
-    /// The time since the last call belongs to `part`; nothing while the clock stands.
+    /// Adds the time since the last call to `part`; does nothing while the clock is stopped.
     pub fn lap(&mut self, part: P) {
         if let Some(last) = &mut self.last {
             let now = Instant::now();
@@ -50,7 +50,7 @@ impl<P: Part> Profile<P> {
         }
     }
 
-    /// Stops the clock: what follows is no part of a step.
+    /// Stops the clock: the time after it belongs to no step.
     pub fn stop(&mut self) {
         self.last = None;
     }

@@ -1,15 +1,15 @@
-//! The skeleton of a training loop: go on from a checkpoint, step, say how fast, write what is due, stop when
-//! asked.
+//! The skeleton of a training loop: resume from a checkpoint, do the steps, report the pace, write
+//! checkpoints that are due, stop on request.
 //!
 //! ```text
-//! resume ─▶ step ─▶ tell progress ─▶ due, asked to stop, or last? save ─▶ asked to stop? leave
-//!             ▲                                                              │
-//!             └──────────────────────────────────────────────────────────────┘
+//! resume ─▶ step ─▶ report ─▶ due, stop requested, or last? save ─▶ stop requested? return
+//!           ▲                                                           │
+//!           └───────────────────────────────────────────────────────────┘
 //! ```
 //!
-//! Checkpoints and progress change nothing about a result, so both loops follow the same rules: a checkpoint
-//! is written after so many steps or minutes, when the observer asks to stop, and at the end. The last one
-//! stays where it is.
+//! Checkpoints and progress do not change a result, so both loops follow the same rules: a checkpoint is
+//! written after a number of steps or minutes, when the observer requests a stop, and at the end. The last
+//! one stays in its place.
 
 use std::ops::Range;
 use std::time::Instant;
@@ -19,63 +19,63 @@ use crate::checkpoint::CheckpointError;
 use crate::observer::{Observer, Progress, Snapshot};
 use crate::pace::Pace;
 
-/// What a loop does, one step after another.
+/// The work of a loop, one step after another.
 pub trait Steps {
-    /// What may go wrong.
+    /// The loop's errors.
     type Error: From<CheckpointError>;
 
-    /// Does step `step` (from 0), with everything that happens before the next one.
+    /// Does step `step` (from 0), and everything else before the next one.
     fn step(&mut self, step: u64, observer: &mut dyn Observer) -> Result<(), Self::Error>;
 
-    /// Writes the state after `done` steps, every one of them reported.
+    /// Writes the state after `done` steps, all of which have been reported.
     fn save(&mut self, done: u64, checkpoints: &Checkpoints) -> Result<(), Self::Error>;
 
-    /// What these steps cost, in any unit that is the same for all.
+    /// The work of these steps, in any unit that is the same for all.
     fn work(&self, steps: Range<u64>) -> f64 {
         steps.end.saturating_sub(steps.start) as f64
     }
 
-    /// A copy of what is trained as it stands, for somebody who looks on; `None` where there is nothing to
-    /// look at. It must leave the steps to come as they are.
+    /// A copy of the present trained state for an observer; `None` if there is nothing to show. It must not
+    /// change later steps.
     fn view(&mut self) -> Result<Option<Snapshot>, Self::Error> {
         Ok(None)
     }
 
-    /// What a person sees after a step: smoothed loss and PSNR, and the number of Gaussians. The skeleton
-    /// fills in the rest.
+    /// The numbers to display after a step: smoothed loss and PSNR, and the number of Gaussians. The skeleton
+    /// adds the rest.
     fn shown(&self) -> Progress;
 }
 
-/// How a run ended.
+/// The end of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ended {
-    /// With its last step.
+    /// The last step was done.
     Done,
-    /// On request.
+    /// The run was stopped on request.
     Stopped {
-        /// Steps done.
+        /// Number of steps done.
         step: u64,
-        /// Whether a checkpoint holds the state.
+        /// True if a checkpoint contains the state.
         saved: bool,
     },
 }
 
-/// How far a run goes and when it writes its state.
+/// The length of a run, and the rules for its checkpoints.
 #[derive(Clone, Debug)]
 pub struct Session {
-    /// Steps in all.
+    /// Total number of steps.
     pub steps: u64,
-    /// Where checkpoints lie; `None`: none are written.
+    /// The checkpoints; `None` writes none.
     pub checkpoints: Option<Checkpoints>,
-    /// A checkpoint is due after so many steps, at least 1.
+    /// Number of steps between checkpoints, at least 1.
     pub every_steps: u64,
-    /// And after so many minutes.
+    /// Number of minutes after which a checkpoint is also due.
     pub every_minutes: f64,
 }
 
 impl Session {
-    /// The furthest state that can be gone on from. What a person should know is told to the observer: files
-    /// that cannot be read, are damaged, or belong to other runs; the run then starts anew.
+    /// The latest state to resume from. Anything the user should know goes to the observer: files that cannot
+    /// be read, are damaged, or belong to other runs; the run then starts from the beginning.
     pub fn furthest<T: Resumable>(&self, observer: &mut dyn Observer) -> Option<T> {
         let checkpoints = self.checkpoints.as_ref()?;
         match checkpoints.load::<T>() {
@@ -98,12 +98,13 @@ impl Session {
         }
     }
 
-    /// Says that the run goes on after `done` steps.
+    /// Reports that the run resumes after `done` steps.
     pub fn tell_resumed(&self, done: u64, observer: &mut dyn Observer) {
         observer.notice(&format!("going on from step {done} of {}", self.steps));
     }
 
-    /// Does the steps that are left after the first `done`. Where that fails, the observer is told what is kept.
+    /// Does the steps after the first `done`. On an error, the observer gets a message about the last
+    /// checkpoint.
     pub fn run<S: Steps>(
         &self,
         done: u64,
@@ -174,7 +175,7 @@ mod tests {
     use super::*;
     use crate::testing::State;
 
-    /// Counts, and writes down after which steps it was saved.
+    /// Counts steps, and records the steps after which it was saved.
     #[derive(Default)]
     struct Counter {
         steps: Vec<u64>,
@@ -247,11 +248,11 @@ mod tests {
         let ended = session.run(0, &mut first, &mut watcher).unwrap();
         assert_eq!(ended, Ended::Stopped { step: 6, saved: true });
         assert_eq!((first.steps.len(), first.saved), (6, vec![4, 6]));
-        // Six of ten steps are done, and what is shown is the loop's own.
+        // Six of ten steps are done, and the displayed numbers are the loop's own.
         let last = watcher.seen.last().unwrap();
         assert_eq!((last.step, last.steps, last.loss), (6, 10, Some(0.5)));
 
-        // What is trained is shown when it is wanted, as it stands.
+        // Views show the present state, when they are wanted.
         let shown = watcher.views.iter().map(|view| view.downcast_ref::<Vec<u64>>().expect("steps").len());
         assert_eq!(shown.collect::<Vec<_>>(), [3, 6]);
 
@@ -261,7 +262,7 @@ mod tests {
         assert!(watcher.notices.contains(&"going on from step 6 of 10".to_string()), "{:?}", watcher.notices);
         assert_eq!(session.run(state.step, &mut second, &mut watcher).unwrap(), Ended::Done);
         assert_eq!((second.steps, second.saved), (vec![6, 7, 8, 9], vec![10]));
-        // Nothing is left to do, and nothing is written.
+        // No step is left, and no file is written.
         let mut third = Counter::default();
         let state = session.furthest::<State>(&mut watcher).expect("the last checkpoint stays");
         assert_eq!(session.run(state.step, &mut third, &mut watcher).unwrap(), Ended::Done);
@@ -288,7 +289,7 @@ mod tests {
                 watcher.notices
             );
         }
-        // Gone on from and lost before the next one is due: the same one is kept.
+        // A run that resumed and failed before its next checkpoint keeps the old one.
         let mut watcher = Watcher::default();
         let mut work = Counter { fails_at: Some(5), ..Counter::default() };
         session(own()).run(4, &mut work, &mut watcher).unwrap_err();

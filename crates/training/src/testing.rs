@@ -1,4 +1,4 @@
-//! What the tests of this crate train: a state that knows its run and its step, and nothing else.
+//! The state that the tests of this crate train: it holds only its run and its step.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,14 +1,14 @@
-//! What code a stage is made of.
+//! The code that a stage depends on, as digests.
 //!
-//! A stage's artifact is stale when the code that made it changed, and only then. The table built here gives
-//! every crate of the workspace a digest of its *tokens*, and every file of the crate that holds the stages
-//! one of its own. A stage names the file that holds it; everything else follows from the sources: the files
-//! of that crate that this one uses, and those use in turn, the crates that any of them names with everything
-//! below those, and the locked third-party crates. So a change in one method's crate makes stale what uses it
-//! and leaves the rest alone, and a comment changes nothing anywhere.
+//! A stage's artifact is stale when the code that made it changed, and only then. The table built here has a
+//! digest of the *tokens* of every crate of the workspace, and one of every file of the crate that holds the
+//! stages. A stage names the file that holds it; the rest follows from the sources: the files of that crate
+//! that this file uses directly or through others, the crates that any of them names with all their
+//! dependencies, and the locked third-party crates. So a change in one method's crate makes only those stages
+//! stale that use it, and a change of a comment makes none stale.
 //!
-//! This crate itself is not followed, nor what [`CodeRules`] leaves out beside it: they choose a stage's
-//! inputs and parameters and give it a folder, and not one byte in the folder is theirs.
+//! This crate itself does not count, nor do the parts that [`CodeRules`] leaves out: they choose a stage's
+//! inputs and parameters and provide its folder, but they write no byte in the folder.
 //!
 //! Known limits: the compiler's version and its flags do not count (numbers are IEEE arithmetic in a fixed
 //! order), nor do features switched on only by other crates of the build.
@@ -28,15 +28,15 @@ mod uses;
 /// This crate: it writes no byte of an artifact.
 const NOT_FOLLOWED: &str = env!("CARGO_PKG_NAME");
 
-/// How a workspace's code is told apart.
+/// The rules by which a workspace's code is assigned to stages.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CodeRules {
-    /// The folder below `crates/` of the crate that holds the stages: its files count one by one.
+    /// The folder below `crates/` of the crate that holds the stages: its files have digests of their own.
     pub by_file: &'static str,
-    /// Files and folders (`src/config/`) of that crate that write no byte of an artifact: what a stage uses
-    /// of them is not followed.
+    /// Files and folders (`src/config/`) of that crate that write no byte of an artifact: if a stage uses
+    /// them, they do not count.
     pub not_followed: &'static [&'static str],
-    /// Crates that are named under a condition and are not in this build.
+    /// Crates that are used only under a `cfg` condition and are not in this build.
     pub absent: &'static [&'static str],
 }
 
@@ -71,45 +71,45 @@ struct FileCode {
     third_party: BTreeMap<String, String>,
 }
 
-/// The code one stage is made of, spelled out.
+/// The digests of the code of one stage.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct StageCode {
     /// Token digest of every crate (`use3d-splat`), of its dependency tables (`use3d-splat/Cargo.toml`) and
     /// of single files (`src/stages/import.rs`).
     pub ours: BTreeMap<String, Digest>,
-    /// Version and checksum of every third-party crate below.
+    /// Version and checksum of every third-party crate that it uses, directly or not.
     pub third_party: BTreeMap<String, String>,
 }
 
-/// A tree whose code cannot be digested, or a stage that names code that is not there.
+/// A source tree whose code cannot be digested, or a stage that names code that does not exist.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CodeError {
     /// The tree could not be read.
     #[error("cannot digest the source tree: {0}")]
     Tree(String),
-    /// No such crate.
+    /// There is no such crate.
     #[error("no crate `{name}` in the workspace; there are: {known}")]
     NoCrate {
-        /// The name asked for.
+        /// The name that was given.
         name: String,
-        /// The crates there are.
+        /// The crates of the workspace.
         known: String,
     },
-    /// No such file.
+    /// There is no such file.
     #[error("no source file or folder `{path}` in crates/{by_file}; give a path like `src/stages/import.rs`")]
     NoFile {
-        /// The path asked for.
+        /// The path that was given.
         path: String,
-        /// The crate whose files count one by one.
+        /// The crate whose files have digests of their own.
         by_file: &'static str,
     },
 }
 
 impl CodeTable {
-    /// The table that a build script wrote of the tree that it ran in.
+    /// Parses the table that a build script wrote about its own source tree.
     ///
     /// # Errors
-    /// A text that is no such table.
+    /// The text is not such a table.
     pub fn stored(text: &str, rules: CodeRules) -> Result<Self, CodeError> {
         let Stored { crates, files } =
             serde_json::from_str(text).map_err(|e| CodeError::Tree(e.to_string()))?;
@@ -119,7 +119,7 @@ impl CodeTable {
     /// The table of the workspace at `root` (a folder with `Cargo.toml`, `Cargo.lock` and `crates/`).
     ///
     /// # Errors
-    /// A tree that cannot be read.
+    /// The source tree cannot be read.
     pub fn of_tree(root: &Path, rules: CodeRules) -> Result<Self, CodeError> {
         let table: Value = tree::read(root, rules.by_file).map_err(CodeError::Tree)?;
         Self::stored(&table.to_string(), rules)
@@ -130,17 +130,17 @@ impl CodeTable {
         self.crates.keys().map(String::as_str)
     }
 
-    /// The files that count one by one.
+    /// The files that have digests of their own.
     pub fn files(&self) -> impl Iterator<Item = &str> {
         self.files.keys().map(String::as_str)
     }
 
-    /// The code of a stage made of `crates` (with everything below them) and of `sources`, files or folders
-    /// of the crate that holds the stages, such as `src/stages/import.rs` or `src/report`, with
-    /// everything that these use.
+    /// The code of a stage that depends on `crates` (with all their dependencies) and on `sources`, with
+    /// everything that these use. The sources are files or folders of the crate that holds the stages, such
+    /// as `src/stages/import.rs` or `src/report`.
     ///
     /// # Errors
-    /// Code that is not there.
+    /// The code does not exist.
     pub fn stage(&self, crates: &[&str], sources: &[&str]) -> Result<StageCode, CodeError> {
         let CodeRules { by_file, not_followed, absent } = self.rules;
         let no_file = |path: &str| CodeError::NoFile { path: path.to_string(), by_file };
@@ -183,7 +183,7 @@ impl CodeTable {
     }
 }
 
-/// Adds versions of third-party crates; several of one crate are listed all.
+/// Merges versions of third-party crates; several versions of one crate are all listed.
 fn unite(all: &mut BTreeMap<String, String>, more: &BTreeMap<String, String>) {
     for (name, versions) in more {
         let entry = all.entry(name.clone()).or_default();
@@ -194,7 +194,7 @@ fn unite(all: &mut BTreeMap<String, String>, more: &BTreeMap<String, String>) {
 }
 
 impl StageCode {
-    /// One digest for all of it.
+    /// One digest for all of the code.
     pub fn digest(&self) -> Digest {
         let mut encoder = Encoder::new("use3d 2026 stage code v1");
         encoder.number(self.ours.len() as u64);

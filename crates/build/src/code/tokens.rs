@@ -1,9 +1,10 @@
-//! The tokens of a source file, without what cannot change what it computes.
+//! The tokens of a source file, without those that cannot change a result.
 //!
-//! Left out: comments and layout (there are no tokens for them), documentation (`///` is the attribute `doc`
-//! to the compiler), items under `#[cfg(test)]`, and the trailing commas that a formatter adds when it breaks
-//! a line. The spacing between punctuation counts only where it makes a different operator (`&&` is not `&
-//! &`, `=-` is `= -`). When in doubt a token stays: a needless rerun costs minutes, a missed one costs trust.
+//! These are left out: comments and layout (there are no tokens for them), documentation (`///` is the
+//! attribute `doc` to the compiler), items under `#[cfg(test)]`, and the trailing commas that a formatter
+//! adds when it breaks a line. The spacing between punctuation counts only where it makes a different
+//! operator (`&&` is not `& &`, `=-` is `= -`). In doubt a token counts: a needless rerun costs minutes, a
+//! missed one costs trust.
 
 use std::path::{Path, PathBuf};
 
@@ -15,7 +16,7 @@ pub(crate) struct SourceTokens {
     pub(crate) test_modules: Vec<String>,
 }
 
-/// Tokenises Rust source; the error is the compiler's lexer's.
+/// Tokenises Rust source; an error is that of the compiler's lexer.
 pub(crate) fn tokens_of(source: &str) -> Result<SourceTokens, String> {
     let stream: TokenStream = source.parse().map_err(|e: proc_macro2::LexError| e.to_string())?;
     let mut out = SourceTokens { bytes: Vec::new(), test_modules: Vec::new() };
@@ -26,7 +27,7 @@ pub(crate) fn tokens_of(source: &str) -> Result<SourceTokens, String> {
     Ok(out)
 }
 
-/// Where `#[cfg(test)] mod name;` in `file` may have its source.
+/// The paths at which the source of `#[cfg(test)] mod name;` in `file` may be.
 pub(crate) fn module_files(file: &Path, module: &str) -> [PathBuf; 2] {
     let stem = file.file_stem().and_then(|s| s.to_str()).unwrap_or_default();
     let parent = file.parent().unwrap_or(Path::new(""));
@@ -59,7 +60,7 @@ pub(crate) fn is_doc(attribute: &TokenStream) -> bool {
     matches!(attribute.clone().into_iter().next(), Some(TokenTree::Ident(name)) if name == "doc")
 }
 
-/// `a,)` is `a)` in a call, but `(a,)` is not `(a)` alone: only a group that follows a name may drop its last
+/// `a,)` is `a)` in a call, but `(a,)` is not `(a)` alone: only a group that follows a name may lose its last
 /// comma.
 fn write_stream(stream: TokenStream, may_drop_only_comma: bool, out: &mut SourceTokens) {
     let tokens: Vec<TokenTree> = stream.into_iter().collect();
@@ -140,7 +141,7 @@ fn is_callee(before: &TokenTree) -> bool {
     }
 }
 
-/// Whether two adjacent characters begin an operator of the language.
+/// Returns true if two adjacent characters begin an operator of the language.
 fn joins(first: char, second: char) -> bool {
     matches!(
         (first, second),
@@ -171,8 +172,8 @@ pub(crate) fn attribute(tokens: &[TokenTree], i: usize) -> Option<(usize, &Group
     }
 }
 
-/// The index after the item that starts at `i`; `None` when it is no item (a field, an arm, an expression):
-/// it stays.
+/// The index after the item that starts at `i`; `None` if it is not an item (a field, an arm, an expression),
+/// which is kept.
 pub(crate) fn item_end(tokens: &[TokenTree], mut i: usize, test_modules: &mut Vec<String>) -> Option<usize> {
     while let Some((after, _)) = tokens.get(i).and_then(|_| attribute(tokens, i)) {
         i = after;

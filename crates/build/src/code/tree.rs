@@ -1,14 +1,14 @@
-//! Reads a workspace's sources into a table of code digests. The build script runs this on the tree it is
-//! built from; tests run it on copies of a tree.
+//! Reads a workspace's sources into a table of code digests. The build script runs this on its own source
+//! tree; tests run it on copies of a tree.
 //!
-//! Per crate: a digest of its tokens (every `.rs` below `src/` and the build script; other files below `src/`
-//! and `templates/` by their bytes, Markdown excepted), a digest of its dependency tables with the features
-//! they ask for, the crates of the workspace it depends on, and name, version and checksum (from git: commit)
-//! of every third-party crate below it. A dependency by path outside `crates/` would be code that no digest
-//! sees, so it is refused.
+//! Each crate has a digest of its tokens: every `.rs` below `src/` and the build script count by their
+//! tokens, other files below `src/` and `templates/` by their bytes, Markdown excepted. It also has a digest
+//! of its dependency tables with the features they request, the crates of the workspace it depends on, and
+//! name, version and checksum (from git: commit) of every third-party crate that it uses, directly or not. A
+//! dependency by path outside `crates/` is refused, because no digest would cover its code.
 //!
-//! Of one crate, whose files are not all of every stage, the same per file, with the files and crates that it
-//! uses.
+//! One crate also has these data per file, with the files and crates that each file uses, because its stages
+//! do not use all of its files.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -22,9 +22,10 @@ use super::uses::{modules, uses_of};
 const CONTEXT: &str = "use3d 2026 code digest v1";
 const DEPENDENCY_TABLES: [&str; 2] = ["dependencies", "build-dependencies"];
 
-/// The table of the workspace at `root`, as JSON: `crates.<package>.{tokens, manifest, workspace,
-/// third_party}` and `files.<path>.{tokens, uses, workspace, third_party}` of the single files of the crate
-/// in folder `crates/<by_file>`.
+/// The table of the workspace at `root`, as JSON:
+/// `crates.<package>.{tokens, manifest, workspace, third_party}`, and
+/// `files.<path>.{tokens, uses, workspace, third_party}` for the files of the crate in folder
+/// `crates/<by_file>`.
 pub(crate) fn read(root: &Path, by_file: &str) -> Result<Value, String> {
     let workspace = parse_toml(&root.join("Cargo.toml"))?;
     let inherited = workspace.pointer("/workspace/dependencies").cloned().unwrap_or_default();
@@ -73,7 +74,7 @@ pub(crate) fn read(root: &Path, by_file: &str) -> Result<Value, String> {
     Ok(json!({ "crates": crates, "files": files }))
 }
 
-/// One file of the crate whose files count one by one.
+/// The entry of one file of the crate whose files have digests of their own.
 fn file_entry(
     folder: &Path,
     path: &str,
@@ -93,8 +94,7 @@ fn file_entry(
         let uses = uses_of(&text).map_err(|e| format!("{}: {e}", file.display()))?;
         used = uses.files(path, &modules(sources.keys()));
         crates = uses.crates(dependencies.keys());
-        // Files that the compiler includes are named by literals: relative to the templates, or to the
-        // source.
+        // Files that the compiler includes are named by literals, relative to the templates or to the source.
         let beside = path.rsplit_once('/').map_or("", |(parent, _)| parent);
         for literal in &uses.literals {
             let named = [format!("{TEMPLATES}{literal}"), format!("{beside}/{literal}")];
@@ -104,7 +104,7 @@ fn file_entry(
         // Templates include each other by name.
         used.extend(sources.keys().filter(|other| other.starts_with(TEMPLATES) && *other != path).cloned());
     }
-    // What is asked of a dependency (its features) may change what it does.
+    // The requested features of a dependency may change its results.
     for name in &crates {
         field(&mut tokens, json!([name, dependencies.get(name.as_str())]).to_string().as_bytes());
     }
@@ -137,7 +137,7 @@ fn parse_toml(path: &Path) -> Result<Value, String> {
     toml::from_str(&text).map_err(|e| format!("{}: {e}", path.display()))
 }
 
-/// Digest of every source file of a crate by its path with `/`, test-only files left out.
+/// Digest of every source file of a crate by its path with `/`, without test-only files.
 fn source_digests(folder: &Path) -> Result<BTreeMap<String, blake3::Hash>, String> {
     let mut sources = BTreeMap::new();
     let mut test_only = BTreeSet::new();
@@ -160,8 +160,7 @@ fn source_digests(folder: &Path) -> Result<BTreeMap<String, blake3::Hash>, Strin
         }
         sources.insert(path.to_path_buf(), hasher.finalize());
     }
-    // `#[cfg(test)] mod tests;` may name `tests.rs` or `tests/mod.rs`, and that one may have files of its own
-    // below.
+    // `#[cfg(test)] mod tests;` may name `tests.rs` or `tests/mod.rs`, which may have files of its own below.
     let test_folders: Vec<PathBuf> =
         test_only
             .iter()
@@ -185,7 +184,8 @@ fn source_digests(folder: &Path) -> Result<BTreeMap<String, blake3::Hash>, Strin
         .collect())
 }
 
-/// The dependency tables that reach the compiled library, `workspace = true` replaced by what it stands for.
+/// The dependency tables that affect the compiled library, with `workspace = true` replaced by the
+/// workspace's entry.
 fn dependency_tables(manifest: &Value, inherited: &Value) -> BTreeMap<String, Map<String, Value>> {
     let mut tables = BTreeMap::new();
     let mut add = |prefix: &str, holder: &Value| {
@@ -225,7 +225,7 @@ fn resolve(name: &str, spec: &Value, inherited: &Value) -> Value {
     Value::Object(own)
 }
 
-/// The lock file: which versions of third-party crates this tree is built with.
+/// The lock file: the versions of the third-party crates of this tree.
 struct Lock {
     packages: Vec<Package>,
 }
@@ -233,8 +233,8 @@ struct Lock {
 struct Package {
     name: String,
     version: String,
-    /// What its contents hang on: the start of the checksum, or the git address with the commit; none for a
-    /// path.
+    /// The origin that determines its contents: the start of the checksum, or the git address with the
+    /// commit; `None` for a path.
     origin: Option<String>,
     dependencies: Vec<String>,
 }
@@ -261,8 +261,8 @@ impl Lock {
         Ok(Self { packages: packages.collect() })
     }
 
-    /// Name → "version origin" of everything reachable from the named packages; several versions are listed
-    /// all.
+    /// Name → "version origin" of everything reachable from the named packages; several versions of one name
+    /// are all listed.
     fn closure<'a>(&self, names: impl Iterator<Item = &'a str>) -> Result<BTreeMap<String, String>, String> {
         let mut open: Vec<String> = names.map(String::from).collect();
         let mut seen = BTreeSet::new();

@@ -1,9 +1,9 @@
-//! What a source file names of its own crate and of others, read off its tokens.
+//! The modules and crates that a source file uses, found from its tokens.
 //!
-//! Every path counts that begins with `crate`, `self`, `super`, a module below the file or a crate: in `use`,
-//! in code, in attributes. Names are not resolved any further: a path stands for the file of the longest
-//! module it begins with, so what a module passes on with `pub use` counts as the module's own. Code under
-//! `#[cfg(test)]` does not count; other conditions are taken to hold.
+//! Every path counts that begins with `crate`, `self`, `super`, a module below the file, or a crate: in
+//! `use`, in code, in attributes. Names are not resolved any further: a path stands for the file of the
+//! longest module path that it begins with. So the names that a module re-exports with `pub use` count as the
+//! module's own. Code under `#[cfg(test)]` does not count; other conditions are assumed to be true.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,21 +11,21 @@ use proc_macro2::{Delimiter, Spacing, TokenStream, TokenTree};
 
 use super::tokens::{attribute, is_cfg_test, is_doc, is_punct, is_test_only_file, item_end};
 
-/// What one file names.
+/// The names used in one file.
 #[derive(Default)]
 pub(crate) struct Uses {
-    /// Paths, each with the modules written out in the file around it.
+    /// Paths, each with the inline modules that enclose it in the file.
     paths: BTreeSet<(Vec<String>, Vec<String>)>,
     /// Modules in files of their own (`mod name;`).
     modules: BTreeSet<String>,
-    /// String literals: some name a file that the compiler includes.
+    /// String literals, of which some name a file that the compiler includes.
     pub(crate) literals: BTreeSet<String>,
 }
 
-/// The modules of a crate that are files: path without `crate` to file.
+/// The modules of a crate that are files: module path without `crate` → file.
 pub(crate) type Modules = BTreeMap<Vec<String>, String>;
 
-/// The modules of a crate's files, given relative to the crate's folder.
+/// The modules of a crate from its files, which are relative to the crate's folder.
 pub(crate) fn modules<'a>(files: impl Iterator<Item = &'a String>) -> Modules {
     let module = |file: &String| {
         let path = file.strip_prefix("src/")?.strip_suffix(".rs")?;
@@ -39,7 +39,7 @@ pub(crate) fn modules<'a>(files: impl Iterator<Item = &'a String>) -> Modules {
     files.filter_map(module).collect()
 }
 
-/// What the file of a Rust source names; the error is the compiler's lexer's.
+/// The names used in a Rust source; an error is that of the compiler's lexer.
 pub(crate) fn uses_of(source: &str) -> Result<Uses, String> {
     let stream: TokenStream = source.parse().map_err(|e: proc_macro2::LexError| e.to_string())?;
     let mut uses = Uses::default();
@@ -50,15 +50,15 @@ pub(crate) fn uses_of(source: &str) -> Result<Uses, String> {
 }
 
 impl Uses {
-    /// The crates among `known` (as they are written in code) that are named.
+    /// The crates among `known` (in their spelling in code) that are used.
     pub(crate) fn crates<'a>(&self, known: impl Iterator<Item = &'a String>) -> Vec<&'a String> {
-        // A word alone may be any name.
+        // A single word may be any name.
         let paths = self.paths.iter().map(|(_, path)| path).filter(|path| path.len() > 1);
         let first: BTreeSet<&String> = paths.filter_map(|path| path.first()).collect();
         known.filter(|name| first.contains(&name.replace('-', "_"))).collect()
     }
 
-    /// The files that are named by the file `own`, itself excepted.
+    /// The files that the file `own` uses, without itself.
     pub(crate) fn files(&self, own: &str, modules: &Modules) -> BTreeSet<String> {
         let Some((here, _)) = modules.iter().find(|(_, file)| *file == own) else { return BTreeSet::new() };
         let below = self
@@ -123,7 +123,7 @@ impl Uses {
         }
     }
 
-    /// Reads the path at `i`, which goes on from `before`; the index after it.
+    /// Reads the path at `i`, which continues `before`, and returns the index after it.
     fn path(&mut self, tokens: &[TokenTree], mut i: usize, before: &[String], around: &[String]) -> usize {
         let mut path = before.to_vec();
         while let Some(TokenTree::Ident(name)) = tokens.get(i) {
@@ -149,21 +149,21 @@ impl Uses {
     }
 }
 
-/// Whether `::` stands at `i`.
+/// Returns true if `::` is at `i`.
 fn is_separator(tokens: &[TokenTree], i: usize) -> bool {
     let joint = |t: &TokenTree| matches!(t, TokenTree::Punct(p) if p.as_char() == ':' && p.spacing() == Spacing::Joint);
     tokens.get(i).is_some_and(joint) && tokens.get(i.wrapping_add(1)).is_some_and(|t| is_punct(t, ':'))
 }
 
-/// The file of the longest module that a path begins with; `None` for a path into another crate or to a local
-/// name.
+/// The file of the longest module path that `path` begins with; `None` for a path into another crate or to a
+/// local name.
 fn resolve<'a>(
     here: &[String],
     around: &[String],
     path: &[String],
     modules: &'a Modules,
 ) -> Option<&'a String> {
-    // A word alone is a name, `self`, or the `crate` of `pub(crate)`.
+    // A single word is a name, `self`, or the `crate` of `pub(crate)`.
     if path.len() < 2 {
         return None;
     }

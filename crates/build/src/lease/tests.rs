@@ -37,7 +37,7 @@ fn a_lease_is_judged_by_whether_it_changes_and_not_by_its_time() {
             let ask = |after: Duration| Lease::ask_at(&cache, &key, &[], start + after);
             write(0);
             assert!(!granted(&ask(Duration::ZERO)), "it may be alive");
-            // It changes: its holder lives, however wrong his clock is.
+            // The lease changes: its holder is alive, even if the holder's clock is wrong.
             for beat in 1..4 {
                 write(beat);
                 assert!(!granted(&ask(limit * beat)), "{i} {future} {beat}");
@@ -51,8 +51,8 @@ fn a_lease_is_judged_by_whether_it_changes_and_not_by_its_time() {
     }
 }
 
-/// Two users of one cache that know nothing of each other's processes; the clock of the second runs a year
-/// ahead and as fast again.
+/// Two users of one cache that cannot check each other's processes; the clock of the second is a year ahead
+/// and runs twice as fast.
 fn two(dir: &Path) -> [Cache; 2] {
     let year = Duration::from_secs(31_536_000);
     [("east", Clock::system()), ("west", Clock::other(year, 2.0))]
@@ -70,7 +70,7 @@ fn what_happens_on_another_machine_shows_in_the_lease() {
     let start = at(Duration::ZERO);
     assert!(matches!(ask(start), Asked::Held(name) if name.contains("east")));
 
-    // Its pulse alone keeps it, and tells how far the work is; its time on disk says nothing.
+    // The pulse alone keeps the lease, and reports the progress of the work; the file's time does not matter.
     let progress = Progress::default();
     for beat in 1..6 {
         progress.note(u64::from(beat) * 100, 15_000, "steps");
@@ -84,17 +84,17 @@ fn what_happens_on_another_machine_shows_in_the_lease() {
         ("east", 500, 15_000, "steps")
     );
 
-    // Given up: to be had at once, and nothing was published.
+    // The holder gave up: the lease can be taken at once, and nothing was published.
     drop(lease);
     assert!(west.working_on(&key).is_none());
     let Asked::Granted(Some(lease)) = ask(start + EXPIRY * 5) else { panic!("its holder gave up") };
     assert!(!lease.followed);
     assert!(matches!(Lease::ask(&east, &key, &[]), Asked::Held(name) if name.contains("west")));
-    // Published: the other one knows that there is something to see.
+    // Published: the other user knows that there is an artifact to see.
     lease.finish();
     let Asked::Granted(Some(lease)) = Lease::ask(&east, &key, &[]) else { panic!("nobody has it") };
     assert!(lease.followed);
-    // Never again for the same key.
+    // It does not happen again for the same key.
     lease.finish();
     assert!(matches!(Lease::ask(&east, &key, &[]), Asked::Granted(Some(lease)) if !lease.followed));
 }
@@ -125,7 +125,7 @@ fn of_many_that_take_over_one_gets_it() {
     let key = key_of("key");
     let gone = ProcessId { started: ProcessId::this().started + 1, ..ProcessId::this() };
     if gone.is_alive() != Some(false) {
-        return; // a system that does not tell
+        return; // a system that does not report it
     }
     let dead = Holder { process: gone, ..Holder::of(&Node::this(), Vec::new()) };
     for _ in 0..20 {
@@ -153,12 +153,12 @@ fn a_run_protects_what_it_has_decided_on() {
     for (i, text) in ["a", "b"].into_iter().enumerate() {
         run.extend([key_of(text)]);
         run.show();
-        // However far the clocks of the two are apart.
+        // It does not matter by how much the two clocks differ.
         assert_eq!((in_use(&cache).len(), in_use(&other).len()), (i + 1, i + 1));
     }
     drop(run);
     assert!(in_use(&cache).is_empty());
-    // Of another machine, seen once: alive, unless it is from another day.
+    // A lease of another machine, read only once, counts as live unless it is more than a day old.
     let path = folder(&cache).join(key_of("c").to_string());
     std::fs::write(&path, foreign()).unwrap();
     assert_eq!(in_use(&cache).len(), 1);

@@ -59,19 +59,19 @@ fn what_is_not_ours_is_refused_untouched() {
     let dir = tempfile::tempdir().unwrap();
     let at = |name: &str| dir.path().join(name);
     write(&at("project"), &[("scene.json", "{}"), ("thesis.txt", "thesis")]);
-    // An extension of a web browser has a manifest too.
+    // A web browser's extension has a manifest too.
     write(&at("web"), &[("manifest.json", "{\"manifest_version\": 3}"), ("page.js", "")]);
-    // A record that lists a place outside lists nothing that is there.
+    // A record that lists a path outside its folder lists nothing that exists in it.
     let outside = format!(
         "{{\"format\": \"{FORMAT}\", \"schema\": 1, \"files\": [{{\"path\": \"../thesis.txt\", \"size\": 6, \"digest\": \"{}\"}}]}}",
         Digest::of(b"thesis")
     );
     write(&at("sly"), &[("manifest.json", &outside)]);
     write(dir.path(), &[("thesis.txt", "thesis"), ("file", "file")]);
-    // Ours, but edited since.
+    // A result of this program, but edited since.
     put(&made(&at("edited"), &[("scene.json", "one")]), &at("edited"), false).unwrap();
     write(&at("edited"), &[("scene.json", "two")]);
-    // Ours, but a file of somebody else's has the name of a new one.
+    // A result of this program, but with a file of the user that has the name of a new file.
     put(&made(&at("shared"), &[("scene.json", "one")]), &at("shared"), false).unwrap();
     write(&at("shared"), &[("ubaf.safetensors", "mine")]);
 

@@ -1,5 +1,5 @@
-//! A folder as a store: a disk that is carried about, or a mounted share that is too
-//! slow or too loose to hold a cache.
+//! A folder as a store: a portable disk, or a mounted share that is too slow or not consistent enough for a
+//! cache.
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read, Write};
@@ -8,14 +8,14 @@ use std::path::{Path, PathBuf};
 use super::super::files;
 use super::{Remote, RemoteError};
 
-/// A folder; what is being written has names below `v1/tmp` until it is whole.
+/// A folder; unfinished files have names below `v1/tmp`.
 #[derive(Clone, Debug)]
 pub struct Folder {
     root: PathBuf,
 }
 
 impl Folder {
-    /// The store in a folder, which is created where it is missing when something is put into it.
+    /// The store in a folder, which is created by the first write.
     pub fn new(root: &Path) -> Self {
         Self { root: root.to_path_buf() }
     }
@@ -29,7 +29,7 @@ impl Folder {
         RemoteError::Refused { place, doing, name, reason: error.to_string(), passing }
     }
 
-    /// Writes a file of a name that nobody else uses, and gives it to `finish`. It is gone afterwards.
+    /// Writes a file with a unique name, passes it to `finish`, and removes it afterwards.
     fn written<T>(
         &self,
         name: &str,
@@ -47,13 +47,13 @@ impl Folder {
                 let done = file.sync_all().and_then(|()| finish(&sibling, &target));
                 done.map_err(|e| self.refused("write", name, &e))
             });
-        // Where it became the target there is nothing left to remove.
+        // If it became the target, there is nothing left to remove.
         let _ = fs::remove_file(&sibling);
         done
     }
 }
 
-/// Copies, and tells whose errors are whose.
+/// Copies, and keeps errors of the reader and of the writer apart.
 fn copy(
     from: &mut dyn Read,
     to: &mut dyn Write,
@@ -99,9 +99,9 @@ impl Remote for Folder {
     }
 
     fn create(&self, name: &str, mut bytes: &[u8]) -> Result<bool, RemoteError> {
-        // A second name of a whole file: unlike a rename it is refused where there is one already.
-        // Disks that are carried about often know no second names; there it is written in place,
-        // and a half is found out as such.
+        // Creates a hard link to the whole file: unlike a rename, this fails if the name exists. Portable
+        // disks often do not support hard links; there the file is written in place, and a partly written
+        // file is detected by its digest or manifest.
         let whole = bytes;
         self.written(name, &mut bytes, |sibling, target| {
             let made = fs::hard_link(sibling, target).or_else(|e| match e.kind() {

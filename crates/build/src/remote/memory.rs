@@ -1,4 +1,4 @@
-//! A store in memory: what the others are compared with, for tests.
+//! A store in memory, the reference for the other stores in tests.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
@@ -13,7 +13,7 @@ pub struct Memory {
 }
 
 impl Memory {
-    /// What is there, by name.
+    /// The objects by name.
     pub fn objects(&self) -> MutexGuard<'_, BTreeMap<String, Vec<u8>>> {
         self.objects.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -1,17 +1,18 @@
-//! A store beside the cache that other machines reach as well: a folder, a bucket,
-//! whatever keeps bytes under names.
+//! A store beside the cache that other machines can also reach: a folder, a bucket, or anything else that
+//! keeps bytes under names.
 //!
 //! ```text
-//! v1/blobs/<digest>                   a file of an artifact, by what is in it
-//! v1/artifacts/<stage>/<key>.json     its manifest, written last and only once: an artifact is there whole or not at all
+//! v1/blobs/<digest>                   a file of an artifact, named by its digest
+//! v1/artifacts/<stage>/<key>.json     its manifest, written last and only once, so that an artifact is
+//!                                     complete or absent
 //! v1/probe/…                          written and removed when a store is opened
 //! ```
 //!
-//! A store only saves time, and every byte from one is checked: a manifest has to fit the key that was asked
-//! for, every file its digest, and what does not is asked for again and then counts as not there. That
-//! guards against everything but results that somebody replaced on purpose, manifest and all. What comes in
-//! is built in `tmp` and published like the work of a stage, so that a cache holds the same bytes whether
-//! they were computed or fetched.
+//! A store only saves time, and every byte from one is checked. A manifest has to match the requested key,
+//! and every file its digest. Data that do not match are requested again, and then count as missing. This
+//! guards against everything except results that were replaced on purpose, manifest included. Fetched files
+//! are assembled in `tmp` and published like the work of a stage, so that a cache holds the same bytes for
+//! computed and for fetched artifacts.
 
 mod folder;
 mod memory;
@@ -30,86 +31,86 @@ pub use memory::Memory;
 pub use sync::Transferred;
 pub use transfer::{Fetched, RemoteStore, Sent};
 
-/// What keeps bytes under names (parts of letters, digits, `-`, `_` and `.`, with `/` between them).
+/// A store of bytes under names (parts of letters, digits, `-`, `_` and `.`, with `/` between them).
 pub trait Remote: Send + Sync {
-    /// Where it is, for people. No credentials.
+    /// Its address, for display. It contains no credentials.
     fn place(&self) -> String;
 
-    /// Passes the bytes of an object on, in order; `false` where there is none of that name.
+    /// Writes the bytes of an object to `to`, in order; returns `false` if there is no object of that name.
     ///
     /// # Errors
-    /// [`RemoteError::Local`] with the error of `to`; else what the store said.
+    /// [`RemoteError::Local`] with the error of `to`; else the store's error.
     fn get(&self, name: &str, to: &mut (dyn Write + Send)) -> Result<bool, RemoteError>;
 
-    /// How large an object is, bytes; nothing where there is none of that name.
+    /// The size of an object in bytes; `None` if there is no object of that name.
     ///
     /// # Errors
-    /// What the store said.
+    /// The store's error.
     fn size(&self, name: &str) -> Result<Option<u64>, RemoteError>;
 
     /// Creates or replaces an object, whole or not at all. `from` has `size` bytes.
     ///
     /// # Errors
-    /// [`RemoteError::Local`] with the error of `from`; else what the store said.
+    /// [`RemoteError::Local`] with the error of `from`; else the store's error.
     fn put(&self, name: &str, from: &mut (dyn Read + Send), size: u64) -> Result<(), RemoteError>;
 
-    /// Creates a small object unless there is one of that name; whether it did. Of all that try at
-    /// once it says so to exactly one.
+    /// Creates a small object if none has that name and returns whether it did. Of several concurrent callers
+    /// exactly one gets `true`.
     ///
     /// # Errors
-    /// What the store said.
+    /// The store's error.
     fn create(&self, name: &str, bytes: &[u8]) -> Result<bool, RemoteError>;
 
-    /// Removes an object. One that is not there is no error.
+    /// Removes an object. A missing object is no error.
     ///
     /// # Errors
-    /// What the store said.
+    /// The store's error.
     fn remove(&self, name: &str) -> Result<(), RemoteError>;
 }
 
-/// Why something could not be fetched or sent.
+/// The reason why something could not be fetched or sent.
 #[derive(Debug, thiserror::Error)]
 pub enum RemoteError {
-    /// The store did not do what it was asked.
+    /// The store refused an operation.
     #[error("{place}: cannot {doing} {name}: {reason}")]
     Refused {
         /// The store.
         place: String,
-        /// What it was asked.
+        /// The operation, as a verb.
         doing: &'static str,
         /// The object.
         name: String,
-        /// What it said, and what to do.
+        /// The store's error, and the next step for the user.
         reason: String,
-        /// Whether it may do it when it is asked again.
+        /// True if the operation may succeed when it is repeated.
         passing: bool,
     },
-    /// What it holds is not what its name says.
+    /// The content of an object does not match its name.
     #[error("{place}: {name} {reason}")]
     Wrong {
         /// The store.
         place: String,
         /// The object.
         name: String,
-        /// What is wrong.
+        /// The problem.
         reason: String,
     },
     /// The artifact that was to be sent is damaged.
     #[error("it is damaged: {0}; `use3d verify` moves it aside")]
     Damaged(String),
-    /// Who takes the bytes, or gives them, failed.
+    /// The local reader or writer of the bytes failed.
     #[error("{0}")]
     Local(io::Error),
-    /// A file here.
+    /// A local file operation failed.
     #[error(transparent)]
     File(#[from] FileError),
-    /// It was asked to stop.
+    /// The operation was stopped.
     #[error("interrupted")]
     Stopped,
 }
 
 impl RemoteError {
-    /// Whether the same may work when it is tried again.
+    /// Returns true if the same operation may succeed when it is repeated.
     fn passes(&self) -> bool {
         matches!(self, Self::Refused { passing: true, .. } | Self::Wrong { .. })
     }

@@ -1,4 +1,4 @@
-//! What is done to bytes on their way: counted, digested, compared.
+//! Checks of bytes during a transfer: they are counted, digested and compared.
 
 use std::io::{self, Read, Write};
 use std::path::{Component, Path};
@@ -7,14 +7,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use super::super::digest::Digest;
 use super::super::manifest::{FileRecord, MANIFEST, Manifest};
 
-/// Takes the bytes of a file and knows what they should be. More than that are refused as they come.
+/// Receives the bytes of a file and refuses more bytes than expected.
 pub(super) struct Receiver<'a, W> {
     to: W,
     hasher: blake3::Hasher,
     count: u64,
     most: u64,
     stop: &'a AtomicBool,
-    /// Whether there were more bytes than expected.
+    /// True if there were more bytes than expected.
     pub(super) overfull: bool,
 }
 
@@ -23,7 +23,7 @@ impl<'a, W: Write> Receiver<'a, W> {
         Self { to, hasher: blake3::Hasher::new(), count: 0, most, stop, overfull: false }
     }
 
-    /// What is wrong with what came, if anything is.
+    /// The problem with the received bytes, if there is one.
     pub(super) fn wrong(&self, file: &FileRecord) -> Option<String> {
         if self.overfull || self.count != file.size {
             let came = if self.overfull { "more".to_string() } else { self.count.to_string() };
@@ -58,8 +58,8 @@ impl<W: Write> Write for Receiver<'_, W> {
     }
 }
 
-/// Gives the bytes of a file, and fails at their end unless they are what its digest says, so that what has
-/// changed meanwhile is never sent under the old name.
+/// Supplies the bytes of a file, and fails at their end if they do not match its digest, so that a file that
+/// has changed meanwhile is never sent under the old name.
 pub(super) struct Sender<'a, R> {
     from: R,
     hasher: blake3::Hasher,
@@ -92,8 +92,8 @@ impl<R: Read> Read for Sender<'_, R> {
     }
 }
 
-/// What is wrong with the files that a manifest from elsewhere names, if anything is: they go
-/// into one folder and nowhere else.
+/// The problem with the file names in a manifest from elsewhere, if there is one: all files must lie in one
+/// folder and nowhere else.
 pub(super) fn wrong_names(manifest: &Manifest) -> Option<String> {
     for (i, file) in manifest.files.iter().enumerate() {
         let path = Path::new(&file.path);

@@ -1,4 +1,4 @@
-//! All of a pipeline's artifacts to a store, or from it.
+//! Sends all of a pipeline's artifacts to a store, or fetches them from it.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -18,20 +18,20 @@ use super::super::plan::{Plan, State};
 use super::super::verify::Problem;
 use super::{Fetched, RemoteError, RemoteStore, Sent};
 
-/// What was sent or fetched.
+/// Report of sending or fetching.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Transferred {
-    /// Artifacts that were sent or fetched.
+    /// Number of artifacts that were sent or fetched.
     pub moved: usize,
     /// Their bytes.
     pub bytes: u64,
-    /// Artifacts that were on the other side already.
+    /// Number of artifacts that were on the other side already.
     pub already: usize,
-    /// Artifacts that are not there to be sent or fetched, and those that wait for them.
+    /// Number of artifacts that do not exist on the sending side, and of those that depend on them.
     pub missing: usize,
-    /// What is not as it should be.
+    /// The problems found.
     pub problems: Vec<Problem>,
-    /// Whether it was asked to stop before it was done.
+    /// True if it was stopped before the end.
     pub interrupted: bool,
 }
 
@@ -51,7 +51,7 @@ impl Transferred {
         self.problems.push(Problem { name: format!("{stage} {}", key.short()), what });
     }
 
-    /// Takes an error that concerns one artifact alone, and gives one back that ends it all.
+    /// Stores an error that concerns one artifact alone, and returns any other error.
     fn settle(&mut self, stage: &str, key: &Key, error: RemoteError) -> Result<(), RemoteError> {
         match error {
             RemoteError::Wrong { .. } | RemoteError::Damaged(_) => {
@@ -77,8 +77,8 @@ impl fmt::Display for Transferred {
     }
 }
 
-/// A node of a plan that counts: its stage, its key where it has one, whether its artifact is there. Nodes
-/// that share an artifact are one.
+/// The nodes of a plan that count: stage, key if it is known, and true if the artifact exists. Nodes that
+/// share an artifact count once.
 fn listed(plan: &Plan) -> Vec<(&'static str, Option<Key>, bool)> {
     let mut seen = BTreeSet::new();
     let nodes = plan.nodes.iter().filter(|n| n.shared_with.is_none() && n.state != State::Unwanted);
@@ -87,11 +87,11 @@ fn listed(plan: &Plan) -> Vec<(&'static str, Option<Key>, bool)> {
 }
 
 impl Builder {
-    /// Sends everything that the cache has of a graph. `check` reads back what the store has, and
-    /// replaces what is not as it should be.
+    /// Sends all cached artifacts of a graph. `check` reads the objects in the store, and replaces those that
+    /// do not match.
     ///
     /// # Errors
-    /// A store that does not answer or take it.
+    /// A store that does not answer or refuses the data.
     pub fn push(
         &self,
         graph: &Graph,
@@ -123,8 +123,8 @@ impl Builder {
         Ok(done)
     }
 
-    /// Fetches everything that the store has of a graph and the cache has not. What has no key before its
-    /// inputs are there is asked for when they are.
+    /// Fetches all artifacts of a graph that the store has and the cache lacks. A node whose key depends on
+    /// missing inputs is fetched after its inputs.
     ///
     /// # Errors
     /// A store that does not answer; a file that cannot be written.

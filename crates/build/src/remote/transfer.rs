@@ -1,4 +1,4 @@
-//! One artifact to a store, or from it.
+//! Sends one artifact to a store, or fetches it.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -15,73 +15,74 @@ use super::super::manifest::{FileRecord, Manifest};
 use super::receive::{Receiver, Sender, wrong_names};
 use super::{Remote, RemoteError, blob, manifest};
 
-/// How often something is tried that may work the next time.
+/// Number of attempts for an operation that may succeed when it is repeated.
 const TRIES: u32 = 4;
-/// The first pause between two tries; each is four times the one before.
+/// The first pause between two attempts; each pause is four times the one before.
 const PAUSE: Duration = Duration::from_millis(500);
-/// Files on their way at the same time.
+/// Most files in transfer at the same time.
 const SIDE_BY_SIDE: usize = 4;
-/// A manifest is never larger, bytes.
+/// The largest size of a manifest in bytes.
 const LARGEST_MANIFEST: u64 = 64 << 20;
-/// So many artifacts in a row that a store would not give or take, and a run goes on without it.
+/// The number of failed artifacts in a row after which a run continues without the store.
 const ENOUGH: u32 = 3;
 
-/// A store, and how it is used.
+/// A store, with pauses between attempts and a count of failures.
 pub struct RemoteStore {
     remote: Arc<dyn Remote>,
     pause: Duration,
-    /// Artifacts in a row that it failed at.
+    /// Number of artifacts in a row that failed.
     failures: AtomicU32,
 }
 
-/// What became of an artifact that a store was asked for.
+/// Result of fetching an artifact.
 #[derive(Debug)]
 pub enum Fetched {
-    /// It is not there.
+    /// The store does not have it.
     Missing,
     /// It is in the cache now.
     Now(Box<Artifact>),
-    /// Another one of the same key was in the cache first, and stays: its stage is not
-    /// deterministic. The file they differ in.
+    /// Another artifact of the same key was in the cache first, and stays: its stage is not deterministic.
+    /// The text is the file in which they differ.
     Differs(Box<Artifact>, String),
 }
 
-/// What became of an artifact that was sent.
+/// Result of sending an artifact.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Sent {
-    /// It is there now.
+    /// The store has it now.
     Now,
-    /// It was there.
+    /// The store had it already.
     Already,
-    /// Another one of the same key is there, and stays: its stage is not
-    /// deterministic. The file they differ in.
+    /// The store has another artifact of the same key, which stays: its stage is not deterministic. The text
+    /// is the file in which they differ.
     Differs(String),
 }
 
 impl RemoteStore {
-    /// A store as it is used.
+    /// A store with the usual pauses.
     pub fn new(remote: Arc<dyn Remote>) -> Self {
         Self { remote, pause: PAUSE, failures: AtomicU32::new(0) }
     }
 
-    /// The same with another first pause between tries, for tests.
+    /// The same with another first pause between attempts, for tests.
     #[must_use]
     pub fn with_pause(self, pause: Duration) -> Self {
         Self { pause, ..self }
     }
 
-    /// Where it is, for people.
+    /// Its address, for display.
     pub fn place(&self) -> String {
         self.remote.place()
     }
 
-    /// Whether it can be written to, gives back what it was given, and lets a name be created only once.
+    /// Checks that the store can be written to, returns the bytes that were written, and lets a name be
+    /// created only once.
     ///
     /// # Errors
-    /// A store that does not, in words that say what to do.
+    /// A store that fails one of these checks; the message says what to do.
     pub fn probe(&self, stop: &AtomicBool) -> Result<(), RemoteError> {
         self.patiently(stop, || {
-            // Of its own at every try: the answer to an earlier one may have been lost.
+            // Every attempt has a name of its own: the reply to an earlier one may have been lost.
             let name = format!("v1/probe/{}", files::unique());
             let bytes = name.as_bytes();
             let refused = |doing, reason: &str| RemoteError::Refused {
@@ -95,7 +96,7 @@ impl RemoteStore {
             let again = self.remote.create(&name, b"again");
             let mut found = Vec::new();
             let there = self.remote.get(&name, &mut found);
-            // What stays behind is a few bytes.
+            // If the removal fails, only a few bytes stay behind.
             let _ = self.remote.remove(&name);
             let (again, there) = (again?, there?);
             if again || found == b"again" {
@@ -104,12 +105,13 @@ impl RemoteStore {
                 return Err(refused("rely on", reason));
             }
             if there && found != bytes {
-                // Nobody wrote these: they were changed on the way, and may be right the next time.
+                // Nobody wrote these bytes: they were changed in the transfer, and may be right the next
+                // time.
                 let reason = "comes back with other bytes than were written".to_string();
                 return Err(RemoteError::Wrong { place: self.place(), name: name.clone(), reason });
             }
-            // A client that asks again by itself when an answer is lost is told that the name
-            // is there: by its own first try.
+            // A client that repeats a request by itself after a lost reply gets the error that the name
+            // exists: its own first request created it.
             if !(first || there) {
                 return Err(refused("create", "it says that a new name is there already"));
             }
@@ -117,12 +119,12 @@ impl RemoteStore {
         })
     }
 
-    /// Whether a run should still ask; it stops after some failures in a row.
+    /// Returns true if a run should still use the store; it stops after some failures in a row.
     pub(crate) fn is_worth_asking(&self) -> bool {
         self.failures.load(Ordering::Relaxed) < ENOUGH
     }
 
-    /// Counts a failure; whether it was one too many.
+    /// Counts a failure; returns true if it reached the limit.
     pub(crate) fn failed(&self) -> bool {
         self.failures.fetch_add(1, Ordering::Relaxed) + 1 == ENOUGH
     }
@@ -131,7 +133,7 @@ impl RemoteStore {
         self.failures.store(0, Ordering::Relaxed);
     }
 
-    /// Tries until it works, will not, or was tried often enough.
+    /// Repeats `attempt` until it succeeds, fails for good, or was tried often enough.
     fn patiently<T>(
         &self,
         stop: &AtomicBool,
@@ -160,7 +162,7 @@ impl RemoteStore {
         }
     }
 
-    /// The manifest that the store has for a key, where it has one.
+    /// The store's manifest for a key, if there is one.
     fn manifest(&self, stage: &str, key: &Key, stop: &AtomicBool) -> Result<Option<Manifest>, RemoteError> {
         let name = manifest(stage, key);
         self.patiently(stop, || {
@@ -179,11 +181,11 @@ impl RemoteStore {
         })
     }
 
-    /// Brings a key's artifact into the cache, if the store has it.
+    /// Fetches a key's artifact into the cache, if the store has it.
     ///
     /// # Errors
-    /// A store that does not answer, or what is there is not what it should be; a file that cannot be written
-    /// here. The cache is as it was.
+    /// A store that does not answer, an artifact that does not match its digests, or a file that cannot be
+    /// written here. The cache is then unchanged.
     pub fn fetch(
         &self,
         cache: &Cache,
@@ -194,7 +196,7 @@ impl RemoteStore {
         let Some(manifest) = self.manifest(stage, key, stop)? else { return Ok(Fetched::Missing) };
         let scratch = cache.scratch()?;
         let fetched = self.fetch_into(&scratch.join("artifact"), cache, manifest, stop);
-        // What cannot be removed now is swept by a later run.
+        // If it cannot be removed now, a later run removes it.
         let _ = cache.files().remove_dir_all(&scratch);
         fetched
     }
@@ -244,11 +246,11 @@ impl RemoteStore {
         })
     }
 
-    /// Sends an artifact to the store, its manifest last. `check` reads back what is there already, and
-    /// replaces what is not as it should be.
+    /// Sends an artifact to the store, its manifest last. `check` reads the objects that exist, and replaces
+    /// those that do not match.
     ///
     /// # Errors
-    /// A store that does not answer or take it; an artifact that is damaged here.
+    /// A store that does not answer or refuses the data; an artifact that is damaged here.
     pub fn send(
         &self,
         cache: &Cache,
@@ -264,7 +266,7 @@ impl RemoteStore {
             }
             Ok(Some(_)) if !check => return Ok(Sent::Already),
             Ok(found) => found.is_some(),
-            // Nobody can use what is there.
+            // The store's manifest is unusable, so it is removed.
             Err(RemoteError::Wrong { .. }) => {
                 self.remote.remove(&manifest(stage, &ours.key))?;
                 false
@@ -288,7 +290,7 @@ impl RemoteStore {
         if self.patiently(stop, || self.remote.create(&name, &bytes))? {
             return Ok(Sent::Now);
         }
-        // Somebody was first, or the answer to the first try was lost.
+        // Another process was first, or the reply to the first attempt was lost.
         Ok(match self.manifest(stage, &ours.key, stop)? {
             Some(theirs) if theirs.content != ours.content => {
                 Sent::Differs(first_difference(&theirs.files, &ours.files))
@@ -297,7 +299,7 @@ impl RemoteStore {
         })
     }
 
-    /// Whether the store has a file, by its size, or by its bytes.
+    /// Returns true if the store has a file, by its size, or by its bytes with `check`.
     fn has(&self, file: &FileRecord, check: bool, stop: &AtomicBool) -> Result<bool, RemoteError> {
         let name = blob(&file.digest);
         if self.patiently(stop, || self.remote.size(&name))? != Some(file.size) {
@@ -327,8 +329,8 @@ impl RemoteStore {
     }
 }
 
-/// Does something for every item, a few at a time; ends at the first error. On threads of its own: those that
-/// compute must not wait for a network.
+/// Calls `work` for every item, a few at a time, and stops at the first error. It uses threads of its own,
+/// because computing threads must not wait for a network.
 fn each<T: Sync>(
     items: &[T],
     work: impl Fn(&T) -> Result<(), RemoteError> + Sync,

@@ -1,26 +1,25 @@
-//! Whether somebody still needs what a shared node makes: a calibrator that no scene can use any more is not
-//! computed.
+//! Decides if a shared node is still needed: a calibrator that no scene can use any more is not computed.
 
 use super::super::resolve::Outcome;
 use super::super::stage::Scope;
 use super::super::summary::Became;
 use super::Runner;
 
-/// Who waits for what a shared node makes.
+/// The need for a shared node.
 #[derive(Clone)]
 pub(super) enum Need {
-    /// No scene was asked for that reads it: it was asked for itself.
+    /// No requested scene reads it: it was requested itself.
     Unasked,
-    /// A scene that can be computed.
+    /// A scene that can be computed needs it.
     Live,
-    /// Scenes of which that is not known yet.
+    /// It is not yet known if the scenes that need it can be computed.
     Unknown,
-    /// No scene any more; what failed.
+    /// No scene can use it any more; the text names the failure.
     Nobody(String),
 }
 
 impl Need {
-    /// Of one reader: all that it reads must be there.
+    /// The need from one reader: all of its inputs must exist.
     fn and(self, other: Self) -> Self {
         match (self, other) {
             (Self::Nobody(by), _) | (_, Self::Nobody(by)) => Self::Nobody(by),
@@ -29,7 +28,7 @@ impl Need {
         }
     }
 
-    /// Of several readers: one is enough.
+    /// The need from several readers: one is enough.
     fn or(self, other: Self) -> Self {
         match (self, other) {
             (Self::Unasked, one) | (one, Self::Unasked) => one,
@@ -41,13 +40,13 @@ impl Need {
 }
 
 impl Runner<'_> {
-    /// Whether some scene that reads a shared node can still be computed: [`Need::Unknown`] until the first
-    /// of them has been read in, which is quick beside a calibrator that nobody would use.
+    /// The need for a shared node by the scenes that read it. It is [`Need::Unknown`] until the first of them
+    /// has been imported, which is quick compared with an unused calibrator.
     pub(super) fn need(&self, shared: usize) -> Need {
         let nodes = &self.graph.nodes;
         let scope = |i: usize| self.builder.registry.stages()[nodes[i].stage].scope;
-        // Inputs come before what reads them: one pass finds all that follows from this node, and how the
-        // rest stands.
+        // Inputs come before the nodes that read them, so one pass finds all nodes that depend on this node,
+        // and the states of the others.
         let mut follows = vec![false; nodes.len()];
         let mut stands: Vec<Need> = Vec::with_capacity(nodes.len());
         let mut need = Need::Unasked;

@@ -1,5 +1,5 @@
-//! A run's time, and what other processes do: when to leave, what they compute and when to ask for it again,
-//! how long to wait where there is nothing else to do.
+//! The time limit of a run, and the work of other processes: the time to end the run, the nodes that others
+//! compute and the next request for them, and the waiting time when there is nothing else to do.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -11,16 +11,16 @@ use super::super::resolve;
 use super::super::summary::Became;
 use super::{Phase, Runner};
 
-/// The last part of a run's limit is for writing checkpoints: a tenth, at most so much.
+/// The last part of a run's limit is for writing checkpoints: a tenth, at most this long.
 pub(super) const LEAVING: Duration = Duration::from_secs(120);
-/// How long a run that waits for others goes without a look at whether it is to stop.
+/// The time between two checks of the stop flag while a run waits for others.
 const SLICE: Duration = Duration::from_millis(50);
 
 /// A node that another process computes.
 pub(super) struct Held {
     holder: String,
     times: u32,
-    /// When to ask again.
+    /// Time of the next request.
     again: Duration,
 }
 
@@ -29,7 +29,7 @@ impl Runner<'_> {
         self.builder.cache.node().clock.now()
     }
 
-    /// Ends the run when its time is over.
+    /// Ends the run when its time limit is reached.
     pub(super) fn watch_time(&mut self) {
         if !self.left && self.leave_at.is_some_and(|at| self.now() >= at) {
             self.left = true;
@@ -39,14 +39,15 @@ impl Runner<'_> {
         }
     }
 
-    /// Whether another process computes a node and it is not yet time to ask again.
+    /// Returns true if another process computes a node and the next request is not due yet.
     pub(super) fn is_held(&self, i: usize) -> bool {
         self.held.get(&i).is_some_and(|held| held.again > self.now())
     }
 
-    /// With nothing to do here: whether to go on until others are done. If not, what is left is theirs.
+    /// Returns true if the run should wait for other processes, when there is nothing to do here. If not, the
+    /// remaining nodes are left to them.
     pub(super) fn waits_for_others(&mut self) -> bool {
-        // One that something else has ended is nobody's any more.
+        // A node that has finished some other way is no longer held by anyone.
         let phase = &self.phase;
         self.held.retain(|i, _| phase[*i] == Phase::Pending);
         if self.held.is_empty() {
@@ -67,14 +68,14 @@ impl Runner<'_> {
         false
     }
 
-    /// Waits until a job ends, a lease is to be asked for again, or it is time to show that this run lives.
+    /// Waits until a job ends, the next request for a lease is due, or this run must write its pulse.
     pub(super) fn wait(&mut self) {
         let (clock, now) = (self.builder.cache.node().clock, self.now());
         let asks = self.held.values().map(|held| held.again).filter(|_| self.has_room());
         let next = asks.chain(self.leave_at.filter(|_| !self.left)).min();
         let until = next.map_or(HEARTBEAT, |at| at.saturating_sub(now).min(HEARTBEAT));
         let mut left = clock.wait_for(until).max(Duration::from_millis(1));
-        // Where nothing runs, nothing but this loop hears that it is to stop.
+        // If nothing runs, only this loop can notice the stop flag.
         while self.running.is_empty() && left > SLICE && !self.stopped() {
             std::thread::sleep(SLICE);
             left -= SLICE;
@@ -84,13 +85,13 @@ impl Runner<'_> {
         }
     }
 
-    /// Whether another job may be started.
+    /// Returns true if another job may be started.
     pub(super) fn has_room(&self) -> bool {
         self.running.len() < self.options.jobs.max(1)
     }
 
-    /// A node turned out to be computed by another process: it is asked for again later, and
-    /// meanwhile something else is done.
+    /// Puts back a node that another process computes: it is requested again later, and meanwhile this run
+    /// works on other nodes.
     pub(super) fn put_back(&mut self, i: usize, holder: String) {
         let (now, node) = (self.now(), self.builder.cache.node());
         let times = self.held.get(&i).map_or(0, |held| held.times);
@@ -104,8 +105,8 @@ impl Runner<'_> {
         self.spread();
     }
 
-    /// From now on scenes are tried in an order of this process's own: others work on the same batch, and not
-    /// all should ask for the same things.
+    /// Tries scenes from now on in an order of this process's own: other processes work on the same batch,
+    /// and not all should request the same nodes.
     fn spread(&mut self) {
         if std::mem::replace(&mut self.spread, true) {
             return;
@@ -120,8 +121,8 @@ impl Runner<'_> {
         self.order.sort_by_cached_key(place);
     }
 
-    /// Whether a stage that leaves no checkpoints would be cut off by the limit, and would not be in a run
-    /// that has its whole time before it.
+    /// Returns true if the time limit would cut off a stage without checkpoints that could finish in a run
+    /// with its whole time left.
     pub(super) fn comes_too_late(&self, i: usize) -> bool {
         let node = &self.graph.nodes[i];
         let stage = &self.builder.registry.stages()[node.stage];

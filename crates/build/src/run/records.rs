@@ -1,4 +1,4 @@
-//! What is remembered of a node from run to run: what its last result follows from, and why it failed.
+//! The records of nodes from run to run: the ingredients of the last result, and the last failure.
 
 use super::super::cache::Artifact;
 use super::super::digest::Digest;
@@ -11,8 +11,8 @@ use super::super::summary::Became;
 use super::{Phase, Runner};
 
 impl Runner<'_> {
-    /// Ends a node without a result; what it was is kept with its log for `status`, and the
-    /// batch halts unless it is to go on.
+    /// Ends a node without a result; the failure and its log are kept for `status`, and the batch stops
+    /// unless it is to continue.
     pub(super) fn fail(&mut self, i: usize, key: Option<Key>, reason: String) {
         self.held.remove(&i);
         let node = &self.graph.nodes[i];
@@ -29,8 +29,7 @@ impl Runner<'_> {
         self.halted |= !self.options.keep_going;
     }
 
-    /// Remembers what a node's result follows from; what it followed from before
-    /// is kept, to tell what changed.
+    /// Records the ingredients of a node's result; the earlier record is kept, to show the changes.
     pub(super) fn record_made(&self, i: usize, ingredients: Ingredients, content: Digest) {
         let mut record = self.builder.cache.record(&self.graph.name, &self.graph.nodes[i]);
         let key = ingredients.key();
@@ -48,13 +47,13 @@ impl Runner<'_> {
     }
 
     fn write_record(&self, i: usize, record: &Record) {
-        // The artifact counts, not what is remembered about it.
+        // The artifact counts; its record is not essential.
         if let Err(error) = self.builder.cache.write_record(&self.graph.name, &self.graph.nodes[i], record) {
             self.listener.event(&Event::Warning { label: &self.nodes[i].label, text: &error.to_string() });
         }
     }
 
-    /// A key whose artifact was lost and came out different when it was made again.
+    /// Warns if an artifact was lost and came out different when the same key was computed again.
     pub(super) fn warn_if_changed(&self, i: usize, artifact: &Artifact) {
         let record = self.builder.cache.record(&self.graph.name, &self.graph.nodes[i]);
         let other =

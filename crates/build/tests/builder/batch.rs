@@ -1,4 +1,4 @@
-//! Many scenes at once.
+//! Batches of many scenes.
 
 use std::fs;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -66,7 +66,7 @@ fn a_broken_scene_spoils_no_other_and_another_scene_runs_only_its_stages() {
     assert_eq!((own.len(), started.len()), (5, 7), "{started:?}");
     assert_eq!(summary.cached(), 25 * 5 + 1);
 
-    // Repaired: only what failed runs.
+    // Repaired: only the failed stages and those that need them run.
     fs::write(data.join("A7/images/words.txt"), "a whole capture").expect("file");
     let (summary, started, _) = run_with(&builder, &batch, &options);
     assert_eq!((started.len(), summary.exit_code()), (6, 0), "{started:?}");
@@ -84,7 +84,7 @@ fn without_keep_going_the_first_failure_ends_the_run() {
     let (summary, ..) = run_with(&builder, &batch, &RunOptions::default());
     assert_eq!(summary.exit_code(), 1);
     assert!(summary.nodes.iter().any(|n| n.scene == "b" && n.result == Became::NotRun));
-    // A capture that is not there: the message says where it was looked for.
+    // A missing capture: the message names the path.
     batch.scenes[0].externals.insert("capture".to_string(), Ok(data.join("absent")));
     batch.scenes[1]
         .externals
@@ -126,8 +126,8 @@ fn jobs_and_memory_bound_what_runs_at_once() {
     let batch = batch(&dir.path().join("data"), &names);
     let (now, most) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
     let threads = Arc::new(Mutex::new(Vec::new()));
-    // A stage waits until so many run side by side, which a busy machine takes its time for, and then whether
-    // more come.
+    // A stage waits until `expected` stages run at the same time, which can take long on a busy machine, and
+    // then checks that no more start.
     let stage = |memory: u64, expected: usize| {
         let (now, most, threads) = (now.clone(), most.clone(), threads.clone());
         Stage::new("busy", Scope::Scene, move |context, _: &Strength| {
@@ -159,7 +159,7 @@ fn jobs_and_memory_bound_what_runs_at_once() {
     assert!(threads.iter().all(|(given, pool)| *given == 2 && pool == given), "{threads:?}");
     assert_eq!(run("two", 400, 4, 2).0, 2, "two fit into the memory");
     assert_eq!(run("three", 5000, 4, 1).0, 1, "too large for the memory: alone");
-    // What a stage reads may say better what it takes than its fixed figure.
+    // A stage's inputs may give a better estimate of its memory than its fixed figure.
     let told = |folder: &str, known: Option<u64>, expected: usize| {
         most.store(0, Ordering::SeqCst);
         let mut builder = builder(&dir.path().join(folder));
@@ -235,7 +235,7 @@ fn planning_a_cached_batch_is_quick() {
     assert_eq!(summary.cached(), 260);
 }
 
-/// Something that differs between scenes and stages.
+/// A text that differs between scenes and stages.
 trait Label {
     fn label_for_test(&self) -> String;
 }

@@ -1,4 +1,4 @@
-//! What reruns and what does not.
+//! Tests of the changes that make a stage run again, and of those that do not.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -51,7 +51,7 @@ fn a_parameter_reruns_its_stage_and_what_reads_its_changed_output() {
     let cases: [(&str, serde_json::Value, &[&str]); 9] = [
         ("reconstruct", json!({"log_every": 7}), &[]),
         ("import", json!({"every": 2}), below_import),
-        // The import comes out the same: only itself.
+        // The import comes out the same, so only the import runs.
         ("import", json!({"size": "3x2"}), &["reef · import"]),
         (
             "calibrate",
@@ -117,7 +117,7 @@ fn touching_and_moving_inputs_and_other_thread_counts_rerun_nothing() {
         let options = RunOptions { jobs, cores, ..RunOptions::default() };
         assert!(run_with(&fresh(), &batch, &options).1.is_empty());
     }
-    // Other bytes that mean the same: the import runs, nothing below (early cut-off).
+    // Other bytes with the same meaning: the import runs, nothing below it (early cut-off).
     fs::write(dir.path().join("elsewhere/kept/images/words.txt"), "some  words\nof reef").expect("file");
     assert_eq!(run(&fresh(), &batch).1, ["reef · import"]);
     fs::write(dir.path().join("elsewhere/kept/images/words.txt"), "other words").expect("file");
@@ -141,8 +141,7 @@ fn another_length_goes_on_from_the_checkpoints() {
         let scene = fs::read(artifact.path.join("scene.bin")).expect("file");
         (STEPS.load(Ordering::Relaxed) - before, scene, artifact.manifest.resumed)
     };
-    // Other tests of this binary count steps too, so the numbers here are unusual ones and compared as
-    // bounds.
+    // Other tests of this binary count steps too, so the numbers here are unusual and compared as bounds.
     let (long, from_nothing, _) = steps(4000, 0.125);
     assert!(long >= 4000);
     steps(3000, 0.375);
@@ -152,7 +151,7 @@ fn another_length_goes_on_from_the_checkpoints() {
     assert_ne!(extended, from_nothing);
     let (_, shorter, _) = steps(2995, 0.375);
     assert_ne!(shorter, extended);
-    // Extended and uninterrupted are the same bytes.
+    // An extended run and an uninterrupted run have the same bytes.
     let fresh = super::stages::builder(&dir.path().join("other-cache"));
     batch.defaults.insert("reconstruct".to_string(), json!({"iterations": 4000, "rate": 0.375}));
     let (summary, ..) = run(&fresh, &batch);
@@ -216,7 +215,7 @@ fn optional_stages_are_there_when_asked_for() {
     assert!(
         started.contains(&"reef · depth".to_string()) && started.contains(&"reef · reconstruct".to_string())
     );
-    // Weights appear: the depth stage reads them.
+    // After weights appear, the depth stage reads them.
     fs::create_dir_all(dir.path().join("models")).expect("folder");
     fs::write(dir.path().join("models/weights"), "w").expect("file");
     batch.externals.insert("models".to_string(), Ok(dir.path().join("models")));
@@ -253,7 +252,7 @@ fn why_names_the_ingredients_that_changed() {
     assert!(wrong.contains("did you mean `reef`"), "{wrong}");
     let wrong = builder.why(&graph, "reef", "", "enhanse").expect_err("no such stage").to_string();
     assert!(wrong.contains("did you mean `enhance`"), "{wrong}");
-    // Everything is forecast after a run of it.
+    // After one run, every stage has a forecast.
     batch.seed = 1;
     let graph = Graph::new(&builder.registry, &batch).expect("graph");
     let plan = builder.plan(&graph, None);
@@ -370,7 +369,7 @@ fn an_input_that_changes_while_it_is_read_makes_no_artifact() {
         let words = context.input("capture")?.join("images/words.txt");
         let text = fs::read_to_string(&words)?;
         if !text.ends_with("more") {
-            fs::write(&words, format!("{text} more"))?; // somebody else copies pictures into the folder
+            fs::write(&words, format!("{text} more"))?; // a user copies pictures into the folder
         }
         Ok(fs::write(context.output().join("text"), text)?)
     })
@@ -412,7 +411,7 @@ fn one_stage_runs_by_itself_with_the_same_result() {
     let words = fs::read(out.join("words.txt")).expect("file");
     let cached = summary.artifact("reef", "", "import").expect("there").path.join("words.txt");
     assert_eq!(words, fs::read(cached).expect("file"));
-    // A failure leaves the earlier result, and nothing else.
+    // A failure leaves only the earlier result.
     stage.run_alone(alone("absent"), &listener).expect_err("no such capture");
     assert_eq!(fs::read(out.join("words.txt")).expect("file"), words);
     assert_eq!(fs::read_dir(dir.path().join("out")).expect("folder").count(), 1);
@@ -432,7 +431,7 @@ fn artifacts_of_another_class_are_compared_as_their_stage_says() {
     let off = Arc::new(AtomicU64::new(0));
     let builder = |figures: &'static [Figure]| {
         let (here, noise) = (driver.clone(), off.clone());
-        // Trains on a device: another score with every driver.
+        // It trains on a device: the score differs with every driver.
         let train = Stage::new("train", Scope::Scene, move |context, _: &super::stages::Strength| {
             let psnr = 30.0 + 0.01 * noise.load(Ordering::Relaxed) as f64;
             Ok(fs::write(context.output().join("score.json"), json!({ "psnr": psnr }).to_string())?)
@@ -447,7 +446,7 @@ fn artifacts_of_another_class_are_compared_as_their_stage_says() {
                 kernels: Digest::of(b"kernels"),
             })
         });
-        // On the processor, from what came off the device.
+        // It computes on the processor, from the result of the device.
         let judge = Stage::new("judge", Scope::Scene, |context, _: &super::stages::Strength| {
             let score = fs::read(context.input("train")?.join("score.json"))?;
             Ok(fs::write(context.output().join("verdict"), score)?)
@@ -470,11 +469,11 @@ fn artifacts_of_another_class_are_compared_as_their_stage_says() {
         off.store(noise, Ordering::Relaxed);
         builder.verify_sample(&graph, 1.0, &RunOptions::default(), &listener).expect("sample")
     };
-    // In its own class to the byte, however near.
+    // In its own class every byte must agree, even if the figures are near.
     assert_eq!(verify(&tolerant, 0).problems, []);
     assert!(verify(&tolerant, 1).problems[0].what.contains("determinism alarm"));
-    // Another driver is another class: nothing of it is cached, and what is there is compared by its figures;
-    // the stage after it is computed from what is there, to the byte.
+    // Another driver is another class: none of its artifacts is cached, and those of the first class are
+    // compared by their figures. The stage after it is computed from the cached artifact, to the byte.
     driver.store(2, Ordering::Relaxed);
     assert_eq!(tolerant.plan(&graph, None).cached(), 0);
     let near = verify(&tolerant, 9);
@@ -488,7 +487,7 @@ fn artifacts_of_another_class_are_compared_as_their_stage_says() {
     assert_eq!(far.problems.len(), 1, "{far}");
     let what = &far.problems[0].what;
     assert!(what.contains("driver 1") && what.contains("driver 2") && what.contains("/psnr is 30"), "{what}");
-    // A stage that does not say so promises the same bytes in every class.
+    // A stage without such a declaration promises the same bytes in every class.
     let strict = builder(&[]);
     let found = verify(&strict, 9);
     assert!(found.problems.iter().any(|p| p.what.contains("promises the same bytes everywhere")), "{found}");

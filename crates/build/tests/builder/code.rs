@@ -11,7 +11,7 @@ use super::stages::{code as workspace, stages};
 const RULES: CodeRules =
     CodeRules { by_file: "pipeline", not_followed: &["src/config/"], absent: &["use3d-nets"] };
 
-/// The digest of the code of a stage made of some crates.
+/// The digest of the code of a stage that depends on some crates.
 fn code_digest_of(root: &Path, crates: &[&str]) -> Result<Digest, CodeError> {
     Ok(CodeTable::of_tree(root, RULES)?.stage(crates, &[])?.digest())
 }
@@ -163,7 +163,7 @@ fn a_patched_dependency_counts_by_its_commit_and_from_a_path_is_refused() {
     assert!(message.contains("`either` is taken from a path outside crates/"), "{message}");
 }
 
-/// The same on a copy of this very workspace.
+/// The same on a copy of this workspace.
 #[test]
 fn a_token_in_ubaf_makes_the_second_training_stale_and_leaves_the_first_alone() {
     let here = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
@@ -212,7 +212,7 @@ fn a_token_in_ubaf_makes_the_second_training_stale_and_leaves_the_first_alone() 
         plan.nodes.iter().filter(|n| n.state != use3d_build::plan::State::Cached).map(|n| n.stage).collect();
     assert_eq!(stale, ["enhance", "evaluate", "report"]);
     assert!(plan.to_string().contains("code use3d-ubaf"), "{plan}");
-    // The bytes come out the same, so nothing below runs.
+    // The bytes come out the same, so no stage below it runs.
     assert_eq!(super::stages::run(&builder, &batch).1, ["reef · enhance"]);
 }
 

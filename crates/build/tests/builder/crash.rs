@@ -1,4 +1,4 @@
-//! Killed at any moment, and two processes at once: the same bytes in the end.
+//! Processes that are killed at any moment, and two processes at once: the bytes are the same in the end.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,7 +15,7 @@ const SCENES: [&str; 2] = ["reef", "wreck"];
 /// Milliseconds that every stage takes.
 const DELAY: u64 = 12;
 
-/// Not a test by itself: what the children of the others run.
+/// This is not a test by itself: the other tests start it as a child process.
 #[test]
 fn child() {
     let Some(folder) = std::env::var_os(CHILD) else { return };
@@ -70,8 +70,8 @@ fn killed_again_and_again_it_ends_with_the_same_bytes() {
     let (mut kills, mut whole, mut seen) = (0u64, 0, BTreeMap::new());
     let mut random = 0x2545_f491_4f6c_dd1d_u64;
     let start = Instant::now();
-    // A busy machine takes longer to each stage: where kills keep hitting the
-    // same few, later ones wait longer.
+    // A busy machine needs longer for each stage: if kills keep hitting the same few stages, later kills wait
+    // longer.
     let (mut reach, mut stalled) = (56, 0);
     while kills < 55 || (seen.len() < 4 && kills < 400) {
         random ^= random << 13;
@@ -96,7 +96,7 @@ fn killed_again_and_again_it_ends_with_the_same_bytes() {
             std::fs::remove_dir_all(&folder).expect("from the start again");
         } else {
             assert!(output.status.code().is_none(), "{}", String::from_utf8_lossy(&output.stdout));
-            // At every moment, whatever is there is whole.
+            // At every moment, all artifacts that exist are complete.
             for (path, bytes) in payload(&open()) {
                 assert_eq!(expected.get(&path), Some(&bytes), "{path}");
             }

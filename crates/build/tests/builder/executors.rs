@@ -1,4 +1,4 @@
-//! Runs whose jobs are not done on threads of their own: on the deciding thread, and by another process on
+//! Runs whose jobs are not done on threads of their own, but on the deciding thread, or by another process on
 //! the same cache.
 
 use std::path::PathBuf;
@@ -10,7 +10,7 @@ use use3d_build::run::RunOptions;
 
 use super::stages::{batch, builder, payload, run, run_with};
 
-/// Does every task where it is started, and remembers them.
+/// Runs every task where it is started, and records it.
 #[derive(Debug, Default)]
 struct Here {
     seen: Mutex<Vec<String>>,
@@ -29,8 +29,8 @@ impl<'t> Starter<'t> for Here {
     }
 }
 
-/// Has the artifact of every task made by another builder on the same cache, as another machine would, and
-/// only then runs the task.
+/// Makes the artifact of every task with another builder on the same cache, like another machine, and only
+/// then runs the task.
 #[derive(Debug)]
 struct Elsewhere {
     cache: PathBuf,

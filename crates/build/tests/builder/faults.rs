@@ -1,5 +1,5 @@
-//! A full disk, a read-only folder, unreadable sectors, damaged artifacts: a clear error or a recovery, and
-//! nothing lost.
+//! A full disk, a read-only folder, unreadable sectors, damaged artifacts: each leads to a clear error or a
+//! recovery, and nothing is lost.
 
 use std::fs;
 use std::io::{self, Read};
@@ -13,10 +13,10 @@ use use3d_build::{Builder, Cache, Graph, Registry, Variant};
 
 use super::stages::{Fast, batch, builder, code, payload, registry, run, stages};
 
-/// The stages that the faults are tried on.
+/// The stages that are tested with faults.
 const FEW: [&str; 5] = ["import", "depth", "calibrate", "reconstruct", "targets"];
 
-/// Fails the n-th operation; from there on all that write (a full disk), or that one alone (a bad sector).
+/// Fails the n-th operation: after that all writes (a full disk), or that operation alone (a bad sector).
 struct Faulty {
     left: AtomicI64,
     kind: io::ErrorKind,
@@ -85,12 +85,11 @@ impl Files for Faulty {
     }
 }
 
-/// Fails at the first, second, third … operation until a run gets through, going on without faults after
-/// each.
+/// Fails the first, second, third … operation until a run succeeds, and continues without faults after each.
 fn every_operation_fails_once(kind: io::ErrorKind, stays: bool) {
     let dir = tempfile::tempdir().expect("folder");
     let batch = batch(&dir.path().join("data"), &["reef"]);
-    // Few stages, one of them shared by all scenes, are enough: every operation is tried.
+    // A few stages are enough, one of them shared by all scenes: every operation is tried.
     let table = || {
         Registry::new(stages(0).into_iter().filter(|s| FEW.contains(&s.name())).collect(), code())
             .expect("table")
@@ -120,7 +119,8 @@ fn every_operation_fails_once(kind: io::ErrorKind, stays: bool) {
                 }
             }
         }
-        // What was finished before is kept, what is there is whole, and the next run ends well.
+        // The artifacts that were finished before are kept, all artifacts are complete, and the next run
+        // succeeds.
         let builder = builder(&folder);
         let (summary, ..) = run(&builder, &batch);
         assert_eq!(summary.exit_code(), 0, "operation {n}: {summary}");
@@ -151,7 +151,7 @@ fn a_read_only_cache_can_be_planned_from_and_says_so_when_run() {
     let dir = tempfile::tempdir().expect("folder");
     let mut batch = batch(&dir.path().join("data"), &["reef"]);
     run(&builder(&dir.path().join("cache")), &batch);
-    // Opening creates nothing in a cache that is there.
+    // Opening an existing cache creates nothing.
     let faulty = Faulty::new(1, io::ErrorKind::ReadOnlyFilesystem, true);
     let cache = Cache::with_files(&dir.path().join("cache"), false, faulty).expect("opened");
     let builder = Builder::new(registry(0), cache);
@@ -207,7 +207,7 @@ fn damaged_artifacts_are_found_said_and_made_again() {
         assert_eq!(summary.exit_code(), 0);
         assert_eq!(payload(&builder.cache), whole);
     }
-    // The whole folder removed is only missing.
+    // A removed artifact folder counts as missing, not as damaged.
     fs::remove_dir_all(path("targets")).expect("removed");
     let (_, started, warnings) = run(&builder(&folder), &batch);
     assert_eq!((started.len(), warnings.len()), (1, 0));
@@ -224,7 +224,7 @@ fn a_byte_flipped_behind_the_systems_back_is_found_when_it_is_read() {
     let mut bytes = fs::read(&path).expect("bytes");
     bytes[0] ^= 1;
     fs::write(&path, &bytes).expect("flipped");
-    // As if neither size nor times had changed: the table says that this is the known content.
+    // Size and times appear unchanged: the table claims that this is the known content.
     let table = folder.join("v1/stat-table");
     let text = fs::read_to_string(&table).expect("table");
     let metadata = fs::metadata(&path).expect("metadata");
@@ -247,7 +247,7 @@ fn a_byte_flipped_behind_the_systems_back_is_found_when_it_is_read() {
         .collect();
     fs::write(&table, lines.join("\n")).expect("table");
     assert!(run(&builder(&folder), &batch).1.is_empty(), "nobody reads it, nobody sees it");
-    // Read by a variant that shares it with another one.
+    // A variant reads the artifact that it shares with another one.
     let variant = |name: &str| Variant { name: name.to_string(), ..Variant::default() };
     batch.variants = vec![variant("as-before"), variant("weak")];
     batch.variants[1].overrides.insert("enhance".to_string(), serde_json::json!({"strength": 0.3}));

@@ -1,5 +1,6 @@
-//! One cache, two machines: other names, clocks a year apart, a file system that shows what is there late and
-//! loses answers. They share the work, nothing is computed twice, and the bytes are those of one machine.
+//! One cache and two machines, with other names, clocks a year apart, and a file system that shows new files
+//! late and loses replies. They share the work, nothing is computed twice, and the bytes are those of one
+//! machine.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs;
@@ -18,15 +19,15 @@ use use3d_build::{Batch, Builder, Cache, Event, Graph, Listener, Summary};
 
 use super::stages::{Fast, batch, builder, payload, registry, run};
 
-/// How fast the clocks of these machines run: their minutes are seconds. No faster: whoever shows no sign of
-/// life for five of their minutes is taken for dead, and a thread may be kept from running for a second or two.
+/// The rate of these machines' clocks: their minutes are seconds. It is no higher, because a holder without a
+/// pulse for five of their minutes counts as ended, and a thread may be suspended for a second or two.
 const RATE: f64 = 20.0;
-/// The clock of a machine that nobody waits for.
+/// The clock rate of a machine that no other machine waits for.
 const HASTE: f64 = 200.0;
 
-/// A machine's view of the files: for `late` after it has looked for an artifact in vain it does not see it
-/// come, unless it asks anew and `stubborn` is not set; of every `nth` rename and creation it hears that it
-/// failed, though it did not.
+/// A machine's view of the files. For the time `late` after an artifact was looked up and not found, it stays
+/// invisible, unless the machine refreshes its view and `stubborn` is not set. Every `nth` rename and
+/// creation succeeds but reports a failure.
 struct Network {
     late: Duration,
     stubborn: bool,
@@ -41,7 +42,7 @@ impl Network {
         Arc::new(Self { late, stubborn, nth, count: AtomicU64::new(0), absent: Mutex::default() })
     }
 
-    /// The artifact's folder that a path lies in or is.
+    /// The artifact folder that a path is, or lies in.
     fn artifact(path: &Path) -> Option<PathBuf> {
         let below = path.ancestors().find(|a| a.parent().is_some_and(|p| p.ends_with("artifacts")))?;
         let key = path.strip_prefix(below).ok()?.components().next()?;
@@ -121,7 +122,7 @@ impl Files for Network {
     }
 }
 
-/// A machine on the cache in `folder` whose stages take `delay` milliseconds.
+/// A machine on the cache in `folder`; its stages take `delay` milliseconds.
 fn machine(folder: &Path, host: &str, files: Arc<dyn Files>, delay: u64) -> Builder {
     machine_at(RATE, folder, host, files, delay)
 }
@@ -140,7 +141,7 @@ struct Told {
     warnings: Vec<String>,
 }
 
-/// Runs a batch; `meddle` sees every event first.
+/// Runs a batch; `meddle` gets every event first.
 fn run_told(
     builder: &Builder,
     batch: &Batch,
@@ -200,22 +201,23 @@ fn two_machines_share_the_work_and_compute_nothing_twice() {
         let cache = machine(&folder, "east", Arc::new(Fast), 0).cache;
         assert_eq!(payload(&cache), expected, "{late} {nth}");
         assert!(!cache.root().join("damaged").exists(), "nothing good was taken for damaged");
-        // What a summary points to is protected while somebody has it.
+        // The artifacts of a summary are protected while the summary exists.
         drop(both);
         assert_eq!(fs::read_dir(cache.root().join("leases")).expect("leases").count(), 0);
         assert_eq!(fs::read_dir(cache.root().join("tmp")).expect("tmp").count(), 0);
     }
 }
 
-/// Where the first machine waits for the second: it has begun a stage, and goes on when it is told, or when
-/// the sender is gone. Let it go inside the scope of the threads: a test that fails would wait for ever.
+/// A gate at which the first machine waits for the second: it has begun a stage, and continues after a
+/// message, or when the sender is dropped. Drop the sender inside the scope of the threads: otherwise a
+/// failing test would wait for ever.
 fn gate(stage: &'static str) -> (impl Fn(&Event<'_>) + Send + Sync, Receiver<()>, Sender<()>) {
     let ((begun, begins), (go, goes)) = (mpsc::channel(), mpsc::channel::<()>());
     let goes = Mutex::new(goes);
     let meddle = move |event: &Event<'_>| {
         if matches!(event, Event::Started { label, .. } if *label == stage) {
             begun.send(()).expect("heard");
-            // Whoever fails drops the other end.
+            // A failing test drops the other end.
             let _ = goes.lock().expect("lock").recv();
         }
     };
@@ -238,7 +240,7 @@ fn what_another_machine_has_made_is_waited_for_until_it_is_seen() {
         let go = Mutex::new(go);
         let second = move |event: &Event<'_>| {
             if matches!(event, Event::Waiting { .. }) {
-                // It has looked in vain, and will not see it come for a while.
+                // The second machine looked it up too early, and cannot see the artifact for a while.
                 go.lock().expect("lock").send(()).expect("goes on");
             }
         };
@@ -263,7 +265,7 @@ fn while_another_one_computes_something_else_is_done() {
     std::thread::scope(|scope| {
         let first = scope.spawn(|| run_told(&east, &batch, &RunOptions::default(), meddle));
         begins.recv().expect("it begins");
-        // With one job at a time, it does the other scenes, and leaves the one to who is at it.
+        // With one job at a time, it computes the other scenes, and leaves this one to the first machine.
         let options = RunOptions { until_empty: Some(Duration::ZERO), ..RunOptions::default() };
         let (summary, told) = run_told(&west, &batch, &options, |_| ());
         assert_eq!(summary.exit_code(), 0, "{summary}");
@@ -293,7 +295,7 @@ fn a_run_whose_time_is_over_leaves_its_checkpoints_to_the_next() {
     let mut batch = batch(&dir.path().join("data"), &["reef"]);
     batch.defaults.insert("reconstruct".to_string(), json!({"iterations": 1200}));
     let expected = undisturbed(dir.path(), &batch);
-    // By a clock that runs two hundred times as fast.
+    // The clock runs two hundred times as fast.
     let east = machine_at(HASTE, &dir.path().join("cache"), "east", Arc::new(Fast), 6);
     let limited =
         |seconds: u64| RunOptions { limit: Some(Duration::from_secs(seconds)), ..RunOptions::default() };
@@ -319,8 +321,8 @@ fn what_would_be_cut_off_is_left_for_a_run_with_more_time() {
     let batch = batch(&dir.path().join("data"), &["reef"]);
     let folder = dir.path().join("cache");
     let east = machine_at(HASTE, &folder, "east", Arc::new(Fast), 12);
-    // Everything else is quick; by what is known, this one takes nearly all of the
-    // time, and leaves no checkpoints.
+    // All other stages are quick. According to the records, this one takes nearly all of the time, and it has
+    // no checkpoints.
     let timing = json!({"stage": "targets", "scene": "reef", "length": 1.0, "bytes": 0, "seconds": 17_999.9,
         "peak_memory": 0, "output": 0});
     fs::create_dir_all(east.cache.root().join("timings")).expect("folder");
@@ -331,7 +333,7 @@ fn what_would_be_cut_off_is_left_for_a_run_with_more_time() {
     assert_eq!(summary.exit_code(), 75, "{summary}");
     assert!(told.started.iter().any(|l| l == "reef · reconstruct"), "{:?}", told.started);
     assert!(told.started.iter().all(|l| l != "reef · targets"), "{:?}", told.started);
-    // More than there ever is in a run of this limit: tried all the same.
+    // It would not fit in any run with this limit, so it is tried all the same.
     let (summary, told) = run_told(&east, &batch, &limit(3600), |_| ());
     assert_eq!((summary.exit_code(), told.started.iter().any(|l| l == "reef · targets")), (0, true));
 }

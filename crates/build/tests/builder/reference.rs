@@ -1,5 +1,5 @@
-//! Variants judged by one of them: what the reference is, that it is part of the key, and that what is
-//! measured beside an artifact is not.
+//! Variants compared with one of them: the choice of the reference, and that it is part of the key, while
+//! measurements beside an artifact are not.
 
 use std::fs;
 use std::sync::Arc;
@@ -15,9 +15,9 @@ use super::stages::{Fast, code, run};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 struct Make {
-    /// What is made.
+    /// The text to make.
     text: String,
-    /// Whether others are compared by something else.
+    /// True if the variant is no reference and is compared with another one.
     copy: bool,
 }
 
@@ -25,7 +25,7 @@ struct Make {
 #[serde(deny_unknown_fields, default)]
 struct Judge {}
 
-/// Grows with every run of `judge`: a measurement that no two runs share.
+/// Grows with every run of `judge`: a measurement that differs in every run.
 static CLOCK: AtomicU64 = AtomicU64::new(1);
 
 fn registry() -> Registry {
@@ -81,18 +81,18 @@ fn all_variants_are_judged_by_the_first_that_is_no_copy_and_rerun_when_it_change
     let (first, started) = judged(&builder, &batch);
     assert_eq!(first.clone().map(|f| f.0), ["copy by plain", "plain by plain", "other by plain"]);
     assert_eq!(started, 3);
-    // Another time of the same judgement: other notes, the same artifact.
+    // The same stage run a second time: other notes, the same artifact.
     let (again, _) = judged(&Builder::new(registry(), cache("second")), &batch);
     for (a, b) in first.iter().zip(&again) {
         assert_ne!(a.1, b.1);
         assert_eq!(a.2, b.2);
     }
-    // What all are judged by is part of every key.
+    // The reference is part of every key.
     batch.variants[1] = variant("plain", json!({"text": "changed"}));
     let (changed, started) = judged(&builder, &batch);
     assert_eq!(changed.map(|c| c.0), ["copy by changed", "changed by changed", "other by changed"]);
     assert_eq!(started, 3);
-    // Without any, each stands for itself.
+    // Without a reference, each variant is judged alone.
     batch.variants.truncate(1);
     let (summary, _, _) = run(&builder, &batch);
     let artifact = summary.artifact("reef", "copy", "judge").expect("judged");

@@ -1,5 +1,5 @@
-//! A store beside the cache: what one machine computed another one fetches to the byte; what a store gives
-//! wrong, in part, late or not at all never becomes an artifact, and ends no run.
+//! A store beside the cache: one machine fetches the bytes that another one computed. Wrong, incomplete, late
+//! or missing data of a store never become an artifact, and end no run.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -15,34 +15,34 @@ use use3d_build::{Batch, Builder, Digest, Graph, Listener, Silent};
 
 use super::stages::{batch, builder, payload, run};
 
-/// What a store does instead of what it was asked.
+/// The faults of a store.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fault {
-    /// Says 503.
+    /// Answers 503.
     Unavailable,
-    /// Does it, and says 503.
+    /// Performs the operation, and answers 503.
     AnswerLost,
-    /// Does it, loses the answer, and its client asks again by itself.
+    /// Performs the operation and loses the reply, and its client repeats the request by itself.
     AskedTwice,
-    /// Says 403.
+    /// Answers 403.
     Forbidden,
-    /// Gives only the first half, as if that were all.
+    /// Sends only the first half, as if it were complete.
     Truncated,
-    /// Gives the first half and breaks off.
+    /// Sends the first half and breaks the connection.
     BrokenOff,
-    /// Gives other bytes.
+    /// Sends other bytes.
     Wrong,
-    /// Gives more than there is.
+    /// Sends more bytes than the object has.
     More,
-    /// Gives a byte at a time.
+    /// Sends one byte at a time.
     Slow,
-    /// Says that it is not there.
+    /// Answers that the object does not exist.
     Missing,
-    /// Creates what is there already.
+    /// Creates an object that exists already.
     Careless,
 }
 
-/// Which fault an operation on a name has.
+/// Chooses the fault of an operation on a name.
 type Faults = Box<dyn Fn(&str, &str) -> Option<Fault> + Send + Sync>;
 
 /// A store in memory with faults.
@@ -139,7 +139,7 @@ fn shared(remote: &Arc<impl Remote + 'static>) -> Arc<RemoteStore> {
     Arc::new(RemoteStore::new(remote.clone()).with_pause(Duration::from_millis(1)))
 }
 
-/// A folder with captures, and what a run of one machine makes of them.
+/// A folder with captures, and the artifacts that a run of one machine makes of them.
 struct World {
     dir: tempfile::TempDir,
     batch: Batch,
@@ -172,7 +172,7 @@ impl World {
         builder.push(&graph, store, check, &AtomicBool::new(false), &listener)
     }
 
-    /// Nothing half is left in a cache.
+    /// Checks that no unfinished file is left in a cache.
     fn assert_tidy(builder: &Builder) {
         let tmp = fs::read_dir(builder.cache.root().join("tmp")).expect("folder").count();
         assert!(tmp == 0 && !builder.cache.root().join("damaged").exists(), "{tmp}");
@@ -202,7 +202,7 @@ fn what_one_machine_computed_another_one_fetches_to_the_byte() {
         let (summary, started, warnings) = run(&first, &world.batch);
         assert!(summary.exit_code() == 0 && warnings.is_empty(), "{place}: {warnings:?}");
         assert!(started.len() == summary.done() && payload(&first.cache) == world.whole, "{place}");
-        // Another machine computes nothing, and has the same bytes, manifests too.
+        // Another machine computes nothing, and has the same bytes and the same manifests.
         let second = world.builder(&name("second")).with_remote(store.clone());
         let (summary, started, warnings) = run(&second, &world.batch);
         assert!(
@@ -210,7 +210,7 @@ fn what_one_machine_computed_another_one_fetches_to_the_byte() {
             "{place}: {started:?}"
         );
         assert!(payload(&second.cache) == world.whole && manifests(&second) == manifests(&first), "{place}");
-        // A third one fetches everything at once, and sends back nothing.
+        // A third one fetches everything at once, and sends nothing back.
         let third = world.builder(&name("third"));
         let pulled = world.pull(&third, &store).expect("pulled");
         let count = world.push(&first, &store, false).expect("pushed").already;
@@ -225,7 +225,7 @@ fn what_one_machine_computed_another_one_fetches_to_the_byte() {
     let tmp = fs::read_dir(folder.join("v1/tmp")).expect("folder").count()
         + fs::read_dir(folder.join("v1/probe")).expect("folder").count();
     assert_eq!(tmp, 0, "nothing half stays in the store");
-    // What a run without a store computed is sent afterwards.
+    // A run without a store can be sent afterwards.
     let late = store(Memory::default());
     let alone = world.builder("alone");
     let pushed = world.push(&alone, &late, false).expect("pushed");
@@ -255,7 +255,7 @@ fn bytes_that_came_wrong_never_become_an_artifact() {
             faulty.store(true, Ordering::Relaxed);
             let what = format!("{fault:?} {part}");
             let name = what.replace('/', "-");
-            // Fetched alone: nothing comes of it, and it is said.
+            // With `pull`, nothing is fetched, and the problem is reported.
             let pulling = world.builder(&format!("pull {name}"));
             let gone = fault == Fault::Missing && part == "v1/artifacts/";
             match world.pull(&pulling, &shared(&remote)) {
@@ -272,7 +272,7 @@ fn bytes_that_came_wrong_never_become_an_artifact() {
             }
             assert!(payload(&pulling.cache).is_empty(), "{what}");
             World::assert_tidy(&pulling);
-            // In a run, all is computed.
+            // In a run, everything is computed.
             let running = world.builder(&format!("run {name}")).with_remote(shared(&remote));
             let (summary, _, warnings) = run(&running, &world.batch);
             assert!(
@@ -343,7 +343,7 @@ fn a_store_that_cannot_be_relied_on_is_refused_when_it_is_opened() {
         }
         assert!(remote.inner.objects().is_empty(), "{fault:?}: what it was tried with is gone");
     }
-    // An answer that is lost once is no reason, nor one that arrives with a wrong byte.
+    // A reply that is lost once, or that arrives with a wrong byte, is no failure.
     for (fault, at) in [
         (Fault::AnswerLost, "create"),
         (Fault::AskedTwice, "create"),
@@ -368,7 +368,7 @@ fn a_manifest_from_elsewhere_cannot_write_outside_its_artifact_or_stand_for_anot
     let names: Vec<String> = good.keys().filter(|n| n.starts_with("v1/artifacts/import/")).cloned().collect();
     // Another key's manifest.
     remote.objects().insert(names[0].clone(), good[&names[1]].clone());
-    // Its digests are right, and the file it names lies outside.
+    // Its digests are right, but the file it names is outside the folder.
     let text = String::from_utf8(good[&names[1]].clone()).expect("text");
     let mut evil: use3d_build::manifest::Manifest = serde_json::from_str(&text).expect("a manifest");
     for path in ["../../escaped", "/escaped", "a/../../escaped", "words.txt/", "manifest.json", "", "a\\b"] {
@@ -395,8 +395,8 @@ fn what_is_damaged_on_either_side_is_not_sent_and_a_check_repairs_the_store() {
     let (stage, key, path) = builder.cache.artifacts().into_iter().next().expect("an artifact");
     let Ok(Lookup::Whole(artifact)) = builder.cache.lookup(&stage, &key) else { panic!("it is there") };
     let (stop, store) = (AtomicBool::new(false), shared(&remote));
-    // Changed after it was last looked at, to bytes of the same number; every file of these bytes, since of
-    // equal ones only one is sent.
+    // Changed after the last check, to as many other bytes. All files with these bytes are changed, because
+    // of equal files only one is sent.
     builder.cache.verify(&artifact, true).expect("whole");
     let right = fs::read(path.join(&artifact.manifest.files[0].path)).expect("read");
     let equal = artifact.manifest.files.iter().filter(|f| f.digest == artifact.manifest.files[0].digest);
@@ -405,21 +405,21 @@ fn what_is_damaged_on_either_side_is_not_sent_and_a_check_repairs_the_store() {
     };
     write(&vec![b'x'; right.len()]);
     let error = store.send(&builder.cache, &artifact, false, &stop).expect_err("damaged");
-    // Files go several at a time: whole ones may be there already. What is there is what its name says, and
-    // nothing names it.
+    // Several files are sent at a time, so whole ones may be in the store already. Each has the bytes of its
+    // name, and no manifest names it.
     assert!(error.to_string().contains("damaged"), "{error}");
     let is_right = |(name, bytes): (&String, &Vec<u8>)| *name == format!("v1/blobs/{}", Digest::of(bytes));
     assert!(remote.objects().iter().all(is_right), "{error}");
     write(&right);
     assert_eq!(store.send(&builder.cache, &artifact, false, &stop).expect("sent"), Sent::Now);
-    // The store's disk rots; only a check sees it, and mends it.
+    // The store's disk rots; only `check` finds and repairs it.
     let whole = remote.objects().clone();
     let name = format!("v1/blobs/{}", artifact.manifest.files[0].digest);
     remote.objects().insert(name, vec![b'y'; right.len()]);
     assert_eq!(store.send(&builder.cache, &artifact, false, &stop).expect("sent"), Sent::Already);
     assert_eq!(store.send(&builder.cache, &artifact, true, &stop).expect("sent"), Sent::Now);
     assert!(*remote.objects() == whole);
-    // A run that was given damaged bytes mends the store as well.
+    // A run that fetched damaged bytes repairs the store as well.
     let name = remote.objects().keys().find(|n| n.starts_with("v1/artifacts")).cloned().expect("a manifest");
     remote.objects().insert(name, b"{".to_vec());
     let running = world.builder("cache").with_remote(store.clone());
@@ -471,7 +471,7 @@ fn of_all_that_create_a_name_at_once_one_does() {
         assert!(remote.get(&format!("v1/race-{round}"), &mut found).expect("an answer"));
         assert_eq!(*won.lock().expect("lock"), [found], "{}", remote.place());
     }
-    // What fails while it is read leaves what was there.
+    // A source that fails while it is read leaves the old object.
     struct Fails;
     impl Read for Fails {
         fn read(&mut self, _: &mut [u8]) -> io::Result<usize> {

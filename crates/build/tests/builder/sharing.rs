@@ -1,4 +1,4 @@
-//! A cache that others use, clean or damage while a run goes on: the run goes on too, and its scenes are told
+//! A cache that other processes use, clean or damage during a run: the run continues, and reports its scenes
 //! as they finish.
 
 use std::collections::BTreeSet;
@@ -14,7 +14,7 @@ use use3d_build::{Batch, Builder, Event, Graph, Listener, Summary};
 
 use super::stages::{batch, builder, payload, run};
 
-/// Runs a batch and calls `meddle` once, at the first event that `when` picks.
+/// Runs a batch and calls `meddle` once, at the first event for which `when` returns true.
 fn run_meddled(
     builder: &Builder,
     batch: &Batch,
@@ -70,7 +70,7 @@ fn cleaning_up_takes_nothing_that_a_run_has_decided_on() {
         assert!(warnings.is_empty(), "{stage}: {warnings:?}");
         assert_eq!(payload(&own.cache), whole, "{stage}");
         assert_eq!(checkpoints(&own), 2, "{stage}");
-        // When nobody uses what the run found, its lease is given back.
+        // Dropping the summary removes the lease of the run.
         drop(summary);
         own.cache.clean(&everything());
         assert!(own.cache.artifacts().is_empty() && checkpoints(&own) == 0, "{stage}");
@@ -84,8 +84,8 @@ fn an_artifact_that_vanishes_during_a_run_is_made_again() {
     let reference = builder(&dir.path().join("reference"));
     let (summary, ..) = run(&reference, &batch);
     let whole = payload(&reference.cache);
-    // Known to be whole and read later; read by the stage that has just looked at it; everything that is
-    // there.
+    // Three cases: the artifact was checked earlier and is read later; it is read by the stage that has just
+    // checked it; all artifacts so far are removed.
     for (at, stages) in [
         ("targets", &["import"][..]),
         ("targets", &["reconstruct"][..]),
@@ -122,7 +122,7 @@ fn checkpoints_of_kept_and_running_pipelines_stay() {
     let graph = Graph::new(&own.registry, &batch).expect("graph");
     let halfway = |e: &Event<'_>| matches!(e, Event::Progress { done: 150, .. });
 
-    // While it runs.
+    // During the run.
     let other = builder(&folder).cache;
     let options = RunOptions::default();
     let stop = options.stop.clone();
@@ -131,17 +131,17 @@ fn checkpoints_of_kept_and_running_pipelines_stay() {
         stop.store(true, Ordering::SeqCst);
     };
     let (summary, ..) = run_meddled(&own, &batch, &options, halfway, meddle);
-    // (This stage does not look at the flag; the run ends after it.)
+    // (This stage ignores the flag; the run ends after it.)
     assert_eq!((summary.exit_code(), checkpoints(&own)), (130, 1));
 
-    // Interrupted before its artifact was there, and kept.
+    // Interrupted before its artifact existed, and kept.
     let key = summary.artifact("reef", "", "reconstruct").expect("made").manifest.key;
     fs::remove_dir_all(own.cache.artifact_path("reconstruct", &key)).expect("removed");
     drop(summary);
     let keep: BTreeSet<_> = own.plan(&graph, None).keys().collect();
     own.cache.clean(&CleanOptions { keep, ..everything() });
     assert_eq!(checkpoints(&own), 1);
-    // What is finished goes on from nothing.
+    // The checkpoints of a finished stage are not kept.
     run(&own, &batch);
     let keep: BTreeSet<_> = own.plan(&graph, None).keys().collect();
     own.cache.clean(&CleanOptions { keep, ..everything() });
@@ -178,7 +178,7 @@ fn a_scene_is_told_when_it_is_over_and_not_when_the_batch_is() {
     assert!(summary.nodes.iter().any(|n| n.result == Became::Done && n.scene == "wreck"));
 }
 
-/// The result of a stage of one number.
+/// The result file of a stage.
 fn file(artifact: &Path) -> Option<Vec<u8>> {
     fs::read(artifact.join("result.txt")).ok()
 }
@@ -189,7 +189,7 @@ fn a_sample_that_is_stopped_reports_no_damage() {
     let batch = batch(&dir.path().join("data"), &["reef"]);
     let quick = builder(&dir.path().join("cache"));
     run(&quick, &batch);
-    // The same stages, which now take long enough to be stopped.
+    // The same stages, now slow enough to be stopped.
     let slow = Builder::new(super::stages::registry(200), quick.cache);
     let graph = Graph::new(&slow.registry, &batch).expect("graph");
     let options = RunOptions::default();

@@ -18,11 +18,11 @@ use use3d_build::{
     StageError, Summary,
 };
 
-/// How the frames are read.
+/// Options for reading the frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct ImportParameters {
-    /// Every so many words, one is kept.
+    /// Keeps one of every so many words.
     pub(crate) every: usize,
     /// Image size, e.g. `1400x933`.
     pub(crate) size: Option<String>,
@@ -34,7 +34,7 @@ impl Default for ImportParameters {
     }
 }
 
-/// Which medium.
+/// The medium.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Medium {
@@ -55,9 +55,9 @@ pub(crate) struct ReconstructParameters {
     pub(crate) iterations: u64,
     /// Learning rate.
     pub(crate) rate: f64,
-    /// Which medium.
+    /// The medium.
     pub(crate) medium: Medium,
-    /// Where depth comes from: `off` or `network`.
+    /// The source of depth: `off` or `network`.
     pub(crate) depth_prior: String,
     /// Steps between lines of the log.
     pub(crate) log_every: u64,
@@ -79,9 +79,9 @@ impl Default for ReconstructParameters {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct Strength {
-    /// How much.
+    /// The strength.
     pub(crate) strength: f32,
-    /// Which 2D enhancer.
+    /// The 2D enhancer.
     pub(crate) proposer: String,
 }
 
@@ -91,7 +91,7 @@ impl Default for Strength {
     }
 }
 
-/// Steps that the long stage has really done.
+/// Number of steps that the long stage has really computed.
 pub(crate) static STEPS: AtomicU64 = AtomicU64::new(0);
 
 /// One step of the long stage: a hash of the state so far.
@@ -241,7 +241,7 @@ pub(crate) fn stages(delay: u64) -> Vec<Stage> {
     ]
 }
 
-/// The code of this workspace, which the stages name.
+/// The code of this workspace, whose crates the stages name.
 pub(crate) fn code() -> &'static CodeTable {
     static TABLE: OnceLock<CodeTable> = OnceLock::new();
     TABLE.get_or_init(|| {
@@ -259,7 +259,7 @@ pub(crate) fn registry(delay: u64) -> Registry {
         .shorthand("calibrator", "proposer", "targets", "proposer")
 }
 
-/// The disk without waiting for it: tests lose no power.
+/// The disk without syncing: tests do not survive power cuts.
 pub(crate) struct Fast;
 
 impl Files for Fast {
@@ -295,12 +295,12 @@ impl Files for Fast {
     }
 }
 
-/// A builder on `folder` that does not wait for the disk.
+/// A builder on `folder` that does not sync the disk.
 pub(crate) fn builder(folder: &Path) -> Builder {
     Builder::new(registry(0), Cache::with_files(folder, false, Arc::new(Fast)).expect("a cache"))
 }
 
-/// Captures in `folder`, as a batch.
+/// Creates captures in `folder`, as a batch.
 pub(crate) fn batch(folder: &Path, names: &[&str]) -> Batch {
     let mut batch = Batch { name: "synthetic".to_string(), seed: 42, ..Batch::default() };
     for name in names {
@@ -309,13 +309,13 @@ pub(crate) fn batch(folder: &Path, names: &[&str]) -> Batch {
     batch
 }
 
-/// A capture in `folder`, as a scene.
+/// Creates a capture in `folder`, as a scene.
 pub(crate) fn scene(folder: &Path, name: &str) -> BatchScene {
     let capture = folder.join(name);
     fs::create_dir_all(capture.join("images")).expect("folder");
     let words = capture.join("images/words.txt");
     if !words.exists() {
-        // Several processes of a test share a capture: none rewrites it under the others' eyes.
+        // Several processes of a test share a capture, so none rewrites it while another reads it.
         fs::write(words, format!("some words of {name}\n")).expect("file");
         fs::write(capture.join("notes.txt"), "not read").expect("file");
     }
@@ -327,7 +327,7 @@ pub(crate) fn scene(folder: &Path, name: &str) -> BatchScene {
     }
 }
 
-/// Remembers what happened.
+/// Records the events.
 #[derive(Default)]
 pub(crate) struct Witness {
     pub(crate) started: Mutex<Vec<String>>,
@@ -346,7 +346,7 @@ impl Listener for Witness {
     }
 }
 
-/// Runs a batch; the summary, the stages that were computed (sorted labels), the warnings.
+/// Runs a batch; returns the summary, the computed stages (sorted labels), and the warnings.
 pub(crate) fn run_with(
     builder: &Builder,
     batch: &Batch,
@@ -362,12 +362,13 @@ pub(crate) fn run_with(
     (summary, started, warnings)
 }
 
-/// As [`run_with`], one stage after the other.
+/// Like [`run_with`], one stage after the other.
 pub(crate) fn run(builder: &Builder, batch: &Batch) -> (Summary, Vec<String>, Vec<String>) {
     run_with(builder, batch, &RunOptions::default())
 }
 
-/// Every payload byte of a cache: `stage/key/file` to content. Manifests are left out, since they hold times.
+/// Every payload byte of a cache: `stage/key/file` to content. Manifests are left out, because they hold
+/// times.
 pub(crate) fn payload(cache: &Cache) -> BTreeMap<String, Vec<u8>> {
     let mut all = BTreeMap::new();
     for (stage, key, path) in cache.artifacts() {

@@ -1,4 +1,4 @@
-//! The words of `bench`.
+//! The arguments of `bench`.
 
 use std::path::PathBuf;
 
@@ -12,15 +12,15 @@ const MAX_VIEWS: u64 = 10_000;
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Bench {
-    /// Synthetic captures, the whole pipeline and simple ways around it on each, and one table
-    /// against the true clean scenes.
+    /// Synthetic captures, the whole pipeline and simple alternatives to it on each, and one table against
+    /// the true clean scenes.
     #[command(
         after_help = "Examples:\n  use3d bench truth --out bench/                        all captures, seeds 1, 2 and 3\n  \
         use3d bench truth --out quick/ --captures display-III,air --seeds 1 --iterations 600 --baselines simple\n\n\
         Interrupted, the same command goes on from there; a second call computes nothing. docs/science/results.md explains the table."
     )]
     Truth(BenchTruthArgs),
-    /// A graphics card in one file: limits, agreement with the processor, same bits, times.
+    /// Measure a graphics card into one file: limits, agreement with the processor, same bits, times.
     #[command(
         after_help = "Examples:\n  use3d bench gpu --out card.json\n  use3d bench gpu --out software.json --device llvmpipe --sizes 96x64 --rounds 2 --gaussians 2000 --steps 20"
     )]
@@ -29,44 +29,44 @@ pub(crate) enum Bench {
 
 #[derive(Debug, Args)]
 pub(crate) struct BenchGpuArgs {
-    /// The file that is written.
+    /// The file to write.
     #[arg(short, long, value_name = "FILE.json")]
     pub(crate) out: PathBuf,
-    /// Any part of an adapter's name, in any case; software adapters are taken
-    /// only so (default: the best card).
+    /// Any part of an adapter's name, in any case; software adapters are used only if named here (default:
+    /// the best card).
     #[arg(long, value_name = "NAME")]
     pub(crate) device: Option<String>,
-    /// Sizes of views that kernels are timed at.
+    /// Sizes of views at which kernels are timed.
     #[arg(long, value_delimiter = ',', default_value = "640x360,1280x720,1400x933", value_name = "WxH,...")]
     pub(crate) sizes: Vec<String>,
     /// Times that each size is run; the first one warms up and is not counted.
     #[arg(long, default_value_t = 5, value_name = "N", value_parser = count(10_000))]
     pub(crate) rounds: usize,
-    /// Numbers of Gaussians that trainings have at each size; each is timed.
+    /// Numbers of Gaussians for the trainings at each size; each is timed.
     #[arg(long, value_delimiter = ',', default_value = "50000,200000,500000", value_name = "N,...", value_parser = count(100_000_000))]
     pub(crate) gaussians: Vec<usize>,
-    /// Steps of each training that are timed (default: 200, and 1000 at the middle size with the middle number of
-    /// Gaussians; 10 on software).
+    /// Steps of each training that are timed (default: 200, and 1000 at the middle size with the middle
+    /// number of Gaussians; 10 on software).
     #[arg(long, value_name = "N", value_parser = count(1_000_000))]
     pub(crate) steps: Option<usize>,
     #[command(flatten)]
     pub(crate) replace: Replace,
 }
 
-/// Which of the things compared are run.
+/// The methods to compare.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Baselines {
-    /// All.
+    /// All methods.
     #[default]
     All,
-    /// Only what needs no training of its own: photographs, and the 2D enhancer
-    /// on them and on stage-1 renders.
+    /// Only those that need no training of their own: photographs, and the 2D enhancer on them and on stage-1
+    /// renders.
     Simple,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct BenchTruthArgs {
-    /// Where captures, table and pictures go.
+    /// The folder for captures, table and pictures.
     #[arg(short, long, value_name = "DIR")]
     pub(crate) out: PathBuf,
     /// Only these captures: display-I, display-II, display-III, display-1C, display-5C, pool, spectral,
@@ -85,10 +85,10 @@ pub(crate) struct BenchTruthArgs {
     /// Steps of stage 1; stage 2 has a fifth of them.
     #[arg(long, default_value_t = 2000, value_name = "N", value_parser = count(200_000_000))]
     pub(crate) iterations: usize,
-    /// What is compared: everything, or what needs no training of its own.
+    /// The methods to compare: all, or only those that need no training of their own.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) baselines: Baselines,
-    /// Stages to run side by side, within the cores and memory there are.
+    /// Stages to run at the same time, within the cores and memory of the machine.
     #[arg(short, long, default_value_t = 1, value_name = "N", value_parser = count(MAX_JOBS))]
     pub(crate) jobs: usize,
     #[command(flatten)]

@@ -1,4 +1,4 @@
-//! Captures: synthetic ones, and what water one was taken in.
+//! Captures: the arguments for synthetic captures, and for estimating the water of a capture.
 
 use std::path::PathBuf;
 
@@ -8,7 +8,7 @@ use super::shared::{SizeArgs, StageSettings};
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Synth {
-    /// A swim over a procedural reef: images, COLMAP model, and the truth.
+    /// A swim over a procedural reef: images, COLMAP model, and the true scene.
     #[command(
         after_help = "Examples:\n  use3d synth capture --out reef/ --views 48 --size 640x360 --water 3C --seed 1\n  \
         use3d synth capture --out dive/ --physics spectral --water II --depth 10 --auto-exposure 1 --fish 3"
@@ -21,10 +21,10 @@ pub(crate) enum Synth {
 
 #[derive(Debug, Args)]
 pub(crate) struct SynthArgs {
-    /// Where it goes.
+    /// The folder to write.
     #[arg(short, long, value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// Everything random follows from it.
+    /// The seed of everything random.
     #[arg(long, default_value_t = 42, value_name = "N")]
     pub(crate) seed: u64,
     /// Number of views or pairs.
@@ -39,8 +39,8 @@ pub(crate) struct SynthArgs {
 pub(crate) struct SynthPairsArgs {
     #[command(flatten)]
     pub(crate) common: SynthArgs,
-    /// Image formation of the underwater images: `display`, or `spectral` with a camera that
-    /// sets itself for every picture.
+    /// Image formation of the underwater images: `display`, or `spectral` with a camera that adjusts itself
+    /// for every picture.
     #[arg(long, value_name = "NAME", default_value = "display")]
     pub(crate) physics: String,
 }
@@ -56,8 +56,8 @@ pub(crate) struct SynthCaptureArgs {
     /// colour of open water.
     #[arg(long, value_name = "NAME", default_value = "reef")]
     pub(crate) place: String,
-    /// Image formation: `display` is the method's own, on display values; `spectral` is not: wavelengths in
-    /// linear light, a camera that sets itself for every view.
+    /// Image formation: `display` is the method's own model, on display values; `spectral` is not:
+    /// wavelengths in linear light, and a camera that adjusts itself for every view.
     #[arg(long, value_name = "NAME", default_value = "display")]
     pub(crate) physics: String,
     /// Depth below the surface, metres, 0 to 60.
@@ -69,24 +69,24 @@ pub(crate) struct SynthCaptureArgs {
     /// Sensor noise of a middle tone, 0 to 0.2 of display range.
     #[arg(long, value_name = "SIGMA")]
     pub(crate) noise: Option<f32>,
-    /// Spectral: how far exposure and white balance are set for each view on its own, 0 to 1.
+    /// Spectral: amount by which exposure and white balance are set for each view on its own, 0 to 1.
     #[arg(long, value_name = "SHARE")]
     pub(crate) auto_exposure: Option<f32>,
-    /// Spectral: two lamps at the camera, their light a metre ahead in units of
-    /// daylight at the surface, 0 to 20.
+    /// Spectral: two lamps at the camera; their light at a distance of one metre, in units of daylight at the
+    /// surface, 0 to 20.
     #[arg(long, value_name = "LIGHT")]
     pub(crate) lamps: Option<f32>,
-    /// Spectral: marine snow before the lens, 0 to 1.
+    /// Spectral: marine snow in front of the lens, 0 to 1.
     #[arg(long, value_name = "AMOUNT")]
     pub(crate) snow: Option<f32>,
     /// Spectral: fish in every view, hidden by masks.
     #[arg(long, value_name = "N")]
     pub(crate) fish: Option<usize>,
-    /// Spectral: what the camera makes of its light: `plain` (sRGB), or `action` (bounded white balance, colour
-    /// matrix, saturation, contrast, clipping; surfaces have reef spectra).
+    /// Spectral: the camera's processing of its light: `plain` (sRGB), or `action` (bounded white balance,
+    /// colour matrix, saturation, contrast, clipping; surfaces have reef spectra).
     #[arg(long, value_name = "NAME", default_value = "plain")]
     pub(crate) camera: String,
-    /// Spectral, in air: how much it is taken against the light of the sky, 0 to 1.
+    /// Spectral, in air: amount of backlight from the sky, 0 to 1.
     #[arg(long, value_name = "AMOUNT")]
     pub(crate) backlight: Option<f32>,
     /// Boards with grey patches near and far, listed in truth/greys/.

@@ -1,6 +1,6 @@
-//! Every `use3d` command in the README, the documents and the help's examples is one that this program
-//! takes: verb, flags and the keys of `--set`. A command in a block of code is parsed whole; one within a
-//! sentence may leave out what its verb requires.
+//! Tests that this program accepts every `use3d` command in the README, the documents and the help's
+//! examples: verb, flags and the keys of `--set`. A command in a block of code is parsed whole; one within a
+//! sentence may leave out required arguments of its verb.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -11,14 +11,14 @@ use use3d_pipeline::config::parameters;
 
 use super::Cli;
 
-/// A command as it stands in a document.
+/// A command as written in a document.
 #[derive(Debug, PartialEq)]
 struct Command {
     /// The page, for messages.
     page: String,
-    /// The arguments behind `use3d`.
+    /// The arguments after `use3d`.
     arguments: Vec<String>,
-    /// It stands in a block of code, and nothing of it is left out.
+    /// True if it is in a block of code, and no part of it is left out.
     whole: bool,
 }
 
@@ -37,7 +37,7 @@ fn pages() -> Vec<PathBuf> {
     pages
 }
 
-/// The words of a shell command. Four spaces begin a remark, as in the help's examples.
+/// The words of a shell command. Four spaces begin a remark, like in the help's examples.
 fn words(line: &str) -> Vec<String> {
     let line = line.trim();
     let line = line.split("    ").next().unwrap_or_default();
@@ -57,7 +57,7 @@ fn words(line: &str) -> Vec<String> {
     words
 }
 
-/// The arguments of each call of the program in a line: behind variables, `/usr/bin/time -v` and the like, up
+/// The arguments of each call of the program in a line: after variables, `/usr/bin/time -v` and the like, up
 /// to a pipe, a redirection, a remark or the next command.
 fn calls(line: &str) -> Vec<Vec<String>> {
     let words: Vec<String> = words(line).into_iter().take_while(|w| !w.starts_with('#')).collect();
@@ -120,7 +120,7 @@ fn known() -> BTreeSet<String> {
     all.iter().flat_map(|s| s.parameters.iter().map(|p| format!("{}.{}", s.stage, p.name))).collect()
 }
 
-/// The keys of `--set` that no stage has.
+/// The keys of `--set` that belong to no stage.
 fn unknown_keys(arguments: &[String], known: &BTreeSet<String>) -> Vec<String> {
     let sets = arguments.windows(2).filter(|pair| pair[0] == "--set").map(|pair| pair[1].as_str());
     let mut unknown = Vec::new();
@@ -133,7 +133,7 @@ fn unknown_keys(arguments: &[String], known: &BTreeSet<String>) -> Vec<String> {
         }
         // These belong to the pipeline, not to a stage.
         let pipeline = ["preset", "seed"].contains(&bare) || bare.starts_with("calibrator.");
-        // By hand a stage knows its own names without itself in front.
+        // For a stage run by hand, the stage's name in front of its own parameters can be left out.
         let of_a_stage =
             known.contains(bare) || known.iter().any(|k| k.split_once('.').is_some_and(|k| k.1 == bare));
         if !pipeline && !of_a_stage && !bare.contains('…') {
@@ -143,7 +143,7 @@ fn unknown_keys(arguments: &[String], known: &BTreeSet<String>) -> Vec<String> {
     unknown
 }
 
-/// The reason why a command is not one of this program.
+/// Returns the reason why this program does not accept a command.
 fn fault(command: &Command, known: &BTreeSet<String>) -> Option<String> {
     // `use3d VERB --help` stands for any verb, and `slurm|hq` for either.
     let stands_for_any = |w: &String| w == "VERB" || w.contains('|');
@@ -167,7 +167,7 @@ fn fault(command: &Command, known: &BTreeSet<String>) -> Option<String> {
             | ErrorKind::ValueValidation
     );
     let shown = matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion);
-    // In a sentence a value may be left out, or be a word that stands for one: `--set`, `--water A`.
+    // In a sentence a value may be left out, or be a placeholder: `--set`, `--water A`.
     let excused = shown || !command.whole && incomplete;
     (!excused).then(|| error.to_string().lines().next().unwrap_or_default().to_string())
 }

@@ -1,4 +1,4 @@
-//! The words of the command line: the command and its verbs here, what each verb takes by family below.
+//! The command line: the command and its verbs here, the arguments of the verbs by family below.
 
 mod bench;
 mod captures;
@@ -40,7 +40,7 @@ use shared::count;
 
 /// Underwater 3D scenes that look clear, from any viewpoint, reproducibly.
 ///
-/// Reconstructs a scene together with its water, takes what "enhanced" means from a 2D enhancer, from image
+/// Reconstructs a scene together with its water, learns what "enhanced" means from a 2D enhancer, from image
 /// pairs or from the scene itself, and stores that enhancement in the scene, so that every new view comes out
 /// enhanced and consistent.
 #[derive(Debug, Parser)]
@@ -57,27 +57,27 @@ use shared::count;
     goes on; 130 interrupted."
 )]
 pub(crate) struct Cli {
-    /// What to do.
+    /// The verb to run.
     #[command(subcommand)]
     pub(crate) verb: Verb,
-    /// Say more (-v: details, -vv: everything).
+    /// Print more (-v: details, -vv: everything).
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     pub(crate) verbose: u8,
-    /// Say only what went wrong.
+    /// Print only errors.
     #[arg(short, long, global = true)]
     pub(crate) quiet: bool,
-    /// Threads to compute with (default: all cores). Never changes a result.
+    /// Threads for computing (default: all cores). Never changes a result.
     #[arg(long, global = true, value_name = "N", env = "USE3D_THREADS", value_parser = count(MAX_THREADS))]
     pub(crate) threads: Option<usize>,
 }
 
-/// More threads than any one machine has cores; each costs memory of its own.
+/// More threads than the cores of any one machine; each thread needs memory of its own.
 const MAX_THREADS: u64 = 1024;
 
 /// The verbs.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Verb {
-    /// A synthetic underwater capture, then the whole pipeline on it, then the report.
+    /// Make a synthetic underwater capture, run the whole pipeline on it, and write the report.
     #[command(after_help = "Examples:\n  use3d demo\n  use3d demo --size full --out ~/use3d-demo\n  \
         use3d demo --set reconstruct.iterations=300 --set enhance.iterations=100    only to see it run")]
     Demo(DemoArgs),
@@ -90,41 +90,43 @@ pub(crate) enum Verb {
         use3d run my-reef/ --pairs uieb/raw-890 uieb/reference-890"
     )]
     Run(RunArgs),
-    /// Hand what is missing of a pipeline to a cluster's scheduler, and end.
+    /// Submit the missing stages of a pipeline to Slurm or HyperQueue, and end.
     Submit {
-        /// Which scheduler.
+        /// The scheduler.
         #[command(subcommand)]
         what: Submit,
     },
-    /// Send what the cache has of a pipeline to a store that other machines reach: a folder or a bucket.
+    /// Send the cached results of a pipeline to a store that other machines can reach: a folder or a bucket.
     #[command(
         after_help = "Examples:\n  use3d push my-reef/ --remote /mnt/share/use3d\n  use3d push pipelines/use26.toml --remote s3://lab/use3d --check"
     )]
     Push(PushArgs),
-    /// Fetch what a store has of a pipeline into the cache. Every byte is checked.
+    /// Fetch the results of a pipeline from a store into the cache. Every byte is checked.
     #[command(after_help = "Example:\n  use3d pull pipelines/use26.toml --remote s3://lab/use3d")]
     Pull(TransferArgs),
-    /// The runs whose results went into a folder; with a number, bring that one back from the cache.
+    /// List the runs whose results were written into a folder; with a number, restore that run from the
+    /// cache.
     #[command(
         after_help = "Examples:\n  use3d results\n  use3d results my-reef          its runs\n  use3d results my-reef 2        the results of run 2 again"
     )]
     Results(ResultsArgs),
-    /// Two runs side by side in one page: pictures, scores, and the parameters that differ.
+    /// Show two runs side by side in one page: pictures, scores, and the parameters that differ.
     #[command(
         after_help = "Examples:\n  use3d compare use3d-out/my-reef use3d-out/my-reef-long --out compare.html\n  \
         use3d compare my-reef:1 my-reef:2 --out compare.html      two runs into one folder (`use3d results my-reef`)"
     )]
     Compare(CompareArgs),
-    /// What would run, what is cached, why, and the forecast cost.
+    /// Show the stages that would run, the cached ones, the reasons, and the forecast cost.
     #[command(after_help = "Examples:\n  use3d plan pipelines/seathru4.toml\n  use3d plan my-reef/ --json")]
     Plan(PlanArgs),
-    /// Scene × stage table: cached, stale, missing, failed, or running: where, how far, for how long.
+    /// Show a table of scenes × stages: cached, stale, missing, failed, or running with machine, progress and
+    /// time.
     #[command(after_help = "Example:\n  use3d status pipelines/seathru4.toml")]
     Status(PlanArgs),
-    /// Which ingredient of a stage's key changed, with its old and new value.
+    /// Show which ingredient of a stage's key changed, with its old and new value.
     #[command(after_help = "Example:\n  use3d why pipelines/seathru4.toml Panama enhance")]
     Why(WhyArgs),
-    /// The pipeline's graph with its states, as Mermaid or SVG.
+    /// Print the pipeline's graph with its states, as Mermaid or SVG.
     #[command(after_help = "Example:\n  use3d graph pipelines/seathru4.toml --format svg > graph.svg")]
     Graph(GraphArgs),
     /// Read a COLMAP folder: find model and images, undistort, resize, normalise, split.
@@ -170,7 +172,7 @@ pub(crate) enum Verb {
         use3d view --follow pipelines/seathru4.toml --scene Panama\n  use3d view scene/ --port 7007 --no-open      then: ssh -L 7007:localhost:7007 HOST"
     )]
     View(ViewArgs),
-    /// Balance the colours of a scene by something grey, for every later picture of it.
+    /// Balance the colours of a scene by something grey, for every later picture of the scene.
     #[command(
         after_help = "Examples:\n  use3d white use3d-out/my-reef --cameras my-reef/ f_0001.jpg:812,430\n  \
         use3d white enhanced-scene/ --cameras my-reef/ reef\n  use3d white enhanced-scene/ off\n\n\
@@ -186,18 +188,18 @@ pub(crate) enum Verb {
     Export(ExportArgs),
     /// Make synthetic underwater data with known truth.
     Synth {
-        /// What to make.
+        /// The kind of data to make.
         #[command(subcommand)]
         what: Synth,
     },
-    /// Judge the program on captures whose truth is known, and graphics cards.
+    /// Test the program on captures with known truth, and graphics cards.
     Bench {
-        /// By what.
+        /// The benchmark to run.
         #[command(subcommand)]
         what: Bench,
     },
-    /// What water a capture was taken in: attenuation, backscatter and veil from its
-    /// sparse points, with error bars.
+    /// Estimate the water of a capture: attenuation, backscatter and veil from its sparse points, with error
+    /// bars.
     #[command(
         after_help = "Examples:\n  use3d water my-reef/\n  use3d water my-reef/ --set image_dir=images_2 --json"
     )]
@@ -205,33 +207,34 @@ pub(crate) enum Verb {
     /// Show what this installation can do: program, machine, helper programs, networks, graphics cards.
     #[command(after_help = "Examples:\n  use3d doctor\n  use3d doctor --json")]
     Doctor(DoctorArgs),
-    /// Networks trained by others: which files are looked for, found or missing, licence, where to get them.
+    /// List networks trained by others: the files searched for, found or missing, the licence, the place to
+    /// get them.
     #[command(after_help = "Example:\n  use3d models --dir ~/use3d-models")]
     Models(ModelsArgs),
-    /// Graphics cards: which there are, what they offer, and whether they compute rightly.
+    /// List graphics cards, their features, and the result of a check of their arithmetic.
     #[command(after_help = "Example:\n  use3d devices --json")]
     Devices(DevicesArgs),
-    /// Remove what is cheapest to make again from the cache.
+    /// Remove from the cache what is cheapest to make again.
     #[command(after_help = "Examples:\n  use3d gc --max-bytes 50GB --dry-run\n  use3d gc --older-than 30d")]
     Gc(GcArgs),
     /// Check the cache's files against their digests, and optionally recompute a sample.
     #[command(after_help = "Examples:\n  use3d verify\n  use3d verify pipelines/demo.toml --sample 5%")]
     Verify(VerifyArgs),
-    /// Every parameter that `--set` and pipeline files know: default, kind, meaning.
+    /// List every parameter of `--set` and pipeline files: default, kind, meaning.
     #[command(after_help = "Examples:\n  use3d params\n  use3d params reconstruct\n  use3d params --json")]
     Params(ParamsArgs),
-    /// Completions of this command for a shell, on stdout.
+    /// Print completions of this command for a shell, on stdout.
     #[command(
         after_help = "Example:\n  use3d completions bash > ~/.local/share/bash-completion/completions/use3d"
     )]
     Completions(CompletionsArgs),
-    /// Man pages of this command, one per verb, from the same texts as --help.
+    /// Write man pages of this command, one per verb, from the same texts as --help.
     #[command(after_help = "Example:\n  use3d man --out ~/.local/share/man/man1")]
     Man(ManArgs),
 }
 
 impl Verb {
-    /// Whether one JSON document is expected on stdout.
+    /// Returns true if the user expects one JSON document on stdout.
     pub(crate) fn wants_json(&self) -> bool {
         match self {
             Self::Run(args) => args.json,

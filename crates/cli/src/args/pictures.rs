@@ -1,4 +1,4 @@
-//! What is made of a finished scene: pictures, films, files for other viewers.
+//! The arguments for output from a finished scene: pictures, films, files for other viewers.
 
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -26,7 +26,7 @@ pub(crate) enum CameraPath {
     Interpolate,
     /// Circle around the mean camera, looking at the scene.
     Spiral,
-    /// Follow a path file, as a scene's page saves it.
+    /// Follow a path file, in the form that a scene's page saves.
     File(PathBuf),
 }
 
@@ -51,22 +51,22 @@ pub(crate) struct RenderArgs {
     /// The scene to render, or the results folder of a run that made one.
     #[arg(value_name = "SCENE_DIR|RESULTS_DIR")]
     pub(crate) scene: PathBuf,
-    /// A COLMAP model folder, a capture folder, or a JSON list of cameras (default: the capture that a results
-    /// folder was made from).
+    /// A COLMAP model folder, a capture folder, or a JSON list of cameras (default: the capture that a
+    /// results folder was made from).
     #[arg(long, value_name = "COLMAP_DIR|CAPTURE|FILE.json")]
     pub(crate) cameras: Option<PathBuf>,
     /// The folder for the frames; each mode gets a folder of its own.
     #[arg(short, long, value_name = "DIR", required_unless_present_any = ["video", "fps"])]
     pub(crate) out: Option<PathBuf>,
-    /// What to render: reconstruction, clear, enhanced, enhanced-clear, depth, alpha, object, medium,
-    /// backscatter, attenuation. Left out, it is the look that the scene's page opens with, or what a path file
-    /// asks for.
+    /// The modes to render: reconstruction, clear, enhanced, enhanced-clear, depth, alpha, object, medium,
+    /// backscatter, attenuation. Default: the look that the scene's page opens with, or the looks in a path
+    /// file.
     #[arg(long, value_delimiter = ',', value_name = "MODE,...")]
     pub(crate) modes: Vec<String>,
-    /// How to write the frames.
+    /// The file format of the frames.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) format: FrameFormat,
-    /// Render at this size: the pictures are scaled to cover it and cropped centrally, as the import does.
+    /// Render at this size: the pictures are scaled to cover it and cropped centrally, as in the import.
     #[arg(long, value_name = "WxH")]
     pub(crate) size: Option<String>,
     /// Only the capture's held-out views.
@@ -87,8 +87,8 @@ pub(crate) struct RenderArgs {
     /// Frames per second of the video.
     #[arg(long, default_value_t = 30, value_name = "N")]
     pub(crate) frame_rate: u32,
-    /// Measure frames per second on the held-out views (all given ones where none are
-    /// held out); no picture is written.
+    /// Measure frames per second on the held-out views (on all given views if none are held out); no picture
+    /// is written.
     #[arg(long, conflicts_with_all = ["out", "video", "path", "modes", "held_out"])]
     pub(crate) fps: bool,
     /// With --fps: one JSON document on stdout.
@@ -96,11 +96,11 @@ pub(crate) struct RenderArgs {
     pub(crate) json: bool,
     #[command(flatten)]
     pub(crate) engine: EngineArgs,
-    /// How much of the enhancement to apply, 0 (reconstruction) to 1.
+    /// Share of the enhancement to apply, 0 (reconstruction) to 1.
     #[arg(long, default_value_t = 1.0, value_name = "0..1")]
     pub(crate) strength: f32,
-    /// How much of the water to leave in reconstruction and enhanced, 0 (they are
-    /// clear and enhanced-clear) to 1.
+    /// Share of the water to keep in reconstruction and enhanced, 0 (the same as clear and enhanced-clear) to
+    /// 1.
     #[arg(long, default_value_t = 1.0, value_name = "0..1")]
     pub(crate) water: f32,
     #[command(flatten)]
@@ -128,8 +128,8 @@ pub(crate) enum ExportFrame {
     Colmap,
     /// The scene's own normalised frame, z up.
     Normalised,
-    /// COLMAP's frame turned so that y points up, as most viewers have it; SuperSplat turns files by itself and
-    /// wants colmap.
+    /// COLMAP's frame turned so that y points up, as in most viewers; SuperSplat turns files by itself and
+    /// needs colmap.
     YUp,
 }
 
@@ -157,28 +157,29 @@ pub(crate) struct ExportArgs {
     /// up to 32 MB, else with a folder.
     #[arg(long, value_name = "FILE.html")]
     pub(crate) web: Option<PathBuf>,
-    /// The capture whose photographs and places a page offers (or cameras alone, as `use3d render` reads them),
-    /// whose views --white is measured in, and through whose water the other files show the scene. Default: the
-    /// capture that a results folder was made from; for the water, the cameras that an enhanced scene keeps.
+    /// The capture. A page offers its photographs and camera positions (or cameras alone, as for
+    /// `use3d render`), --white is measured in its views, and the other files show the scene through its
+    /// water. Default: the capture that a results folder was made from; for the water, the cameras that an
+    /// enhanced scene keeps.
     #[arg(long, value_name = "CAPTURE")]
     pub(crate) cameras: Option<PathBuf>,
-    /// With --web: views that somebody saved from the page, with their names (the page's "Save file").
+    /// With --web: named views that were saved from the page (the page's "Save file").
     #[arg(long, value_name = "FILE.json", requires = "web")]
     pub(crate) views: Option<PathBuf>,
-    /// With --web: metres per unit of the COLMAP model, so that the page measures in metres.
+    /// With --web: metres per unit of the COLMAP model; the page then measures in metres.
     #[arg(long, value_name = "M", requires = "web")]
     pub(crate) metres_per_unit: Option<f64>,
-    /// The look of files other than the page, in the words of `use3d render --modes`. Default: the look that
-    /// the page opens with.
+    /// The look of files other than the page, with the names of `use3d render --modes`. Default: the look
+    /// that the page opens with.
     #[arg(long, value_enum)]
     pub(crate) what: Option<ExportWhat>,
-    /// The share of the look's water that is left, 0 to 1.
+    /// Share of the look's water to keep, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 1.0)]
     pub(crate) water: f32,
     /// Leave out the sphere of Gaussians that shows open water behind the scene.
     #[arg(long)]
     pub(crate) no_backdrop: bool,
-    /// In which frame a PLY or compressed PLY is. GLB and SPZ are right side up of themselves.
+    /// The frame of a PLY or compressed PLY. GLB and SPZ always have their own upright frame.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) frame: ExportFrame,
     #[command(flatten)]

@@ -9,7 +9,7 @@ use super::shared::{CacheArgs, MAX_STEPS, PipelineArgs, Replace, Settings, count
 use super::view::WatchArgs;
 use super::white::WhiteArgs;
 
-/// More stages side by side than any one machine has memory for.
+/// More stages at the same time than the memory of any one machine allows.
 pub(super) const MAX_JOBS: u64 = 256;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -23,10 +23,10 @@ pub(crate) enum DemoSize {
 
 #[derive(Debug, Args)]
 pub(crate) struct DemoArgs {
-    /// Where the capture, the results and the report go.
+    /// The folder for the capture, the results and the report.
     #[arg(short, long, default_value = "use3d-out/demo", value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// How large the pictures are, and how long the training.
+    /// The size of the pictures, and the length of the training.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) size: DemoSize,
     /// Steps of stage 1 (the same as `--set reconstruct.iterations=N`).
@@ -48,36 +48,36 @@ pub(crate) struct RunArgs {
     /// Stop after this stage.
     #[arg(long, value_name = "STAGE")]
     pub(crate) until: Option<String>,
-    /// Stages to run side by side, within the cores and memory there are.
+    /// Stages to run at the same time, within the cores and memory of the machine.
     #[arg(short, long, default_value_t = 1, value_name = "N", value_parser = count(MAX_JOBS))]
     pub(crate) jobs: usize,
-    /// Go on with the other scenes when one fails.
+    /// Continue with the other scenes when one fails.
     #[arg(long)]
     pub(crate) keep_going: bool,
-    /// Only this scene in this variant and what it needs, where there are variants; may be repeated. Unlike
-    /// `--scene`, it leaves the batch as it is.
+    /// Only this scene in this variant and the stages it needs, if there are variants; may be repeated.
+    /// Unlike `--scene`, it does not change the batch.
     #[arg(long, value_name = "SCENE[@VARIANT]", conflicts_with = "scene")]
     pub(crate) only: Vec<String>,
-    /// Leave before so much time has passed, e.g. `3h`, `90min` or `3:50:00`: trainings write checkpoints,
-    /// and the exit code is 75 unless all is done. The same command goes on from there.
+    /// Stop before this time has passed, e.g. `3h`, `90min` or `3:50:00`: trainings write checkpoints, and
+    /// the exit code is 75 unless all is done. The same command continues from there.
     #[arg(long, value_name = "TIME", value_parser = time)]
     pub(crate) max_time: Option<Duration>,
-    /// Leave what other processes on the same cache compute to them, once there was nothing else to do for a
-    /// minute, instead of waiting for it.
+    /// After a minute with nothing else to do, leave the work of other processes on the same cache to them
+    /// instead of waiting.
     #[arg(long)]
     pub(crate) until_empty: bool,
-    /// Fill the cache and put no results into a folder.
+    /// Fill the cache, and write no results folder.
     #[arg(long, conflicts_with = "out")]
     pub(crate) cache_only: bool,
-    /// A store beside the cache (a folder, or s3://BUCKET/PREFIX): what it has is fetched instead of
-    /// computed, what is computed is sent to it. It may fail: the run goes on without it.
+    /// A store beside the cache (a folder, or s3://BUCKET/PREFIX): its results are fetched instead of
+    /// computed, and computed results are sent to it. If it fails, the run continues without it.
     #[arg(long, env = "USE3D_REMOTE", value_name = "URL", hide_env_values = true)]
     pub(crate) remote: Option<String>,
-    /// Only say what would run (the same as `use3d plan`).
+    /// Only show what would run (the same as `use3d plan`).
     #[arg(long)]
     pub(crate) dry_run: bool,
-    /// Where results go (default: ./use3d-out/NAME). Results of earlier runs there are brought up to date;
-    /// what is not a result of this program is never replaced.
+    /// The folder for results (default: ./use3d-out/NAME). Results of earlier runs there are updated; other
+    /// files there are never replaced.
     #[arg(short, long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
     #[command(flatten)]
@@ -91,10 +91,10 @@ pub(crate) struct RunArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct ResultsArgs {
-    /// A results folder, or its name below ./use3d-out (default: all that are there).
+    /// A results folder, or its name below ./use3d-out (default: all of them).
     #[arg(value_name = "NAME|RESULTS_DIR")]
     pub(crate) name: Option<PathBuf>,
-    /// Bring the results of this run back. Nothing is computed.
+    /// Restore the results of this run. Nothing is computed.
     #[arg(value_name = "N")]
     pub(crate) run: Option<usize>,
     /// One JSON document on stdout.
@@ -110,7 +110,7 @@ pub(crate) struct CompareArgs {
     /// Another one.
     #[arg(value_name = "B")]
     pub(crate) b: String,
-    /// The page that is written.
+    /// The page to write.
     #[arg(short, long, value_name = "FILE.html", default_value = "compare.html")]
     pub(crate) out: PathBuf,
     #[command(flatten)]
@@ -121,13 +121,13 @@ pub(crate) struct CompareArgs {
 pub(crate) struct PlanArgs {
     #[command(flatten)]
     pub(crate) pipeline: PipelineArgs,
-    /// Taken as `use3d run` takes it, and of no account here.
+    /// Accepted for the same arguments as `use3d run`; it has no effect here.
     #[arg(short, long, value_name = "DIR", hide = true)]
     out: Option<PathBuf>,
-    /// Taken as `use3d run` takes it, and of no account here.
+    /// Accepted for the same arguments as `use3d run`; it has no effect here.
     #[arg(short, long, value_name = "N", hide = true)]
     jobs: Option<usize>,
-    /// Taken as `use3d run` takes it, and of no account here.
+    /// Accepted for the same arguments as `use3d run`; it has no effect here.
     #[arg(long, hide = true)]
     keep_going: bool,
     /// One JSON document on stdout.
@@ -150,7 +150,7 @@ pub(crate) struct WhyArgs {
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum GraphFormat {
-    /// Text that many pages draw.
+    /// Text that many web pages display as a graph.
     #[default]
     Mermaid,
     /// A picture.
@@ -161,7 +161,7 @@ pub(crate) enum GraphFormat {
 pub(crate) struct GraphArgs {
     #[command(flatten)]
     pub(crate) pipeline: PipelineArgs,
-    /// How to draw it.
+    /// The output format.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) format: GraphFormat,
 }

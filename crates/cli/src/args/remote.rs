@@ -1,4 +1,4 @@
-//! `push` and `pull`: a pipeline's artifacts to a store and from it.
+//! `push` and `pull`: send a pipeline's artifacts to a store, or fetch them.
 
 use clap::Args;
 
@@ -8,7 +8,7 @@ use super::shared::PipelineArgs;
 pub(crate) struct PushArgs {
     #[command(flatten)]
     pub(crate) what: TransferArgs,
-    /// Read back what the store has already, and replace what is not as it should be.
+    /// Read back the objects in the store, and replace those that are wrong.
     #[arg(long)]
     pub(crate) check: bool,
 }

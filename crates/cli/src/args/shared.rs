@@ -1,4 +1,4 @@
-//! What several verbs take.
+//! Arguments that several verbs share.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -20,26 +20,25 @@ pub(crate) struct EngineArgs {
 }
 
 impl EngineArgs {
-    /// The engine, if one was asked for.
+    /// The engine, if one was given.
     pub(crate) fn choice(&self) -> Option<EngineChoice> {
         self.engine.clone().or_else(|| self.gpu.then_some(EngineChoice::Gpu(None)))
     }
 }
 
-/// The size of the photographs that are worked with: what the import is set to.
+/// The size of the photographs to work with, which sets the import's size.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct SizeArgs {
     /// Work with photographs of this size: scaled to cover it and cropped centrally
     /// (the same as `--set import.size=WxH`).
     #[arg(long, value_name = "WxH", conflicts_with = "max_side")]
     size: Option<String>,
-    /// Work with photographs whose longer side has at most so many pixels
-    /// (the same as `--set import.max_side=N`).
+    /// Work with photographs whose longer side has at most N pixels (the same as `--set import.max_side=N`).
     #[arg(long, value_name = "N", value_parser = count(MAX_SIDE))]
     max_side: Option<usize>,
 }
 
-/// No photograph is larger.
+/// The largest side of a photograph.
 const MAX_SIDE: u64 = 65_535;
 
 impl SizeArgs {
@@ -50,7 +49,7 @@ impl SizeArgs {
         size.chain(side).collect()
     }
 
-    /// The same as `--set` has them.
+    /// The same in the form of `--set`.
     pub(crate) fn sets(&self) -> Vec<String> {
         self.spelled().iter().map(Spelled::set).collect()
     }
@@ -76,14 +75,14 @@ impl Spelled {
         Self { flag, stage, key, value: value.to_string() }
     }
 
-    /// An engine, which several stages have.
+    /// The engine as a setting of every stage that has one.
     pub(crate) fn engines(engine: Option<&EngineChoice>) -> Vec<Self> {
         let stages = ["reconstruct", "targets", "enhance", "render", "evaluate"];
         let of = |e| stages.map(|stage| Self::new("--engine", stage, "engine", e));
         engine.map_or_else(Vec::new, |e| of(e).to_vec())
     }
 
-    /// As `--set` has it.
+    /// The setting in the form of `--set`.
     pub(crate) fn set(&self) -> String {
         format!("{}.{}={}", self.stage, self.key, self.value)
     }
@@ -101,8 +100,8 @@ pub(crate) struct Settings {
 }
 
 impl Settings {
-    /// All settings as `--set` has them; the engine is a parameter like any other, and
-    /// one that is set for a stage wins.
+    /// All settings in the form of `--set`. The engine is a parameter like any other, and a value set for a
+    /// stage wins.
     pub(crate) fn sets(&self) -> Vec<String> {
         self.spelled().iter().map(Spelled::set).chain(self.set.iter().cloned()).collect()
     }
@@ -112,7 +111,7 @@ impl Settings {
     }
 }
 
-/// The settings of a pipeline that people reach for first, as flags.
+/// The most common settings of a pipeline, as flags.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct CommonArgs {
     /// Steps of stage 1 (the same as `--set reconstruct.iterations=N`).
@@ -122,7 +121,7 @@ pub(crate) struct CommonArgs {
     pub(crate) size: SizeArgs,
 }
 
-/// More steps than any training has.
+/// The most steps of a training.
 pub(super) const MAX_STEPS: u64 = 200_000_000;
 
 impl CommonArgs {
@@ -138,13 +137,13 @@ impl CommonArgs {
     }
 }
 
-/// A message about a setting that a flag stands for, by the flag that was typed.
+/// Rewrites a message about a setting so that it names the flag that was typed.
 pub(crate) fn as_typed(message: &str, spelled: &[Spelled]) -> String {
     let told = |Spelled { flag, key, value, .. }: &Spelled| {
         let rest = message.strip_prefix("--set ")?;
         let (setting, rest) = rest.split_once(&format!("{key}={value}: "))?;
         let stage = setting.is_empty() || setting.ends_with('.') && !setting.contains(' ');
-        // The parameter's name says nothing more.
+        // The parameter's name adds nothing to the flag.
         let parameter = [format!("`{setting}{key}`: "), format!("`{key}`: ")];
         let rest = parameter.iter().find_map(|name| rest.strip_prefix(name.as_str())).unwrap_or(rest);
         stage.then(|| format!("{flag} {value}: {rest}"))
@@ -161,21 +160,21 @@ pub(crate) struct StageSettings {
     pub(crate) set: Vec<String>,
 }
 
-/// What "enhanced" is learnt from, on the command line.
+/// The source of the meaning of "enhanced", on the command line.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct CalibrationArgs {
-    /// Learn from these pairs: two folders of images with equal file stems (they
-    /// win over the pipeline file's).
+    /// Learn from these pairs: two folders of images with equal file stems (they replace those of the
+    /// pipeline file).
     #[arg(long, num_args = 2, value_names = ["INPUT", "TARGET"], conflicts_with = "calibrator")]
     pairs: Vec<PathBuf>,
-    /// Use this finished calibrator: `use3d calibrate`'s, or the authors'
-    /// transition_calibrator.pth. Nothing is learnt then.
+    /// Use this finished calibrator: from `use3d calibrate`, or the authors' transition_calibrator.pth.
+    /// Nothing is learnt then.
     #[arg(long, value_name = "FILE")]
     pub(crate) calibrator: Option<PathBuf>,
 }
 
 impl CalibrationArgs {
-    /// The arguments that name these pairs or this calibrator.
+    /// The arguments for these pairs or this calibrator.
     pub(crate) fn of(pairs: Option<(PathBuf, PathBuf)>, calibrator: Option<PathBuf>) -> Self {
         Self { pairs: pairs.map_or_else(Vec::new, |(input, target)| vec![input, target]), calibrator }
     }
@@ -208,7 +207,7 @@ pub(crate) struct CacheArgs {
     pub(crate) rehash: bool,
 }
 
-/// A pipeline, and what it is read with.
+/// A pipeline, with its settings and folders.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct PipelineArgs {
     /// A pipeline file (.toml) or a capture folder.
@@ -225,7 +224,7 @@ pub(crate) struct PipelineArgs {
 }
 
 impl PipelineArgs {
-    /// All settings as `--set` has them; what is set by `--set` itself comes last, and so wins.
+    /// All settings in the form of `--set`; those given by `--set` itself come last, and so win.
     pub(crate) fn sets(&self) -> Vec<String> {
         self.common.sets().into_iter().chain(self.settings.sets()).collect()
     }
@@ -235,7 +234,7 @@ impl PipelineArgs {
         self.common.spelled().into_iter().chain(self.settings.spelled()).collect()
     }
 
-    /// A pipeline as its file has it, in a cache.
+    /// A pipeline as in its file, with the given cache.
     pub(crate) fn of(target: &Path, cache: &CacheArgs) -> Self {
         Self {
             target: target.to_path_buf(),
@@ -247,22 +246,22 @@ impl PipelineArgs {
     }
 }
 
-/// What may be replaced.
+/// Permission to replace an earlier result.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub(crate) struct Replace {
-    /// Replace an earlier result in the same place: of folders only those that this program wrote and nobody
-    /// changed, of files any regular one.
+    /// Replace an earlier result in the same place: folders only if this program wrote them and nobody
+    /// changed them, and any regular file.
     #[arg(long)]
     pub(crate) force: bool,
 }
 
 /// A whole number from 1 to `most`.
 pub(crate) fn count(most: u64) -> impl TypedValueParser<Value = usize> {
-    // `most` fits wherever a `usize` has 32 bits.
+    // `most` fits into a `usize` of 32 bits or more.
     RangedU64ValueParser::<u64>::new().range(1..=most).map(|n| n as usize)
 }
 
-/// A time such as `90min`, `3h` or `3:50:00`, more than nothing.
+/// Parses a time above zero, such as `90min`, `3h` or `3:50:00`.
 pub(crate) fn time(text: &str) -> Result<Duration, String> {
     let time = use3d_cluster::time::parse(text)?;
     if time.is_zero() { Err("no time at all: give more than 0".to_string()) } else { Ok(time) }

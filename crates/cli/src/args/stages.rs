@@ -1,4 +1,4 @@
-//! One stage by hand.
+//! The arguments of stages run by hand.
 
 use std::path::PathBuf;
 
@@ -11,7 +11,7 @@ use super::view::WatchArgs;
 pub(crate) struct ImportArgs {
     /// The capture folder.
     pub(crate) capture: PathBuf,
-    /// Where the prepared capture goes.
+    /// The folder for the prepared capture.
     #[arg(short, long, value_name = "DIR")]
     pub(crate) out: PathBuf,
     #[command(flatten)]
@@ -26,13 +26,13 @@ pub(crate) struct ImportArgs {
 pub(crate) struct ReconstructArgs {
     /// The capture folder.
     pub(crate) capture: PathBuf,
-    /// Where the scene goes.
+    /// The folder for the scene.
     #[arg(short, long, value_name = "SCENE_DIR")]
     pub(crate) out: PathBuf,
     /// The models folder, for `--set images=proposed` and `--set depth_prior=depth-anything-v2`.
     #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
     pub(crate) models: Option<PathBuf>,
-    /// Print where a step's time goes: milliseconds and share of each part. Never stored.
+    /// Print the time of each part of a step: milliseconds and share. Never stored.
     #[arg(long)]
     pub(crate) profile: bool,
     #[command(flatten)]
@@ -58,7 +58,7 @@ pub(crate) struct CalibrateArgs {
     /// The calibrator file.
     #[arg(short, long, value_name = "FILE")]
     pub(crate) out: PathBuf,
-    /// The 2D enhancer that proposes: `nu2net` or `fusion` (default: nu2net when its weights are there).
+    /// The 2D enhancer for the proposals: `nu2net` or `fusion` (default: nu2net if its weights exist).
     #[arg(long, value_name = "NAME")]
     pub(crate) proposer: Option<String>,
     /// The models folder.
@@ -107,13 +107,13 @@ pub(crate) struct EnhanceArgs {
     /// The targets file.
     #[arg(long, value_name = "FILE")]
     pub(crate) targets: PathBuf,
-    /// Where the enhanced scene goes.
+    /// The folder for the enhanced scene.
     #[arg(short, long, value_name = "SCENE_DIR2")]
     pub(crate) out: PathBuf,
     /// The models folder, for `--set objective=pseudo-labels` with a network's targets.
     #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
     pub(crate) models: Option<PathBuf>,
-    /// Print where a step's time goes: milliseconds and share of each part. Never stored.
+    /// Print the time of each part of a step: milliseconds and share. Never stored.
     #[arg(long)]
     pub(crate) profile: bool,
     #[command(flatten)]
@@ -149,19 +149,19 @@ pub(crate) struct EvaluateArgs {
     #[arg(value_name = "CAPTURE_DIR")]
     pub(crate) capture: Option<PathBuf>,
     /// Compare neighbouring views by the depth of this scene (stage 1 of the same capture) instead of the
-    /// scene's own, so that several scenes are judged by the same pixels.
+    /// scene's own, so that several scenes are compared at the same pixels.
     #[arg(long, value_name = "SCENE_DIR", conflicts_with = "images")]
     pub(crate) warp_by: Option<PathBuf>,
     /// Score a plain folder of images instead.
     #[arg(long, value_name = "DIR", conflicts_with = "scene")]
     pub(crate) images: Option<PathBuf>,
-    /// What the images are compared with, by equal file stems.
+    /// The images to compare with, by equal file stems.
     #[arg(long, value_name = "DIR", requires = "images")]
     pub(crate) reference: Option<PathBuf>,
     /// The models folder.
     #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
     pub(crate) models: Option<PathBuf>,
-    /// How to print the scores.
+    /// The output format of the scores.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) format: TableFormat,
     /// The same as `--format json`.

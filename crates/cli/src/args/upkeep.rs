@@ -1,4 +1,4 @@
-//! The cache, the models folder, and the command itself.
+//! The arguments for the cache, the models folder, and the command itself.
 
 use std::path::{Path, PathBuf};
 
@@ -8,10 +8,10 @@ use super::shared::{CacheArgs, CalibrationArgs, CommonArgs, PipelineArgs, Replac
 
 #[derive(Debug, Args)]
 pub(crate) struct ModelsArgs {
-    /// The folder to look in.
+    /// The folder to search.
     #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
     pub(crate) dir: Option<PathBuf>,
-    /// Only what this preset needs; exit code 2 where some of it is missing.
+    /// Only the networks that this preset needs; exit code 2 if some are missing.
     #[arg(long = "for", value_name = "PRESET")]
     pub(crate) preset: Option<String>,
     /// One JSON document on stdout.
@@ -44,13 +44,13 @@ pub(crate) struct GcArgs {
     /// Keep the cache below this size, e.g. 50GB.
     #[arg(long, value_name = "SIZE")]
     pub(crate) max_bytes: Option<String>,
-    /// Remove what was not used for this long, e.g. 30d.
+    /// Remove items that were not used for this long, e.g. 30d.
     #[arg(long, value_name = "AGE")]
     pub(crate) older_than: Option<String>,
-    /// Never touch what these pipelines use.
+    /// Never remove results that these pipelines use.
     #[arg(long = "keep", value_name = "PIPELINE.toml")]
     pub(crate) keep: Vec<PathBuf>,
-    /// Only say what would go.
+    /// Only list what would be removed.
     #[arg(long)]
     pub(crate) dry_run: bool,
     #[command(flatten)]
@@ -82,7 +82,7 @@ pub(crate) struct VerifyArgs {
 }
 
 impl VerifyArgs {
-    /// `target` as it was run.
+    /// The pipeline `target` with the settings of its run.
     pub(crate) fn pipeline(&self, target: &Path) -> PipelineArgs {
         PipelineArgs {
             target: target.to_path_buf(),
@@ -98,7 +98,7 @@ impl VerifyArgs {
 pub(crate) struct ParamsArgs {
     /// Only this stage.
     pub(crate) stage: Option<String>,
-    /// The values of this preset in place of the defaults: paper, vanilla, watersplatting, plenodium.
+    /// Show the values of this preset instead of the defaults: paper, vanilla, watersplatting, plenodium.
     #[arg(long, value_name = "NAME")]
     pub(crate) preset: Option<String>,
     /// One JSON document on stdout.

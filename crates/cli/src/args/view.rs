@@ -1,4 +1,4 @@
-//! Looking at a scene in a browser, finished or in the making.
+//! The arguments for viewing a scene in a browser, finished or during its training.
 
 use std::path::PathBuf;
 
@@ -7,7 +7,7 @@ use clap::Args;
 use super::shared::CacheArgs;
 use super::white::WhiteArgs;
 
-/// Where a browser finds the viewer.
+/// The address of the viewer for a browser.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct ViewerArgs {
     /// The port on this machine (default: a free one).
@@ -33,7 +33,7 @@ pub(crate) struct WatchArgs {
 }
 
 impl WatchArgs {
-    /// Where the viewer is to be.
+    /// The address options of the viewer.
     pub(crate) fn viewer(&self) -> ViewerArgs {
         ViewerArgs { port: self.port, no_open: self.no_open }
     }
@@ -41,31 +41,32 @@ impl WatchArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct ViewArgs {
-    /// A scene, the results folder of a run that made one, or a capture: its sparse points and cameras.
+    /// A scene, the results folder of a run that made one, or a capture, shown by its sparse points and
+    /// cameras.
     #[arg(
         value_name = "SCENE_DIR|RESULTS_DIR|CAPTURE",
         required_unless_present = "follow",
         conflicts_with = "follow"
     )]
     pub(crate) target: Option<PathBuf>,
-    /// Follow a training that another process does, by its files: a pipeline file or capture folder that is
-    /// being run, the --out of `use3d reconstruct`, a folder of checkpoints, or one checkpoint.
+    /// Follow a training of another process through its files: a pipeline file or capture folder in work, the
+    /// --out of `use3d reconstruct`, a folder of checkpoints, or one checkpoint.
     #[arg(long, value_name = "PIPELINE.toml|CAPTURE|SCENE_DIR|FILE")]
     pub(crate) follow: Option<PathBuf>,
-    /// With --follow of a pipeline: which scene (default: the first).
+    /// With --follow of a pipeline: the scene to follow (default: the first).
     #[arg(long, value_name = "NAME", requires = "follow")]
     pub(crate) scene: Option<String>,
-    /// The capture whose photographs and places the page offers (or cameras alone,
-    /// as `use3d render` reads them).
+    /// The capture whose photographs and camera positions the page offers (or cameras alone, as for
+    /// `use3d render`).
     #[arg(long, value_name = "CAPTURE")]
     pub(crate) cameras: Option<PathBuf>,
-    /// Views that somebody saved from the page, with their names (the page's "Save file").
+    /// Named views that were saved from the page (the page's "Save file").
     #[arg(long, value_name = "FILE.json")]
     pub(crate) views: Option<PathBuf>,
-    /// Metres per unit of the COLMAP model, so that the page measures in metres.
+    /// Metres per unit of the COLMAP model; the page then measures in metres.
     #[arg(long, value_name = "M")]
     pub(crate) metres_per_unit: Option<f64>,
-    /// With --follow of a pipeline: settings that its run was given.
+    /// With --follow of a pipeline: the settings of its run.
     #[arg(long = "set", value_name = "STAGE.PARAMETER=VALUE", requires = "follow")]
     pub(crate) set: Vec<String>,
     #[command(flatten)]

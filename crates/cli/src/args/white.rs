@@ -1,4 +1,4 @@
-//! The white balance: what should be grey.
+//! The white balance: the references that should be grey.
 
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -8,9 +8,9 @@ use clap::Args;
 /// One way to balance the colours.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum WhiteChoice {
-    /// Nothing.
+    /// No white balance.
     Off,
-    /// The mean colour of reefs, half believed.
+    /// The mean colour of reefs; only a part of the cast is corrected.
     Reef,
     /// All clear surfaces together.
     Grey,
@@ -23,18 +23,18 @@ pub(crate) enum WhiteChoice {
 /// A pixel of a photograph.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Place {
-    /// The photograph's name, with or without what follows the last dot.
+    /// The photograph's name, with or without the part after the last dot.
     pub(crate) view: String,
-    /// From the left, the first one is 0.
+    /// Column from the left; the first one is 0.
     pub(crate) x: f64,
-    /// From the top.
+    /// Row from the top; the first one is 0.
     pub(crate) y: f64,
-    /// The size of the picture whose pixels are meant, where it is not the camera's own.
+    /// The size of the picture whose pixels are meant, if it is not the camera's own.
     pub(crate) size: Option<(usize, usize)>,
 }
 
 impl Place {
-    /// As it is typed.
+    /// The form in which it is typed.
     pub(crate) fn text(&self) -> String {
         let size = self.size.map_or_else(String::new, |(w, h)| format!("@{w}x{h}"));
         format!("{}:{},{}{size}", self.view, self.x, self.y)
@@ -87,28 +87,28 @@ impl FromStr for WhiteChoice {
 /// `--white`, of verbs that show a scene.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct WhiteArgs {
-    /// Balance the colours of clear, enhanced and enhanced-clear: `off`; by a pixel of a photograph that shows
-    /// something grey or white (f_0001.jpg:812,430; may be repeated; the page and `use3d view` have a picker); by
-    /// `reef` or `grey`; or by a file. Pixels, reef and grey need --cameras (default: what `use3d white` kept for
-    /// the scene, or off).
+    /// Balance the colours of clear, enhanced and enhanced-clear: `off`; by a pixel of a photograph that
+    /// shows something grey or white (f_0001.jpg:812,430; may be repeated; the page and `use3d view` have a
+    /// picker); by `reef` or `grey`; or by a file. Pixels, reef and grey need --cameras. Default: the balance
+    /// that `use3d white` stored for the scene, or off.
     #[arg(long = "white", value_name = "off|VIEW:X,Y|reef|grey|FILE.json")]
     pub(crate) choices: Vec<WhiteChoice>,
 }
 
-/// The words of `white`.
+/// The arguments of `white`.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct KeepWhiteArgs {
     /// The scene, or the results folder of a run that made one.
     #[arg(value_name = "SCENE_DIR|RESULTS_DIR")]
     pub(crate) scene: PathBuf,
     /// The reference: one or more pixels of photographs that show something grey or white
-    /// (f_0001.jpg:812,430), `reef`, `grey`, a file, or `off`. Left out: say what is kept.
+    /// (f_0001.jpg:812,430), `reef`, `grey`, a file, or `off`. Without it, the stored balance is printed.
     #[arg(value_name = "VIEW:X,Y|reef|grey|FILE.json|off")]
     pub(crate) choices: Vec<WhiteChoice>,
     /// The capture that the scene was made from.
     #[arg(long, value_name = "CAPTURE")]
     pub(crate) cameras: Option<PathBuf>,
-    /// Write the file here, and keep nothing beside the scene.
+    /// Write the file here, and store nothing beside the scene.
     #[arg(short, long, value_name = "FILE.json")]
     pub(crate) out: Option<PathBuf>,
     #[command(flatten)]

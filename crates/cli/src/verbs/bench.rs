@@ -1,4 +1,4 @@
-//! The benches.
+//! The benchmark against known truth.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -26,10 +26,11 @@ use crate::verbs::run::json;
 use crate::verbs::stages::{scratch, stages};
 use crate::verbs::synth::keep_capture;
 
-/// Seconds of a training step per pixel, on two cores, where no earlier run tells: 8 ms at 320×180.
+/// Seconds of a training step per pixel, on two cores, if no earlier run gives a better value: 8 ms at
+/// 320×180.
 const STEP_PER_PIXEL: f64 = 1.4e-7;
 
-/// What is asked for, checked.
+/// The arguments, checked.
 struct Bench<'a> {
     app: &'a App,
     args: &'a BenchTruthArgs,
@@ -47,14 +48,14 @@ struct Seed {
     graph: Graph,
 }
 
-/// What came out so far.
+/// The results so far.
 #[derive(Default)]
 struct Results {
     seeds: Vec<u64>,
     pipelines: BTreeMap<u64, String>,
     failed: Vec<String>,
     scored: Vec<Scored>,
-    /// Of the first seed that has one, by capture.
+    /// The pictures of the first seed that has any, by capture.
     pictures: Vec<Sheet>,
 }
 
@@ -64,7 +65,7 @@ pub(crate) fn truth(app: &App, args: &BenchTruthArgs) -> Done {
     for &seed in &bench.seeds {
         for capture in &bench.captures {
             let params = capture.parameters(seed, bench.recipe.views, bench.recipe.size);
-            // Captures that are made stay.
+            // Finished captures are kept.
             keep_capture(app, &params, &bench.folder(capture, seed)).map_err(|e| match e {
                 CliError::Stopped => CliError::Interrupted,
                 other => other,
@@ -90,7 +91,7 @@ pub(crate) fn truth(app: &App, args: &BenchTruthArgs) -> Done {
             return Err(CliError::Interrupted);
         }
         bench.gather(seed, &summary, &mut results)?;
-        // A table of what there is, after every seed: the next may take hours.
+        // The table is written after every seed, because the next seed may take hours.
         delivered = output::deliver(&bench.figures(&results), &results.pictures, &args.out)?;
     }
     if args.json {
@@ -139,7 +140,7 @@ impl<'a> Bench<'a> {
         self.args.out.join("captures").join(capture.folder(seed))
     }
 
-    /// Refuses everything that can be refused before anything is made.
+    /// Makes every check that is possible before anything is made.
     fn check(&self) -> Done {
         output::check(&self.args.out)?;
         for &seed in &self.seeds {
@@ -177,7 +178,7 @@ impl<'a> Bench<'a> {
         self.load(seed, out, &cache)
     }
 
-    /// Says about how long the seeds that are left will take.
+    /// Prints an estimate of the time for the remaining seeds.
     fn forecast(&self, left: &[Seed]) {
         if self.app.quiet {
             return;
@@ -215,7 +216,7 @@ impl<'a> Bench<'a> {
         self.app.listener.event(&Event::Note { label: &label, text: &text });
     }
 
-    /// Adds what a seed's run left in the cache.
+    /// Adds the cached results of a seed's run.
     fn gather(&self, seed: &Seed, summary: &Summary, results: &mut Results) -> Done {
         results.seeds.push(seed.seed);
         results.pipelines.insert(seed.seed, seed.text.clone());
@@ -236,7 +237,7 @@ impl<'a> Bench<'a> {
         Ok(())
     }
 
-    /// A capture's sheet, where its scene was rendered.
+    /// A capture's sheet, if its scene was rendered.
     fn picture(&self, capture: &Capture, seed: &Seed, summary: &Summary) -> Result<Option<Sheet>, CliError> {
         let artifact = |stage: &str| summary.artifact(capture.name, DEFAULT, stage);
         let (Some(renders), Some(scores)) = (artifact("render"), artifact("evaluate")) else {

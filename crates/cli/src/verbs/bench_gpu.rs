@@ -1,4 +1,4 @@
-//! `bench gpu`: everything there is to know of a graphics card, in one file.
+//! `bench gpu`: all measurements of a graphics card, in one file.
 
 use crate::App;
 use crate::args::BenchGpuArgs;
@@ -28,7 +28,7 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
     for refusal in gpu.refused_before() {
         say(&format!("passed over: {refusal}"));
     }
-    // A card does all of it in minutes; software takes as long for a few steps.
+    // A card needs minutes for all of it; software needs as long for a few steps.
     let (steps, long) = match (args.steps, gpu.adapter().is_software()) {
         (Some(steps), _) => (steps as u64, None),
         (None, false) => (200, Some(1000)),
@@ -40,7 +40,7 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
         gaussians: args.gaussians.clone(),
         steps,
         long,
-        // What every adapter binds, and more than its caches hold.
+        // A size that every adapter can bind, and larger than its caches.
         copied: 128 << 20,
     };
     let write = |record: &BenchRecord| {
@@ -49,7 +49,7 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
             writeln!(writer)
         })
     };
-    // What was found so far outlives whatever comes; only the last writing may not fail.
+    // Each record so far is kept, whatever happens later; only the last write must succeed.
     let mut written = Ok(());
     let record = bench(&gpu, &plan, say, |record| written = write(record));
     written?;

@@ -1,4 +1,4 @@
-//! The cache: what may go, and whether what is there is whole.
+//! The cache: cleaning up and verifying.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -36,7 +36,7 @@ pub(crate) fn gc(args: &GcArgs) -> Done {
     let older_than =
         args.older_than.as_deref().map(parse_age).transpose().map_err(|e| flag("--older-than", e))?;
     let mut keep = BTreeSet::new();
-    // Without --cache it is the one that the pipelines to keep name.
+    // Without --cache, the cache is the one named by the pipelines to keep.
     let mut named: Option<(&Path, Cache)> = None;
     for pipeline in &args.keep {
         let loaded = open(&PipelineArgs::of(pipeline, &args.cache), &[])?;
@@ -78,7 +78,7 @@ fn same_folder(a: &Path, b: &Path) -> bool {
     a == b || matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
-/// A share as `5%` or `0.05`.
+/// Parses a share such as `5%` or `0.05`.
 fn share(text: &str) -> Result<f64, CliError> {
     let number = match text.trim().strip_suffix('%') {
         Some(percent) => percent.trim().parse::<f64>().map(|p| p / 100.0),
@@ -108,7 +108,7 @@ pub(crate) fn verify(app: &App, args: &VerifyArgs) -> Done {
         }
     };
     let mut found = match &loaded {
-        // The cache that its file names.
+        // The cache that the pipeline file names.
         Some(loaded) => loaded.builder.cache.verify_all(true),
         None => cache(&args.cache)?.verify_all(true),
     };

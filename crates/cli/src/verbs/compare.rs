@@ -47,7 +47,7 @@ struct Side {
     scenes: BTreeMap<String, BTreeMap<String, PathBuf>>,
 }
 
-/// The results that `given` means: a results folder or its name, and `:N` for its run N.
+/// The results named by `given`: a results folder or its name, and `:N` for its run N.
 fn side(given: &str) -> Result<Side, CliError> {
     let numbered = given.rsplit_once(':').and_then(|(name, n)| Some((name, n.parse::<usize>().ok()?)));
     let mut scenes: BTreeMap<String, BTreeMap<String, PathBuf>> = BTreeMap::new();
@@ -118,7 +118,7 @@ fn flatten(name: &str, value: &Value, all: &mut BTreeMap<String, String>) {
     }
 }
 
-/// The parameters that differ between two results, in words.
+/// The parameters that differ between two results, for display.
 fn differing(a: &BTreeMap<String, PathBuf>, b: &BTreeMap<String, PathBuf>) -> Vec<String> {
     let mut lines = Vec::new();
     for (stage, of_a) in a {
@@ -143,7 +143,7 @@ fn scores(stages: &BTreeMap<String, PathBuf>) -> Option<SceneScores> {
     read_json(&stages.get("evaluate")?.join(SCORES)).ok()
 }
 
-/// The look that a result leads with, among what is scored.
+/// The look that leads a result's report, among the scored ones.
 fn look(stages: &BTreeMap<String, PathBuf>) -> Method {
     best_method(stages.get("enhance").map(PathBuf::as_path)).unwrap_or(Method::Clear)
 }
@@ -158,7 +158,7 @@ fn row(label: String, scores: Option<&SceneScores>, method: Method) -> Row {
     Row { label, published: false, made_by, cells: METRICS.iter().map(|(metric, ..)| cell(metric)).collect() }
 }
 
-/// The table of scores of both; it leaves out columns that neither has.
+/// The table of scores of both runs, without columns that are empty in both.
 fn table(name: &str, sides: [&BTreeMap<String, PathBuf>; 2]) -> Option<Table> {
     let all = sides.map(scores);
     let mut rows = Vec::new();
@@ -242,7 +242,7 @@ fn section(name: &str, sides: [&BTreeMap<String, PathBuf>; 2]) -> Result<SceneSe
 pub(crate) fn run(app: &App, args: &CompareArgs) -> Done {
     check_file("--out", &args.out, args.replace.force, &["html"])?;
     let (a, b) = (side(&args.a)?, side(&args.b)?);
-    // One scene each is compared whatever the two are called.
+    // If each run has one scene, the two are compared even with different names.
     let pairs: Vec<(String, [&BTreeMap<String, PathBuf>; 2])> = match (a.scenes.len(), b.scenes.len()) {
         (1, 1) => {
             let firsts = a.scenes.iter().next().zip(b.scenes.values().next());

@@ -1,4 +1,4 @@
-//! Graphics cards: which adapters there are, what they offer, and whether they compute as the processor does.
+//! Graphics cards: lists the adapters with their features, and checks that they compute like the processor.
 
 use crate::args::DevicesArgs;
 #[cfg(not(feature = "gpu"))]
@@ -12,13 +12,13 @@ pub(crate) fn run(args: &DevicesArgs) -> Done {
     use use3d_gpu::bench::AdapterRecord;
     use use3d_gpu::{AdapterReport, DeviceError, checked_adapters};
 
-    /// An adapter with what its check says.
+    /// An adapter with the result of its check.
     #[derive(serde::Serialize)]
     struct Checked {
         #[serde(flatten)]
         adapter: AdapterRecord,
         passed: bool,
-        /// How its kernels add up, where it passed.
+        /// The summary of its kernels, if it passed.
         kernels: Option<String>,
         refusal: Option<String>,
     }

@@ -1,5 +1,5 @@
-//! The abilities of this installation: the program itself, the machine, helper programs, networks and graphics
-//! cards, each with its use and the way to get it if it is missing.
+//! The abilities of this installation: the program itself, the machine, helper programs, networks and
+//! graphics cards, each with its use and the way to get it if it is missing.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -12,7 +12,7 @@ use crate::destination::path_text;
 use crate::error::Done;
 use crate::version;
 
-/// One thing that was looked for.
+/// The result of one search.
 #[derive(Debug, Serialize)]
 struct Finding {
     /// Its name.
@@ -32,7 +32,7 @@ impl Finding {
     }
 }
 
-/// Everything that was looked for, by subject.
+/// All results, by subject.
 #[derive(Debug, Serialize)]
 struct Report {
     version: &'static str,
@@ -46,8 +46,7 @@ struct Report {
     cards: Vec<Finding>,
 }
 
-/// A program that helps, by its name, the argument that makes it say its version, its use and where it comes
-/// from.
+/// A helper program: its name, the argument that makes it print its version, its use, and the way to get it.
 const PROGRAMS: [[&str; 4]; 5] = [
     ["colmap", "help", "finds the cameras of your photographs", "install COLMAP: https://colmap.github.io"],
     ["ffmpeg", "-version", "writes films other than .y4m", "install ffmpeg: https://ffmpeg.org"],
@@ -99,13 +98,13 @@ pub(crate) fn run(args: &DoctorArgs) -> Done {
     Ok(())
 }
 
-/// Cores, memory, and the places that are written to.
+/// Cores, memory, and the folders that are written to.
 fn this_machine(args: &DoctorArgs) -> Vec<Finding> {
     let processor = format!("{} cores, {}", machine::cores(), machine::processor());
     let mut findings = vec![Finding::new("processor", true, processor, "")];
     if let Some(memory) = machine::available_memory() {
         let told = format!("{} free", bytes(memory));
-        // A capture of some hundred photographs at full size needs about so much.
+        // The memory for a capture of some hundred photographs at full size.
         let enough = memory >= 4 << 30;
         findings.push(Finding::new(
             "memory",
@@ -126,16 +125,16 @@ fn this_machine(args: &DoctorArgs) -> Vec<Finding> {
     findings
 }
 
-/// The folder itself, or the nearest one above it that is there.
+/// The folder itself, or the nearest existing one above it.
 fn existing(folder: &Path) -> &Path {
     folder.ancestors().find(|above| above.is_dir()).unwrap_or(folder)
 }
 
-/// The bytes that are free where a folder is, as `df` tells it; `None` where there is no `df`.
+/// The free bytes in a folder's file system, from `df`; `None` if there is no `df`.
 fn free_space(folder: &Path) -> Option<u64> {
     let output = Command::new("df").arg("-Pk").arg(folder).stderr(Stdio::null()).output().ok()?;
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
-    // The fourth word of the second line, counted in 1024 bytes.
+    // The fourth word of the second line, in units of 1024 bytes.
     text.lines().nth(1)?.split_whitespace().nth(3)?.parse::<u64>().ok()?.checked_mul(1024)
 }
 

@@ -33,7 +33,7 @@ pub(crate) fn run(app: &App, args: &EvaluateArgs) -> Done {
     print(&rows, format)
 }
 
-/// The images of a folder by stem; `flag` named it.
+/// The images of a folder by stem; `flag` is the flag that named the folder.
 fn images(dir: &Path, flag: &str) -> Result<BTreeMap<String, PathBuf>, CliError> {
     let failed = |e: std::io::Error| CliError::Input(format!("{flag} {}: {e}", dir.display()));
     if !dir.is_dir() {
@@ -104,22 +104,22 @@ fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Resul
 
 /// Bytes per pixel of an image in memory: three channels of f32.
 const IMAGE: u64 = 12;
-/// Bytes per pixel that decoding takes beside the image, at most: the samples of a file of four floats.
+/// Most bytes per pixel that decoding needs beside the image: the samples of a file with four floats.
 const DECODING: u64 = 16;
 
-/// An image in display range, if there is memory to read and score it; `compared` says whether
-/// another of its size is held already.
+/// Reads an image in display range, if there is enough memory to read and score it. `compared` is true if
+/// another image of the same size is in memory already.
 fn read(path: &Path, judges: &Judges, compared: bool) -> Result<Image, CliError> {
     let (width, height) = image_size(path).map_err(CliError::input)?;
     let beside = judges.bytes_per_pixel(compared).max(DECODING);
     refuse_beyond(path, (width * height) as u64, IMAGE + beside, available_memory())?;
     let mut image = read_image(path).map_err(CliError::input)?;
-    // In place: the judges copy what leaves the range.
+    // The clamp works in place; the judges copy values outside the range.
     image.data_mut().iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     Ok(image)
 }
 
-/// Refuses an image that would take more memory than there is, before it is decoded.
+/// Fails, before an image is decoded, if the image would take more memory than is free.
 fn refuse_beyond(path: &Path, pixels: u64, bytes_per_pixel: u64, free: Option<u64>) -> Done {
     let need = bytes_per_pixel * pixels;
     match free {

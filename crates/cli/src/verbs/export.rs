@@ -1,8 +1,8 @@
-//! A scene as a page for a browser, and as files that other 3D Gaussian splatting viewers open.
+//! Writes a scene as a page for a browser, and as files for other 3D Gaussian splatting viewers.
 //!
-//! The look of the latter has the names of `use3d render`'s modes. These files hold Gaussians and no water, so
-//! a look with water is baked into the colours as the cameras saw it, with a sphere of Gaussians for open
-//! water behind the scene. The file's header says so (SPZ has no room for words).
+//! The looks of these files have the names of `use3d render`'s modes. The files hold Gaussians and no water,
+//! so a look with water is baked into the colours as the cameras saw it, with a sphere of Gaussians for open
+//! water behind the scene. The file's header says so (SPZ has no room for text).
 
 use std::path::Path;
 
@@ -90,7 +90,7 @@ impl Format {
     }
 }
 
-/// What was asked for besides the page.
+/// The requested files besides the page.
 fn files(args: &ExportArgs) -> impl Iterator<Item = (Format, &Path)> {
     let all = [
         (Format::Ply, &args.ply),
@@ -101,7 +101,7 @@ fn files(args: &ExportArgs) -> impl Iterator<Item = (Format, &Path)> {
     all.into_iter().filter_map(|(format, path)| Some((format, path.as_deref()?)))
 }
 
-/// The look that a page of the scene opens with; without its water where it is not enhanced.
+/// The look with which a page of the scene opens; without its water if the scene is not enhanced.
 fn opening_look(scene: &Scene) -> ExportWhat {
     match Mode::opening(scene) {
         Mode::Enhanced => ExportWhat::Enhanced,
@@ -110,7 +110,7 @@ fn opening_look(scene: &Scene) -> ExportWhat {
     }
 }
 
-/// The Gaussians in the colours of the look, and the look's name.
+/// The Gaussians in the colours of the look, with the look's name.
 fn baked(app: &App, args: &ExportArgs, scene: &Scene) -> Result<(String, Gaussians), CliError> {
     let what = args.what.unwrap_or_else(|| opening_look(scene));
     let look = match what {
@@ -145,7 +145,7 @@ fn baked(app: &App, args: &ExportArgs, scene: &Scene) -> Result<(String, Gaussia
     Ok((name(&what), wet.gaussians))
 }
 
-/// Prints how far the harmonics are from the colours.
+/// Prints the error of the spherical harmonics against the exact colours.
 fn said(app: &App, baked: &InWater) {
     let report = &baked.report;
     if !app.quiet && report.max_error > 0.0 {
@@ -189,7 +189,7 @@ fn write(
     (what, colmap): (&str, &Gaussians),
     scene: &Scene,
 ) -> Done {
-    // glTF has y up by a turn of its node, SPZ by its definition.
+    // glTF gets y up by a rotation of its node, SPZ by its definition.
     let frame = match format {
         Format::Ply | Format::CompressedPly => args.frame,
         Format::Glb => ExportFrame::Colmap,
@@ -210,7 +210,7 @@ fn write(
         format!("what: {what}"),
         format!("frame: {}", name(&frame)),
     ];
-    // The other formats' writers say it themselves; SPZ has no room for words.
+    // The writers of the other formats add this text themselves; SPZ has no room for text.
     if format == Format::Ply {
         comments.push(NO_WATER.into());
     }
@@ -232,7 +232,7 @@ fn spz_version(args: &ExportArgs) -> spz::Version {
     if args.spz_version == 4 { spz::Version::Four } else { spz::Version::Three }
 }
 
-/// A choice as it is written on the command line.
+/// A choice with its name on the command line.
 fn name(choice: &impl ValueEnum) -> String {
     choice.to_possible_value().map_or_else(String::new, |value| value.get_name().to_string())
 }

@@ -1,4 +1,4 @@
-//! A camera path file, drawn exactly: every frame with the look that its keys ask for.
+//! Draws a camera path file exactly: every frame has the look that the path's keys set.
 
 use std::path::Path;
 
@@ -21,12 +21,12 @@ use crate::size::parse_size;
 use crate::verbs::render::{film, modes, not_filmed, write};
 use crate::verbs::web::text_of;
 
-/// The folder of frames whose looks are the path's own.
+/// The folder for frames with the path's own looks.
 const OWN: &str = "path";
-/// The size of pictures where none is given: a path has no pixels.
+/// The default size of pictures: a path has no size in pixels.
 const SIZE: (usize, usize) = (1280, 720);
 
-/// A path of whatever program.
+/// Reads a path file of any supported program.
 fn read(args: &RenderArgs, file: &Path, quiet: bool) -> Result<CameraPath, String> {
     if file.extension().is_some_and(|e| e.eq_ignore_ascii_case("txt")) {
         let cameras = read_images_txt(file).map_err(|e| e.to_string())?;
@@ -69,7 +69,7 @@ pub(crate) fn run(
     let (width, height) = args.size.as_deref().map(parse_size).transpose()?.unwrap_or(SIZE);
     let given = modes(&args.modes)?;
     let frames = path.frames(width, height);
-    // What the keys ask for, or what was asked for instead; known before anything is drawn.
+    // The looks of the path's keys, or the requested modes instead; known before anything is drawn.
     let mut looks = Vec::with_capacity(frames.len());
     for frame in &frames {
         let own = Mode::from_name(frame.mode).ok_or_else(|| {
@@ -119,7 +119,7 @@ pub(crate) fn run(
             message: name,
             seconds_left: None,
         });
-        // A renderer is of one strength and one share of the water: made anew only where they change.
+        // A renderer has one strength and one share of the water: a new one is made only when they change.
         let look = (frame.strength, frame.water);
         let ready = renderer.take().filter(|(made, _)| *made == look);
         let (_, drawing) = match ready {

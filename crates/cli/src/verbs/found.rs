@@ -1,4 +1,4 @@
-//! The scene that is meant by a folder: the scene itself, or the results of a run that hold one.
+//! Finds the scene in a folder: the folder itself may be a scene, or the results of a run that made one.
 
 use std::path::{Path, PathBuf};
 
@@ -25,8 +25,9 @@ fn scenes_below(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// The scene that `given` means: a scene folder itself, the folder `use3d-out/NAME/SCENE` that a run wrote, or
-/// `use3d-out/NAME` if there is one scene in it. Any other path comes back as it is, for its reader to refuse.
+/// The scene that `given` names: a scene folder itself, the folder `use3d-out/NAME/SCENE` that a run wrote,
+/// or `use3d-out/NAME` if there is one scene in it. Any other path is returned unchanged; its reader reports
+/// the error.
 ///
 /// # Errors
 /// A results folder with several scenes.
@@ -56,8 +57,8 @@ pub(crate) fn scene_in(app: &App, given: &Path) -> Result<PathBuf, CliError> {
     }
 }
 
-/// The capture that the results in a folder were made from, where `given` is a results folder and its capture is
-/// still there.
+/// The capture from which the results in a folder were made, if `given` is a results folder and its capture
+/// still exists.
 pub(crate) fn capture_in(given: &Path) -> Option<PathBuf> {
     if Scene::is_scene(given) {
         return None;
@@ -91,7 +92,7 @@ mod tests {
         let enhanced = scene("out/reef/enhanced-scene");
         assert_eq!(found(&dir.path().join("out")), enhanced);
         assert_eq!(found(&dir.path().join("out/reef")), enhanced);
-        // Neither a results folder nor a scene.
+        // A path that is neither a results folder nor a scene.
         assert_eq!(found(&dir.path().join("nowhere")), dir.path().join("nowhere"));
         scene("out/wreck/scene");
         let refused = scene_in(&app, &dir.path().join("out")).unwrap_err();

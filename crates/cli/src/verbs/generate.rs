@@ -15,8 +15,8 @@ pub(crate) fn completions(args: &CompletionsArgs) -> Done {
     Ok(())
 }
 
-/// Writes the pages to a folder of our own first: nothing there is replaced without `--force`, and no page is
-/// written through a link.
+/// Writes the pages to a temporary folder first: nothing in the target folder is replaced without `--force`,
+/// and no page is written through a link.
 pub(crate) fn man(args: &ManArgs) -> Done {
     let failed = |e: std::io::Error| CliError::Failed(format!("--out {}: {e}", args.out.display()));
     let made = scratch()?;
@@ -27,7 +27,7 @@ pub(crate) fn man(args: &ManArgs) -> Done {
         pages.push((entry.path(), args.out.join(entry.file_name())));
     }
     pages.sort();
-    // A page that is there already as it would be written stays as it is.
+    // An existing page with the same content is left alone.
     let same = |made: &std::path::Path, there: &std::path::Path| {
         std::fs::symlink_metadata(there).is_ok_and(|found| found.is_file())
             && std::fs::read(there).ok() == std::fs::read(made).ok()

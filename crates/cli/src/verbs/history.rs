@@ -1,8 +1,8 @@
 //! The history of a results folder: one small file for each run, `RESULTS/runs/0001.json` and so on.
 //!
-//! A run replaces the results of the run before in its folder; the work itself stays in the cache. The record says
-//! what the run was given and which artifacts it delivered, so that `use3d results` can tell runs apart and bring
-//! one back, and so that a results folder can stand where a capture or a pipeline is asked for.
+//! A run replaces the results of the run before in its folder; the work itself stays in the cache. The record
+//! stores the arguments of the run and the artifacts it delivered. So `use3d results` can distinguish runs
+//! and restore one, and a results folder can be used where a capture or a pipeline is expected.
 
 use std::path::{Path, PathBuf};
 
@@ -18,9 +18,9 @@ const FORMAT: &str = "3d-use run";
 const VERSION: u32 = 1;
 /// The folder of the records below the results.
 const FOLDER: &str = "runs";
-/// More than any record needs.
+/// The largest size of a record in bytes, more than any needs.
 const MOST_BYTES: u64 = 1 << 24;
-/// More runs than anybody keeps; the folder is read no further.
+/// The most records that are read from a folder.
 const MOST: usize = 100_000;
 
 /// A run into a results folder.
@@ -28,15 +28,15 @@ const MOST: usize = 100_000;
 pub(crate) struct Record {
     format: String,
     version: u32,
-    /// When its results were last put into the folder, seconds since 1970.
+    /// Time when its results were last written into the folder, in seconds since 1970.
     pub(crate) delivered: u64,
     /// The command line.
     pub(crate) command: String,
     /// The pipeline file or capture folder.
     pub(crate) target: PathBuf,
-    /// All settings, as `--set` has them.
+    /// All settings in the form of `--set`.
     pub(crate) sets: Vec<String>,
-    /// Only these scenes; all where empty.
+    /// Only these scenes; all if empty.
     pub(crate) scenes: Vec<String>,
     /// Up to these stages; all where `None`.
     pub(crate) until: Option<Vec<String>>,
@@ -57,7 +57,7 @@ pub(crate) struct Record {
 pub(crate) struct Made {
     /// The stage.
     pub(crate) stage: String,
-    /// The scene; empty for what is over all scenes.
+    /// The scene; empty for an artifact over all scenes.
     pub(crate) scene: String,
     /// The variant; empty where there are none.
     pub(crate) variant: String,
@@ -124,7 +124,7 @@ impl Record {
         if words.is_empty() { "defaults".into() } else { words.join(" ") }
     }
 
-    /// The arguments of the run, as they can be given again; `more` is set on top.
+    /// The arguments of the run, for running it again; the settings of `more` come on top.
     pub(crate) fn arguments(&self, more: &PipelineArgs) -> PipelineArgs {
         let mut args = more.clone();
         args.target.clone_from(&self.target);
@@ -142,8 +142,8 @@ impl Record {
     }
 }
 
-/// The records of a results folder with their numbers, the oldest first. Files that cannot be read are left out,
-/// with a warning.
+/// The records of a results folder with their numbers, the oldest first. Unreadable files are left out with a
+/// warning.
 pub(crate) fn records(results: &Path) -> Vec<(usize, Record)> {
     let entries = std::fs::read_dir(results.join(FOLDER)).into_iter().flatten().flatten().take(MOST);
     let mut found: Vec<(usize, Record)> = entries
@@ -163,33 +163,33 @@ pub(crate) fn records(results: &Path) -> Vec<(usize, Record)> {
     found
 }
 
-/// The run whose results stand in the folder.
+/// The run whose results are in the folder now.
 pub(crate) fn current(records: &[(usize, Record)]) -> Option<&(usize, Record)> {
     records.iter().max_by_key(|(number, record)| (record.delivered, *number))
 }
 
-/// The run whose results stand in a folder, if it is a results folder.
+/// The run whose results are in a folder, if it is a results folder.
 pub(crate) fn of_results(folder: &Path) -> Option<Record> {
     let records = records(folder);
     current(&records).map(|(_, record)| record.clone())
 }
 
-/// Keeps the record of a run whose results were delivered, and says which results they replaced and how those come
-/// back.
+/// Stores the record of a run whose results were delivered, and prints which results they replaced and how to
+/// restore those.
 pub(crate) fn keep(results: &Path, mut record: Record, quiet: bool) -> Result<(), CliError> {
     let known = records(results);
     let before = current(&known);
     if before.is_some_and(|(_, old)| old.artifacts == record.artifacts) {
-        // The folder shows them already.
+        // The folder shows these results already.
         return Ok(());
     }
-    // Times are whole seconds; results that replace others within one are still the newer ones.
+    // Times are whole seconds; results that replace others within one second get the next second.
     if let Some((_, old)) = before {
         record.delivered = record.delivered.max(old.delivered + 1);
     }
     let same = known.iter().rfind(|(_, old)| old.artifacts == record.artifacts);
     if let Some((_, old)) = same {
-        // Brought back, it is the run that it was.
+        // A restored run keeps its own record.
         record = Record { delivered: record.delivered, ..old.clone() };
     }
     let number = same.map_or_else(|| known.last().map_or(1, |(last, _)| last + 1), |(number, _)| *number);

@@ -1,4 +1,4 @@
-//! Networks trained by others: what is looked for, what is there.
+//! Networks trained by others: the files that are searched for, and those found.
 
 #[cfg(feature = "nets")]
 use use3d_nets::Network;
@@ -62,7 +62,7 @@ pub(crate) fn run(args: &ModelsArgs) -> Done {
     complete()
 }
 
-/// The networks that a preset needs; of some that stand together, one does.
+/// The networks that a preset needs; one network of each inner list is enough.
 #[cfg(feature = "nets")]
 fn needed_for(preset: &str) -> Result<Vec<Vec<Network>>, CliError> {
     let values = use3d_pipeline::config::preset_values(preset).map_err(CliError::Input)?;

@@ -1,4 +1,4 @@
-//! What a run left in its results folder, for people as lines and for programs as one JSON document.
+//! The results that a run left in its folder, as lines for people or as one JSON document for programs.
 
 use std::path::{Path, PathBuf};
 
@@ -14,11 +14,11 @@ use use3d_pipeline::stages::{evaluate::SCORES, read_json, report::best_method};
 pub(crate) struct Outcome<'a> {
     #[serde(flatten)]
     summary: &'a Summary,
-    /// Every result that is in the results folder; empty where the run was interrupted.
+    /// All results in the results folder; empty if the run was interrupted.
     results: Vec<Delivered>,
     /// The mean scores of every scene that was evaluated.
     scores: Vec<SceneMeans>,
-    /// Why results could not be delivered.
+    /// The reason why results could not be delivered.
     #[serde(skip_serializing_if = "Option::is_none")]
     error: Option<String>,
 }
@@ -28,7 +28,7 @@ pub(crate) struct Outcome<'a> {
 struct SceneMeans {
     scene: String,
     variant: String,
-    /// All of its scores.
+    /// The file with all of its scores.
     file: PathBuf,
     methods: Vec<MethodMeans>,
 }
@@ -41,7 +41,7 @@ struct MethodMeans {
 }
 
 impl<'a> Outcome<'a> {
-    /// Of a run and what became of its results.
+    /// Creates it from a run and the result of delivering its results.
     pub(crate) fn new(summary: &'a Summary, delivered: &Result<Vec<Delivered>, PlaceError>) -> Self {
         let all = delivered.as_deref().unwrap_or_default();
         let scores = all.iter().filter_map(|result| {
@@ -64,12 +64,12 @@ impl<'a> Outcome<'a> {
     }
 }
 
-/// A path that means the same wherever it is read.
+/// An absolute path.
 fn whole(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf())
 }
 
-/// The scores that a result holds, if it is an evaluation's.
+/// The scores in a result, if it is one of an evaluation.
 fn scores(result: &Delivered) -> Option<SceneScores> {
     if result.what != "evaluate" {
         return None;
@@ -77,7 +77,7 @@ fn scores(result: &Delivered) -> Option<SceneScores> {
     read_json(&result.path.join(SCORES)).ok()
 }
 
-/// Tells a person what is where, and how well scenes were reconstructed.
+/// Prints the paths of the results, and the quality of the reconstructions.
 pub(crate) fn tell(delivered: &[Delivered]) {
     for Delivered { what, path, .. } in delivered {
         println!("{what:<12} {}", path.display());
@@ -90,7 +90,7 @@ pub(crate) fn tell(delivered: &[Delivered]) {
         if let Some(psnr) = mean(Method::Reconstruction, "psnr") {
             println!("{of}: views that no training saw are reconstructed at {psnr:.2} dB PSNR");
         }
-        // The look that the report leads with, too.
+        // The look that leads the report is printed too.
         let enhanced = delivered
             .iter()
             .find(|r| r.what == "enhance" && (&r.scene, &r.variant) == (&result.scene, &result.variant));

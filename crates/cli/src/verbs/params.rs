@@ -36,7 +36,7 @@ pub(crate) fn run(args: &ParamsArgs) -> Done {
     Ok(())
 }
 
-/// A meaning without the numbers of design decisions, `(R7)`, which lead nowhere outside the sources.
+/// A meaning without references to design decisions, such as `(R7)`, which lead nowhere outside the sources.
 fn without_references(meaning: &str) -> String {
     let mut out = String::with_capacity(meaning.len());
     let mut rest = meaning;

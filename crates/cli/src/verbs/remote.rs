@@ -1,4 +1,4 @@
-//! A store beside the cache: `push`, `pull`, and the one that `run` asks.
+//! A store beside the cache: `push`, `pull`, and the store that `run` uses.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ fn store(address: &str) -> Result<RemoteStore, CliError> {
     Ok(RemoteStore::new(remote))
 }
 
-/// The store at an address, which can be relied on.
+/// The store at an address, after a test that it works reliably.
 pub(crate) fn probed(app: &App, address: &str) -> Result<Arc<RemoteStore>, CliError> {
     let store = store(address)?;
     store.probe(&app.stop).map_err(|e| CliError::Failed(format!("--remote: {e}")))?;
@@ -46,7 +46,7 @@ pub(crate) fn push(app: &App, args: &PushArgs) -> Done {
 
 pub(crate) fn pull(app: &App, args: &TransferArgs) -> Done {
     let Loaded { builder, graph, .. } = loaded(args)?;
-    // Whoever only fetches may have no right to write.
+    // A user who only fetches may have no permission to write.
     let store = store(&args.remote)?;
     if let Some(folder) = use3d_store::folder(&args.remote).filter(|folder| !folder.is_dir()) {
         return Err(CliError::Failed(format!(

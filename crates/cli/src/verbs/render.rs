@@ -112,13 +112,13 @@ pub(crate) fn modes(names: &[String]) -> Result<Vec<Mode>, CliError> {
     names.iter().map(find).collect()
 }
 
-/// The scene, ready to be drawn as asked for.
+/// The renderer with the requested strength and share of the water.
 pub(crate) fn renderer<'s>(args: &RenderArgs, drawn: &Drawn<'s>) -> Result<SceneRenderer<'s>, CliError> {
     let renderer = drawn.renderer(args.strength).map_err(CliError::input)?;
     renderer.with_water(args.water).map_err(CliError::input)
 }
 
-/// The cameras asked for, in the scene's frame.
+/// The requested cameras, in the scene's frame.
 pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName, Camera)>, CliError> {
     let from = args.cameras.as_deref().ok_or_else(|| {
         let what = "say from where to render: --cameras CAPTURE, a COLMAP model or a list of cameras, or --path FILE";
@@ -173,25 +173,26 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName,
     Ok(film.into_iter().enumerate().map(|(i, camera)| (FileName::frame(i), camera)).collect())
 }
 
-/// The names of the held-out views of a capture with default parameters; none of what is no capture.
+/// The names of the held-out views of a capture with default parameters; empty if the folder is not a
+/// capture.
 pub(crate) fn held_out(capture: &Path) -> Vec<String> {
     use3d_import::import(capture, &use3d_import::ImportParams::default())
         .map_or_else(|_| Vec::new(), |imported| imported.report.test)
 }
 
-/// A film at a path, as `--video` names it.
+/// A film at a path, as named by `--video`.
 pub(crate) fn film(path: &Path, frame_rate: u32) -> Result<(&Path, Film), CliError> {
     let film = Film::create(path, place::sibling(path), frame_rate).map_err(|e| not_filmed(path, &e))?;
     Ok((path, film))
 }
 
-/// Why there is no film.
+/// The error of a film that cannot be written.
 pub(crate) fn not_filmed(path: &Path, error: &FilmError) -> CliError {
     let message = format!("--video {}: {error}", path.display());
     if error.is_of_the_request() { CliError::Input(message) } else { CliError::Failed(message) }
 }
 
-/// The files' names, one per camera.
+/// The names of the files, one per camera.
 ///
 /// # Errors
 /// Two cameras whose pictures would be one file.
@@ -226,7 +227,7 @@ fn files(cameras: &[(FileName, Camera)], format: FrameFormat) -> Result<Vec<File
     Ok(files)
 }
 
-/// Refuses, before anything is drawn, to write over what is there.
+/// Fails, before anything is drawn, if an existing file would be overwritten.
 fn check_places(args: &RenderArgs, modes: &[Mode], files: &[FileName]) -> Done {
     let force = args.replace.force;
     if let Some(video) = &args.video {
@@ -236,7 +237,7 @@ fn check_places(args: &RenderArgs, modes: &[Mode], files: &[FileName]) -> Done {
     place::check_writable(out)?;
     for mode in modes {
         let folder = out.join(mode.name());
-        // Only a folder that is there can hold pictures.
+        // Only an existing folder can hold pictures.
         if folder.exists() {
             files.iter().try_for_each(|file| check_file("--out", &file.below(&folder), force, &[]))?;
         }

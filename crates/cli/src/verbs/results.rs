@@ -1,4 +1,4 @@
-//! `use3d results`: the runs whose results went into a folder, and bringing one of them back.
+//! `use3d results`: lists the runs whose results were written into a folder, and restores one of them.
 
 use std::path::{Path, PathBuf};
 
@@ -19,24 +19,24 @@ use crate::verbs::run;
 /// The default folder of results.
 const OUT: &str = "use3d-out";
 
-/// A run, as it is told.
+/// A run in the form in which it is printed.
 #[derive(Serialize)]
 struct Told {
-    /// By which it is brought back.
+    /// The number that restores the run.
     run: usize,
-    /// True if its results stand in the folder now.
+    /// True if its results are in the folder now.
     shown: bool,
-    /// When they were put there, UTC.
+    /// Time when they were written there, UTC.
     delivered: String,
     command: String,
     settings: String,
-    /// True if all of it is still in the cache.
+    /// True if all of its artifacts are still in the cache.
     kept: bool,
     /// PSNR of the held-out views of the first scene, decibels.
     psnr: Option<f64>,
 }
 
-/// The results folder that a name or a path means.
+/// The results folder for a name or a path.
 pub(crate) fn folder(named: &Path) -> Result<PathBuf, CliError> {
     let below = Path::new(OUT).join(named);
     let found = [named.to_path_buf(), below].into_iter().find(|path| !history::records(path).is_empty());
@@ -58,13 +58,13 @@ fn all() -> Vec<PathBuf> {
     found
 }
 
-/// The folder of an artifact of a run, if it is in the cache still.
+/// The folder of a run's artifact, if it is still in the cache.
 pub(crate) fn artifact(record: &Record, stage: &str) -> Option<PathBuf> {
     let made = record.artifacts.iter().find(|made| made.stage == stage)?;
     found(record, stage, &made.key)
 }
 
-/// The folder of an artifact of a run by its key, if it is in the cache still.
+/// The folder of a run's artifact by its key, if it is still in the cache.
 pub(crate) fn found(record: &Record, stage: &str, key: &use3d_build::Digest) -> Option<PathBuf> {
     if !record.cache.is_dir() {
         return None;
@@ -133,7 +133,7 @@ pub(crate) fn run(app: &App, args: &ResultsArgs) -> Done {
     Ok(())
 }
 
-/// Puts the results of an earlier run into their folder again; nothing is computed.
+/// Writes the results of an earlier run into their folder again; nothing is computed.
 fn bring_back(app: &App, results: &Path, number: usize) -> Done {
     let records = history::records(results);
     let Some((_, record)) = records.iter().find(|(known, _)| *known == number) else {

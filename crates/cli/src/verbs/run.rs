@@ -35,15 +35,15 @@ pub(crate) struct Loaded {
 }
 
 impl Loaded {
-    /// Refuses, before anything is computed, what could only fail: weights, pairs or a calibrator that are
-    /// missing, and settings that do not go together.
+    /// Fails, before anything is computed, if the run would have to fail: weights, pairs or a calibrator are
+    /// missing, or settings conflict.
     pub(crate) fn nothing_lacks(&self, until: Option<&[String]>, only: Option<&[(String, String)]>) -> Done {
         let gaps = self.builder.gaps(&self.graph, until, only);
         if gaps.is_empty() { Ok(()) } else { Err(CliError::input(gaps)) }
     }
 }
 
-/// Loads a pipeline file, or makes one of a capture folder.
+/// Loads a pipeline file, or makes a pipeline for a capture folder.
 pub(crate) fn open(args: &PipelineArgs, scenes: &[String]) -> Result<Loaded, CliError> {
     let PipelineArgs { target, calibration, cache, .. } = args;
     let registry = stages()?;
@@ -73,8 +73,7 @@ pub(crate) fn open(args: &PipelineArgs, scenes: &[String]) -> Result<Loaded, Cli
     Ok(Loaded { pipeline, builder: Builder::new(registry, cache), graph })
 }
 
-/// What a file is that is given where a pipeline file or a capture folder is
-/// expected, and what to do with it.
+/// Names the kind of a file that is no pipeline file or capture folder, and the next step for it.
 fn no_pipeline(file: &Path) -> Option<&'static str> {
     let extension = file.extension()?.to_string_lossy().to_lowercase();
     Some(match extension.as_str() {
@@ -119,7 +118,7 @@ pub(crate) fn plan(args: &PlanArgs) -> Done {
     show(&loaded.builder.plan(&loaded.graph, None), args.json)
 }
 
-/// Prints a plan. One that cannot be carried out, since an input is missing, ends as the run would.
+/// Prints a plan. If it cannot be carried out because an input is missing, it fails like the run would.
 fn show(plan: &Plan, as_json: bool) -> Done {
     if as_json {
         json(plan)?;
@@ -167,7 +166,7 @@ pub(crate) fn graph(args: &GraphArgs) -> Done {
 }
 
 pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
-    // A results folder stands for what was run into it, and new results go there again.
+    // A results folder stands for the pipeline that was run into it, and new results go there again.
     let (pipeline, results) = resolved(&args.pipeline);
     let elsewhere = |set: &String| set.contains("model_dir");
     if pipeline.target.is_dir()
@@ -229,7 +228,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     done
 }
 
-/// Says why stages run again, and how long all of them will probably take.
+/// Prints why stages run again, and an estimate of the total time.
 fn tell_why(plan: &Plan) {
     for line in plan.reruns() {
         eprintln!("{line}");
@@ -242,10 +241,10 @@ fn tell_why(plan: &Plan) {
     }
 }
 
-/// How long a run with nothing else to do waits for what others compute.
+/// The time for which a run with nothing else to do waits for the work of other processes.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// How this process runs a pipeline, unless more is said.
+/// The default options of a run in this process.
 fn of_app(app: &App) -> RunOptions {
     RunOptions {
         cores: app.threads,
@@ -278,17 +277,17 @@ fn only(graph: &Graph, named: &[String]) -> Result<Option<Vec<(String, String)>>
     Ok((!found.is_empty()).then_some(found))
 }
 
-/// The arguments of a run, beside its options.
+/// The arguments of a run besides its options.
 struct Given<'a> {
     pipeline: &'a PipelineArgs,
     /// Only these scenes.
     scenes: &'a [String],
-    /// The white balance that its scenes get, and the capture in whose views it is measured.
+    /// The white balance for its scenes, and the capture in whose views it is measured.
     white: Option<(&'a [WhiteChoice], &'a Path)>,
 }
 
-/// The pipeline that a target means: itself, or, where the target is a results folder, what was run into it, and
-/// that folder.
+/// The pipeline of a target. If the target is a results folder, this is the pipeline that was run into it,
+/// and the folder is returned too.
 fn resolved(args: &PipelineArgs) -> (PipelineArgs, Option<PathBuf>) {
     match history::of_results(&args.target) {
         Some(record) => (record.arguments(args), Some(args.target.clone())),
@@ -296,10 +295,10 @@ fn resolved(args: &PipelineArgs) -> (PipelineArgs, Option<PathBuf>) {
     }
 }
 
-/// Brings the results of an earlier run back into their folder.
+/// Restores the results of an earlier run into their folder.
 ///
 /// # Errors
-/// What is no longer in the cache. Nothing is computed.
+/// Some results are no longer in the cache. Nothing is computed.
 pub(crate) fn again(app: &App, record: &Record, results: &Path) -> Done {
     let args = record.arguments(&PipelineArgs::of(&record.target, &CacheArgs::default()));
     let loaded = open(&args, &record.scenes)?;
@@ -317,7 +316,7 @@ pub(crate) fn again(app: &App, record: &Record, results: &Path) -> Done {
     execute(app, &loaded, &options, (Some(results), &given), false)
 }
 
-/// Runs a pipeline, puts its results into `out`, and keeps a record of the run there.
+/// Runs a pipeline, writes its results into `out`, and stores a record of the run there.
 fn execute(
     app: &App,
     loaded: &Loaded,
@@ -327,7 +326,7 @@ fn execute(
 ) -> Done {
     let listener = out.map_or_else(|| app.listener.clone(), |out| delivering(app, out));
     let summary = loaded.builder.run(&loaded.graph, options, &listener);
-    // What an interrupted run has finished was delivered scene by scene.
+    // The finished results of an interrupted run were delivered scene by scene.
     let whole = !summary.interrupted && !summary.left;
     let mut delivered = match out {
         Some(out) if whole => results::deliver(&summary, out, &typed()),
@@ -335,7 +334,7 @@ fn execute(
     };
     if let (Some((choices, capture)), Ok(there), Some(out)) = (given.white, &delivered, out) {
         balance(app, choices, capture, there)?;
-        // The pages open with it.
+        // The pages open with this white balance.
         if !there.is_empty() {
             delivered = results::deliver(&summary, out, &typed());
         }
@@ -345,7 +344,7 @@ fn execute(
     } else {
         print!("{summary}");
     }
-    // Places were looked at before: what fails now is the disk, not the request.
+    // The places were checked before, so an error here comes from the disk and not from the arguments.
     let delivered = delivered.map_err(CliError::failed)?;
     if !app.quiet && !as_json {
         outcome::tell(&delivered);
@@ -366,7 +365,7 @@ fn execute(
     }
 }
 
-/// Measures the white balance of every scene among the results, the enhanced one where there are two.
+/// Measures the white balance of every scene in the results, of the enhanced one if there are two.
 fn balance(app: &App, choices: &[WhiteChoice], capture: &Path, delivered: &[Delivered]) -> Done {
     let scene = |what: &'static str| delivered.iter().filter(move |result| result.what == what);
     for result in scene("enhance").chain(scene("reconstruct")) {
@@ -385,8 +384,8 @@ fn typed() -> String {
     quote::words(&words)
 }
 
-/// The app's listener, which also delivers every scene as soon as it is over: the
-/// batch may take days yet, or fail.
+/// The app's listener, which also delivers the results of every scene as soon as it is finished: the batch
+/// may run for days or fail.
 fn delivering(app: &App, out: &Path) -> Arc<dyn Listener> {
     let (inner, out) = (app.listener.clone(), out.to_path_buf());
     Arc::new(move |event: &Event<'_>| {
@@ -394,14 +393,14 @@ fn delivering(app: &App, out: &Path) -> Arc<dyn Listener> {
         if let Event::SceneOver { scene, variant, nodes } = event
             && let Err(error) = results::deliver(&Summary::of_scene(nodes, scene, variant), &out, &typed())
         {
-            // Tried again at the end, where it counts.
+            // Delivery is tried again at the end, where a failure counts.
             let text = format!("its results could not be delivered yet: {error}");
             inner.event(&Event::Warning { label: scene, text: &text });
         }
     })
 }
 
-/// The demo's capture, and so its scene.
+/// The name of the demo's capture, and so of its scene.
 const SCENE: &str = "reef";
 
 pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
@@ -410,7 +409,8 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
         DemoSize::Small => (40, 320, 180, 3000, 600),
         DemoSize::Full => (48, 640, 360, 15_000, 5000),
     };
-    // Without depth priors: those of synthetic captures are made from the true depth, which no diver has.
+    // No depth priors: those of synthetic captures are made from the true depth, which a real diver does not
+    // have.
     let params = use3d_synth::CaptureParams {
         views,
         width,
@@ -423,8 +423,8 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
         vec![format!("reconstruct.iterations={iterations}"), format!("enhance.iterations={steps}")];
     sets.extend(args.iterations.map(|n| format!("reconstruct.iterations={n}")));
     sets.extend(args.settings.sets());
-    // Settings and the places of all results are checked before anything is rendered: the pipeline of an
-    // empty folder of the capture's name knows the same ones.
+    // Settings and the places of all results are checked before anything is rendered, with the pipeline of an
+    // empty folder that has the capture's name.
     let probe = scratch()?;
     let empty = probe.path().join(SCENE);
     std::fs::create_dir(&empty).map_err(CliError::failed)?;

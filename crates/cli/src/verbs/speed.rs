@@ -1,4 +1,4 @@
-//! Frames per second of a scene, with the protocol beside the figure.
+//! Measures the frames per second of a scene, and prints the protocol with the figure.
 
 use serde::Serialize;
 use use3d_capture::{Camera, FileName};
@@ -14,14 +14,14 @@ use crate::interrupt;
 use crate::verbs::render::{cameras, held_out, renderer};
 use crate::verbs::run::json;
 
-/// The figures and what they were measured on.
+/// The figures and the conditions of the measurement.
 #[derive(Serialize)]
 struct Measured<'a> {
-    /// What drew.
+    /// The engine that drew.
     engine: &'a str,
     width: usize,
     height: usize,
-    /// Whether all views have that size.
+    /// True if all views have that size.
     one_size: bool,
     views: usize,
     /// `held-out` or `given`.

@@ -1,4 +1,4 @@
-//! One stage by hand, without a pipeline file: the same code and defaults.
+//! Runs one stage by hand, without a pipeline file, with the same code and defaults.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ use crate::error::{CliError, Done};
 use crate::verbs::view::Watched;
 use crate::verbs::web::scene_name;
 
-/// A folder that goes away with the command.
+/// Creates a folder that is removed at the end of the command.
 pub(crate) fn scratch() -> Result<tempfile::TempDir, CliError> {
     leftovers::scratch().map_err(|e| {
         CliError::Failed(format!("cannot make a temporary folder: {e}; set TMPDIR to one with space"))
@@ -33,14 +33,14 @@ pub(crate) fn stages() -> Result<Registry, CliError> {
     registry().map_err(CliError::failed)
 }
 
-/// A result that stays: where it goes, and whether an earlier one may be replaced.
+/// A result that is kept: its path, and permission to replace an earlier one.
 struct Kept<'a> {
     out: &'a Path,
     force: bool,
     checkpoints: Option<PathBuf>,
 }
 
-/// Runs one stage of the table into `output`, a new folder that goes away with the command.
+/// Runs one stage of the table into `output`, a new folder that is removed at the end of the command.
 pub(crate) fn run_stage(
     app: &App,
     stage: &Stage,
@@ -51,7 +51,7 @@ pub(crate) fn run_stage(
     run_alone(app, stage, parameters, inputs, output, None)
 }
 
-/// Runs one stage of the table and keeps what it makes.
+/// Runs one stage of the table and keeps its result.
 fn run_kept(
     app: &App,
     stage: &Stage,
@@ -71,7 +71,7 @@ fn run_alone(
     kept: Option<&Kept<'_>>,
 ) -> Done {
     if let Some((role, path)) = inputs.iter().find(|(_, path)| !path.exists()) {
-        // As the command line names it, and whether it can do without.
+        // The name on the command line, and a hint for inputs that can be left out.
         let (named, without) = match *role {
             "models" => ("--models or USE3D_MODELS", " or leave it out"),
             "calibrator" => ("--calibrator", " or leave it out"),
@@ -104,12 +104,12 @@ fn run_alone(
     })
 }
 
-/// Whether a setting is `seed=N`: it is of no one stage.
+/// Returns true if a setting is `seed=N`, which belongs to no single stage.
 fn is_seed(set: &str) -> bool {
     set.split_once('=').is_some_and(|(key, _)| key.trim() == "seed")
 }
 
-/// The same with the seed that the settings give, if they do.
+/// The same app with the seed of the settings, if they contain one.
 fn seeded(app: &App, sets: &[String]) -> Result<App, CliError> {
     let mut seed = app.seed;
     for set in sets.iter().filter(|set| is_seed(set)) {
@@ -127,8 +127,8 @@ fn seeded(app: &App, sets: &[String]) -> Result<App, CliError> {
     })
 }
 
-/// Settings sorted to the stages whose parameters they name: `STAGE.KEY`, or `KEY`
-/// of the first stage that has it.
+/// Assigns settings to the stages whose parameters they name: `STAGE.KEY`, or `KEY` of the first stage that
+/// has it.
 pub(crate) fn parameters(
     registry: &Registry,
     names: &[&str],
@@ -143,13 +143,13 @@ pub(crate) fn parameters(
         let key = set.split(['=', '.']).next().unwrap_or_default().trim();
         let named = names.iter().position(|n| *n == key && set.trim_start()[key.len()..].starts_with('.'));
         let has = defaults.iter().position(|d| d.get(key).is_some());
-        // A key that no stage has is reported by the first one, which knows the nearest.
+        // The first stage reports a key that no stage has, and suggests the nearest one.
         sorted[named.or(has).unwrap_or(0)].push(set.clone());
     }
     stages.iter().zip(&sorted).map(|(s, sets)| stage_parameters(s, sets).map_err(CliError::input)).collect()
 }
 
-/// A refusal of a setting by the flag that stood for it.
+/// Rewrites the error about a setting so that it names the flag that was typed.
 fn typed(error: CliError, spelled: &[Spelled]) -> CliError {
     match error {
         CliError::Input(message) => CliError::Input(as_typed(&message, spelled)),
@@ -157,12 +157,12 @@ fn typed(error: CliError, spelled: &[Spelled]) -> CliError {
     }
 }
 
-/// The engine that a stage is asked to compute on.
+/// The engine of a stage, as a setting.
 fn engine(args: &EngineArgs, stage: &'static str) -> Option<Spelled> {
     args.choice().map(|choice| Spelled::new("--engine", stage, "engine", choice))
 }
 
-/// The parameters of stages from flags that stand for settings, and from settings, which win.
+/// The parameters of stages from flags that stand for settings, and from settings; the settings win.
 fn with_flags(
     registry: &Registry,
     names: &[&str],
@@ -173,7 +173,7 @@ fn with_flags(
     parameters(registry, names, &all).map_err(|error| typed(error, flags))
 }
 
-/// Says where a result is, how large it is, how long it took, and what comes next.
+/// Prints the path of a result, its size, its duration, and the next step.
 fn finished(app: &App, out: &Path, started: Instant, next: &str) {
     if app.quiet {
         return;
@@ -194,11 +194,13 @@ fn walk(path: &Path) -> Vec<PathBuf> {
     }
 }
 
-/// Where an unfinished training by hand keeps its checkpoints: beside its result, hidden. Trainings that were
-/// given the same `--out` but other parameters or inputs share the folder; each goes on from its own.
+/// The folder in which an unfinished training by hand keeps its checkpoints: beside its result, hidden.
+/// Trainings with the same `--out` but other parameters or inputs share the folder; each resumes from its
+/// own.
 struct Checkpoints {
     folder: PathBuf,
-    /// What was there before: of this training, which removes what it no longer needs, or of others.
+    /// The files that existed before: those of this training, which removes the ones it no longer needs, or
+    /// those of others.
     before: BTreeSet<PathBuf>,
 }
 
@@ -215,14 +217,14 @@ impl Checkpoints {
         std::fs::read_dir(&self.folder).into_iter().flatten().flatten().map(|entry| entry.path())
     }
 
-    /// Removes the checkpoints that have served; those of other trainings stay.
+    /// Removes the checkpoints that are no longer needed; those of other trainings stay.
     fn forget(&self, app: &App) {
         for path in self.files().filter(|path| !self.before.contains(path)) {
             if let Err(error) = std::fs::remove_file(&path) {
                 tracing::warn!("{}: {error}; this checkpoint is no longer needed", path.display());
             }
         }
-        // Goes only if it is empty.
+        // This succeeds only if the folder is empty.
         let gone = std::fs::remove_dir(&self.folder).is_ok();
         if !gone && !app.quiet && self.files().next().is_some() {
             eprintln!(
@@ -233,7 +235,7 @@ impl Checkpoints {
     }
 }
 
-/// Imports a capture into a scratch folder (or takes one that was imported before as it is).
+/// Imports a capture into a scratch folder, or uses one that was imported before.
 pub(crate) fn imported(
     app: &App,
     registry: &Registry,
@@ -250,8 +252,8 @@ pub(crate) fn imported(
     Ok(folder)
 }
 
-/// Refuses a capture that the scene was not made from, and, where views are scored, a split that
-/// holds out what it was trained with.
+/// Refuses a capture that the scene was not made from. If views are scored, it also refuses a split that
+/// holds out views of the scene's training.
 pub(crate) fn check_origin(scene: &Path, import: &Path, scored: bool) -> Done {
     let Some(origin) = Origin::read(scene).map_err(CliError::input)? else { return Ok(()) };
     let capture = use3d_import::load_prepared(import).map_err(CliError::input)?.capture;
@@ -273,7 +275,7 @@ pub(crate) fn import(app: &App, args: &ImportArgs) -> Done {
     Ok(())
 }
 
-/// The same, printing on stdout where a stage's time went.
+/// The same app, which also prints the time of each part of a stage on stdout.
 fn profiling(app: &App) -> App {
     let inner = app.listener.clone();
     let listener = Arc::new(move |event: &Event<'_>| {
@@ -285,7 +287,7 @@ fn profiling(app: &App) -> App {
     App { quiet: app.quiet, seed: app.seed, threads: app.threads, stop: app.stop.clone(), listener }
 }
 
-/// Whether depth priors are to be made for a prepared capture.
+/// Returns true if depth priors must be made for a prepared capture.
 #[cfg(feature = "nets")]
 fn depth_wanted(reconstruct: &Value, depth: Option<&Value>, capture: &Path, models: Option<&Path>) -> bool {
     let import = use3d_import::ImportParams::default();
@@ -305,7 +307,7 @@ pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
     check_folder(&args.out, force)?;
     let registry = stages()?;
     let mut names = vec!["reconstruct", "import", "propose"];
-    // Absent where the program was built without networks.
+    // The stage does not exist if the program was built without networks.
     names.extend(registry.stage("depth").ok().map(|_| "depth"));
     let mut spelled = args.common.spelled();
     spelled.extend(engine(&args.engine, "reconstruct"));
@@ -383,7 +385,7 @@ pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
     let started = Instant::now();
     let app = &seeded(app, &args.settings.set)?;
     check_file("--out", &args.out, args.replace.force, &[])?;
-    // The pictures that show why consensus matters go beside the file.
+    // The pictures that show the reason for consensus are written beside the file.
     let previews = args.out.with_extension("previews");
     check_folder(&previews, args.replace.force)?;
     let registry = stages()?;

@@ -1,5 +1,5 @@
-//! `use3d submit`: what is missing of a pipeline, as jobs of a cluster's scheduler. The command ends when
-//! they are handed over; `use3d status` tells how far they are.
+//! `use3d submit`: submits the missing stages of a pipeline as jobs to a cluster's scheduler. The command
+//! ends after the submission; `use3d status` shows the progress.
 
 use std::path::{Path, PathBuf};
 
@@ -18,12 +18,12 @@ use crate::args::{Submit, SubmitArgs, SubmitLayout};
 use crate::error::{CliError, Done};
 use crate::verbs::run::{Loaded, open};
 
-/// Everything that is decided before anything is written.
+/// All decisions before anything is written.
 struct Ready {
     jobs: Vec<Job>,
     submission: Submission,
     site: Site,
-    /// Inputs that the pipeline names and that are not there.
+    /// Number of inputs that the pipeline names but that do not exist.
     missing: usize,
 }
 
@@ -98,16 +98,16 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
         }
     }
     println!("logs: {}", submission.folder.join("logs").display());
-    // With all that makes keys what they are: other words would tell of other work.
+    // All arguments that affect keys are included: other arguments would show the state of other work.
     let told = [&["use3d".to_string(), "status".to_string()][..], &submission.run[..]];
     println!("how far they are: {}", quote::words(&told.concat()));
     end(WITHOUT, *missing)
 }
 
-/// What is said of a batch of which a part was submitted.
+/// The message about the part of a batch that was not submitted.
 const WITHOUT: &str = "what needs them is not submitted";
 
-/// Ends as the run would: with a failure where inputs are missing.
+/// Ends like the run would: with a failure if inputs are missing.
 fn end(what: &str, missing: usize) -> Done {
     let are = match missing {
         0 => return Ok(()),
@@ -117,7 +117,7 @@ fn end(what: &str, missing: usize) -> Done {
     Err(CliError::Failed(format!("{what}: {are} missing, see above")))
 }
 
-/// Refuses to submit beside jobs that are not over, unless it is asked for.
+/// Fails if jobs of the last submission are still in the queue, unless `--again` is given.
 fn refuse_twice(
     args: &SubmitArgs,
     queued: Result<Vec<(String, String)>, ClusterError>,
@@ -135,7 +135,7 @@ fn refuse_twice(
     )))
 }
 
-/// The inputs that are missing, each with its reason: also where only what went wrong is to be said.
+/// Prints the missing inputs, each with its reason; also with `--quiet`.
 fn tell_missing(plan: &Plan) {
     for node in plan.nodes.iter().filter(|n| n.shared_with.is_none()) {
         if let State::Unavailable(reason) = &node.state {
@@ -144,7 +144,7 @@ fn tell_missing(plan: &Plan) {
     }
 }
 
-/// The site, and what of it the scheduler has no place for said.
+/// Reads the site, and warns about entries that the scheduler does not support.
 fn site(app: &App, scheduler: Scheduler, args: &SubmitArgs, stages: &[&str]) -> Result<Site, CliError> {
     let Some(file) = &args.cluster else { return Ok(Site::default()) };
     let site = Site::read(file, stages).map_err(CliError::input)?;
@@ -159,8 +159,8 @@ fn site(app: &App, scheduler: Scheduler, args: &SubmitArgs, stages: &[&str]) -> 
     Ok(site)
 }
 
-/// The variables that tasks need, with their values: schedulers may start them without. What may be a key to
-/// something is left out: scripts are files that others may read.
+/// The variables that tasks need, with their values: schedulers may start tasks without them. Variables that
+/// may be secret are left out, because other people may be able to read the scripts.
 fn variables(pipeline: &Pipeline) -> Result<Vec<(String, String)>, CliError> {
     let mut found = Vec::new();
     for name in pipeline.variables.iter().map(String::as_str).chain(["USE3D_REMOTE"]) {
@@ -174,7 +174,7 @@ fn variables(pipeline: &Pipeline) -> Result<Vec<(String, String)>, CliError> {
             continue;
         }
         if name == "USE3D_REMOTE" {
-            // As a run would; what is refused may have a key in it.
+            // The address is checked like in a run; the value is not printed, because it may contain a key.
             use3d_store::open(&value).map_err(|e| CliError::Input(format!("{name}: {e}")))?;
         }
         if value.chars().any(char::is_control) {
@@ -198,7 +198,7 @@ fn is_shell_name(name: &str) -> bool {
         && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
 }
 
-/// Everything that there is to submit; nothing where there is nothing to do.
+/// Prepares the submission; `None` if there is nothing to do.
 fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<Ready>, CliError> {
     let loaded = open(&args.pipeline, &[])?;
     loaded.nothing_lacks(None, None)?;
@@ -250,7 +250,7 @@ fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<
     if let Some(calibrator) = &args.pipeline.calibration.calibrator {
         run.extend(["--calibrator".to_string(), text(calibrator)?]);
     }
-    // Into comments and lines of a script: one line, whatever the names.
+    // The words go into comments and lines of a script, so each must be one line.
     if let Some(word) = run.iter().find(|word| word.chars().any(char::is_control)) {
         return Err(CliError::Input(format!(
             "{word:?} has a control character in it; a script cannot hold it"

@@ -18,7 +18,7 @@ use crate::error::{CliError, Done};
 use crate::interrupt;
 use crate::size::parse_size;
 
-/// Draws the progress, and answers whether to go on.
+/// Reports the progress, and returns whether to continue.
 pub(crate) fn tell<'a>(app: &'a App, label: &'a str) -> impl FnMut(usize, usize) -> ControlFlow<()> + 'a {
     move |done, total| {
         let (done, total) = (done as u64, total as u64);
@@ -38,7 +38,7 @@ pub(crate) fn tell<'a>(app: &'a App, label: &'a str) -> impl FnMut(usize, usize)
     }
 }
 
-/// What a person reads of it.
+/// Converts an error to a message for the user.
 pub(crate) fn error(error: SynthError) -> CliError {
     match error {
         SynthError::Interrupted => CliError::Stopped,
@@ -58,14 +58,14 @@ pub(crate) fn error(error: SynthError) -> CliError {
     }
 }
 
-/// A value of an enumeration by its name in parameter files, in any letter case.
+/// Parses a value of an enumeration by its name in parameter files, in any letter case.
 fn named<T: DeserializeOwned>(flag: &str, text: &str, known: &[&str]) -> Result<T, CliError> {
     let exact = known.iter().find(|k| k.eq_ignore_ascii_case(text)).copied().unwrap_or(text);
     serde_json::from_value(exact.into())
         .map_err(|_| CliError::Input(format!("{flag} {text}: expected one of {}", known.join(", "))))
 }
 
-/// What the arguments ask for, on top of the defaults.
+/// The parameters from the arguments, on top of the defaults.
 fn capture_params(args: &SynthCaptureArgs) -> Result<CaptureParams, CliError> {
     let common = &args.common;
     let physics = named("--physics", &args.physics, &Physics::ALL.map(Physics::name))?;
@@ -80,7 +80,7 @@ fn capture_params(args: &SynthCaptureArgs) -> Result<CaptureParams, CliError> {
         ..CaptureParams::default()
     };
     if physics == Physics::Spectral {
-        // What cameras do under water unless somebody tells them otherwise.
+        // The usual behaviour of cameras under water with automatic settings.
         (params.auto_exposure, params.white_balance) = (1.0, 0.5);
     }
     if let Some(views) = common.views {
@@ -107,8 +107,8 @@ fn capture_params(args: &SynthCaptureArgs) -> Result<CaptureParams, CliError> {
     Ok(params)
 }
 
-/// Makes a capture at `out`, unless one of the same parameters and code is there;
-/// another one of ours is replaced.
+/// Makes a capture at `out`, unless one with the same parameters and code exists there; another result of
+/// this program is replaced.
 pub(crate) fn keep_capture(app: &App, params: &CaptureParams, out: &Path) -> Done {
     let code = built_in().stage(&["use3d-synth"], &[]).map_err(CliError::failed)?.digest();
     let recipe = serde_json::json!({ "parameters": params, "code": code.to_string() });
@@ -128,7 +128,7 @@ pub(crate) fn keep_capture(app: &App, params: &CaptureParams, out: &Path) -> Don
         .and_then(|_| place::record(&made, Some(recipe)).map_err(CliError::failed))
         .and_then(|()| place::put(&made, out, true).map_err(CliError::failed));
     if placed.is_err() {
-        let _ = std::fs::remove_dir_all(&made); // ours alone; the first error is the one to report
+        let _ = std::fs::remove_dir_all(&made); // only our files; the first error is the one to report
     }
     placed
 }

@@ -1,4 +1,4 @@
-//! What water a capture was taken in, before anything is reconstructed.
+//! Estimates the water of a capture before anything is reconstructed.
 
 use use3d_import::{capture_name, load_prepared};
 use use3d_pipeline::water::{WaterReport, from_tracks};
@@ -22,7 +22,7 @@ pub(crate) fn run(app: &App, args: &WaterArgs) -> Done {
         (capture, water)
     })?;
     let (water, judgement) = water.map_err(CliError::input)?;
-    // An import does not keep the name, since equal captures give equal bytes.
+    // An import does not store the name, because equal captures must give equal bytes.
     let name = capture_name(&args.capture);
     let report = WaterReport { capture: name, ..WaterReport::new(&capture, &water, judgement) };
     if args.json {

@@ -1,4 +1,4 @@
-//! A scene as a page for a browser.
+//! Writes a scene as a page for a browser.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ use crate::args::ExportArgs;
 use crate::destination::{check_file, path_text, write_file};
 use crate::error::{CliError, Done};
 
-/// Refuses, before the scene is read, what cannot become a page.
+/// Fails, before the scene is read, if no page can be written.
 pub(crate) fn check(path: &Path, args: &ExportArgs) -> Done {
     if let Some(metres) = args.metres_per_unit.filter(|m| !(m.is_finite() && *m > 0.0)) {
         return Err(CliError::Input(format!("--metres-per-unit {metres}: expected a positive number")));
@@ -22,7 +22,7 @@ pub(crate) fn check(path: &Path, args: &ExportArgs) -> Done {
     check_file("--web", path, args.replace.force, &["html"])
 }
 
-/// Writes the page, and its parts into a folder beside it where it is too large for one file.
+/// Writes the page, and its parts into a folder beside it if it is too large for one file.
 pub(crate) fn write(app: &App, args: &ExportArgs, path: &Path, scene: &Scene, white: Option<&White>) -> Done {
     let views = match &args.cameras {
         Some(cameras) => views(cameras, &args.scene, scene)?,
@@ -69,7 +69,7 @@ pub(crate) fn write(app: &App, args: &ExportArgs, path: &Path, scene: &Scene, wh
     Ok(())
 }
 
-/// Views that somebody saved from a page, if a file of them is named.
+/// The views that were saved from a page, if a file of them is named.
 pub(crate) fn saved_views(file: Option<&Path>) -> Result<Option<SavedViews>, CliError> {
     let Some(file) = file else { return Ok(None) };
     let wrong = |what: String| CliError::Input(format!("--views {}: {what}", path_text(file)));
@@ -78,7 +78,7 @@ pub(crate) fn saved_views(file: Option<&Path>) -> Result<Option<SavedViews>, Cli
     SavedViews::read(&text).map(Some).map_err(|what| wrong(format!("{what}; {next}")))
 }
 
-/// The text of a file that a page wrote, or in words why there is none.
+/// The text of a file that a page wrote, or the reason why it cannot be read.
 pub(crate) fn text_of(file: &Path) -> Result<String, String> {
     if file.is_dir() {
         return Err("it is a folder, not a file".into());
@@ -90,7 +90,7 @@ pub(crate) fn text_of(file: &Path) -> Result<String, String> {
     String::from_utf8(bytes).map_err(|_| "it is no text in UTF-8".into())
 }
 
-/// What a scene folder is called: `reef/enhanced-scene` is the reef.
+/// The name for a scene folder: `reef/enhanced-scene` has the name `reef`.
 pub(crate) fn scene_name(folder: &Path) -> String {
     let place = std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf());
     match capture_name(&place).as_str() {
@@ -99,13 +99,13 @@ pub(crate) fn scene_name(folder: &Path) -> String {
     }
 }
 
-/// `reef.html` keeps its parts in `reef_files`.
+/// The folder for the parts of a page: `reef_files` for `reef.html`.
 fn parts_folder(path: &Path) -> PathBuf {
     let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
     path.with_file_name(format!("{stem}_files"))
 }
 
-/// Refuses a capture that shows another place: one that has none of the photographs that the scene was made from.
+/// Refuses a capture of another place: one without any of the photographs from which the scene was made.
 fn check_capture(
     origin: &Origin,
     cameras: &Path,
@@ -127,9 +127,10 @@ fn check_capture(
     )))
 }
 
-/// True if a scene's frame is the one that a capture is imported in, or COLMAP's own (`normalise = false`).
+/// Returns true if a scene's frame is the one in which a capture is imported, or COLMAP's own
+/// (`normalise = false`).
 fn same_place(scene: &Frame, capture: &Frame) -> bool {
-    // Far more than rounding, far less than another model would be off.
+    // Much larger than rounding, much smaller than the difference to another model.
     const ALIKE: f64 = 0.01;
     let alike = |other: &Frame| {
         (scene.scale / other.scale - 1.0).abs() < ALIKE
@@ -139,15 +140,14 @@ fn same_place(scene: &Frame, capture: &Frame) -> bool {
     alike(capture) || alike(&Frame::IDENTITY)
 }
 
-/// The places of a capture's photographs, with the photographs; of anything else that
-/// has cameras, the places alone.
+/// The camera positions of a capture with its photographs; for other sources of cameras, the positions alone.
 pub(crate) fn views(cameras: &Path, folder: &Path, scene: &Scene) -> Result<Vec<PageView>, CliError> {
     let origin = Origin::read(folder).map_err(CliError::input)?;
     let placed = read_cameras(cameras).map_err(CliError::input)?;
     if let Some(origin) = origin.as_ref().filter(|_| cameras.is_dir()) {
         check_capture(origin, cameras, folder, &placed)?;
     }
-    // A model without its images is no capture, and has cameras all the same.
+    // A model without its images is no capture, but it has cameras.
     if cameras.is_dir()
         && let Ok(imported) = import(cameras, &ImportParams::default())
     {

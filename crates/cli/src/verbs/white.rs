@@ -1,5 +1,5 @@
-//! The white balance of a scene: what `--white` asks for, measured in the scene, and `use3d white`, which keeps it
-//! beside the scene for every later command.
+//! The white balance of a scene: measures the choices of `--white` in the scene, and `use3d white` stores the
+//! result beside the scene for every later command.
 
 use std::path::Path;
 
@@ -33,20 +33,20 @@ fn placed(cameras: Option<&Path>, scene: &Scene) -> Result<Vec<(String, Camera)>
     Ok(read.into_iter().map(place).collect())
 }
 
-/// The place of a pixel of a picture of another size in the camera's own. One picture is the other scaled to cover it
-/// and cropped centrally, as the import does; the larger one is the whole.
+/// Converts a pixel position in a picture of another size to the camera's own size. One picture is the other
+/// one scaled to cover it and cropped centrally, as in the import; the larger one is the whole.
 fn rescaled(place: &Place, camera: &Camera) -> (f64, f64) {
     let Some((width, height)) = place.size else { return (place.x, place.y) };
     let (w, h) = (camera.intrinsics.width as f64, camera.intrinsics.height as f64);
     let (sx, sy) = (w / width as f64, h / height as f64);
     let scale = if w * h >= (width * height) as f64 { sx.min(sy) } else { sx.max(sy) };
     let along = |at: f64, from: f64, to: f64| (at + 0.5 - from / 2.0) * scale + to / 2.0 - 0.5;
-    // Half a pixel beyond the edge is the edge's own pixel.
+    // A position up to half a pixel beyond the edge belongs to the edge pixel.
     let inside = |at: f64, side: f64| if (-0.5..0.0).contains(&at) { 0.0 } else { at.min(side - 0.5) };
     (inside(along(place.x, width as f64, w), w), inside(along(place.y, height as f64, h), h))
 }
 
-/// The camera of a place's photograph.
+/// The camera of the photograph of a place.
 fn camera_of<'c>(place: &Place, cameras: &'c [(String, Camera)]) -> Result<&'c (String, Camera), CliError> {
     let named = |(name, _): &&(String, Camera)| *name == place.view || stem_of(name) == stem_of(&place.view);
     cameras.iter().find(named).ok_or_else(|| {
@@ -57,7 +57,7 @@ fn camera_of<'c>(place: &Place, cameras: &'c [(String, Camera)]) -> Result<&'c (
     })
 }
 
-/// Measures what a person clicked on.
+/// Measures the places that the user clicked on.
 fn by_places(
     places: &[&Place],
     cameras: &[(String, Camera)],
@@ -80,12 +80,12 @@ fn by_places(
     Ok(White::new(Method::Patch, clicks, gains))
 }
 
-/// A name without what follows its last dot.
+/// A name without the part after its last dot.
 fn stem_of(name: &str) -> &str {
     name.rsplit_once('.').map_or(name, |(stem, _)| stem)
 }
 
-/// The gains of the choices, measured where they must be; `None` for `off`.
+/// The gains of the choices, measured if necessary; `None` for `off`.
 fn measured(
     choices: &[WhiteChoice],
     scene: &Scene,
@@ -121,7 +121,7 @@ fn measured(
     }
 }
 
-/// The white balance that a verb shows a scene with: what `--white` says, or what was kept for the scene.
+/// The white balance with which a verb shows a scene: from `--white`, or the stored one.
 pub(crate) fn of(
     app: &App,
     args: &WhiteArgs,
@@ -151,12 +151,12 @@ pub(crate) fn of(
     Ok(Some(white))
 }
 
-/// The gains of a white balance, or those that change nothing.
+/// The gains of a white balance, or gains of one.
 pub(crate) fn gains(white: Option<&White>) -> Gains {
     white.map_or(Gains::ONE, |white| white.gains)
 }
 
-/// Says what a white balance does and how far it holds.
+/// Prints the effect of a white balance, and its range.
 fn tell(white: &White, scene: &Scene) {
     let text = |[r, _, b]: [f32; 3]| format!("red ×{r:.2}, blue ×{b:.2}");
     let Gains { clear, enhanced, enhanced_clear } = white.gains;
@@ -176,7 +176,7 @@ fn tell(white: &White, scene: &Scene) {
     }
 }
 
-/// Refuses, before anything is trained, places in photographs that a capture does not have.
+/// Fails, before anything is trained, if a place names a photograph that the capture does not have.
 pub(crate) fn check(choices: &[WhiteChoice], capture: &Path) -> Done {
     let names = |choice: &&WhiteChoice| matches!(choice, WhiteChoice::Place(_));
     if choices.iter().any(|choice| names(&choice)) {
@@ -192,7 +192,7 @@ pub(crate) fn check(choices: &[WhiteChoice], capture: &Path) -> Done {
     Ok(())
 }
 
-/// Measures a scene of a run, and keeps what was found beside it.
+/// Measures a scene of a run, and stores the result beside it.
 pub(crate) fn keep_for(choices: &[WhiteChoice], folder: &Path, capture: &Path, quiet: bool) -> Done {
     let scene = Scene::load(folder).map_err(CliError::input)?;
     let white = measured(choices, &scene, Some(capture))?;
@@ -203,7 +203,7 @@ pub(crate) fn keep_for(choices: &[WhiteChoice], folder: &Path, capture: &Path, q
     Ok(())
 }
 
-/// Puts a white balance beside a scene, or takes the one that is there away. Nothing else is ever replaced.
+/// Stores a white balance beside a scene, or removes the stored one. Nothing else is ever replaced.
 fn keep(white: Option<&White>, folder: &Path) -> Done {
     let place = White::place(folder);
     let there = White::beside(folder)
@@ -266,11 +266,11 @@ mod tests {
         };
         let place = |x, y, size| Place { view: "a".into(), x, y, size };
         assert_eq!(rescaled(&place(3.0, 4.0, None), &camera(10, 10)), (3.0, 4.0));
-        // Twice as large.
+        // Twice the size.
         assert_eq!(rescaled(&place(3.0, 4.0, Some((10, 10))), &camera(20, 20)), (6.5, 8.5));
         // A picture of 40x20 was scaled by half and cropped to 10x10: 5 pixels are missing on the left.
         assert_eq!(rescaled(&place(0.0, 0.0, Some((10, 10))), &camera(40, 20)), (10.5, 0.5));
-        // And back.
+        // The inverse.
         assert_eq!(rescaled(&place(10.5, 0.5, Some((40, 20))), &camera(10, 10)), (0.0, 0.0));
     }
 }

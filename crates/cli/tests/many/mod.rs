@@ -1,4 +1,4 @@
-//! A pipeline of several tiny captures, and what runs of it leave.
+//! A pipeline of several tiny captures, and the files that its runs make.
 #![allow(dead_code, reason = "every test program uses its own part of it")]
 
 use std::collections::BTreeMap;
@@ -9,11 +9,11 @@ use crate::tiny::{TINY, command, files};
 
 pub(crate) struct Many {
     pub(crate) dir: tempfile::TempDir,
-    /// How many captures there are.
+    /// Number of captures.
     pub(crate) count: usize,
 }
 
-/// What makes a run of them take seconds, as words of `use3d run` and `use3d submit`.
+/// Settings with which a run of them takes seconds, as arguments of `use3d run` and `use3d submit`.
 pub(crate) fn settings() -> Vec<String> {
     let quick = ["reconstruct.iterations=12", "enhance.iterations=6", "reconstruct.checkpoint_steps=2"];
     TINY.iter().chain(&quick).flat_map(|set| ["--set".to_string(), (*set).to_string()]).collect()
@@ -31,7 +31,7 @@ impl Many {
         many
     }
 
-    /// As many scenes as `USE3D_SCENES` says, or `usual`; where it says `use26`, those of that pipeline file.
+    /// As many scenes as in `USE3D_SCENES`, or `usual`; with `use26`, the scenes of that pipeline file.
     pub(crate) fn asked(usual: usize) -> Self {
         let asked = std::env::var("USE3D_SCENES").unwrap_or_else(|_| usual.to_string());
         if asked == "use26" {
@@ -41,15 +41,15 @@ impl Many {
         Self::new(&(1..=count).map(|n: usize| format!("s{n:02}")).collect::<Vec<_>>())
     }
 
-    /// `pipelines/use26.toml` as it is, but for its sizes, which are scaled down, and its data, for which
-    /// synthetic captures and pairs of the same names and shapes stand.
+    /// `pipelines/use26.toml` with smaller sizes, and with synthetic captures and pairs of the same names and
+    /// shapes instead of its data.
     fn use26() -> Self {
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../pipelines/use26.toml");
         let mut text = std::fs::read_to_string(file).expect("the pipeline file");
         for (large, small) in [("1400x933", "72x48"), ("1920x1080", "80x45")] {
             text = text.replace(large, small);
         }
-        // Folders beside the file in the places of what people name by variables.
+        // Folders beside the file replace the variables that users set.
         for name in ["SEATHRU", "SEATHRU_D", "DRUVA", "UIEB"] {
             text = text.replace(&format!("${{{name}}}"), name);
         }
@@ -88,14 +88,14 @@ impl Many {
         command
     }
 
-    /// Every byte of the artifacts in a cache but their manifests, which tell times and hosts.
+    /// Every byte of the artifacts in a cache except their manifests, which contain times and hosts.
     pub(crate) fn artifacts(&self, cache: &str) -> BTreeMap<PathBuf, Vec<u8>> {
         let mut all = files(&self.at(cache).join("v1/artifacts"));
         all.retain(|path, _| !path.ends_with("manifest.json"));
         all
     }
 
-    /// A run of one process, from nothing: what all others are compared with.
+    /// A run of one process from an empty cache, the reference for all others.
     pub(crate) fn alone(&self) -> BTreeMap<PathBuf, Vec<u8>> {
         let mut command = self.command(&["-q", "run"], "alone");
         let output = command.arg("--out").arg(self.at("out-alone")).output().expect("the command starts");
@@ -103,7 +103,7 @@ impl Many {
         self.artifacts("alone")
     }
 
-    /// The scores that were delivered of every scene.
+    /// The delivered scores of every scene.
     pub(crate) fn scores(&self, out: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
         let mut all = files(&self.at("").join(out));
         all.retain(|path, _| path.ends_with("scores/scores.json"));

@@ -6,7 +6,7 @@ use use3d_golden::torch::{Nesting, Tensors, zip_file};
 use use3d_nets::weights::{StandIn, Weights};
 use use3d_nets::{NetError, Nu2Net};
 
-/// Notes the tensors that a network asks for.
+/// Records the tensors that a network requests.
 struct Recorder(Tensors);
 
 impl Weights for Recorder {
@@ -17,7 +17,7 @@ impl Weights for Recorder {
     }
 }
 
-/// Puts weights of Nu2Net into a models folder, under the name of the authors' file.
+/// Writes weights of Nu2Net into a models folder, under the name of the authors' file.
 pub(crate) fn nu2net(models: &Path) {
     let mut recorder = Recorder(Tensors::new());
     Nu2Net::from_weights(&mut recorder).expect("a network");

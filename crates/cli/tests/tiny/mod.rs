@@ -1,11 +1,11 @@
-//! A tiny capture, the command on it, and everything under a folder.
+//! A tiny capture, the command on it, and all files of a folder.
 #![allow(dead_code, reason = "every test program uses its own part of it")]
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// What makes a run on it take seconds.
+/// Settings with which a run on it takes seconds.
 pub(crate) const TINY: [&str; 7] = [
     "reconstruct.iterations=30",
     "enhance.iterations=10",
@@ -13,7 +13,7 @@ pub(crate) const TINY: [&str; 7] = [
     "pairs.synthetic.width=64",
     "pairs.synthetic.height=48",
     "calibrate.steps=20",
-    // Without it stand-ins correct nothing, and a change of theirs ends at the targets.
+    // Without it stand-ins correct nothing, and a change of theirs affects no stage after the targets.
     "calibrate.trust=1",
 ];
 
@@ -76,7 +76,7 @@ pub(crate) fn command() -> Command {
     command
 }
 
-/// Everything under a folder.
+/// All files of a folder.
 pub(crate) fn files(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut all = BTreeMap::new();
     let mut folders = vec![root.to_path_buf()];

@@ -1,4 +1,4 @@
-//! A viewer of a running command, as a browser's page talks to it.
+//! A client for the viewer of a running command, which sends the requests of a browser's page.
 #![allow(dead_code, reason = "every test program uses its own part of it")]
 
 use std::io::{BufRead, BufReader, Read, Write};
@@ -14,18 +14,18 @@ pub(crate) struct Viewer {
 }
 
 impl Viewer {
-    /// That whose address a command prints on its standard output or error.
+    /// The viewer whose address a command prints on its standard output or error.
     pub(crate) fn of(printed: impl Read + Send + 'static) -> Self {
         let mut lines = BufReader::new(printed).lines().map_while(Result::ok);
         let address = lines.find(|line| line.starts_with("http://")).expect("an address");
-        // What else it prints must not fill the pipe.
+        // The rest of the output is read too, so that it cannot fill the pipe.
         std::thread::spawn(move || lines.for_each(drop));
         let (place, token) = address.split_once("/#").expect("a token");
         let port = place.rsplit_once(':').expect("a port").1.parse().expect("a number");
         Self { port, token: token.into() }
     }
 
-    /// Sends a request and leaves the answer to be read; none once the command has ended.
+    /// Sends a request and returns the stream with the unread answer; `None` after the command has ended.
     pub(crate) fn send(&self, path: &str, body: &Value) -> Option<TcpStream> {
         let (body, host) = (body.to_string(), format!("127.0.0.1:{}", self.port));
         let mut stream = TcpStream::connect(&host).ok()?;
@@ -38,7 +38,7 @@ impl Viewer {
         Some(stream)
     }
 
-    /// Status and body of an answer; none once the command has ended.
+    /// Sends a request and returns status and body of the answer; `None` after the command has ended.
     pub(crate) fn ask(&self, path: &str, body: &Value) -> Option<(u16, Vec<u8>)> {
         let mut stream = self.send(path, body)?;
         let mut answer = Vec::new();
@@ -56,7 +56,7 @@ impl Viewer {
         self.json("/do", &json!({ "name": name }))
     }
 
-    /// What is shown, once there is something.
+    /// The header of the scene, after waiting until there is one.
     pub(crate) fn header(&self) -> Value {
         loop {
             let beginning = self.json("/scene", &json!({})).expect("an answer");
@@ -67,7 +67,7 @@ impl Viewer {
         }
     }
 
-    /// Draws the first view, moved by `i`, in a mode that goes round.
+    /// Draws the `i`th view, moved by `i`, in one mode after the other; returns the status.
     pub(crate) fn draw(&self, header: &Value, i: usize) -> Option<u16> {
         let view = &header["cameras"][i % header["cameras"].as_array().map_or(1, Vec::len)];
         let eye: Vec<f64> =
@@ -82,7 +82,7 @@ impl Viewer {
     }
 }
 
-/// Ends a command that would go on for ever.
+/// Ends a command that would run for ever, when it is dropped.
 pub(crate) struct Ended(pub(crate) Child);
 
 impl Drop for Ended {

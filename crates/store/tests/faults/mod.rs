@@ -1,7 +1,8 @@
-//! A server between a client and a real one, which fails in one of the ways that servers do.
+//! A proxy between a client and a real server, which fails in one of the ways in which servers fail.
 //!
-//! Most failures pass: the first request of a kind for a name fails, or the first two, and the next is
-//! answered. Two last: nothing good comes from such a server at all, and whoever asks it has to do without.
+//! Most failures are temporary: the first request of a kind for a name fails, or the first two, and the next
+//! one is answered. Two are permanent: such a server never gives a usable answer, and the client has to work
+//! without it.
 
 use std::collections::HashMap;
 use std::io::{self, BufRead, BufReader, Read, Write};
@@ -13,26 +14,26 @@ use std::time::Duration;
 /// Longer than a client waits for the next bytes.
 const STALL: Duration = Duration::from_secs(65);
 
-/// What is done to requests.
+/// A fault of the server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Fault {
-    /// 503 instead of an answer.
+    /// The answer is 503.
     Busy,
-    /// It is done, and the answer is 500.
+    /// The operation is performed, and the answer is 500.
     Lost,
-    /// It is done, and the connection ends without an answer.
+    /// The operation is performed, and the connection ends without an answer.
     Dropped,
-    /// The second half of an object does not come.
+    /// The second half of an object is not sent.
     Truncated,
-    /// A byte of an object is another one.
+    /// A byte of an object is changed.
     Wrong,
-    /// An object comes in pieces with pauses between them.
+    /// An object is sent in pieces with pauses between them.
     Slow,
-    /// An object's second half does not come for longer than anybody waits.
+    /// An object's second half is not sent for longer than any client waits.
     Stalled,
-    /// 503 for ever.
+    /// The answer is always 503.
     Gone,
-    /// Every object that is asked for has another byte.
+    /// A byte of every requested object is changed.
     Liar,
 }
 
@@ -49,17 +50,17 @@ impl Fault {
         Self::Liar,
     ];
 
-    /// Whether it does not pass.
+    /// Returns true if the fault is permanent.
     pub(crate) fn is_lasting(self) -> bool {
         matches!(self, Self::Gone | Self::Liar)
     }
 
-    /// Whether it befalls a request, of which there were some before.
+    /// Returns true if the fault applies to a request after `before` earlier ones.
     fn befalls(self, method: &str, before: usize) -> bool {
         let reads = method == "GET";
         match self {
             Self::Busy => before < 2,
-            // Whoever asks a third time is told what became of the first.
+            // Only the first request fails: the next one finds the effect of the first.
             Self::Lost | Self::Dropped => before < 1,
             Self::Truncated | Self::Wrong => reads && before < 2,
             Self::Stalled => reads && before < 1,
@@ -77,14 +78,14 @@ struct Shared {
     seen: Mutex<HashMap<String, usize>>,
 }
 
-/// The server. It ends with the process.
+/// The proxy. It ends with the process.
 pub(crate) struct Proxy {
     address: String,
     shared: Arc<Shared>,
 }
 
 impl Proxy {
-    /// In front of a server at an address such as `http://127.0.0.1:5555`.
+    /// Starts the proxy for a server at an address such as `http://127.0.0.1:5555`.
     pub(crate) fn start(upstream: &str, fault: Fault) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
         let address = format!("http://{}", listener.local_addr().expect("an address"));
@@ -96,7 +97,7 @@ impl Proxy {
         std::thread::spawn(move || {
             for client in listener.incoming().flatten() {
                 let own = own.clone();
-                // A client that goes away is no matter.
+                // A client that disconnects does no harm.
                 std::thread::spawn(move || own.serve(client).ok());
             }
         });
@@ -107,13 +108,13 @@ impl Proxy {
         &self.address
     }
 
-    /// Requests, and those of them that something was done to.
+    /// Number of requests, and number of requests with a fault.
     pub(crate) fn counts(&self) -> (usize, usize) {
         (self.shared.requests.load(Ordering::Relaxed), self.shared.failed.load(Ordering::Relaxed))
     }
 }
 
-/// The lines before a message's body, and how long the body is.
+/// The lines before a message's body, and the length of the body.
 fn head(from: &mut impl BufRead) -> io::Result<(Vec<String>, usize)> {
     let (mut lines, mut length) = (Vec::new(), 0);
     loop {
@@ -129,7 +130,7 @@ fn head(from: &mut impl BufRead) -> io::Result<(Vec<String>, usize)> {
             if name.eq_ignore_ascii_case("content-length") {
                 length = value.trim().parse().map_err(io::Error::other)?;
             }
-            // One request for each connection.
+            // One request per connection.
             if name.eq_ignore_ascii_case("connection") {
                 continue;
             }
@@ -153,7 +154,7 @@ impl Shared {
         self.requests.fetch_add(1, Ordering::Relaxed);
         let before = {
             let mut seen = self.seen.lock().expect("lock");
-            // What a store is tried with has another name at every try.
+            // A probe has another name at every attempt.
             let kind = request.split_once("/probe/").map_or(request.as_str(), |(before, _)| before);
             let count = seen.entry(kind.to_string()).or_default();
             *count += 1;

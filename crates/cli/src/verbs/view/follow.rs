@@ -1,6 +1,6 @@
-//! Following a training by its files: its checkpoints while it runs, its scene when it is done.
-//! Nothing is asked of the process that trains, so it needs no port, and may be on another
-//! machine that writes to the same disk.
+//! Follows a training through its files: its checkpoints while it runs, its scene when it is done. The
+//! training process is not contacted, so it needs no port, and may run on another machine that writes to the
+//! same disk.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -22,26 +22,26 @@ use crate::error::{CliError, Done};
 use crate::verbs::run::{Loaded, open};
 use crate::verbs::web::{saved_views, scene_name};
 
-/// How often files are looked at.
+/// Time between two checks of the files.
 const EVERY: Duration = Duration::from_secs(3);
-/// And a pipeline's plan, which reads more of them.
+/// Time between two checks of a pipeline's plan, which reads more files.
 const PLAN_EVERY: Duration = Duration::from_secs(10);
 
-/// What is followed.
+/// The training to follow.
 enum Followed {
-    /// A scene folder that is or will be there, and where its training keeps checkpoints.
+    /// A scene folder that exists or will exist, and the folder for the checkpoints of its training.
     Scene { folder: PathBuf, checkpoints: PathBuf },
-    /// Checkpoints, in a folder or one of them.
+    /// Checkpoints: a folder of them, or one file.
     Checkpoints(PathBuf),
     /// One scene of a pipeline.
     Pipeline { loaded: Box<Loaded>, scene: String },
 }
 
-/// The newest file of a training, and where its photographs are, if they are known.
+/// The newest file of a training, and the folder of its photographs, if it is known.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Newest {
     file: PathBuf,
-    /// Told apart from an earlier one of the same name.
+    /// Distinguishes it from an earlier file of the same name.
     modified: Option<SystemTime>,
     import: Option<PathBuf>,
 }
@@ -86,7 +86,7 @@ pub(super) fn run(app: &App, args: &ViewArgs, target: &Path, live: &Arc<Live>) -
         let capture = own.as_ref().or(capture.as_ref());
         let (step, scene) = match read(&newest.file, capture) {
             Ok(Some(found)) => found,
-            // Its writer has a later one by now.
+            // The training has removed it and has a later one by now.
             Ok(None) => continue,
             Err(error) => {
                 live.wait_for(&error);
@@ -121,7 +121,7 @@ pub(super) fn run(app: &App, args: &ViewArgs, target: &Path, live: &Arc<Live>) -
     Ok(())
 }
 
-/// What a path stands for.
+/// Finds what a path names.
 fn followed(args: &ViewArgs, target: &Path) -> Result<Followed, CliError> {
     let is_checkpoint = |path: &Path| path.extension().is_some_and(|e| e == "checkpoint");
     let beside = {
@@ -131,7 +131,7 @@ fn followed(args: &ViewArgs, target: &Path) -> Result<Followed, CliError> {
     if is_checkpoint(target) || target.is_dir() && files(target).any(|file| is_checkpoint(&file)) {
         return Ok(Followed::Checkpoints(target.to_path_buf()));
     }
-    // A training that has not begun yet may be waited for, but not below a folder that is not there.
+    // A training that has not begun yet may be waited for, but not below a folder that does not exist.
     let parent = target.parent().filter(|parent| !parent.as_os_str().is_empty());
     if let Some(parent) = parent.filter(|parent| !target.exists() && !parent.is_dir()) {
         return Err(CliError::Input(format!(
@@ -167,7 +167,7 @@ fn modified(path: &Path) -> Option<SystemTime> {
     std::fs::metadata(path).and_then(|m| m.modified()).ok()
 }
 
-/// The newest checkpoint of stage 1 in a folder, or the one that the path is.
+/// The newest checkpoint of stage 1 in a folder, or the path itself if it is a file.
 fn checkpoint(path: &Path) -> Option<PathBuf> {
     if path.is_file() {
         return Some(path.to_path_buf());
@@ -204,7 +204,7 @@ fn newest(followed: &Followed) -> Option<Newest> {
     }
 }
 
-/// The scene in a file: `scene.json` stands for its folder.
+/// Reads the scene from a file: `scene.json` stands for its folder.
 fn read(file: &Path, capture: Option<&Imported>) -> Result<Option<(Option<u64>, Scene)>, String> {
     if let Some(folder) = file.parent().filter(|_| file.file_name().is_some_and(|name| name == "scene.json"))
     {

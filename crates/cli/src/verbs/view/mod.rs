@@ -1,5 +1,5 @@
-//! `use3d view`: a scene, a capture or a training that another process does, in a browser; and
-//! what `--view` adds to a training.
+//! `use3d view`: shows a scene, a capture or a training of another process in a browser; also the part of
+//! `--view` that a training uses.
 
 mod follow;
 mod points;
@@ -27,7 +27,7 @@ use crate::verbs::found::{capture_in, scene_in};
 use crate::verbs::web::{saved_views, scene_name, views};
 use crate::verbs::white;
 
-/// How often one who waits looks whether to end.
+/// Time between two checks of the stop flag while waiting.
 const WAIT: Duration = Duration::from_millis(200);
 
 /// `use3d view`.
@@ -52,7 +52,7 @@ pub(crate) fn run(app: &App, args: &ViewArgs) -> Done {
     Ok(())
 }
 
-/// What a folder shows.
+/// The scene or capture in a folder.
 fn shown(app: &App, target: &Path, cameras: Option<&Path>, args: &ViewArgs) -> Result<Shown, CliError> {
     let metres_per_unit = args.metres_per_unit;
     let saved = saved_views(args.views.as_deref())?.map(Arc::new);
@@ -100,8 +100,7 @@ fn shown(app: &App, target: &Path, cameras: Option<&Path>, args: &ViewArgs) -> R
     })
 }
 
-/// The places of an imported capture, held-out ones first: those are what one looks
-/// at to see how good a scene is.
+/// The camera positions of an imported capture, held-out ones first: they show best how good a scene is.
 fn places(scene: &Scene, imported: &Imported) -> Result<Vec<PageView>, ScenePageError> {
     let origin = Origin::of(&imported.capture);
     let mut views = scene_page::views(scene, Some(&origin), imported)?;
@@ -109,20 +108,20 @@ fn places(scene: &Scene, imported: &Imported) -> Result<Vec<PageView>, ScenePage
     Ok(views)
 }
 
-/// Where the address is printed: it is what `use3d view` gives, and a remark beside what a training gives.
+/// The stream for the address: stdout for `use3d view`, whose result it is, and stderr for a training.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Told {
     Result,
     Remark,
 }
 
-/// Starts the server, says where it is, and opens a browser where there is a screen.
+/// Starts the server, prints its address, and opens a browser if there is a screen.
 fn serve(app: &App, args: &ViewerArgs, live: &Arc<Live>, told: Told) -> Result<Server, CliError> {
     let server = Server::start(args.port, live).map_err(CliError::input)?;
     let (address, port) = (server.address(), server.port());
     if told == Told::Result {
         println!("{address}");
-        // Whoever reads it through a pipe waits for it.
+        // A program that reads it through a pipe needs it at once.
         let _ = std::io::stdout().flush();
     } else {
         eprintln!("{address}");
@@ -139,8 +138,8 @@ fn serve(app: &App, args: &ViewerArgs, live: &Arc<Live>, told: Told) -> Result<S
     Ok(server)
 }
 
-/// Asks the system to open an address. It is printed in any case, so it does not
-/// matter if there is no browser.
+/// Makes the system open an address. The address is printed in any case, so a missing browser does not
+/// matter.
 fn open(address: &str) {
     let screen = ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some());
     let (program, arguments): (&str, &[&str]) = if cfg!(target_os = "macos") {
@@ -161,7 +160,7 @@ fn open(address: &str) {
         .stderr(quiet())
         .spawn();
     match started {
-        // It is waited for beside, so that it leaves nothing behind.
+        // A thread waits for the child, so that no zombie process is left.
         Ok(mut child) => drop(std::thread::spawn(move || child.wait())),
         Err(error) => tracing::debug!("{program}: {error}"),
     }

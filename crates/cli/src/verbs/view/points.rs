@@ -1,4 +1,4 @@
-//! A capture as a scene to look at: its sparse points as small round Gaussians, in air.
+//! Shows a capture as a scene: its sparse points as small round Gaussians, in air.
 
 use use3d_capture::Capture;
 use use3d_medium::MediumModel;
@@ -6,15 +6,15 @@ use use3d_numerics::spherical_harmonics::C0;
 use use3d_scene::Scene;
 use use3d_splat::Gaussians;
 
-/// A point's size over the middle distance of the points from their middle.
+/// A point's size, as a share of the median distance of the points from their centre.
 const SIZE: f64 = 0.004;
 /// Nearly opaque.
 const OPACITY_LOGIT: f32 = 4.0;
 
-/// The points of a capture.
+/// Converts the points of a capture to a scene.
 ///
 /// # Errors
-/// A capture without points, in words.
+/// A capture without points; the error is a message.
 pub(super) fn scene(capture: &Capture) -> Result<Scene, String> {
     let places: Vec<glam::DVec3> = capture.points.iter().map(|p| p.position).collect();
     let count = places.len();

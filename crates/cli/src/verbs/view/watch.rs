@@ -1,4 +1,4 @@
-//! A training that is watched: what the stages tell goes to the page as well, and the page may hold them up.
+//! Shows a training while it runs: the events of the stages also go to the page, and the page may pause them.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
@@ -15,7 +15,7 @@ use crate::App;
 use crate::args::WatchArgs;
 use crate::error::CliError;
 
-/// The app whose stages are watched, and the server for as long as it lives.
+/// The app whose stages are shown, and the server, which lives as long as this value.
 pub(crate) struct Watched {
     app: App,
     live: Arc<Live>,
@@ -23,7 +23,7 @@ pub(crate) struct Watched {
 }
 
 impl Watched {
-    /// Starts a viewer if one is asked for. `name` is that of the scene where there is only one.
+    /// Starts a viewer if the arguments request one. `name` is the scene's name if there is only one.
     pub(crate) fn start(app: &App, args: &WatchArgs, name: Option<&str>) -> Result<Option<Self>, CliError> {
         if !args.view {
             return Ok(None);
@@ -42,12 +42,12 @@ impl Watched {
         Ok(Some(Self { app, live, _server: server }))
     }
 
-    /// What the stages are to be run with.
+    /// The app to run the stages with.
     pub(crate) fn app(&self) -> &App {
         &self.app
     }
 
-    /// Tells the page how it ended.
+    /// Shows the end of the training on the page.
     pub(crate) fn end<T>(&self, result: &Result<T, CliError>) {
         self.live.end(&match result {
             Ok(_) => "Done.".to_string(),
@@ -60,15 +60,15 @@ impl Watched {
     }
 }
 
-/// What is known of the stage that is shown.
+/// The state of the stage that is shown.
 #[derive(Default)]
 struct Known {
     label: String,
-    /// Where its photographs are.
+    /// The folder of its photographs.
     import: Option<PathBuf>,
-    /// Its places; none while they are being read.
+    /// Its camera positions; `None` while they are being read.
     views: Option<Arc<Vec<PageView>>>,
-    /// What was shown last.
+    /// The last scene shown, and its step.
     scene: Option<(Arc<Scene>, u64)>,
 }
 
@@ -108,7 +108,7 @@ impl Watcher {
         }
     }
 
-    /// Shows a scene; its photographs are read beside the training, once.
+    /// Shows a scene; its photographs are read once, in parallel with the training.
     fn see(self: &Arc<Self>, label: &str, import: Option<PathBuf>, scene: Arc<Scene>) {
         let step = self.live.step();
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
@@ -158,7 +158,7 @@ impl Watcher {
     }
 }
 
-/// The places of the import in a folder.
+/// The camera positions of the import in a folder.
 fn places_of(import: &Path, scene: &Scene) -> Result<Vec<PageView>, String> {
     let imported = load_prepared(import).map_err(|e| e.to_string())?;
     places(scene, &imported).map_err(|e| e.to_string())
