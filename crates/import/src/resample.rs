@@ -2,8 +2,8 @@
 //! sx, (y + top) / sy)`.
 //!
 //! Shrinking averages exactly the source area that an output pixel covers (2 x 2 boxes at one half),
-//! enlarging interpolates linearly; both are separable and in f32. When depths are shrunk, only known
-//! (positive) values are averaged; when they are enlarged, the nearest pixel is taken.
+//! enlarging interpolates linearly; both are separable and in f32. Shrinking depths averages only known
+//! (positive) values; enlarging them takes the nearest pixel.
 
 use use3d_capture::{Intrinsics, Map, Pixels, Raster};
 

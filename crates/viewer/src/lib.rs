@@ -14,8 +14,8 @@
 //! drawing takes no more than its [share](Live::set_share) of the machine's cores. Copies are taken only
 //! while a page is open, at least two seconds apart.
 //!
-//! **Pacing.** A browser requests a picture after it has shown the one before. Of several requests of one
-//! page the newest counts, and on a slow machine a moving picture is drawn smaller.
+//! **Pacing.** A browser requests a picture after it has shown the one before. If one page has
+//! sent several requests, only the newest counts. On a slow machine a moving picture is drawn smaller.
 //!
 //! **Safety.** The server answers only this machine. Requests must address it as loopback (no foreign
 //! `Host`), come from its own page (no foreign `Origin`) and carry a token that only the printed address

@@ -3,7 +3,7 @@
 //!
 //! The spot is chosen by geometry and by the photographs alone, never by an enhancement. The candidates are
 //! points on a grid over the middle view, lifted by its rendered depth, that all views see (inside by half a
-//! crop, depths agreeing within 5 %). Of these, the point whose surroundings have the most contrast in the
+//! crop, depths agreeing within 5 %). The candidate whose surroundings have the most contrast in the
 //! photograph is chosen.
 //!
 //! The movement of a spot's mean colour from view to view is given as CIEDE2000, the largest over pairs of

@@ -108,7 +108,7 @@ impl CameraPath {
         Self::of_keys(rate, keys)
     }
 
-    /// A path of one frame per camera, in COLMAP's frame. Of the lenses, only the vertical field of view is
+    /// A path of one frame per camera, in COLMAP's frame. Only the vertical field of view of each lens is
     /// kept.
     ///
     /// # Errors

@@ -112,11 +112,11 @@ pub struct CalibratorSection {
 /// The costs of one stage of one scene.
 #[derive(Clone, Debug)]
 pub struct StageRow {
-    /// The scene, or `shared`.
+    /// The scene with its variant, or `all scenes`.
     pub scene: String,
     /// The stage.
     pub stage: String,
-    /// `done`, `cached`, `failed`.
+    /// `computed` or `cached`.
     pub state: String,
     /// Wall-clock seconds of its computation.
     pub seconds: f64,
