@@ -1,5 +1,5 @@
-//! Writes the table of code digests (`code.json`) of the workspace that is being built;
-//! see `code` of the crate `build`.
+//! Writes the table of code digests (`code.json`) of the workspace that is being built; see the module `code`
+//! of the crate `build`.
 
 use std::path::{Path, PathBuf};
 use std::{env, fs};

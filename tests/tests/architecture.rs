@@ -1,6 +1,6 @@
-//! The arrows of the architecture, enforced: a crate may depend only on crates below it and only on what it
-//! uses, and heavy or delicate third-party crates stay in the crates that own them. Reads `cargo metadata`,
-//! so a forbidden edge fails here before anyone gets used to it.
+//! Enforces the dependencies of the architecture: a crate may depend only on crates below it and only on
+//! crates that it uses, and heavy or delicate third-party crates stay in the crates that own them. The tests
+//! read `cargo metadata`, so a forbidden dependency fails here at once.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use std::process::Command;
 
 use serde_json::Value;
 
-/// Who may depend on whom, directly. ARCHITECTURE.md draws the same picture.
+/// The permitted direct dependencies of each crate. ARCHITECTURE.md draws the same picture.
 const ALLOWED: &[(&str, &[&str])] = &[
     ("numerics", &[]),
     ("tensors", &[]),
@@ -142,7 +142,7 @@ fn every_crate_inherits_the_workspace_lints() {
     }
 }
 
-/// Rust text below `paths` of a crate, comments left out.
+/// Rust text below `paths` of a crate, without comments.
 fn source(folder: &Path, paths: &[&str]) -> String {
     let mut open: Vec<PathBuf> = paths.iter().map(|p| folder.join(p)).collect();
     let mut text = String::new();
@@ -160,7 +160,7 @@ fn source(folder: &Path, paths: &[&str]) -> String {
     text
 }
 
-/// Whether a text takes something out of a crate, as `name::…` or `use name`: a variable may have the same name.
+/// True if a text uses an item of a crate, as `name::…` or `use name`: a variable may have the same name.
 fn names(text: &str, name: &str) -> bool {
     let part = |c: Option<char>| c.is_some_and(|c| c.is_alphanumeric() || c == '_');
     text.match_indices(name).any(|(at, _)| {
@@ -170,8 +170,8 @@ fn names(text: &str, name: &str) -> bool {
     })
 }
 
-/// A dependency that nothing names costs build time, and here more: it is an ingredient
-/// of the keys of cached results.
+/// An unused dependency costs build time. Here it also costs more: it is an ingredient of the keys of cached
+/// results.
 #[test]
 fn every_declared_dependency_is_used() {
     let mut unused = Vec::new();

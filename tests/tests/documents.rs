@@ -1,5 +1,5 @@
-//! The documents: every relative link leads to a file and every anchor to a heading, the start page and the
-//! site's contents name every page, and links of the archive and of the site stay inside.
+//! Tests of the documents: every relative link leads to a file and every anchor to a heading, the start page
+//! and the site's contents name every page, and links of the archive and of the site stay inside it.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -31,7 +31,7 @@ fn text(document: &Path) -> String {
     std::fs::read_to_string(root().join(document)).unwrap_or_else(|e| panic!("{}: {e}", document.display()))
 }
 
-/// The lines that are no code, with their numbers.
+/// The lines that are not code, with their numbers.
 fn prose(text: &str) -> impl Iterator<Item = (usize, &str)> {
     let mut fenced = false;
     text.lines().enumerate().filter_map(move |(at, line)| {
@@ -41,11 +41,11 @@ fn prose(text: &str) -> impl Iterator<Item = (usize, &str)> {
     })
 }
 
-/// Relative links of a document: line, file (the document's own name where there is only an anchor), anchor.
+/// Relative links of a document: line, file (the document's own name if there is only an anchor), anchor.
 fn links(text: &str) -> Vec<(usize, String, String)> {
     let mut found = Vec::new();
     for (at, line) in prose(text) {
-        // What stands between backticks is code.
+        // Text between backticks is code.
         let spoken: String = line.split('`').step_by(2).collect::<Vec<_>>().join("`");
         for part in spoken.split("](").skip(1) {
             let target = part.split([')', ' ']).next().unwrap_or_default();
@@ -70,7 +70,7 @@ fn anchors(text: &str) -> Vec<String> {
         let kept = title.trim().chars().filter(|c| c.is_alphanumeric() || " -_".contains(*c));
         let anchor: String = kept.map(|c| if c == ' ' { '-' } else { c }).collect();
         let anchor = anchor.to_lowercase();
-        // A heading that is there already gets a number.
+        // A repeated heading gets a number.
         let earlier = plain.iter().filter(|a| **a == anchor).count();
         found.push(if earlier > 0 { format!("{anchor}-{earlier}") } else { anchor.clone() });
         plain.push(anchor);
@@ -78,7 +78,7 @@ fn anchors(text: &str) -> Vec<String> {
     found
 }
 
-/// The path that a link of `document` leads to, below the workspace; none where it leads out of it.
+/// The path that a link of `document` leads to, below the workspace; `None` if it leads out of it.
 fn target(document: &Path, file: &str) -> Option<PathBuf> {
     if file.is_empty() {
         return Some(document.to_path_buf());
@@ -137,7 +137,7 @@ fn the_start_page_and_the_contents_name_every_page() {
     );
 }
 
-/// The site is made of `docs` alone, so a link out of it would be dead there.
+/// The site is made of `docs` alone, so a link to a file outside would not work there.
 #[test]
 fn links_of_the_site_stay_in_it() {
     for document in documents().into_iter().filter(|d| d.starts_with("docs")) {
@@ -152,7 +152,7 @@ fn links_of_the_site_stay_in_it() {
     }
 }
 
-/// The archive holds the documents of the top folder, docs/ and the licences.
+/// The archive contains the documents of the top folder, docs/ and the licences.
 #[test]
 fn links_of_documents_in_the_archive_stay_in_it() {
     let release = text(Path::new("packaging/release"));

@@ -1,5 +1,5 @@
-//! Joints at which methods are extended, held to what they promise: how many files of the sources one more
-//! entry touches is counted on an entry that is there.
+//! Checks the joints at which methods are extended: the number of source files that a further entry touches
+//! is counted for an existing entry.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ fn sources() -> Vec<(String, String)> {
             let text = &text[..end];
             let code: Vec<&str> = text.lines().filter(|line| !line.trim_start().starts_with("//")).collect();
             let below = path.strip_prefix(root).expect("below the workspace").to_string_lossy();
-            // Another engine has kernels of its own, and refuses by name what it has none for.
+            // Another engine has kernels of its own, and refuses by name the methods for which it has none.
             if below.replace('\\', "/").starts_with("crates/gpu/") {
                 continue;
             }
@@ -30,7 +30,7 @@ fn sources() -> Vec<(String, String)> {
     found
 }
 
-/// Files in whose code any of these words stands as a whole word.
+/// Files whose code contains any of these words as a whole word.
 fn files_with(sources: &[(String, String)], words: &[&str]) -> BTreeSet<String> {
     let part = |c: char| c.is_alphanumeric() || c == '_';
     let has = |text: &str, word: &str| {
@@ -48,14 +48,14 @@ fn set(files: &[&str]) -> BTreeSet<String> {
 #[test]
 fn a_term_of_stage_ones_loss_is_one_file_one_row_and_the_parameter_of_its_weight() {
     let sources = sources();
-    // What the log calls a value is said by its term alone.
+    // Only the term itself defines the name of its value in the log.
     for name in use3d_reconstruct::losses::names() {
         let files = files_with(&sources, &[name]);
         assert_eq!(files.len(), 1, "`{name}` is named in {files:?}");
         assert!(files.iter().all(|f| f.starts_with("crates/reconstruct/src/losses/")), "{files:?}");
     }
-    // The depth term, by all of its words. Whoever loads priors says when they are missing
-    // or their weight makes them vain.
+    // The depth term, by all of its words. The code that loads priors reports if they are missing or have no
+    // weight.
     let files = files_with(&sources, &["DepthPriorLoss", "depth_loss", "depth_weight", "depth::TERM"]);
     let expected = set(&[
         "crates/reconstruct/src/losses/depth.rs",
@@ -79,7 +79,7 @@ fn a_medium_is_one_file_and_one_row() {
         let words: Vec<&str> = words.iter().map(String::as_str).collect();
         let mut expected = set(&[&file, "crates/medium/src/kinds.rs", "crates/medium/src/lib.rs"]);
         if name == "global" {
-            // Water over the image is this one, laid elsewhere.
+            // Water over the image is the same water, applied at another place.
             expected.insert("crates/medium/src/image.rs".to_string());
         }
         assert_eq!(files_with(&sources, &words), expected, "{words:?}");
@@ -103,7 +103,7 @@ fn a_tiles_list_is_walked_in_one_place() {
     let place = "crates/splat/src/compose/lanes/";
     let files: Vec<(String, String)> = sources().into_iter().filter(|(f, _)| f.starts_with(place)).collect();
     let walker = format!("{place}entries.rs");
-    // What reaches into the list, and what looks a Gaussian up in it.
+    // The code that reads the list, and the code that looks up a Gaussian in it.
     assert_eq!(files_with(&files, &["list", "rows_of"]), set(&[&walker]));
     let kernels = ["forward", "backward", "colors", "linear"].map(|file| format!("{place}{file}.rs"));
     let kernels: BTreeSet<String> = kernels.into_iter().collect();
@@ -115,12 +115,12 @@ fn a_term_of_stage_twos_loss_is_one_file_and_one_row() {
     let sources = sources();
     let table = "crates/enhance/src/losses/mod.rs";
     for row in use3d_enhance::losses::TERMS {
-        // Its row, and by it its weight, value, line of the log, place in the report and curve.
+        // The row of a term gives its weight, value, line of the log, place in the report and curve.
         let file = format!("crates/enhance/src/losses/{}.rs", row.name);
         let entry = format!("{}::TERM", row.name);
         assert_eq!(files_with(&sources, &[&entry]), set(&[table]), "{entry}");
-        // What it is called is said by its own file; the stage names the figures by which
-        // classes of arithmetic are compared.
+        // Only its own file contains its name; the stage names the figures by which classes of arithmetic are
+        // compared.
         let quoted = format!("\"{}\"", row.name);
         let named: BTreeSet<String> = sources
             .iter()

@@ -1,4 +1,4 @@
-//! Files of every format and version that is still read; `tests/museum/README.md` says what they are.
+//! Reads files of every format and version that is still supported; `tests/museum/README.md` describes them.
 
 use std::path::{Path, PathBuf};
 
@@ -39,7 +39,7 @@ fn waters_of_every_kind() {
     }
 }
 
-/// Learnt from the scene without its water; the one of `scene-v1` through it.
+/// This enhancement was learnt from the scene without its water; the one of `scene-v1` through the water.
 #[test]
 fn enhancements_of_both_appearances() {
     let appearance = |folder: &str| {
@@ -49,7 +49,7 @@ fn enhancements_of_both_appearances() {
     assert_eq!(appearance("scene-v1"), Appearance::Water);
 }
 
-/// What a stage that was run by hand leaves beside its result, so that nothing else is ever replaced.
+/// The record that a stage run by hand writes next to its result, so that no other files are ever replaced.
 #[test]
 fn results() {
     match place::look(&exhibit("water-global-v1"), Look::Close).expect("looked at") {
@@ -101,7 +101,7 @@ fn artifacts() {
     let bytes = bytes("artifact-v1/manifest.json");
     let read: serde_json::Value = serde_json::from_slice(&bytes).expect("JSON");
     let key: Key = serde_json::from_value(read["key"].clone()).expect("a key");
-    // A key that came out differently would leave every cache behind.
+    // A changed key would make every existing cache useless.
     let manifest = Manifest::parse(&bytes, key).expect("manifest v1");
     assert_eq!((manifest.format.as_str(), manifest.schema), ("use3d artifact", 1));
 }

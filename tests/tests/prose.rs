@@ -1,9 +1,10 @@
-//! The language of the README and the guide: short sentences, one thought each, for readers who learnt
-//! English at school. CONTRIBUTING.md has the rules; this file counts what can be counted.
+//! Tests of the language of the README and the guide: short sentences, one thought each, for readers who
+//! learnt English at school. CONTRIBUTING.md has the rules; this file checks those that can be counted.
 //!
-//! A sentence has at most 30 words and two numbers with decimals. Brackets do not stand in brackets. A
+//! A sentence has at most 30 words and two numbers with decimals. There are no brackets inside brackets. A
 //! heading, a bold lead or a sentence does not begin with What, Who, Which, Whether or Of, unless it is a
-//! question. Lines that can be broken have at most 110 columns. Code, tables' rules and comments are left out.
+//! question. Lines that can be broken have at most 110 columns. Code, rules of tables and comments are not
+//! checked.
 
 use std::path::{Path, PathBuf};
 
@@ -29,7 +30,7 @@ fn pages() -> Vec<PathBuf> {
     pages
 }
 
-/// A piece of a page that stands for itself: a heading, a paragraph, a list item or a cell of a table.
+/// A part of a page that is independent: a heading, a paragraph, a list item or a cell of a table.
 #[derive(Debug, PartialEq)]
 struct Block {
     line: usize,
@@ -77,13 +78,13 @@ fn blocks(page: &str) -> Vec<Block> {
     found
 }
 
-/// The text behind `1. `.
+/// The text after a number such as `1. `.
 fn numbered(text: &str) -> Option<&str> {
     let digits = text.chars().take_while(char::is_ascii_digit).count();
     if digits == 0 { None } else { text[digits..].strip_prefix(". ") }
 }
 
-/// A line as it is read aloud: code becomes one word, and of a link only its text is left.
+/// A line as it is read aloud: code becomes one word, and of a link only its text remains.
 fn spoken(line: &str) -> String {
     let mut text = String::new();
     for (at, part) in line.split('`').enumerate() {
@@ -151,7 +152,7 @@ fn faults(sentence: &str) -> Vec<String> {
     found
 }
 
-/// Lines that are too long and could be broken: no table, no code, no single long word.
+/// Lines that are too long and could be broken: no tables, no code, no single long word.
 fn long_lines(page: &str) -> Vec<usize> {
     let mut fenced = false;
     let mut found = Vec::new();
@@ -185,7 +186,7 @@ fn the_readme_and_the_guide_are_easy_to_read() {
     assert!(count > 500, "only {count} sentences were found");
 }
 
-/// A page of the guide is for something that its reader wants to do.
+/// Every page of the guide is about something that its reader wants to do.
 #[test]
 fn every_page_of_the_guide_begins_with_what_its_reader_can_do() {
     for page in pages().iter().filter(|p| p.starts_with(root().join("docs/guide"))) {

@@ -20,7 +20,7 @@ pub struct Intrinsics {
     pub cy: f64,
 }
 
-/// A camera that no projection can use.
+/// A camera with invalid parameters.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CameraError {
     /// A size of zero.
@@ -130,17 +130,17 @@ impl Pose {
     }
 }
 
-/// A pinhole camera somewhere in the world.
+/// A pinhole camera with its pose in the world.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Camera {
     /// Lens and image size.
     pub intrinsics: Intrinsics,
-    /// Where it is.
+    /// The position and orientation.
     pub pose: Pose,
 }
 
 impl Camera {
-    /// The same view with its image divided by the least whole number that brings the longer side to at most
+    /// The same view with its image divided by the smallest whole number that makes the longer side at most
     /// `side` pixels.
     pub fn no_larger_than(&self, side: usize) -> Self {
         let lens = &self.intrinsics;
@@ -192,22 +192,22 @@ impl Frame {
     /// The frame that changes nothing.
     pub const IDENTITY: Self = Self { scale: 1.0, rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
 
-    /// A COLMAP point in the normalised frame.
+    /// Converts a COLMAP point to the normalised frame.
     pub fn apply(&self, point: DVec3) -> DVec3 {
         self.scale * (self.rotation * point) + self.translation
     }
 
-    /// A normalised point back in COLMAP's frame.
+    /// Converts a normalised point back to COLMAP's frame.
     pub fn invert(&self, point: DVec3) -> DVec3 {
         self.rotation.transpose() * ((point - self.translation) / self.scale)
     }
 
-    /// A COLMAP pose in the normalised frame: same pixels, lengths scaled.
+    /// Converts a COLMAP pose to the normalised frame: same pixels, lengths scaled.
     pub fn apply_pose(&self, pose: &Pose) -> Pose {
         Pose::from_center(pose.rotation * self.rotation.transpose(), self.apply(pose.center()))
     }
 
-    /// A normalised pose back in COLMAP's frame.
+    /// Converts a normalised pose back to COLMAP's frame.
     pub fn invert_pose(&self, pose: &Pose) -> Pose {
         Pose::from_center(pose.rotation * self.rotation, self.invert(pose.center()))
     }

@@ -1,4 +1,5 @@
-//! A capture: posed views, their split into training and test, and the sparse points that seed a scene.
+//! A capture: posed views, their split into training and test, and the sparse points from which a scene
+//! starts.
 
 use std::path::PathBuf;
 
@@ -6,15 +7,14 @@ use glam::DVec3;
 
 use crate::{Camera, FileName, Frame, Raster};
 
-/// One photograph: where it is on disk and where its camera was. Pixels are loaded when needed, never all at
-/// once.
+/// One photograph: its path on disk and its camera. Pixels are loaded when needed, never all at once.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
     /// The image's name relative to the capture's image folder.
     pub name: FileName,
-    /// COLMAP's image id (0 where there is none).
+    /// COLMAP's image id (0 if there is none).
     pub id: u32,
-    /// Where the pixels are.
+    /// The file of the pixels.
     pub image: PathBuf,
     /// A mask file: 0 is ignored, the maximum counts fully.
     pub mask: Option<PathBuf>,
@@ -45,22 +45,22 @@ pub struct SparsePoint {
     pub color: [u8; 3],
     /// Mean reprojection error, pixels.
     pub error: f64,
-    /// How many views saw it (0 where the model stores no tracks).
+    /// Number of views that saw it (0 if the model stores no tracks).
     pub track_length: u32,
 }
 
-/// Which views train and which are held out, as indices into [`Capture::views`], ascending.
+/// The training views and the held-out views, as indices into [`Capture::views`], ascending.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Split {
-    /// Views to learn from.
+    /// Views to train on.
     pub train: Vec<usize>,
     /// Views never seen in training.
     pub test: Vec<usize>,
 }
 
 impl Split {
-    /// Every `every`-th of `count` views, starting with the first, is a test view (R8); `every = 0` holds out
-    /// none.
+    /// Every `every`-th of `count` views, starting with the first, becomes a test view (R8); `every = 0`
+    /// holds out none.
     pub fn every(count: usize, every: usize) -> Self {
         let is_test = |i: &usize| every != 0 && i.is_multiple_of(every);
         Self {
@@ -70,7 +70,7 @@ impl Split {
     }
 }
 
-/// What is wrong with a capture as a whole.
+/// An error of a capture as a whole.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CaptureError {
     /// No view can be used for training.
@@ -93,11 +93,11 @@ pub struct Capture {
     pub name: String,
     /// Views in file-name order.
     pub views: Vec<View>,
-    /// Which views train.
+    /// The split into training and held-out views.
     pub split: Split,
     /// Sparse points.
     pub points: Vec<SparsePoint>,
-    /// How COLMAP's frame became this one.
+    /// The similarity from COLMAP's frame to this one.
     pub frame: Frame,
 }
 
@@ -112,7 +112,7 @@ impl Capture {
         self.split.test.iter().map(|&i| &self.views[i])
     }
 
-    /// Checks that something can be learnt from it.
+    /// Checks that the capture has training views.
     pub fn validate(&self) -> Result<(), CaptureError> {
         if self.views.is_empty() {
             return Err(CaptureError::NoViews);
@@ -124,8 +124,8 @@ impl Capture {
     }
 }
 
-/// A view's pixels as a training loop keeps them: 8-bit where the file is 8-bit, so that hundreds of views
-/// fit in memory.
+/// A view's pixels in the form that a training loop keeps: 8-bit if the file is 8-bit, so that hundreds of
+/// views fit in memory.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Pixels {
     /// From an 8-bit file.

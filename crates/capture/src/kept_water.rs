@@ -1,12 +1,13 @@
 //! The share of the water that an enhanced scene keeps.
 //!
-//! Thinner water of the same colour: with a share `k` per channel, both coefficients are multiplied by it,
+//! The kept water is thinner and has the same colour: with a share `k` per channel, both coefficients are
+//! multiplied by it,
 //!
 //! ```text
 //! β_attn ← k β_attn        β_bs ← k β_bs        c_m unchanged
 //! ```
 //!
-//! so a surface at distance `s` is seen as through `k s` of the stage-1 water, and open water keeps its
+//! so a surface at distance `s` appears as through `k s` of the stage-1 water, and open water keeps its
 //! colour. `k = 1` is the stage-1 water, to the bit. A share is in `[0, 1]`, in the order red, green, blue.
 
 use serde::{Deserialize, Serialize};
@@ -25,10 +26,10 @@ impl Default for KeptWater {
 }
 
 impl KeptWater {
-    /// All of the water: the paper's.
+    /// All of the water, as in the paper.
     pub const ALL: Self = Self([1.0; 3]);
 
-    /// True if nothing is taken away.
+    /// True if no water is removed.
     pub fn is_all(&self) -> bool {
         *self == Self::ALL
     }
@@ -38,12 +39,12 @@ impl KeptWater {
         self.0.iter().all(|k| (0.0..=1.0).contains(k))
     }
 
-    /// The shares on the way from the stage-1 water (strength 0) to these (strength 1), linearly.
+    /// The shares between the stage-1 water (strength 0) and these (strength 1), linearly.
     pub fn at_strength(&self, strength: f32) -> Self {
         Self(self.0.map(|k| 1.0 - strength * (1.0 - k)))
     }
 
-    /// Multiplies both coefficients of `maps`. Changes no bit where nothing is taken away.
+    /// Multiplies both coefficients of `maps`. Changes no bit if no water is removed.
     pub fn thin(&self, maps: &mut MediumMaps) {
         if self.is_all() {
             return;

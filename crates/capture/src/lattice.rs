@@ -1,12 +1,12 @@
-//! Which pixels of a camera are looked at, and the water in front of each of them.
+//! The pixels of a camera that are rendered, and the water in front of each of them.
 
 use crate::{Camera, Image, Intrinsics};
 
 /// A tensor-product subset of a camera's pixel centres: every combination of some columns and some rows.
 ///
-/// A whole image is `columns = 0.5, 1.5, …`, `rows = 0.5, 1.5, …`. Stage 2 looks only at the columns and rows
-/// that the extractor's resize reads, which is a lattice too, so one renderer serves both. Coordinates ascend
-/// strictly.
+/// A whole image is `columns = 0.5, 1.5, …`, `rows = 0.5, 1.5, …`. Stage 2 renders only the columns and rows
+/// that the extractor's resize reads. They form a lattice too, so one renderer serves both. Coordinates are
+/// strictly ascending.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lattice {
     columns: Vec<f32>,
@@ -25,8 +25,8 @@ impl Lattice {
         Self { columns: centres(width), rows: centres(height) }
     }
 
-    /// The pixels at some columns and rows (indices, strictly ascending); `None` if they do not ascend or a
-    /// list is empty.
+    /// The pixels at some columns and rows (indices, strictly ascending); `None` if they are not ascending or
+    /// a list is empty.
     pub fn subset(columns: &[usize], rows: &[usize]) -> Option<Self> {
         let centres = |indices: &[usize]| {
             (!indices.is_empty() && indices.windows(2).all(|w| w[0] < w[1]))
@@ -35,12 +35,12 @@ impl Lattice {
         Some(Self { columns: centres(columns)?, rows: centres(rows)? })
     }
 
-    /// Columns in the subset.
+    /// Number of columns in the subset.
     pub fn width(&self) -> usize {
         self.columns.len()
     }
 
-    /// Rows in the subset.
+    /// Number of rows in the subset.
     pub fn height(&self) -> usize {
         self.rows.len()
     }
@@ -56,18 +56,19 @@ impl Lattice {
     }
 }
 
-/// How an image is formed of Gaussians and water.
+/// The formation of an image from Gaussians and water.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Formation {
-    /// Every Gaussian shines through the water in front of it, at its own distance.
+    /// Every Gaussian is seen through the water in front of it, at its own distance.
     #[default]
     PerGaussian,
-    /// Gaussians are composed without water, and each pixel then shines through the
-    /// water at its expected distance.
+    /// Gaussians are composed without water, and each pixel is then seen through the water at its expected
+    /// distance.
     PerImage,
 }
 
-/// The water seen through each pixel of a lattice: what a medium model hands to the compositor.
+/// The water seen through each pixel of a lattice: the output of a medium model and an input of the
+/// compositor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MediumMaps {
     /// `c_m`, the colour of infinitely deep water along the ray, display range, ≥ 0.
@@ -76,12 +77,12 @@ pub struct MediumMaps {
     pub backscatter: Image,
     /// `β_attn`, attenuation coefficient, 1 / scene unit, ≥ 0.
     pub attenuation: Image,
-    /// How images are formed in it. Means nothing in gradients.
+    /// The formation of images in this water. It has no meaning in gradients.
     pub formation: Formation,
 }
 
 impl MediumMaps {
-    /// Zeros (no water): also the accumulator of gradients with respect to the three maps.
+    /// Zeros (no water); also the initial value of gradients with respect to the three maps.
     pub fn zeros(width: usize, height: usize) -> Self {
         Self {
             color: Image::new(width, height),

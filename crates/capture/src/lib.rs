@@ -1,9 +1,9 @@
-//! What was photographed: images, cameras, views, sparse points, and the capture that holds them.
+//! The data of a capture: images, cameras, views, sparse points, and the capture that holds them.
 //!
-//! Ground of the workspace: this crate depends on nothing of ours. It touches no file, but owns what a file
-//! may be called ([`FileName`]).
+//! This crate is near the bottom of the workspace. It accesses no files, but defines valid file names
+//! ([`FileName`]).
 //!
-//! Conventions (the whole workspace keeps to them):
+//! Conventions (for the whole workspace):
 //!
 //! * Camera frame as in COLMAP/OpenCV: x right, y down, z forward. `x_camera = R x_world + t`.
 //! * Pixel centres at +0.5: pixel (column `j`, row `i`) has its centre at `(j + 0.5, i + 0.5)`.

@@ -1,9 +1,9 @@
-//! Names from outside that become paths, and text from outside that is shown to people.
+//! External names that become paths, and external text that is shown to users.
 //!
-//! A model, a manifest or a list of cameras may come from anyone. Whatever it calls its images, no file may
-//! be read or written outside the folder that a person named: a [`FileName`] can only be made by checking, so
-//! that a function that takes one needs no check of its own. What is printed goes through [`shown`], so that
-//! a name cannot move the cursor, change colours or forge a line of its own.
+//! A model, a manifest or a list of cameras may come from an untrusted source. Whatever image names it
+//! contains, no file may be read or written outside the folder that the user named. A [`FileName`] can only
+//! be created by a check, so a function that takes one needs no check of its own. Printed text goes through
+//! [`shown`], so that a name cannot move the cursor, change colours or forge a line.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -12,36 +12,38 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-/// Bytes of a folder's or file's name at most. File systems take 255, and a result may get a longer
-/// extension.
+/// Largest number of bytes of a folder's or file's name. File systems allow 255, and a result may get a
+/// longer extension.
 const MOST_BYTES: usize = 250;
-/// Bytes of a name at most, folders and all; systems take 4096 for a path and more than this one's folder.
+/// Largest number of bytes of a name with its folders. Systems allow 4096 for a path, which also contains the
+/// folder above.
 const MOST_BYTES_IN_ALL: usize = 1000;
 
-/// A file's name relative to some folder, `/` between folders: never absolute, never leading out of that
+/// A file's name relative to some folder, with `/` between folders: never absolute, never leading out of that
 /// folder.
 ///
-/// One to 250 bytes in each component, 1000 in all; no empty component, no `..`, no drive letter, and nothing
-/// that [`shown`] would have to escape: it may be printed as it is.
+/// It has one to 250 bytes in each component and at most 1000 in total; no empty component, no `..`, no drive
+/// letter, and no character that [`shown`] would have to escape, so it may be printed unchanged.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct FileName(String);
 
-/// Why a text is not taken as a file's name.
+/// The reason why a text is not accepted as a file name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the name {name:?} {reason}")]
 pub struct NameError {
-    /// The text, shortened where it is long.
+    /// The text, shortened if it is long.
     pub name: String,
-    /// What is wrong with it, and what is expected.
+    /// The problem, and the expected form.
     pub reason: String,
 }
 
 impl FileName {
-    /// Checks a name from outside. `\` counts as `/`, as in models from Windows; `.` components are dropped.
+    /// Checks an external name. `\` counts as `/`, as in models from Windows; `.` components are dropped.
     ///
     /// # Errors
-    /// A name that is empty, too long, absolute, or leads out of its folder, or that no terminal can show.
+    /// Fails if the name is empty, too long, absolute, leads out of its folder, or has a character that no
+    /// terminal can show.
     pub fn new(name: &str) -> Result<Self, NameError> {
         let refuse = |reason: &str| {
             let mut shortened: String = name.chars().take(80).collect();
@@ -104,11 +106,11 @@ impl FileName {
         flat_stem(&self.0)
     }
 
-    /// The name as that of an image: results are called after [`flat_stem`](Self::flat_stem) too, which must
-    /// be no longer than a file's name may be.
+    /// Returns the name if it is valid for an image: results are also named after
+    /// [`flat_stem`](Self::flat_stem), which must not be longer than a file name may be.
     ///
     /// # Errors
-    /// Folders and name that are together too long.
+    /// Fails if folders and name together are too long.
     pub fn of_image(self) -> Result<Self, NameError> {
         Self::new(&self.flat_stem()).map(|_| self)
     }
@@ -116,12 +118,12 @@ impl FileName {
     /// The same name with another extension in place of its own.
     ///
     /// # Errors
-    /// An extension that makes it no name any more: too long, or with a character that no name may have.
+    /// Fails if the extension makes the name invalid: too long, or with a character that is not allowed.
     pub fn with_extension(&self, extension: &str) -> Result<Self, NameError> {
         Self::new(&format!("{}.{extension}", self.stem()))
     }
 
-    /// Where a file of this name lies below `folder`.
+    /// The path of a file of this name below `folder`.
     pub fn below(&self, folder: &Path) -> PathBuf {
         folder.join(&self.0)
     }
@@ -135,7 +137,7 @@ impl Deref for FileName {
     }
 }
 
-/// Joined to a folder, a name stays below it.
+/// A name joined to a folder stays below it.
 impl AsRef<Path> for FileName {
     fn as_ref(&self) -> &Path {
         Path::new(&self.0)
@@ -188,7 +190,7 @@ impl PartialEq<String> for FileName {
     }
 }
 
-/// An image's name without its extension; its folders stay: `left/a.b.png` is `left/a.b`.
+/// An image's name without its extension, with its folders: `left/a.b.png` is `left/a.b`.
 pub fn stem(name: &str) -> &str {
     match name.rfind('.') {
         Some(dot) if dot > name.rfind('/').map_or(0, |s| s + 1) => &name[..dot],
@@ -196,19 +198,19 @@ pub fn stem(name: &str) -> &str {
     }
 }
 
-/// The stem as one file name, for results that lie in one folder: `left/a.b.png` is `left_a.b`. A prepared
-/// capture has no two views with the same one.
+/// The stem as one file name, for results in one folder: `left/a.b.png` is `left_a.b`. In a prepared capture
+/// it is unique among the views.
 pub fn flat_stem(name: &str) -> String {
     stem(name).replace('/', "_")
 }
 
-/// Text from outside as it may be printed within a line: characters that command a terminal or reorder text
-/// appear as escapes (`\u{1b}`), everything else as it is.
+/// External text made safe for printing within a line: characters that control a terminal or reorder text are
+/// escaped (`\u{1b}`), everything else is unchanged.
 pub fn shown(text: &str) -> Cow<'_, str> {
     escaped(text, commands)
 }
 
-/// As [`shown`], for text of several lines: line ends and tabs stay.
+/// Like [`shown`], for text of several lines: line ends and tabs are kept.
 pub fn shown_lines(text: &str) -> Cow<'_, str> {
     escaped(text, |c| c != '\n' && c != '\t' && commands(c))
 }
@@ -224,8 +226,8 @@ fn escaped(text: &str, bad: impl Fn(char) -> bool) -> Cow<'_, str> {
     Cow::Owned(out)
 }
 
-/// Control characters, line and paragraph separators, and what overrides the direction of the text that
-/// follows.
+/// True for control characters, line and paragraph separators, and characters that change the direction of
+/// the following text.
 fn commands(c: char) -> bool {
     c.is_control() || matches!(c, '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
@@ -281,7 +283,7 @@ mod tests {
         }
     }
 
-    /// As a manifest is read.
+    /// Parses a name as in a manifest.
     fn serde_from(name: &str) -> Result<FileName, serde::de::value::Error> {
         use serde::de::IntoDeserializer;
         FileName::deserialize(name.to_string().into_deserializer())

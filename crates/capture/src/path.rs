@@ -5,11 +5,11 @@ use use3d_numerics::math;
 
 use crate::{Camera, Pose};
 
-/// `frames` cameras along a smooth curve through `keys` in their order.
+/// Returns `frames` cameras along a smooth curve through `keys` in their order.
 ///
 /// Centres follow a centripetal Catmull–Rom spline (it passes through every key and does not overshoot where
-/// keys bunch up), orientations a spherical interpolation, and the frames are spaced evenly in arc length.
-/// The lens is the first key's. Fewer than two keys give copies of the only one, none at all an empty path.
+/// keys are close together). Orientations follow a spherical interpolation, and the frames are evenly spaced
+/// in arc length. The lens is the first key's. A single key gives copies of it, no key an empty path.
 pub fn interpolate(keys: &[Camera], frames: usize) -> Vec<Camera> {
     let Some(first) = keys.first() else { return Vec::new() };
     if keys.len() == 1 || frames == 0 {
@@ -18,7 +18,7 @@ pub fn interpolate(keys: &[Camera], frames: usize) -> Vec<Camera> {
     let centers: Vec<DVec3> = keys.iter().map(|k| k.pose.center()).collect();
     let rotations: Vec<DQuat> = keys.iter().map(|k| DQuat::from_mat3(&k.pose.rotation)).collect();
 
-    // Arc length of the curve, sampled finely, so that the film neither rushes nor stalls between uneven
+    // Arc length of the curve, sampled finely, so that the film has a constant speed between unevenly spaced
     // keys.
     const SAMPLES: usize = 32;
     let segments = keys.len() - 1;
@@ -56,7 +56,7 @@ fn spline(points: &[DVec3], t: f64) -> DVec3 {
     let last = points.len() - 1;
     let k = (t.floor().max(0.0) as usize).min(last - 1);
     let (p1, p2) = (points[k], points[k + 1]);
-    // Reflected end points: the curve leaves and arrives straight.
+    // Reflected end points: the curve is straight at its ends.
     let p0 = if k == 0 { 2.0 * p1 - p2 } else { points[k - 1] };
     let p3 = if k + 2 > last { 2.0 * p2 - p1 } else { points[k + 2] };
     let knot = |a: DVec3, b: DVec3| (b - a).length().sqrt().max(1e-9);
@@ -69,10 +69,10 @@ fn spline(points: &[DVec3], t: f64) -> DVec3 {
     lerp(lerp(a1, a2, t0, t2), lerp(a2, a3, t1, t3), t1, t2)
 }
 
-/// `frames` cameras that circle once around the mean camera, looking at the scene in front of it at distance
-/// `focus`.
+/// Returns `frames` cameras that circle once around the mean camera, looking at the scene in front of it at
+/// distance `focus`.
 ///
-/// The circle lies in the mean camera's image plane with `radius` (scene units) and is half as high as wide,
+/// The circle is in the mean camera's image plane with `radius` (scene units) and is half as high as wide,
 /// with a gentle dolly along the axis. The lens is the first key's. No keys give an empty path.
 pub fn spiral(keys: &[Camera], frames: usize, radius: f64, focus: f64) -> Vec<Camera> {
     let Some(first) = keys.first() else { return Vec::new() };

@@ -10,7 +10,7 @@ pub struct Raster<T, const C: usize> {
     data: Vec<T>,
 }
 
-/// RGB in display range `[0, 1]` (renders may leave the range; writers clamp).
+/// RGB in display range `[0, 1]` (renders may be outside the range; writers clamp).
 pub type Image = Raster<f32, 3>;
 /// RGB as stored in an 8-bit file.
 pub type Image8 = Raster<u8, 3>;
@@ -28,7 +28,8 @@ impl<T: Copy + Default, const C: usize> Raster<T, C> {
         Self { width, height, data: vec![value; C * width * height] }
     }
 
-    /// Changes the size, keeping the allocation where it suffices. The contents are unspecified afterwards.
+    /// Changes the size, keeping the allocation if it is large enough. The contents are unspecified
+    /// afterwards.
     pub fn resize(&mut self, width: usize, height: usize) {
         self.width = width;
         self.height = height;
@@ -86,7 +87,7 @@ impl<T: Copy + Default, const C: usize> Raster<T, C> {
 }
 
 impl<T, const C: usize> Raster<T, C> {
-    /// Takes planar data; `None` if its length is not `C * width * height`.
+    /// Makes a raster from planar data; `None` if its length is not `C * width * height`.
     pub fn from_planes(width: usize, height: usize, data: Vec<T>) -> Option<Self> {
         (data.len() == C * width * height).then_some(Self { width, height, data })
     }
@@ -121,7 +122,7 @@ impl<T, const C: usize> Raster<T, C> {
         &mut self.data
     }
 
-    /// The planar data itself.
+    /// Returns the planar data itself.
     pub fn into_data(self) -> Vec<T> {
         self.data
     }
@@ -162,7 +163,7 @@ impl Image {
 }
 
 impl Image8 {
-    /// The values over 255.
+    /// The values divided by 255.
     pub fn to_float(&self) -> Image {
         self.map(|v| f32::from(v) / 255.0)
     }

@@ -1,8 +1,8 @@
-//! Tracks: which views saw a triangulated point, and at which pixel.
+//! Tracks: the views and the pixels in which a triangulated point was seen.
 
 use glam::DVec3;
 
-/// One view's sight of a triangulated point.
+/// A triangulated point as seen in one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sighting {
     /// Index into [`crate::Capture::views`].
@@ -13,11 +13,11 @@ pub struct Sighting {
     pub y: f64,
 }
 
-/// A triangulated point with everybody who saw it.
+/// A triangulated point with all views that saw it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Track {
     /// Position in the capture's normalised frame.
     pub position: DVec3,
-    /// Who saw it, in the model's order; may be empty.
+    /// The views that saw it, in the model's order; may be empty.
     pub sightings: Vec<Sighting>,
 }

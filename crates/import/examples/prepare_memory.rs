@@ -1,5 +1,5 @@
-//! How much memory and time the preparation of a large capture takes: 300 JPEGs of 1920x1080 behind a
-//! distorting lens.
+//! Measures the memory and the time that the preparation of a large capture needs: 300 JPEGs of 1920x1080
+//! taken with a distorting lens.
 //!
 //! `cargo run --release -p use3d-import --example prepare_memory [VIEWS] [THREADS]` makes the capture in a
 //! temporary folder, prepares it, and prints the peak resident memory (on Linux) before and after, and the
@@ -29,8 +29,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let dir = tempfile::tempdir()?;
     let (capture, out) = (dir.path().join("capture"), dir.path().join("out"));
 
-    // One textured picture; every view is a link to it, so that making the capture is quick and reading it is
-    // not.
+    // One textured picture. Every view is a link to it, so that making the capture is quick, but reading it
+    // is not.
     let mut picture = Image::new(SIZE.0, SIZE.1);
     for y in 0..SIZE.1 {
         for x in 0..SIZE.0 {

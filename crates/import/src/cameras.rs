@@ -1,8 +1,8 @@
-//! Cameras to render from: a COLMAP model, a capture, or a JSON list. Always in COLMAP's frame, sorted by
-//! name (a list keeps its order).
+//! Cameras to render from, read from a COLMAP model, a capture, or a JSON list. They are always in COLMAP's
+//! frame, sorted by name (a list keeps its order).
 //!
 //! The JSON is a list, or an object with a list under `cameras`. Each camera has `width`, `height` (or the
-//! object has them for all), a lens, and a world-to-camera pose, in either of two spellings:
+//! object has them for all), a lens, and a world-to-camera pose, in either of two notations:
 //!
 //! ```json
 //! [{"name": "a", "width": 640, "height": 360, "fx": 500, "fy": 500, "cx": 320, "cy": 180,
@@ -11,8 +11,8 @@
 //!   "world_to_camera": [[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]}]
 //! ```
 //!
-//! `rotation` is row-major; `name` may be left out (the index, four digits). Distorting lenses of a model
-//! become their pinholes.
+//! `rotation` is row-major; `name` is optional (the default is the index with four digits). Distorting lenses
+//! of a model are replaced by their pinholes.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -52,8 +52,8 @@ pub fn read_cameras(path: &Path) -> Result<Vec<(FileName, Camera)>, ImportError>
     from_model(&model)
 }
 
-/// The pinhole cameras of one `images.txt`, in its order, and of the `cameras.txt` in its folder; points are
-/// not asked for, so that a path of cameras can be two files.
+/// The pinhole cameras of one `images.txt`, in its order, with the lenses of the `cameras.txt` in its folder.
+/// Points are not needed, so a path of cameras can consist of these two files.
 pub fn read_images_txt(path: &Path) -> Result<Vec<Camera>, ImportError> {
     let read = |path: &Path| std::fs::read(path).map_err(ImportError::file(path));
     let lenses = path.with_file_name("cameras.txt");

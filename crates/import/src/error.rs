@@ -1,4 +1,4 @@
-//! What can go wrong with a capture: the file, the place in it, what was expected, what to do next.
+//! The errors of a capture: the file, the place in it, what was expected, what to do next.
 
 use std::path::{Path, PathBuf};
 
@@ -10,21 +10,21 @@ use use3d_numerics::range::OutOfRange;
 /// A capture that cannot be imported, prepared or loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum ImportError {
-    /// The model.
+    /// An error in the model.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// An image, a mask or a depth prior.
+    /// An error in an image, a mask or a depth prior.
     #[error(transparent)]
     Image(#[from] ImageError),
-    /// The capture as a whole.
+    /// An error in the capture as a whole.
     #[error("{}: {source}", path.display())]
     Capture {
         /// The capture's folder.
         path: PathBuf,
-        /// What is wrong.
+        /// The problem.
         source: CaptureError,
     },
-    /// No model in any of the places where one may be.
+    /// No model in any of the usual places.
     #[error(
         "{}: no COLMAP model found (looked in {looked}); {hint}",
         path.display()
@@ -32,19 +32,19 @@ pub enum ImportError {
     NoModel {
         /// The capture's folder.
         path: PathBuf,
-        /// Where we looked.
+        /// The places that were searched.
         looked: String,
-        /// What to do, by what lies there instead.
+        /// The remedy, which depends on the folder's content.
         hint: String,
     },
-    /// No image folder, or none that holds any of the model's images.
+    /// No image folder, or no folder that holds any of the model's images.
     #[error("{}: {reason} (looked in {looked})", path.display())]
     NoImages {
         /// The capture's folder.
         path: PathBuf,
-        /// What exactly is missing, and what to do.
+        /// The missing part, and the remedy.
         reason: String,
-        /// Where we looked.
+        /// The places that were searched.
         looked: String,
     },
     /// A name in the model that leads out of the image folder.
@@ -52,22 +52,22 @@ pub enum ImportError {
     Name {
         /// The name.
         name: FileName,
-        /// Why it is refused.
+        /// The reason for the refusal.
         reason: String,
         /// The folder.
         folder: PathBuf,
     },
-    /// A result that cannot be called after its image.
+    /// A result that cannot be named after its image.
     #[error("an image's result: {0}")]
     ResultName(#[from] NameError),
-    /// A file whose size does not go with its camera.
+    /// A file whose size does not fit its camera.
     #[error("{}: the file is {} x {} pixels, {expected}", path.display(), found.0, found.1)]
     Size {
         /// The file.
         path: PathBuf,
         /// Its size.
         found: (usize, usize),
-        /// What was expected, and what to do.
+        /// The expected size, and the remedy.
         expected: String,
     },
     /// A lens whose images cannot be undistorted.
@@ -77,7 +77,7 @@ pub enum ImportError {
     Lens {
         /// COLMAP's camera id.
         camera: u32,
-        /// What is wrong.
+        /// The problem.
         reason: String,
     },
     /// A view whose camera is not usable.
@@ -85,26 +85,26 @@ pub enum ImportError {
     Camera {
         /// The image.
         name: FileName,
-        /// What is wrong.
+        /// The problem.
         source: CameraError,
     },
     /// A parameter outside its range.
     #[error(transparent)]
     OutOfRange(#[from] OutOfRange),
-    /// A parameter that does not go with the capture.
+    /// A parameter that does not fit the capture.
     #[error("parameter `{field}`: {reason}")]
     Parameter {
         /// Its name.
         field: &'static str,
-        /// What is wrong, and what is expected.
+        /// The problem, and the expected value.
         reason: String,
     },
-    /// A split list that does not go with the capture.
+    /// A split list that does not fit the capture.
     #[error("{}: {reason}", path.display())]
     SplitList {
         /// The list.
         path: PathBuf,
-        /// What is wrong, and what to do.
+        /// The problem, and the remedy.
         reason: String,
     },
     /// A prepared capture that cannot be read back.
@@ -112,7 +112,7 @@ pub enum ImportError {
     Prepared {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The problem.
         reason: String,
     },
     /// A list of cameras that cannot be read.
@@ -120,7 +120,7 @@ pub enum ImportError {
     CameraList {
         /// The file.
         path: PathBuf,
-        /// What is wrong, and what is expected.
+        /// The problem, and the expected form.
         reason: String,
     },
     /// A file that cannot be read or written.
@@ -128,10 +128,10 @@ pub enum ImportError {
     File {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// The caller asked to stop.
+    /// The caller stopped the work.
     #[error("the import was interrupted")]
     Interrupted,
 }

@@ -1,4 +1,4 @@
-//! What happens to the pixels of one camera's files: undistortion, then scale and crop; and the lens behind
+//! The changes to the pixels of one camera's files: undistortion, then scale and crop; and the intrinsics of
 //! the result.
 
 use std::sync::Arc;
@@ -11,10 +11,11 @@ use crate::params::ImportParams;
 use crate::resample::{Resize, with_pixels};
 use crate::undistort::{Undistortion, is_pinhole};
 
-/// Image folders may be smaller (or larger) than the model by a whole factor of at most this.
+/// The sizes of image files and of the model may differ by a whole factor of at most this, in either
+/// direction.
 const MAX_FACTOR: usize = 32;
 
-/// The chain from a file's pixels to a view's.
+/// The chain of changes from a file's pixels to a view's.
 #[derive(Debug)]
 pub(crate) struct Geometry {
     /// The file's size over the model's.
@@ -22,12 +23,12 @@ pub(crate) struct Geometry {
     pub(crate) file: (usize, usize),
     pub(crate) undistortion: Option<Arc<Undistortion>>,
     pub(crate) resize: Option<Resize>,
-    /// The lens behind the pixels before they are scaled and cropped.
+    /// The intrinsics of the pixels before they are scaled and cropped.
     pinhole: Intrinsics,
     pub(crate) intrinsics: Intrinsics,
 }
 
-/// File size over model size, if one is a whole fraction of the other (rounded to whole pixels either way).
+/// File size over model size, if one is a whole multiple of the other (within rounding to whole pixels).
 fn size_ratio(model: (usize, usize), file: (usize, usize)) -> Option<(f64, f64)> {
     let close = |a: usize, factor: usize, b: usize| (a as f64 / factor as f64 - b as f64).abs() < 1.0;
     let fits = model == file
@@ -39,7 +40,7 @@ fn size_ratio(model: (usize, usize), file: (usize, usize)) -> Option<(f64, f64)>
 }
 
 impl Geometry {
-    /// For files of one size taken by a camera; `path` is one of them, for messages.
+    /// The geometry for files of one size taken by a camera; `path` is one of them, for messages.
     pub(crate) fn new(
         camera: &ModelCamera,
         file: (usize, usize),
@@ -84,18 +85,18 @@ impl Geometry {
         Ok(Self { scale, file, undistortion: undistortion.map(Arc::new), resize, pinhole, intrinsics })
     }
 
-    /// Files that are used as they are.
+    /// The geometry for files that are used unchanged.
     pub(crate) fn identity(intrinsics: Intrinsics) -> Self {
         let file = (intrinsics.width, intrinsics.height);
         Self { scale: (1.0, 1.0), file, undistortion: None, resize: None, pinhole: intrinsics, intrinsics }
     }
 
-    /// The same without scale and crop.
+    /// The same geometry without scale and crop.
     pub(crate) fn full_size(&self) -> Self {
         Self { undistortion: self.undistortion.clone(), resize: None, intrinsics: self.pinhole, ..*self }
     }
 
-    /// Whether pixels change at all.
+    /// True if pixels change.
     pub(crate) fn resamples(&self) -> bool {
         self.undistortion.is_some() || self.resize.is_some()
     }
@@ -129,7 +130,7 @@ impl Geometry {
         self.resize.map_or_else(|| depth.clone(), |r| r.apply_to_depth(depth))
     }
 
-    /// Where a keypoint of the model's image is in the view; `None` where the lens has no ray for it.
+    /// The position in the view of a keypoint of the model's image; `None` if the lens has no ray for it.
     pub(crate) fn point(&self, x: f64, y: f64) -> Option<(f64, f64)> {
         let (mut x, mut y) = (x * self.scale.0, y * self.scale.1);
         if let Some(u) = &self.undistortion {

@@ -1,7 +1,7 @@
-//! From a capture folder to a [`Capture`]: model and images found, names resolved, lenses made pinholes,
-//! frame and split chosen.
+//! Converts a capture folder to a [`Capture`]: finds the model and the images, resolves names, replaces
+//! lenses by pinholes, and chooses the frame and the split.
 //!
-//! Headers of the images are read, pixels are not: that is [`crate::prepare`]'s work, and only where they
+//! Only the headers of the images are read. [`crate::prepare`] reads the pixels, and only if they must
 //! change.
 
 use std::collections::BTreeMap;
@@ -23,38 +23,38 @@ use crate::prepared;
 use crate::report::{CameraReport, ImportReport};
 use crate::split;
 
-/// An imported capture, with what is still to be done to its pixels.
+/// An imported capture, with the changes that its pixels still need.
 #[derive(Debug)]
 pub struct Imported {
     /// The capture. Its cameras are those of the pixels after preparation.
     pub capture: Capture,
-    /// What was chosen.
+    /// The choices of the import.
     pub report: ImportReport,
-    /// What happens to each view's file.
+    /// The changes to each view's file.
     pub(crate) plans: Vec<Plan>,
     /// The model without the images that are missing, in COLMAP's frame.
     pub(crate) model: Model,
     pub(crate) white_balance: WhiteBalance,
 }
 
-/// What happens to one view's file.
+/// The changes to one view's file.
 #[derive(Clone, Debug)]
 pub(crate) struct Plan {
     pub(crate) geometry: Arc<Geometry>,
-    /// Whether the file has an alpha channel.
+    /// True if the file has an alpha channel.
     pub(crate) alpha: bool,
     /// COLMAP's camera id.
     pub(crate) camera: u32,
 }
 
 impl Imported {
-    /// Whether pixels must be resampled or balanced before the views can be loaded; [`crate::prepare`] does
-    /// it.
+    /// True if pixels must be resampled or balanced before the views can be loaded; [`crate::prepare`] does
+    /// this.
     pub fn needs_preparation(&self) -> bool {
         self.white_balance != WhiteBalance::None || self.plans.iter().any(|p| p.geometry.resamples())
     }
 
-    /// The same capture before its pixels are scaled and cropped: undistorted, in the size of its files.
+    /// The same capture before its pixels are scaled and cropped: undistorted, at the size of its files.
     pub fn full_size(&self) -> Self {
         let mut shared: BTreeMap<*const Geometry, Arc<Geometry>> = BTreeMap::new();
         let mut capture = self.capture.clone();
@@ -70,7 +70,7 @@ impl Imported {
         Self { capture, report, plans, model, white_balance: self.white_balance }
     }
 
-    /// The model that the capture came from, in COLMAP's frame, without the images that are missing.
+    /// The model that the capture came from, in COLMAP's frame, without the missing images.
     pub fn model(&self) -> &Model {
         &self.model
     }
@@ -79,8 +79,8 @@ impl Imported {
 /// Imports a capture folder: a COLMAP model and its images, or a folder that [`crate::prepare`] wrote.
 ///
 /// # Errors
-/// Anything that keeps the capture from being used as asked; missing images are not errors, they are skipped
-/// and reported.
+/// Returns any problem that makes the capture unusable with these parameters. Missing images are no errors:
+/// they are skipped and reported.
 pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError> {
     params.validate()?;
     if !dir.is_dir() {
@@ -119,7 +119,8 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
         ..ImportReport::default()
     };
     let frame = if params.normalise {
-        // All registered images, also those that are missing on this disk: the frame is the model's.
+        // All registered images count, also those that are missing on this disk, because the frame is a
+        // property of the model.
         normalise::frame(&model.images.iter().map(ModelImage::pose).collect::<Vec<_>>())
     } else {
         Frame::IDENTITY
@@ -133,7 +134,7 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     let depths = find_extra(dir, params.depth_dir.as_deref(), "depth_dir", &DEPTH_DIRS)?;
     report.depth_folder = depths.as_ref().map(|d| d.relative.clone());
 
-    // Names to files; views in the order of their names.
+    // Resolves names to files; views are in the order of their names.
     let mut views = Vec::new();
     for image in &model.images {
         let name = image.name.clone();
@@ -202,10 +203,10 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     Ok(Imported { capture, report, plans, model, white_balance: params.white_balance })
 }
 
-/// Stands where the intrinsics are not known yet.
+/// A placeholder for intrinsics that are not known yet.
 const PENDING: Intrinsics = Intrinsics { width: 0, height: 0, fx: 0.0, fy: 0.0, cx: 0.0, cy: 0.0 };
 
-/// One geometry per camera and file size; sets the views' intrinsics.
+/// Makes one geometry per camera and file size, and sets the views' intrinsics.
 fn plan(
     views: &mut [(View, u32)],
     infos: &[ImageInfo],
@@ -225,8 +226,8 @@ fn plan(
             Geometry::new(camera, (width, height), &views[members[0]].0.image, params)
         })
         .collect::<Result<_, _>>()?;
-    // A table of positions pays for itself when a camera took several images, and only a few may be held at
-    // once.
+    // A table of positions is useful if a camera took several images, and only a few tables may be kept at
+    // the same time.
     let few = built.iter().filter(|g| g.undistortion.is_some()).count() <= 4;
     let mut plans = vec![None; views.len()];
     for ((&(id, width, height), members), mut geometry) in groups.iter().zip(built) {
@@ -265,7 +266,7 @@ pub(crate) fn sparse_points(model: &Model, frame: &Frame) -> Vec<SparsePoint> {
     model.points.iter().map(point).collect()
 }
 
-/// What a capture is called: its folder's own name, also for `.` and the like.
+/// The name of a capture: its folder's own name, also for `.` and similar paths.
 pub fn capture_name(dir: &Path) -> String {
     let real = dir.canonicalize().unwrap_or_else(|_| dir.to_path_buf());
     real.file_name().map_or_else(|| "capture".into(), |n| n.to_string_lossy().into_owned())

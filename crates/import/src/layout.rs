@@ -1,5 +1,5 @@
-//! Where things lie in a capture folder, and how names from a model are turned into paths that never leave
-//! it.
+//! The places of models, images, masks and depth priors in a capture folder, and the conversion of names from
+//! a model to paths that never leave the folder.
 
 use std::path::{Path, PathBuf};
 
@@ -24,15 +24,15 @@ const DEPTH_EXTENSIONS: [&str; 5] = ["png", "npy", "tif", "tiff", "exr"];
 /// A model that was found.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct FoundModel {
-    /// Relative to the capture, `.` for itself.
+    /// Path relative to the capture, `.` for the capture itself.
     pub(crate) relative: String,
     pub(crate) dir: PathBuf,
     pub(crate) form: ModelForm,
     pub(crate) images: u64,
 }
 
-/// All models of a capture, the chosen one first: the one that lists most images, the earlier place where
-/// they tie.
+/// All models of a capture. The chosen one comes first: the one that lists the most images, or the earlier
+/// place if several list the same number.
 pub(crate) fn find_models(root: &Path, params: &ImportParams) -> Result<Vec<FoundModel>, ImportError> {
     if let Some(dir) = &params.model_dir {
         let path = root.join(dir);
@@ -60,7 +60,7 @@ pub(crate) fn find_models(root: &Path, params: &ImportParams) -> Result<Vec<Foun
     // A stable sort keeps the order of places among equals.
     found.sort_by_key(|f| std::cmp::Reverse(f.images));
     if found.is_empty() {
-        // A model that lacks a file is what is meant, whatever else there is.
+        // If a model lacks a file, the error is about that model, whatever else the folder contains.
         let incomplete = places.iter().map(|p| root.join(p)).find_map(|dir| {
             let error = form_of(&dir).err()?;
             matches!(error, ModelError::Incomplete { .. }).then_some(error)
@@ -76,16 +76,16 @@ pub(crate) fn find_models(root: &Path, params: &ImportParams) -> Result<Vec<Foun
     Ok(found)
 }
 
-/// Refuses a folder that an import with default parameters would find no model in; nothing is read but what lies
-/// where.
+/// Refuses a folder in which an import with default parameters would find no model. Only the existence of
+/// files is checked.
 ///
 /// # Errors
-/// Where was looked, and what to do about what lies there instead.
+/// Returns the places that were searched, and a remedy that depends on the folder's content.
 pub fn check_layout(root: &Path) -> Result<(), ImportError> {
     find_models(root, &ImportParams::default()).map(|_| ())
 }
 
-/// What to do about a folder without a model, by what lies there instead.
+/// The remedy for a folder without a model, depending on its content.
 fn instead_of_a_model(root: &Path) -> String {
     let names: Vec<String> = std::fs::read_dir(root)
         .map(|entries| entries.filter_map(|e| e.ok()?.file_name().into_string().ok()).collect())
@@ -162,26 +162,26 @@ fn subfolders(dir: &Path) -> Vec<String> {
     names
 }
 
-/// A folder whose files names from outside may point to.
+/// A folder in which files are looked up by names from a model or a manifest.
 #[derive(Clone, Debug)]
 pub(crate) struct Folder {
-    /// As the user sees it, relative to the capture.
+    /// The path that is shown to the user, relative to the capture.
     pub(crate) relative: String,
-    /// The real path, symbolic links followed.
+    /// The real path, with symbolic links resolved.
     real: PathBuf,
-    /// Whether files in it may be links to places outside: in a user's own capture, which is only read,
-    /// never in a folder that says in a manifest which of its files are meant.
+    /// True if files in it may be links to places outside. That is allowed in a user's own capture, which is
+    /// only read, and never in a folder whose manifest lists its files.
     links: bool,
 }
 
 impl Folder {
-    /// `None` if there is no such folder. Files in it may not lead out of it.
+    /// Opens a folder; `None` if it does not exist. Its files may not be links to places outside.
     pub(crate) fn open(root: &Path, relative: &str) -> Option<Self> {
         let real = root.join(relative).canonicalize().ok().filter(|p| p.is_dir())?;
         Some(Self { relative: relative.to_string(), real, links: false })
     }
 
-    /// As [`open`](Self::open), for a folder of the user's own, whose files may be links to files elsewhere.
+    /// Like [`open`](Self::open), for a user's own folder, whose files may be links to places outside.
     pub(crate) fn open_own(root: &Path, relative: &str) -> Option<Self> {
         Some(Self { links: true, ..Self::open(root, relative)? })
     }
@@ -190,14 +190,15 @@ impl Folder {
         &self.real
     }
 
-    /// The file of that name; `None` if it is not there, an error if it is outside the folder and links are
-    /// not followed.
+    /// The file of that name; `None` if it does not exist, an error if it is outside the folder and links are
+    /// not allowed.
     pub(crate) fn file(&self, name: &FileName) -> Result<Option<PathBuf>, ImportError> {
         let here = name.below(&self.real);
         let Ok(real) = here.canonicalize() else { return Ok(None) };
         if !real.starts_with(&self.real) {
             if self.links {
-                // By the link's own name: stores of linked files often name them by their digests.
+                // The path keeps the link's own name, because stores of linked files often name the targets
+                // by their digests.
                 return Ok(real.is_file().then_some(here));
             }
             return Err(ImportError::Name {
@@ -209,7 +210,7 @@ impl Folder {
         Ok(real.is_file().then_some(real))
     }
 
-    /// The first of `names` that is there; what is no name (too long with its extension) is not there.
+    /// The first of `names` that exists; an invalid name (too long with its extension) counts as missing.
     fn first(
         &self,
         names: impl IntoIterator<Item = Result<FileName, NameError>>,
@@ -222,7 +223,7 @@ impl Folder {
         Ok(None)
     }
 
-    /// An image by its name in the model, or, failing that, by its stem with another extension.
+    /// An image by its name in the model, or else by its stem with another extension.
     pub(crate) fn image(&self, name: &FileName) -> Result<Option<PathBuf>, ImportError> {
         match self.file(name)? {
             Some(path) => Ok(Some(path)),
@@ -230,7 +231,7 @@ impl Folder {
         }
     }
 
-    /// A mask of an image: `a.jpg.png` (COLMAP's way) or `a.png` and the like.
+    /// A mask of an image: `a.jpg.png` (COLMAP's convention), or `a.png` and similar names.
     pub(crate) fn mask(&self, name: &FileName) -> Result<Option<PathBuf>, ImportError> {
         let by_stem = MASK_EXTENSIONS.iter().map(|e| name.with_extension(e));
         self.first(std::iter::once(FileName::new(&format!("{name}.png"))).chain(by_stem))
@@ -241,7 +242,7 @@ impl Folder {
         self.first(DEPTH_EXTENSIONS.iter().map(|e| name.with_extension(e)))
     }
 
-    /// Names of the image files below the folder, sorted, `/` between parts. Hidden ones are left out.
+    /// Names of the image files below the folder, sorted, with `/` between parts. Hidden files are left out.
     pub(crate) fn images(&self) -> Vec<String> {
         let hidden =
             |e: &walkdir::DirEntry| e.depth() > 0 && e.file_name().to_string_lossy().starts_with('.');
@@ -260,8 +261,8 @@ impl Folder {
     }
 }
 
-/// The image folder: the one asked for, or the one that holds most of the model's images. Others are returned
-/// too.
+/// The image folder: the one that the parameters name, or the one that holds most of the model's images. The
+/// names of the other folders are returned too.
 pub(crate) fn find_images(
     root: &Path,
     params: &ImportParams,
@@ -310,7 +311,7 @@ pub(crate) fn find_images(
     }
 }
 
-/// The format of images that lie in a folder and are not read.
+/// The format of images that are in a folder and cannot be read.
 fn unread(dir: &Path) -> Option<String> {
     const NOT_READ: [&str; 14] = [
         "webp", "heic", "heif", "avif", "jxl", "bmp", "gif", "dng", "cr2", "cr3", "nef", "arw", "orf", "raf",
@@ -322,8 +323,8 @@ fn unread(dir: &Path) -> Option<String> {
         .map(|extension| extension.to_uppercase())
 }
 
-/// The mask or depth folder: the one asked for (an error if it is not there) or the first default that is
-/// there.
+/// The mask or depth folder: the one that the parameters name (an error if it does not exist), or the first
+/// default folder that exists.
 pub(crate) fn find_extra(
     root: &Path,
     asked: Option<&str>,
@@ -342,13 +343,13 @@ pub(crate) fn find_extra(
     }
 }
 
-/// Whether a capture folder has a folder of depth priors: the one that the parameters name, or one of the
+/// True if a capture folder has a folder of depth priors: the one that the parameters name, or one of the
 /// usual names.
 pub fn has_depth_folder(capture: &Path, params: &ImportParams) -> bool {
     let asked = params.depth_dir.as_deref().filter(|_| !crate::prepared::is_prepared(capture));
     match find_extra(capture, asked, "depth_dir", &DEPTH_DIRS) {
         Ok(found) => found.is_some(),
-        // A folder that is named and not there is the import's to refuse.
+        // If a named folder does not exist, the import refuses it later.
         Err(_) => true,
     }
 }
@@ -374,7 +375,8 @@ mod tests {
             assert!(message.contains("symbolic link"), "{message}");
             std::os::unix::fs::symlink(images.join("sub/a b.png"), images.join("inside.png")).unwrap();
             assert!(folder.file(&name("inside.png")).unwrap().is_some());
-            // A user's own folder may hold links to files, under their own names, but to nothing else.
+            // A user's own folder may hold links to files, under their own names, but links to folders do not
+            // count.
             let own = Folder::open_own(dir.path(), "images").unwrap();
             let found = own.file(&name("link.png")).unwrap().unwrap();
             assert_eq!(found, images.canonicalize().unwrap().join("link.png"));
@@ -385,7 +387,8 @@ mod tests {
         assert!(folder.file(&name("sub/none.png")).unwrap().is_none());
         assert!(folder.image(&name("sub/a b.JPG")).unwrap().is_some(), "another extension");
         assert!(folder.file(&name("sub")).unwrap().is_none(), "a folder is no image");
-        // As long as a name may be: with another extension it is none any more, and so is not there.
+        // The name has the greatest valid length: with another extension it is invalid, and so counts as
+        // missing.
         assert!(folder.mask(&name(&"x".repeat(250))).unwrap().is_none());
     }
 

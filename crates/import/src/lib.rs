@@ -1,4 +1,4 @@
-//! From a folder with pictures and a model of their cameras to a capture.
+//! Converts a folder with pictures and a model of their cameras to a capture.
 //!
 //! ```text
 //! layout ─▶ import ─▶ prepare ─▶ prepared ─▶ load
@@ -6,13 +6,13 @@
 //! ```
 //!
 //! [`import`] finds the model and the images of a capture, resolves names without ever leaving the image
-//! folder, turns every lens into a pinhole, normalises the frame (R7), chooses the split (R8), and says in an
-//! [`ImportReport`] what it did. Where pixels must change (distortion, size, white balance), [`prepare`]
+//! folder, turns every lens into a pinhole, normalises the frame (R7), chooses the split (R8), and lists its
+//! choices in an [`ImportReport`]. If pixels must change (distortion, size, white balance), [`prepare`]
 //! streams them into a self-contained folder that [`load_prepared`] reads back exactly. [`load_pixels`],
 //! [`load_mask`] and [`load_depth_prior`] load one view at its camera's size.
 //!
-//! [`Imported::tracks`] says which views saw each sparse point, and where. [`read_cameras`] gives the cameras
-//! of a model, a capture or a JSON list.
+//! [`Imported::tracks`] gives the views and the pixels in which each sparse point was seen. [`read_cameras`]
+//! reads the cameras of a model, a capture or a JSON list.
 //!
 //! ```no_run
 //! # fn main() -> Result<(), use3d_import::ImportError> {

@@ -8,8 +8,8 @@ use use3d_io_image::{image_info, read, read_map, read_pixels};
 use crate::error::ImportError;
 use crate::resample::Resize;
 
-/// Sides of masks and depth priors may be off the image's shape by this share (they are often rounded to
-/// multiples of 14).
+/// Relative difference by which the aspect ratio of masks and depth priors may differ from the image's (their
+/// sides are often rounded to multiples of 14).
 const SHAPE_TOLERANCE: f64 = 0.04;
 
 /// The view's pixels. Their size must be the camera's.
@@ -49,7 +49,7 @@ pub fn load_depth_prior(view: &View) -> Result<Option<Map>, ImportError> {
     view.depth_prior.as_ref().map(|path| read_depth_at(path, size)).transpose()
 }
 
-/// A map of the shape of `size`, or an error that says so.
+/// A map with the aspect ratio of `size`, or an error that states the mismatch.
 fn read_shaped(path: &Path, size: (usize, usize), what: &str) -> Result<Map, ImportError> {
     let map = read_map(path)?;
     let (sx, sy) = (map.width() as f64 / size.0 as f64, map.height() as f64 / size.1 as f64);

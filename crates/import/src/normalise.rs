@@ -1,5 +1,5 @@
-//! Pose normalisation (R7): the similarity from COLMAP's world to a frame in which training constants mean
-//! something.
+//! Pose normalisation (R7): the similarity from COLMAP's world to a frame in which the constants of the
+//! training apply.
 //!
 //! With camera centres `o_i` and up vectors `u_i = -R_iᵀ e_y`, over all registered images:
 //!
@@ -8,8 +8,8 @@
 //! 3. the mean of `Q P o_i` becomes the origin;
 //! 4. the largest absolute coordinate of any centre becomes 1.
 //!
-//! `x' = s Q P x − s mean(Q P o)`. Without step 1 the frame would differ by a turn about z only; with it, it
-//! is that of the tools the method's authors use.
+//! `x' = s Q P x − s mean(Q P o)`. Without step 1 the frame would differ only by a rotation about z; with it,
+//! the frame equals that of the tools that the method's authors use.
 
 use glam::{DMat3, DVec3};
 use use3d_capture::{Frame, Pose};
@@ -32,8 +32,7 @@ pub(crate) fn frame(poses: &[Pose]) -> Frame {
     Frame { scale, rotation, translation: -scale * mean }
 }
 
-/// The smallest rotation that takes a direction to +z; the identity where there is none, a half turn where it
-/// is −z.
+/// The smallest rotation that takes a direction to +z: the identity for a zero vector, a half turn for −z.
 fn rotation_to_z(direction: DVec3) -> DMat3 {
     let Some(d) = direction.try_normalize() else { return DMat3::IDENTITY };
     if d.z < -1.0 + 1e-12 {
@@ -68,7 +67,7 @@ mod tests {
         let one = Pose::from_center(DMat3::IDENTITY, DVec3::splat(3.0));
         assert_eq!(frame(&[one]).scale, 1.0);
         let flipped = Pose::from_center(DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)), DVec3::ZERO);
-        let both = frame(&[Pose::IDENTITY, flipped]); // ups cancel
+        let both = frame(&[Pose::IDENTITY, flipped]); // the up vectors cancel
         assert!(both.rotation.is_finite() && (both.rotation.determinant() - 1.0).abs() < 1e-12);
         let down = frame(&[flipped]);
         let up = down.rotation * DVec3::Y;

@@ -1,4 +1,4 @@
-//! What a user may say about an import. The defaults are those of the design.
+//! The parameters of an import. The defaults are those of the design.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -15,11 +15,11 @@ pub struct ImportParams {
     /// The model's folder, relative to the capture. Default: the largest of `sparse/0`, `sparse`,
     /// `colmap/sparse/0`, `sparse/*`.
     pub model_dir: Option<String>,
-    /// The mask folder, relative to the capture. Default: `masks` if it is there. 0
-    /// is ignored, white counts fully.
+    /// The mask folder, relative to the capture. Default: `masks` if it exists. Pixels of value 0 are
+    /// ignored, white ones count fully.
     pub mask_dir: Option<String>,
-    /// The depth-prior folder, relative to the capture. Default: `depth`, `depths` or
-    /// `depthAnythingV2_u16` if there.
+    /// The depth-prior folder, relative to the capture. Default: `depth`, `depths` or `depthAnythingV2_u16`
+    /// if it exists.
     pub depth_dir: Option<String>,
     /// `"WxH"`: scale to cover this size and crop centrally; the intrinsics follow.
     pub size: Option<ImageSize>,
@@ -27,9 +27,9 @@ pub struct ImportParams {
     pub downscale: usize,
     /// Scale images down so that the longer side has at most this many pixels; 0 sets no bound.
     pub max_side: usize,
-    /// Which views are held out (R8).
+    /// The choice of held-out views (R8).
     pub split: SplitParams,
-    /// Rotate, centre and scale the scene (R7). `false` for captures that are in such a frame already.
+    /// Rotate, centre and scale the scene (R7). `false` for captures that are already in such a frame.
     pub normalise: bool,
     /// White balance applied to the images (R27).
     pub white_balance: WhiteBalance,
@@ -52,7 +52,7 @@ impl Default for ImportParams {
     }
 }
 
-/// Which views are held out of training.
+/// The choice of views that are held out from training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SplitParams {
@@ -60,7 +60,7 @@ pub struct SplitParams {
     pub every: usize,
     /// The order in which they are counted.
     pub order: SplitOrder,
-    /// Whether `train_list.txt` and `test_list.txt` in the capture decide instead, where they are there.
+    /// Use `train_list.txt` and `test_list.txt` in the capture instead, if they exist.
     pub lists: bool,
 }
 
@@ -142,7 +142,7 @@ impl From<ImageSize> for String {
 }
 
 impl ImportParams {
-    /// Checks what the types cannot: at most one way of resizing.
+    /// Checks a condition that the types cannot express: at most one way of resizing.
     pub fn validate(&self) -> Result<(), OutOfRange> {
         if self.downscale == 0 {
             return Err(OutOfRange::new("downscale", 0, "1, which leaves the size as it is, or more"));

@@ -1,9 +1,9 @@
-//! Pixels made ready: undistorted, resized, white-balanced, written beside the manifest; files that need
-//! nothing are copied.
+//! Prepares the pixels of a capture: they are undistorted, resized and white-balanced, and written next to
+//! the manifest. Files that need no change are copied.
 //!
-//! Views stream through a few worker threads, each holding one view; the number of workers is bounded by the
-//! threads asked for and by a memory budget, so that the folder's size does not matter. Outputs do not depend
-//! on the number of workers.
+//! Views stream through a few worker threads, each of which holds one view. The number of workers is bounded
+//! by the requested threads and by a memory budget, so memory does not grow with the folder's size. Outputs
+//! do not depend on the number of workers.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -25,19 +25,19 @@ use crate::params::WhiteBalance;
 use crate::prepared::{MODEL, save};
 use crate::white_balance;
 
-/// Memory that the views in flight may take together, bytes.
+/// Memory that the views in progress may use together, bytes.
 const BUDGET: usize = 640 << 20;
-/// What a view in flight takes per pixel of its file or its result: decoded, as planes, as floats, and
-/// encoded.
+/// Bytes that a view in progress needs per pixel of its file or its result: decoded, as planes, as floats,
+/// and encoded.
 const BYTES_PER_PIXEL: usize = 48;
 
-/// Told after each view how many of how many are done; `false` stops.
+/// Called after each view with the number of finished views and the total; `false` stops the work.
 pub type Progress<'a> = &'a (dyn Fn(usize, usize) -> bool + Sync);
 
-/// Writes the prepared capture into `out` and returns it as [`crate::load_prepared`] will read it.
+/// Writes the prepared capture into `out` and returns it in the form that [`crate::load_prepared`] will read.
 ///
-/// `threads = 0` takes all cores. Files are each there whole or not at all, and the manifest comes last; a
-/// folder that was interrupted has none and can be prepared again.
+/// `threads = 0` uses all cores. Each file is written completely or not at all, and the manifest is written
+/// last; a folder that was interrupted has no manifest and can be prepared again.
 pub fn prepare(
     imported: &Imported,
     out: &Path,
@@ -96,7 +96,7 @@ fn changes(plan: &Plan, gains: Option<[f32; 3]>) -> bool {
     plan.geometry.resamples() || gains.is_some()
 }
 
-/// Workers that the cores and the memory budget allow.
+/// The number of workers that the cores and the memory budget allow.
 fn workers(imported: &Imported, threads: usize) -> usize {
     let cores =
         if threads > 0 { threads } else { std::thread::available_parallelism().map_or(1, usize::from) };
@@ -108,8 +108,8 @@ fn workers(imported: &Imported, threads: usize) -> usize {
     cores.min(BUDGET / (largest * BYTES_PER_PIXEL)).max(1)
 }
 
-/// File names of the results: PNG where pixels change, else the source's extension; made distinct where stems
-/// collide, also once folders are flattened (`left/1.png` and `left_1.png`).
+/// File names of the results: PNG if pixels change, else the source's extension. Equal stems are made
+/// distinct, also after folders are flattened (`left/1.png` and `left_1.png`).
 fn output_names(imported: &Imported, balanced: bool) -> Result<Vec<FileName>, ImportError> {
     let mut taken = BTreeSet::new();
     let views = imported.capture.views.iter().zip(&imported.plans);
@@ -135,7 +135,7 @@ fn copy(from: &Path, to: &Path) -> Result<(), ImportError> {
     Ok(())
 }
 
-/// Copies a file below `out/folder`, under the view's stem.
+/// Copies a file to `out/folder`, with the view's stem as its name.
 fn copy_beside(from: &Path, out: &Path, folder: &str, name: &FileName) -> Result<PathBuf, ImportError> {
     let extension = from.extension().and_then(|e| e.to_str()).unwrap_or("png");
     let to = name.with_extension(extension)?.below(&out.join(folder));
@@ -143,26 +143,26 @@ fn copy_beside(from: &Path, out: &Path, folder: &str, name: &FileName) -> Result
     Ok(to)
 }
 
-/// A view's pixels, mask and depth prior, as the training loop will see them.
+/// A view's pixels, mask and depth prior in the form that the training loop uses.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PreparedView {
     /// Colours, at the view's size.
     pub pixels: Pixels,
-    /// Weights in `[0, 1]`: the mask file times the alpha channel; `None` where there is neither.
+    /// Weights in `[0, 1]`: the mask file times the alpha channel; `None` if there is neither.
     pub mask: Option<Map>,
     /// The depth prior.
     pub depth_prior: Option<Map>,
 }
 
 impl Imported {
-    /// Decodes and resamples one view in memory (without white balance, which is a matter of the whole set).
+    /// Decodes and resamples one view in memory (without white balance, which depends on the whole set).
     pub fn view(&self, index: usize) -> Result<PreparedView, ImportError> {
         let (view, plan) = (&self.capture.views[index], &self.plans[index]);
         resample(view, plan, [1.0; 3])
     }
 }
 
-/// A file that is not what it was when it was imported.
+/// The error for a file that has changed since it was imported.
 fn changed(view: &View, plan: &Plan) -> ImportError {
     let (width, height) = plan.geometry.file;
     let found = image_size(&view.image).unwrap_or((0, 0));
@@ -194,7 +194,7 @@ fn resample(view: &View, plan: &Plan, gains: [f32; 3]) -> Result<PreparedView, I
     })
 }
 
-/// Writes one view's files and gives the view that names them.
+/// Writes one view's files and returns a view with their paths.
 fn prepare_view(
     view: &View,
     plan: &Plan,
@@ -205,8 +205,8 @@ fn prepare_view(
     let image = name.below(&out.join("images"));
     let mut result = View { name: name.clone(), image, mask: None, depth_prior: None, ..view.clone() };
     if !changes(plan, gains) {
-        // Decoded all the same: a damaged file is said here, by its own name, not hours later in a stage that
-        // reads it.
+        // The file is decoded all the same: so a damaged file is reported now, with its own name, and not
+        // hours later in a stage that reads it.
         if read_pixels(&view.image)?.size() != plan.geometry.file {
             return Err(changed(view, plan));
         }
@@ -235,8 +235,8 @@ fn prepare_view(
     Ok(result)
 }
 
-/// The model of the prepared images: pinholes, new names, keypoints moved with the pixels; and each view's
-/// camera id.
+/// The model of the prepared images, with pinhole cameras, new names and keypoints moved with the pixels; and
+/// each view's camera id.
 fn pinhole_model(imported: &Imported, names: &[FileName]) -> (Model, Vec<u32>) {
     let mut model = Model { points: imported.model.points.clone(), ..Model::default() };
     let mut next = imported.model.cameras.iter().map(|c| c.id).max().unwrap_or(0);
@@ -246,7 +246,7 @@ fn pinhole_model(imported: &Imported, names: &[FileName]) -> (Model, Vec<u32>) {
         let same = |c: &&ModelCamera| {
             c.width == wanted.width && c.height == wanted.height && c.parameters == wanted.parameters
         };
-        // A camera that took files of several sizes becomes several cameras.
+        // A camera whose files have several sizes becomes several cameras.
         let id = match model.cameras.iter().find(|c| c.id == wanted.id) {
             Some(camera) if same(&camera) => wanted.id,
             None => {
@@ -272,8 +272,8 @@ fn pinhole_model(imported: &Imported, names: &[FileName]) -> (Model, Vec<u32>) {
         image.name = names[i].clone();
         image.camera = ids[i];
         for keypoint in &mut image.keypoints {
-            // A keypoint that the lens cannot have seen keeps its place in the list, so that tracks stay
-            // right.
+            // A keypoint that the lens cannot have seen stays in the list, so that the indices in the tracks
+            // remain valid.
             let (x, y) =
                 imported.plans[i].geometry.point(keypoint.x, keypoint.y).unwrap_or((f64::NAN, f64::NAN));
             let Keypoint { point, .. } = *keypoint;
@@ -284,8 +284,8 @@ fn pinhole_model(imported: &Imported, names: &[FileName]) -> (Model, Vec<u32>) {
     (model, ids)
 }
 
-/// Runs `work(0..n)` on a few threads, one item each at a time, and returns the results in order. The first
-/// failure (by index, of those that ran) stops the rest.
+/// Runs `work(0..n)` on a few threads, each thread one item at a time, and returns the results in order. The
+/// first failure (by index, among the items that ran) stops the rest.
 pub(crate) fn in_parallel<T: Send>(
     n: usize,
     workers: usize,

@@ -2,9 +2,9 @@
 //! `sparse/0`.
 //!
 //! The folder is itself a capture that other tools can read. `capture.json` holds the views with their
-//! cameras in the normalised frame, the frame, the split and the import's report; numbers are written so that
-//! they read back to the same bits. Rotations are row-major. The points are those of the model, moved by the
-//! frame. `capture.json` is written last: a folder without it was not finished.
+//! cameras in the normalised frame, the frame, the split and the import's report. Numbers are written so that
+//! reading them restores the same bits. Rotations are row-major. The points are those of the model,
+//! transformed by the frame. `capture.json` is written last: a folder without it was not finished.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -27,7 +27,7 @@ use crate::report::ImportReport;
 pub(crate) const MANIFEST: &str = "capture.json";
 const FORMAT: &str = "3d-use capture";
 const VERSION: u32 = 1;
-/// The model's place.
+/// The folder of the model.
 pub(crate) const MODEL: &str = "sparse/0";
 
 #[derive(Serialize, Deserialize)]
@@ -74,20 +74,20 @@ pub(crate) fn row_major(m: &DMat3) -> [f64; 9] {
     m.transpose().to_cols_array()
 }
 
-/// From row-major entries.
+/// A matrix from its row-major entries.
 pub(crate) fn from_row_major(m: &[f64; 9]) -> DMat3 {
     DMat3::from_cols_array(m).transpose()
 }
 
-/// Whether [`crate::prepare`] finished this folder.
+/// True if [`crate::prepare`] finished this folder.
 pub fn is_prepared(dir: &Path) -> bool {
-    // Another tool may have a file of that name, so its first lines decide.
+    // Another tool may write a file of that name, so its first bytes are checked.
     let Ok(file) = std::fs::File::open(dir.join(MANIFEST)) else { return false };
     let mut head = Vec::new();
     file.take(200).read_to_end(&mut head).is_ok() && String::from_utf8_lossy(&head).contains(FORMAT)
 }
 
-/// Writes the manifest; paths in the capture must lie below `dir`.
+/// Writes the manifest; paths in the capture must be below `dir`.
 pub(crate) fn save(dir: &Path, capture: &Capture, report: &ImportReport) -> Result<(), ImportError> {
     let path = dir.join(MANIFEST);
     let bad = |reason: String| ImportError::Prepared { path: path.clone(), reason };
@@ -135,7 +135,7 @@ pub(crate) fn save(dir: &Path, capture: &Capture, report: &ImportReport) -> Resu
     .map_err(ImportError::file(&path))
 }
 
-/// The manifest of a prepared capture.
+/// Reads the manifest of a prepared capture.
 fn manifest(dir: &Path) -> Result<Manifest, ImportError> {
     let path = dir.join(MANIFEST);
     let bytes = std::fs::read(&path).map_err(ImportError::file(&path))?;
@@ -150,22 +150,22 @@ fn manifest(dir: &Path) -> Result<Manifest, ImportError> {
     Ok(manifest)
 }
 
-/// How large a prepared capture is.
+/// The size of a prepared capture.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Extent {
     /// Width and height of every view, in the capture's order.
     pub sizes: Vec<(usize, usize)>,
-    /// Which views train, as indices.
+    /// Indices of the training views.
     pub train: Vec<usize>,
-    /// Sparse points.
+    /// Number of sparse points.
     pub points: usize,
 }
 
-/// How large a prepared capture is, from its manifest alone: no picture and no model is opened, so that a
-/// plan over many scenes stays quick.
+/// The size of a prepared capture, from its manifest alone. No picture and no model is opened, so that a plan
+/// over many scenes is quick.
 ///
 /// # Errors
-/// A manifest that is not there, or not one of ours.
+/// Fails if the manifest is missing or has another format.
 pub fn prepared_extent(dir: &Path) -> Result<Extent, ImportError> {
     let manifest = manifest(dir)?;
     Ok(Extent {
@@ -175,7 +175,7 @@ pub fn prepared_extent(dir: &Path) -> Result<Extent, ImportError> {
     })
 }
 
-/// Reads a prepared capture back exactly: the same cameras, points and split to the last bit.
+/// Reads a prepared capture exactly as it was: the same cameras, points and split to the last bit.
 pub fn load_prepared(dir: &Path) -> Result<Imported, ImportError> {
     let path = dir.join(MANIFEST);
     let bad = |reason: String| ImportError::Prepared { path: path.clone(), reason };
@@ -190,7 +190,7 @@ pub fn load_prepared(dir: &Path) -> Result<Imported, ImportError> {
     };
     let mut views = Vec::with_capacity(manifest.views.len());
     let mut plans = Vec::with_capacity(manifest.views.len());
-    // Results are called after views: two that share a name would overwrite each other's.
+    // Results are named after views: two views with the same name would overwrite each other's results.
     let mut results: BTreeMap<String, &FileName> = BTreeMap::new();
     let model = read_model(&dir.join(MODEL))?;
     let cameras: BTreeMap<u32, u32> = model.images.iter().map(|i| (i.id, i.camera)).collect();

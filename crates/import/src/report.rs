@@ -1,65 +1,65 @@
-//! What an import chose and did, printed and stored.
+//! The choices and actions of an import, printed and stored.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::shown;
 
-/// The account of an import.
+/// The report of an import.
 ///
-/// What is stored follows from the files that are read; what only lies beside them, and the folder's name, is
-/// said and not stored, so that equal captures give equal bytes wherever they are.
+/// The stored part follows from the files that are read. Information on other files in the folder, and the
+/// folder's name, are printed and not stored, so that equal captures give equal bytes at any place.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ImportReport {
-    /// The capture's name: its folder's, not stored.
+    /// The capture's name, which is its folder's name. Not stored.
     #[serde(skip_serializing, default)]
     pub name: String,
     /// The model's folder, relative to the capture.
     pub model: String,
     /// `binary` or `text`.
     pub model_form: String,
-    /// Models that were there too, with their numbers of images, not used. Not stored.
+    /// Other models in the capture that are not used, with their numbers of images. Not stored.
     #[serde(skip_serializing, default)]
     pub other_models: Vec<String>,
     /// The image folder, relative to the capture.
     pub image_folder: String,
-    /// Image folders that were there too, not used. Not stored.
+    /// Other image folders in the capture that are not used. Not stored.
     #[serde(skip_serializing, default)]
     pub other_image_folders: Vec<String>,
-    /// Images that the model lists.
+    /// Number of images that the model lists.
     pub registered: usize,
-    /// Views: listed images that are there.
+    /// Number of views: listed images that exist.
     pub views: usize,
-    /// Listed images that are not there, skipped.
+    /// Listed images that do not exist and are skipped.
     pub missing: Vec<String>,
-    /// Images in the folder that the model does not list, not used. Not stored.
+    /// Images in the folder that the model does not list and that are not used. Not stored.
     #[serde(skip_serializing, default)]
     pub extra: Vec<String>,
     /// Cameras by lens and image size.
     pub cameras: Vec<CameraReport>,
-    /// Sparse points.
+    /// Number of sparse points.
     pub points: usize,
-    /// Views with a mask file.
+    /// Number of views with a mask file.
     pub masks: usize,
-    /// Views whose alpha channel serves as a mask.
+    /// Number of views whose alpha channel serves as a mask.
     pub alpha_masks: usize,
-    /// Views with a depth prior.
+    /// Number of views with a depth prior.
     pub depth_priors: usize,
-    /// Where the depth priors are, if anywhere.
+    /// The folder of the depth priors, if there is one.
     pub depth_folder: Option<String>,
-    /// How the split was made.
+    /// The rule by which the split was made.
     pub split_rule: String,
     /// Names of the training views.
     pub train: Vec<String>,
     /// Names of the test views.
     pub test: Vec<String>,
-    /// Whether the frame was normalised, and its scale.
+    /// True if the frame was normalised.
     pub normalised: bool,
-    /// `x_normalised = scale R x + t`: the scale.
+    /// The scale of the frame, `x_normalised = scale R x + t`.
     pub scale: f64,
     /// Gains of the white balance for R, G, B, once computed.
     pub white_balance: Option<[f32; 3]>,
-    /// Anything else worth knowing.
+    /// Further remarks.
     pub notes: Vec<String>,
 }
 
@@ -70,9 +70,9 @@ pub struct CameraReport {
     pub id: u32,
     /// COLMAP's camera model.
     pub model: String,
-    /// Views it took.
+    /// Number of views taken with it.
     pub views: usize,
-    /// The image size that the model states.
+    /// The image size in the model.
     pub model_size: [usize; 2],
     /// The size of the files.
     pub file_size: [usize; 2],
@@ -82,12 +82,12 @@ pub struct CameraReport {
     pub size: [usize; 2],
 }
 
-/// Names as they may be printed.
+/// Names, made safe for printing.
 fn list<S: AsRef<str>>(names: &[S]) -> String {
     names.iter().map(|n| shown(n.as_ref())).collect::<Vec<_>>().join(", ")
 }
 
-/// A few names and how many more.
+/// The first few names, and the number of the others.
 pub(crate) fn some<S: AsRef<str>>(names: &[S]) -> String {
     let first = list(&names[..names.len().min(6)]);
     match names.len().saturating_sub(6) {

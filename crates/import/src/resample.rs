@@ -1,9 +1,9 @@
-//! Resizing with the intrinsics in step: output pixel centre `(x, y)` shows the source at `((x + left) / sx,
-//! (y + top) / sy)`.
+//! Resizes images and adapts the intrinsics: output pixel centre `(x, y)` shows the source at `((x + left) /
+//! sx, (y + top) / sy)`.
 //!
 //! Shrinking averages exactly the source area that an output pixel covers (2 x 2 boxes at one half),
-//! enlarging interpolates linearly; both separably, in f32. Depths are averaged over known (positive) values
-//! only when shrunk, and taken from the nearest pixel when enlarged.
+//! enlarging interpolates linearly; both are separable and in f32. Shrinking depths averages only known
+//! (positive) values; enlarging them takes the nearest pixel.
 
 use use3d_capture::{Intrinsics, Map, Pixels, Raster};
 
@@ -20,7 +20,7 @@ impl Sample for u8 {
     }
 
     fn from_f32(value: f32) -> Self {
-        (value + 0.5).floor() as u8 // saturates
+        (value + 0.5).floor() as u8 // the cast saturates
     }
 }
 
@@ -64,7 +64,7 @@ impl Resize {
         Self { sx: s, sy: s, left, top, width, height }
     }
 
-    /// One `divisor`-th of each side, rounded down (the rest is cut off right and below).
+    /// Divides each side by `divisor`, rounded down (the rest is cut off on the right and at the bottom).
     pub(crate) fn fraction(from: (usize, usize), divisor: usize) -> Self {
         let s = 1.0 / divisor as f64;
         let (width, height) = ((from.0 / divisor).max(1), (from.1 / divisor).max(1));
@@ -77,12 +77,12 @@ impl Resize {
         Self { sx, sy, left: 0.0, top: 0.0, width, height }
     }
 
-    /// Whether nothing changes.
+    /// True if nothing changes.
     pub(crate) fn is_identity(&self, from: (usize, usize)) -> bool {
         *self == Self { sx: 1.0, sy: 1.0, left: 0.0, top: 0.0, width: from.0, height: from.1 }
     }
 
-    /// The lens behind the resized picture.
+    /// The intrinsics of the resized picture.
     pub(crate) fn intrinsics(&self, k: &Intrinsics) -> Intrinsics {
         k.scaled(self.sx, self.sy, k.width, k.height).cropped(self.left, self.top, self.width, self.height)
     }
@@ -92,7 +92,7 @@ impl Resize {
         let rows = Taps::new(source.height(), self.height, self.sy, self.top);
         let (w, h) = (source.width(), source.height());
         let mut out = Raster::<f32, C>::new(self.width, self.height);
-        // Only the rows that some output row reads are squeezed horizontally.
+        // Only the rows that some output row reads are resampled horizontally.
         let mut squeezed = vec![0.0f32; self.width * h];
         for c in 0..C {
             for y in rows.range.0..rows.range.1 {
@@ -117,7 +117,7 @@ impl Resize {
         out
     }
 
-    /// For depths, where 0 is unknown.
+    /// Resizes depths, in which 0 is unknown.
     pub(crate) fn apply_to_depth(&self, source: &Map) -> Map {
         let (w, h) = (source.width(), source.height());
         if self.sx > 1.0 || self.sy > 1.0 {
@@ -143,13 +143,13 @@ impl Resize {
     }
 }
 
-/// For each output position along one axis: the first source index and the weights from there on (they sum to
-/// 1).
+/// For each output position along one axis: the first source index, and the weights from there on (they sum
+/// to 1).
 struct Taps {
     starts: Vec<usize>,
     ends: Vec<usize>,
     weights: Vec<f32>,
-    /// The source indices that are read at all.
+    /// The range of source indices that are read at all.
     range: (usize, usize),
 }
 
@@ -166,10 +166,10 @@ impl Taps {
             };
             let last = (source - 1) as f64;
             let first = low.floor().clamp(0.0, last) as usize;
-            // The small number keeps a rounding error from adding an empty tap.
+            // The small number prevents an empty tap by a rounding error.
             let end = ((high - 1e-9).ceil().clamp(1.0, last + 1.0) as usize).max(first + 1);
             let overlap = |j: usize| {
-                // The outermost pixels reach on beyond the edge.
+                // The outermost pixels extend beyond the edge.
                 let left = if j == 0 { f64::NEG_INFINITY } else { j as f64 };
                 let right = if j + 1 == source { f64::INFINITY } else { j as f64 + 1.0 };
                 (high.min(right) - low.max(left)).max(0.0)
@@ -197,7 +197,7 @@ impl Taps {
     }
 }
 
-/// Back to the precision that the pixels had; `gains` multiply the three colours first.
+/// Converts back to the pixels' own precision; `gains` multiply the three colours first.
 pub(crate) fn quantise<T: Sample>(image: &Raster<f32, 3>, gains: [f32; 3]) -> Raster<T, 3> {
     let mut out = Raster::<T, 3>::new(image.width(), image.height());
     for (c, gain) in gains.into_iter().enumerate() {
@@ -231,7 +231,7 @@ mod tests {
         let source = Map::from_planes(4, 2, vec![0.0, 2.0, 10.0, 20.0, 4.0, 6.0, 30.0, 40.0]).unwrap();
         let out = Resize::fraction((4, 2), 2).apply(&source);
         assert_eq!(out.data(), [3.0, 25.0]);
-        // An odd column is left out, and the intrinsics agree with the image pyramid's.
+        // The odd column is dropped, and the intrinsics agree with those of the image pyramid.
         let resize = Resize::fraction((5, 3), 2);
         assert_eq!((resize.width, resize.height), (2, 1));
         let k = Intrinsics { width: 5, height: 3, fx: 7.0, fy: 8.0, cx: 2.4, cy: 1.3 };
@@ -259,8 +259,7 @@ mod tests {
     }
 
     proptest! {
-        /// A linear ramp of pixel positions stays that ramp: the resampling and the
-        /// intrinsics cannot drift apart.
+        /// A linear ramp of pixel positions stays the same ramp, so the resampling and the intrinsics agree.
         #[test]
         fn a_ramp_shows_where_each_pixel_came_from(w in 8usize..60, h in 8usize..60, tw in 4usize..120, th in 4usize..120) {
             let mut ramp = Raster::<f32, 2>::new(w, h);
@@ -279,11 +278,11 @@ mod tests {
                     let found = out.pixel(x, y);
                     for axis in 0..2 {
                         let n = [w, h][axis] as f64;
-                        // Beyond the outermost centres the edge goes on.
+                        // Beyond the outermost centres the edge values continue.
                         let e = expected[axis].clamp(0.5, n - 0.5);
                         let at_edge = expected[axis] < 0.5 + 0.5 / k.fx || expected[axis] > n - 0.5 - 0.5 / k.fx;
-                        // A box over part of two pixels takes each as flat: off by
-                        // up to 1/8 pixel over its width.
+                        // A box over part of two pixels treats each as constant: the error is up to 1/8 pixel
+                        // over its width.
                         let flat = if k.fx < 1.0 { 0.125 * k.fx } else { 0.0 };
                         let tolerance = if at_edge { 0.5 / k.fx } else { flat } + 1e-3;
                         prop_assert!((f64::from(found[axis]) - e).abs() < tolerance, "{x} {y}: {found:?} {expected:?}");

@@ -1,5 +1,5 @@
-//! Which views are held out (R8): every `every`-th in file-name order, beginning with the first, unless lists
-//! say otherwise.
+//! The choice of held-out views (R8): every `every`-th in file-name order, beginning with the first, unless
+//! lists define the split.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -9,14 +9,14 @@ use use3d_capture::{Split, View, stem};
 use crate::error::ImportError;
 use crate::params::{SplitOrder, SplitParams};
 
-/// How the split was made, in words, and the split.
+/// The split, with a text on the rule by which it was made.
 pub(crate) struct Chosen {
     pub(crate) rule: String,
     pub(crate) split: Split,
     pub(crate) notes: Vec<String>,
 }
 
-/// Chooses for views in file-name order. `skipped` are names that the model has and the disk has not.
+/// Chooses the split of views in file-name order. `skipped` are names that are in the model but not on disk.
 pub(crate) fn choose(
     root: &Path,
     views: &[View],
@@ -80,7 +80,7 @@ impl List {
         self.file.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
     }
 
-    /// Indices of the views it names: by name, by file name without folders, or by stem.
+    /// Indices of the views that the list names: by name, by file name without folders, or by stem.
     fn indices(
         &self,
         views: &[View],
@@ -91,7 +91,7 @@ impl List {
             name.rsplit('/').next().unwrap_or(name)
         }
         let keys: [fn(&str) -> &str; 4] = [|n| n, stem, last, |n| stem(last(n))];
-        // A key that two views share decides nothing.
+        // A key that two views share identifies neither of them.
         let tables: Vec<BTreeMap<&str, Option<usize>>> = keys
             .iter()
             .map(|key| {
@@ -195,7 +195,7 @@ mod tests {
         let by_name = SplitParams { every: 4, ..SplitParams::default() };
         assert_eq!(choose(dir.path(), &views, &[], &by_name).unwrap().split.test, [0, 4]);
         let by_id = SplitParams { every: 4, order: SplitOrder::ColmapId, ..SplitParams::default() };
-        // Ids fall with the names: the first by id is "e", the fifth is "a".
+        // Ids decrease as names increase: the first by id is "e", the fifth is "a".
         assert_eq!(choose(dir.path(), &views, &[], &by_id).unwrap().split.test, [0, 4]);
         let by_id = SplitParams { every: 3, ..by_id };
         assert_eq!(choose(dir.path(), &views, &[], &by_id).unwrap().split.test, [1, 4]);
@@ -220,7 +220,7 @@ mod tests {
         assert!(chosen.notes.iter().any(|n| n.contains("1 views are in neither")), "{:?}", chosen.notes);
         write("train_list.txt", "l/b.png\n");
         assert!(choose(&params).err().unwrap().to_string().contains("l/b.png"));
-        // Ambiguous without its folder.
+        // The name is ambiguous without its folder.
         write("train_list.txt", "a.png\n");
         assert!(choose(&params).is_err());
         assert_eq!(choose(&SplitParams { lists: false, ..params }).unwrap().split.test, [0]);

@@ -7,11 +7,11 @@ use use3d_capture::{Sighting, Track};
 use crate::import::Imported;
 
 impl Imported {
-    /// Every sparse point's track, in the order of `capture.points`.
+    /// Returns every sparse point's track, in the order of `capture.points`.
     ///
-    /// Pixels are those of the views' cameras, that is of the images after preparation. A sighting is left
-    /// out where its image is missing, where the lens has no ray for its keypoint, or where the model
-    /// names a keypoint that its image does not have. Models without tracks give empty ones.
+    /// Pixels are those of the views' cameras, that is, of the images after preparation. A sighting is left
+    /// out if its image is missing, if the lens has no ray for its keypoint, or if the model names a keypoint
+    /// that its image does not have. Models without tracks give empty tracks.
     pub fn tracks(&self) -> Vec<Track> {
         let views: BTreeMap<u32, usize> =
             self.capture.views.iter().enumerate().map(|(i, v)| (v.id, i)).collect();

@@ -1,16 +1,16 @@
-//! From a distorting lens to a pinhole.
+//! Resamples the image of a distorting lens to that of a pinhole camera.
 //!
-//! **Which pinhole.** It keeps the lens's focal lengths, so that the centre of the picture keeps its
-//! resolution, and shows the largest field whose every pixel the photograph covers: no black borders (as
-//! COLMAP's undistorter does with no blank pixels, and OpenCV with `alpha = 0`). The field is found on the
-//! plane `z = 1`: from the ray of the image's centre outwards, in 720 directions and those of the four
-//! corners, up to where the lens leaves the sensor, folds, or exceeds 80°. Between the innermost points of
-//! the left, right, top and bottom borders lies the rectangle; where folds cut into it, it shrinks about
+//! **Choice of the pinhole.** It keeps the lens's focal lengths, so that the centre of the picture keeps its
+//! resolution. It shows the largest field whose every pixel the photograph covers, so there are no black
+//! borders (like COLMAP's undistorter without blank pixels, and OpenCV with `alpha = 0`). The field is found
+//! on the plane `z = 1`: from the ray of the image's centre outwards, in 720 directions and those of the four
+//! corners, up to the point where the lens leaves the sensor, folds, or exceeds 80°. The rectangle is bounded
+//! by the innermost points of the left, right, top and bottom borders. If folds cut into it, it shrinks about
 //! the centre until it is free of them. A side is at most twice as long as the photograph's (very wide
 //! fisheyes are cropped).
 //!
-//! **Resampling.** Each pinhole pixel centre is bent by the lens and the photograph read there: colours and
-//! masks bilinearly, depths at the nearest pixel.
+//! **Resampling.** Each pinhole pixel centre is mapped through the lens to a position in the photograph, and
+//! the photograph is read there: colours and masks bilinearly, depths at the nearest pixel.
 
 use std::sync::OnceLock;
 
@@ -24,12 +24,12 @@ use crate::resample::Sample;
 
 const DIRECTIONS: usize = 720;
 const STEPS: usize = 256;
-/// Rays further off the image centre's ray than this are not shown.
+/// Rays at a larger angle to the image centre's ray than this are not shown.
 const WIDEST: f64 = 80.0 * std::f64::consts::PI / 180.0;
-/// A lens that moves no pixel by more than this is taken as a pinhole, pixels.
+/// A lens that moves no pixel by more than this is treated as a pinhole, pixels.
 const NEGLIGIBLE: f64 = 0.01;
 
-/// What ends the field in one direction.
+/// The reason why the field ends in one direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum End {
     Left,
@@ -39,7 +39,7 @@ enum End {
     Fold,
 }
 
-/// Whether the lens is a pinhole for images of this size, to [`NEGLIGIBLE`] pixels.
+/// True if the lens is a pinhole for images of this size, within [`NEGLIGIBLE`] pixels.
 pub(crate) fn is_pinhole(lens: &Lens, width: usize, height: usize) -> bool {
     if lens.is_pinhole() {
         return true;
@@ -54,7 +54,7 @@ pub(crate) fn is_pinhole(lens: &Lens, width: usize, height: usize) -> bool {
     })
 }
 
-/// The pinhole for a lens and image size; an error text where the lens leaves nothing to show.
+/// The pinhole for a lens and image size; an error message if the lens leaves no usable field.
 pub(crate) fn choose_pinhole(lens: &Lens, width: usize, height: usize) -> Result<Intrinsics, String> {
     let (w, h) = (width as f64, height as f64);
     let center = lens
@@ -117,7 +117,7 @@ pub(crate) fn choose_pinhole(lens: &Lens, width: usize, height: usize) -> Result
     let top = innermost(End::Top, v, -1.0);
     let bottom = innermost(End::Bottom, v, 1.0);
 
-    // Shrunk until no end of the field lies inside it.
+    // It shrinks until no end of the field is inside it.
     let mut share = 1.0f64;
     for &(u, v, _) in &ends {
         let (du, dv) = (u - center.0, v - center.1);
@@ -148,7 +148,7 @@ pub(crate) struct Undistortion {
     lens: Lens,
     source: (usize, usize),
     pub(crate) pinhole: Intrinsics,
-    /// Where each pinhole pixel is read, kept when several images share the lens.
+    /// The position to read for each pinhole pixel, kept if several images share the lens.
     table: Option<OnceLock<Vec<[f32; 2]>>>,
 }
 
@@ -163,7 +163,8 @@ impl Undistortion {
         self.table = Some(OnceLock::new());
     }
 
-    /// A position on the photograph where the pinhole would show it; `None` outside the lens's field.
+    /// Maps a position in the photograph to its position in the pinhole's image; `None` outside the lens's
+    /// field.
     pub(crate) fn undistort_point(&self, x: f64, y: f64) -> Option<(f64, f64)> {
         let (u, v) = self.lens.unproject(x, y)?;
         Some((u * self.pinhole.fx + self.pinhole.cx, v * self.pinhole.fy + self.pinhole.cy))
@@ -195,8 +196,8 @@ impl Undistortion {
         }
     }
 
-    /// Bilinear reading; beyond the outermost pixel centres the edge goes on. `source` has the lens's image
-    /// size.
+    /// Reads bilinearly; beyond the outermost pixel centres the edge values continue. `source` must have the
+    /// lens's image size.
     pub(crate) fn apply<T: Sample, const C: usize>(&self, source: &Raster<T, C>) -> Raster<f32, C> {
         debug_assert_eq!((source.width(), source.height()), self.source);
         let (w, h) = (source.width(), source.height());
@@ -220,7 +221,7 @@ impl Undistortion {
         out
     }
 
-    /// The nearest pixel: for depths, which must not be mixed across edges.
+    /// Reads the nearest pixel: for depths, which must not be mixed across edges.
     pub(crate) fn apply_nearest(&self, source: &Raster<f32, 1>) -> Raster<f32, 1> {
         let (w, h) = (source.width(), source.height());
         let mut out = Raster::<f32, 1>::new(self.pinhole.width, self.pinhole.height);
@@ -253,7 +254,7 @@ mod tests {
                 let k = choose_pinhole(&lens, w, h).unwrap();
                 assert!(k.width > 400 && k.height > 300, "{model:?}: {}x{}", k.width, k.height);
                 let corner = |x: f64, y: f64| lens.project((x - k.cx) / k.fx, (y - k.cy) / k.fy);
-                // Every point of the border is on the photograph, up to the sampling of directions.
+                // Every point of the border is on the photograph, within the sampling of directions.
                 let mut slack = [f64::INFINITY; 4];
                 for i in 0..=400 {
                     let t = f64::from(i) / 400.0;
@@ -271,7 +272,7 @@ mod tests {
                         }
                     }
                 }
-                // And it reaches at least two opposite borders to a pixel and a half.
+                // The field reaches at least two opposite borders within a pixel and a half.
                 let reached = slack.iter().filter(|s| **s < 1.5).count();
                 assert!(reached >= 2, "{model:?} {amount}: gaps {slack:?}");
             }
@@ -297,8 +298,8 @@ mod tests {
         assert!(choose_pinhole(&folded, 1000, 700).is_err());
     }
 
-    /// A smooth picture of the directions of rays, photographed analytically through the lens, comes out as
-    /// the pinhole would have photographed it.
+    /// A smooth picture of the directions of rays, photographed analytically through the lens, is undistorted
+    /// to the picture that the pinhole would have photographed.
     #[test]
     fn a_distorted_picture_comes_out_as_the_pinhole_would_have_taken_it() {
         let picture = |u: f64, v: f64| {
@@ -330,7 +331,7 @@ mod tests {
                 }
             }
             assert!(worst < 6e-3, "{model:?}: {worst}");
-            // Points move with the picture.
+            // Points move together with the picture.
             let (x, y) = undistortion.undistort_point(123.4, 210.9).unwrap();
             let (u, v) = lens.unproject(123.4, 210.9).unwrap();
             assert!((x - (u * k.fx + k.cx)).abs() < 1e-9 && (y - (v * k.fy + k.cy)).abs() < 1e-9);

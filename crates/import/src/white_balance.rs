@@ -1,5 +1,5 @@
-//! White balance of a whole set (R27): each channel over its 99.8 % quantile across all images, in display
-//! values.
+//! White balance of a whole set of images (R27): each channel is divided by its 99.8 % quantile across all
+//! images, in display values.
 //!
 //! Histograms of 65 536 bins are counted in integers, so the gains do not depend on the order of the images.
 
@@ -20,7 +20,7 @@ pub(crate) fn set_percentile_gains(
     workers: usize,
     tick: &(dyn Fn() -> bool + Sync),
 ) -> Result<[f32; 3], ImportError> {
-    // Each worker takes every `workers`-th image into its own histogram; integer sums commute.
+    // Each worker counts every `workers`-th image in its own histogram; integer sums commute.
     let partial = in_parallel(workers.min(paths.len()), workers, |worker| {
         let mut histogram = vec![0u64; 3 * BINS];
         for path in paths.iter().skip(worker).step_by(workers) {
@@ -55,7 +55,7 @@ fn gain(bins: &[u64]) -> f32 {
     for (value, count) in bins.iter().enumerate() {
         below += count;
         if below >= wanted {
-            // A channel without any light stays as it is.
+            // A channel without any light is left unchanged.
             return if value == 0 { 1.0 } else { ((BINS - 1) as f64 / value as f64) as f32 };
         }
     }

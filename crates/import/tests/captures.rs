@@ -1,5 +1,5 @@
-//! Capture folders made here: every place a capture may live in, everything that may be missing, and what
-//! preparation does.
+//! Capture folders made by the tests: every place where a capture may be, everything that may be missing, and
+//! the results of the preparation.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -116,7 +116,7 @@ fn a_plain_capture_needs_nothing_and_is_copied_byte_for_byte() {
     assert_eq!(loaded.capture.points, imported.capture.points);
     assert_eq!(loaded.capture.split, imported.capture.split);
     assert_eq!(loaded.capture.frame, imported.capture.frame);
-    // The name is the folder's, wherever it lies; nothing stored tells the old one.
+    // The name is that of the folder, at any place; the stored files do not contain the old name.
     assert_eq!(
         (loaded.report.name.as_str(), prepared.report.name.as_str()),
         ("out", imported.report.name.as_str())
@@ -124,7 +124,7 @@ fn a_plain_capture_needs_nothing_and_is_copied_byte_for_byte() {
     assert_eq!(ImportReport { name: "out".into(), ..prepared.report.clone() }, loaded.report);
     let stored = std::fs::read_to_string(out.join("capture.json")).unwrap();
     assert!(!stored.contains(&format!("\"name\": \"{}\"", imported.report.name)), "{stored}");
-    // The folder is a capture: of ours, and, without the manifest, of anyone's.
+    // The folder is a capture for this program and, without the manifest, for any other.
     assert_eq!(import(&out, &ImportParams::default()).unwrap().capture.views, prepared.capture.views);
     std::fs::remove_file(out.join("capture.json")).unwrap();
     let again = import(&out, &ImportParams::default()).unwrap();
@@ -192,7 +192,7 @@ fn missing_images_are_skipped_and_said() {
     assert_eq!(imported.capture.views.len(), 8);
     assert_eq!(imported.capture.points[0].track_length, 8);
     assert_eq!(imported.capture.frame, before.capture.frame, "the frame is that of all registered images");
-    // And the prepared model is consistent.
+    // The prepared model is consistent.
     let prepared = prepare_all(&imported, &fixture.path("out"));
     let kept: Vec<u32> = prepared.model().images.iter().map(|i| i.id).collect();
     assert!(prepared.model().points[0].track.iter().all(|(id, _)| kept.contains(id)));
@@ -269,8 +269,8 @@ fn smaller_image_folders_scale_the_intrinsics() {
 fn resizing_moves_pixels_masks_depths_and_keypoints_together() {
     let fixture = Fixture::new(3, pinhole(1));
     let name = &fixture.names[0];
-    // The first has a mask in COLMAP's naming; its right half is ignored. And a depth prior of half size: a
-    // ramp with unknown top.
+    // The first image has a mask with COLMAP's naming; its right half is ignored. It also has a depth prior
+    // of half the size: a ramp with an unknown top.
     let mut mask = Map::new(SIZE.0, SIZE.1);
     let mut depth = Map::new(SIZE.0 / 2, SIZE.1 / 2);
     for y in 0..SIZE.1 {
@@ -290,7 +290,7 @@ fn resizing_moves_pixels_masks_depths_and_keypoints_together() {
     assert!(imported.needs_preparation());
     assert_eq!((imported.report.masks, imported.report.depth_priors), (1, 1));
     let k = imported.capture.views[0].camera.intrinsics;
-    // Scale 1/2, then 10 columns off either side.
+    // The scale is 1/2, then 10 columns are cut off on either side.
     assert_eq!((k.width, k.height, k.fx, k.cx, k.cy), (40, 40, 50.0, 20.5, 19.5));
     assert!(load_pixels(&imported.capture.views[0]).unwrap_err().to_string().contains("prepared"));
 
@@ -312,7 +312,7 @@ fn resizing_moves_pixels_masks_depths_and_keypoints_together() {
     assert!(load_mask(&prepared.capture.views[1]).unwrap().is_none());
     let keypoint = prepared.model().images[0].keypoints[0];
     assert_eq!((keypoint.x, keypoint.y, keypoint.point), (30.0 / 2.0 - 10.0, 10.0, 5));
-    // In memory the same as from disk.
+    // The result in memory equals the one from disk.
     let direct = imported.view(0).unwrap();
     assert_eq!(direct.pixels, Pixels::Eight(pixels));
     assert_eq!(direct.depth_prior.unwrap(), depth);
@@ -321,8 +321,7 @@ fn resizing_moves_pixels_masks_depths_and_keypoints_together() {
 #[test]
 fn tracks_are_pixels_of_the_views_before_and_after_preparation() {
     let fixture = Fixture::new(3, pinhole(1));
-    // A track that names an image and a keypoint that are not there, and an image that is missing on this
-    // disk.
+    // The track names an image and a keypoint that do not exist, and an image that is missing on this disk.
     let mut model = model(pinhole(1), &fixture.names);
     model.points[0].track.extend([(7, 0), (99, 17)]);
     write_model_binary(&fixture.path("sparse/0"), &model).unwrap();
@@ -433,7 +432,7 @@ fn alpha_is_a_mask_and_multiplies_mask_files() {
         let at = |x: usize, y: usize| {
             if imported.needs_preparation() { mask.pixel(2 * x, 2 * y)[0] } else { mask.pixel(x, y)[0] }
         };
-        // Enlarged twice, a pixel's share of what is read there is at least 9/16.
+        // After enlarging by two, the weight of the nearest source pixel is at least 9/16.
         assert!(at(3, 2) < 0.5 && at(4, 2) < 0.5 && at(8, 2) == 1.0);
     }
 }
@@ -515,7 +514,7 @@ fn names_as_long_as_names_may_be_are_imported() {
         image.name = FileName::new(&long).unwrap();
     }
     write_model_binary(&fixture.path("sparse/0"), &model).unwrap();
-    // Copied, and written anew.
+    // The capture is copied once, and written with resized pixels once.
     for (out, downscale) in [("copied", 1), ("resized", 2)] {
         let params = ImportParams { downscale, ..ImportParams::default() };
         let prepared = prepare_all(&fixture.import(&params).unwrap(), &fixture.path(out));
@@ -539,7 +538,7 @@ fn damaged_prepared_captures_are_refused() {
         complaint(&manifest.replacen("f00.png\",\n      \"mask", "f77.png\",\n      \"mask", 1))
             .contains("f77.png")
     );
-    // A view's name becomes a path too, as do its files.
+    // A view's name becomes a path, and so do the names of its files.
     for evil in ["../../../outside.png", "/tmp/outside.png", "x/../../../outside.png"] {
         let message = complaint(&manifest.replacen(
             "\"name\": \"dive 1/f01.png\"",

@@ -1,4 +1,4 @@
-//! The small golden scene, in both forms of its model.
+//! The small golden scene, with its model as text and as binary files.
 
 use std::path::{Path, PathBuf};
 

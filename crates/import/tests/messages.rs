@@ -1,5 +1,5 @@
-//! Captures that cannot be read, and what a person is told: which file lacks, what lies there instead, what
-//! to do.
+//! Captures that cannot be read, and their messages: the missing file, the content found instead, and the
+//! next step.
 
 use std::path::Path;
 
@@ -30,7 +30,7 @@ fn model() -> Model {
     }
 }
 
-/// A capture of three pictures, changed, and what the import says about it.
+/// The import's error for a capture of three pictures after a change.
 fn complaint(change: impl FnOnce(&Path)) -> String {
     let dir = tempfile::tempdir().unwrap();
     write_model_binary(&dir.path().join("sparse/0"), &model()).unwrap();
@@ -130,7 +130,7 @@ fn a_truncated_image_is_found_by_the_import_under_its_own_name() {
     write_model_binary(&dir.path().join("sparse/0"), &model()).unwrap();
     for (i, name) in NAMES.iter().enumerate() {
         let path = dir.path().join("images").join(name);
-        // Noise, so that the cut falls into the pixels and not into a trailer.
+        // The image is noise, so that the cut is within the pixels and not in a trailer.
         let mut image = Image::new(24, 16);
         for (k, v) in image.data_mut().iter_mut().enumerate() {
             *v = ((k * 7919 + i * 31) % 251) as f32 / 250.0;

@@ -1,4 +1,4 @@
-//! Real captures, where the folder with them is given in `USE3D_DATA`. Says whether it runs.
+//! Tests of real captures, if `USE3D_DATA` names the folder with them. The tests print if they run.
 
 use std::path::PathBuf;
 
@@ -17,7 +17,7 @@ fn data() -> Option<PathBuf> {
 #[test]
 fn real_captures_import_and_load() {
     let Some(data) = data() else { return };
-    // Folder, views, points, whether points have tracks.
+    // Folder, number of views, number of points, and true if the points have tracks.
     let captures = [
         ("reef_deepreefmap", 48, 20_091, true),
         ("vent_sucre", 36, 12_632, true),

@@ -1,10 +1,12 @@
-//! COLMAP's binary files, little-endian. Every count is checked against the bytes that are left before memory
-//! is asked for.
+//! COLMAP's binary files, little-endian. Every count is checked against the number of bytes that are left
+//! before memory is allocated.
 //!
 //! ```text
 //! cameras.bin   u64 count; each: u32 id, i32 model, u64 width, u64 height, f64 parameters[model]
-//! images.bin    u64 count; each: u32 id, f64 q[4] (wxyz), f64 t[3], u32 camera, name NUL, u64 n; n × (f64 x, f64 y, u64 point)
-//! points3D.bin  u64 count; each: u64 id, f64 xyz[3], u8 rgb[3], f64 error, u64 n; n × (u32 image, u32 keypoint)
+//! images.bin    u64 count; each: u32 id, f64 q[4] (wxyz), f64 t[3], u32 camera, name NUL,
+//!                                      u64 n; n × (f64 x, f64 y, u64 point)
+//! points3D.bin  u64 count; each: u64 id, f64 xyz[3], u8 rgb[3], f64 error,
+//!                                      u64 n; n × (u32 image, u32 keypoint)
 //! ```
 
 use std::io::{self, Write};
@@ -16,12 +18,12 @@ use crate::error::ModelError;
 use crate::lens::LensModel;
 use crate::model::{Keypoint, ModelCamera, ModelImage, ModelPoint};
 
-/// What is left of a file.
+/// The unread rest of a file.
 struct Cursor<'a> {
     rest: &'a [u8],
     length: usize,
     path: &'a Path,
-    /// Which record is being read, for messages.
+    /// The record that is being read, for messages.
     record: String,
 }
 

@@ -1,4 +1,4 @@
-//! What can go wrong with a model: the file, the place in it, what was expected, what to do next.
+//! The errors of a model: the file, the place in it, what was expected, what to do next.
 
 use std::path::{Path, PathBuf};
 
@@ -24,17 +24,17 @@ pub enum ModelError {
     Incomplete {
         /// The folder.
         path: PathBuf,
-        /// The files that are not there.
+        /// The files that are missing.
         missing: String,
     },
-    /// A camera model that is not read.
+    /// A camera model that is not supported.
     #[error("{}: {place}: {reason}", path.display())]
     UnknownLens {
         /// The file.
         path: PathBuf,
         /// The record or line.
         place: String,
-        /// Which model it is, and what to do.
+        /// The name of the camera model, and the remedy.
         reason: String,
     },
     /// A file cannot be opened or read.
@@ -42,25 +42,25 @@ pub enum ModelError {
     Open {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// A file that does not hold what it should.
+    /// A file with invalid content.
     #[error("{}: {place}: {reason}; export the model again with COLMAP", path.display())]
     Broken {
-        /// The file, or the model's folder for what concerns several files.
+        /// The file, or the model's folder if several files are concerned.
         path: PathBuf,
         /// The record, line or byte.
         place: String,
-        /// What is wrong.
+        /// The problem.
         reason: String,
     },
-    /// A file cannot be written; what was there before is untouched.
+    /// A file cannot be written; the old content is untouched.
     #[error("{}: cannot be written ({source}); check that the folder is writable and has space", path.display())]
     Write {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
 }
@@ -70,7 +70,7 @@ impl ModelError {
         Self::Broken { path: path.to_path_buf(), place, reason }
     }
 
-    /// A camera model that is none of the lenses.
+    /// The error for a camera model that is not one of the lenses.
     pub(crate) fn unknown_lens(path: &Path, place: String, shown: &str, id: i32) -> Self {
         let (panorama, of_panoramas) = LensModel::PANORAMA;
         let known: Vec<&str> = LensModel::ALL.iter().map(|m| m.name()).collect();

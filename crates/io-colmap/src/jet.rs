@@ -1,11 +1,11 @@
-//! Numbers that carry their derivatives by two inputs, so that a lens is written once and its Jacobian is
-//! exact.
+//! Numbers that carry their derivatives with respect to two inputs, so that each lens formula is written once
+//! and its Jacobian is exact.
 
 use std::ops::{Add, Div, Mul, Sub};
 
 use use3d_numerics::math;
 
-/// What a lens formula needs of a number.
+/// The operations that a lens formula needs.
 pub(crate) trait Real:
     Copy
     + Add<Output = Self>
@@ -16,7 +16,7 @@ pub(crate) trait Real:
     + Mul<f64, Output = Self>
 {
     fn value(self) -> f64;
-    /// `f(self)` given `f` and `f'` there.
+    /// `f(self)`, given `f` and `f'` at this value.
     fn chain(self, f: f64, derivative: f64) -> Self;
 
     fn sqrt(self) -> Self {
@@ -40,7 +40,7 @@ impl Real for f64 {
     }
 }
 
-/// A value with its derivatives by two inputs.
+/// A value with its derivatives with respect to two inputs.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Jet {
     pub(crate) value: f64,

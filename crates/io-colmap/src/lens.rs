@@ -1,7 +1,7 @@
-//! COLMAP's camera models: where a ray lands on the sensor, and back.
+//! COLMAP's camera models: the pixel of a ray on the sensor, and the ray of a pixel.
 //!
-//! A ray of the camera frame is written as its point `(u, v) = (x/z, y/z)` on the plane `z = 1`; a pixel is
-//! `(fx u' + cx, fy v' + cy)` with the bent point `(u', v')`. The bend is a *projection* followed by a
+//! A ray of the camera frame is written as its point `(u, v) = (x/z, y/z)` on the plane `z = 1`. Its pixel is
+//! `(fx u' + cx, fy v' + cy)` with the bent point `(u', v')`. Bending is a *projection* followed by a
 //! *distortion*:
 //!
 //! * projection: perspective (`u' = u`), equidistant (the point is moved to radius `θ = atan r`),
@@ -9,19 +9,19 @@
 //!   enhanced unified (`u' = u / (α √(β r² + 1) + 1 - α)`, with `α` in `[0, 1]` and `β > 0`);
 //! * distortion: `D(u) = u·radial(|u|²) + tangential(p1, p2) + prism(s1, s2)`, as in OpenCV, with the
 //!   polynomial or rational radial factor of each model. The fisheye models apply their polynomial to the
-//!   equidistant point. RAD_TAN_THIN_PRISM_FISHEYE takes the tangential and prism terms at the point that the
-//!   radial factor has moved already.
+//!   equidistant point. RAD_TAN_THIN_PRISM_FISHEYE evaluates the tangential and prism terms at the point
+//!   after the radial factor.
 //!
 //! Ids, names and parameter order are those of COLMAP 4.2 (its `doc/cameras.rst` and camera files). The
 //! inverse is Newton's method on `D` with the exact Jacobian (by [`Jet`]) and step halving, then the closed
-//! inverse of the projection. A pixel that no ray in front of the camera reaches, or that lies beyond the
-//! fold of a distortion polynomial, has no inverse; a ray that a division lens with `k > 0` does not see (`4
-//! k r² > 1`) lands nowhere, on NaN.
+//! inverse of the projection. A pixel has no inverse if no ray in front of the camera reaches it, or if it is
+//! beyond the fold of a distortion polynomial. A ray that a division lens with `k > 0` does not see (`4 k r²
+//! > 1`) has no pixel: the result is NaN.
 //!
-//! EQUIRECTANGULAR (id 17) is not among the lenses: a panorama has rays in all directions and no pinhole that
-//! shows them.
+//! EQUIRECTANGULAR (id 17) is not among the lenses: a panorama has rays in all directions, and no pinhole can
+//! show them.
 //!
-//! Limit: rays at 90° or more from the axis (`z ≤ 0`) have no point on the plane; no pinhole could show them
+//! Limit: rays at 90° or more from the axis (`z ≤ 0`) have no point on the plane. No pinhole can show them
 //! either.
 
 use use3d_capture::Intrinsics;
@@ -92,7 +92,7 @@ impl LensModel {
         M::Eucm,
     ];
 
-    /// The name and the id of COLMAP's model of panoramas, which is no lens.
+    /// The name and the id of COLMAP's model of panoramas, which is not supported as a lens.
     pub(crate) const PANORAMA: (&str, i32) = ("EQUIRECTANGULAR", 17);
 
     /// The id in binary files.
@@ -133,7 +133,7 @@ impl LensModel {
         Self::ALL.into_iter().find(|m| m.name() == name)
     }
 
-    /// How many parameters it has.
+    /// Number of its parameters.
     pub fn parameter_count(self) -> usize {
         match self {
             M::SimplePinhole | M::SimpleFisheye => 3,
@@ -146,7 +146,7 @@ impl LensModel {
         }
     }
 
-    /// Whether one focal length serves both axes.
+    /// True if one focal length serves both axes.
     fn single_focal(self) -> bool {
         matches!(
             self,
@@ -161,7 +161,7 @@ impl LensModel {
     }
 }
 
-/// How a ray's point is moved before the distortion.
+/// The map of a ray's point before the distortion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Projection {
     Perspective,
@@ -178,8 +178,8 @@ struct Distortion {
     denominator: [f64; 3],
     tangential: [f64; 2],
     prism: [f64; 2],
-    /// Prism terms with `r⁴`, where tangential and prism terms are taken at the point that the radial factor
-    /// has moved; `None` where they are taken at the point itself.
+    /// Prism terms with `r⁴`. `Some` means that tangential and prism terms are evaluated at the point after
+    /// the radial factor; with `None` they are evaluated at the point itself.
     after_radial: Option<[f64; 2]>,
 }
 
@@ -205,7 +205,7 @@ impl Distortion {
         (moved.0 + du, moved.1 + dv)
     }
 
-    /// Solves `apply(u) = target`; `None` where it has no solution before the fold.
+    /// Solves `apply(u) = target`; `None` if there is no solution before the fold.
     fn invert(&self, target: (f64, f64)) -> Option<(f64, f64)> {
         if *self == Self::default() {
             return Some(target);
@@ -230,7 +230,7 @@ impl Distortion {
             if !(step_u.is_finite() && step_v.is_finite()) {
                 return None;
             }
-            // Halve the step until the residual shrinks; if it never does, rounding has been reached.
+            // Halve the step until the residual shrinks; if it never does, the limit of rounding is reached.
             let mut share = 1.0;
             loop {
                 let (nu, nv) = (u - share * step_u, v - share * step_v);
@@ -248,7 +248,7 @@ impl Distortion {
         self.accept(u, v, math::hypot(ru, rv), goal)
     }
 
-    /// A solution counts if it is exact to about 1e-11 and nothing folds between the axis and it.
+    /// Accepts a solution if it is exact to about 1e-11 and the lens does not fold between the axis and it.
     fn accept(&self, u: f64, v: f64, residual: f64, goal: f64) -> Option<(f64, f64)> {
         let unfolded = (1..=16).all(|i| {
             let share = f64::from(i) / 16.0;
@@ -264,7 +264,7 @@ impl Distortion {
     }
 }
 
-/// A camera model with its parameters, ready to bend rays. Focal lengths in pixels.
+/// A camera model with its parameters, ready to bend rays. Focal lengths are in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lens {
     focal: [f64; 2],
@@ -288,7 +288,7 @@ impl Lens {
         let d = &mut distortion;
         let projection = match model {
             M::Fov => Projection::FieldOfView { omega: k[0] },
-            // As their parameter goes to 0 these go to the perspective one.
+            // As their parameter goes to 0, these models approach the perspective one.
             M::SimpleDivision | M::Division if k[0] != 0.0 => Projection::Division { k: k[0] },
             M::Eucm if k[0] != 0.0 => Projection::Unified { alpha: k[0], beta: k[1] },
             M::OpenCvFisheye
@@ -322,7 +322,7 @@ impl Lens {
             }
             M::RadTanThinPrismFisheye => {
                 d.numerator.copy_from_slice(&k[..6]);
-                // Its p0 goes with x², as OpenCV's p2.
+                // The parameter p0 belongs to x², like OpenCV's p2.
                 d.tangential.copy_from_slice(&[k[7], k[6]]);
                 d.prism.copy_from_slice(&[k[8], k[10]]);
                 d.after_radial = Some([k[9], k[11]]);
@@ -345,7 +345,7 @@ impl Lens {
         }
     }
 
-    /// Whether rays are not bent at all.
+    /// True if rays are not bent at all.
     pub fn is_pinhole(&self) -> bool {
         self.projection == Projection::Perspective && self.distortion == Distortion::default()
     }
@@ -361,7 +361,7 @@ impl Lens {
             Projection::Perspective => (u, v),
             Projection::Equidistant => radially(u, v, 1.0, Real::atan),
             Projection::FieldOfView { omega } => {
-                // As ω goes to 0 the model goes to the perspective one.
+                // As ω goes to 0, the model approaches the perspective one.
                 let stretch = 2.0 * math::tan(0.5 * omega);
                 if stretch.abs() < 1e-9 {
                     (u, v)
@@ -381,7 +381,7 @@ impl Lens {
         self.distortion.apply(u, v)
     }
 
-    /// The pixel that a ray's point `(x/z, y/z)` lands on.
+    /// The pixel of a ray's point `(x/z, y/z)`.
     pub fn project(&self, u: f64, v: f64) -> (f64, f64) {
         let (a, b) = self.bend(u, v);
         (self.focal[0] * a + self.principal[0], self.focal[1] * b + self.principal[1])
@@ -396,8 +396,8 @@ impl Lens {
         (pixel, [a.by.map(|d| d * self.focal[0]), b.by.map(|d| d * self.focal[1])])
     }
 
-    /// The ray's point that lands on a pixel; `None` where no ray in front of the camera does, before the
-    /// lens folds.
+    /// The ray's point for a pixel; `None` if no ray in front of the camera reaches the pixel before the lens
+    /// folds.
     pub fn unproject(&self, x: f64, y: f64) -> Option<(f64, f64)> {
         let bent = ((x - self.principal[0]) / self.focal[0], (y - self.principal[1]) / self.focal[1]);
         let (u, v) = self.distortion.invert(bent)?;
@@ -425,7 +425,7 @@ impl Lens {
             }
             Projection::Division { k } => {
                 let moved = k * radius * radius;
-                // At -1 rays lie in the image plane; at 1 is the root beyond which radii come back.
+                // At -1 rays are in the image plane; 1 is the root beyond which radii decrease again.
                 if !(-1.0 < moved && moved < 1.0) {
                     return None;
                 }
@@ -435,7 +435,7 @@ impl Lens {
                 let (r2, rest) = (radius * radius, 1.0 - alpha);
                 let inner = 1.0 - (alpha - rest) * beta * r2;
                 let depth = (1.0 - alpha * alpha * beta * r2) / (alpha * inner.sqrt() + rest);
-                // NaN where no ray lands, not above 0 where none in front of the camera does.
+                // NaN if no ray reaches the pixel, not above 0 if no ray in front of the camera does.
                 if !(inner >= 0.0 && depth > 0.0) {
                     return None;
                 }
@@ -466,7 +466,7 @@ mod tests {
     use super::lenses::example;
     use super::*;
 
-    /// A lens, its parameters, and where it images two directions.
+    /// A lens, its parameters, and the pixels of two directions.
     type Bent = (LensModel, &'static [f64], [(f64, f64); 2]);
     use proptest::prelude::*;
 
@@ -579,7 +579,7 @@ mod tests {
         let barrel = Lens::new(M::SimpleDivision, &[100.0, 0.0, 0.0, -0.25]).unwrap();
         assert!(barrel.unproject(199.0, 0.0).is_some_and(|(u, _)| u > 100.0));
         assert_eq!(barrel.unproject(201.0, 0.0), None);
-        // r' comes back beyond 1/√k = 2, where r = 1.
+        // r' decreases again beyond 1/√k = 2, where r = 1.
         let pincushion = Lens::new(M::SimpleDivision, &[100.0, 0.0, 0.0, 0.25]).unwrap();
         assert!((pincushion.unproject(199.9, 0.0).unwrap().0 - 1.0).abs() < 1e-3);
         assert_eq!(pincushion.unproject(201.0, 0.0), None);
@@ -593,11 +593,11 @@ mod tests {
 
     #[test]
     fn beyond_the_fold_there_is_no_ray() {
-        // r (1 - 0.5 r²) peaks at r = 0.816 with 0.544: nothing lands further out.
+        // r (1 - 0.5 r²) has its maximum 0.544 at r = 0.816: no ray reaches a larger radius.
         let lens = Lens::new(M::SimpleRadial, &[100.0, 0.0, 0.0, -0.5]).unwrap();
         assert!(lens.unproject(54.0, 0.0).is_some());
         assert_eq!(lens.unproject(55.0, 0.0), None);
-        // A fisheye pixel at 90° and more.
+        // A fisheye pixel at 90° or more.
         let lens = Lens::new(M::SimpleRadialFisheye, &[100.0, 0.0, 0.0, 0.0]).unwrap();
         assert_eq!(lens.unproject(158.0, 0.0), None);
         assert!((lens.unproject(150.0, 0.0).unwrap().0 - math::tan(1.5f64)).abs() < 1e-9);

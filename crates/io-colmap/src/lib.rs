@@ -1,9 +1,9 @@
 //! COLMAP's files and lenses.
 //!
-//! [`read_model`], [`write_model_binary`] and [`write_model_text`] are COLMAP's models in and out, in both of
-//! their forms ([`binary`], [`text`]); [`Lens`] is where a ray lands on the sensor, and back, for each of
-//! COLMAP's camera models. What a capture is made of beside a model, and what becomes of its pictures, is the
-//! import's.
+//! [`read_model`], [`write_model_binary`] and [`write_model_text`] read and write COLMAP's models in both of
+//! their formats ([`binary`], [`text`]). [`Lens`] maps a ray to a pixel on the sensor, and a pixel back to
+//! its ray, for each of COLMAP's camera models. The other parts of a capture, and the preparation of its
+//! pictures, are in the crate `import`.
 
 pub mod binary;
 mod error;

@@ -1,9 +1,9 @@
 //! A COLMAP model: cameras, posed images with their keypoints, triangulated points with their tracks.
 //!
 //! Poses are world-to-camera, quaternions `w x y z`; pixel (0, 0) is the image's top-left corner. Records
-//! keep the order of the file, ids need not be contiguous or ordered. A model is a folder with `cameras`,
-//! `images` and `points3D`, all `.bin` (preferred where both are) or all `.txt`. Files of newer versions
-//! beside them (`rigs`, `frames`) are not needed.
+//! keep the order of the file; ids need not be contiguous or ordered. A model is a folder with `cameras`,
+//! `images` and `points3D`, all `.bin` (preferred if both exist) or all `.txt`. The additional files of newer
+//! versions (`rigs`, `frames`) are not needed.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -61,7 +61,7 @@ pub struct Keypoint {
 }
 
 impl Keypoint {
-    /// What COLMAP stores (as −1) for a keypoint without a triangulated point.
+    /// COLMAP's value (−1) for a keypoint without a triangulated point.
     pub const NONE: u64 = u64::MAX;
 }
 
@@ -113,9 +113,9 @@ pub struct ModelPoint {
     pub position: [f64; 3],
     /// 8-bit RGB.
     pub color: [u8; 3],
-    /// Mean reprojection error, pixels (−1 where not known).
+    /// Mean reprojection error, pixels (−1 if not known).
     pub error: f64,
-    /// Who saw it: `(image id, keypoint index)`.
+    /// The keypoints that saw it: `(image id, keypoint index)`.
     pub track: Vec<(u32, u32)>,
 }
 
@@ -130,7 +130,7 @@ pub struct Model {
     pub points: Vec<ModelPoint>,
 }
 
-/// How a model is stored.
+/// The format in which a model is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModelForm {
     /// `cameras.bin`, `images.bin`, `points3D.bin`.
@@ -158,7 +158,8 @@ impl ModelForm {
         ["cameras", "images", "points3D"].map(|stem| dir.join(format!("{stem}.{extension}")))
     }
 
-    /// The files that a folder lacks which holds some of a model's, by the form that most are there of.
+    /// The missing files of a folder that holds some files of a model, for the format with the fewest
+    /// missing.
     pub(crate) fn missing(dir: &Path) -> Option<Vec<String>> {
         let absent = |form: Self| -> Vec<String> {
             let files = form.files(dir).into_iter().filter(|f| !f.is_file());
@@ -167,7 +168,7 @@ impl ModelForm {
         [Self::Binary, Self::Text].map(absent).into_iter().filter(|m| m.len() < 3).min_by_key(Vec::len)
     }
 
-    /// The form of the model in a folder, binary first; `None` if there is none.
+    /// The format of the model in a folder, binary first; `None` if there is none.
     pub fn of(dir: &Path) -> Option<Self> {
         [Self::Binary, Self::Text].into_iter().find(|form| form.files(dir).iter().all(|f| f.is_file()))
     }
@@ -178,10 +179,10 @@ pub fn read_model(dir: &Path) -> Result<Model, ModelError> {
     read_model_as(dir, form_of(dir)?)
 }
 
-/// The form of the model in a folder.
+/// The format of the model in a folder.
 ///
 /// # Errors
-/// Why there is none: no file of a model, or not all of them.
+/// Reports the reason if there is none: no file of a model, or not all of them.
 pub fn form_of(dir: &Path) -> Result<ModelForm, ModelError> {
     ModelForm::of(dir).ok_or_else(|| match ModelForm::missing(dir) {
         Some(missing) => ModelError::Incomplete { path: dir.to_path_buf(), missing: missing.join(" and ") },
@@ -189,13 +190,13 @@ pub fn form_of(dir: &Path) -> Result<ModelForm, ModelError> {
     })
 }
 
-/// Reads a model in a given form.
+/// Reads a model in a given format.
 pub fn read_model_as(dir: &Path, form: ModelForm) -> Result<Model, ModelError> {
     let files = form.files(dir);
     let read = |path: &Path| {
         std::fs::read(path).map_err(|source| ModelError::Open { path: path.to_path_buf(), source })
     };
-    // One file at a time: the bytes of one are gone before the next is read.
+    // One file at a time: the bytes of one file are freed before the next is read.
     let model = match form {
         ModelForm::Binary => Model {
             cameras: binary::cameras(&read(&files[0])?, &files[0])?,
@@ -212,10 +213,10 @@ pub fn read_model_as(dir: &Path, form: ModelForm) -> Result<Model, ModelError> {
     Ok(model)
 }
 
-/// How many images a model lists, without reading the rest of it.
+/// Number of images that a model lists, without reading the rest of it.
 ///
 /// # Errors
-/// A list that cannot be read.
+/// Fails if the list cannot be read.
 pub fn count_images(dir: &Path, form: ModelForm) -> Result<u64, ModelError> {
     let path = &form.files(dir)[1];
     let open = |source| ModelError::Open { path: path.clone(), source };
@@ -238,7 +239,8 @@ pub fn count_images(dir: &Path, form: ModelForm) -> Result<u64, ModelError> {
     }
 }
 
-/// Writes `cameras.bin`, `images.bin`, `points3D.bin` into a folder; each file is there whole or not at all.
+/// Writes `cameras.bin`, `images.bin`, `points3D.bin` into a folder; each file is written completely or not
+/// at all.
 pub fn write_model_binary(dir: &Path, model: &Model) -> Result<(), ModelError> {
     let [cameras, images, points] = ModelForm::Binary.files(dir);
     write(&cameras, |w| binary::write_cameras(w, &model.cameras))?;
@@ -246,8 +248,8 @@ pub fn write_model_binary(dir: &Path, model: &Model) -> Result<(), ModelError> {
     write(&points, |w| binary::write_points(w, &model.points))
 }
 
-/// Writes `cameras.txt`, `images.txt`, `points3D.txt`; numbers are written so that they read back to the same
-/// bits.
+/// Writes `cameras.txt`, `images.txt`, `points3D.txt`. Numbers are written so that reading them restores the
+/// same bits.
 pub fn write_model_text(dir: &Path, model: &Model) -> Result<(), ModelError> {
     let [cameras, images, points] = ModelForm::Text.files(dir);
     write(&cameras, |w| text::write_cameras(w, &model.cameras))?;
@@ -263,17 +265,17 @@ fn write(
         .map_err(|source| ModelError::Write { path: path.to_path_buf(), source })
 }
 
-/// The largest image a camera may announce: what the image readers take.
+/// The largest image that a camera may announce: the limit of the image readers.
 const MAX_PIXELS: u64 = use3d_io_image::MAX_PIXELS;
 
-/// The largest coordinate or lens parameter. Training is done in single precision, where the square of a
-/// larger one is no number any more.
+/// The largest coordinate or lens parameter. Training uses single precision, in which the square of a larger
+/// one overflows.
 const LARGEST: f64 = 1e15;
 const RANGE: &str = "expected numbers up to 1e15";
-/// The shortest focal length, pixels: shorter ones vanish in single precision once they are squared.
+/// The shortest focal length, pixels: the square of a shorter one vanishes in single precision.
 const SHORTEST_FOCAL: f64 = 1e-3;
 
-/// Whether a coordinate can be worked with in single precision.
+/// True if a coordinate can be used in single precision.
 pub fn fits_single(value: f64) -> bool {
     value.abs() <= LARGEST
 }
@@ -284,8 +286,8 @@ impl Model {
         self.cameras.iter().find(|c| c.id == id)
     }
 
-    /// Checks what a reader cannot see in one record: that ids are unique and known, numbers finite, sizes
-    /// sensible.
+    /// Checks conditions that involve more than one record or field: ids are unique and known, numbers
+    /// finite, sizes sensible.
     pub fn check(&self, path: &Path) -> Result<(), ModelError> {
         let fail = |place: String, reason: String| Err(ModelError::broken(path, place, reason));
         let mut cameras = BTreeMap::new();
@@ -340,10 +342,10 @@ impl Model {
         Ok(())
     }
 
-    /// Checks that every number that is trained or rendered with keeps its meaning in single precision.
+    /// Checks that every number used in training or rendering is usable in single precision.
     ///
     /// # Errors
-    /// The first number that does not, by record.
+    /// Returns the first number that is not, with its record.
     pub fn check_single(&self, path: &Path) -> Result<(), ModelError> {
         let fail = |place: String, reason: String| Err(ModelError::broken(path, place, reason));
         for camera in &self.cameras {
@@ -372,7 +374,7 @@ impl Model {
         }
     }
 
-    /// Keeps the images that `keep` says, and takes the others out of the points' tracks.
+    /// Keeps the images for which `keep` returns true, and removes the others from the points' tracks.
     pub fn retain_images(&mut self, keep: impl Fn(&ModelImage) -> bool) {
         let before = self.images.len();
         self.images.retain(keep);

@@ -88,7 +88,7 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// The very next line, be it empty.
+    /// The next line, even if it is empty.
     fn any(&mut self) -> Option<Line<'a>> {
         let (number, text) = self.lines.next()?;
         Some(self.line(number, text))
@@ -122,7 +122,7 @@ pub fn cameras(bytes: &[u8], path: &Path) -> Result<Vec<ModelCamera>> {
     Ok(out)
 }
 
-/// What is left of a line after `count` words.
+/// The rest of a line after `count` words.
 fn after_words(text: &str, count: usize) -> &str {
     let mut rest = text;
     for _ in 0..count {

@@ -1,4 +1,4 @@
-//! COLMAP's files in and out, and files that mean harm.
+//! Reading and writing COLMAP's files, and malicious files.
 
 use std::path::Path;
 
@@ -6,8 +6,8 @@ use proptest::prelude::*;
 use use3d_capture::FileName;
 use use3d_io_colmap::*;
 
-/// A small model with everything in it: two cameras, ids out of order, an image without keypoints, keypoints
-/// and points without tracks.
+/// A small model with every kind of content: two cameras, ids out of order, an image without keypoints,
+/// keypoints and points without tracks.
 fn example() -> Model {
     let keypoint = |x: f64, y: f64, point: u64| Keypoint { x, y, point };
     Model {
@@ -69,7 +69,7 @@ fn binary_and_text_hold_the_same_to_the_last_bit() {
     assert_eq!(ModelForm::of(&text), Some(ModelForm::Text));
     assert_eq!(read_model(&binary).unwrap(), model);
     assert_eq!(read_model(&text).unwrap(), model);
-    // Text with the other line ends, tabs, comments and blank lines between records.
+    // Text with the other kind of line ends, tabs, comments and blank lines between records.
     let images = std::fs::read_to_string(text.join("images.txt")).unwrap();
     let odd = images.replace('\n', "\r\n").replace("900 0.5", "\r\n# a remark\r\n900\t0.5");
     std::fs::write(text.join("images.txt"), odd).unwrap();
@@ -101,7 +101,7 @@ fn name(text: &str) -> FileName {
     FileName::new(text).unwrap()
 }
 
-/// The message for a model in which one thing is wrong.
+/// The message for a model with one error.
 fn complaint(change: impl FnOnce(&mut Model)) -> String {
     let dir = tempfile::tempdir().unwrap();
     let mut model = example();
@@ -148,7 +148,7 @@ fn camera_models_that_are_no_lenses_are_named() {
     bytes[12..16].copy_from_slice(&18i32.to_le_bytes());
     let message = binary::cameras(&bytes, path).unwrap_err().to_string();
     assert!(message.contains("id 18") && message.contains("image_undistorter"), "{message}");
-    // Found by fuzzing: the id next to the smallest number overflowed.
+    // Found by fuzzing: an id next to the smallest number caused an overflow.
     bytes[12..16].copy_from_slice(&(i32::MIN + 1).to_le_bytes());
     let message = binary::cameras(&bytes, path).unwrap_err().to_string();
     assert!(message.contains("damaged"), "{message}");
@@ -174,7 +174,7 @@ fn counts_of_2_to_the_60_are_lies() {
         let message = parse(&lie, path).unwrap_err().to_string();
         assert!(message.contains("1152921504606846976") && message.contains("x.bin"), "{message}");
     }
-    // A lie inside a record: the keypoints of the first image.
+    // A false count inside a record: the keypoints of the first image.
     let dir = tempfile::tempdir().unwrap();
     write_model_binary(dir.path(), &example()).unwrap();
     let mut images = std::fs::read(dir.path().join("images.bin")).unwrap();
@@ -311,8 +311,7 @@ proptest! {
         prop_assert_eq!(&read_model_as(dir.path(), ModelForm::Text).unwrap(), &model);
     }
 
-    /// Mutated files end in a model or an error; where they are read, what was
-    /// read can be checked and written.
+    /// A mutated file gives a model or an error; what was read can be checked and written.
     #[test]
     fn mutated_files_never_panic(file in 0usize..6, edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..10), cut in any::<prop::sample::Index>(), truncate in any::<bool>()) {
         thread_local!(static SEEDS: Vec<Vec<u8>> = {

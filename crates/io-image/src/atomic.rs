@@ -1,5 +1,5 @@
-//! Files that are there whole or not at all: written beside their place under a temporary name, then renamed
-//! into it.
+//! Writes files completely or not at all: a file is written under a temporary name in the same folder, then
+//! renamed to its final name.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -8,11 +8,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 static SERIAL: AtomicU64 = AtomicU64::new(0);
 
-/// Creates or replaces `path` with what `fill` writes. On an error the temporary file is removed and `path`
+/// Creates or replaces `path` with the output of `fill`. On an error the temporary file is removed and `path`
 /// is untouched.
 ///
-/// Parent folders are created. The data is not forced to the medium (`fsync`): callers that publish a whole
-/// folder do that once, for the folder.
+/// Parent folders are created. The data is not forced to the storage medium (`fsync`): callers that publish a
+/// whole folder do this once, for the folder.
 pub fn write_atomically<T>(
     path: &Path,
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<T>,
@@ -23,7 +23,7 @@ pub fn write_atomically<T>(
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     std::fs::create_dir_all(folder)?;
     let serial = SERIAL.fetch_add(1, Ordering::Relaxed);
-    // Not made of the name, which may be as long as a name can be.
+    // The temporary name does not contain the final name, which may already have the greatest valid length.
     let temporary = folder.join(format!(".use3d-{}-{serial}.tmp", std::process::id()));
     let result = (|| {
         let mut writer = BufWriter::with_capacity(1 << 18, File::create(&temporary)?);

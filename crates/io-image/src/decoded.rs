@@ -1,5 +1,4 @@
-//! What a decoder hands over: interleaved samples as the file stores them, and the views of them that callers
-//! ask for.
+//! The result of a decoder: interleaved samples as the file stores them, and their conversions.
 
 use use3d_capture::{Image, Map, Pixels, Raster};
 
@@ -27,7 +26,7 @@ pub struct Decoded {
     pub samples: Samples,
 }
 
-/// The three colours of every pixel as planes; grey counts three times, alpha is left out.
+/// The three colours of every pixel as planes; grey is used for all three, alpha is dropped.
 fn colors<T: Copy + Default, U: Copy + Default>(
     decoded: &Decoded,
     samples: &[T],
@@ -49,13 +48,13 @@ fn colors<T: Copy + Default, U: Copy + Default>(
 }
 
 impl Decoded {
-    /// Whether the last channel is alpha.
+    /// True if the last channel is alpha.
     pub fn has_alpha(&self) -> bool {
         matches!(self.channels, 2 | 4)
     }
 
-    /// The colours as they are kept in memory: 8-bit files stay 8-bit, all others become 16-bit (clamped to
-    /// `[0, 1]`).
+    /// The colours in the form that is kept in memory: 8-bit files stay 8-bit, all others become 16-bit
+    /// (clamped to `[0, 1]`).
     pub fn to_pixels(&self) -> Pixels {
         match &self.samples {
             Samples::Eight(s) => Pixels::Eight(colors(self, s, |v| v)),
@@ -67,7 +66,7 @@ impl Decoded {
         }
     }
 
-    /// The colours in display range; float files keep their values, outside `[0, 1]` too.
+    /// The colours in display range; float files keep their values, also outside `[0, 1]`.
     pub fn to_image(&self) -> Image {
         match &self.samples {
             Samples::Eight(s) => colors(self, s, |v| f32::from(v) / 255.0),
@@ -95,8 +94,8 @@ impl Decoded {
         out
     }
 
-    /// One channel: the grey value, or the mean of the three colours; alpha is left out. Integer files over
-    /// their full scale, float files as stored.
+    /// One channel: the grey value, or the mean of the three colours; alpha is dropped. Integer values are
+    /// divided by their full scale, float values are kept as stored.
     pub fn to_map(&self) -> Map {
         if self.channels >= 3 { self.channel_map(0, 3) } else { self.channel_map(0, 1) }
     }

@@ -1,5 +1,5 @@
-//! Pictures inside pages: small, as JPEG, in a data address. Encoded into memory,
-//! never into a file of their own.
+//! Pictures inside pages: small, as JPEG, in a data address. They are encoded in memory, never as files of
+//! their own.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -7,15 +7,16 @@ use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
 use use3d_capture::{Image, Image8};
 
-/// A picture that JPEG cannot hold.
+/// A picture that cannot be stored as JPEG.
 #[derive(Debug, thiserror::Error)]
 #[error("it cannot be written as a JPEG: {0}")]
 pub struct JpegError(#[from] image::ImageError);
 
-/// The `data:` address of an image, as a JPEG of a quality in 1 to 100; the same bytes on every processor.
+/// The `data:` address of an image, as a JPEG with a quality from 1 to 100; the bytes are the same on every
+/// processor.
 ///
 /// # Errors
-/// An image without pixels, or with a side above 65,535.
+/// Fails for an image without pixels, or with a side above 65,535.
 pub fn jpeg_address(image: &Image8, quality: u8) -> Result<String, JpegError> {
     let (width, height) = (image.width() as u32, image.height() as u32);
     let mut bytes = Vec::new();
@@ -28,8 +29,8 @@ pub fn jpeg_address(image: &Image8, quality: u8) -> Result<String, JpegError> {
     Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes)))
 }
 
-/// An image (clamped to the display range) in 8 bits, reduced by box means by the smallest whole factor that
-/// brings its longer side to at most `side`.
+/// An image (clamped to the display range) in 8 bits, shrunk by box means by the smallest whole factor that
+/// makes its longer side at most `side`.
 pub fn shrunk(image: &Image, side: usize) -> Image8 {
     let (w, h) = (image.width(), image.height());
     let factor = w.max(h).div_ceil(side.max(1)).max(1);

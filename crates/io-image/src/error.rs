@@ -1,4 +1,4 @@
-//! What can go wrong with an image file, said with the file's name, what was expected, and what to do next.
+//! The errors of an image file, with the file's name, what was expected, and what to do next.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -38,10 +38,10 @@ pub enum ImageError {
     Open {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// Not a format we know, by its first bytes.
+    /// The first bytes belong to no known format.
     #[error(
         "{}: its first bytes are those of neither PNG, JPEG, TIFF, EXR nor NPY; convert it to one of these",
         path.display()
@@ -50,13 +50,13 @@ pub enum ImageError {
         /// The file.
         path: PathBuf,
     },
-    /// Nothing in it, as an interrupted copy leaves a file.
+    /// The file is empty, as after an interrupted copy.
     #[error("{}: the file is empty; copy it or write it again", path.display())]
     Empty {
         /// The file.
         path: PathBuf,
     },
-    /// A header that announces more than is sensible; nothing has been allocated for it.
+    /// The header announces a size beyond the limits; no memory was allocated for it.
     #[error("{}: the {format} header announces {width}x{height} pixels, {why}", path.display())]
     Size {
         /// The file.
@@ -67,10 +67,10 @@ pub enum ImageError {
         width: u64,
         /// Announced height.
         height: u64,
-        /// Why this is refused, and what to do.
+        /// The reason for the refusal, and the remedy.
         why: String,
     },
-    /// Damaged, truncated, or a variant that is not supported.
+    /// The file is damaged or truncated, or a variant that is not supported.
     #[error(
         "{}: the {format} file is damaged or of an unsupported kind: {reason}; write it again, or convert it to 8- or 16-bit PNG",
         path.display()
@@ -80,25 +80,25 @@ pub enum ImageError {
         path: PathBuf,
         /// Its format.
         format: Format,
-        /// What the decoder says.
+        /// The decoder's error.
         reason: String,
     },
-    /// A sound file with the wrong kind of contents.
+    /// A valid file with the wrong kind of contents.
     #[error("{}: expected {expected}, found {found}", path.display())]
     Content {
         /// The file.
         path: PathBuf,
-        /// What was expected.
+        /// The expected contents.
         expected: String,
-        /// What was found.
+        /// The contents that were found.
         found: String,
     },
-    /// The file cannot be written; what was there before is untouched.
+    /// The file cannot be written; the old content is untouched.
     #[error("{}: cannot be written ({reason}); check that the folder is there, writable and has space", path.display())]
     Write {
         /// The file.
         path: PathBuf,
-        /// What the system or the encoder says.
+        /// The system's or the encoder's error.
         reason: String,
     },
 }

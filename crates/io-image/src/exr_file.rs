@@ -1,5 +1,5 @@
-//! OpenEXR in and out: 32-bit float, unclamped, ZIP-compressed scan lines in increasing order (the same bytes
-//! every time).
+//! Reading and writing of OpenEXR: 32-bit float, unclamped, ZIP-compressed scan lines in increasing order
+//! (the same bytes every time).
 
 use std::io::{Cursor, Seek, Write};
 use std::path::Path;
@@ -15,7 +15,8 @@ use crate::limits::check_size;
 /// Names under which a single channel of interest is looked for, best first.
 const SINGLE: [&str; 5] = ["Z", "Y", "depth", "depth.Z", "A"];
 
-/// Width, height and the picked channels of the first flat layer, from the header alone.
+/// Width, height and channel names of the first flat layer, and the bytes per pixel of all flat layers; only
+/// the header is read.
 pub(crate) fn header(
     reader: impl std::io::BufRead,
     path: &Path,
@@ -38,7 +39,7 @@ pub(crate) fn header(
     Ok((size.width() as u64, size.height() as u64, names, bytes_per_pixel))
 }
 
-/// Which channels make the picture: `R G B` (and `A`), or one that stands for depth, brightness or coverage.
+/// The channels that form the picture: `R G B` (and `A`), or one that holds depth, brightness or coverage.
 pub(crate) fn pick(names: &[String], path: &Path) -> std::result::Result<Vec<usize>, ImageError> {
     let find = |name: &str| names.iter().position(|n| n == name);
     if let (Some(r), Some(g), Some(b)) = (find("R"), find("G"), find("B")) {
@@ -108,7 +109,8 @@ fn encode(
 
 use exr::image::Image as Image_;
 
-/// Writes an RGB image, values as they are (not clamped), channels `B G R` in the file as EXR sorts them.
+/// Writes an RGB image with unchanged values (not clamped); the channels are `B G R` in the file, as EXR
+/// sorts them.
 pub fn write_exr(path: &Path, image: &Image) -> std::result::Result<(), ImageError> {
     let [r, g, b] = image.planes();
     write_exr_channels(path, image.width(), image.height(), &[("R", r), ("G", g), ("B", b)])

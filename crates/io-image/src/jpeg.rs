@@ -1,12 +1,12 @@
-//! The two things about a JPEG that the decoder does not tell: its size without reading all of it, and
-//! whether it is whole.
+//! Two properties of a JPEG that the decoder does not report: its size without reading the whole file, and
+//! its completeness.
 //!
-//! The decoder fills what is missing of a truncated file with grey and reports success, which would train a
-//! scene on grey.
+//! The decoder fills the missing part of a truncated file with grey and reports success. A scene would then
+//! be trained on grey.
 
 use std::io::BufRead;
 
-/// Size from the frame header, and whether a scan begins after it.
+/// Size and number of components from the frame header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct FrameHeader {
     pub(crate) width: u64,
@@ -14,7 +14,7 @@ pub(crate) struct FrameHeader {
     pub(crate) components: u64,
 }
 
-/// Walks the segments to the first scan; the reader is left at the scan's data.
+/// Reads the segments up to the first scan; the reader is left at the scan's data.
 pub(crate) fn frame(reader: &mut impl BufRead) -> Result<FrameHeader, String> {
     let ended = |_| "it ends within its header".to_string();
     let mut two = [0u8; 2];
@@ -34,7 +34,7 @@ pub(crate) fn frame(reader: &mut impl BufRead) -> Result<FrameHeader, String> {
             marker = two[0];
         }
         if matches!(marker, 0x01 | 0xD0..=0xD7) {
-            continue; // these stand alone
+            continue; // these have no body
         }
         if marker == 0xD9 {
             return Err("it ends before any picture".into());

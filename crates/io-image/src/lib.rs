@@ -1,13 +1,13 @@
-//! Image files in and out.
+//! Reading and writing of image files.
 //!
-//! Read: PNG (1 to 16 bits), JPEG, TIFF (8, 16 bits, float), EXR (half, float), NPY. Written: PNG
-//! (8, 16 bits), EXR (float), and JPEGs for pages. Formats are told apart by their first bytes, not
-//! by the name. Values are display-referred (a PNG value over 255) and never linearised; EXR files
+//! Formats for reading: PNG (1 to 16 bits), JPEG, TIFF (8, 16 bits, float), EXR (half, float), NPY. Formats
+//! for writing: PNG (8, 16 bits), EXR (float), and JPEGs for pages. Formats are recognised by their first
+//! bytes, not by the name. Values are display-referred (a PNG value over 255) and never linearised; EXR files
 //! hold the same values unclamped.
 //!
-//! Every size is checked before memory is asked for (at most [`MAX_PIXELS`], and never more than the file's
-//! own length can hold). Every write goes to a temporary sibling that is renamed into place, so a file is
-//! there whole or not at all.
+//! Every size is checked before memory is allocated (at most [`MAX_PIXELS`], and never more than the file's
+//! own length can hold). Every file is written under a temporary name in the same folder and then renamed, so
+//! it is written completely or not at all.
 //!
 //! ```no_run
 //! # fn main() -> Result<(), use3d_io_image::ImageError> {

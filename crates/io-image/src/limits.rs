@@ -1,17 +1,17 @@
-//! Sizes are checked before memory is asked for.
+//! Checks of sizes before memory is allocated.
 
 use std::path::Path;
 
 use crate::error::{Format, ImageError};
 
-/// The most pixels a file may have: 2^27, about 134 million.
+/// The largest number of pixels of a file: 2^27, about 134 million.
 pub const MAX_PIXELS: u64 = 1 << 27;
 
-/// Up to this many decoded bytes a header is believed whatever the file's length.
+/// Up to this many decoded bytes, the size in a header is accepted whatever the file's length.
 const SMALL: u64 = 64 << 20;
 
-/// No coder in use here packs more than about 2600 bytes into one (LZW in TIFF; DEFLATE and JPEG reach about
-/// 1030).
+/// Largest plausible compression factor. No coder in use here packs more than about 2600 bytes into one (LZW
+/// in TIFF; DEFLATE and JPEG reach about 1030).
 const MAX_COMPRESSION: u64 = 4096;
 
 /// Checks an announced size against the limits and against the length of the file that announces it.

@@ -11,12 +11,12 @@ use crate::error::{Format, ImageError};
 use crate::limits::check_size;
 
 const MAGIC: &[u8] = b"\x93NUMPY";
-/// A header of one plain array is far shorter than this and has at most four brackets, of which the parser
-/// would otherwise recurse once each.
+/// Largest header, bytes. The header of one plain array is far shorter and has at most four brackets; the
+/// parser would recurse once for each bracket.
 const MAX_HEADER: usize = 4096;
 const MAX_BRACKETS: usize = 16;
 
-/// Parses the header after bounding what it can make the parser do.
+/// Parses the header after limiting the work that it can cause in the parser.
 pub(crate) fn header(mut reader: impl Read, path: &Path) -> Result<NpyHeader, ImageError> {
     let fail = |reason: String| ImageError::decode(path, Format::Npy, reason);
     let mut head = [0u8; 12];
@@ -120,7 +120,7 @@ pub(crate) fn decode(bytes: &[u8], path: &Path) -> Result<Decoded, ImageError> {
     Ok(Decoded { width: w, height: h, channels: c, samples })
 }
 
-/// `[H, W, C]` in column-major order (first index fastest) to row-major.
+/// Converts `[H, W, C]` from column-major order (first index fastest) to row-major order.
 fn row_major<T: Copy + Default>(samples: &[T], w: usize, h: usize, c: usize) -> Vec<T> {
     let mut out = vec![T::default(); samples.len()];
     for k in 0..c {
@@ -133,7 +133,7 @@ fn row_major<T: Copy + Default>(samples: &[T], w: usize, h: usize, c: usize) -> 
     out
 }
 
-/// IEEE half precision, which `npyz` reads only with another dependency.
+/// Reads IEEE half precision, for which `npyz` needs another dependency.
 fn half_floats(bytes: &[u8], header: &NpyHeader) -> Samples {
     let big = matches!(header.dtype(), DType::Plain(t) if t.endianness() == npyz::Endianness::Big);
     let value = |pair: &[u8]| {

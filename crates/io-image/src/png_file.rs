@@ -1,30 +1,30 @@
-//! The two things about a PNG that its decoder must not be asked for: its header without unpacking metadata,
-//! and its pixels without it.
+//! Two operations on a PNG that its decoder must not do: reading its header without unpacking metadata, and
+//! removing the metadata before the pixels are decoded.
 //!
 //! A colour profile or a text may unpack to a thousand times its length, and the decoder unpacks it before it
-//! tells the size. Neither is used here, so neither is handed over. A chunk is `u32 length, 4 letters, length
+//! reports the size. Neither is used here, so neither is passed on. A chunk is `u32 length, 4 letters, length
 //! bytes, u32 checksum`.
 
 use std::borrow::Cow;
 use std::io::{BufRead, Seek, SeekFrom};
 
 const SIGNATURE: usize = 8;
-/// Length and name before a chunk's contents, and the checksum behind them.
+/// Bytes around a chunk's contents: length and name before, checksum after.
 const AROUND: usize = 12;
-/// Chunks that unpack, or that only describe the picture.
+/// Chunks that may unpack to a large size, or that only describe the picture.
 const METADATA: [&[u8; 4]; 5] = [b"iCCP", b"zTXt", b"iTXt", b"tEXt", b"eXIf"];
 
-/// What the header tells of the decoded picture.
+/// The properties of the decoded picture that the header gives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Header {
     pub(crate) width: u64,
     pub(crate) height: u64,
-    /// Bytes per pixel once decoded.
+    /// Bytes per pixel after decoding.
     pub(crate) bytes_per_pixel: u64,
     pub(crate) alpha: bool,
 }
 
-/// Walks the chunks to the first of pixels.
+/// Reads the chunks up to the first chunk of pixels.
 pub(crate) fn header(reader: &mut (impl BufRead + Seek)) -> Result<Header, String> {
     let ended = |_| "it ends within its header".to_string();
     let mut start = [0u8; SIGNATURE + 8 + 13 + 4];
@@ -43,7 +43,7 @@ pub(crate) fn header(reader: &mut (impl BufRead + Seek)) -> Result<Header, Strin
         6 => (3, true),
         _ => return Err(format!("its colour type is {color}; expected 0, 2, 3, 4 or 6")),
     };
-    // Transparency of a palette or of one colour comes in a chunk of its own, before the pixels.
+    // Transparency of a palette or of one colour is in a chunk of its own, before the pixels.
     let transparent = loop {
         let mut head = [0u8; 8];
         reader.read_exact(&mut head).map_err(ended)?;
@@ -61,8 +61,8 @@ pub(crate) fn header(reader: &mut (impl BufRead + Seek)) -> Result<Header, Strin
     Ok(Header { width: side(0), height: side(4), bytes_per_pixel, alpha })
 }
 
-/// The file without the chunks that only describe the picture; a damaged one comes back as it is, for the
-/// decoder to say.
+/// The file without the chunks that only describe the picture. A damaged file is returned unchanged, so that
+/// the decoder reports the error.
 pub(crate) fn without_metadata(bytes: &[u8]) -> Cow<'_, [u8]> {
     let mut kept = bytes.get(..SIGNATURE).unwrap_or(bytes).to_vec();
     let mut rest = &bytes[kept.len()..];

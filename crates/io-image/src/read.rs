@@ -1,4 +1,4 @@
-//! Reading: format from the first bytes, size from the header, then all samples.
+//! Reads image files: the format from the first bytes, the size from the header, then all samples.
 //!
 //! EXIF orientation is not applied: COLMAP works on the pixels as stored, and so must everything that uses
 //! its poses.
@@ -17,7 +17,7 @@ use crate::error::{Format, ImageError};
 use crate::limits::{MAX_PIXELS, check_size};
 use crate::{exr_file, jpeg, npy, png_file};
 
-/// What a header tells.
+/// The properties that a header gives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ImageInfo {
     /// Width, pixels.
@@ -26,7 +26,7 @@ pub struct ImageInfo {
     pub height: usize,
     /// The format, by the file's first bytes.
     pub format: Format,
-    /// Whether there is an alpha channel.
+    /// True if there is an alpha channel.
     pub alpha: bool,
 }
 
@@ -61,7 +61,7 @@ pub fn image_size(path: &Path) -> Result<(usize, usize), ImageError> {
     image_info(path).map(|i| (i.width, i.height))
 }
 
-/// As [`image_info`], for a file in memory; `path` is for the messages only.
+/// Like [`image_info`], for a file in memory; `path` is only for messages.
 pub fn info_of_bytes(bytes: &[u8], path: &Path) -> Result<ImageInfo, ImageError> {
     info(Cursor::new(bytes), bytes.len() as u64, path)
 }
@@ -97,11 +97,11 @@ fn info(mut reader: impl BufRead + Seek, length: u64, path: &Path) -> Result<Ima
     Ok(ImageInfo { width, height, format, alpha })
 }
 
-/// What a header alone may take, bytes: tables of strips, not metadata.
+/// Memory that a header alone may use, bytes: for tables of strips, not metadata.
 const HEADER_ALLOWANCE: u64 = 64 << 20;
 
-/// Limits for the decoders that keep them, for an image of so many pixels (0: for its header only); our own
-/// limits are checked before.
+/// Limits for the decoders that support them, for an image with this number of pixels (0: only its header).
+/// This crate's own limits are checked before.
 fn decoder_limits(pixels: u64) -> image::Limits {
     let mut limits = image::Limits::no_limits();
     limits.max_image_width = Some(1 << 24);
@@ -179,7 +179,7 @@ fn decode_float_tiff(bytes: &[u8], width: usize, height: usize, path: &Path) -> 
     Ok(Decoded { width, height, channels: 1, samples: Samples::Float(samples) })
 }
 
-/// Decodes a file in memory; `path` is for the messages only.
+/// Decodes a file in memory; `path` is only for messages.
 pub fn decode(bytes: &[u8], path: &Path) -> Result<Decoded, ImageError> {
     let ImageInfo { width, height, format, .. } = info_of_bytes(bytes, path)?;
     let fail = |reason: String| ImageError::decode(path, format, reason);
@@ -220,31 +220,31 @@ pub fn decode(bytes: &[u8], path: &Path) -> Result<Decoded, ImageError> {
 
 /// Reads a whole file into samples.
 pub fn read(path: &Path) -> Result<Decoded, ImageError> {
-    // The header first: a file that is refused for its size is not read into memory.
+    // The header is read first: a file that is refused for its size is not read into memory.
     image_info(path)?;
     let bytes = std::fs::read(path).map_err(open_error(path))?;
     decode(&bytes, path)
 }
 
-/// The picture in display range `[0, 1]` (float files keep their values); grey becomes RGB, alpha is left
-/// out.
+/// Reads a picture in display range `[0, 1]` (float files keep their values); grey becomes RGB, alpha is
+/// dropped.
 pub fn read_image(path: &Path) -> Result<Image, ImageError> {
     read(path).map(|d| d.to_image())
 }
 
-/// The picture as a training loop keeps it: 8-bit files stay 8-bit, all others become 16-bit.
+/// Reads a picture in the form that a training loop keeps: 8-bit files stay 8-bit, all others become 16-bit.
 pub fn read_pixels(path: &Path) -> Result<Pixels, ImageError> {
     read(path).map(|d| d.to_pixels())
 }
 
-/// As [`read_pixels`], with the alpha channel, if there is one, as a weight in `[0, 1]`.
+/// Like [`read_pixels`], with the alpha channel, if there is one, as a weight in `[0, 1]`.
 pub fn read_pixels_with_alpha(path: &Path) -> Result<(Pixels, Option<Map>), ImageError> {
     read(path).map(|d| (d.to_pixels(), d.alpha()))
 }
 
-/// One channel: a mask, a depth, a weight. Grey, or the mean of RGB; 8- and 16-bit values over their full
-/// scale, floats as stored. Values that are not finite become 0, which every map of ours reads as "nothing
-/// known here".
+/// Reads one channel: a mask, a depth, a weight. It is the grey value or the mean of RGB; 8- and 16-bit
+/// values are divided by their full scale, floats are kept as stored. Values that are not finite become 0,
+/// which means "unknown" in every map of this program.
 pub fn read_map(path: &Path) -> Result<Map, ImageError> {
     let mut map = read(path)?.to_map();
     map.data_mut().iter_mut().filter(|v| !v.is_finite()).for_each(|v| *v = 0.0);

@@ -1,4 +1,4 @@
-//! PNG out: display range, clamped, `floor(255 x + 0.5)`.
+//! Writes PNG files: display range, clamped, `floor(255 x + 0.5)`.
 
 use std::path::Path;
 
@@ -29,7 +29,7 @@ fn write(
     .map_err(|e| ImageError::write(path, e))
 }
 
-/// 16-bit samples in the byte order that the encoder takes.
+/// 16-bit samples in the byte order that the encoder expects.
 fn native_bytes(samples: &[u16]) -> Vec<u8> {
     samples.iter().flat_map(|v| v.to_ne_bytes()).collect()
 }

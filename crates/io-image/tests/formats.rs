@@ -1,4 +1,4 @@
-//! Every format in and out, precision kept, alpha kept apart, errors that name the file.
+//! Every format is written and read, with its precision, its alpha channel, and errors that name the file.
 
 use std::path::Path;
 
@@ -181,7 +181,7 @@ fn a_truncated_jpeg_is_an_error_not_a_half_grey_picture() {
     std::fs::write(&path, &bytes[..bytes.len() * 3 / 4]).unwrap();
     let message = read_image(&path).unwrap_err().to_string();
     assert!(message.contains("a.jpg") && message.contains("end marker"), "{message}");
-    // What some cameras append after the picture is no reason to refuse it.
+    // Data that some cameras append after the picture is no reason to refuse the file.
     std::fs::write(&path, [bytes.as_slice(), b"maker's trailer"].concat()).unwrap();
     read_image(&path).unwrap();
 }
@@ -262,7 +262,7 @@ fn seeds() -> Vec<Vec<u8>> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 600, failure_persistence: None, rng_seed: proptest::test_runner::RngSeed::Fixed(7), ..ProptestConfig::default() })]
 
-    /// Whatever happens to a file, reading it ends in a picture or an error.
+    /// A changed file gives a picture or an error.
     #[test]
     fn mutated_files_never_panic(which in 0usize..6, edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..8), cut in any::<prop::sample::Index>(), truncate in any::<bool>()) {
         thread_local!(static SEEDS: Vec<Vec<u8>> = seeds());

@@ -1,11 +1,11 @@
-//! A PNG of a few thousand pixels with a colour profile that unpacks to 400 MB. Alone in its process, because
-//! it asks how much memory the process ever held.
+//! A PNG of a few thousand pixels with a colour profile that unpacks to 400 MB. It is the only test of its
+//! process, because it reads the peak memory of the process.
 
 use std::path::Path;
 
 use use3d_io_image::{decode, image_info, info_of_bytes, read_image};
 
-/// Zeros as DEFLATE packs them best: a literal, then `repeats` × "258 bytes again".
+/// Zeros with the best DEFLATE compression: a literal, then `repeats` × "258 bytes again".
 fn zeros(repeats: usize) -> Vec<u8> {
     let mut out = vec![0x78, 0x9c];
     let (mut held, mut count) = (0u64, 0u32);
@@ -42,7 +42,7 @@ fn chunk(name: &[u8; 4], body: &[u8]) -> Vec<u8> {
     [&(body.len() as u32).to_be_bytes()[..], &named, &checksum(&named).to_be_bytes()].concat()
 }
 
-/// The most memory this process ever held, bytes; `None` where the system does not say.
+/// The peak memory of this process, bytes; `None` if the system does not report it.
 fn peak() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
@@ -62,7 +62,7 @@ fn a_colour_profile_is_never_unpacked() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("bomb.png");
     std::fs::write(&path, &bomb).unwrap();
-    // The bits above are what they are meant to be: any reader of profiles finds all of it.
+    // The bits above are valid: any reader of profiles would unpack all of them.
     let before = peak();
     let info = image_info(&path).unwrap();
     assert_eq!((info.width, info.height, info.alpha), (48, 32, true));

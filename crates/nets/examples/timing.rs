@@ -1,8 +1,8 @@
-//! Seconds, processor seconds and peak memory of every network on one picture size, with stand-in weights
+//! Seconds, processor seconds and peak memory of every network for one picture size, with stand-in weights
 //! (same shapes, same work).
 //!
-//! `cargo run --release -p use3d-nets --example timing [-- WIDTHxHEIGHT [NETWORK]]`; without a network each
-//! runs in a process of its own, so that the peaks do not mix.
+//! Run `cargo run --release -p use3d-nets --example timing [-- WIDTHxHEIGHT [NETWORK]]`. Without a network,
+//! each network runs in a process of its own, so that the peaks are separate.
 
 use std::time::Instant;
 
@@ -78,7 +78,7 @@ fn depth(title: &str, size: DepthAnythingSize, image: &Image) -> Result<(), NetE
     report(title, || net.disparity(image).map(drop))
 }
 
-/// The better of two runs (one if a run is long). Processor seconds are those of all threads together.
+/// Reports the better of two runs (of one if a run is long). Processor seconds are the sum over all threads.
 fn report(title: &str, run: impl Fn() -> Result<(), NetError>) -> Result<(), NetError> {
     let (mut best, mut processor) = (f64::INFINITY, f64::INFINITY);
     for _ in 0..2 {
@@ -97,7 +97,7 @@ fn report(title: &str, run: impl Fn() -> Result<(), NetError>) -> Result<(), Net
     Ok(())
 }
 
-/// User and system time of the process so far, where the system tells it (in hundredths of a second), else 0.
+/// User and system time of the process so far, if the system reports it (in hundredths of a second), else 0.
 fn processor_seconds() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let after_name = stat.rsplit(')').next().unwrap_or_default();
@@ -105,7 +105,7 @@ fn processor_seconds() -> f64 {
     ticks.filter_map(|t| t.parse::<f64>().ok()).sum::<f64>() / 100.0
 }
 
-/// Peak resident memory of the process, where the system tells it.
+/// Peak resident memory of the process, if the system reports it.
 fn peak_mebibytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;

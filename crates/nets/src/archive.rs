@@ -1,7 +1,8 @@
-//! A checkpoint that is no network of this crate: all its tensors by name, and the words and whole numbers
-//! beside them.
+//! A checkpoint that is no network of this crate: all its tensors by name, and the texts and whole numbers
+//! stored with them.
 //!
-//! The calibrator that the paper's authors released is such a file. What its tensors mean is told elsewhere.
+//! The calibrator that the paper's authors released is such a file. The meaning of its tensors is defined in
+//! another crate.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,7 +11,7 @@ use crate::checkpoint::Checkpoint;
 use crate::error::NetError;
 use crate::weights::Weights;
 
-/// What a file holds.
+/// The content of a file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Archive {
     /// Name to shape and values (row-major).
@@ -20,8 +21,8 @@ pub struct Archive {
 }
 
 impl Archive {
-    /// Reads the tensors that lie beside `marker`, wherever the state dict is nested; those that are
-    /// `unneeded` and what lies elsewhere are left alone. A file with more than `most` values is refused
+    /// Reads the tensors at the level of `marker`, wherever the state dict is nested. Tensors that are
+    /// `unneeded` and everything at other levels are skipped. A file with more than `most` values is refused
     /// before they are read.
     pub fn read(
         path: &Path,

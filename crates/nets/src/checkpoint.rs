@@ -1,11 +1,11 @@
 //! Checkpoint files: PyTorch's `.pth` (zip archives and the older pickle streams) and `.safetensors`.
 //!
-//! Nothing in a file is executed: `pytorch-reader` interprets the pickle's opcodes as data. Opening reads
-//! names and shapes only; a tensor's values are read when a network asks for it, after its shape was found to
-//! be the expected one, so a file cannot make us allocate more than the network it claims to be. A state dict
-//! may lie at the root or under `net`, `state_dict`, `model`, `params` or `model_state_dict`; anything beside
-//! it (optimiser state) is left alone. `module.` in front of all names, as data-parallel training leaves it,
-//! is dropped.
+//! Nothing in a file is executed: `pytorch-reader` interprets the pickle's opcodes as data. Opening a file
+//! reads only names and shapes. A tensor's values are read when a network requests them and after the shape
+//! was found to be the expected one, so a file cannot cause an allocation larger than the network it claims
+//! to be. A state dict may be at the root or under `net`, `state_dict`, `model`, `params` or
+//! `model_state_dict`; other entries (optimiser state) are skipped. The prefix `module.` of all names, which
+//! data-parallel training adds, is dropped.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -32,14 +32,14 @@ pub struct Checkpoint {
     taken: BTreeSet<String>,
 }
 
-/// Where a tensor's values are.
+/// The place of a tensor's values.
 #[derive(Debug)]
 enum Stored {
     Torch(pytorch_reader::Tensor),
     Safe { dtype: Dtype, shape: Vec<usize>, range: std::ops::Range<usize> },
 }
 
-/// Floating-point formats a weight may have.
+/// Floating-point formats that a weight may have.
 #[derive(Clone, Copy)]
 enum Format {
     F64,
@@ -49,7 +49,7 @@ enum Format {
 }
 
 impl Checkpoint {
-    /// Opens a file, recognised by its content, not its name.
+    /// Opens a file. Its format is recognised by the content, not the name.
     pub fn open(path: &Path) -> Result<Self, NetError> {
         let read_error = |source| NetError::Read { path: path.to_path_buf(), source };
         let size = std::fs::metadata(path).map_err(read_error)?.len();
@@ -93,7 +93,7 @@ impl Checkpoint {
         Ok(checkpoint)
     }
 
-    /// Brings the state dict to the root and drops `module.`.
+    /// Moves the state dict to the root and drops the prefix `module.`.
     fn unnest(&mut self) {
         for key in NESTED {
             let prefix = format!("{key}.");
@@ -118,8 +118,8 @@ impl Checkpoint {
         &self.path
     }
 
-    /// Texts and whole numbers at the top of the archive, as text; of a safetensors file, what its header
-    /// says beside the tensors.
+    /// Texts and whole numbers at the top of the archive, as text; for a safetensors file, the metadata of
+    /// its header.
     pub(crate) fn labels(&self) -> Result<BTreeMap<String, String>, NetError> {
         let damaged = |message: String| NetError::Damaged { path: self.path.clone(), message };
         if !self.bytes.is_empty() {
@@ -142,7 +142,7 @@ impl Checkpoint {
         self.tensors.iter().map(|(name, t)| (name.as_str(), t.shape()))
     }
 
-    /// Tensors that nobody has asked for so far.
+    /// Tensors that were not read so far.
     pub fn unused(&self) -> Vec<&str> {
         self.tensors.keys().filter(|name| !self.taken.contains(*name)).map(String::as_str).collect()
     }
@@ -223,7 +223,7 @@ impl Weights for Checkpoint {
     }
 }
 
-/// Safetensors begin with the length of a JSON header.
+/// True for safetensors files: they begin with the length of a JSON header.
 fn is_safetensors(path: &Path) -> std::io::Result<bool> {
     use std::io::Read;
     let mut start = Vec::new();
@@ -231,7 +231,7 @@ fn is_safetensors(path: &Path) -> std::io::Result<bool> {
     Ok(start.get(8) == Some(&b'{') && start[4..8] == [0; 4])
 }
 
-/// Little-endian bytes as f32.
+/// Converts little-endian bytes to f32.
 fn decode(format: Format, bytes: &[u8]) -> Vec<f32> {
     match format {
         Format::F64 => bytes.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b) as f32).collect(),
@@ -246,7 +246,7 @@ fn decode(format: Format, bytes: &[u8]) -> Vec<f32> {
     }
 }
 
-/// An IEEE half-precision number.
+/// Converts an IEEE half-precision number.
 fn half(bits: u16) -> f32 {
     let (exponent, fraction) = (bits >> 10 & 0x1f, f32::from(bits & 0x3ff));
     let magnitude = match exponent {

@@ -1,11 +1,12 @@
-//! Depth Anything V2: disparity from one picture, a DINOv2 vision transformer with the DPT head.
+//! Depth Anything V2: disparity from one picture, by a DINOv2 vision transformer with the DPT head.
 //!
-//! The picture is brought to at least 518 pixels a side in multiples of 14 (cubic, without antialiasing), cut
-//! into patches of 14 × 14, and every patch becomes a token. A class token is put in front and a learned
-//! position added, resized bicubically from its 37 × 37 grid. Each block is `x += s₁·attention(LN(x)); x +=
-//! s₂·MLP(LN(x))` (LN ε 1e-6, erf GELU). Four blocks' tokens, each through the final norm, feed the head. The
-//! result is disparity-like: larger is nearer, never negative, known up to a scale and a shift. Yang et al.,
-//! "Depth Anything V2", NeurIPS 2024; files `depth_anything_v2_vit{s,b,l}.pth`.
+//! The picture is scaled so that each side is a multiple of 14 and at least 518 pixels (cubic, without
+//! antialiasing). It is cut into patches of 14 × 14, and every patch becomes a token. A class token is put in
+//! front, and learned positions are added, resized bicubically from their 37 × 37 grid. Each block is `x +=
+//! s₁·attention(LN(x)); x += s₂·MLP(LN(x))` (LN ε 1e-6, erf GELU). The tokens of four blocks, each through
+//! the final norm, are the input of the head. The result is disparity-like: larger is nearer, never negative,
+//! known up to a scale and a shift. Yang et al., "Depth Anything V2", NeurIPS 2024; files
+//! `depth_anything_v2_vit{s,b,l}.pth`.
 
 use use3d_capture::{Image, Map};
 
@@ -98,11 +99,11 @@ pub struct DepthAnythingV2 {
 struct Block {
     norm1: Affine,
     qkv: Convolution,
-    /// With the layer scale folded in.
+    /// The layer scale is folded in.
     projection: Convolution,
     norm2: Affine,
     hidden: Convolution,
-    /// With the layer scale folded in.
+    /// The layer scale is folded in.
     output: Convolution,
 }
 
@@ -139,12 +140,13 @@ impl DepthAnythingV2 {
         })
     }
 
-    /// Disparity of a picture of any size, display RGB in [0, 1]; same size, values ≥ 0, larger is nearer.
+    /// Disparity of a picture of any size, display RGB in [0, 1]. The result has the same size and values ≥
+    /// 0; larger is nearer.
     pub fn disparity(&self, image: &Image) -> Result<Map, NetError> {
         self.disparity_at(image, INPUT_SIZE)
     }
 
-    /// As [`disparity`](Self::disparity) with another lower bound of the sides than 518 pixels.
+    /// Like [`disparity`](Self::disparity), with another lower bound of the sides than 518 pixels.
     pub fn disparity_at(&self, image: &Image, input_size: usize) -> Result<Map, NetError> {
         images::check("Depth Anything V2", image, 1)?;
         let fed = prepare(image, input_size);
@@ -177,7 +179,7 @@ impl DepthAnythingV2 {
     }
 
     /// The learned positions for another grid. The step between source coordinates is 37/(n + 0.1): the
-    /// original passes a scale factor with that offset to its resampler, which uses it as given.
+    /// original code passes a scale factor with that offset to its resampler, which uses the factor as given.
     fn positions_for(&self, rows: usize, columns: usize) -> Planes {
         if (rows, columns) == (GRID, GRID) {
             return self.positions.clone();
@@ -231,8 +233,8 @@ fn without_class(tokens: &Planes, rows: usize, columns: usize) -> Planes {
     out
 }
 
-/// The size fed to the network: the scale that brings both sides to `input_size` at least, sides to multiples
-/// of 14.
+/// The size of the network's input: the picture is scaled so that both sides are at least `input_size`, and
+/// the sides are rounded to multiples of 14.
 fn fed_size(height: usize, width: usize, input_size: usize) -> (usize, usize) {
     let bound = input_size as f64;
     let scale = (bound / height as f64).max(bound / width as f64);

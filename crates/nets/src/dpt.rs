@@ -1,7 +1,7 @@
-//! The DPT head of Depth Anything V2: four levels of tokens become one map.
+//! The DPT head of Depth Anything V2: it turns four levels of tokens into one map.
 //!
-//! Each level is projected and brought to 4, 2, 1 and ½ times the token grid, then to the same number of
-//! features. From coarse to fine: `x ← out_conv(resize(RCU₂(x + RCU₁(level))))`, with RCU(x) =
+//! Each level is projected and resized to 4, 2, 1 and ½ times the token grid, then mapped to the same number
+//! of features. From coarse to fine: `x ← out_conv(resize(RCU₂(x + RCU₁(level))))`, with RCU(x) =
 //! conv(ReLU(conv(ReLU(x)))) + x; every resize is bilinear with the corners aligned. Ranftl, Bochkovskiy,
 //! Koltun, "Vision transformers for dense prediction", ICCV 2021.
 
@@ -20,7 +20,7 @@ pub(crate) struct DptHead {
     upsample2: BlockUpsampling,
     halve: Convolution,
     levels: Vec<Convolution>,
-    /// `fusions[0]` is the finest.
+    /// The fusions of the levels; `fusions[0]` is the finest.
     fusions: Vec<Fusion>,
     reduce: Convolution,
     output: [Convolution; 2],
@@ -28,7 +28,7 @@ pub(crate) struct DptHead {
 
 #[derive(Clone, Debug)]
 struct Fusion {
-    /// Absent at the coarsest level, which has nothing to fuse with.
+    /// Absent at the coarsest level, which has no coarser result to add.
     skip: Option<Residual>,
     refine: Residual,
     output: Convolution,
@@ -89,7 +89,7 @@ impl DptHead {
         })
     }
 
-    /// `taken` are the four levels as `[width, rows, columns]`, finest use first.
+    /// `taken` are the four levels as `[width, rows, columns]`; the first is used at the finest resolution.
     pub(crate) fn forward(
         &self,
         taken: [Planes; 4],
@@ -106,7 +106,8 @@ impl DptHead {
             };
             self.levels[i].forward(&resized, Activation::Identity)
         };
-        // Coarsest first; each comes out at the size of the next finer one, the finest at twice its own.
+        // The coarsest level comes first. Each result has the size of the next finer level; the finest result
+        // has twice its own size.
         let [first, second, third, fourth] = taken;
         let [first, second, third, fourth] =
             [level(0, first), level(1, second), level(2, third), level(3, fourth)];
@@ -151,7 +152,7 @@ impl Fusion {
         })
     }
 
-    /// `coarser` is the result of the level above, `here` this level's map.
+    /// `coarser` is the result of the next coarser level, `here` is this level's map.
     fn forward(&self, coarser: Option<Planes>, here: Planes, target: (usize, usize)) -> Planes {
         let x = match (coarser, &self.skip) {
             (Some(mut x), Some(skip)) => {

@@ -1,11 +1,11 @@
-//! What can go wrong, always with the file or argument, what was expected and what to do.
+//! The errors of this crate, always with the file or argument, what was expected and what to do.
 
 use std::path::PathBuf;
 
 /// An error of this crate.
 #[derive(Debug, thiserror::Error)]
 pub enum NetError {
-    /// The weights of a network are not in the models folder. Tables print this as it is.
+    /// The weights of a network are not in the models folder. Tables print this message unchanged.
     #[error("{network} is not available: put {file} into {} (from {origin})", dir.display())]
     NotAvailable {
         /// The network.
@@ -14,7 +14,7 @@ pub enum NetError {
         file: &'static str,
         /// The models folder.
         dir: PathBuf,
-        /// Where the file is published.
+        /// The address where the file is published.
         origin: &'static str,
     },
     /// A file could not be read.
@@ -22,18 +22,18 @@ pub enum NetError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// A file is no checkpoint, or a damaged one.
+    /// A file is not a checkpoint, or is damaged.
     #[error("{}: not a readable checkpoint ({message}); download it again", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The problem.
         message: String,
     },
-    /// The content of a file is not that of the official one.
+    /// The content of a file differs from the official one.
     #[error(
         "{}: the SHA-256 digest is {found}, the official file's is {expected}; download it again",
         path.display()
@@ -51,9 +51,9 @@ pub enum NetError {
         "{origin}: tensor `{tensor}` with shape {expected:?} is missing; is this the file of another network?"
     )]
     MissingTensor {
-        /// Where the weights come from.
+        /// The source of the weights.
         origin: String,
-        /// The name looked for.
+        /// The name of the missing tensor.
         tensor: String,
         /// The shape it should have.
         expected: Vec<usize>,
@@ -63,7 +63,7 @@ pub enum NetError {
         "{origin}: tensor `{tensor}` has shape {found:?}, expected {expected:?}; is this another variant of the network?"
     )]
     Shape {
-        /// Where the weights come from.
+        /// The source of the weights.
         origin: String,
         /// The tensor.
         tensor: String,
@@ -72,22 +72,22 @@ pub enum NetError {
         /// The shape it has.
         found: Vec<usize>,
     },
-    /// A tensor holds something that cannot be a weight.
+    /// A tensor contains a value that cannot be a weight.
     #[error("{origin}: tensor `{tensor}` {problem}")]
     Values {
-        /// Where the weights come from.
+        /// The source of the weights.
         origin: String,
         /// The tensor.
         tensor: String,
-        /// What is wrong with it.
+        /// The problem.
         problem: String,
     },
-    /// A picture that the network cannot take.
+    /// A picture that the network cannot process.
     #[error("{network}: {problem}")]
     Input {
         /// The network.
         network: &'static str,
-        /// What is wrong and what is needed.
+        /// The problem, and the requirement.
         problem: String,
     },
 }

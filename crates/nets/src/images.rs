@@ -1,4 +1,4 @@
-//! Between the workspace's images and the networks' planes: conversion, checks, padding and cropping.
+//! Conversion between images and the networks' planes, with checks, padding and cropping.
 
 use use3d_capture::{Image, Map};
 
@@ -7,7 +7,7 @@ use crate::engine::resample::{Rule, resize};
 use crate::error::NetError;
 
 /// A picture whose long side is at most `side` pixels: larger ones are shrunk with an antialiasing bilinear
-/// filter, both sides rounded down. Scores without reference are usually taken at 1024.
+/// filter, both sides rounded down. Scores without reference are usually computed at 1024.
 pub fn limit_long_side(image: &Image, side: usize) -> Image {
     let (width, height) = (image.width(), image.height());
     let long = width.max(height);
@@ -21,7 +21,7 @@ pub fn limit_long_side(image: &Image, side: usize) -> Image {
     out
 }
 
-/// Refuses a picture that is smaller than `side` on a side, or holds a value that is not finite.
+/// Refuses a picture that has a side shorter than `side`, or a value that is not finite.
 pub(crate) fn check(network: &'static str, image: &Image, side: usize) -> Result<(), NetError> {
     let (width, height) = (image.width(), image.height());
     if width < side || height < side {
@@ -59,7 +59,7 @@ pub(crate) fn planes(image: &Image) -> Planes {
     Planes::from_data(3, image.height(), image.width(), image.data().to_vec())
 }
 
-/// `scale[c] · v + shift[c]` for every channel.
+/// Applies `map(channel, value)` to every value.
 pub(crate) fn scaled_planes(image: &Image, map: impl Fn(usize, f32) -> f32) -> Planes {
     let n = image.pixels();
     let data = image.data().iter().enumerate().map(|(i, &v)| map(i / n, v)).collect();
@@ -113,7 +113,7 @@ fn padded(
     out
 }
 
-/// The part of `height × width` from (`top`, `left`).
+/// The part of size `height × width` at (`top`, `left`).
 pub(crate) fn crop(input: &Planes, top: usize, left: usize, height: usize, width: usize) -> Planes {
     let mut out = Planes::new(input.channels, height, width);
     for (c, plane) in out.data.chunks_exact_mut(height * width).enumerate() {

@@ -9,14 +9,14 @@
 //! | [`URanker`], [`Musiq`] | quality without reference | [`URanker::score`], [`Musiq::score`] |
 //!
 //! [`Models`] finds the official checkpoint files in a folder, reads them without executing anything and
-//! without the network, and says what is missing.
+//! without network access, and reports missing files.
 //!
-//! Every network is written out by hand on a few kernels (`engine`): one matrix product into which
-//! convolutions gather their windows, attention in blocks, normalisations, resamplers. There is no tensor
-//! library underneath: inference needs about fifteen operations, and for the largest of them, the
-//! convolution, a general library is several times slower than a product that never stores the unrolled
-//! picture. What this buys besides: 80 crates less, no unsafe code, memory that is bounded by the feature
-//! maps, and the same bits for any number of threads. What it costs: no graphics processors.
+//! Every network is written by hand with a few operations (`engine`): one matrix product into which
+//! convolutions gather their windows, attention in blocks, normalisations, resamplers. No tensor library is
+//! used: inference needs about fifteen operations, and for the most expensive one, the convolution, a general
+//! library is several times slower than a product that never stores the unrolled picture. Further advantages:
+//! 80 fewer crates, no unsafe code, memory that is bounded by the feature maps, and the same bits for any
+//! number of threads. The disadvantage: no graphics processors.
 //!
 //! All arithmetic is f32; long sums are f64. Agreement with the original implementations is tested on
 //! intermediate activations with reproducible stand-in weights ([`weights::StandIn`]).

@@ -1,7 +1,7 @@
 //! LPIPS 0.1 with AlexNet: the distance of two pictures in the features of a network trained on photographs.
 //!
-//! The pictures go from [0, 1] to [−1, 1] and are standardised per channel. After each of AlexNet's five
-//! convolutions (with ReLU) the features of a pixel are divided by their length, f/(‖f‖ + 1e-10); the
+//! The pictures are mapped from [0, 1] to [−1, 1] and standardised per channel. After each of AlexNet's five
+//! convolutions (with ReLU) the features of a pixel are divided by their length, f/(‖f‖ + 1e-10). The
 //! distance is `Σ_l mean_pixels Σ_c head_l[c] · (f_l[c] − g_l[c])²`. Zhang, Isola, Efros, Shechtman, Wang,
 //! "The unreasonable effectiveness of deep features as a perceptual metric", CVPR 2018. Files: torchvision's
 //! AlexNet and the linear heads `alex.pth`.
@@ -21,8 +21,8 @@ use crate::weights::{Layers, Weights};
 const NAME: &str = "LPIPS";
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
 const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
-/// Name in torchvision's checkpoint, shape, stride, padding; a maximum pool comes before the second and
-/// third.
+/// Name in torchvision's checkpoint, shape, stride, padding; there is a maximum pool before the second and
+/// the third.
 const LAYERS: [(&str, [usize; 4], usize, usize); 5] = [
     ("features.0", [64, 3, 11, 11], 4, 2),
     ("features.3", [192, 64, 5, 5], 1, 2),
@@ -58,7 +58,7 @@ impl Lpips {
     }
 
     /// The distance of two pictures of one size, display RGB in [0, 1], at least 31 pixels a side; 0 for
-    /// equal ones.
+    /// equal pictures.
     pub fn distance(&self, a: &Image, b: &Image) -> Result<f64, NetError> {
         images::check_pair(NAME, a, b, 31)?;
         self.compare(&self.features(a)?, &self.features(b)?)
@@ -76,8 +76,8 @@ impl Lpips {
         Ok(self.layer_distances(a, b).iter().sum())
     }
 
-    /// The distance per pixel: each layer's map brought to the size of the pictures (bilinear) and summed.
-    /// Its mean is near, but not equal to, [`Lpips::distance`].
+    /// The distance per pixel: each layer's map is resized to the pictures' size (bilinear), and the maps are
+    /// summed. Its mean is near, but not equal to, [`Lpips::distance`].
     pub fn distance_map(&self, a: &Image, b: &Image) -> Result<Map, NetError> {
         images::check_pair(NAME, a, b, 31)?;
         let (a, b) = (self.features(a)?, self.features(b)?);
@@ -123,7 +123,7 @@ fn same_size(a: &Features, b: &Features) -> Result<(), NetError> {
     Err(NetError::Input { network: NAME, problem })
 }
 
-/// [0, 1] → [−1, 1] → standardised.
+/// Maps [0, 1] to [−1, 1] and standardises.
 fn standardise(channel: usize, v: f32) -> f32 {
     ((2.0 * v - 1.0) - SHIFT[channel]) / SCALE[channel]
 }
@@ -187,8 +187,8 @@ mod tests {
         golden.check("out_unnormalized", &[unnormalised as f32]);
     }
 
-    /// The part `metrics` has its own stand-in weights: sines and cosines of the flat index, evaluated in
-    /// f64.
+    /// The golden files of the part `metrics` use stand-in weights of their own: sines and cosines of the
+    /// flat index, evaluated in f64.
     struct Waves;
 
     impl Weights for Waves {

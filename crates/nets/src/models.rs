@@ -1,8 +1,8 @@
-//! The models folder: which files the networks need, whether they are there and whether they are the official
-//! ones.
+//! The models folder: the files that the networks need, the check that they exist, and the check that they
+//! are the official ones.
 //!
-//! Nothing is ever downloaded; a missing file is a [`NetError::NotAvailable`] that names the file and where
-//! it is published.
+//! Nothing is ever downloaded. A missing file is a [`NetError::NotAvailable`], which names the file and the
+//! address where it is published.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -43,35 +43,35 @@ pub enum Network {
     URanker,
     /// General quality score.
     Musiq,
-    /// The calibrator as released with 3D-USE; no network that looks at pictures.
+    /// The calibrator as released with 3D-USE; not a network for pictures.
     TransitionCalibrator,
 }
 
-/// What is known about a checkpoint.
+/// The known properties of a checkpoint.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Known {
     /// The network.
     pub network: Network,
     /// Its name in tables.
     pub title: &'static str,
-    /// What it is for.
+    /// Its purpose.
     pub used_for: &'static str,
-    /// File names looked for, in this order; each also with the ending `.safetensors`.
+    /// The file names to look for, in this order; each also with the ending `.safetensors`.
     pub files: &'static [&'static str],
-    /// SHA-256 of official files whose name does not say it: name and digest.
+    /// SHA-256 of official files whose name does not contain it: name and digest.
     #[serde(skip)]
     digests: &'static [(&'static str, &'static str)],
     /// Size of the weights in bytes (files may hold more).
     pub bytes: u64,
     /// Licence of the weights.
     pub licence: &'static str,
-    /// Where the file is published.
+    /// The address where the file is published.
     pub origin: &'static str,
 }
 
 const UNDERWATER_RANKER: &str = "https://github.com/RQ-Wu/UnderwaterRanker (README: Google Drive or Baidu)";
 
-/// Everything that may lie in the models folder.
+/// All files that may be in the models folder.
 pub const KNOWN: [Known; 11] = [
     Known {
         network: Network::Nu2NetReleased,
@@ -205,16 +205,16 @@ pub const KNOWN: [Known; 11] = [
 
 const LPIPS_HEADS_SHA256: &str = "df73285e35b22355a2df87cdb6b70b343713b667eddbda73e1977e0c860835c0";
 
-/// How a file compares with the official one.
+/// The result of comparing a file with the official one.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case", tag = "verdict")]
 pub enum Verdict {
-    /// The digest is the official one, as far as it is published (whole, or its first digits in the file's
-    /// name).
+    /// The digest is the official one, as far as it is published (completely, or its first digits in the
+    /// file's name).
     Official,
     /// No digest of this file is known.
     Unknown,
-    /// The digest is another one than the official.
+    /// The digest differs from the official one.
     Different {
         /// The official digest or its first digits.
         expected: String,
@@ -230,17 +230,17 @@ pub struct Found {
     pub bytes: u64,
     /// Its SHA-256 digest, hexadecimal.
     pub sha256: String,
-    /// Whether it is the official file.
+    /// The comparison with the official file.
     pub verdict: Verdict,
 }
 
 /// One row of the list of models.
 #[derive(Clone, Debug, Serialize)]
 pub struct Status {
-    /// What is known about the checkpoint.
+    /// The known properties of the checkpoint.
     #[serde(flatten)]
     pub known: Known,
-    /// The file, if it is there.
+    /// The file, if it exists.
     pub found: Option<Found>,
 }
 
@@ -251,15 +251,15 @@ pub struct Models {
 }
 
 impl Network {
-    /// What is known about this checkpoint.
+    /// The known properties of this checkpoint.
     pub fn known(self) -> &'static Known {
-        // The table has one row per variant, in the order of declaration; a test holds it to that.
+        // The table has one row per variant, in the order of declaration; a test checks this.
         &KNOWN[self as usize]
     }
 }
 
 impl Models {
-    /// The folder where checkpoints are looked for. It need not exist: then every network is not available.
+    /// The folder with the checkpoints. It need not exist; then no network is available.
     pub fn open(dir: impl Into<PathBuf>) -> Self {
         Self { dir: dir.into() }
     }
@@ -269,12 +269,12 @@ impl Models {
         &self.dir
     }
 
-    /// Every checkpoint with the file found for it. Reads the files whole, to compute their digests.
+    /// Every checkpoint with the file found for it. Reads each file completely, to compute its digest.
     pub fn status(&self) -> Result<Vec<Status>, NetError> {
         Ok(self.status_while(&|| true)?.unwrap_or_default())
     }
 
-    /// As [`status`](Self::status), for as long as `go_on` says so; `None` when it did not to the end.
+    /// Like [`status`](Self::status), while `go_on` returns true; `None` if it returned false before the end.
     pub fn status_while(&self, go_on: &dyn Fn() -> bool) -> Result<Option<Vec<Status>>, NetError> {
         let mut rows = Vec::with_capacity(KNOWN.len());
         for known in KNOWN {
@@ -290,24 +290,24 @@ impl Models {
         Ok(Some(rows))
     }
 
-    /// Whether the file of a network is there (its content is not looked at).
+    /// True if the file of a network exists (its content is not read).
     pub fn has(&self, network: Network) -> bool {
         self.find(network).is_some()
     }
 
-    /// The file of a network, if it is there.
+    /// The file of a network, if it exists.
     pub fn find(&self, network: Network) -> Option<PathBuf> {
         let candidates = network.known().files.iter().flat_map(|file| {
             let path = self.dir.join(file);
             [path.with_extension("safetensors"), path]
         });
-        // The official file first, then our own format of the same name.
+        // The official file comes first, then the safetensors file of the same name.
         let mut paths: Vec<PathBuf> = candidates.collect();
         paths.chunks_exact_mut(2).for_each(|pair| pair.swap(0, 1));
         paths.into_iter().find(|path| path.is_file())
     }
 
-    /// Opens the checkpoint of a network. A file whose published digest differs is refused.
+    /// Opens the checkpoint of a network. A file whose digest differs from the published one is refused.
     pub fn checkpoint(&self, network: Network) -> Result<Checkpoint, NetError> {
         let known = network.known();
         let path = self.find(network).ok_or_else(|| self.not_available(network))?;
@@ -348,17 +348,17 @@ impl Models {
         Ok(net)
     }
 
-    /// The proposer: the file released with 3D-USE if it is there, else the one of UnderwaterRanker.
+    /// The proposer: the file released with 3D-USE if it exists, else the one of UnderwaterRanker.
     pub fn nu2net(&self) -> Result<Nu2Net, NetError> {
         let network = [Network::Nu2NetReleased, Network::Nu2Net].into_iter().find(|n| self.has(*n));
         match network {
             Some(network) => self.load(network, |w| Nu2Net::from_weights(w)),
-            // Of the two, the one that is published on its own.
+            // The message names the one of the two that is published on its own.
             None => Err(self.not_available(Network::Nu2Net)),
         }
     }
 
-    /// One size of Depth Anything V2.
+    /// Depth Anything V2 in one size.
     pub fn depth_anything_v2(&self, size: DepthAnythingSize) -> Result<DepthAnythingV2, NetError> {
         let network = match size {
             DepthAnythingSize::Small => Network::DepthAnythingV2Small,
@@ -375,7 +375,7 @@ impl Models {
         Lpips::from_weights(&mut trunk, &mut heads)
     }
 
-    /// RAFT-Large; torchvision's or Princeton's file.
+    /// RAFT-Large, from torchvision's or Princeton's file.
     pub fn raft(&self) -> Result<Raft, NetError> {
         self.load(Network::RaftLarge, |w| Raft::from_weights(w))
     }
@@ -391,7 +391,7 @@ impl Models {
     }
 }
 
-/// The published digest of a file, or as much of it as is published: names like `…-7be5be79.pth` end in its
+/// The published digest of a file, or the published part of it: names like `…-7be5be79.pth` end with its
 /// first eight digits.
 fn expected_digest(known: &Known, path: &Path) -> Option<String> {
     let name = path.file_name()?.to_str()?;
@@ -408,7 +408,7 @@ fn expected_digest(known: &Known, path: &Path) -> Option<String> {
     hexadecimal.then(|| digits.to_string())
 }
 
-/// Reads a file whole for its digest; `None` when `go_on` said no before its end.
+/// Reads a file completely for its digest; `None` if `go_on` returned false before the end.
 fn inspect(known: &Known, path: PathBuf, go_on: &dyn Fn() -> bool) -> Result<Option<Found>, NetError> {
     let read_error = |source| NetError::Read { path: path.clone(), source };
     let mut file = std::fs::File::open(&path).map_err(read_error)?;
@@ -435,8 +435,8 @@ fn inspect(known: &Known, path: PathBuf, go_on: &dyn Fn() -> bool) -> Result<Opt
     Ok(Some(Found { path, bytes, sha256, verdict }))
 }
 
-/// Princeton's name of a RAFT tensor to torchvision's; `None` for aliases of tensors that exist under another
-/// name.
+/// Converts Princeton's name of a RAFT tensor to torchvision's; `None` for aliases of tensors that exist
+/// under another name.
 fn torchvision_name(name: &str) -> Option<String> {
     let parts: Vec<&str> = name.split('.').collect();
     let renamed = match parts[..] {

@@ -1,12 +1,13 @@
-//! MUSIQ: image quality without reference, a transformer on patches of several sizes of the picture.
+//! MUSIQ: image quality without reference, by a transformer on patches of several sizes of the picture.
 //!
-//! Tokens are the 32 × 32 patches of the picture scaled to long sides of 224 and 384 (bicubic, both ways) and
-//! as it is, with an embedding for the place on a 10 × 10 grid and one for the scale. A small residual
-//! network turns each patch into 384 numbers; 14 blocks of a transformer follow; the score is a linear map of
-//! the class token, about 0 to 100 for the KonIQ weights. Ke et al., "MUSIQ: multi-scale image quality
-//! transformer", ICCV 2021, in the form of the torch port of pyiqa: file `musiq_koniq_ckpt-e95806b9.pth`.
+//! Tokens are the 32 × 32 patches of the picture at long sides of 224 and 384 (bicubic in both directions)
+//! and at its own size, with an embedding for the position on a 10 × 10 grid and one for the scale. A small
+//! residual network turns each patch into 384 numbers. 14 blocks of a transformer follow. The score is a
+//! linear map of the class token, about 0 to 100 for the KonIQ weights. Ke et al., "MUSIQ: multi-scale image
+//! quality transformer", ICCV 2021, in the form of the torch port of pyiqa: file
+//! `musiq_koniq_ckpt-e95806b9.pth`.
 //!
-//! The two scaled pictures always give 49 and 144 tokens, filled up with masked ones.
+//! The two scaled pictures always give 49 and 144 tokens; missing ones are filled up with masked tokens.
 
 use rayon::prelude::*;
 use use3d_capture::Image;
@@ -68,7 +69,7 @@ struct Block {
     mlp: [Convolution; 2],
 }
 
-/// One patch: 3 × 32 × 32 values, where it lies, its scale and whether it is real.
+/// One patch: 3 × 32 × 32 values, its position, its scale, and a flag that is false for a filler.
 #[derive(Clone, Debug)]
 struct Token {
     patch: Planes,
@@ -78,7 +79,7 @@ struct Token {
 }
 
 impl Musiq {
-    /// Reads the network; tensors by the names of the torch port.
+    /// Reads the network, with tensors by the names of the torch port.
     pub fn from_weights(weights: &mut dyn Weights) -> Result<Self, NetError> {
         let patches = PatchNet::read(weights)?;
         let embedding = weights.tensor("embedding.weight", &[WIDTH, FEATURES])?;
@@ -173,7 +174,7 @@ impl PatchNet {
         let mut root = self.root.forward(patch, Activation::Identity);
         probe("conv_root", &root);
         normalise::group(&mut root, GROUPS, 1e-6, &self.root_norm, Activation::Relu);
-        // A zero row and column after, which never win against values ≥ 0.
+        // A row and a column of zeros are appended; they never change the maximum of values ≥ 0.
         let (height, width) = (root.height + 1, root.width + 1);
         let x = pool::maximum(&images::pad_zeros(&root, 0, 0, height, width), 3, 2);
         probe("root_pool", &x);
@@ -192,7 +193,7 @@ impl PatchNet {
     }
 }
 
-/// A convolution whose kernels are standardised: mean 0, divided by (sample deviation + 1e-5).
+/// Reads a convolution and standardises its kernels: mean 0, divided by (sample deviation + 1e-5).
 fn standardised(
     name: &str,
     shape: [usize; 4],

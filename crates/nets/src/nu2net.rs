@@ -8,11 +8,11 @@
 //! d2 = up Block(128→64)(d3 + e2)        y  = x + tanh(conv 16→3 (Block(64→16)(d2 + e1)))
 //! ```
 //!
-//! `up` doubles the size, bilinear with the corners aligned. If any value of y leaves [0, 1], every channel
-//! is stretched to [0, 1] by its own extremes. Instance norm sees the whole picture, so a picture must not be
-//! tiled, and the result depends on the resolution fed in. Source: UnderwaterRanker (AAAI 2023),
-//! `NU2Net_ckpt.pth`, and the same network as released with 3D-USE, `uie_proposer.pth`; the two feed pictures
-//! differently ([`InputPolicy`]).
+//! `up` doubles the size, bilinear with the corners aligned. If any value of y is outside [0, 1], every
+//! channel is stretched to [0, 1] by its own extremes. Instance norm uses the whole picture, so a picture
+//! must not be tiled, and the result depends on the input's resolution. Source: UnderwaterRanker (AAAI 2023),
+//! `NU2Net_ckpt.pth`, and the same network as released with 3D-USE, `uie_proposer.pth`; the two scale their
+//! inputs differently ([`InputPolicy`]).
 
 use use3d_capture::{Image, Image8};
 
@@ -29,15 +29,15 @@ use crate::weights::{Layers, Weights};
 const EPSILON: f64 = 1e-5;
 const NAME: &str = "Nu2Net";
 
-/// How a picture of any size is brought to the network and back.
+/// The scaling of a picture of any size to the network's input, and of the result back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InputPolicy {
-    /// As 3D-USE feeds it: clamped to [0, 1]; if the long side exceeds this many pixels, bilinear down to it;
-    /// edges repeated to multiples of 8; the result cropped and resized back (half-pixel centres). 384
-    /// for scenes, 256 for calibration pairs.
+    /// As in 3D-USE: the picture is clamped to [0, 1]. If the long side exceeds this many pixels, it is
+    /// scaled down to it bilinearly. Edges are repeated to multiples of 8. The result is cropped and resized
+    /// back (half-pixel centres). 384 is for scenes, 256 for calibration pairs.
     LongSide(usize),
-    /// As the UnderwaterRanker demo feeds it: 8 bits, Pillow's bilinear to multiples of 16, the result
-    /// resized back with the corners aligned. Memory grows with the picture: about 1.6 KB per pixel.
+    /// As in the UnderwaterRanker demo: 8 bits, Pillow's bilinear to multiples of 16, the result resized back
+    /// with the corners aligned. Memory grows with the picture: about 1.6 KB per pixel.
     MultiplesOf16,
 }
 
@@ -78,8 +78,8 @@ impl Nu2Net {
         self.enhance_with(image, InputPolicy::LongSide(384))
     }
 
-    /// Enhances a picture of at least 16 × 16 pixels, display RGB; the result has its size and lies in [0, 1]
-    /// (up to the rounding of the resampling).
+    /// Enhances a picture of at least 16 × 16 pixels, display RGB. The result has the same size and is within
+    /// [0, 1] (up to the rounding of the resampling).
     pub fn enhance_with(&self, image: &Image, policy: InputPolicy) -> Result<Image, NetError> {
         images::check(NAME, image, 16)?;
         let (width, height) = (image.width(), image.height());
@@ -150,7 +150,7 @@ fn feed_multiples_of_16(image: &Image8) -> Image8 {
     pillow_bilinear(image, image.width() / 16 * 16, image.height() / 16 * 16)
 }
 
-/// If any value lies outside [0, 1], every channel is stretched by its own minimum and maximum.
+/// If any value is outside [0, 1], every channel is stretched by its own minimum and maximum.
 fn stretch_if_outside(y: &mut Planes) {
     if y.data.iter().all(|v| (0.0..=1.0).contains(v)) {
         return;

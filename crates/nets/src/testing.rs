@@ -128,7 +128,7 @@ pub(crate) fn every_channel(planes: &Planes, step: usize) -> Vec<f32> {
     (0..planes.channels).step_by(step).flat_map(|c| planes.plane(c).iter().copied()).collect()
 }
 
-/// Tokens in columns as the rows of a `[tokens, channels]` matrix, every `step`-th.
+/// Tokens in columns as the rows of a `[tokens, channels]` matrix; every `step`-th token is kept.
 pub(crate) fn token_rows(planes: &Planes, step: usize) -> Vec<f32> {
     let n = planes.area();
     (0..n).step_by(step).flat_map(|t| (0..planes.channels).map(move |c| planes.data[c * n + t])).collect()

@@ -1,7 +1,7 @@
-//! Where a network gets its tensors from: a checkpoint file, or the reproducible stand-in rule that tests and
+//! The source of a network's tensors: a checkpoint file, or the reproducible stand-in rule that tests and
 //! timings use.
 //!
-//! A network asks for every tensor by the name it has in the official checkpoint, with the exact shape.
+//! A network reads every tensor by its name in the official checkpoint, with the exact shape.
 
 use crate::engine::convolution::{Convolution, Padding};
 use crate::engine::normalise::Affine;
@@ -9,7 +9,7 @@ use crate::error::NetError;
 
 /// A source of named tensors.
 pub trait Weights {
-    /// The values of `name`, row-major, which must have exactly this shape.
+    /// Returns the values of `name`, row-major. The tensor must have exactly this shape.
     fn tensor(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>, NetError>;
 }
 
@@ -71,11 +71,11 @@ pub(crate) trait Layers: Weights {
 
 impl<W: Weights + ?Sized> Layers for W {}
 
-/// Reproducible stand-in weights: a function of the tensor's name and shape only.
+/// Reproducible stand-in weights: a function only of the tensor's name and shape.
 ///
 /// Uniform numbers in `[−1, 1)` from FNV-1a of the name and SplitMix64's finaliser, scaled so that
 /// activations stay of order one. The golden cases of the networks are made with the same rule. The results
-/// mean nothing; time and memory are those of the real weights.
+/// have no meaning; time and memory are those of the real weights.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StandIn;
 

@@ -1,5 +1,5 @@
-//! Checkpoint files: every container of every network gives the same tensors; wrong ones end in an error that
-//! names the tensor.
+//! Checkpoint files: every container format of every network gives the same tensors; a wrong file gives an
+//! error that names the tensor.
 
 use use3d_nets::models::Verdict;
 use use3d_nets::weights::{StandIn, Weights};
@@ -29,7 +29,8 @@ fn check_containers(tensors: &Tensors, expected_values: usize) {
 #[test]
 fn every_container_of_nu2net_raft_and_lpips_gives_the_same_tensors() {
     check_containers(&recorded(|r| Nu2Net::from_weights(r).map(drop)), 3_145_923);
-    // Without the 29 counters of batches, 5 260 431 − 5 257 536 of which are statistics of batch norms.
+    // The counts are without the 29 counters of batches; 5 260 431 − 5 257 536 of the values are statistics
+    // of batch norms.
     let raft = recorded(|r| Raft::from_weights(r).map(drop));
     let statistics: usize =
         raft.iter().filter(|(n, _)| n.contains("running_")).map(|(_, (_, v))| v.len()).sum();
@@ -40,7 +41,7 @@ fn every_container_of_nu2net_raft_and_lpips_gives_the_same_tensors() {
 
 #[test]
 fn every_container_of_the_larger_networks_gives_the_same_tensors() {
-    // `norm1` of URanker exists in the file and is not used; neither are DA2's mask token and the first
+    // `norm1` of URanker is in the file and is not used; the same holds for DA2's mask token and the first
     // residual unit of the coarsest level.
     check_containers(&recorded(|r| URanker::from_weights(r).map(drop)), 21_588_823 - 2 * 152);
     check_containers(&recorded(|r| Musiq::from_weights(r).map(drop)), 27_125_825);
@@ -188,7 +189,8 @@ fn an_archive_gives_all_tensors_beside_its_marker_and_the_words_at_the_top() {
     let message = read(1000).unwrap_err().to_string();
     assert!(message.contains("more than 1000 values"), "{message}");
 
-    // At the root, in the older container, or as safetensors: the same tensors, and no word about a schema.
+    // At the root, in the older container, or as safetensors, the tensors are the same, and there is no text
+    // about a schema.
     for bytes in [
         zip_file(&tensors, Nesting::Root),
         legacy_file(&tensors, Nesting::Module),
@@ -230,7 +232,7 @@ fn golden_real_lpips_heads() {
         let found = values.iter().copied().fold(0.0f32, f32::max);
         assert!((100.0 * found - largest).abs() < 5e-3, "{name}: {found}");
     }
-    // The golden distance with AlexNet by the stand-in rule and the real heads.
+    // The golden distance is computed with AlexNet by the stand-in rule and the real heads.
     let golden = use3d_golden::Part::load(&use3d_golden::root().join("networks/lpips_alex.safetensors"));
     let golden = golden.whole();
     let image = |name: &str| {

@@ -12,7 +12,7 @@ fn picture(seed: u64, width: usize, height: usize) -> Image {
     image
 }
 
-/// The results on 1, 2 and 5 threads are equal.
+/// Checks that the results on 1, 2 and 5 threads are equal.
 fn check<T: PartialEq + Send>(run: impl Fn() -> T + Sync) {
     let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();

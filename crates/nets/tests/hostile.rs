@@ -1,6 +1,6 @@
-//! Damaged and hostile checkpoint files: an error, never a panic, never a call, never a large allocation.
+//! Damaged and hostile checkpoint files give an error, never a panic, a call or a large allocation.
 //!
-//! A test binary of its own, because it watches the peak memory of the process.
+//! This is a test binary of its own, because it reads the peak memory of the process.
 
 use use3d_numerics::random::{Purpose, Stream};
 
@@ -35,7 +35,7 @@ fn no_mutation_of_a_file_panics_or_takes_much_memory() {
                     bytes[at] = stream.bits(3 * round + 1) as u8;
                 }
                 _ => {
-                    // A run of large numbers, as a hostile length would be.
+                    // A run of large numbers, like a hostile length.
                     let at = stream.below(3 * round, bytes.len().saturating_sub(8));
                     let fill = if round % 8 == 3 { 0xff } else { 0x7f };
                     bytes[at..at + 4].fill(fill);
@@ -49,7 +49,7 @@ fn no_mutation_of_a_file_panics_or_takes_much_memory() {
     assert!(grown < 256 << 20, "peak memory grew by {grown} bytes");
 }
 
-/// The process's peak resident memory where the system tells it, else 0.
+/// The process's peak resident memory if the system reports it, else 0.
 fn peak_memory() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));
@@ -99,7 +99,7 @@ fn hostile_pickles_end_in_an_error_and_execute_nothing() {
     deep.op(b'.');
     hostile.push(("lists 200 000 deep", deep.0));
 
-    // Every list holds the one before twice: 2^60 leaves in 400 bytes.
+    // Every list contains the one before twice: 2^60 leaves in 400 bytes.
     let mut doubling = Pickle::start();
     doubling.op(b']').op(b'q').op(0);
     for level in 1..60u8 {

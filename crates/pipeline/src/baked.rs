@@ -7,7 +7,7 @@ use use3d_render::{InWater, Look, RenderError, Renderer};
 use use3d_scene::Scene;
 use use3d_splat::Rendered;
 
-/// Cameras at which the two are compared, evenly chosen.
+/// Number of cameras at which the two are compared, evenly chosen.
 const CAMERAS: usize = 12;
 /// The longest side of the compared pictures, pixels.
 const SIDE: usize = 400;
@@ -17,11 +17,11 @@ const SIDE: usize = 400;
 pub struct Difference {
     /// Over all compared cameras.
     pub mean: f64,
-    /// At the worst of them.
+    /// At the camera where it is largest.
     pub worst: f64,
 }
 
-/// Why two pictures could not be compared.
+/// The error of a comparison of two pictures.
 #[derive(Debug, thiserror::Error)]
 pub enum DifferenceError {
     /// The scene cannot be drawn.
@@ -32,10 +32,11 @@ pub enum DifferenceError {
     Metric(#[from] MetricError),
 }
 
-/// Draws both at up to twelve of `cameras` (in the scene's frame) and compares what a screen shows.
+/// Draws both at up to twelve of `cameras` (in the scene's frame) and compares the pictures as a screen shows
+/// them.
 ///
 /// # Errors
-/// What drawing says.
+/// Returns the errors of drawing and of the comparison.
 pub fn difference(
     scene: &Scene,
     look: Look,

@@ -4,8 +4,9 @@ use std::sync::OnceLock;
 
 use use3d_build::code::{CodeRules, CodeTable};
 
-/// Files of this crate count one by one; the pipeline file's reader writes no byte of an artifact, and which
-/// engine computes one is told by its numeric class.
+/// The files of this crate count one by one. The reader of pipeline files does not count, because it writes
+/// no byte of an artifact. The choice of an engine does not count either, because a key already holds the
+/// numeric class of its engine.
 pub const RULES: CodeRules = CodeRules {
     by_file: "pipeline",
     not_followed: &["src/config/", "src/engines/"],

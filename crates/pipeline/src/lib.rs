@@ -1,10 +1,11 @@
 //! The method as a pipeline: from captures to results, computing nothing twice.
 //!
-//! What a stage is and when it must run is `build`'s. [`stages`] is the table of the method's stages,
-//! [`code`] what they are made of, [`config`] reads pipeline files. [`judge`] compares, times and
-//! tabulates; [`results`] puts what was made where a person looks, with a [page per scene](scene_page)
-//! for a browser, and says what made it (`made_by`). [`water`] is a capture's water before any stage; [`mod@bench`] does all of it on
-//! captures whose truth is known.
+//! The crate `build` defines stages and decides when one must run. [`stages`] is the table of the method's
+//! stages, [`code`] is the table of the source code that they are made of, and [`config`] reads pipeline
+//! files. [`judge`] compares, times and tabulates. [`results`] copies the results to the results folder, with
+//! a [page per scene](scene_page) for a browser and a record of the settings behind them (`made_by`).
+//! [`water`] estimates a capture's water before any stage runs. [`mod@bench`] does all of this on captures
+//! whose truth is known.
 
 pub mod baked;
 pub mod bench;

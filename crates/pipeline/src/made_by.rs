@@ -1,7 +1,9 @@
-//! The configuration behind a scene's results, read from the nodes and artifacts of a run: see [`Configuration`].
+//! The configuration behind a scene's results, read from the nodes and artifacts of a run: see
+//! [`Configuration`].
 //!
-//! Parameters are those of the nodes; what parameters leave open (which depth prior was there, what the
-//! tracks told of the water, how many pairs a calibrator learnt from) the stages wrote into their artifacts.
+//! Parameters come from the nodes. The choices that parameters leave open (the depth prior, the water
+//! estimated from the tracks, the number of pairs that a calibrator learnt from) come from the artifacts,
+//! where the stages recorded them.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -17,12 +19,12 @@ use crate::config::preset_values;
 use crate::judge::configuration::Configuration;
 use crate::stages::{CALIBRATED, CHOICES, Choices, read_json, registry};
 
-/// The preset that writes out every parameter with an effect on a result: only these are compared.
+/// The preset that lists every parameter with an effect on a result: only these are compared.
 const COMPLETE: &str = "paper";
-/// The import's words for views that were counted in the authors' order.
+/// The import's text for views that were counted in the authors' order.
 const AUTHORS_SPLIT: &str = "one view in 8 is held out, counted by COLMAP image id from the first";
 
-/// Dotted paths and values of some parameters.
+/// Collects the dotted paths and the values of some parameters.
 fn leaves(value: &Value, place: &str, found: &mut BTreeMap<String, Value>) {
     match value {
         Value::Object(fields) => fields.iter().for_each(|(key, inner)| {
@@ -38,7 +40,7 @@ fn text(value: &Value) -> String {
     value.as_str().map_or_else(|| value.to_string(), String::from)
 }
 
-/// The parameters of these nodes that are not those of their preset, as `stage.parameter = value`.
+/// The parameters of these nodes that differ from their preset, as `stage.parameter = value`.
 fn changes(nodes: &[&RanNode]) -> Vec<String> {
     let (Ok(registry), Ok(complete)) = (registry(), preset_values(COMPLETE)) else { return Vec::new() };
     let mut changed = Vec::new();
@@ -64,7 +66,7 @@ fn changes(nodes: &[&RanNode]) -> Vec<String> {
     changed
 }
 
-/// The node of a stage for a scene in a variant, or the one that is made for all scenes.
+/// The node of a stage for a scene in a variant, or the node that serves all scenes.
 fn node<'s>(summary: &'s Summary, scene: &str, variant: &str, stage: &str) -> Option<&'s RanNode> {
     let of = |n: &&RanNode| n.stage == stage && n.variant == variant;
     let own = summary.nodes.iter().find(|n| of(n) && n.scene == scene);
@@ -75,7 +77,8 @@ fn artifact<'s>(summary: &'s Summary, scene: &str, variant: &str, stage: &str) -
     Some(node(summary, scene, variant, stage)?.artifact.as_ref()?.path.as_path())
 }
 
-/// Pairs and shares of a calibrator, and whether it learnt from as many as the paper's.
+/// A text with the calibrator's pairs and shares. The flag is true for a finished calibrator, and for one
+/// that learnt from as many pairs as the paper's and keeps its whole correction.
 fn calibrator(provenance: &Provenance, calibrated: bool) -> (String, bool) {
     if !calibrated {
         return ("none: proposals as they are".into(), false);
@@ -91,7 +94,7 @@ fn calibrator(provenance: &Provenance, calibrated: bool) -> (String, bool) {
     (told, whole && provenance.pairs >= METHOD_PAIRS)
 }
 
-/// The configuration of a scene in a variant; `None` if its stage 1 is not there.
+/// The configuration of a scene in a variant; `None` if the run has no stage 1 for it.
 pub(crate) fn configuration(summary: &Summary, scene: &str, variant: &str) -> Option<Configuration> {
     const STAGES: [&str; 9] =
         ["import", "depth", "pairs", "calibrate", "propose", "reconstruct", "targets", "enhance", "evaluate"];

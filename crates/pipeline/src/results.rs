@@ -1,8 +1,8 @@
-//! The results folder: the report with its costs, the tables, the scenes, and a page per scene to walk
-//! through it in a browser, out of the cache and under names for people.
+//! The results folder: the report with its costs, the tables, the scenes, and a page per scene to view it in
+//! a browser. All are copied out of the cache and get readable names.
 //!
-//! An artifact holds nothing that depends on the clock or the machine. Times, memory, keys and how fast
-//! scenes are drawn are kept beside artifacts; they are added to the page and the tables here.
+//! An artifact holds nothing that depends on the clock or the machine. Times, memory, keys and drawing speeds
+//! are stored next to artifacts; this module adds them to the page and the tables.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -27,14 +27,14 @@ use crate::stages::report::write_tables;
 /// The page and the tables over all scenes.
 const PAGE: &str = "report.html";
 const TABLES: &str = "tables";
-/// The page of a scene beside its folders, and the folder of that page's parts,
-/// should it be too large for one file.
+/// The page of a scene next to its folders, and the folder for that page's parts if it is too large for one
+/// file.
 const VIEW: &str = "view.html";
 const VIEW_PARTS: &str = "view_files";
-/// Before the digest in the last line of a page.
+/// The text before the digest in the last line of a page.
 const STAMP: &str = "<!-- written by use3d, blake3 ";
 
-/// Where a stage's result goes below the results folder; `None` for stages whose results stay in the cache.
+/// The place of a stage's result below the results folder; `None` for stages whose results stay in the cache.
 fn place_of(stage: &str, scene: &str, variant: &str) -> Option<PathBuf> {
     let folder = match stage {
         "reconstruct" => "scene",
@@ -50,16 +50,16 @@ fn place_of(stage: &str, scene: &str, variant: &str) -> Option<PathBuf> {
     Some(folder_of(scene, variant).join(folder))
 }
 
-/// Where everything of a scene in a variant goes below the results folder.
+/// The folder of all results of a scene in a variant, below the results folder.
 fn folder_of(scene: &str, variant: &str) -> PathBuf {
     if variant.is_empty() { scene.into() } else { format!("{scene}@{variant}").into() }
 }
 
-/// Looks, before anything is computed, whether the results of `until` (all where `None`) may go to `out`:
-/// whether it can be written, and whether everything that stands in their places is ours.
+/// Checks, before anything is computed, that the results of `until` (all stages if `None`) can be written to
+/// `out`: that the folder is writable, and that everything at their places was written by this program.
 ///
 /// # Errors
-/// The first place that is taken, or that cannot be written. Nothing is touched.
+/// Returns the first place that is occupied, or that cannot be written. Nothing is changed.
 pub fn check(graph: &Graph, until: Option<&[String]>, out: &Path) -> Result<(), PlaceError> {
     place::check_writable(out)?;
     let mut places: BTreeMap<PathBuf, String> = BTreeMap::new();
@@ -88,14 +88,14 @@ pub fn check(graph: &Graph, until: Option<&[String]>, out: &Path) -> Result<(), 
     })
 }
 
-/// A result that stands in the results folder.
+/// A result that is in the results folder.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Delivered {
     /// `report`, `tables`, or the stage that made it.
     pub what: String,
-    /// The scene; empty for what is over all scenes.
+    /// The scene; empty for a result over all scenes.
     pub scene: String,
-    /// The variant; empty where there are none.
+    /// The variant; empty if there are no variants.
     pub variant: String,
     /// The file or folder.
     pub path: PathBuf,
@@ -107,12 +107,12 @@ impl Delivered {
     }
 }
 
-/// Fills `out` and says what is where: `report`, `tables`, and the folders of every scene. `command`: what
-/// was typed, which the report names.
+/// Fills `out` and returns the list of results: `report`, `tables`, and the folders of every scene. `command`
+/// is the command line that was typed; the report shows it.
 ///
 /// # Errors
-/// A place that is taken by something that is not ours, or that cannot be written;
-/// what was delivered before stays.
+/// A place is occupied by something that this program did not write, or cannot be written; results that were
+/// delivered before it stay.
 pub fn deliver(summary: &Summary, out: &Path, command: &str) -> Result<Vec<Delivered>, PlaceError> {
     let mut delivered = Vec::new();
     at(out, "create", fs::create_dir_all(out))?;
@@ -124,7 +124,7 @@ pub fn deliver(summary: &Summary, out: &Path, command: &str) -> Result<Vec<Deliv
         let configuration = made.get(&(node.scene.as_str(), node.variant.as_str()));
         match configuration.filter(|_| node.stage == "evaluate") {
             Some(configuration) => scores(artifact, configuration, &target)?,
-            // Its manifest is the record.
+            // The artifact's manifest is the record of the folder.
             None => {
                 put(Some(artifact.manifest.key), &target, |made| place::copy_folder(&artifact.path, made))?;
             }
@@ -150,7 +150,7 @@ pub fn deliver(summary: &Summary, out: &Path, command: &str) -> Result<Vec<Deliv
         delivered.push(Delivered::over_all("report", page));
         if report.path.join(TABLES).is_dir() {
             let tables = out.join(TABLES);
-            // How fast scenes are drawn follows from no key: they are written anew each time.
+            // Drawing speeds do not follow from a key, so the tables are written again each time.
             put(None, &tables, |made| {
                 place::copy_folder(&report.path.join(TABLES), made)?;
                 if let Some(timed) = &timed {
@@ -169,7 +169,8 @@ pub fn deliver(summary: &Summary, out: &Path, command: &str) -> Result<Vec<Deliv
     Ok(delivered)
 }
 
-/// Writes the page of every scene of the run, enhanced where it is, and says where they are.
+/// Writes the page of every scene of the run, enhanced if it has an enhancement, and returns the list of
+/// pages.
 fn pages(summary: &Summary, out: &Path) -> Result<Vec<Delivered>, PlaceError> {
     let mut pages = Vec::new();
     for node in summary.nodes.iter().filter(|n| n.stage == "reconstruct" && !n.scene.is_empty()) {
@@ -184,7 +185,8 @@ fn pages(summary: &Summary, out: &Path) -> Result<Vec<Delivered>, PlaceError> {
             variant: variant.into(),
             path: page.clone(),
         };
-        // The page says which scene it was made of, and by what; made of the same one by the same, it is the same.
+        // The page records its scene, its program and its white balance. A page with the same record is up to
+        // date.
         let white = white_of(&folder, shown.manifest.key);
         let balanced = white.as_ref().map_or_else(String::new, |(_, digest)| format!(", white {digest}"));
         let source =
@@ -204,7 +206,7 @@ fn pages(summary: &Summary, out: &Path) -> Result<Vec<Delivered>, PlaceError> {
         ) {
             Ok(made) => made,
             Err(error) => {
-                // The results are whole without it.
+                // The results are complete without this page.
                 tracing::warn!("{scene}: no page for a browser: {error}");
                 continue;
             }
@@ -226,7 +228,7 @@ fn pages(summary: &Summary, out: &Path) -> Result<Vec<Delivered>, PlaceError> {
     Ok(pages)
 }
 
-/// The white balance that was kept for a scene of this key among the results, and its digest.
+/// The white balance that was stored among the results for a scene of this key, and its digest.
 fn white_of(folder: &Path, key: Digest) -> Option<(White, Digest)> {
     for name in ["enhanced-scene", "scene"] {
         let scene = folder.join(name);
@@ -247,16 +249,16 @@ fn white_of(folder: &Path, key: Digest) -> Option<(White, Digest)> {
     None
 }
 
-/// A path below the results folder as an address in its pages.
+/// A path below the results folder as a link in its pages.
 fn relative(path: &Path, out: &Path) -> String {
     let parts = path.strip_prefix(out).unwrap_or(path).components();
     let parts = parts.map(|part| use3d_web::page::address(&part.as_os_str().to_string_lossy()));
     parts.collect::<Vec<_>>().join("/")
 }
 
-/// The report's tables with what belongs to no artifact: how fast the scenes are drawn, which their
-/// evaluations noted, what made their numbers, and under which keys their scores lie in the cache. `None` of
-/// a report without scores.
+/// The report's tables with the data that belong to no artifact: the drawing speeds from the notes of the
+/// evaluations, the configurations behind the numbers, and the keys of the scores in the cache. `None` for a
+/// report without scores.
 fn timed_tables(
     summary: &Summary,
     made: &BTreeMap<(&str, &str), Configuration>,
@@ -272,7 +274,7 @@ fn timed_tables(
         scene.configuration = made.get(&(scene.scene.as_str(), scene.variant.as_str())).cloned();
         scene.speed = note.and_then(|note| serde_json::from_value(note).ok());
         if let Some(artifact) = artifact {
-            // The key that stands in the table of costs, as far as it is shown there.
+            // The key as the table of costs shows it, shortened.
             let name = scene.source.rsplit_once(' ').map_or("", |(name, _)| name);
             scene.source = format!("{name} {}", shortened(&artifact.manifest.key.to_string()));
         }
@@ -291,7 +293,7 @@ fn configurations(summary: &Summary) -> BTreeMap<(&str, &str), Configuration> {
         .collect()
 }
 
-/// The configurations as the report's first screen has them: one line for all scenes of a variant.
+/// The configurations as the top of the report shows them: one line for all scenes of a variant.
 fn told(made: &BTreeMap<(&str, &str), Configuration>) -> Vec<(String, String)> {
     let mut variants: Vec<&str> = made.keys().map(|(_, variant)| *variant).collect();
     variants.sort_unstable();
@@ -304,7 +306,7 @@ fn told(made: &BTreeMap<(&str, &str), Configuration>) -> Vec<(String, String)> {
     variants.into_iter().map(of).collect()
 }
 
-/// Delivers the scores of a scene, with what made them.
+/// Delivers the scores of a scene, with the configuration behind them.
 fn scores(artifact: &Artifact, configuration: &Configuration, target: &Path) -> Result<(), PlaceError> {
     let text = serde_json::to_string(configuration).unwrap_or_default();
     let key = Digest::of(format!("{} {text}", artifact.manifest.key).as_bytes());
@@ -322,7 +324,7 @@ fn scores(artifact: &Artifact, configuration: &Configuration, target: &Path) -> 
     })
 }
 
-/// One line with the program, the time and the place that wrote the results.
+/// One line with the pipeline, the time, the machines and the command that wrote the results.
 fn written(summary: &Summary, command: &str) -> String {
     let manifests = || summary.nodes.iter().filter_map(|n| Some(&n.artifact.as_ref()?.manifest));
     let mut machines: Vec<String> = manifests()
@@ -338,7 +340,7 @@ fn written(summary: &Summary, command: &str) -> String {
     )
 }
 
-/// The parameters of every stage of the run, equal ones once, as text.
+/// The parameters of every stage of the run, as text; equal ones are listed once.
 fn parameters(summary: &Summary) -> String {
     let mut groups: Vec<(String, Vec<String>)> = Vec::new();
     for node in summary.nodes.iter().filter(|n| !n.shared) {
@@ -359,7 +361,7 @@ fn parameters(summary: &Summary) -> String {
     groups.collect::<Vec<_>>().join("\n")
 }
 
-/// What every stage of the run cost when it was computed.
+/// The costs of every stage of the run when it was computed.
 fn rows(summary: &Summary) -> Vec<StageRow> {
     let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
     let rows = summary.nodes.iter().filter(|n| !n.shared).filter_map(|node| {
@@ -383,8 +385,8 @@ fn rows(summary: &Summary) -> Vec<StageRow> {
     rows.collect()
 }
 
-/// Puts what `fill` makes in the place of `target`, unless what stands there follows from `key` already.
-/// Always a copy: nobody's edits may reach the cache.
+/// Puts the output of `fill` at `target`, unless the folder there already follows from `key`. The output is
+/// always a copy, so that an edit of the results cannot change the cache.
 fn put(
     key: Option<Digest>,
     target: &Path,
@@ -402,18 +404,19 @@ fn put(
     let made = place::sibling(target);
     let placed = fill(&made).and_then(|()| place::put(&made, target, true));
     if placed.is_err() {
-        // Ours alone, and of no use to anybody.
+        // The unfinished folder belongs to this process alone and is of no further use.
         let _ = fs::remove_dir_all(&made);
     }
     placed
 }
 
-/// A page with its digest in a last line, by which it is known to be ours and unchanged.
+/// A page with its digest in a last line. The digest proves that this program wrote the page and that it is
+/// unchanged.
 fn stamped(html: &str) -> String {
     format!("{html}{STAMP}{} -->\n", Digest::of(html.as_bytes()))
 }
 
-/// Refuses to replace a page that is not ours, or that somebody changed.
+/// Refuses to replace a page that this program did not write, or that was changed since.
 fn check_page(page: &Path) -> Result<(), PlaceError> {
     let found = match fs::symlink_metadata(page) {
         Err(e) if matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => return Ok(()),

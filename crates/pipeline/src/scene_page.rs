@@ -1,4 +1,4 @@
-//! A scene's page for a browser, with the photographs of its capture and the places they were taken from.
+//! A scene's page for a browser, with the photographs of its capture and the positions of their cameras.
 
 use std::path::Path;
 
@@ -24,11 +24,11 @@ pub enum ScenePageError {
     Web(#[from] WebError),
 }
 
-/// The views of a capture in the frame of a scene, with their photographs. `origin` says
-/// which ones training did not see.
+/// The views of a capture in the frame of a scene, with their photographs. `origin` lists the views that were
+/// held out from training.
 ///
 /// # Errors
-/// A photograph that cannot be read.
+/// Fails if a photograph cannot be read.
 pub fn views(
     scene: &Scene,
     origin: Option<&Origin>,
@@ -45,16 +45,16 @@ pub fn views(
     views.collect()
 }
 
-/// Whether a view of this stem was kept from training.
+/// True if a view of this stem was held out from training.
 pub fn is_held_out(origin: Option<&Origin>, stem: &str) -> bool {
     origin.is_some_and(|origin| origin.held_out.iter().any(|held| held == stem))
 }
 
-/// The page of a scene folder with the views of an imported capture. `folder` is the name of the folder for
-/// its parts, should it need one; `white` is the white balance that it opens with.
+/// Writes the page of a scene folder with the views of an imported capture. `parts` is the name of the folder
+/// for the page's parts, if it needs one; `white` is the white balance that it opens with.
 ///
 /// # Errors
-/// What cannot be read or put together.
+/// Fails if the scene or the capture cannot be read, or the page cannot be built.
 pub(crate) fn write(
     name: &str,
     folder: &Path,

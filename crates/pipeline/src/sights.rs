@@ -1,21 +1,21 @@
-//! The water that a capture's photographs show, looked up by the import in the files' own size.
+//! Measurements of the water in a capture's photographs, made by the import at the files' own size.
 //!
-//! The tracks' account of the water must not depend on the size that a scene is learnt at: small pictures
-//! average surfaces, veil and compression together, and on one reef the attenuation of blue fell fivefold
-//! from 1280 to 256 pixels. The import is the last stage that sees the files, so that it looks up every
-//! tracked point and all open water in the training views, undistorted and otherwise as they are, and at
-//! half of that size, which says how far an estimate can be trusted. Without tracks it keeps what the views
-//! show of the points.
+//! The estimate of the water must not depend on the size that a scene is learnt at: small pictures average
+//! surfaces, veil and compression together, and on one reef the attenuation of blue fell fivefold from 1280
+//! to 256 pixels. The import is the last stage that reads the files. So it samples every tracked point and
+//! all open water in the training views, undistorted and otherwise unchanged, and also at half of that size;
+//! the comparison shows how far an estimate can be trusted. Without tracks it keeps the distance and colour
+//! of the points in the views.
 //!
 //! `sights.safetensors`, n sightings of points and m cells of open water, for `whole` and `half`:
 //!
 //! | tensor | shape | what |
 //! |---|---|---|
 //! | `SIZE/points` | n × 2, u32 | point, view |
-//! | `SIZE/values` | n × 6, f32 | mean colour R, G, B and unevenness R, G, B of the piece of surface, display range; −1: clipped |
+//! | `SIZE/values` | n × 6, f32 | mean and spread of the surface's R, G, B, display range; −1: clipped |
 //! | `SIZE/open_views` | m, u32 | view |
 //! | `SIZE/open` | m × 6, f64 | unit direction x, y, z in the capture's frame, mean colour R, G, B |
-//! | `glances` | k × 4, f32 | distance in the capture's frame, colour R, G, B; only where there are no tracks |
+//! | `glances` | k × 4, f32 | distance in the capture's frame, colour R, G, B; only without tracks |
 
 use std::path::{Path, PathBuf};
 
@@ -27,31 +27,31 @@ use use3d_water::{Glance, Observation, ObserveError, OpenWater, Sights, glances,
 /// The file's name, in the import's folder.
 pub(crate) const SIGHTS: &str = "sights.safetensors";
 
-/// Stands for a channel that the camera clipped.
+/// The stored value of a channel that the camera clipped.
 const CLIPPED: f32 = -1.0;
 
-/// Glances of one view are thinned to about so many.
+/// Glances of one view are thinned to about this many.
 const GLANCES: usize = 4000;
 
-/// The sights of a capture's photographs.
+/// The measurements in a capture's photographs.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Seen {
-    /// In the photographs as they are, and at half their size.
+    /// Those in the photographs at their own size, and at half that size.
     pub(crate) sizes: [Sights; 2],
-    /// Glances of views at points; only where the model has no tracks.
+    /// Glances of views at points; only if the model has no tracks.
     pub(crate) glances: Vec<Glance>,
 }
 
-/// Why a capture's tracks could not be looked up.
+/// The error of measuring a capture.
 #[derive(Debug, thiserror::Error)]
 pub enum SightsError {
     /// An image or mask cannot be read.
     #[error(transparent)]
     Import(#[from] ImportError),
-    /// Tracks and views do not belong together.
+    /// The tracks do not fit the views.
     #[error(transparent)]
     Observe(#[from] ObserveError),
-    /// A file that is none of ours, or damaged.
+    /// The file has another format, or is damaged.
     #[error("{}: {source}", path.display())]
     File {
         /// The file.
@@ -59,7 +59,7 @@ pub enum SightsError {
         /// The problem.
         source: TensorError,
     },
-    /// A file that cannot be read.
+    /// The file cannot be read.
     #[error("{}: {source}", path.display())]
     Read {
         /// The file.
@@ -67,7 +67,7 @@ pub enum SightsError {
         /// The system's error.
         source: std::io::Error,
     },
-    /// Sightings of another capture.
+    /// The measurements belong to another capture.
     #[error("{}: it names point {point} and view {view}, which the capture does not have; import the capture again", path.display())]
     Other {
         /// The file.
@@ -77,14 +77,14 @@ pub enum SightsError {
         /// Index of the view.
         view: usize,
     },
-    /// The user stopped.
+    /// The user stopped the work.
     #[error("stopped")]
     Stopped,
 }
 
 impl Seen {
-    /// Looks a capture up. `view` gives a training view's image and mask at the size of its camera, or says
-    /// that the work is to stop.
+    /// Measures a capture. `view` returns a training view's image and mask at the size of its camera, or an
+    /// error that stops the work.
     fn look(
         imported: &Imported,
         view: impl Fn(usize) -> Result<(Image, Option<Map>), SightsError>,
@@ -107,11 +107,11 @@ impl Seen {
         Ok(seen)
     }
 
-    /// Looks the files of an import up, before they are scaled and cropped; `balance` is the import's white
-    /// balance. `go_on` is asked before each view.
+    /// Measures the files of an import, before they are scaled and cropped. `balance` is the import's white
+    /// balance. `go_on` is called before each view and returns false to stop.
     ///
     /// # Errors
-    /// An image that cannot be read, or [`SightsError::Stopped`].
+    /// Fails if an image cannot be read, or with [`SightsError::Stopped`].
     pub(crate) fn of_files(
         imported: &Imported,
         balance: Option<[f32; 3]>,
@@ -131,11 +131,11 @@ impl Seen {
         })
     }
 
-    /// The sights that the import at `folder` kept; where it kept none (a folder of an older version), its
-    /// pictures are looked up as they are.
+    /// Reads the measurements that the import at `folder` stored. If it stored none (a folder of an older
+    /// version), its pictures are measured as they are.
     ///
     /// # Errors
-    /// A file that cannot be read or belongs to another capture.
+    /// Fails if a file cannot be read or belongs to another capture.
     pub(crate) fn of_import(folder: &Path, imported: &Imported) -> Result<Self, SightsError> {
         let path = folder.join(SIGHTS);
         if path.is_file() {
@@ -147,10 +147,10 @@ impl Seen {
         })
     }
 
-    /// The file's bytes.
+    /// The content of the file.
     ///
     /// # Errors
-    /// Sizes that no file can hold.
+    /// Fails for sizes that no file can hold.
     pub(crate) fn bytes(&self) -> Result<Vec<u8>, TensorError> {
         let mut file = TensorWriter::new();
         for (sights, size) in self.sizes.iter().zip(["whole", "half"]) {
@@ -191,7 +191,7 @@ impl Seen {
     }
 }
 
-/// One size's sightings; distances and directions are those of the capture's points and cameras.
+/// The measurements at one size. Distances and directions come from the capture's points and cameras.
 fn sights_of(
     file: &TensorFile<'_>,
     size: &str,
@@ -278,12 +278,12 @@ mod tests {
             );
             assert!((0..3).all(|c| a.value[c].is_nan() == b.value[c].is_nan()));
         }
-        // Balanced as the import balances, and stopped where the user stops.
+        // The values are balanced as in the import, and the work stops when the user stops it.
         let balanced = Seen::of_files(&whole, Some([1.0, 0.5, 1.0]), || true).unwrap();
         let (a, b) = (&balanced.sizes[0].points[0], &full.points[0]);
         assert!((a.value[1] - 0.5 * b.value[1]).abs() < 1e-6, "{a:?} {b:?}");
         assert!(matches!(Seen::of_files(&whole, None, || false), Err(SightsError::Stopped)));
-        // Another capture's sights, and no sights at all.
+        // The measurements of another capture are refused, and so is a damaged file.
         let mut fewer = imported(0);
         fewer.capture.points.truncate(3);
         assert!(matches!(Seen::read(&path, &fewer), Err(SightsError::Other { .. })));

@@ -1,6 +1,7 @@
-//! A capture's water from its tracks, in the frame and unit of its COLMAP model, for people and for scripts.
+//! A capture's water from its tracks, in the frame and unit of its COLMAP model, as a report for users and
+//! scripts.
 //!
-//! Only training views are looked at, so that held-out views stay unseen.
+//! Only training views are used, so that held-out views stay unseen.
 
 use std::fmt;
 use std::path::Path;
@@ -17,7 +18,7 @@ pub use crate::sights::SightsError;
 /// Estimates the water of the capture that was imported into `folder`, in its normalised frame.
 ///
 /// # Errors
-/// An image that cannot be read. A capture that cannot tell is no error: the verdicts say so.
+/// Fails if an image cannot be read. Water that cannot be determined is no error: the verdicts report it.
 pub fn from_tracks(
     folder: &Path,
     imported: &Imported,
@@ -37,20 +38,20 @@ pub fn from_tracks(
     Ok((water, judgement))
 }
 
-/// The judgement on a capture's water, the same wherever it is told.
+/// The judgement on a capture's water; every report uses the same words for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Judgement {
-    /// It is known, and training starts from it.
+    /// The water is known, and training starts from it.
     Found,
     /// Points look alike from near and far: no water.
     Dry,
-    /// A veil nearly white in all channels: a sky, no water.
+    /// The veil is nearly white in all channels: a sky, no water.
     Sky,
     /// Without tracks: far points are as dark and as bright as near ones.
     Air,
-    /// Known only as something that no water is: points would be brighter than white without it.
+    /// The estimate cannot be water: without it, points would be brighter than white.
     Lamps,
-    /// Not known; training finds it out.
+    /// The water is not known; training learns it.
     Unknown,
 }
 
@@ -100,44 +101,44 @@ impl fmt::Display for Judgement {
     }
 }
 
-/// What two standard errors of an attenuation may do to the optical depth of the far
-/// points: a third of their radiance.
+/// Largest change of the optical depth of far points by two standard errors of an attenuation: a third of
+/// their radiance.
 const SMALL: f64 = 0.3;
-/// Radiance, display range, that the 95th percentile of points has at most if only water has been
-/// taken away: a little above white.
+/// Largest plausible 95th percentile of the points' radiance (display range) after only water is removed: a
+/// little above white.
 const BRIGHTEST: f64 = 1.3;
 
-/// True if points would surely (by two of their errors) be brighter than white without what distance takes:
-/// light that comes from the camera (lamps) falls off with the distance, and water explains that only by
+/// True if points would certainly (by two standard errors) be brighter than white without the loss over
+/// distance. Light from the camera (lamps) falls off with the distance, and water can explain that only with
 /// colours that no surface has.
 fn lamps(water: &Water) -> bool {
     let surely = |c: usize| radiance(water, |p| p[c].value - 2.0 * p[c].error)[2];
     (0..3).any(|c| water.channels[c].verdict.usable() && surely(c) > BRIGHTEST)
 }
 
-/// 5th, 50th and 95th percentile of something of the points; 0 where there is none.
+/// 5th, 50th and 95th percentile of a quantity over the points; 0 if there are none.
 fn radiance(water: &Water, of: impl Fn(&[Measured; 3]) -> f64) -> [f64; 3] {
     let mut all: Vec<f64> = water.radiances.iter().flatten().map(of).filter(|v| v.is_finite()).collect();
     all.sort_unstable_by(f64::total_cmp);
     [0.05, 0.5, 0.95].map(|q| all.get((q * all.len() as f64) as usize).copied().unwrap_or(0.0))
 }
 
-/// True if a channel can be told, or if its estimate matters little: where the estimate's error
-/// does little to what far points show.
+/// True if a channel is known, or if its value matters little: its standard error hardly changes the radiance
+/// of far points.
 fn told(water: &Water, c: &ChannelWater) -> bool {
     let small = water.distances[2] * 2.0 * c.attenuation.error < SMALL;
     c.verdict.usable() || (c.verdict != Verdict::TooFewPoints && small)
 }
 
-/// True if every channel is known, and one of them has water. A channel on which distance shows no water
-/// loses nothing. Losses that are alike in all channels (haze, a camera that balances each view) are as
-/// good a start as any: what far points have lost is lost in the photographs.
+/// True if every channel is known, and at least one of them has water. A channel whose colours do not change
+/// with distance loses nothing. A loss that is equal in all channels (haze, or a camera that balances each
+/// view) is as good a start as any: what far points have lost is lost in the photographs.
 fn known(water: &Water) -> bool {
     let known = |c: &ChannelWater| told(water, c) || c.verdict == Verdict::NoWater;
     water.channels.iter().any(|c| c.verdict.usable()) && water.channels.iter().all(known)
 }
 
-/// The water that training may start from; `None` where it was not [found](Judgement::Found).
+/// The water that training may start from; `None` unless it was [found](Judgement::Found).
 pub fn found_water(water: &Water, judgement: Judgement) -> Option<FoundWater> {
     if judgement != Judgement::Found {
         return None;
@@ -155,12 +156,12 @@ pub fn found_water(water: &Water, judgement: Judgement) -> Option<FoundWater> {
     })
 }
 
-/// What is told about a capture's water. Lengths are COLMAP units, directions COLMAP's axes.
+/// The report on a capture's water. Lengths are in COLMAP units, directions along COLMAP's axes.
 #[derive(Clone, Debug, Serialize)]
 pub struct WaterReport {
-    /// `"3d-use water"`.
+    /// The fixed text `"3d-use water"`.
     pub format: &'static str,
-    /// 1.
+    /// The version of the format, 1.
     pub version: u32,
     /// The capture's name.
     pub capture: String,
@@ -168,21 +169,21 @@ pub struct WaterReport {
     pub judgement: &'static str,
     /// The judgement as a sentence.
     pub told: String,
-    /// Points seen from distances that differ by a quarter and more.
+    /// Number of points seen from distances that differ by a quarter or more.
     pub points: usize,
-    /// Cells of open water that told the veil; 0 where none or too few were seen.
+    /// Number of cells of open water that the veil was measured in; 0 if none or too few were seen.
     pub open_water: usize,
     /// 5th, 50th and 95th percentile of the distances.
     pub distances: [f64; 3],
-    /// Whether the channels' attenuations are alike, as lamps, exposure or a haze make them.
+    /// True if the channels' attenuations are alike, as with lamps, changing exposure or haze.
     pub grey: bool,
-    /// Red, green, blue.
+    /// The channels red, green and blue.
     pub channels: Vec<ChannelReport>,
-    /// Gain of every view where exposure changes: name, R, G, B.
+    /// Gain of every view if the exposure changes: name, R, G, B.
     pub gains: Vec<(String, [f64; 3])>,
 }
 
-/// A value and its standard error; no error where nothing was estimated.
+/// A value and its standard error; no error if nothing was estimated.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct ValueReport {
     /// The estimate.
@@ -214,13 +215,13 @@ pub struct ChannelReport {
     pub veil_assumed: bool,
     /// Correlation of the errors of `ln β_b` and `ln veil`.
     pub backscatter_veil_correlation: f64,
-    /// t statistic of this water against none.
+    /// The t statistic of this water against no water.
     pub significance: f64,
-    /// Share of what distance changes that water explains.
+    /// Share of the change over distance that water explains.
     pub explained: f64,
     /// 5th, 50th and 95th percentile of the points' radiance without water, display range.
     pub radiance: [f64; 3],
-    /// Points and observations that were used.
+    /// Number of points and number of observations that were used.
     pub used: [usize; 2],
 }
 
@@ -329,7 +330,7 @@ mod tests {
         Measured { value, error }
     }
 
-    /// Points of `radiance` seen up to 4 units away in water that takes `attenuation` per unit.
+    /// Points of `radiance` seen up to 4 units away, in water that attenuates by `attenuation` per unit.
     fn water(verdicts: [Verdict; 3], attenuation: [f64; 3], error: f64, radiance: f64) -> Water {
         let channel = |c: usize| ChannelWater {
             verdict: verdicts[c],
@@ -371,15 +372,15 @@ mod tests {
         let found = [Verdict::Found; 3];
         let start = taken(&water(found, [0.3, 0.29, 0.28], 0.01, 0.8)).expect("losses may be alike");
         assert_eq!(start.attenuation, [0.3, 0.29, 0.28]);
-        // Brighter than white: no surface is.
+        // No surface is brighter than white.
         let lit = water(found, [0.9, 0.6, 0.6], 0.01, 1.7);
         assert!(Judgement::of(&lit) == Judgement::Lamps && taken(&lit).is_none());
-        // A channel that cannot be told: fine if it is small whatever it is, else not.
+        // An unknown channel is accepted if it is certainly small, and else refused.
         let vague = [Verdict::Found, Verdict::NotObservable, Verdict::NotObservable];
         let small = taken(&water(vague, [0.3, 0.02, 0.02], 0.01, 0.8)).expect("nearly nothing is lost");
         assert_eq!(small.attenuation, [0.3, 0.02, 0.02]);
         assert!(taken(&water(vague, [0.3, 0.2, 0.2], 0.1, 0.8)).is_none());
-        // Channels that could be without loss beside one with it: what is estimated, unless that is a guess.
+        // Next to a channel with loss, channels that may have none get their estimate, unless it is a guess.
         let red = [Verdict::VeilNotSeparable, Verdict::NoWater, Verdict::NoWater];
         for (error, others) in [(0.01, 0.1), (0.05, 0.0)] {
             let start = taken(&water(red, [0.3, 0.1, 0.1], error, 0.8)).expect("red");

@@ -1,6 +1,6 @@
-//! A second reader of the files and crates that a stage reaches. It knows nothing of the first one: it reads
-//! paths out of the text of the sources, where the build system reads tokens. Everything it finds has to be in
-//! every stage's code, or an edit would leave stale artifacts in force.
+//! A second reader of the files and crates that a stage reaches. It is independent of the first one: it finds
+//! paths in the text of the sources, while the build system reads tokens. Everything it finds has to be in
+//! every stage's code, or an edit would leave stale artifacts in use.
 #![cfg(feature = "nets")]
 
 use std::collections::BTreeSet;
@@ -10,7 +10,8 @@ use use3d_pipeline::stages::registry;
 
 /// Folders that write no byte of an artifact (`RULES`, and the code that chooses a stage's inputs).
 const NOT_FOLLOWED: [&str; 2] = ["src/config/", "src/engines/"];
-/// Crates of which the same is true: the build system, and what a card computes, which the numeric class tells.
+/// Crates that write no byte of an artifact either: the build system, and the code for cards, which the
+/// numeric class covers.
 const CRATES_NOT_FOLLOWED: [&str; 2] = ["use3d-build", "use3d-gpu"];
 
 fn pipeline() -> PathBuf {
@@ -25,7 +26,7 @@ fn source(file: &Path) -> String {
     lines.collect::<Vec<_>>().join("\n")
 }
 
-/// The paths that begin here, `a::{b, c::d}` as `a::b` and `a::c::d`.
+/// The paths that begin here: `a::{b, c::d}` gives `a::b` and `a::c::d`.
 fn paths(text: &[u8], at: &mut usize) -> Vec<Vec<String>> {
     let skip = |at: &mut usize| {
         while text.get(*at).is_some_and(u8::is_ascii_whitespace) {
@@ -38,7 +39,7 @@ fn paths(text: &[u8], at: &mut usize) -> Vec<Vec<String>> {
         let mut all = Vec::new();
         loop {
             all.extend(paths(text, at));
-            // `as name` after a path says nothing of where it leads.
+            // `as name` after a path does not change its target.
             while text.get(*at).is_some_and(|c| !b",}".contains(c)) {
                 *at += 1;
             }
@@ -79,7 +80,7 @@ fn beginning_with(text: &str, word: &str) -> Vec<Vec<String>> {
     starts.filter(whole).flat_map(|mut at| paths(bytes, &mut at)).collect()
 }
 
-/// The file of the longest module that a path names.
+/// The file of the longest module path at the start of a path.
 fn module(path: &[String]) -> Option<String> {
     (1..=path.len()).rev().find_map(|n| {
         let stem = format!("src/{}", path[..n].join("/"));
@@ -105,7 +106,7 @@ fn named(file: &str) -> BTreeSet<String> {
         let ups = path.iter().take_while(|name| *name == "super").count();
         let base = parent.len().saturating_sub(ups - 1);
         let whole: Vec<String> = parent[..base].iter().chain(&path[ups..]).cloned().collect();
-        // A module itself is not what a path into it names: `super::*` in a module inside a file.
+        // A path into a module does not count as the module itself: `super::*` in a module inside a file.
         let longer = |m: &String| *m != format!("src/{}/mod.rs", parent[..base].join("/"));
         found.extend(module(&whole).filter(longer));
     }

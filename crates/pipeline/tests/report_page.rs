@@ -1,6 +1,6 @@
-//! The report in a real Chromium: on phones nothing is wider than the screen, and the divider follows a
-//! finger, by day and by night; wide tables say that they go on, keep their first column, and nothing glares or
-//! hides in the dark.
+//! The report in a real Chromium, in the light and the dark scheme. On phones nothing is wider than the
+//! screen, and the divider follows a finger. Wide tables show that they continue and keep their first column.
+//! In the dark scheme nothing is too bright and nothing is hidden.
 
 #[expect(dead_code, reason = "shared with the tests of the scene's page, which do more with it")]
 #[path = "../../web/tests/browser/chromium.rs"]
@@ -16,7 +16,7 @@ use use3d_pipeline::judge::report::{
 use use3d_pipeline::judge::tables::{Better, Cell, Column, Row, Table};
 use use3d_pipeline::judge::verdict::{Sentence, Tone};
 
-/// A report with everything that may be wide in it.
+/// A report with everything that may be wide.
 fn report() -> String {
     let long = "a_photograph_whose_name_is_longer_than_the_screen_of_any_phone_and_has_no_space.jpeg";
     let picture = |label: &str| Picture::embed(label, "", &Image::filled(480, 270, 0.4)).expect("a picture");
@@ -79,7 +79,7 @@ fn report() -> String {
     with_views(&html, [("reef", "", "reef/view.html".to_string())].into_iter())
 }
 
-/// The marks of plots that stand out from their ground less than a number says.
+/// The marks of plots whose contrast with their background is less than a number.
 const FAINT: &str = "contrast => {
     const light = text => text.match(/[\\d.]+/g).slice(0, 3).map(v => v / 255).map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4).reduce((a, v, i) => a + v * [0.2126, 0.7152, 0.0722][i], 0.05);
     return [...document.querySelectorAll('.plots polyline, .plots circle, .plots rect')].map(mark => {
@@ -89,8 +89,8 @@ const FAINT: &str = "contrast => {
     }).filter(([, , seen]) => seen < contrast);
 }";
 
-/// Curves stand out from the ground, heads stand over their columns, what a table's rows and columns are
-/// stays in sight, and no sheet has a white corner.
+/// Checks that curves are visible on the background, heads are aligned with their columns, the labels of a
+/// table's rows and columns stay visible, and no sheet has a white corner.
 fn readable(browser: &mut Chromium, what: &str, contrast: f64) {
     let faint = browser.evaluate(&format!("({FAINT})({contrast})"));
     assert_eq!(faint, json!([]), "{what}: hard to see");
@@ -141,9 +141,9 @@ fn a_phone_shows_all_of_the_report_and_its_divider_follows_a_finger() {
             );
             assert_eq!(wide[0], json!(width), "{wide}");
             assert!(wide[1].as_u64() <= Some(width.into()) && wide[2] == json!([]), "{width} px: {wide}");
-            // Thin lines are harder to see in the dark.
+            // Thin lines are harder to see in the dark scheme.
             readable(&mut browser, &format!("{width} px, {scheme}"), if dark { 3.5 } else { 3.0 });
-            // The divider, under a finger and under a mouse.
+            // The divider follows a finger and a mouse.
             let at = "parseFloat(document.querySelector('.compare').style.getPropertyValue('--at'))";
             let place = browser.evaluate(
                 "(() => { const box = document.querySelector('.compare'); box.scrollIntoView({ block: 'center' }); const b = box.getBoundingClientRect(); return [b.left, b.top, b.width, b.height]; })()",
@@ -157,7 +157,7 @@ fn a_phone_shows_all_of_the_report_and_its_divider_follows_a_finger() {
                 browser.drag(from, to);
             }
             browser.until(&format!("Math.abs({at} - 25) < 2"));
-            // Ground and words are of the scheme that was asked for.
+            // Background and text have the requested scheme.
             let light = browser.evaluate(
                 "['backgroundColor', 'color'].map(name => getComputedStyle(document.body)[name].match(/[\\d.]+/g).slice(0, 3).reduce((a, v) => a + v / 765, 0))",
             );

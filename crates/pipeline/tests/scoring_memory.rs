@@ -1,17 +1,17 @@
-//! How much memory scoring an image takes beside the images themselves. Alone in its process, because it asks
-//! how much memory the process ever held.
+//! Measures the memory that scoring an image needs in addition to the images. It is the only test of its
+//! process, because it reads the peak memory of the process.
 
 use use3d_capture::Image;
 use use3d_pipeline::judge::scoring::Judges;
 
-/// The most memory this process ever held, bytes; `None` where the system does not say.
+/// The peak memory of this process, bytes; `None` if the system does not report it.
 fn peak() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
     line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| 1024 * kib)
 }
 
-/// Bands of colour with something in them at every scale.
+/// Bands of colour with structure at every scale.
 fn picture(width: usize, height: usize, shift: usize) -> Image {
     let mut image = Image::new(width, height);
     for c in 0..3 {
@@ -26,7 +26,7 @@ fn picture(width: usize, height: usize, shift: usize) -> Image {
 fn scoring_takes_a_few_bytes_a_pixel_beside_the_images() {
     let (width, height) = (3000, 2000);
     let judges = Judges::open(None);
-    // What is made once (threads, tables) is there before it is measured.
+    // Threads and tables that are made once exist before the measurement.
     let small = picture(64, 48, 3);
     judges.alone(&small, None);
     judges.against(&small, &picture(64, 48, 9), None);
@@ -46,7 +46,7 @@ fn scoring_takes_a_few_bytes_a_pixel_beside_the_images() {
         per_pixel(before, between),
         per_pixel(between, after)
     );
-    // Eight bits of each channel and of its CIELAB: six bytes. Against a reference nothing is copied at all.
+    // Eight bits of each channel and of its CIELAB: six bytes. A comparison with a reference copies nothing.
     let allowed = |compared: bool| judges.bytes_per_pixel(compared) as f64 + 2.0;
     assert!(per_pixel(before, between) <= allowed(false), "{}", per_pixel(before, between));
     assert!(per_pixel(between, after) <= allowed(true), "{}", per_pixel(between, after));

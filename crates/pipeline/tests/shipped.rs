@@ -1,4 +1,4 @@
-//! The pipeline files that come with the project, against the real stages; and the schema beside them.
+//! The pipeline files that come with the project, read for the real stages; and the schema next to them.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -47,7 +47,7 @@ fn a_scene_learnt_from_proposals_has_no_second_stage() {
     assert!(full.contains(&"enhance") && !full.contains(&"propose"), "{full:?}");
 }
 
-/// A calibrator is made only where a scene's targets are calibrated.
+/// A calibrator is made only if a scene's targets are calibrated.
 #[test]
 fn without_calibration_there_are_neither_pairs_nor_a_calibrator() {
     use use3d_pipeline::config::for_capture;
@@ -72,7 +72,7 @@ fn without_calibration_there_are_neither_pairs_nor_a_calibrator() {
         assert!(own.contains(&"targets") && own.contains(&"enhance"), "{words:?}: {own:?}");
     }
 
-    // One scene of two: the other's calibrator is none of its business.
+    // Only one of two scenes is calibrated: the other one needs no calibrator.
     let file = dir.path().join("p.toml");
     let text = "name = \"p\"\n[defaults.targets]\ncalibrated = true\n[[scene]]\nname = \"own\"\ncapture = \"reef\"\n[scene.targets]\ncalibrated = false\n\
                 [[scene]]\nname = \"other\"\ncapture = \"reef\"\n";
@@ -113,8 +113,8 @@ fn without_depth_is_there_as_the_authors_ran_it_and_with_the_prior_alone_off() {
     }
 }
 
-/// A scene's depth priors are made by the network where they are asked for, or where
-/// none lie beside the photographs.
+/// The network makes a scene's depth priors if the parameters request them, or if none are next to the
+/// photographs.
 #[cfg(feature = "nets")]
 #[test]
 fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
@@ -130,7 +130,7 @@ fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
     };
     let (bare, own, empty, small) = (at("bare"), at("own"), at("empty"), at("small"));
     at("own/depth");
-    // What is in the file counts when it is read; that it is there decides.
+    // The content of the file counts when it is read; here only its existence matters.
     std::fs::write(small.join("depth_anything_v2_vits.pth"), "weights").expect("written");
     let state = |stage: &str, capture: &Path, models: &Path, sets: &[&str]| {
         let builder =
@@ -162,8 +162,8 @@ fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
             models.display()
         );
     }
-    // Asked for by name without weights: said by the plan, with the file to get. (Its capture has a model
-    // here, so that it comes to that.)
+    // Weights that are requested by name and missing are reported by the plan, with the file to get. (This
+    // capture has a model, so that the plan reaches this point.)
     let capture = at("synthetic").join("reef");
     let params = use3d_synth::CaptureParams {
         views: 5,
@@ -176,7 +176,7 @@ fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
         panic!("{:?}", plan(&capture, &empty, &[asked, "depth.encoder=vitb"]))
     };
     assert!(why.contains("put depth_anything_v2_vitb.pth there"), "{why}");
-    // So is a proposer that is asked for by name; one that needs no weights reads none.
+    // A proposer that is requested by name is treated the same way; a proposer without weights reads none.
     let pairs = |sets: &[&str]| state("pairs", &capture, &empty, sets);
     let Some(State::Unavailable(why)) = pairs(&["calibrator.proposer=nu2net"]) else {
         panic!("{:?}", pairs(&["calibrator.proposer=nu2net"]))
@@ -185,7 +185,7 @@ fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
     assert!(matches!(pairs(&["calibrator.proposer=fusion"]), Some(State::Run(_))));
 }
 
-/// `USE3D_UPDATE_SCHEMA=1 cargo test -p use3d-pipeline --test shipped` writes it anew.
+/// Run `USE3D_UPDATE_SCHEMA=1 cargo test -p use3d-pipeline --test shipped` to write the schema again.
 #[test]
 fn the_schema_is_current() {
     if cfg!(not(feature = "nets")) {
@@ -204,7 +204,8 @@ fn the_schema_is_current() {
     );
 }
 
-/// What a pipeline file says below these lines, over one scene without variants unless it lists some.
+/// The graph of a pipeline file with these lines, for one scene without variants unless the text lists
+/// others.
 fn graph_of(text: &str, sets: &[&str]) -> Result<Graph, String> {
     let registry = registry().expect("the stage table");
     let text = format!("name = \"x\"\n{text}\n[[scene]]\nname = \"a\"\ncapture = \"a\"\n");
@@ -223,7 +224,8 @@ fn presets_are_the_weakest_layer_and_nothing_but_their_values() {
     for name in presets() {
         graph_of(&format!("preset = \"{name}\""), &[]).unwrap_or_else(|e| panic!("{name}: {e}"));
     }
-    // tests/paper checks the paper's values. Here, they are in force and the weakest layer.
+    // tests/paper checks the paper's values. Here they are checked to be in force and to be the weakest
+    // layer.
     let paper = graph_of("preset = \"paper\"", &[]).unwrap();
     for (stage, parameter, value) in [
         ("reconstruct", "medium_prior", "off"),
@@ -239,7 +241,7 @@ fn presets_are_the_weakest_layer_and_nothing_but_their_values() {
         let set = graph_of("preset = \"paper\"", &[&set]).unwrap();
         assert_eq!(parameters(&set, "", stage)[parameter], parameters(&plain, "", stage)[parameter]);
     }
-    // One setting changes the 2D enhancer of the whole pipeline, and a stage's own word counts first.
+    // One setting changes the 2D enhancer of the whole pipeline, but a stage's own setting overrides it.
     let enhancers = |text: &str, sets: &[&str]| {
         let graph = graph_of(text, sets).unwrap();
         ["pairs", "targets", "evaluate"].map(|stage| parameters(&graph, "", stage)["proposer"].clone())
@@ -264,7 +266,7 @@ fn presets_are_the_weakest_layer_and_nothing_but_their_values() {
     assert_eq!(medium(&variants, &[], "p"), "global");
     assert_eq!(medium(&variants, &[], "v"), "none");
     assert_eq!(medium(&variants, &["variant.v.preset=watersplatting"], "v"), "mlp");
-    // The same values under another name are the same work.
+    // The same values under another name give the same pipeline.
     let written = graph_of("[defaults.reconstruct]\nmedium = \"none\"\ndepth_prior = \"off\"", &[]).unwrap();
     let named = graph_of(vanilla, &[]).unwrap();
     assert_eq!(parameters(&written, "", "reconstruct"), parameters(&named, "", "reconstruct"));
@@ -292,15 +294,15 @@ fn naming_pairs_or_a_calibrator_turns_calibration_on() {
     }
     assert!(calibrated("", &["calibrate.steps=5"], "a", ""));
     assert!(calibrated("", &["targets.calibrated=true"], "a", ""));
-    // A calibrator of a scene or a variant holds there alone.
+    // A calibrator of a scene or a variant applies only there.
     let b = "[[scene]]\nname = \"b\"\ncapture = \"b\"\ncalibrator = { file = \"c\" }";
     assert_eq!((calibrated(b, &[], "a", ""), calibrated(b, &[], "b", "")), (false, true));
     let v = "[[variant]]\nname = \"v\"\n[[variant]]\nname = \"w\"\ncalibrator = { file = \"c\" }";
     assert_eq!((calibrated(v, &[], "a", "v"), calibrated(v, &[], "a", "w")), (false, true));
-    // A variant's own preset takes the place of the pipeline's, not of the pairs.
+    // A variant's own preset replaces the pipeline's preset, but not its pairs.
     let w = format!("preset = \"paper\"\n{pairs}\n[[variant]]\nname = \"w\"\npreset = \"vanilla\"");
     assert!(calibrated(&w, &[], "a", "w"));
-    // The parameter itself counts first, of a scene also where a variant has a calibrator.
+    // The parameter itself overrides all; that of a scene also if a variant has a calibrator.
     let own = "[[scene]]\nname = \"b\"\ncapture = \"b\"\ntargets = { calibrated = false }";
     assert!(!calibrated(&format!("{own}\n{v}"), &[], "b", "w"));
     assert!(!calibrated(&format!("{pairs}\n[defaults.targets]\ncalibrated = false"), &[], "a", ""));
@@ -333,7 +335,7 @@ fn a_value_out_of_range_is_pointed_at_in_every_stage() {
     let of_bad: BTreeSet<&str> = bad.iter().map(|(stage, ..)| *stage).collect();
     assert_eq!(of_bad, with_parameters.collect());
     for (stage, line, words) in bad {
-        // The table begins in line 2: what is wrong stands in line 4.
+        // The table begins in line 2, so the wrong value is in line 4.
         let error = graph_of(&format!("[defaults.{stage}]\n\n{line}"), &[]).unwrap_err();
         assert!(error.starts_with("x.toml:4:") && error.contains(words), "{stage}: {error}");
     }
@@ -351,14 +353,14 @@ fn defaults_are_shown_as_people_write_them_and_mean_the_same_when_given() {
             if let Some(number) = parameter.default.as_f64() {
                 numbers += 1;
                 let text = number.to_string();
-                // Of 32 bits, or without a remainder in them.
+                // The number has 32 bits, or is short in decimal digits.
                 let single = f64::from(number as f32) == number;
                 assert!(!single || text.len() <= 10, "{}.{} = {text}", stage.stage, parameter.name);
             }
         }
         let stage = registry.stage(stage.stage).expect("a stage");
         let canonical = |given| stage.parameters(given).expect("parameters of the stage");
-        // What enters the keys.
+        // These are the parameters that enter the keys.
         assert_eq!(canonical(&given), canonical(&serde_json::json!({})), "{}", stage.name());
     }
     assert!(numbers > 30, "{numbers}");

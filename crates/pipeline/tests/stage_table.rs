@@ -1,7 +1,7 @@
-//! The real table of stages: what its keys hold, and what they leave out.
+//! The real table of stages: the content of its keys, and what they leave out.
 //!
-//! What the builder does with a table is tested on stages of its own; whether this table
-//! says the truth about itself, here.
+//! The builder is tested on stages of its own. This file tests that the real table describes itself
+//! correctly.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ fn table() -> Registry {
     registry().expect("the stage table")
 }
 
-/// Modules of the pipeline crate that write no byte of an artifact: the clients of the build system.
+/// Modules of the pipeline crate that write no byte of an artifact: the users of the build system.
 const WITHOUT_ARTIFACTS: [&str; 14] = [
     "src/lib.rs",
     "src/bench/",
@@ -37,7 +37,7 @@ const WITHOUT_ARTIFACTS: [&str; 14] = [
     "build.rs",
 ];
 
-/// Without this, a scene that a card has drawn would be called damaged on another machine.
+/// Without this agreement, a scene that a card has drawn would count as damaged on another machine.
 #[test]
 fn every_stage_that_may_use_a_card_says_how_its_artifacts_agree_with_the_processors() {
     let table = table();
@@ -90,8 +90,8 @@ fn every_stage_is_made_of_the_files_it_uses_and_of_no_others() {
         ("reconstruct", "use3d-synth"),
         ("targets", "use3d-reconstruct"),
         ("enhance", "use3d-reconstruct"),
-        // What pictures look like is no part of what is trained, nor how
-        // training goes of pictures of a scene.
+        // The way pictures are drawn is no part of a training, and the course of training is no part of
+        // pictures of a scene.
         ("reconstruct", "use3d-render"),
         ("targets", "use3d-render"),
         ("targets", "use3d-enhance"),
@@ -102,14 +102,14 @@ fn every_stage_is_made_of_the_files_it_uses_and_of_no_others() {
         ("render", "use3d-enhance"),
         ("evaluate", "use3d-reconstruct"),
         ("evaluate", "use3d-enhance"),
-        // What decides that a stage runs is no part of what it makes.
+        // The code that decides if a stage runs is no part of its result.
         ("import", "use3d-build"),
         ("report", "use3d-build"),
     ] {
         assert!(!has(stage, unused), "{stage} needs not be made of {unused}");
     }
     assert!(table.code_of("report").expect("a stage").third_party.contains_key("askama"));
-    // Whatever this crate gains is somebody's, or is known to write no artifact.
+    // Every new file of this crate belongs to a stage, or is known to write no artifact.
     let reached: BTreeSet<&str> = table
         .stages()
         .iter()
@@ -127,7 +127,7 @@ fn every_stage_is_made_of_the_files_it_uses_and_of_no_others() {
     }
 }
 
-/// Copies what the digests are made of.
+/// Copies the files that the digests are made of.
 fn copy_tree(to: &Path) -> BTreeMap<String, Vec<PathBuf>> {
     let here = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let mut sources: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
@@ -154,7 +154,7 @@ fn copy_tree(to: &Path) -> BTreeMap<String, Vec<PathBuf>> {
     sources
 }
 
-/// One more token in every file of the workspace in turn (one file of every crate at a time): exactly the
+/// Adds one token to every file of the workspace in turn (one file of every crate at a time): exactly the
 /// stages whose code reaches the file become stale.
 #[test]
 fn a_token_in_any_file_makes_every_stage_stale_that_reaches_it() {
@@ -168,8 +168,8 @@ fn a_token_in_any_file_makes_every_stage_stale_that_reaches_it() {
         let folder = dir.path().join("crates").join(krate);
         file.strip_prefix(folder).expect("below").to_string_lossy().into_owned()
     };
-    // A crate counts as one, so one of its files is changed at a time; files of the pipeline crate count
-    // one by one, so all are at once.
+    // A crate counts as a whole, so one of its files is changed at a time. Files of the pipeline crate count
+    // one by one, so all of them are changed at once.
     let rounds = sources
         .iter()
         .filter(|(krate, _)| *krate != "pipeline")
@@ -214,11 +214,11 @@ fn a_token_in_any_file_makes_every_stage_stale_that_reaches_it() {
             std::fs::write(file, text).expect("written");
         }
     }
-    // The command, test support, the build system, and the modules without artifacts; nothing of the stages.
+    // The command, test support, the build system, and the modules without artifacts; no file of a stage.
     let known = |path: &String| {
         let (krate, file) = path.split_once('/').expect("a crate");
         match krate {
-            // What a graphics card computes is told by the numeric class, which has its kernels' digest.
+            // The numeric class covers the results of a graphics card: it contains the digest of the kernels.
             "cli" | "cluster" | "golden" | "build" | "store" | "web" | "viewer" | "gpu" => true,
             "pipeline" => WITHOUT_ARTIFACTS.iter().any(|known| file.starts_with(known)),
             _ => false,
@@ -262,7 +262,7 @@ fn an_edit_of_the_colour_maps_trains_nothing_anew() {
     assert_eq!(stale_after("crates/render/src/pictures.rs"), ["render", "evaluate", "report"]);
 }
 
-/// Whether a file holds tests only, by the project's names for such files.
+/// True if a file holds only tests, by the project's names for such files.
 fn is_test_file(file: &str) -> bool {
     ["tests.rs", "golden.rs", "testing.rs", "plain.rs"].iter().any(|name| file.ends_with(name))
         || file.contains("/tests/")
@@ -274,7 +274,7 @@ fn parameters_without_effect_are_in_no_key_and_the_log_is() {
     for (stage, changed, counts) in [
         ("reconstruct", json!({"checkpoint_minutes": 0.5}), false),
         ("reconstruct", json!({"checkpoint_steps": 7}), false),
-        // What it comes to is in the numeric class.
+        // The numeric class covers the choice of the engine.
         ("reconstruct", json!({"engine": "auto"}), false),
         ("enhance", json!({"engine": "auto"}), false),
         ("targets", json!({"engine": "auto"}), false),
@@ -295,7 +295,7 @@ fn parameters_without_effect_are_in_no_key_and_the_log_is() {
     }
 }
 
-/// Dotted paths of the values in some parameters.
+/// Collects the dotted paths of the values in some parameters.
 fn leaves(value: &Value, place: &str, found: &mut BTreeSet<String>) {
     match value {
         Value::Object(fields) => {
@@ -309,12 +309,12 @@ fn leaves(value: &Value, place: &str, found: &mut BTreeSet<String>) {
     }
 }
 
-/// What stands in backticks.
+/// The words in backticks.
 fn code_words(text: &str) -> impl Iterator<Item = &str> {
     text.split('`').skip(1).step_by(2)
 }
 
-/// The values of parameters that end with a name, with defaults.
+/// The default values of all parameters whose path ends with a name.
 fn defaults_named(table: &Registry, name: &str) -> Vec<Value> {
     let mut found = Vec::new();
     for stage in table.stages() {
@@ -331,7 +331,8 @@ fn defaults_named(table: &Registry, name: &str) -> Vec<Value> {
     found
 }
 
-/// A row's switch is a way from the default, and what a row calls the default is it (R44 said otherwise once).
+/// A row's switch differs from the default, and the value that a row calls the default is the default (R44
+/// once said otherwise).
 #[test]
 fn the_page_of_decisions_tells_defaults_from_switches() {
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/science/decisions.md");
@@ -382,7 +383,7 @@ fn the_page_of_decisions_names_every_parameter_and_no_other() {
         all.extend(there.iter().map(|path| format!("{}.{path}", stage.name())));
         all.extend(there);
     }
-    // The switches of the rows are parameters: of a stage, or of the pipeline file itself.
+    // The switches of the rows are parameters of a stage, or of the pipeline file itself.
     let of_the_file = ["seed", "calibrator.pairs", "calibrator.file", "pairs"];
     for row in rows.lines().filter(|l| l.starts_with("| R")) {
         let switches = row.trim_end_matches(" |").rsplit(" | ").next().unwrap_or_default();
@@ -401,7 +402,7 @@ fn one_seed_moves_every_stage_that_draws() {
     let table = table();
     let seeded: Vec<&str> = table.stages().iter().filter(|s| s.is_seeded()).map(|s| s.name()).collect();
     assert_eq!(seeded, ["pairs", "calibrate", "reconstruct", "targets", "enhance"]);
-    // No stage has a seed of its own beside it.
+    // No stage has a seed of its own.
     fn seeds(value: &Value, place: &str, found: &mut Vec<String>) {
         for (key, inner) in value.as_object().into_iter().flatten() {
             if key == "seed" {
@@ -415,8 +416,8 @@ fn one_seed_moves_every_stage_that_draws() {
         seeds(&stage.parameters(&json!({})).expect("defaults"), stage.name(), &mut found);
     }
     assert!(found.is_empty(), "{found:?}");
-    // A variant with another seed shares with the others only what draws nothing.
-    // With a calibrator, so that all stages are there.
+    // A variant with another seed shares with the others only the stages that draw no random numbers. The
+    // batch has a calibrator, so that all stages are present.
     let mut batch = Batch { name: "two".into(), seed: 42, ..Batch::default() };
     batch.defaults.insert("targets".into(), json!({"calibrated": true}));
     let capture = Ok(PathBuf::from("/capture"));
@@ -489,8 +490,8 @@ fn forecasts_of_memory_follow_the_size_of_the_pictures_and_change_no_key() {
     let ((before, small), (_, large)) = (planned(64), planned(256));
     for stage in ["reconstruct", "targets", "enhance", "render", "evaluate"] {
         let [fixed, small, large] = [&before, &small, &large].map(|plan| plan[stage].expect("a forecast"));
-        // Before the import nothing is known of the pictures; after it, tiny ones
-        // take less and larger ones more.
+        // Before the import nothing is known of the pictures. After it, tiny ones need less memory and larger
+        // ones more.
         assert!(small < fixed, "{stage}: {small} of {fixed}");
         assert!(large > small, "{stage}: {large} after {small}");
         assert!((32 << 20..1 << 30).contains(&small), "{stage}: {small}");
@@ -498,7 +499,7 @@ fn forecasts_of_memory_follow_the_size_of_the_pictures_and_change_no_key() {
     assert_eq!(small["import"], None, "it is made");
 }
 
-/// Everything a cache holds of artifacts but their manifests, which tell times and hosts.
+/// All files of the artifacts in a cache except their manifests, which contain times and hosts.
 fn payload(cache: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let artifacts = cache.join("v1/artifacts");
     let files = walkdir::WalkDir::new(&artifacts).into_iter().map(|e| e.expect("entry"));
@@ -526,14 +527,14 @@ fn a_capture_under_another_name_with_other_things_beside_it_has_the_same_keys_an
         std::fs::create_dir_all(target.parent().expect("a folder")).expect("folder");
         std::fs::copy(file.path(), target).expect("copied");
     }
-    // Another, smaller model and another image folder, neither of them used.
+    // Adds a smaller model and another image folder; neither is used.
     for (from, to) in [("sparse/0", "colmap/sparse/0"), ("images", "images_wb")] {
         std::fs::create_dir_all(copy.join(to)).expect("folder");
         for file in std::fs::read_dir(reef.join(from)).expect("files").map(|e| e.expect("entry")) {
             std::fs::copy(file.path(), copy.join(to).join(file.file_name())).expect("copied");
         }
     }
-    // A photograph that the model does not name, in the folder of those that it names.
+    // Adds a photograph that the model does not name, to the folder of those that it names.
     std::fs::copy(copy.join("images/frame_0001.png"), copy.join("images/not_in_the_model.png"))
         .expect("copied");
     let caches = [dir.path().join("a"), dir.path().join("b")];
@@ -546,7 +547,7 @@ fn a_capture_under_another_name_with_other_things_beside_it_has_the_same_keys_an
         assert!(second[file] == *bytes, "{} differs", file.display());
     }
 
-    // How often a checkpoint is written reruns nothing.
+    // The interval between checkpoints reruns nothing.
     let often = json!({"iterations": 3, "schedule": 3, "checkpoint_steps": 1, "checkpoint_minutes": 0.1});
     assert_eq!(run(&caches[0], &reef, &[("reconstruct", often)]), (keys, 0));
 }

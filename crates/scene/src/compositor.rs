@@ -1,7 +1,8 @@
-//! How a scene is drawn: the one place where its Gaussians, their colours and its water meet the compositor.
+//! The drawing of a scene: the one place where its Gaussians, their colours and its water are passed to the
+//! compositor.
 //!
 //! camera → [`Scene::project`] (projection, tile lists, stage-1 colours) and [`Scene::look_through`] (the
-//! water's maps) → [`Compositor::draw`]. Whoever draws a scene in another look changes colours or maps in
+//! water's maps) → [`Compositor::draw`]. Code that draws a scene in another look changes colours or maps in
 //! between.
 
 use use3d_capture::{Camera, Lattice, MediumMaps};
@@ -11,7 +12,7 @@ use crate::Scene;
 
 impl Scene {
     /// Projects the Gaussians for the pixels of `lattice` seen by `camera` (in the scene's frame). `colors`
-    /// becomes their stage-1 colours in this view, passed through `recolor`.
+    /// receives their stage-1 colours in this view, changed by `recolor`.
     pub fn project(
         &self,
         camera: &Camera,
@@ -25,8 +26,8 @@ impl Scene {
         prepared.prepare(&self.gaussians, camera, lattice, Colors::Given(colors));
     }
 
-    /// The stage-1 water in front of a camera: `c_m`, `β_bs`, `β_attn` on the lattice. `false`, and `maps` as
-    /// they were, in a scene without water.
+    /// Computes the stage-1 water in front of a camera: `c_m`, `β_bs`, `β_attn` on the lattice. In a scene
+    /// without water, returns `false` and leaves `maps` unchanged.
     pub fn look_through(&self, camera: &Camera, lattice: &Lattice, maps: &mut MediumMaps) -> bool {
         let water = !self.medium.is_none();
         if water {
@@ -36,7 +37,7 @@ impl Scene {
     }
 }
 
-/// Draws scenes, and keeps its buffers from one view to the next.
+/// Draws scenes, and reuses its buffers for all views.
 pub struct Compositor {
     prepared: Prepared,
     rasterizer: Rasterizer,
@@ -50,12 +51,12 @@ impl Default for Compositor {
 }
 
 impl Compositor {
-    /// With empty buffers.
+    /// A compositor with empty buffers.
     pub fn new() -> Self {
         Self { prepared: Prepared::new(), rasterizer: Rasterizer::new(), colors: Vec::new() }
     }
 
-    /// Makes a view ready to be drawn, in stage-1 colours passed through `recolor`.
+    /// Prepares a view for drawing, in stage-1 colours changed by `recolor`.
     pub fn prepare(
         &mut self,
         scene: &Scene,
@@ -66,13 +67,13 @@ impl Compositor {
         scene.project(camera, lattice, recolor, &mut self.colors, &mut self.prepared);
     }
 
-    /// Changes the colours of the view that is ready.
+    /// Changes the colours of the prepared view.
     pub fn recolor(&mut self, recolor: impl FnOnce(&mut [[f32; 3]])) {
         recolor(&mut self.colors);
         self.prepared.set_colors(&self.colors);
     }
 
-    /// Draws the view that is ready, in water with these maps of its lattice, or in none.
+    /// Draws the prepared view, in water with these maps of its lattice, or without water.
     pub fn draw(&mut self, medium: Option<&MediumMaps>, options: &Options, out: &mut Rendered) {
         self.rasterizer.forward(&self.prepared, medium, options, out);
     }

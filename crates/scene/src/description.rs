@@ -1,4 +1,4 @@
-//! `scene.json`, the one file that makes a folder a scene.
+//! `scene.json`, the file that marks a folder as a scene.
 
 use std::path::{Component, Path};
 
@@ -9,11 +9,11 @@ use use3d_medium::MediumKind;
 
 use crate::{Origin, Scene, SceneError, files};
 
-/// Its name.
+/// The file's name.
 pub(crate) const FILE: &str = "scene.json";
 const FORMAT: &str = "3d-use scene";
 const VERSION: u32 = 1;
-/// More than any description needs; what is larger is something else.
+/// Largest size of a description, bytes; a larger file must be something else.
 const MOST_BYTES: u64 = 1 << 24;
 
 #[derive(Debug, Serialize, Deserialize)]
@@ -35,7 +35,7 @@ fn default_gaussians() -> String {
     files::GAUSSIANS.into()
 }
 
-/// The similarity, its rotation row by row.
+/// The similarity, with its rotation row by row.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(crate) struct FrameRows {
     scale: f64,
@@ -57,10 +57,10 @@ pub(crate) struct MediumEntry {
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct EnhancementEntry {
     pub(crate) file: String,
-    /// Scenes of before there was a choice were enhanced with their water.
+    /// Scenes from before this field existed were enhanced with their water.
     #[serde(default)]
     pub(crate) appearance: Appearance,
-    /// Absent where the enhanced scene keeps all of its water.
+    /// Absent if the enhanced scene keeps all of its water.
     #[serde(default, skip_serializing_if = "KeptWater::is_all")]
     pub(crate) kept_water: KeptWater,
 }
@@ -86,7 +86,7 @@ impl From<Frame> for FrameRows {
 }
 
 impl Description {
-    /// What `save` writes about a scene.
+    /// The description that `save` writes for a scene.
     pub(crate) fn of(scene: &Scene) -> Self {
         let kind = scene.medium.kind();
         let top_k = scene.medium.anchors().map(|anchors| anchors.top_k);
@@ -153,7 +153,7 @@ impl Description {
         }
         let names = [Some(&description.gaussians), description.medium.file.as_ref()];
         for name in names.into_iter().flatten().chain(description.enhancement.as_ref().map(|e| &e.file)) {
-            // A file name in a description never leaves the folder.
+            // A file name in a description never leads out of the folder.
             let mut parts = Path::new(name).components();
             if !matches!((parts.next(), parts.next()), (Some(Component::Normal(_)), None)) {
                 return Err(wrong(format!(

@@ -1,4 +1,5 @@
-//! The payload files of a scene folder. Writes go through a temporary sibling and a rename.
+//! The payload files of a scene folder. They are written under a temporary name in the same folder and then
+//! renamed.
 
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Write};
@@ -16,14 +17,15 @@ use crate::description::MediumEntry;
 pub(crate) const GAUSSIANS: &str = "gaussians.ply";
 pub(crate) const MEDIUM: &str = "medium.safetensors";
 pub(crate) const ENHANCEMENT: &str = "ubaf.safetensors";
-/// A medium or an enhancement is a few hundred kilobytes; what is larger than this is something else.
+/// Largest size of a tensor file, bytes. A medium or an enhancement has a few hundred kilobytes; a larger
+/// file must be something else.
 const MOST_TENSOR_BYTES: u64 = 1 << 28;
 
 fn io(path: &Path) -> impl Fn(std::io::Error) -> SceneError + '_ {
     move |source| SceneError::Io { path: path.into(), source }
 }
 
-/// The whole file, if it is not larger than `most` bytes.
+/// Reads a whole file, if it is not larger than `most` bytes.
 pub(crate) fn read_bounded(path: &Path, most: u64) -> Result<Vec<u8>, SceneError> {
     let mut bytes = Vec::new();
     let file = File::open(path).map_err(io(path))?;
@@ -35,7 +37,7 @@ pub(crate) fn read_bounded(path: &Path, most: u64) -> Result<Vec<u8>, SceneError
     Ok(bytes)
 }
 
-/// Fills a temporary sibling with `write`, syncs it, and renames it to `path`.
+/// Fills a temporary file in the same folder with `write`, syncs it, and renames it to `path`.
 fn write_with(
     path: &Path,
     write: impl FnOnce(&mut BufWriter<&File>) -> std::io::Result<()>,
@@ -115,7 +117,7 @@ fn wrong(path: &Path) -> impl Fn(TensorError) -> SceneError + '_ {
     move |error| SceneError::Tensors { path: path.into(), message: error.to_string() }
 }
 
-/// Every tensor of a file; what they have to be, the medium's kind knows.
+/// Reads every tensor of a file; the medium's kind checks them later.
 fn read_tensors(path: &Path) -> Result<Tensors, SceneError> {
     let bytes = read_bounded(path, MOST_TENSOR_BYTES)?;
     let file = TensorFile::read(&bytes).map_err(wrong(path))?;

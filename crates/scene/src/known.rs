@@ -1,30 +1,31 @@
-//! What stage 1 knows of a view beside its picture: clear radiance, accumulation, and how much of a surface's
-//! light arrives.
+//! Quantities of a view that stage 1 knows in addition to its picture: clear radiance, accumulation, and the
+//! share of a surface's light that reaches the camera.
 //!
 //! ```text
 //! J = Σ wᵢ cᵢ        A = Σ wᵢ        A t = Σ wᵢ e^{−β_attn sᵢ}
 //! ```
 //!
 //! with weights `wᵢ` and ray distances `sᵢ` of the compositor. The last is the picture of a white scene in
-//! water without a veil; through the same kernel, so nothing is approximated. Without water `t = 1`.
+//! water without a veil. It is computed by the same kernel, so there is no approximation. Without water `t =
+//! 1`.
 
 use use3d_capture::{Camera, Image, KeptWater, Lattice, Map, MediumMaps};
 use use3d_splat::{Options, Rendered};
 
 use crate::{Compositor, Scene};
 
-/// What stage 1 knows of a view. All three have the camera's size.
+/// The quantities of a view that stage 1 knows. All three have the camera's size.
 #[derive(Clone, Debug, PartialEq)]
 pub struct KnownView {
-    /// Clear radiance `J`, display range, unclamped, black where nothing is.
+    /// Clear radiance `J`, display range, unclamped, black where there is no object.
     pub clear: Image,
     /// Accumulated opacity `A`, `[0, 1]`.
     pub accumulation: Map,
-    /// What arrives of a white surface's light, `A t`, per channel, `[0, 1]`.
+    /// The share of a white surface's light that reaches the camera, `A t`, per channel, `[0, 1]`.
     pub arriving: Image,
 }
 
-/// Draws what is known of the views of a scene. Keeps its buffers from one to the next.
+/// Computes the known quantities of the views of a scene. It reuses its buffers for all views.
 pub struct KnownViews<'s> {
     scene: &'s Scene,
     compositor: Compositor,
@@ -33,7 +34,7 @@ pub struct KnownViews<'s> {
 }
 
 impl<'s> KnownViews<'s> {
-    /// Of a scene of stage 1; an enhancement does not count.
+    /// Uses a scene of stage 1; an enhancement is ignored.
     pub fn new(scene: &'s Scene) -> Self {
         Self {
             scene,
@@ -43,8 +44,8 @@ impl<'s> KnownViews<'s> {
         }
     }
 
-    /// The scene from a camera in its frame, as stage 1 learnt it but through thinner water: open water keeps its
-    /// colour. Display range, unclamped.
+    /// The scene from a camera in its frame, as stage 1 learnt it but through thinner water; open water keeps
+    /// its colour. Display range, unclamped.
     pub fn through(&mut self, camera: &Camera, kept: KeptWater) -> Image {
         let (scene, lattice) = (self.scene, Lattice::full(&camera.intrinsics));
         self.compositor.prepare(scene, camera, &lattice, |_| ());
@@ -55,7 +56,7 @@ impl<'s> KnownViews<'s> {
         self.rendered.image.clone()
     }
 
-    /// What is known from a camera in the scene's frame, at its size.
+    /// The known quantities of a view from a camera in the scene's frame, at its size.
     pub fn view(&mut self, camera: &Camera) -> KnownView {
         let (scene, lattice) = (self.scene, Lattice::full(&camera.intrinsics));
         self.compositor.prepare(scene, camera, &lattice, |_| ());

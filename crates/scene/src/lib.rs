@@ -1,20 +1,20 @@
-//! The scene folder: what stage 1 and stage 2 write, and what rendering and export read.
+//! The scene folder: stage 1 and stage 2 write it, and rendering and export read it.
 //!
 //! ```text
-//! scene.json            format, version, frame, medium, enhancement (its appearance, the water that it keeps), the
-//!                       views it was made from
+//! scene.json            format, version, frame, medium, enhancement (its appearance, the water that it
+//!                       keeps), the views it was made from
 //! gaussians.ply         the usual 3D Gaussian splatting layout
 //! medium.safetensors    the medium's tensors (absent for `none`)
 //! ubaf.safetensors      the enhancement's tensors (stage 2 only)
 //! ```
 //!
-//! Everything is in the scene's normalised frame; `frame` says how COLMAP's became it:
-//! `x_normalised = scale (R x_colmap) + t`, with `R` row by row. A folder without `scene.json` is
-//! not a scene: that file is removed first and written last, so a folder that was left
-//! half-written is never read as a whole one.
+//! Everything is in the scene's normalised frame; `frame` is the similarity from COLMAP's frame:
+//! `x_normalised = scale (R x_colmap) + t`, with `R` row by row. A folder without `scene.json` is not a
+//! scene: that file is removed first and written last, so a folder that was only partly written is never read
+//! as a complete one.
 //!
-//! [`Compositor`] draws a scene as stage 1 learnt it, [`KnownViews`] what stage 1 knows of a view beside its
-//! picture. Looks, modes and colour maps are `render`'s.
+//! [`Compositor`] draws a scene as stage 1 learnt it. [`KnownViews`] computes further quantities of a view
+//! that stage 1 knows. Looks, modes and colour maps are in the crate `render`.
 
 mod compositor;
 mod description;
@@ -41,13 +41,13 @@ use use3d_ubaf::Enhancement;
 pub struct Scene {
     /// The Gaussians, in the normalised frame.
     pub gaussians: Gaussians,
-    /// How COLMAP's frame became the normalised one.
+    /// The similarity from COLMAP's frame to the normalised one.
     pub frame: Frame,
     /// The water.
     pub medium: MediumModel,
     /// Degree up to which the medium's harmonics are read, 0 to 3.
     pub medium_degree: usize,
-    /// What stage 2 learnt.
+    /// The enhancement that stage 2 learnt.
     pub enhancement: Option<Enhancement>,
 }
 
@@ -62,15 +62,15 @@ pub enum SceneError {
     Io {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// The description is not what this version reads.
+    /// The description does not have the format that this version reads.
     #[error("{}: {message}", path.display())]
     Description {
         /// The file.
         path: PathBuf,
-        /// Field, what was found, what was expected.
+        /// The field, the value found and the value expected.
         message: String,
     },
     /// The Gaussians' file is damaged.
@@ -78,7 +78,7 @@ pub enum SceneError {
     Ply {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The error in the file.
         source: use3d_splat::ply::PlyError,
     },
     /// A Gaussian is unusable.
@@ -94,7 +94,7 @@ pub enum SceneError {
     Medium {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The error in the file.
         source: MediumError,
     },
     /// A tensor file is damaged.
@@ -102,7 +102,7 @@ pub enum SceneError {
     Tensors {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The error in the file.
         message: String,
     },
     /// The enhancement's file is damaged.
@@ -110,7 +110,7 @@ pub enum SceneError {
     Enhancement {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The error in the file.
         source: use3d_ubaf::TensorError,
     },
 }
@@ -133,7 +133,7 @@ impl Scene {
         Ok(Self { gaussians, frame: description.frame.into(), medium, medium_degree, enhancement })
     }
 
-    /// Writes the scene into `dir`, which is made if need be. Other files in it are left alone.
+    /// Writes the scene into `dir`, which is created if needed. Other files in it are not changed.
     pub fn save(&self, dir: &Path) -> Result<(), SceneError> {
         std::fs::create_dir_all(dir).map_err(|source| SceneError::Io { path: dir.into(), source })?;
         description::Description::remove(dir)?;
@@ -143,7 +143,7 @@ impl Scene {
         description::Description::of(self).write(dir)
     }
 
-    /// Whether `dir` looks like a scene folder.
+    /// True if `dir` looks like a scene folder.
     pub fn is_scene(dir: &Path) -> bool {
         dir.join(description::FILE).is_file()
     }

@@ -1,8 +1,8 @@
-//! Which views a scene was made from: the optional field `origin` of `scene.json`.
+//! The views that a scene was made from: the optional field `origin` of `scene.json`.
 //!
-//! With it, a scene is neither scored on views that it was trained with nor paired with another
-//! capture. Views are named by their stems, since an import may change extensions. Scenes without
-//! the field are taken as they are.
+//! With this field, a scene is neither scored on views that it was trained with nor combined with another
+//! capture. Views are named by their stems, since an import may change extensions. Scenes without the field
+//! are not checked.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -16,45 +16,45 @@ use crate::description::Description;
 /// The views of the capture that a scene was made from, by stem.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Origin {
-    /// Those that were trained with.
+    /// The views that were trained with.
     pub train: Vec<String>,
-    /// Those that were held out.
+    /// The views that were held out.
     pub held_out: Vec<String>,
 }
 
-/// How far numbers of two frames may be apart, relative to their size, and still be of one capture.
+/// Largest relative difference of the numbers of two frames that count as the frames of one capture.
 const SAME: f64 = 1e-6;
 
 impl Origin {
-    /// Of a capture with its split.
+    /// The origin of scenes made from a capture with its split.
     pub fn of(capture: &Capture) -> Self {
         let stems =
             |indices: &[usize]| indices.iter().map(|&i| capture.views[i].stem().to_string()).collect();
         Self { train: stems(&capture.split.train), held_out: stems(&capture.split.test) }
     }
 
-    /// That of a scene folder; `None` where it is not recorded.
+    /// Reads the origin of a scene folder; `None` if it is not recorded.
     ///
     /// # Errors
-    /// A folder that is no scene.
+    /// Fails if the folder is not a scene.
     pub fn read(dir: &Path) -> Result<Option<Self>, SceneError> {
         Ok(Description::read(dir)?.origin)
     }
 
-    /// Records it in a scene folder that was saved.
+    /// Records it in a saved scene folder.
     ///
     /// # Errors
-    /// A folder that is no scene, or that cannot be written.
+    /// Fails if the folder is not a scene, or cannot be written.
     pub fn write(self, dir: &Path) -> Result<(), SceneError> {
         let mut description = Description::read(dir)?;
         description.origin = Some(self);
         description.write(dir)
     }
 
-    /// Whether `capture` is the one that the scene in `dir` was made from.
+    /// Checks that `capture` is the one that the scene in `dir` was made from.
     ///
     /// # Errors
-    /// Why it is not, in words.
+    /// Returns a message with the reason if it is not.
     pub fn check_capture(&self, dir: &Path, capture: &Capture) -> Result<(), String> {
         let there: BTreeSet<&str> = capture.views.iter().map(View::stem).collect();
         let lost = self.train.iter().chain(&self.held_out).find(|stem| !there.contains(stem.as_str()));
@@ -85,10 +85,10 @@ impl Origin {
         Ok(())
     }
 
-    /// Whether none of the views that `capture` holds out was trained with.
+    /// Checks that no view that `capture` holds out was trained with.
     ///
     /// # Errors
-    /// Which were, in words.
+    /// Returns a message that names the first such view.
     pub fn check_split(&self, dir: &Path, capture: &Capture) -> Result<(), String> {
         let trained: Vec<&str> =
             capture.test_views().map(View::stem).filter(|s| self.train.iter().any(|t| t == s)).collect();

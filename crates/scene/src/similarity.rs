@@ -1,10 +1,10 @@
-//! Gaussians in another frame: positions, sizes, orientations and the directions of their colours.
+//! Transforms Gaussians to another frame: positions, sizes, orientations and the directions of their colours.
 //!
-//! Under `x' = s (R x) + t` a mean moves, a standard deviation scales by `s`, an orientation turns by `R`,
-//! and a colour seen along `ω` is seen along `Rω`. The last needs the spherical harmonics turned: per
-//! band, coefficients become `c'_i = Σ_j ⟨Y_i(R ·), Y_j⟩ c_j`. The inner products are exact: the
-//! integrands are polynomials of degree at most six, and four Gauss–Legendre heights times eight
-//! longitudes integrate degree seven.
+//! Under `x' = s (R x) + t` a mean moves, a standard deviation scales by `s`, an orientation rotates by `R`,
+//! and a colour seen along `ω` is seen along `Rω`. For the last, the spherical harmonics must be rotated: per
+//! band, coefficients become `c'_i = Σ_j ⟨Y_i(R ·), Y_j⟩ c_j`. The inner products are exact: the integrands
+//! are polynomials of degree at most six, and four Gauss–Legendre heights times eight longitudes integrate
+//! degree seven exactly.
 
 use glam::{DMat3, DQuat, DVec3};
 use use3d_capture::Frame;
@@ -21,7 +21,7 @@ const HEIGHTS: [(f64, f64); 4] = [
 ];
 const LONGITUDES: usize = 8;
 
-/// `m[i][j] = ⟨Y_i(R ω), Y_j(ω)⟩`: coefficients in the turned frame from those in the old one.
+/// `m[i][j] = ⟨Y_i(R ω), Y_j(ω)⟩`: maps coefficients in the old frame to those in the rotated one.
 fn turn_bands(rotation: DMat3) -> [[f64; 16]; 16] {
     let mut m = [[0.0; 16]; 16];
     let value = |d: DVec3| basis(3, [d.x as f32, d.y as f32, d.z as f32]);
@@ -42,12 +42,12 @@ fn turn_bands(rotation: DMat3) -> [[f64; 16]; 16] {
     m
 }
 
-/// `gaussians` under `frame`: from COLMAP's frame to the normalised one.
+/// `gaussians` transformed by `frame`: from COLMAP's frame to the normalised one.
 pub fn apply(gaussians: &Gaussians, frame: &Frame) -> Gaussians {
     transform(gaussians, frame.scale, frame.rotation, |x| frame.apply(x))
 }
 
-/// `gaussians` under the inverse of `frame`: back in COLMAP's frame.
+/// `gaussians` transformed by the inverse of `frame`: back to COLMAP's frame.
 pub fn invert(gaussians: &Gaussians, frame: &Frame) -> Gaussians {
     transform(gaussians, 1.0 / frame.scale, frame.rotation.transpose(), |x| frame.invert(x))
 }
@@ -70,7 +70,7 @@ fn transform(
         *sizes = sizes.map(|v| (f64::from(v) + log_scale) as f32);
     }
     for q in &mut out.quaternions {
-        // Not normalised: the product keeps the norm.
+        // No normalisation is needed: the product keeps the norm.
         let turned = turn * DQuat::from_xyzw(q[1].into(), q[2].into(), q[3].into(), q[0].into());
         *q = [turned.w as f32, turned.x as f32, turned.y as f32, turned.z as f32];
     }

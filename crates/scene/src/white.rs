@@ -1,4 +1,5 @@
-//! The white balance of a scene: what a person, or a rule, says is grey, and the gains that make it so.
+//! The white balance of a scene: the definition of grey by a person or a rule, and the gains that make it
+//! grey.
 //!
 //! A picture of a look is multiplied, display value by display value, with one gain per channel:
 //!
@@ -6,16 +7,17 @@
 //! c' = g ⊙ c        g = (e^{−u_R}, 1, e^{−u_B})        u = (ln R/G, ln B/G)
 //! ```
 //!
-//! `u` is the cast of what should be grey, in display values; green keeps its gain 1. A gain commutes with the sum
-//! over Gaussians and with the clamp at 0, so a picture, the colours of an exported file and a page agree exactly.
+//! `u` is the colour cast of what should be grey, in display values; green keeps its gain 1. A gain commutes
+//! with the sum over Gaussians and with the clamp at 0, so a picture, the colours of an exported file and a
+//! page agree exactly.
 //!
 //! Three looks have gains of their own, since each shows another colour of the same place: `clear` and
-//! `enhanced-clear`, the object colours without water, and `enhanced`, where the whole picture is balanced, water
-//! included. `reconstruction` stays as it was photographed.
+//! `enhanced-clear`, the object colours without water, and `enhanced`, where the whole picture is balanced,
+//! including the water. `reconstruction` stays as it was photographed.
 //!
-//! The gains lie beside the scene folder as `FOLDER.white.json`, so that a scene folder stays what its manifest
-//! lists. Limits: one gain serves the distance at which it was measured. Water that was not taken away whole makes
-//! what is nearer or further differ.
+//! The gains are stored next to the scene folder as `FOLDER.white.json`, so that the content of a scene
+//! folder stays as its manifest lists it. Limit: a gain is exact only for the distance at which it was
+//! measured. If some water is left, nearer and farther objects keep a cast.
 
 use std::path::{Path, PathBuf};
 
@@ -26,24 +28,24 @@ use crate::{SceneError, files};
 
 const FORMAT: &str = "3d-use white";
 const VERSION: u32 = 1;
-/// More than any such file needs.
+/// Largest size of such a file, bytes; far more than any needs.
 const MOST_BYTES: u64 = 1 << 20;
-/// More than the manifest of any scene.
+/// Largest size of a scene's manifest, bytes; far more than any has.
 const MOST_MANIFEST: u64 = 1 << 24;
-/// More places than anybody clicks on.
+/// Largest number of clicked places; far more than a person clicks.
 const MOST_CLICKS: usize = 1000;
-/// A gain beyond these is no white balance: something coloured was taken for grey.
+/// The range of valid gains. A gain outside it means that something coloured was taken for grey.
 pub const GAINS: [f32; 2] = [0.2, 5.0];
 
-/// By what a scene was balanced.
+/// The method by which a scene was balanced.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
-    /// Places that a person says are grey.
+    /// Places that a person marked as grey.
     Patch,
-    /// The mean colour that reefs have, half believed.
+    /// The typical mean colour of reefs, applied at half strength.
     Reef,
-    /// All clear surfaces together are grey.
+    /// The mean of all clear surfaces is assumed to be grey.
     Grey,
 }
 
@@ -58,16 +60,16 @@ impl Method {
     }
 }
 
-/// A place that a person says is grey.
+/// A place that a person marked as grey.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Click {
     /// The photograph's name.
     pub view: String,
-    /// Its pixel, counted from the left.
+    /// The pixel's coordinate from the left.
     pub x: f64,
-    /// And from the top.
+    /// The pixel's coordinate from the top.
     pub y: f64,
-    /// Distance of the place from that camera, units of the COLMAP model.
+    /// Distance of the place from this camera, units of the COLMAP model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub distance: Option<f64>,
 }
@@ -85,7 +87,7 @@ pub struct Gains {
 }
 
 impl Gains {
-    /// Those that change nothing.
+    /// Gains that change nothing.
     pub const ONE: Self = Self { clear: [1.0; 3], enhanced: [1.0; 3], enhanced_clear: [1.0; 3] };
 
     /// The gains that remove one cast for each look: `clear`, `enhanced`, `enhanced-clear`.
@@ -98,13 +100,13 @@ impl Gains {
     }
 }
 
-/// The cast `u = (ln R/G, ln B/G)` of a colour; `None` where a channel is not positive.
+/// The cast `u = (ln R/G, ln B/G)` of a colour; `None` if a channel is not positive.
 pub fn cast([r, g, b]: [f64; 3]) -> Option<[f64; 2]> {
     let positive = [r, g, b].iter().all(|v| v.is_finite() && *v > 0.0);
     positive.then(|| [math::ln(r / g), math::ln(b / g)])
 }
 
-/// The gains that take a cast away: `(e^{−u_R}, 1, e^{−u_B})`.
+/// The gains that remove a cast: `(e^{−u_R}, 1, e^{−u_B})`.
 pub fn gains([r, b]: [f64; 2]) -> [f32; 3] {
     [math::exp(-r) as f32, 1.0, math::exp(-b) as f32]
 }
@@ -114,12 +116,12 @@ pub fn gains([r, b]: [f64; 2]) -> [f32; 3] {
 pub struct White {
     format: String,
     version: u32,
-    /// By what it was found.
+    /// The method by which it was found.
     pub method: Method,
-    /// The key of the scene that it was measured in, where that has one.
+    /// The key of the scene that it was measured in, if the scene has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     scene: Option<String>,
-    /// The places, if a person named some.
+    /// The places that a person marked, if any.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub clicks: Vec<Click>,
     /// The factors of the colours.
@@ -132,18 +134,18 @@ impl White {
         Self { format: FORMAT.into(), version: VERSION, method, scene: None, clicks, gains }
     }
 
-    /// The same, kept as that of a scene folder.
+    /// The same, bound to the scene in a folder.
     #[must_use]
     pub fn of_scene(self, folder: &Path) -> Self {
         Self { scene: key_of(folder), ..self }
     }
 
-    /// True if it was measured in another scene than the one that now lies in the folder.
+    /// True if it was measured in another scene than the one that is now in the folder.
     pub fn is_outdated(&self, folder: &Path) -> bool {
         self.scene.is_some() && self.scene != key_of(folder)
     }
 
-    /// The file with the white balance of a scene folder, beside the folder.
+    /// The path of the file with the white balance of a scene folder, next to the folder.
     pub fn place(scene: &Path) -> PathBuf {
         let scene = std::path::absolute(scene).unwrap_or_else(|_| scene.to_path_buf());
         let mut name = scene.file_name().unwrap_or_default().to_os_string();
@@ -151,10 +153,10 @@ impl White {
         scene.with_file_name(name)
     }
 
-    /// That of a scene folder; `None` where none was kept.
+    /// Reads the white balance of a scene folder; `None` if none is stored.
     ///
     /// # Errors
-    /// A file that is none of these.
+    /// Fails if the file has another format.
     pub fn beside(scene: &Path) -> Result<Option<Self>, SceneError> {
         let place = Self::place(scene);
         if !place.is_file() {
@@ -163,10 +165,11 @@ impl White {
         Self::read(&place).map(Some)
     }
 
-    /// Reads a file of it.
+    /// Reads a file with a white balance.
     ///
     /// # Errors
-    /// A file that cannot be read, or that is none of these: which field, and what was expected.
+    /// Fails if the file cannot be read or has another format; the error names the field and the expected
+    /// value.
     pub fn read(path: &Path) -> Result<Self, SceneError> {
         let bytes = files::read_bounded(path, MOST_BYTES)?;
         let wrong = |message: String| SceneError::Description { path: path.into(), message };
@@ -202,10 +205,10 @@ impl White {
         }
     }
 
-    /// Writes it to a file, whole or not at all.
+    /// Writes it to a file, completely or not at all.
     ///
     /// # Errors
-    /// Gains out of their range, or a file that cannot be written.
+    /// Fails for gains out of their range, or if the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), SceneError> {
         let wrong = |message: String| SceneError::Description { path: path.into(), message };
         self.check().map_err(wrong)?;
@@ -215,7 +218,7 @@ impl White {
     }
 }
 
-/// The key of the artifact that a scene folder is a copy of.
+/// The key of the artifact from which a scene folder was copied.
 fn key_of(folder: &Path) -> Option<String> {
     let bytes = files::read_bounded(&folder.join("manifest.json"), MOST_MANIFEST).ok()?;
     let manifest: serde_json::Value = serde_json::from_slice(&bytes).ok()?;
@@ -264,7 +267,7 @@ mod tests {
             let error = White::beside(&scene).unwrap_err().to_string();
             assert!(error.contains(said) && error.contains("white.json"), "{from}: {error}");
         }
-        // The key in the manifest tells if another scene has taken the folder.
+        // The key in the manifest shows if the folder now contains another scene.
         let manifest = scene.join("manifest.json");
         std::fs::write(&manifest, r#"{ "key": "abc" }"#).unwrap();
         let of = white.clone().of_scene(&scene);

@@ -1,4 +1,4 @@
-//! Scene folders: round trips, the oracle's scene, and what a damaged one says.
+//! Scene folders: round trips, the oracle's scene, and the errors of a damaged one.
 
 use std::fs;
 use std::path::Path;
@@ -57,7 +57,7 @@ fn a_scene_survives_the_disk_bit_for_bit() {
     let after: Vec<_> =
         ["scene.json", "gaussians.ply", "medium.safetensors", "ubaf.safetensors"].map(bytes).to_vec();
     assert_eq!(before, after);
-    // Saved again without its enhancement, nothing of it stays behind.
+    // After saving again without the enhancement, no file of it is left.
     Scene { enhancement: None, medium: MediumModel::None, ..scene }.save(dir.path()).unwrap();
     let plain = Scene::load(dir.path()).unwrap();
     assert!(plain.enhancement.is_none() && plain.medium.is_none());

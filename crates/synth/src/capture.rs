@@ -1,18 +1,19 @@
-//! `synth capture`: a swim over a reef as a COLMAP project, with the truth beside it.
+//! `synth capture`: a swim over a reef as a COLMAP project, together with the truth.
 //!
 //! ```text
 //! images/frame_0001.png …      8-bit, through water, with noise
-//! sparse/0/*.bin               COLMAP model (arbitrary frame and scale, as structure from motion leaves them)
-//! depth/frame_0001.png …       16-bit depth priors: nearer is larger, monotone but not linear in disparity, 0 is unknown
+//! sparse/0/*.bin               COLMAP model (arbitrary frame and scale, as after structure from motion)
+//! depth/frame_0001.png …       16-bit depth priors: nearer is larger, monotone but not linear in disparity,
+//!                              0 is unknown
 //! truth/clean/frame_0001.png   J: the same pictures without water and noise; black where there is only water
 //! truth/depth/frame_0001.exr   z-depth in COLMAP units, channel Z; 0 where there is only water
 //! truth/water.json             coefficients, veiling light, frame, each view's gains (`CaptureTruth`)
-//! truth/greys/frame_0001.png … white counts: the inside of grey patches; only where boards of greys were asked for
-//! masks/frame_0001.png …       white counts, 0 is a fish; only where fish were asked for
+//! truth/greys/frame_0001.png … white counts: the inside of grey patches; only if there are boards of greys
+//! masks/frame_0001.png …       white counts, 0 is a fish; only if there are fish
 //! ```
 //!
 //! With [`Physics::Spectral`] the photographs follow [`crate::physics`], and `truth/clean` is the scene under
-//! white light at one exposure for the whole capture.
+//! white light with one exposure for the whole capture.
 
 use std::path::Path;
 
@@ -36,11 +37,11 @@ use crate::sparse::{self, Corner};
 use crate::swim;
 use crate::water::{Water, WaterType};
 
-/// What to photograph, and how.
+/// The scene to photograph, and the properties of the camera.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct CaptureParams {
-    /// Everything random follows from it.
+    /// The seed of all random numbers.
     pub seed: u64,
     /// Number of photographs, at least 2.
     pub views: usize,
@@ -52,57 +53,58 @@ pub struct CaptureParams {
     pub water: WaterType,
     /// Depth below the surface, metres, 0 to 60: sets the colour of the daylight.
     pub depth: f32,
-    /// Share of the colour cast that the camera removes, 0 to 1: of the daylight's (display), of
+    /// Share of the colour cast that the camera removes, 0 to 1: the cast of the daylight (display), or of
     /// the picture's mean (spectral).
     pub white_balance: f32,
     /// Sensor noise of a middle tone, standard deviation in display range, 0 to 0.2.
     pub noise: f32,
-    /// Strength of the moving light pattern on the ground, 0 (off) to 1. It breaks the assumption
-    /// that the scene does not change.
+    /// Strength of the moving light pattern on the ground, 0 (off) to 1. It violates the assumption that the
+    /// scene does not change.
     pub caustics: f32,
-    /// Sparse points wanted, about.
+    /// Approximate number of sparse points.
     pub points: usize,
-    /// Whether to write depth priors.
+    /// Write depth priors.
     pub depth_priors: bool,
-    /// Triangle density of the scene, 0.1 to 1: less is built faster.
+    /// Triangle density of the scene, 0.1 to 1: a lower density is built faster.
     pub detail: f32,
-    /// Where the photographs are taken.
+    /// The place of the photographs.
     #[serde(skip_serializing_if = "is_default")]
     pub place: Place,
     /// The image formation.
     #[serde(skip_serializing_if = "is_default")]
     pub physics: Physics,
-    /// No water at all: the scene in air. Spectral physics only.
+    /// No water: the scene in air. Spectral physics only.
     #[serde(skip_serializing_if = "is_default")]
     pub air: bool,
-    /// Light of two lamps at the camera on a white surface a metre ahead, in units of daylight at the
+    /// Light of two lamps at the camera on a white surface one metre ahead, in units of daylight at the
     /// surface, 0 (off) to 20. Spectral physics only.
     #[serde(skip_serializing_if = "is_default")]
     pub lamps: f32,
-    /// How far exposure and white balance are set for each view on its own, 0 (one setting for
-    /// all) to 1. Spectral physics only.
+    /// Degree to which exposure and white balance are set for each view separately, 0 (one setting for all)
+    /// to 1. Spectral physics only.
     #[serde(skip_serializing_if = "is_default")]
     pub auto_exposure: f32,
-    /// Particles before the lens, 0 (none) to 1. Spectral physics only.
+    /// Particles in front of the lens, 0 (none) to 1. Spectral physics only.
     #[serde(skip_serializing_if = "is_default")]
     pub snow: f32,
     /// The camera's development of its sensor's light. Spectral physics only, unless `plain`.
     #[serde(skip_serializing_if = "is_default")]
     pub camera: Development,
-    /// Strength of the light of the sky that the scene is photographed against, 0 (none) to 1: a bright sky
-    /// and its glare. Spectral physics only; there is a sky in air alone.
+    /// Strength of the sky's light behind the scene, 0 (none) to 1: a bright sky and its glare. Spectral
+    /// physics only; only a scene in air has a sky.
     #[serde(skip_serializing_if = "is_default")]
     pub backlight: f32,
-    /// Boards of grey patches stand near and far. Not in a pool.
+    /// Boards of grey patches near and far. Not in a pool.
     #[serde(skip_serializing_if = "is_default")]
     pub greys: bool,
-    /// Fish in every view, each somewhere else, hidden by masks; at most 50. Spectral physics only.
+    /// Number of fish in every view, at different places in each, hidden by masks; at most 50. Spectral
+    /// physics only.
     #[serde(skip_serializing_if = "is_default")]
     pub fish: usize,
 }
 
-/// Whether a value is its type's default: such fields are left out, so that files keep
-/// their bytes when a field is added.
+/// True if a value is its type's default: such fields are not written, so that files keep their bytes when a
+/// field is added.
 pub(crate) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }
@@ -171,18 +173,18 @@ impl CaptureParams {
     }
 }
 
-/// The truth of a synthetic capture (`truth/water.json`). Everything but `*_per_metre`
-/// is in COLMAP's frame and unit.
+/// The truth of a synthetic capture (`truth/water.json`). All values except `*_per_metre` are in COLMAP's
+/// frame and unit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CaptureTruth {
-    /// `"3d-use synthetic capture"`.
+    /// The fixed text `"3d-use synthetic capture"`.
     pub format: String,
-    /// 1.
+    /// The version of the format, 1.
     pub version: u32,
-    /// What was asked for.
+    /// The parameters of the capture.
     pub parameters: CaptureParams,
-    /// Coefficients per COLMAP unit, veiling light over ray directions in COLMAP's frame. Spectral water has
-    /// no such coefficients: absent then.
+    /// Coefficients per COLMAP unit, and veiling light over ray directions in COLMAP's frame. Absent for
+    /// spectral water, which has no such coefficients.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub water: Option<Water>,
     /// `β_attn`, 1/m.
@@ -191,18 +193,18 @@ pub struct CaptureTruth {
     /// `β_bs`, 1/m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub backscatter_per_metre: Option<[f32; 3]>,
-    /// Spectral water: mean attenuation of white light over the first five metres, per channel of
-    /// linear light, 1/m. Not what a model of display values should find (their exponent is about 1/2.2
-    /// of it), and no constant of the water.
+    /// Spectral water: mean attenuation of white light over the first five metres, per channel of linear
+    /// light, 1/m. A model of display values should not find these numbers (its exponent is about 1/2.2 of
+    /// them), and they are no constants of the water.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub effective_attenuation_per_metre: Option<[f32; 3]>,
-    /// What the camera set for every view, where it set itself.
+    /// The camera's gains for every view, if it set them automatically.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub gains: Vec<ViewGains>,
     /// COLMAP units per metre.
     pub units_per_metre: f64,
-    /// Metres to COLMAP: `x_colmap = units_per_metre R x_metres + t`, R row-major. In metres, z
-    /// is up and the swim goes along y.
+    /// Metres to COLMAP: `x_colmap = units_per_metre R x_metres + t`, R row-major. In the frame of metres, z
+    /// is up and the swim runs along y.
     pub rotation: [f64; 9],
     /// `t`, COLMAP units.
     pub translation: [f64; 3],
@@ -210,7 +212,7 @@ pub struct CaptureTruth {
     pub daylight: [f32; 3],
 }
 
-/// What the camera multiplied a view's linear light by.
+/// The factors by which the camera multiplied a view's linear light.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ViewGains {
     /// The image's file name.
@@ -219,11 +221,11 @@ pub struct ViewGains {
     pub gains: [f32; 3],
 }
 
-/// Views rendered at a time: bounds memory, and feeds the threads while others write files.
+/// Number of views rendered at a time: it bounds memory, and keeps the threads busy while others write files.
 const BATCH: usize = 4;
 
-/// An arbitrary frame, as structure from motion leaves it: y roughly down, some tilt,
-/// any heading, scale and origin.
+/// An arbitrary frame, as after structure from motion: y roughly down, some tilt, any heading, scale and
+/// origin.
 fn colmap_frame(seed: u64) -> Frame {
     let stream = Stream::new(seed, Purpose::new("COLMAP frame"), 0);
     let number = |i: u64| 2.0 * stream.uniform(i) - 1.0;
@@ -235,15 +237,15 @@ fn colmap_frame(seed: u64) -> Frame {
     Frame { scale, rotation: tilt * heading * y_down, translation }
 }
 
-/// What the photographs show the scene through.
+/// The medium between the camera and the scene.
 enum Between {
     /// The method's own formation, display values.
     Display(Condition),
-    /// Spectral transport, and what the camera sets for each view.
+    /// Spectral transport, and the camera's gains for each view.
     Spectral { water: Box<Spectral>, clean: Box<Spectral>, gains: Vec<Vec3>, middle: f32 },
 }
 
-/// Everything that a view is rendered from.
+/// All data from which a view is rendered.
 struct Studio {
     scene: MeshScene,
     cameras: Vec<Camera>,
@@ -294,7 +296,7 @@ impl Studio {
                 let look = |camera: &Camera| Box::new(water.seen_from(sideways(camera))) as Box<dyn Look>;
                 let gains = camera::gains(&scene, &cameras, &look, automatic);
                 let middle = camera::middle_gain(&gains);
-                // White light, and no veil to brighten the picture.
+                // White light, without a veil that brightens the picture.
                 let white = Condition { light: Vec3::ONE, water: None };
                 let light = Vec3::splat(expose(&scene, &some, &white, 0.36));
                 let clean = Spectral::air(scene.sun()).with_reef_spectra(reef).without_sky();
@@ -336,7 +338,7 @@ impl Studio {
         }
     }
 
-    /// A view's photograph and clean picture in display values, its depth, and the mask of what passes by.
+    /// A view's photograph and clean picture in display values, its depth, and the mask of fish.
     fn photograph(&self, params: &CaptureParams, view: usize) -> (Shot, Option<Map>) {
         let camera = &self.cameras[view];
         let caustics = Caustics { strength: params.caustics, time: 0.5 * view as f32 };
@@ -348,7 +350,8 @@ impl Studio {
             }
             Between::Spectral { water, clean, gains, middle } => {
                 let water = water.seen_from(sideways(camera));
-                // The same camera's picture of the scene in air; the plain one's is the clean picture.
+                // The same camera's picture of the scene in air; for the plain camera it is the clean
+                // picture.
                 let action = params.camera == Development::Action;
                 let clean: &dyn Look = if action { clean.as_ref() } else { &self.clean };
                 let mut shot = render(&self.scene, camera, &[&water, clean], caustics);
@@ -381,7 +384,7 @@ impl Studio {
         }
     }
 
-    /// 1 where a grey patch fills a pixel and all its neighbours.
+    /// A map with 1 where a grey patch fills a pixel and all its neighbours.
     fn greys(&self, shot: &Shot) -> Map {
         let (w, h) = (shot.depth.width(), shot.depth.height());
         let mut map = Map::new(w, h);
@@ -397,7 +400,7 @@ impl Studio {
         map
     }
 
-    /// Renders and writes one view; returns the corners for the sparse points.
+    /// Renders and writes one view, and returns the corners for the sparse points.
     fn shoot(&self, params: &CaptureParams, view: usize, dir: &Path) -> Result<Vec<Corner>, SynthError> {
         let stem = stem(view);
         let (shot, mask) = self.photograph(params, view);
@@ -415,7 +418,7 @@ impl Studio {
             let prior = depth_prior(&shot.depth, params.seed, view);
             write_png_map16(&dir.join(format!("depth/{stem}.png")), &prior)?;
         }
-        // No feature of the scene is found on a fish.
+        // No feature is detected on a fish.
         let mut surfaces = shot.depth;
         if let Some(mask) = &mask {
             write_png_map(&dir.join(format!("masks/{stem}.png")), mask)?;
@@ -427,7 +430,7 @@ impl Studio {
     }
 }
 
-/// The colour of tiles that look as open water does, linear.
+/// The colour of tiles that look like open water, linear.
 fn veil_tiles(params: &CaptureParams) -> Vec3 {
     let water = Water::of_type(params.water, params.depth, params.white_balance, Vec3::Z, Vec3::Z);
     linear(water.veil.map(|v| (255.0 * v.clamp(0.0, 1.0)).round() as u8))
@@ -441,7 +444,7 @@ fn file(view: usize) -> String {
     format!("{}.png", stem(view))
 }
 
-/// A prior as a monocular network gives it: disparity up to an unknown scale, a power, a slowly
+/// A prior like that of a monocular network: disparity up to an unknown scale and a power, with a slowly
 /// varying error and a little noise.
 fn depth_prior(depth: &Map, seed: u64, view: usize) -> Map {
     let nearest = depth.data().iter().filter(|&&z| z > 0.0).fold(f32::INFINITY, |m, &z| m.min(z));
@@ -461,12 +464,12 @@ fn depth_prior(depth: &Map, seed: u64, view: usize) -> Map {
     prior
 }
 
-/// Writes a synthetic capture to `out`, a folder that must not exist (or be empty). `progress` is told (views
-/// done, views in all) and may answer that the work is to stop.
+/// Writes a synthetic capture to `out`, a folder that must not exist (or be empty). `progress` is called with
+/// the number of finished views and the total; its result can stop the work.
 ///
 /// # Errors
-/// A parameter out of range, an output that exists, a file that cannot be written, or a stop that `progress`
-/// asked for; nothing is left at `out` then.
+/// Fails for a parameter out of range, an output that exists, a file that cannot be written, or a stop
+/// requested by `progress`. Then no output is left.
 pub fn write_capture<A: Answer>(
     params: &CaptureParams,
     out: &Path,

@@ -1,34 +1,34 @@
-//! What can go wrong while a synthetic data set is written.
+//! The errors of writing a synthetic data set.
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use use3d_numerics::range::OutOfRange;
 
-/// A data set that cannot be made or written. Nothing is left behind under its name.
+/// A data set that cannot be made or written. No output is left then.
 #[derive(Debug, thiserror::Error)]
 pub enum SynthError {
     /// A parameter out of its range.
     #[error(transparent)]
     Parameter(#[from] OutOfRange),
-    /// The output is there already.
+    /// The output exists already.
     #[error("{}: already there; choose another output folder or remove this one first", path.display())]
     OutputExists {
         /// The output folder.
         path: PathBuf,
     },
-    /// A folder or file that cannot be made.
+    /// A folder or file that cannot be created.
     #[error("{}: cannot be written ({source}); check that the folder is there, writable and has space", path.display())]
     Io {
         /// The path.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// Whoever watches the progress asked to stop.
+    /// The progress callback stopped the work.
     #[error("interrupted; nothing is left of what was begun")]
     Interrupted,
-    /// A name that no image can have.
+    /// A name that is not valid for an image.
     #[error(transparent)]
     Name(#[from] use3d_capture::NameError),
     /// An image that cannot be written.
@@ -45,7 +45,7 @@ impl SynthError {
     }
 }
 
-/// Refuses a parameter that is not `good`, with what is expected in words.
+/// Refuses a parameter unless it is `good`; `expected` describes the valid values.
 pub(crate) fn check(
     parameter: &str,
     value: impl std::fmt::Display,
@@ -55,9 +55,9 @@ pub(crate) fn check(
     if good { Ok(()) } else { Err(OutOfRange::new(parameter, value, expected)) }
 }
 
-/// What whoever watches the progress answers: nothing, or whether to go on.
+/// The result of a progress callback: nothing, or the choice to continue or stop.
 pub trait Answer {
-    /// [`SynthError::Interrupted`] when the work is to stop.
+    /// Returns [`SynthError::Interrupted`] if the work must stop.
     fn go_on(self) -> Result<(), SynthError>;
 }
 
@@ -73,14 +73,14 @@ impl Answer for ControlFlow<()> {
     }
 }
 
-/// Locks a folder for as long as the answer lives: whoever finds it unlocked knows that its writer is gone.
-/// None where folders cannot be locked.
+/// Locks a folder while the returned handle lives. An unlocked folder means that its writer has ended. `None`
+/// if folders cannot be locked.
 fn hold(folder: &Path) -> Option<std::fs::File> {
     let handle = std::fs::File::open(folder).ok()?;
     handle.try_lock().is_ok().then_some(handle)
 }
 
-/// Removes what commands that were killed left beside `out`.
+/// Removes unfinished folders of killed commands next to `out`.
 fn sweep_partials(out: &Path) {
     let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let prefix = format!(".{}.partial-", out.file_name().unwrap_or_default().to_string_lossy());
@@ -92,8 +92,8 @@ fn sweep_partials(out: &Path) {
     }
 }
 
-/// Runs `fill` on a new folder beside `out` and renames it to `out` when it is complete: the output is there
-/// whole or not at all. An existing empty folder is replaced; anything else in the way is an error.
+/// Runs `fill` on a new folder next to `out` and renames it to `out` when it is complete: so the output is
+/// complete or absent. An existing empty folder is replaced; anything else at that path is an error.
 pub(crate) fn whole_folder<T>(
     out: &Path,
     fill: impl FnOnce(&Path) -> Result<T, SynthError>,

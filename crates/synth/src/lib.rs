@@ -1,19 +1,19 @@
 //! A synthetic underwater capture with known truth: scene, water, cameras, pairs.
 //!
-//! A procedural reef (terrain, boulders, corals, sponges, a wreck, a rope, a colour chart) as triangles with
-//! procedural textures, seen by casting rays, under soft daylight and through one of Jerlov's waters. None of
-//! it is made of Gaussians, so that a reconstruction from these pictures is no inverse crime. [`Place::Pool`]
-//! is a tiled pool instead, even surfaces of nearly one colour. [`write_capture`] makes a COLMAP project with
-//! everything that is to be found out beside it; [`write_pairs`] makes pairs for training a calibrator
-//! without any download.
+//! A procedural reef (terrain, boulders, corals, sponges, a wreck, a rope, a colour chart) consists of
+//! triangles with procedural textures. It is rendered by casting rays, under soft daylight and through one of
+//! Jerlov's waters. No part of it is made of Gaussians, so that a reconstruction from these pictures is not
+//! an inverse crime. [`Place::Pool`] is a tiled pool instead, with even surfaces of nearly one colour.
+//! [`write_capture`] makes a COLMAP project together with the truth about it; [`write_pairs`] makes pairs for
+//! training a calibrator without any download.
 //!
 //! By default the pictures follow the method's image formation exactly, `I = J e^{-β_attn s} + c_m(d) (1 -
 //! e^{-β_bs s})` per channel on display values, s the distance along the ray (see [`Water`]).
-//! [`Physics::Spectral`] follows physics that is not the method's: ten wavelengths in linear light, daylight
-//! that fades with depth, lamps, a camera that sets itself for every view, fish and marine snow. Known
-//! limits: opaque surfaces, no forward scattering (blur).
+//! [`Physics::Spectral`] follows other physics: ten wavelengths in linear light, daylight that fades with
+//! depth, lamps, a camera that sets itself for every view, fish and marine snow. Known limits: opaque
+//! surfaces, no forward scattering (blur).
 //!
-//! Deterministic: a function of the parameters, whatever the number of threads.
+//! The results are deterministic: a function of the parameters, independent of the number of threads.
 
 mod capture;
 mod error;

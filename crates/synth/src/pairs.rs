@@ -1,10 +1,10 @@
-//! `synth pairs`: the same picture through a body of water and as one would wish to see it.
+//! `synth pairs`: the same picture through a body of water and in its desired appearance.
 //!
-//! `input/pair_0001.png` is taken through one of Jerlov's waters at some depth; `reference/pair_0001.png` is
+//! `input/pair_0001.png` is taken through one of Jerlov's waters at some depth. `reference/pair_0001.png` is
 //! the same view in neutral daylight through very clear water, well exposed, with a little more contrast and
-//! colour: it defines what "enhanced" means to a calibrator that is trained on these pairs. With
-//! [`Physics::Spectral`] inputs follow [`crate::physics`] instead, and a camera sets itself for each of them.
-//! Pairs cycle through the water types; each dozen shares a scene.
+//! colour. It defines the meaning of "enhanced" for a calibrator that is trained on these pairs. With
+//! [`Physics::Spectral`] inputs follow [`crate::physics`] instead, and the camera chooses its settings for
+//! each of them. Pairs cycle through the water types; each dozen shares a scene.
 
 use std::path::Path;
 
@@ -24,11 +24,11 @@ use crate::scene::{Caustics, Draws, Layout, MeshScene, Place};
 use crate::swim;
 use crate::water::{Water, WaterType};
 
-/// How many pairs of which size.
+/// The number of pairs and their properties.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct PairsParams {
-    /// Everything random follows from it. Not read from settings: the caller sets it.
+    /// The seed of all random numbers. Not read from settings: the caller sets it.
     #[serde(skip)]
     pub seed: u64,
     /// Number of pairs, at least 1.
@@ -41,8 +41,8 @@ pub struct PairsParams {
     pub noise: f32,
     /// Triangle density of the scenes, 0.1 to 1.
     pub detail: f32,
-    /// The image formation of the inputs; `spectral` has a camera that exposes and
-    /// balances every picture on its own.
+    /// The image formation of the inputs; `spectral` has a camera that exposes and balances every picture
+    /// separately.
     #[serde(skip_serializing_if = "crate::capture::is_default")]
     pub physics: Physics,
 }
@@ -73,10 +73,10 @@ impl PairsParams {
     }
 }
 
-/// Pairs that share a scene.
+/// Number of pairs that share a scene.
 const PER_SCENE: usize = 12;
 
-/// The water of the references: hardly there.
+/// The water of the references, which is almost invisible.
 fn clear_water(sun: Vec3) -> Water {
     Water {
         attenuation: [0.030, 0.016, 0.014],
@@ -86,7 +86,7 @@ fn clear_water(sun: Vec3) -> Water {
     }
 }
 
-/// A little more contrast (around the middle) and colour, within display range.
+/// Adds a little contrast (around the middle) and colour, within display range.
 fn grade(image: &mut Image) {
     let n = image.pixels();
     for p in 0..n {
@@ -101,11 +101,12 @@ fn grade(image: &mut Image) {
 }
 
 /// Writes `input/` and `reference/` with equal file names to `out`, a folder that must not exist (or be
-/// empty). `progress` is told (pairs done, pairs in all) and may answer that the work is to stop.
+/// empty). `progress` is called with the number of finished pairs and the total; its result can stop the
+/// work.
 ///
 /// # Errors
-/// A parameter out of range, an output that exists, a file that cannot be written, or a stop that `progress`
-/// asked for; nothing is left at `out` then.
+/// Fails for a parameter out of range, an output that exists, a file that cannot be written, or a stop
+/// requested by `progress`. Then no output is left.
 pub fn write_pairs<A: Answer>(
     params: &PairsParams,
     out: &Path,
@@ -143,7 +144,7 @@ fn write_pair(params: &PairsParams, scene: &MeshScene, pair: usize, dir: &Path) 
     let depth = draws.range(2.0, 16.0);
     let white_balance = draws.range(0.25, 0.95);
     let water = Water::of_type(kind, depth, white_balance, Vec3::Z, scene.sun());
-    // What stands in turbid water is photographed from near.
+    // In turbid water, objects are photographed from near.
     let nearness = (2.0 * water.backscatter[1]).min(1.0);
     let lens = swim::lens(params.width, params.height, &mut draws);
     let camera = swim::snapshot(&scene.terrain, &mut draws, &lens, nearness);

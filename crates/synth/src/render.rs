@@ -1,9 +1,9 @@
 //! Renders a camera's view: anti-aliased colours under several conditions at once, and depth.
 //!
-//! One ray through every pixel's centre; pixels at the edge of a surface (a neighbour shows another one, or
-//! another depth) get further rays spread over their area, and the colours are averaged; textures are limited
-//! to what a pixel resolves and need no more. The lens then blurs by about a pixel. Depth is that of the
-//! centre ray, never an average.
+//! One ray is cast through every pixel's centre. Pixels at the edge of a surface (a neighbour shows another
+//! surface, or another depth) get further rays spread over their area, and the colours are averaged. Textures
+//! are limited to the resolution of a pixel and need no more rays. The lens then blurs by about a pixel.
+//! Depth is that of the centre ray, never an average.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -19,19 +19,19 @@ use crate::water::Water;
 pub(crate) struct Condition {
     /// Exposure times the colour of daylight, linear.
     pub(crate) light: Vec3,
-    /// The water in front of the camera; without any, open water is black.
+    /// The water in front of the camera; without water, open water is black.
     pub(crate) water: Option<Water>,
 }
 
-/// What a ray's end looks like in a picture.
+/// The colour of a ray's end in a picture.
 pub(crate) trait Look: Sync {
-    /// The colour of what `ray` sees (`None` is open water), in display values or linear light as the
-    /// implementer says.
+    /// The colour of the surface that `ray` hits (`None` is open water), in display values or linear light,
+    /// depending on the implementation.
     fn color(&self, seen: Option<Seen>, ray: &Ray) -> Vec3;
 }
 
 impl Look for Condition {
-    /// Display values.
+    /// Returns display values.
     fn color(&self, seen: Option<Seen>, ray: &Ray) -> Vec3 {
         let per_t = ray.direction.length();
         self.display(seen, per_t, ray.direction / per_t)
@@ -57,7 +57,7 @@ pub(crate) struct Shot {
     pub(crate) surfaces: Vec<u16>,
 }
 
-/// Further rays of a pixel that needs them.
+/// Number of further rays of a pixel that needs them.
 const EXTRA: usize = 6;
 
 /// A camera's rays in the scene's frame: `direction(u, v)` has unit depth, so that `t` is z-depth.
@@ -174,8 +174,8 @@ pub(crate) fn render(
     Shot { images, depth, surfaces }
 }
 
-/// The lens: it spreads every point over its neighbours, 1:2:1 along both axes, as real ones do to what is
-/// finer than a pixel.
+/// The lens blur: it spreads every point over its neighbours, 1:2:1 along both axes, as real lenses do with
+/// details finer than a pixel.
 fn blur(image: &mut Image) {
     let (width, height) = (image.width(), image.height());
     for channel in 0..3 {
@@ -193,7 +193,7 @@ fn blur(image: &mut Image) {
     }
 }
 
-/// Rays evenly over a picture, 24 by 16: enough to meter by.
+/// Rays evenly over a picture, 24 by 16: enough to measure its exposure.
 pub(crate) fn coarse_rays(camera: &Camera) -> Vec<Ray> {
     let rays = Rays::new(camera);
     let (w, h) = (camera.intrinsics.width as f32, camera.intrinsics.height as f32);

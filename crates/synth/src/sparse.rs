@@ -1,11 +1,11 @@
-//! Sparse points as structure from motion would find them: corners seen in several views, with noise, tracks
-//! and outliers.
+//! Sparse points like those that structure from motion finds: corners seen in several views, with noise,
+//! tracks and outliers.
 //!
-//! Candidates are pixels of strong local contrast. Each is followed through the other views: it is detected
-//! where it lies inside the picture, is not hidden, is near enough to stand out from the water, and a draw
-//! says so; a detection is off by a fraction of a pixel. The triangulated position is off along the ray by
-//! about `σ_px z² / (f b)`, b the baseline of the track, and sideways by `σ_px z / f`. A small share of
-//! points are mismatches: two detections that agree on a wrong place.
+//! Candidates are pixels of strong local contrast. Each is followed through the other views. It is detected
+//! in a view if it is inside the picture, not hidden, near enough to stand out from the water, and if a
+//! random draw succeeds. A detection has an error of a fraction of a pixel. The triangulated position has an
+//! error along the ray of about `σ_px z² / (f b)`, with b the baseline of the track, and sideways of `σ_px z
+//! / f`. A small share of the points are mismatches: two detections that agree on a wrong position.
 
 use glam::DVec3;
 use use3d_capture::{Camera, FileName, Frame, Image8, Map};
@@ -68,7 +68,7 @@ pub(crate) fn corners(image: &Image8, depth: &Map, seed: u64, view: usize, wante
     found
 }
 
-/// The COLMAP model of the capture. `cameras` are in metres; `frame` brings them and the points into COLMAP's
+/// The COLMAP model of the capture. `cameras` are in metres; `frame` converts them and the points to COLMAP's
 /// frame.
 pub(crate) fn model(
     scene: &MeshScene,
@@ -96,7 +96,7 @@ pub(crate) fn model(
 }
 
 struct Tracked {
-    /// Triangulated, in metres.
+    /// The triangulated position, in metres.
     position: DVec3,
     detections: Vec<(usize, f64, f64)>,
 }
@@ -118,7 +118,7 @@ fn track(
         let Some((pixel, z)) = other.project(exact) else { continue };
         let (w, h) = (other.intrinsics.width as f64, other.intrinsics.height as f64);
         let inside = pixel.x > 1.0 && pixel.y > 1.0 && pixel.x < w - 1.0 && pixel.y < h - 1.0;
-        // Detectors lose features with distance in water, and with the change of scale and angle.
+        // Detectors lose features with distance in water, and with changes of scale and angle.
         let change = math::ln(z / corner.depth).abs() + 0.35 * (i.abs_diff(home) as f64 / 6.0);
         let chance = 0.9 * math::exp(-1.2 * change) * (1.0 - z / (1.3 * f64::from(REACH))).max(0.0);
         let detected = i == home || stream.uniform(draw) < chance;
@@ -140,7 +140,8 @@ fn track(
     let position = if mismatch {
         let stretch = 0.35 + 1.3 * stream.uniform(1);
         let wrong = camera.pose.center() + stretch * (exact - camera.pose.center());
-        // What was matched agrees with the wrong place, else it would not have been triangulated.
+        // The detections agree with the wrong position, because otherwise it would not have been
+        // triangulated.
         for (i, x, y) in &mut detections {
             let (pixel, _) = cameras[*i].project(wrong)?;
             let off = |k: u64| DETECTION * stream.normal(4_000_000 + 2 * *i as u64 + k);
@@ -183,13 +184,13 @@ fn add(model: &mut Model, cameras: &[Camera], frame: &Frame, color: [u8; 3], poi
     });
 }
 
-/// Keeps about `wanted` points, evenly over the list, and what belongs to them.
+/// Keeps about `wanted` points, evenly over the list, with their keypoints.
 pub(crate) fn keep(model: &mut Model, wanted: usize) {
     let n = model.points.len();
     if n <= wanted {
         return;
     }
-    // Bresenham: point i stays where the running share steps up.
+    // Bresenham: point i is kept where the running share increases.
     let stays = |i: usize| (i + 1) * wanted / n > i * wanted / n;
     let mut ids = vec![Keypoint::NONE; n + 1];
     let mut points = Vec::with_capacity(wanted);
@@ -200,7 +201,7 @@ pub(crate) fn keep(model: &mut Model, wanted: usize) {
             points.push(point);
         }
     }
-    // Keypoints of dropped points stay as unmatched detections, as in a real model.
+    // Keypoints of dropped points remain as unmatched detections, as in a real model.
     for keypoint in model.images.iter_mut().flat_map(|image| &mut image.keypoints) {
         keypoint.point = ids[keypoint.point as usize];
     }

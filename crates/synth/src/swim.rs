@@ -1,4 +1,5 @@
-//! The swimmer: a path along the sand channel that sways, looks ahead and down, and never touches anything.
+//! The swimmer's path along the sand channel: it sways, the camera points ahead and down, and nothing is
+//! touched.
 
 use glam::{DVec3, Vec3};
 use use3d_capture::{Camera, Intrinsics, Pose};
@@ -6,7 +7,8 @@ use use3d_numerics::math;
 
 use crate::scene::{Draws, Terrain};
 
-/// A lens of about 67 degrees horizontally, centred up to a few pixels as calibrations are.
+/// A lens of about 67 degrees horizontally, with the principal point off the centre by a few pixels, as in
+/// calibrations.
 pub(crate) fn lens(width: usize, height: usize, draws: &mut Draws) -> Intrinsics {
     let f = 0.76 * width as f64;
     let off = |amount: f32, draws: &mut Draws| f64::from(draws.about(amount));
@@ -20,7 +22,7 @@ pub(crate) fn lens(width: usize, height: usize, draws: &mut Draws) -> Intrinsics
     }
 }
 
-/// The height of the floor under the swimmer, smoothed as a swimmer keeps it.
+/// The height of the floor under the swimmer, smoothed like a swimmer's path.
 fn floor(terrain: &Terrain, x: f32, y: f32) -> f32 {
     let offsets = [-0.9, -0.45, 0.0, 0.45, 0.9];
     let sum: f32 = offsets
@@ -30,17 +32,17 @@ fn floor(terrain: &Terrain, x: f32, y: f32) -> f32 {
     sum / 25.0
 }
 
-/// At most this far from one view to the next, metres: neighbours must overlap.
+/// Largest distance from one view to the next, metres: neighbours must overlap.
 const STRIDE: f32 = 0.18;
 
-/// The longest swim out, metres; it goes back as far.
+/// The longest way out, metres; the way back has the same length.
 const LONGEST: f32 = 6.0;
-/// How much higher the way back is, metres.
+/// Height of the way back above the way out, metres.
 const RISE: f32 = 1.2;
 
-/// `views` cameras along the swim, in metres: out along the channel, then back again higher up, still looking
-/// ahead, so that the reef is seen through different amounts of water. As far as the stride allows, at most
-/// six metres.
+/// `views` cameras along the swim, in metres: out along the channel, then back at a greater height, still
+/// pointing ahead, so that the reef is seen through different amounts of water. The length is limited by the
+/// stride, and to six metres.
 pub(crate) fn path(terrain: &Terrain, seed: u64, views: usize, intrinsics: &Intrinsics) -> Vec<Camera> {
     let mut draws = Draws::new(seed, "swim", 0);
     let tau = std::f32::consts::TAU;
@@ -52,7 +54,7 @@ pub(crate) fn path(terrain: &Terrain, seed: u64, views: usize, intrinsics: &Intr
         .map(|i| {
             let way = 2.0 * i as f32 / views.saturating_sub(1).max(1) as f32;
             let t = part * way.min(2.0 - way);
-            // It rises over the last half metre out and the first of the way back.
+            // The path rises over the last half metre out and the first half metre back.
             let rise = ((way - 1.0) * length + 0.5).clamp(0.0, 1.0);
             let back = rise * rise * (3.0 - 2.0 * rise);
             let sway = |cycles: f32, phase: f32| math::sin(tau * cycles * t + phase);
@@ -77,7 +79,7 @@ pub(crate) fn path(terrain: &Terrain, seed: u64, views: usize, intrinsics: &Intr
         .collect()
 }
 
-/// One camera somewhere over the reef: a snapshot, nearer for turbid water (`nearness` 0 to 1).
+/// One camera at a random place over the reef, nearer in turbid water (`nearness` 0 to 1).
 pub(crate) fn snapshot(
     terrain: &Terrain,
     draws: &mut Draws,

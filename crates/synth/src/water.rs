@@ -1,8 +1,8 @@
-//! Water: measured attenuation by Jerlov's types, veiling light, and what both do to an image.
+//! Water: measured attenuation by Jerlov's types, veiling light, and their effect on an image.
 //!
 //! `I = J e^{-β_attn s} + c_m(d) (1 - e^{-β_bs s})` per channel, with s the distance along the pixel's ray in
-//! metres, d its direction, J the image without water in display range. The equation acts on display values,
-//! as the method does.
+//! metres, d its direction, J the image without water in display range. The equation applies to display
+//! values, as in the method.
 //!
 //! Coefficients. Jerlov's diffuse attenuation of daylight, K_d (1/m), for five oceanic and five coastal types
 //! (N. G. Jerlov, *Marine Optics*, 2nd edition, 1976, table XXVII), averaged over 600-625 nm (red), 525-550
@@ -11,10 +11,10 @@
 //! K_d`. Scattering by particles hardly depends on the wavelength, so the backscatter coefficient is drawn
 //! towards the mean of green and blue: `β_bs = 0.55 K_d + 0.35 mean + 0.015`.
 //!
-//! The veiling light is daylight that reached the depth, was scattered once and absorbed on its way:
-//! `c_m ∝ b e^{-K_d (z (1-w) + 3)} / (K_d + 0.06)`, z the depth, w the share of the colour cast that the
-//! camera's white balance removed, b inversely proportional to the wavelength.
-//! It grows brighter upwards and towards the sun (a linear function of the ray's direction).
+//! The veiling light is daylight that reached the depth, was scattered once and was absorbed on its way: `c_m
+//! ∝ b e^{-K_d (z (1-w) + 3)} / (K_d + 0.06)`. Here z is the depth, w the share of the colour cast that the
+//! camera's white balance removed, and b inversely proportional to the wavelength. The light is brighter
+//! upwards and towards the sun (a linear function of the ray's direction).
 
 use glam::Vec3;
 use schemars::JsonSchema;
@@ -48,7 +48,7 @@ pub enum WaterType {
     Coastal9,
 }
 
-/// A name that is no water type.
+/// A name of an unknown water type.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("unknown water type {0:?}; expected one of I, IA, IB, II, III, 1C, 3C, 5C, 7C, 9C")]
 pub struct UnknownWaterType(pub String);
@@ -107,10 +107,10 @@ impl std::str::FromStr for WaterType {
 
 /// Scattering by particles relative to green: inversely proportional to the wavelength.
 const SCATTERING: [f32; 3] = [0.88, 1.0, 1.16];
-/// How far daylight travels sideways, on average, before it is scattered into the view, metres.
+/// Average sideways distance of daylight before it is scattered into the view, metres.
 const SIDEWAYS: f32 = 3.0;
 
-/// A body of water seen from inside. Lengths in the unit that the coefficients are per.
+/// A body of water seen from inside. Coefficients are per the same unit of length as distances.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Water {
     /// `β_attn` per channel, 1/length.
@@ -132,7 +132,7 @@ impl Water {
         let way = depth * (1.0 - white_balance) + SIDEWAYS;
         let veil: [f32; 3] = std::array::from_fn(|c| SCATTERING[c] * math::exp(-k[c] * way) / (k[c] + 0.06));
         let brightest = veil.iter().fold(0.0f32, |m, &v| m.max(v));
-        // Upwards the light has come a shorter way: red gains most.
+        // Upwards the path of the light is shorter: red gains most.
         let towards_sun = sun - sun.dot(up) * up;
         let gradient = |up_share: f32| (up_share * up + 0.16 * towards_sun).to_array();
         Self {
@@ -143,8 +143,7 @@ impl Water {
         }
     }
 
-    /// The colour of daylight at a depth (linear, brightest channel 1), as the camera's white balance leaves
-    /// it.
+    /// The colour of daylight at a depth (linear, brightest channel 1), after the camera's white balance.
     pub fn daylight_tint(kind: WaterType, depth: f32, white_balance: f32) -> [f32; 3] {
         let k = kind.diffuse_attenuation().map(|[a, b]| 0.5 * (a + b));
         let tint = k.map(|k| math::exp(-k * depth * (1.0 - white_balance)));
@@ -160,7 +159,8 @@ impl Water {
         })
     }
 
-    /// What arrives of `clean` after `distance` along a unit ray; infinite distance is open water.
+    /// The colour of `clean` after `distance` along a unit ray through the water; infinite distance is open
+    /// water.
     pub fn seen_through(&self, clean: [f32; 3], distance: f32, direction: Vec3) -> [f32; 3] {
         let veil = self.veil_along(direction);
         std::array::from_fn(|c| {

@@ -1,20 +1,20 @@
-//! A curve of bounded length: of a long run every second, fourth, eighth … value is kept.
+//! A curve of bounded length: for a long run, only every second, fourth, eighth … value is kept.
 
 use serde_json::{Value, json};
 
-/// Points after which every second one goes.
+/// Number of points above which every second one is dropped.
 const MOST: usize = 600;
 
 /// Values over steps.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Curve {
     points: Vec<(u64, f64)>,
-    /// A point is kept if it is so many steps after the last one.
+    /// A point is kept if it is at least this many steps after the last one.
     apart: u64,
 }
 
 impl Curve {
-    /// Takes a value. A step before the last one begins a new curve.
+    /// Adds a value. A step before the last one begins a new curve.
     pub(crate) fn add(&mut self, step: u64, value: f64) {
         if !value.is_finite() {
             return;

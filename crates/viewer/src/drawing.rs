@@ -1,8 +1,9 @@
-//! Pictures for pages, one after another, by one thread.
+//! Draws pictures for pages, one after another, in one thread.
 //!
-//! Every page has at most one request that waits; a newer one takes its place, and the older is told so. A
-//! moving picture is drawn so small, by the ladder 1, ½, ⅓, ¼, that it takes [`MOVING`] at the pace of those
-//! before; a still one whole, or in [`STILL`] beside a training.
+//! Every page has at most one waiting request. A newer request replaces it, and the older one is answered
+//! with [`Drawn::Dropped`]. A moving picture is drawn at reduced size (1, ½, ⅓ or ¼ of each side), so that it
+//! takes [`MOVING`] at the pace of the pictures before it. A still one is drawn at full size, or so that it
+//! takes [`STILL`] while a training runs.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -20,24 +21,24 @@ use use3d_scene::white::Gains;
 
 use crate::live::Live;
 
-/// What a picture takes while it moves.
+/// Time budget of a picture while it moves.
 const MOVING: Duration = Duration::from_millis(60);
-/// What a still one takes beside a training.
+/// Time budget of a still picture while a training runs.
 const STILL: Duration = Duration::from_millis(300);
-/// By what the sides of a picture are divided.
+/// Divisors of the sides of a picture.
 const LADDER: [usize; 4] = [1, 2, 3, 4];
-/// Most pages that are drawn for at a time.
+/// Largest number of pages that are drawn for at a time.
 const PAGES: usize = 8;
-/// Of a picture that will soon be followed by another.
+/// Quality of a picture that will soon be followed by another.
 const JPEG_QUALITY: u8 = 70;
 
-/// What is to be drawn.
+/// The picture to draw.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Look {
-    /// In the scene's frame.
+    /// The camera in the scene's frame.
     pub(crate) camera: Camera,
     pub(crate) mode: Mode,
-    /// The mode left of the divider, and where that is, as a share of the width.
+    /// The mode on the left of the divider, and the position of the divider as a share of the width.
     pub(crate) left: Option<(Mode, f64)>,
     pub(crate) strength: f32,
     pub(crate) water: f32,
@@ -49,14 +50,14 @@ pub(crate) struct Look {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Wanted {
     Picture(Look),
-    /// The median depth of what such a camera sees.
+    /// The median depth of the pixels that such a camera sees.
     Depth(Camera),
-    /// The colour of a place, to balance white by.
+    /// The colour of a spot, for the white balance.
     Patch {
         camera: Camera,
         x: f64,
         y: f64,
-        /// The share of the water that `enhanced` is looked at with.
+        /// The share of the water with which `enhanced` is shown.
         water: f32,
     },
 }
@@ -66,15 +67,15 @@ pub(crate) enum Drawn {
     Picture {
         bytes: Vec<u8>,
         kind: &'static str,
-        /// By what its sides were divided.
+        /// The number that its sides were divided by.
         divisor: usize,
-        /// Which state of the scene it shows.
+        /// The version of the scene that it shows.
         version: u64,
     },
     Depth(Option<f32>),
-    /// The colour of a place, or in words why it has none.
+    /// The colour of a spot, or the reason why it has none.
     Patch(Result<Patch, String>),
-    /// A newer request of the same page takes its place, or there are too many pages.
+    /// A newer request of the same page replaced this one, or there are too many pages.
     Dropped,
     Failed(String),
 }
@@ -90,7 +91,7 @@ struct Job {
 struct Queue {
     jobs: VecDeque<Job>,
     closed: bool,
-    /// No drawing before then.
+    /// Nothing is drawn before this time.
     rests_until: Option<Instant>,
 }
 
@@ -105,7 +106,7 @@ impl Drawing {
         Arc::new(Self { live, queue: Mutex::default(), changed: Condvar::new() })
     }
 
-    /// Asks for a drawing.
+    /// Adds a request for a drawing to the queue.
     pub(crate) fn ask(&self, page: &str, wanted: Wanted) -> Receiver<Drawn> {
         let (answer, drawn) = channel();
         let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
@@ -115,7 +116,7 @@ impl Drawing {
             queue.jobs.iter_mut().find(|job| job.page == page && picture(&job.wanted) == picture(&wanted));
         match waits {
             Some(job) => {
-                // Whoever asked may be gone; then nobody hears it.
+                // The receiver may be gone already; then the answer is lost.
                 let _ = std::mem::replace(&mut job.answer, answer).send(Drawn::Dropped);
                 job.wanted = wanted;
             }
@@ -134,7 +135,7 @@ impl Drawing {
         self.changed.notify_all();
     }
 
-    /// The next request, once it may be drawn; `None` at the end.
+    /// The next request, as soon as it may be drawn; `None` at the end.
     fn next(&self) -> Option<Job> {
         let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
         loop {
@@ -143,7 +144,7 @@ impl Drawing {
             }
             let left =
                 queue.rests_until.map_or(Duration::ZERO, |at| at.saturating_duration_since(Instant::now()));
-            // A training that was paused meanwhile needs no rest.
+            // If the training was paused meanwhile, no rest is needed.
             let rests = !left.is_zero() && self.live.rest(Duration::ZERO).is_some();
             if !rests && let Some(job) = queue.jobs.pop_front() {
                 return Some(job);
@@ -153,7 +154,7 @@ impl Drawing {
         }
     }
 
-    /// Draws until the end.
+    /// Draws until the queue is closed.
     pub(crate) fn work(&self) {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).thread_name(|_| "viewer".into()).build();
         let Ok(beside) = pool.inspect_err(|e| tracing::warn!("the viewer cannot draw: {e}")) else { return };
@@ -178,7 +179,7 @@ impl Drawing {
                 }
             };
             let mut now = Some(job);
-            // As long as scene and amounts are the same, so is the renderer.
+            // The renderer is kept as long as the scene and the amounts stay the same.
             while let Some(job) = now.take_if(|job| {
                 (self.live.version(), amounts(&job.wanted)) == (version, (strength, water))
                     || matches!(job.wanted, Wanted::Depth(_)) && self.live.version() == version
@@ -207,7 +208,7 @@ impl Drawing {
     }
 }
 
-/// Strength and water that a renderer is made for.
+/// The strength and the share of water that a renderer is made for.
 fn amounts(wanted: &Wanted) -> (f32, f32) {
     match wanted {
         Wanted::Picture(look) => (look.strength, look.water),
@@ -216,15 +217,15 @@ fn amounts(wanted: &Wanted) -> (f32, f32) {
     }
 }
 
-/// One thread beside a training; else all there are.
+/// Runs on one thread while a training runs, else on all threads.
 fn on<T: Send>(beside: &ThreadPool, trains: bool, work: impl FnOnce() -> T + Send) -> T {
     if trains { beside.install(work) } else { work() }
 }
 
-/// How long a pixel takes.
+/// The measured drawing time per pixel.
 #[derive(Debug, Default)]
 struct Pace {
-    /// Beside a training, and alone: seconds.
+    /// Seconds, without a training and during a training.
     per_pixel: [Option<f64>; 2],
 }
 
@@ -269,7 +270,7 @@ impl Pace {
     }
 }
 
-/// The picture of a look, of both sides of the divider.
+/// The picture of a look, joined from both sides of the divider.
 fn joined(look: &Look, modes: &[Mode], frames: &[Rendering]) -> Image {
     let mut sides = modes.iter().zip(frames).map(|(mode, frame)| picture(*mode, frame));
     let Some(mut image) = sides.next() else { return Image::new(0, 0) };
@@ -284,7 +285,7 @@ fn joined(look: &Look, modes: &[Mode], frames: &[Rendering]) -> Image {
     image
 }
 
-/// A picture for a page: without loss if it is to stay.
+/// A picture encoded for a page, without loss if it is a final one.
 fn encoded(image: &Image, exact: bool) -> Result<(Vec<u8>, &'static str), String> {
     // No side of a picture is longer than 4096 pixels.
     let (width, height) = (image.width() as u16, image.height() as u16);
@@ -364,7 +365,7 @@ mod tests {
         let drawing = Drawing::new(live);
         let mut asked: Vec<_> =
             (64..84).map(|width| drawing.ask("a", Wanted::Picture(look(width)))).collect();
-        // Another page, and a depth of the same one, take nobody's place.
+        // Another page's request, and a depth request of the same page, replace no other.
         let other = drawing.ask("b", Wanted::Picture(look(30)));
         let depth = drawing.ask("a", Wanted::Depth(look(9).camera));
         let newest = asked.pop().expect("the last one");
@@ -386,7 +387,7 @@ mod tests {
         let still = look(100);
         let moving = Look { moving: true, ..still };
         let both = Look { left: Some((Mode::Depth, 0.5)), ..moving };
-        // Of 4800 pixels; how long all of them take, as a share of the time of a moving picture.
+        // For 4800 pixels: the time for all of them as a share of the time of a moving picture.
         let pace = |share: f64| {
             let one = Some(share * MOVING.as_secs_f64() / 4800.0);
             Pace { per_pixel: [one, one] }
@@ -395,11 +396,11 @@ mod tests {
             assert_eq!(pace(share).divisor(&moving, false), alone, "{share}");
             assert_eq!(pace(share).divisor(&both, false), halves, "{share}");
         }
-        // A still one is whole, and beside a training has more time than a moving one.
+        // A still picture has full size; during a training it has more time than a moving one.
         assert_eq!(pace(100.0).divisor(&still, false), 1);
         assert_eq!(pace(4.9).divisor(&still, true), 1);
         assert_eq!(pace(5.1).divisor(&still, true), 2);
-        // As long as nobody knows the pace, half: but never of a still one alone.
+        // While the pace is unknown, a picture has half the size, except a still one without a training.
         assert_eq!(Pace::default().divisor(&moving, false), 2);
         assert_eq!(Pace::default().divisor(&still, false), 1);
     }

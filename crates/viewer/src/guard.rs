@@ -1,12 +1,12 @@
-//! Who is answered: this machine's own page that knows the token.
+//! Access control: only this machine's own page that knows the token gets an answer.
 //!
-//! A page of another site may send requests to any address, this one too. It cannot choose the
-//! `Origin` that its browser puts under them, nor read the token; and a name of its own that leads
-//! here (DNS rebinding) stands in `Host`.
+//! A page of another site can send requests to any address, including this one. It cannot change the `Origin`
+//! that its browser adds, and cannot read the token. If it uses a name of its own that resolves to this
+//! machine (DNS rebinding), that name appears in `Host`.
 
 use crate::http::{Request, Response};
 
-/// What the printed address ends with.
+/// The secret at the end of the printed address.
 #[derive(Clone, Debug)]
 pub(crate) struct Token(String);
 
@@ -22,14 +22,14 @@ impl Token {
         &self.0
     }
 
-    /// Compares in a time that does not depend on where the first difference is.
+    /// Compares in a time that does not depend on the position of the first difference.
     fn is(&self, given: &str) -> bool {
         let (own, given) = (self.0.as_bytes(), given.as_bytes());
         own.len() == given.len() && own.iter().zip(given).fold(0, |apart, (a, b)| apart | (a ^ b)) == 0
     }
 }
 
-/// Whether a `Host` names this machine as such. The port may be another one: that of a tunnel.
+/// True if a `Host` names this machine's loopback. The port may differ, as behind a tunnel.
 fn is_loopback(host: &str) -> bool {
     let name = match host.strip_prefix('[') {
         Some(rest) => rest.split(']').next().unwrap_or_default(),
@@ -38,8 +38,8 @@ fn is_loopback(host: &str) -> bool {
     ["127.0.0.1", "localhost", "::1"].iter().any(|own| name.eq_ignore_ascii_case(own))
 }
 
-/// The refusal of a request, if it gets one. The page itself holds nothing and is there for everybody on this
-/// machine; all else is asked for by `POST` with origin and token.
+/// The refusal of a request; `None` if it is allowed. The page itself contains no secret and is open to
+/// everyone on this machine; all other requests need `POST` with origin and token.
 pub(crate) fn refusal(request: &Request, token: &Token) -> Option<Response> {
     let forbidden = |what: &str| Some(Response::text(403, what));
     let Some(host) = request.host.as_deref().filter(|host| is_loopback(host)) else {

@@ -1,8 +1,8 @@
-//! HTTP/1.1 as far as a page on the same machine needs it: requests with short heads and short
-//! bodies, answers with a known length.
+//! The part of HTTP/1.1 that a page on the same machine needs: requests with short heads and short bodies,
+//! and answers with a known length.
 //!
-//! Heads are read by `httparse`. Everything is bounded: a head, a body, the number of fields, and
-//! the time that a request may take.
+//! Heads are parsed by `httparse`. Everything is bounded: the length of a head and of a body, the number of
+//! fields, and the time that a request may take.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Shutdown, TcpStream};
@@ -14,9 +14,9 @@ const HEAD: usize = 8 << 10;
 const FIELDS: usize = 64;
 /// Most bytes of a request's body.
 pub(crate) const BODY: usize = 64 << 10;
-/// Longest that a request may take to arrive once it has begun, and an answer to be taken.
+/// Longest time for receiving a request after its first byte, and for sending an answer.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// Longest that an open connection waits for its next request.
+/// Longest time that an open connection waits for its next request.
 const IDLE: Duration = Duration::from_secs(30);
 
 /// A request.
@@ -30,16 +30,16 @@ pub(crate) struct Request {
     pub(crate) origin: Option<String>,
     pub(crate) authorization: Option<String>,
     pub(crate) body: Vec<u8>,
-    /// Whether the connection stays open afterwards.
+    /// True if the connection stays open afterwards.
     pub(crate) stays: bool,
 }
 
-/// Why there is no request.
+/// The reason why there is no request.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum NoRequest {
-    /// The other side has gone, or kept silent for too long.
+    /// The other side closed the connection, or was silent for too long.
     Gone,
-    /// Not what is expected: a status and a reason.
+    /// The request is refused: a status and a reason.
     Refused(u16, &'static str),
 }
 
@@ -48,7 +48,7 @@ pub(crate) enum NoRequest {
 pub(crate) struct Response {
     pub(crate) status: u16,
     pub(crate) kind: &'static str,
-    /// Further fields.
+    /// Further header fields.
     pub(crate) fields: Vec<(&'static str, String)>,
     pub(crate) body: Vec<u8>,
 }
@@ -67,11 +67,11 @@ impl Response {
     }
 }
 
-/// The bytes that a connection has sent and nobody has looked at yet.
+/// The bytes of a connection that were received but not yet parsed.
 #[derive(Debug, Default)]
 pub(crate) struct Pending(Vec<u8>);
 
-/// Where a head ends and what it says.
+/// The end of a head, its request, and the length of the body.
 fn head(bytes: &[u8]) -> Result<Option<(usize, Request, usize)>, NoRequest> {
     let mut fields = [httparse::EMPTY_HEADER; FIELDS];
     let mut parsed = httparse::Request::new(&mut fields);
@@ -114,7 +114,7 @@ fn head(bytes: &[u8]) -> Result<Option<(usize, Request, usize)>, NoRequest> {
     Ok(Some((end, request, length)))
 }
 
-/// The next request of a connection.
+/// Reads the next request of a connection.
 pub(crate) fn read(stream: &mut TcpStream, pending: &mut Pending) -> Result<Request, NoRequest> {
     let mut begun = (!pending.0.is_empty()).then(Instant::now);
     let mut more = |bytes: &mut Vec<u8>| -> Result<(), NoRequest> {
@@ -168,7 +168,7 @@ fn reason(status: u16) -> &'static str {
     }
 }
 
-/// Sends an answer; nothing of it is kept by anybody, guessed at, or shown inside another page.
+/// Sends an answer. It may not be cached, type-guessed, or shown inside another page.
 pub(crate) fn write(stream: &mut TcpStream, response: &Response, stays: bool) -> std::io::Result<()> {
     stream.set_write_timeout(Some(PATIENCE))?;
     let mut head = format!(
@@ -189,10 +189,10 @@ pub(crate) fn write(stream: &mut TcpStream, response: &Response, stays: bool) ->
     stream.flush()
 }
 
-/// Sends the last answer of a connection whose requests are not read to their end.
+/// Sends the last answer on a connection whose requests are not read to the end.
 ///
-/// What was sent and not read would make the system drop the answer with the connection, so it is
-/// read and forgotten, for a while.
+/// Unread data would make the system drop the answer together with the connection. So the data is read and
+/// discarded for a limited time.
 pub(crate) fn refuse(stream: &mut TcpStream, response: &Response) {
     if write(stream, response, false).is_err() || stream.shutdown(Shutdown::Write).is_err() {
         return;

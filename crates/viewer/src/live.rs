@@ -1,8 +1,8 @@
-//! What is shown now, and what is asked of who makes it.
+//! The scene that is shown now, and the commands for the training.
 //!
-//! The one place that both sides touch. A training puts figures and copies of its scene in and asks whether
-//! to wait; the page's requests take them out and leave commands. Whatever stands here is copied or shared
-//! for reading: no training waits for a picture.
+//! This is the only state that both sides share. A training stores figures and copies of its scene, and
+//! checks if it must wait. The page's requests read them and leave commands. All data is copied or shared for
+//! reading: no training waits for a picture.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -14,35 +14,35 @@ use use3d_web::{Page, PageData, PageView, SavedViews, WebError};
 
 use crate::curve::Curve;
 
-/// Least time between two copies of a scene that is trained.
+/// Shortest time between two copies of a scene that is trained.
 const APART: Duration = Duration::from_secs(2);
-/// A copy may take this share of the time until the next one.
+/// Copying may take this share of the time until the next copy.
 const COPYING: f64 = 0.01;
-/// A page that asked nothing for so long has gone.
+/// A page that sent no request for this long counts as closed.
 const LOOKING: Duration = Duration::from_secs(10);
-/// The share of the machine's cores that drawing takes beside a training, unless somebody asks for more.
+/// The default share of the machine's cores for drawing during a training.
 const SHARE: f64 = 0.03;
-/// The most that can be asked for.
+/// The largest share that can be set.
 const MOST_SHARE: f64 = 0.5;
-/// How often one who waits looks whether to stop.
+/// Interval at which a waiting thread checks if it must stop.
 const WAIT: Duration = Duration::from_millis(100);
 
-/// A scene as it is shown.
+/// A scene with the data that is shown with it.
 #[derive(Clone, Debug)]
 pub struct Shown {
     /// Its name.
     pub name: String,
     /// The scene.
     pub scene: Arc<Scene>,
-    /// The places that one can fly to.
+    /// The views that a visitor can move to.
     pub views: Arc<Vec<PageView>>,
     /// Metres per unit of the COLMAP model, if that is known.
     pub metres_per_unit: Option<f64>,
-    /// What somebody saved from an earlier page.
+    /// The views saved from an earlier page.
     pub saved: Option<Arc<SavedViews>>,
     /// The white balance that the page opens with.
     pub white: Option<Arc<White>>,
-    /// Steps of training behind it; none of a scene that is not trained here.
+    /// Number of training steps so far; `None` for a scene that is not trained here.
     pub step: Option<u64>,
 }
 
@@ -61,12 +61,12 @@ impl Shown {
 
 #[derive(Debug, Default)]
 struct State {
-    /// What is waited for, or how it ended.
+    /// The thing that is waited for, or the result at the end.
     words: String,
-    /// Whether a training is under way.
+    /// True while a training runs.
     training: bool,
     ended: bool,
-    /// Which stage of which scene.
+    /// The stage and its scene.
     label: String,
     step: u64,
     steps: u64,
@@ -75,13 +75,13 @@ struct State {
     psnr: Curve,
     held_out: Curve,
     shown: Option<Shown>,
-    /// What the page must know of the scene, apart from its pictures.
+    /// The page's data about the scene, without its pictures.
     header: Value,
-    /// Handed over to be drawn in the browser.
+    /// The data sent to the browser, if it draws the scene.
     data: Option<Arc<PageData>>,
-    /// Another scene, other views.
+    /// Changes with another scene or other views.
     generation: u64,
-    /// Another state of the scene.
+    /// Changes with every new state of the scene.
     version: u64,
     paused: bool,
     share: f64,
@@ -91,8 +91,8 @@ struct State {
 }
 
 impl State {
-    /// Whether this is another state of the scene that is shown: it can take its
-    /// place under the visitor's eyes.
+    /// True if `shown` is another state of the scene that is shown now, so that it can replace it without
+    /// reloading the page.
     fn continues(&self, shown: &Shown) -> bool {
         self.data.is_none()
             && self.shown.as_ref().is_some_and(|old| {
@@ -104,20 +104,20 @@ impl State {
     }
 }
 
-/// What is shown, shared by a server and whoever makes the scene.
+/// The scene that is shown, shared by a server and the producer of the scene.
 #[derive(Debug)]
 pub struct Live {
     state: Mutex<State>,
     changed: Condvar,
-    /// Raised by the page's stop button and by whoever else stops the training; none where
-    /// there is nothing to pause or stop.
+    /// Set by the page's stop button or by another reason to stop the training; `None` if nothing can be
+    /// paused or stopped.
     stop: Option<Arc<AtomicBool>>,
     cores: usize,
 }
 
 impl Live {
-    /// Nothing yet. `stop` is the flag that ends the training with a checkpoint; without one the page
-    /// cannot pause or stop anything.
+    /// Starts without a scene. `stop` is the flag that ends the training with a checkpoint; without it the
+    /// page cannot pause or stop anything.
     pub fn new(words: &str, stop: Option<Arc<AtomicBool>>) -> Self {
         let state = State { words: words.into(), share: SHARE, header: Value::Null, ..State::default() };
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
@@ -128,13 +128,13 @@ impl Live {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Says what is waited for, until there is a scene.
+    /// Sets the text that is shown until there is a scene.
     pub fn wait_for(&self, words: &str) {
         self.state().words = words.into();
     }
 
-    /// The numbers of a training step. Those of one stage make a curve; another stage that trains
-    /// at the same time is not shown.
+    /// Stores the numbers of a training step. Those of one stage make a curve; another stage that trains at
+    /// the same time is not shown.
     pub fn figures(&self, label: &str, step: u64, steps: u64, figures: &[(&str, f64)]) {
         let mut state = self.state();
         if state.training && state.label != label {
@@ -151,14 +151,14 @@ impl Live {
             match *name {
                 "loss" => state.loss.add(step, *value),
                 "psnr" => state.psnr.add(step, *value),
-                // Told at every step, measured at few.
+                // The value comes with every step, but is measured only at few.
                 "held-out psnr" if state.held_out.last() != Some(*value) => state.held_out.add(step, *value),
                 _ => {}
             }
         }
     }
 
-    /// A stage is over; another one may train.
+    /// Marks a stage as finished; another one may train.
     pub fn over(&self, label: &str) {
         let mut state = self.state();
         if state.label == label {
@@ -166,15 +166,15 @@ impl Live {
         }
     }
 
-    /// All is over: how.
+    /// Marks the whole run as finished, with a text on the result.
     pub fn end(&self, words: &str) {
         let mut state = self.state();
         (state.words, state.ended, state.training) = (words.into(), true, false);
     }
 
-    /// Waits a moment for the page to learn how it ended, if there is one.
+    /// Waits a moment so that an open page can fetch the result.
     pub fn let_them_know(&self) {
-        // Between two stages a page asks every two seconds.
+        // Between two stages a page sends a request every two seconds.
         const MOMENT: Duration = Duration::from_secs(4);
         let ended = Instant::now();
         let waits = |state: &State| {
@@ -184,14 +184,14 @@ impl Live {
         while waits(&self.state()) {
             std::thread::sleep(WAIT);
         }
-        // The answer is still on its way.
+        // The answer is still being sent.
         if self.state().looked.is_some_and(|at| at >= ended) {
             std::thread::sleep(WAIT);
         }
     }
 
-    /// Whether a copy of the scene that this stage trains is wanted now: somebody looks,
-    /// and the last one is old enough.
+    /// True if a copy of the scene that this stage trains is wanted now: a page is open, and the last copy is
+    /// old enough.
     pub fn wants_copy(&self, label: &str) -> bool {
         let mut state = self.state();
         if !state.training || state.label != label || state.looked.is_none_or(|at| at.elapsed() >= LOOKING) {
@@ -206,13 +206,13 @@ impl Live {
         due
     }
 
-    /// Takes the copy that was asked for.
+    /// Records that the requested copy was taken.
     pub fn copied(&self) {
         let mut state = self.state();
         state.copying = state.copied.map_or(Duration::ZERO, |at| at.elapsed());
     }
 
-    /// Waits for as long as the page has paused the training.
+    /// Waits while the page has paused the training.
     pub fn hold(&self) {
         let Some(stop) = &self.stop else { return };
         let mut state = self.state();
@@ -221,18 +221,18 @@ impl Live {
         }
     }
 
-    /// The step that the stage shown is at.
+    /// The current step of the stage that is shown.
     pub fn step(&self) -> u64 {
         self.state().step
     }
 
-    /// Shows a scene from now on, drawn here.
+    /// Shows a scene from now on, drawn by this program.
     pub fn show(&self, shown: Shown) {
         let mut header = None;
         loop {
             let state = self.state();
-            // What the page was told holds for another state of the same scene, too; somebody
-            // else may have shown another one while a header was made.
+            // The header is also valid for another state of the same scene; another thread may have shown a
+            // different scene while the header was made.
             if header.is_some() || state.continues(&shown) {
                 return self.put(state, shown, header, None);
             }
@@ -241,10 +241,10 @@ impl Live {
         }
     }
 
-    /// Shows a scene that stays as it is, drawn in the browser where that can.
+    /// Shows a scene that does not change, drawn in the browser.
     ///
     /// # Errors
-    /// A scene without Gaussians.
+    /// Fails for a scene without Gaussians.
     pub fn hand_over(&self, shown: Shown) -> Result<(), WebError> {
         let data = use3d_web::data(&shown.page())?;
         let header = data.header.clone();
@@ -268,14 +268,14 @@ impl Live {
         self.changed.notify_all();
     }
 
-    /// The share of the machine's cores that drawing may take beside a training, in `(0, ½]`.
+    /// Sets the share of the machine's cores that drawing may use during a training, in `(0, ½]`.
     pub fn set_share(&self, share: f64) {
         if share.is_finite() {
             self.state().share = share.clamp(0.001, MOST_SHARE);
         }
     }
 
-    /// A command of the page; false for one that is none, or cannot be.
+    /// Executes a command of the page; false if it is unknown or not possible.
     pub(crate) fn command(&self, name: &str, share: Option<f64>) -> bool {
         let Some(stop) = &self.stop else { return false };
         match name {
@@ -295,30 +295,30 @@ impl Live {
         true
     }
 
-    /// Notes that a page asks.
+    /// Records that a page sent a request.
     pub(crate) fn looked(&self) {
         self.state().looked = Some(Instant::now());
     }
 
-    /// What is shown and which state of it that is.
+    /// The scene that is shown, with its version.
     pub(crate) fn shown(&self) -> Option<(Shown, u64)> {
         let state = self.state();
         state.shown.clone().map(|shown| (shown, state.version))
     }
 
-    /// Which state of the scene is shown.
+    /// The version of the scene that is shown.
     pub(crate) fn version(&self) -> u64 {
         self.state().version
     }
 
-    /// How long to rest after a drawing that took one thread so long; none where nothing trains.
+    /// The time to rest after a drawing that took one thread for `took`; `None` if no training runs.
     pub(crate) fn rest(&self, took: Duration) -> Option<Duration> {
         let state = self.state();
         let beside = state.training && !state.paused;
         beside.then(|| took.mul_f64((1.0 / (state.share * self.cores as f64) - 1.0).max(0.0)))
     }
 
-    /// What the page needs to begin.
+    /// The data with which a page starts.
     pub(crate) fn beginning(&self) -> Value {
         let state = self.state();
         if state.shown.is_none() {
@@ -327,13 +327,13 @@ impl Live {
         json!({ "generation": state.generation, "header": state.header, "drawn": if state.data.is_some() { "browser" } else { "server" } })
     }
 
-    /// A part of a scene that was handed over.
+    /// A section of a scene that the browser draws.
     pub(crate) fn section(&self, name: &str) -> Option<Vec<u8>> {
         let data = self.state().data.clone()?;
         data.sections.iter().find(|(section, _)| *section == name).map(|(_, bytes)| bytes.clone())
     }
 
-    /// How things stand.
+    /// The status for the page.
     pub(crate) fn status(&self) -> Value {
         let state = self.state();
         let figure =
@@ -376,9 +376,9 @@ mod tests {
         assert!(!live.wants_copy("other"), "another stage is not shown");
         assert!(live.wants_copy("reef"));
         live.copied();
-        // A machine that stood still for longer than the pause between copies says nothing of that pause.
+        // On a machine that stalled for longer than the minimum time between copies, this proves nothing.
         assert!(!live.wants_copy("reef") || start.elapsed() >= APART, "just taken");
-        // Who pauses sees the step that it stands at.
+        // After a pause, the page gets the step at which the training waits.
         assert!(live.command("pause", None) && live.wants_copy("reef"));
         assert_eq!(live.rest(Duration::from_millis(10)), None, "nothing to be slowed while it is paused");
     }

@@ -1,4 +1,4 @@
-//! Sockets and threads: one that accepts, one per open connection, one that draws.
+//! Sockets and threads: one thread accepts connections, one per connection answers, one draws.
 
 use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
@@ -11,14 +11,14 @@ use crate::http::{self, NoRequest, Pending, Response};
 use crate::live::Live;
 use crate::site::Site;
 
-/// Most connections at a time: a browser holds up to six per page. As many again are told that they are too
-/// many; further ones are closed without a word.
+/// Largest number of connections that are served at a time: a browser opens up to six per page. As many
+/// further ones get an answer that there are too many; more than these are closed without an answer.
 const CONNECTIONS: usize = 56;
 
 /// A server that cannot be started.
 #[derive(Debug, thiserror::Error)]
 pub enum ServerError {
-    /// The port is somebody else's.
+    /// Another program uses the port.
     #[error(
         "port {0} is taken on this machine; choose another with --port N, or leave --port out and a free one is taken"
     )]
@@ -26,12 +26,12 @@ pub enum ServerError {
     /// The system refuses to listen.
     #[error("cannot listen on port {port} of this machine: {source}; choose another with --port N")]
     Listen {
-        /// Which port.
+        /// The port.
         port: u16,
-        /// Why.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// No thread, or no random numbers.
+    /// No thread or no random numbers are available.
     #[error("the viewer cannot be started: {0}")]
     Start(String),
 }
@@ -55,10 +55,10 @@ impl std::fmt::Debug for Ender {
 }
 
 impl Server {
-    /// Starts serving what `live` shows, on `port`; on the first free one without.
+    /// Starts serving the scene of `live` on `port`, or on the first free port if none is given.
     ///
     /// # Errors
-    /// [`ServerError`].
+    /// Returns [`ServerError`] if the server cannot start.
     pub fn start(port: Option<u16>, live: &Arc<Live>) -> Result<Self, ServerError> {
         let asked = port.unwrap_or(0);
         let listener =
@@ -86,7 +86,7 @@ impl Server {
         Ok(Self { address, token, closing, drawing: Ender(drawing) })
     }
 
-    /// What to open in a browser, token and all.
+    /// The address to open in a browser, with the token.
     pub fn address(&self) -> String {
         format!("http://127.0.0.1:{}/#{}", self.port(), self.token.text())
     }
@@ -101,7 +101,7 @@ impl Drop for Server {
     fn drop(&mut self) {
         self.closing.store(true, Ordering::Relaxed);
         self.drawing.0.close();
-        // Wakes the thread that accepts; should it fail, the thread ends with the next visitor.
+        // Wakes the thread that accepts. If this fails, the thread ends with the next connection.
         let _ = TcpStream::connect(self.address);
     }
 }

@@ -1,5 +1,5 @@
-//! What can be asked for: the page, its scene, pictures, how things stand, and commands. All
-//! but the page is JSON by `POST`.
+//! The answers to requests: the page, its scene, pictures, the status, and commands. All but the page are
+//! JSON by `POST`.
 
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;
@@ -16,11 +16,11 @@ use crate::drawing::{Drawing, Drawn, Look, Wanted};
 use crate::http::{Request, Response};
 use crate::live::Live;
 
-/// Longest side of a picture.
+/// Longest side of a picture, pixels.
 const SIDE: usize = 4096;
 /// Most pixels of a picture: those of a 4K screen.
 const PIXELS: usize = 3840 * 2160;
-/// Longest that a request waits for its drawing.
+/// Longest time that a request waits for its drawing.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 pub(crate) struct Site {
@@ -29,7 +29,7 @@ pub(crate) struct Site {
     page: use3d_web::Served,
 }
 
-/// A camera in the page's words: pixels, and rows right, down, forward.
+/// A camera as the page sends it: pixels, and rows right, down, forward.
 #[derive(Debug, Deserialize)]
 struct CameraWords {
     eye: [f64; 3],
@@ -127,7 +127,7 @@ impl Site {
         Self { live, drawing, page: use3d_web::served() }
     }
 
-    /// The answer to a request that may be answered.
+    /// The answer to a request that passed the guard.
     pub(crate) fn answer(&self, request: &Request) -> Response {
         if request.method == "GET" {
             let mut page = Response::new(200, "text/html; charset=utf-8", self.page.html.clone());
@@ -190,7 +190,7 @@ impl Site {
     }
 }
 
-/// What a request's body says.
+/// Parses a request's body.
 fn words<T: serde::de::DeserializeOwned>(request: &Request) -> Result<T, String> {
     serde_json::from_slice(&request.body).map_err(|e| format!("the request cannot be read: {e}"))
 }

@@ -1,4 +1,4 @@
-//! Who is answered and what with: requests as a browser, a foreign page and a broken program would send them.
+//! The server's answers to requests as a browser, a foreign page and a broken program would send them.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -37,10 +37,10 @@ fn shown() -> Shown {
     }
 }
 
-/// Sends bytes and reads all that comes back: status, head, body.
+/// Sends bytes and reads the whole answer: status, head, body.
 fn send(port: u16, bytes: &[u8]) -> (u16, String, Vec<u8>) {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
-    // A server that has refused reads no more.
+    // After a refusal the server reads no more.
     let _ = stream.write_all(bytes);
     let mut answer = Vec::new();
     stream.read_to_end(&mut answer).unwrap();
@@ -104,7 +104,7 @@ fn only_this_machine_s_own_page_with_the_token_is_answered() {
     ] {
         assert_eq!(state(&own, Some(&origin), wrong), 403, "{wrong:?}");
     }
-    // The page itself holds nothing, may not be framed, and reaches nobody but its server.
+    // The page itself contains no secret, may not be framed, and can connect only to its own server.
     let (status, head, page) =
         send(port, format!("GET / HTTP/1.1\r\nHost: {own}\r\nConnection: close\r\n\r\n").as_bytes());
     assert!(
@@ -225,7 +225,7 @@ fn a_page_that_asks_a_hundred_times_gets_its_newest_and_many_pages_share() {
                             .collect();
                         asked.into_iter().map(|a| a.join().unwrap()).collect()
                     });
-                    // Drawn, superseded, or refused for now: never left without an answer.
+                    // Each request is answered: drawn, superseded, or refused for now.
                     assert!(asked.iter().all(|status| [200, 204, 503].contains(status)), "{asked:?}");
                     asked.iter().filter(|status| **status == 200).count()
                 })
@@ -234,7 +234,7 @@ fn a_page_that_asks_a_hundred_times_gets_its_newest_and_many_pages_share() {
         let drawn: usize = pages.into_iter().map(|page| page.join().unwrap()).sum();
         assert!(drawn > 0);
     });
-    // One that sends nothing, and one that reads nothing, hold up nobody.
+    // A client that sends nothing, and one that reads nothing, do not block others.
     let silent = TcpStream::connect(("127.0.0.1", server.port())).unwrap();
     let mut deaf = TcpStream::connect(("127.0.0.1", server.port())).unwrap();
     let host = format!("localhost:{}", server.port());
@@ -290,7 +290,7 @@ fn a_place_is_measured_and_its_gains_reach_the_pictures() {
     let nothing: Value = serde_json::from_slice(&patch(1.0, 1.0, 1.0).2).unwrap();
     assert!(nothing["problem"].as_str().is_some_and(|text| text.contains("no surface")), "{nothing}");
     assert_eq!(patch(32.0, 24.0, 1.5).0, 400);
-    // The balanced picture is another one; gains that make no sense are refused.
+    // The balanced picture differs; gains out of range are refused.
     let of = |red: f64| {
         let mut asked = look(64, "clear");
         let same = json!([1, 1, 1]);

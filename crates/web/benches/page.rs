@@ -1,9 +1,9 @@
-//! What a large scene's page takes:
-//! `cargo bench -p use3d-web --bench page -- [GAUSSIANS]` (600,000 unless told).
+//! Measures a large scene's page: `cargo bench -p use3d-web --bench page -- [GAUSSIANS]` (600,000 by
+//! default).
 //!
-//! Time to make the page and its size; in Chromium, from a local file: until everything is unpacked
-//! and in order, which is what a first picture takes apart from drawing it, and the sort alone (the
-//! median over turns of the camera).
+//! It measures the time to make the page and its size. In Chromium, from a local file, it measures the time
+//! until everything is unpacked and in order (the time to the first picture apart from drawing it), and the
+//! sort alone (the median over turns of the camera).
 
 #![allow(dead_code, reason = "the browser's tests use more of what is shared")]
 
@@ -19,7 +19,7 @@ use scenes::Draws;
 use use3d_scene::Scene;
 use use3d_web::Page;
 
-/// Turns of the camera, each of which sorts anew.
+/// Number of turns of the camera, each of which sorts again.
 const TURNS: usize = 31;
 
 fn main() {
@@ -53,7 +53,7 @@ fn main() {
         written.degree
     );
     let Some(mut browser) = Chromium::start() else { return };
-    // Drawn in software, and only once: small.
+    // Drawn in software, and only once, so the window is small.
     browser.resize(160, 120, false);
     browser.open(&path);
     let ordered = browser.evaluate("performance.getEntriesByName('use3d ordered')[0].startTime");
@@ -67,8 +67,8 @@ fn main() {
     println!("sorted in {:.1} ms", browser.evaluate(&turn).as_f64().unwrap_or(f64::NAN));
 }
 
-/// A scene with water, enhancement and harmonics of every degree, of Gaussians as
-/// small as those of a trained one.
+/// A scene with water, enhancement and harmonics of every degree, of Gaussians as small as those of a trained
+/// one.
 fn scene(count: usize) -> Scene {
     let mut scene = scenes::scene("rbf", 3);
     let mut draw = Draws::new("large scene", 17);

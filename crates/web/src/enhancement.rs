@@ -1,9 +1,9 @@
-//! What a page knows of an enhancement: six numbers per Gaussian, and the field for the water's colour.
+//! The page's data about an enhancement: six numbers per Gaussian, and the field for the water's colour.
 //!
-//! With a Gaussian's local log-gain `a` and bias `b` its enhanced colour at strength `s` is
-//! `e^{s a} ⊙ (c + s (δA c + b_g)) + s b`: the strength is one number that the page may change at any time,
-//! and no field is looked up for it. Water is graded by where the camera is, so the page evaluates the field
-//! for it: sixteen times a frame, which is nothing.
+//! With a Gaussian's local log-gain `a` and bias `b`, its enhanced colour at strength `s` is `e^{s a} ⊙ (c +
+//! s (δA c + b_g)) + s b`. So the strength is one number that the page may change at any time without
+//! evaluating a field. Water is graded at the camera's position, so the page evaluates the field for it:
+//! sixteen times a frame, which costs almost nothing.
 
 use serde_json::{Value, json};
 use use3d_capture::Appearance;
@@ -19,7 +19,7 @@ pub(crate) fn grades(scene: &Scene) -> Option<Vec<[f32; OUTPUTS]>> {
     Some(pass.locals(enhancement.centre))
 }
 
-/// The header's entry.
+/// The enhancement's entry in the header.
 pub(crate) fn entry(scene: &Scene) -> Value {
     let Some(enhancement) = &scene.enhancement else { return Value::Null };
     let field = &enhancement.field;

@@ -1,11 +1,11 @@
-//! Where a scene is: what a visitor wants to have in the picture, without the
-//! few Gaussians that fly far away.
+//! The extent of a scene: the region that a visitor wants to see, without the few Gaussians that are far
+//! away.
 
 use glam::DVec3;
 use use3d_capture::Camera;
 use use3d_splat::Gaussians;
 
-/// Gaussians looked at for a quantile: more would not move it.
+/// Number of Gaussians sampled for a quantile: more would hardly change it.
 const SAMPLE: usize = 20_000;
 
 fn sample(gaussians: &Gaussians) -> impl Iterator<Item = [f32; 3]> + '_ {
@@ -29,7 +29,7 @@ pub(crate) fn bounds(gaussians: &Gaussians) -> [[f64; 3]; 2] {
     [corner(0.05), corner(0.95)]
 }
 
-/// The median depth of the Gaussians that a camera sees, in scene units; `None` where it sees none.
+/// The median depth of the Gaussians that a camera sees, in scene units; `None` if it sees none.
 pub(crate) fn focus(gaussians: &Gaussians, camera: &Camera) -> Option<f64> {
     let (w, h) = (camera.intrinsics.width as f64, camera.intrinsics.height as f64);
     let mut depths: Vec<f64> = sample(gaussians)
@@ -40,12 +40,12 @@ pub(crate) fn focus(gaussians: &Gaussians, camera: &Camera) -> Option<f64> {
     quantile(&mut depths, 0.5)
 }
 
-/// The Gaussians along a space-filling curve, so that neighbours in space are neighbours in the file: it
-/// packs better, and a graphics card finds them in its cache.
+/// The Gaussians in the order of a space-filling curve, so that neighbours in space are neighbours in the
+/// file. Such a file compresses better, and a graphics card uses its cache better.
 pub(crate) fn curve_order(gaussians: &Gaussians) -> Vec<u32> {
     let [low, high] = bounds(gaussians);
     let spread = |v: u32| {
-        // Two zeros between the ten bits of `v`.
+        // Puts two zeros between the ten bits of `v`.
         (0..10).fold(0u32, |sum, bit| sum | (((v >> bit) & 1) << (3 * bit)))
     };
     let code = |m: &[f32; 3]| {

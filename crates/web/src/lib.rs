@@ -1,17 +1,17 @@
-//! A scene in a browser, and in other people's viewers.
+//! A scene as a page for browsers, and as files for other viewers.
 //!
-//! [`page`] makes one HTML file that shows a scene with everything that is in it: the water, the enhancement
-//! at any strength, the places that the photographs were taken from. It works from a disk, without a network,
-//! on any host. Its renderer is our own, in plain JavaScript and GLSL below `page/`; the files there are
-//! joined as they are, nothing is built or fetched.
+//! [`page`] makes one HTML file that shows a scene with all of its content: the water, the enhancement at any
+//! strength, the positions of the photographs. It works from a disk, without a network, on any host. Its
+//! renderer is our own, in plain JavaScript and GLSL below `page/`; these files are joined unchanged, nothing
+//! is built or downloaded.
 //!
-//! The compositor is exact. The program's picture `a (1 − Σw) c_m + Σ w (c A + c_m (1 − E))` with
-//! `A = e^{−β_attn s}`, `E = e^{−β_bs s}` is ordinary alpha blending of the colours `f = c A + c_m (1 − E)`
-//! over open water, so a browser draws it with one blend function. What is left of a difference to the
-//! program's own renderer is that of half-float sums and of 8-bit harmonics.
+//! The compositor is exact. The program's picture `a (1 − Σw) c_m + Σ w (c A + c_m (1 − E))` with `A =
+//! e^{−β_attn s}`, `E = e^{−β_bs s}` is ordinary alpha blending of the colours `f = c A + c_m (1 − E)` over
+//! open water, so a browser draws it with one blend function. The remaining differences to the program's own
+//! renderer come from half-float sums and from 8-bit harmonics.
 //!
-//! Reading order: `scene_file` (numbers → bytes) → `water` and `enhancement` (what the page must know of
-//! both) → `photographs` → [`page`]. [`path`], `saved` and [`foreign`] stand for themselves.
+//! Reading order: `scene_file` (numbers → bytes) → `water` and `enhancement` (the page's data about both) →
+//! `photographs` → [`page`]. [`path`], `saved` and [`foreign`] are independent of these.
 
 mod enhancement;
 pub mod foreign;
@@ -38,12 +38,12 @@ pub enum WebError {
     /// A photograph could not be encoded.
     #[error("photograph `{name}`: {source}")]
     Photograph {
-        /// Which one.
+        /// The name of the photograph.
         name: String,
-        /// Why.
+        /// The encoder's error.
         source: use3d_io_image::JpegError,
     },
-    /// Something could not be written down.
+    /// The data could not be compressed.
     #[error("the page's data could not be packed: {0}")]
     Packing(#[from] std::io::Error),
 }

@@ -1,12 +1,12 @@
-//! The page: HTML, style, shaders and scripts joined with a scene.
+//! The page: HTML, style, shaders and scripts, joined with a scene.
 //!
-//! **One file if it may be.** Files below [`ONE_FILE`] open in every browser from a disk; larger ones do
-//! not everywhere. So harmonics of the highest degree that still fits are kept, down to none; a scene
-//! that is too large even then keeps all of them and gets a folder of scripts beside the page, which
-//! browsers also read from a disk.
+//! **One file if possible.** Files below [`ONE_FILE`] open in every browser from a disk; larger ones do not
+//! everywhere. So the highest degree of harmonics that still fits is kept, down to none. A scene that is too
+//! large even then keeps all harmonics and gets a folder of scripts next to the page, which browsers also
+//! read from a disk.
 //!
-//! **Nothing is fetched, nothing is sent.** The page carries a content policy that forbids both; scripts
-//! and style run by their digests.
+//! **No network access.** The page carries a content policy that forbids fetching and sending; scripts and
+//! style are allowed by their digests.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -17,9 +17,9 @@ use use3d_scene::{Scene, White};
 
 use crate::{Photograph, SavedViews, WebError, enhancement, geometry, scene_file, water};
 
-/// Most bytes of a page that is one file.
+/// Largest number of bytes of a page that is one file.
 pub const ONE_FILE: usize = 32_000_000;
-/// Most bytes of a part beside the page.
+/// Largest number of bytes of a part next to the page.
 const PART: usize = 12_000_000;
 
 /// The page's scripts, in the order in which they are joined.
@@ -68,33 +68,33 @@ const FRAME: &str = include_str!("../page/page.html");
 const STYLE: &str = include_str!("../page/page.css");
 const WORKER: &str = include_str!("../page/script/sort.worker.js");
 
-/// What a page shows.
+/// The contents of a page.
 #[derive(Clone, Debug)]
 pub struct Page<'a> {
     /// Its title: the scene's name.
     pub name: &'a str,
     /// The scene.
     pub scene: &'a Scene,
-    /// The places that one can fly to.
+    /// The views that a visitor can move to.
     pub views: Vec<PageView>,
-    /// Metres per unit of the COLMAP model, if that is known; else those of the saved views.
+    /// Metres per unit of the COLMAP model, if known; otherwise the value of the saved views is used.
     pub metres_per_unit: Option<f64>,
-    /// What somebody saved from an earlier page.
+    /// The views saved from an earlier page.
     pub saved: Option<&'a SavedViews>,
     /// The white balance that it opens with.
     pub white: Option<&'a White>,
 }
 
-/// A photograph's place.
+/// A view of the capture.
 #[derive(Clone, Debug)]
 pub struct PageView {
     /// Its name.
     pub name: String,
-    /// Where it was taken, in the scene's frame.
+    /// The camera, in the scene's frame.
     pub camera: Camera,
-    /// Whether training did not see it.
+    /// True if the view was held out from training.
     pub held_out: bool,
-    /// What it shows.
+    /// The photograph, if the page shows it.
     pub photograph: Option<Photograph>,
 }
 
@@ -103,9 +103,9 @@ pub struct PageView {
 pub struct Written {
     /// The page.
     pub html: String,
-    /// Scripts that belong into the folder beside it, by name; none if it is one file.
+    /// Scripts for the folder next to the page, by name; none if the page is one file.
     pub parts: Vec<(String, String)>,
-    /// The degree to which harmonics were kept.
+    /// The degree up to which harmonics were kept.
     pub degree: usize,
 }
 
@@ -116,35 +116,35 @@ impl Written {
     }
 }
 
-/// A scene's data, for a server that hands it to the page bit by bit.
+/// A scene's data, for a server that sends it to the page section by section.
 #[derive(Clone, Debug)]
 pub struct PageData {
-    /// What the page must know apart from the Gaussians.
+    /// The page's data about the scene apart from the Gaussians.
     pub header: Value,
-    /// The parts that it draws from, by name, each packed by gzip.
+    /// The sections from which the page draws, by name, each compressed by gzip.
     pub sections: Vec<(&'static str, Vec<u8>)>,
 }
 
-/// The page without a scene: it asks the server that it came from for one.
+/// The page without a scene: it requests one from the server that it came from.
 #[derive(Clone, Debug)]
 pub struct Served {
     /// The page.
     pub html: String,
-    /// Its content policy, to be sent along.
+    /// Its content policy, which the server must send with it.
     pub policy: String,
 }
 
-/// What the page must know of a scene whose pictures are drawn elsewhere.
+/// The page's data about a scene whose pictures are drawn elsewhere.
 pub fn header(page: &Page<'_>) -> Value {
     let mut header = entries(page);
     header["sections"] = Value::Array(Vec::new());
     header
 }
 
-/// All that the page draws a scene from, harmonics of every degree.
+/// All data from which the page draws a scene, with harmonics of every degree.
 ///
 /// # Errors
-/// A scene without Gaussians.
+/// Fails for a scene without Gaussians.
 pub fn data(page: &Page<'_>) -> Result<PageData, WebError> {
     let scene = page.scene;
     if scene.gaussians.is_empty() {
@@ -166,22 +166,22 @@ pub fn data(page: &Page<'_>) -> Result<PageData, WebError> {
     Ok(PageData { header, sections: sections.collect::<Result<_, WebError>>()? })
 }
 
-/// The page that asks its server.
+/// The page that requests its scene from the server.
 pub fn served() -> Served {
     let (html, policy) = html("3D-USE", &Value::Null, "", Source::Server);
     Served { html, policy }
 }
 
-/// Makes the page. `folder` is the name of the folder for its parts, should it need one: a
-/// plain name, relative to the page.
+/// Makes the page. `folder` is the name of the folder for its parts, if it needs one: a plain name, relative
+/// to the page.
 ///
 /// # Errors
-/// A scene without Gaussians.
+/// Fails for a scene without Gaussians.
 pub fn write(page: &Page<'_>, folder: &str) -> Result<Written, WebError> {
     write_below(page, folder, ONE_FILE)
 }
 
-/// As [`write`], with another size for what may be one file.
+/// Like [`write`], with another size limit for one file.
 fn write_below(page: &Page<'_>, folder: &str, most: usize) -> Result<Written, WebError> {
     let scene = page.scene;
     if scene.gaussians.is_empty() {
@@ -221,7 +221,7 @@ fn write_below(page: &Page<'_>, folder: &str, most: usize) -> Result<Written, We
     let mut entries = Vec::new();
     let mut embedded = String::new();
     for (name, text) in &sections {
-        // Base64 comes in fours, so every piece stands for whole bytes.
+        // Base64 uses groups of four characters, so every piece stands for whole bytes.
         let pieces: Vec<&str> = if one_file { vec![text] } else { pieces(text, PART) };
         entries.push(json!({ "name": name, "parts": pieces.len() }));
         for piece in pieces {
@@ -245,14 +245,14 @@ fn pieces(text: &str, most: usize) -> Vec<&str> {
     (0..text.len()).step_by(most).map(|at| &text[at..(at + most).min(text.len())]).collect()
 }
 
-/// Tells two programs apart that make different pages of the same scene: a digest of everything in a page
-/// but the scene.
+/// A digest of everything in a page except the scene. It distinguishes two programs that make different pages
+/// of the same scene.
 pub fn digest() -> String {
     let (html, _) = html("", &Value::Null, "", Source::Page);
     Sha256::digest(html.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// What the page must know apart from the Gaussians.
+/// The page's data about the scene apart from the Gaussians.
 fn entries(page: &Page<'_>) -> Value {
     let scene = page.scene;
     let [low, high] = geometry::bounds(&scene.gaussians);
@@ -296,7 +296,7 @@ fn entries(page: &Page<'_>) -> Value {
     })
 }
 
-/// Where a page has its scene from.
+/// The place from which a page gets its scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Source {
     Page,
@@ -310,7 +310,7 @@ fn html(name: &str, header: &Value, parts: &str, source: Source) -> (String, Str
     let script_element = format!("\n(() => {{\n'use strict';\n{script}\n}})();\n");
     let style_element = format!("\n{STYLE}\n");
     let digest = |text: &str| format!("'sha256-{}'", STANDARD.encode(Sha256::digest(text.as_bytes())));
-    // The parts beside a page come from where the page came from, be it a disk or a host.
+    // The parts next to a page come from the same place as the page, a disk or a host.
     let (beside, connect) = match source {
         Source::Page => ("", ""),
         Source::Beside => (" 'self' file:", ""),
@@ -326,7 +326,7 @@ fn html(name: &str, header: &Value, parts: &str, source: Source) -> (String, Str
         .iter()
         .map(|(id, text)| format!("<script type=\"x-shader/glsl\" id=\"{id}\">\n{}\n</script>", text.trim()))
         .collect();
-    // `<` would end the element that the JSON stands in.
+    // `<` would end the element that contains the JSON.
     let header = header.to_string().replace('<', "\\u003c");
     let program = format!("3D-USE {}", env!("CARGO_PKG_VERSION"));
     let fill = [
@@ -343,7 +343,7 @@ fn html(name: &str, header: &Value, parts: &str, source: Source) -> (String, Str
     (filled(FRAME, &fill), policy.clone())
 }
 
-/// `frame` with its marks replaced, each wherever it stands; what is put in is not looked through again.
+/// `frame` with every mark replaced. Marks inside the inserted texts are not replaced.
 fn filled(frame: &str, fill: &[(&str, &str)]) -> String {
     let mut out = String::with_capacity(frame.len() + fill.iter().map(|(_, text)| text.len()).sum::<usize>());
     let mut rest = frame;
@@ -358,12 +358,12 @@ fn filled(frame: &str, fill: &[(&str, &str)]) -> String {
     out + rest
 }
 
-/// Text as it may stand in an element or an attribute.
+/// Text escaped for an element or an attribute.
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// The name of a file or folder as a part of an address.
+/// The name of a file or folder, escaped as a part of a URL.
 pub fn address(name: &str) -> String {
     let plain = |b: u8| b.is_ascii_alphanumeric() || b"-._~".contains(&b);
     name.bytes().map(|b| if plain(b) { char::from(b).to_string() } else { format!("%{b:02X}") }).collect()

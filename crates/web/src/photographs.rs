@@ -1,4 +1,4 @@
-//! Photographs small enough to stand beside a picture: JPEG in a data address.
+//! Photographs small enough to be embedded in a page: JPEG in a data address.
 
 use use3d_capture::Image;
 use use3d_io_image::{jpeg_address, shrunk};
@@ -9,8 +9,8 @@ use crate::WebError;
 const SIDE: usize = 480;
 const QUALITY: u8 = 80;
 
-/// A photograph as it stands in a page: a JPEG of at most 480 pixels along its longer side, scaled
-/// down by whole factors (box means).
+/// A photograph as embedded in a page: a JPEG of at most 480 pixels along its longer side, scaled down by
+/// whole factors (box means).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Photograph {
     /// A `data:` address.
@@ -18,10 +18,10 @@ pub struct Photograph {
 }
 
 impl Photograph {
-    /// Of pixels in the display range; `name` is for the error.
+    /// Makes it from pixels in the display range; `name` is for the error.
     ///
     /// # Errors
-    /// Pixels that JPEG cannot hold.
+    /// Fails for pixels that JPEG cannot store.
     pub fn new(name: &str, photograph: &Image) -> Result<Self, WebError> {
         let address = jpeg_address(&shrunk(photograph, SIDE), QUALITY);
         address

@@ -1,20 +1,20 @@
-//! Views under a name, as the page saves them: places and their looks, which way is up, and how long a unit
-//! is. Put back into a page they are there for everybody who opens it.
+//! Named views that the page saves: positions with their looks, the up direction, and the length of a unit.
+//! If they are put back into a page, every visitor has them.
 
 use serde::{Deserialize, Serialize};
 
 use crate::shot::Shot;
 
 const FORMAT: &str = "3d-use views";
-/// More than anybody picks from a list.
+/// Largest number of views: more than a person picks from a list.
 const MOST: usize = 1000;
 
-/// What a page keeps beside its scene.
+/// The data that a page saves in addition to its scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SavedViews {
     format: String,
     version: u32,
-    /// The direction that is up, in the COLMAP frame; none where nobody levelled the ground.
+    /// The up direction, in the COLMAP frame; none if the ground was not levelled.
     #[serde(default)]
     pub up: Option<[f64; 3]>,
     /// Metres per unit of the COLMAP model, if a length was given.
@@ -24,18 +24,18 @@ pub struct SavedViews {
     pub views: Vec<SavedView>,
 }
 
-/// A view under a name.
+/// A named view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SavedView {
-    /// What it is called.
+    /// Its name.
     pub name: String,
-    /// From where, and what is shown.
+    /// The pose and the look.
     #[serde(flatten)]
     pub shot: Shot,
-    /// The look left of the divider, if two are compared.
+    /// The look on the left of the divider, if two are compared.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub compare: Option<String>,
-    /// Where the divider is, as a share of the width.
+    /// The position of the divider, as a share of the width.
     #[serde(default = "half")]
     pub at: f64,
 }
@@ -48,7 +48,7 @@ impl SavedViews {
     /// Reads the text of a file of views.
     ///
     /// # Errors
-    /// In words: what is wrong with which view.
+    /// Returns a message that names the view and its problem.
     pub fn read(text: &str) -> Result<Self, String> {
         let saved: Self = serde_json::from_str(text).map_err(|e| format!("it is no file of views: {e}"))?;
         if saved.format != FORMAT {

@@ -1,15 +1,15 @@
-//! A scene as the page's textures: 48 bytes of geometry and up to 47 of harmonics per Gaussian.
+//! The page's textures of a scene: 48 bytes of geometry and up to 47 of harmonics per Gaussian.
 //!
 //! ```text
 //! geometry   centre 3 × f32 · grade (last bias) f16 · 0 u16
 //!            quaternion wxyz 4 × i16, unit · log σ 3 × u16 in [−18, 6] · opacity u16 in [0, 1]
 //!            harmonics of degree 0, RGB f16 · log-gain RGB f16 · bias RG f16
-//! harmonics  (bands − 1) × RGB signed bytes · their largest magnitude f16, which the byte 127 stands for
+//! harmonics  (bands − 1) × RGB signed bytes · their largest magnitude f16, the value of the byte 127
 //! ```
 //!
-//! Little-endian throughout. A record's first bytes of all Gaussians come first, then all second
-//! ones: planes of like bytes pack better. Sections are packed by gzip one by one, since
-//! browsers unpack that by themselves.
+//! All values are little-endian. The first bytes of all records come first, then all second bytes, and so on:
+//! such planes of similar bytes compress better. Each section is compressed by gzip, which browsers can
+//! decompress themselves.
 
 use std::io::Write;
 
@@ -65,13 +65,13 @@ pub(crate) fn geometry(scene: &Scene, grades: Option<&[[f32; OUTPUTS]]>, order: 
     })
 }
 
-/// The harmonics of degree 1 to `degree`, which is not 0.
+/// The harmonics of degree 1 to `degree`, which is at least 1.
 pub(crate) fn harmonics(scene: &Scene, degree: usize, order: &[u32]) -> Vec<u8> {
     let stored = harmonic_bytes(degree);
     planes(order, stored, |i, out| {
         let coefficients = scene.gaussians.sh[i][1..bands(degree)].as_flattened();
         let largest = coefficients.iter().fold(0.0f32, |m, v| m.max(v.abs()));
-        // Rounded up to what a half float holds, so that no byte overflows.
+        // The scale is rounded up to the next half float, so that no byte overflows.
         let mut scale = f16::from_f32(largest.min(60000.0));
         if scale.to_f32() < largest {
             scale = f16::from_bits(scale.to_bits() + 1);
@@ -84,7 +84,7 @@ pub(crate) fn harmonics(scene: &Scene, degree: usize, order: &[u32]) -> Vec<u8> 
     })
 }
 
-/// Records of `stride` bytes as planes.
+/// Rearranges records of `stride` bytes as planes.
 fn planes(order: &[u32], stride: usize, fill: impl Fn(usize, &mut [u8]) + Sync) -> Vec<u8> {
     let mut records = vec![0u8; order.len() * stride];
     records.par_chunks_mut(CHUNK * stride).zip(order.par_chunks(CHUNK)).for_each(|(records, order)| {
@@ -101,7 +101,7 @@ fn planes(order: &[u32], stride: usize, fill: impl Fn(usize, &mut [u8]) + Sync) 
     out
 }
 
-/// A section packed by gzip.
+/// A section compressed by gzip.
 pub(crate) fn packed(bytes: &[u8]) -> std::io::Result<Vec<u8>> {
     let mut encoder = GzEncoder::new(Vec::with_capacity(bytes.len() / 2), Compression::new(5));
     encoder.write_all(bytes)?;

@@ -1,30 +1,29 @@
-//! A place and how the scene looks from it, as the page writes it into its files. Poses are in the COLMAP
-//! frame, so that a file outlives the scene that it was made in.
+//! A camera position and a look, as the page writes them into its files. Poses are in the COLMAP frame, so
+//! that a file can be used with other scenes of the same model.
 
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use use3d_capture::Pose;
 
-/// A place and a look.
+/// A camera position and a look.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Shot {
-    /// Where the camera is, in the COLMAP frame.
+    /// The position of the camera, in the COLMAP frame.
     pub center: [f64; 3],
     /// World to camera, rows right, down, forward.
     pub rotation: [[f64; 3]; 3],
-    /// Of the picture's height, degrees.
+    /// The field of view of the picture's height, degrees.
     pub vertical_fov_degrees: f64,
-    /// How far in front of the camera the point of interest lies, around which one
-    /// orbits; units of the COLMAP model.
+    /// Distance from the camera to the point of interest, the centre of orbiting; units of the COLMAP model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focus: Option<f64>,
-    /// What is shown, in the words of `use3d render --modes`.
+    /// The mode, one of the names of `use3d render --modes`.
     #[serde(default = "reconstruction")]
     pub mode: String,
-    /// How much of the enhancement, in `[0, 1]`.
+    /// The strength of the enhancement, in `[0, 1]`.
     #[serde(default = "one")]
     pub strength: f32,
-    /// How much of the water, in `[0, 1]`.
+    /// The share of the water, in `[0, 1]`.
     #[serde(default = "one")]
     pub water: f32,
 }
@@ -38,7 +37,7 @@ fn reconstruction() -> String {
 }
 
 impl Shot {
-    /// The reconstruction, all of its water and enhancement.
+    /// The reconstruction with all of its water and enhancement.
     pub(crate) fn plain(center: DVec3, rotation: [[f64; 3]; 3], vertical_fov_degrees: f64) -> Self {
         let (center, mode) = (center.to_array(), reconstruction());
         Self { center, rotation, vertical_fov_degrees, focus: None, mode, strength: 1.0, water: 1.0 }
@@ -51,7 +50,7 @@ impl Shot {
         Pose::from_center(rotation, DVec3::from_array(self.center))
     }
 
-    /// What is wrong with it, in words.
+    /// Returns a message if a value is invalid.
     pub(crate) fn check(&self) -> Result<(), String> {
         let fov = self.vertical_fov_degrees;
         if !(fov > 0.0 && fov < 180.0) {

@@ -1,8 +1,8 @@
-//! What a page knows of the water: coefficients of its harmonics, or, for any other water, a
-//! cube of directions filled here.
+//! The page's data about the water: coefficients of its harmonics or, for any other water, a cube map of
+//! directions that is computed here.
 //!
-//! The network is smooth, so faces of [`SIDE`] pixels, read with linear interpolation, follow it to about
-//! the half floats they are kept in.
+//! The network is smooth, so faces of [`SIDE`] pixels, read with linear interpolation, reproduce it to about
+//! the precision of the stored half floats.
 
 use glam::{DMat3, DVec3};
 use half::f16;
@@ -18,7 +18,7 @@ fn flat(coefficients: &Coefficients) -> &[f32] {
     coefficients.as_flattened().as_flattened()
 }
 
-/// The header's entry.
+/// The water's entry in the header.
 pub(crate) fn entry(scene: &Scene) -> Value {
     let kind = scene.medium.kind().name();
     let degree = scene.medium_degree.min(3);
@@ -42,8 +42,8 @@ pub(crate) fn entry(scene: &Scene) -> Value {
     }
 }
 
-/// The faces of a cube map as OpenGL has them: a pixel `(s, t)` in `[−1, 1]²`, rows from the
-/// first, looks along `x s + y t + z`.
+/// The faces of a cube map in OpenGL's convention: a pixel `(s, t)` in `[−1, 1]²`, with rows from the first
+/// on, is in the direction `x s + y t + z`.
 const FACES: [[[f64; 3]; 3]; 6] = [
     [[0.0, 0.0, -1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]],
     [[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]],
@@ -53,8 +53,8 @@ const FACES: [[[f64; 3]; 3]; 6] = [
     [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]],
 ];
 
-/// The baked cube of water that is no harmonics: colour, backscatter, attenuation, each six faces of RGBA
-/// half floats. `None` for other waters.
+/// The baked cube map of water that is not made of harmonics: colour, backscatter, attenuation, each six
+/// faces of RGBA half floats. `None` for other waters.
 pub(crate) fn cube(scene: &Scene) -> Option<Vec<u8>> {
     if scene.medium.is_none() || scene.medium.harmonics().is_some() {
         return None;
@@ -65,7 +65,8 @@ pub(crate) fn cube(scene: &Scene) -> Option<Vec<u8>> {
     let faces: Vec<MediumMaps> = FACES
         .iter()
         .map(|axes| {
-            // Camera axes as columns. A cube map is left-handed, which a map of directions does not mind.
+            // Camera axes as columns. A cube map is left-handed, which does not matter for a map of
+            // directions.
             let [x, y, z] = axes.map(DVec3::from_array);
             let pose = Pose { rotation: DMat3::from_cols(x, y, z).transpose(), translation: DVec3::ZERO };
             let mut maps = MediumMaps::zeros(0, 0);

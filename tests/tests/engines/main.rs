@@ -1,6 +1,6 @@
-//! A second engine for each stage, outside the crates of the loops: what another device's engine has to do,
-//! done through public items alone. Both take steps on request and do them later, several at once, as a
-//! device does; both trade whole states.
+//! A second engine for each stage, outside the crates of the training loops. It does what the engine of
+//! another device must do, through public items only. Both engines accept steps on request and do them later,
+//! several at once, like a device; both load and return whole states.
 
 mod stage1;
 mod stage2;
@@ -11,15 +11,15 @@ use std::path::Path;
 use use3d_scene::Scene;
 use use3d_training::{EngineError, Observer, Progress};
 
-/// Steps that may be under way before one is done.
+/// Number of steps that may be in progress before one is done.
 const UNDER_WAY: usize = 3;
 
-/// A device that vanished.
+/// A device that is lost.
 fn lost() -> EngineError {
     EngineError::DeviceLost { engine: "late", reason: "it was unplugged".into() }
 }
 
-/// Stops after some steps, and keeps what it was told.
+/// Stops after some steps, and stores the messages that it receives.
 struct Watcher {
     stop_at: u64,
     step: u64,

@@ -20,16 +20,16 @@ use use3d_training::{Drain, EngineError, Observer, Silent};
 
 use crate::{UNDER_WAY, Watcher, bytes, lost};
 
-/// Does steps when it must, reports them late, and has a state of its own between rebuilds.
+/// An engine that delays its steps, reports them late, and has a state of its own between rebuilds.
 struct Late {
     inner: CpuEngine,
-    /// Bytes of stored pixels.
+    /// Number of bytes of stored pixels.
     pixels: usize,
     asked: VecDeque<(usize, StepPlan)>,
     reports: Vec<StepReport>,
-    /// Steps until the device is lost.
+    /// Number of steps until the device is lost.
     left: u64,
-    /// The most steps that were under way.
+    /// Largest number of steps that were in progress.
     most: usize,
 }
 
@@ -39,7 +39,7 @@ impl Late {
         Self { inner: CpuEngine::new(), pixels: 0, asked, reports, left, most: 0 }
     }
 
-    /// Does the steps that were asked for until `keep` are left.
+    /// Does the requested steps until `keep` are left.
     fn work(&mut self, keep: usize) -> Result<(), EngineError> {
         while self.asked.len() > keep
             && let Some((view, plan)) = self.asked.pop_front()
@@ -56,7 +56,7 @@ impl Diagnostics for Late {}
 
 impl Engine for Late {
     fn upload(&mut self, view: TrainingView) -> Result<usize, EngineError> {
-        // What a device would copy: pixels as they are stored, masks and priors beside them.
+        // The data that a device would copy: pixels as they are stored, with masks and priors.
         let values = match view.pixels() {
             Pixels::Eight(raster) => raster.data().len(),
             Pixels::Sixteen(raster) => 2 * raster.data().len(),
@@ -117,7 +117,7 @@ impl Engine for Late {
         moments.second = of(&state.moments.second, &moments.second);
         state.statistics = Statistics::new(gaussians.len());
         (state.gaussians, state.moments) = (gaussians, moments);
-        // Reports of the steps before outlive it.
+        // Reports of earlier steps are kept.
         self.inner.load(state)
     }
 
@@ -137,7 +137,7 @@ impl Engine for Late {
     }
 }
 
-/// Views of random colours over random points: nothing to see, everything to compute.
+/// Views of random colours over random points: the pictures have no meaning, but everything is computed.
 pub(crate) fn capture() -> (Capture, Vec<LoadedView>) {
     let (width, height) = (56, 44);
     let stream = Stream::new(5, Purpose::new("a capture for two engines"), 0);
@@ -227,7 +227,7 @@ fn another_engine_trains_the_same_bytes() {
     let mut late = Late::new(u64::MAX);
     same(&cpu, &run(&mut late, None, &mut Silent).unwrap());
     assert_eq!((late.most, late.pixels), (UNDER_WAY + 1, 5 * 56 * 44 * (3 + 2)));
-    // An engine that is in use already would mix up its views.
+    // An engine that is already in use would mix up its views.
     let again = run(&mut late, None, &mut Silent).unwrap_err();
     assert!(again.to_string().contains("in use already"), "{again}");
 }
@@ -238,7 +238,7 @@ fn a_run_goes_on_with_another_engine_where_one_was_stopped_or_lost() {
     let dir = tempfile::tempdir().unwrap();
     let stopped = run(&mut CpuEngine::new(), Some(dir.path()), &mut Watcher::new(13)).unwrap_err();
     assert!(matches!(stopped, ReconstructError::Interrupted { step: 13, saved: true, .. }), "{stopped}");
-    // Ten steps after that a checkpoint is written; the device is lost between that one and the next.
+    // Ten steps later a checkpoint is written; the device is lost between that checkpoint and the next.
     let mut told = Watcher::new(u64::MAX);
     let error = run(&mut Late::new(15), Some(dir.path()), &mut told).unwrap_err();
     assert!(matches!(error, ReconstructError::Engine(EngineError::DeviceLost { .. })), "{error}");

@@ -20,17 +20,17 @@ use use3d_ubaf::OUTPUTS;
 
 use crate::{UNDER_WAY, Watcher, bytes, lost, stage1};
 
-/// Does steps when it must and reports them late.
+/// An engine that delays its steps as long as possible and reports them late.
 struct Late<'a> {
     inner: CpuFieldEngine<'a>,
     asked: VecDeque<(usize, FieldPlan)>,
     reports: Vec<FieldReport>,
-    /// Steps until the device is lost.
+    /// Number of steps until the device is lost.
     left: u64,
 }
 
 impl Late<'_> {
-    /// Does the steps that were asked for until `keep` are left.
+    /// Does the requested steps until `keep` are left.
     fn work(&mut self, keep: usize) -> Result<(), EngineError> {
         while self.asked.len() > keep
             && let Some((view, plan)) = self.asked.pop_front()
@@ -84,7 +84,7 @@ impl FieldEngine for Late<'_> {
     }
 }
 
-/// A trained scene, its training views, and targets that nothing has to mean.
+/// A trained scene, its training views, and targets without meaning.
 fn problem() -> (Scene, Vec<EnhanceView>, Targets) {
     let scene = stage1::run(&mut CpuEngine::new(), None, &mut Silent).unwrap().scene;
     let views: Vec<EnhanceView> = stage1::capture().0.training_views().map(EnhanceView::from).collect();
@@ -140,7 +140,7 @@ fn another_engine_trains_the_same_bytes_and_takes_over_from_one() {
     let dir = tempfile::tempdir().unwrap();
     let stopped = run(&mut late(u64::MAX), Some(dir.path()), &mut Watcher::new(5)).unwrap_err();
     assert!(matches!(stopped, EnhanceError::Interrupted { step: 5, saved: true, .. }), "{stopped}");
-    // Eight steps after that a checkpoint is written; the device is lost between that one and the next.
+    // Eight steps later a checkpoint is written; the device is lost between that checkpoint and the next.
     let error = run(&mut late(12), Some(dir.path()), &mut Silent).unwrap_err();
     assert!(matches!(error, EnhanceError::Engine(EngineError::DeviceLost { .. })), "{error}");
     let mut watcher = Watcher::new(u64::MAX);

@@ -1,4 +1,4 @@
-//! Lenses for tests, here and where pictures are undistorted.
+//! Lenses for the tests of this crate and of the undistortion.
 
 use super::{Lens, LensModel};
 

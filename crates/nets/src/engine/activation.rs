@@ -1,9 +1,9 @@
-//! Element-wise functions, written once as plain scalar code that the compiler turns into vectors for the
-//! processor at hand: branch-free, fused multiply-adds only where written, so that every instruction set
-//! gives the same bits.
+//! Element-wise functions. Each is written once as plain scalar code that the compiler vectorises for the
+//! processor. The code has no branches, and fused multiply-adds only where written, so that every instruction
+//! set gives the same bits.
 //!
-//! Accuracy against exact arithmetic (tested): sigmoid, tanh, ELU and GELU 2e-7 absolute per unit. They are
-//! made of the ground's exponential ([`use3d_numerics::lanes::exp`]).
+//! Accuracy against exact arithmetic (tested): sigmoid, tanh, ELU and GELU 2e-7 absolute per unit. They use
+//! the exponential of the crate `numerics` ([`use3d_numerics::lanes::exp`]).
 
 use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
@@ -81,7 +81,7 @@ pub(crate) fn finish(level: Level, activation: Activation, bias: f32, row: &mut 
 
 #[inline(always)]
 fn finish_row<S: Simd>(_: S, activation: Activation, bias: f32, row: &mut [f32]) {
-    // One loop per function, so that the choice is made once and each loop is vectorised.
+    // One loop per function, so that the function is selected once and each loop is vectorised.
     macro_rules! each {
         ($($name:ident)*) => {
             match activation {
@@ -118,9 +118,9 @@ pub(crate) fn normalise(
     }
 }
 
-/// Column-wise softmax of `[rows][N]`, in place: each column becomes e^(x − max) and the reciprocals of the
-/// column sums are returned, to be applied to whatever the columns are multiplied with (fewer divisions, same
-/// result to rounding).
+/// Column-wise softmax of `[rows][N]`, in place: each column becomes e^(x − max). The reciprocals of the
+/// column sums are returned; the caller applies them to the product of the columns with other data (fewer
+/// divisions, same result to rounding).
 pub(crate) fn softmax_columns<const N: usize>(level: Level, rows: &mut [[f32; N]]) -> [f32; N] {
     #[inline(always)]
     fn run<S: Simd, const N: usize>(_: S, rows: &mut [[f32; N]]) -> [f32; N] {
@@ -154,7 +154,7 @@ mod tests {
     use super::*;
     use use3d_numerics::math;
 
-    /// The scalar definition on a fresh set of arguments against f64 mathematics.
+    /// The largest error of the scalar definition, on its own set of arguments, against f64 mathematics.
     fn worst(activation: Activation, exact: impl Fn(f64) -> f64) -> f64 {
         let arguments: Vec<f32> = (-40_000..40_000).map(|i| i as f32 * 3.7e-4).collect();
         let mut values = arguments.clone();

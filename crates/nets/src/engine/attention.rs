@@ -1,8 +1,8 @@
 //! Multi-head attention: `out = V · softmax(Kᵀ Q / √d)` for every head, tokens in columns.
 //!
-//! One block of [`LANES`] queries at a time against all keys: the block of scores is exactly a panel of the
-//! second product, so the scores of a picture never exist whole, and memory is linear in the number of
-//! tokens.
+//! One block of [`LANES`] queries at a time is processed against all keys. The block of scores is exactly a
+//! panel of the second product, so the whole matrix of scores is never stored, and memory is linear in the
+//! number of tokens.
 
 use fearless_simd::Level;
 use rayon::prelude::*;
@@ -11,11 +11,11 @@ use super::activation;
 use super::planes::Planes;
 use super::product::{LANES, Packed, fill_from_rows, multiply_panel};
 
-/// The score that masked pairs get in place of their own, before the softmax.
+/// The score of masked pairs before the softmax, in place of their own.
 const MASKED: f32 = -1000.0;
 
-/// Attention of `heads` heads; `queries`, `keys`, `values` are `[heads · d, tokens]`, head-major. With a
-/// mask, pairs of tokens of which one is not valid get the score −1000.
+/// Attention with `heads` heads; `queries`, `keys`, `values` are `[heads · d, tokens]`, head-major. With a
+/// mask, a pair of tokens gets the score −1000 if one of them is not valid.
 pub(crate) fn attention(
     queries: &[f32],
     keys: &[f32],

@@ -2,9 +2,9 @@
 //! zeros outside.
 //!
 //! A dense convolution is one [`product`] whose panels are gathered windows. A depthwise one (one kernel per
-//! channel) has too few operations per value for that and runs as a direct loop. A transposed convolution
-//! whose stride equals its kernel is a 1×1 convolution to `kernel²` times the channels, whose results are
-//! dealt out as blocks of pixels.
+//! channel) has too few operations per value for that and is a direct loop. A transposed convolution whose
+//! stride equals its kernel is a 1×1 convolution to `kernel²` times the channels, whose results are arranged
+//! as blocks of pixels.
 
 use rayon::prelude::*;
 
@@ -86,7 +86,7 @@ impl Convolution {
         self.forward_joined(&[input], activation)
     }
 
-    /// The convolution of the channels of several pictures of one size, one after another.
+    /// The convolution of the channels of several pictures of one size, concatenated.
     pub(crate) fn forward_joined(&self, inputs: &[&Planes], activation: Activation) -> Planes {
         let (height, width) = self.output_size(inputs[0].height, inputs[0].width);
         let mut out = Planes::new(self.outputs(), height, width);
@@ -94,7 +94,7 @@ impl Convolution {
         out
     }
 
-    /// As [`forward_joined`](Self::forward_joined), with maps of the size of the output added before the
+    /// Like [`forward_joined`](Self::forward_joined), with maps of the output's size added before the
     /// activation: the part of a convolution whose inputs do not change from call to call.
     pub(crate) fn forward_onto(&self, inputs: &[&Planes], addend: &Planes, activation: Activation) -> Planes {
         let mut out = Planes::new(addend.channels, addend.height, addend.width);
@@ -380,7 +380,7 @@ mod tests {
             // The same channels as two separate inputs.
             let (first, second) = (input.slice(0..1), input.slice(1..shape[1]));
             close(&conv.forward_joined(&[&first, &second], Activation::Identity).data, &expected);
-            // One of them as a part computed before.
+            // One of the two inputs as a part computed in advance.
             let kernel = shape[2] * shape[3];
             let part = |channels: std::ops::Range<usize>, bias: Option<Vec<f32>>| {
                 let picked: Vec<f32> = w

@@ -1,4 +1,4 @@
-//! The few kernels that all networks are made of, on plain slices.
+//! The few operations that all networks are made of, on plain slices.
 
 pub(crate) mod activation;
 pub(crate) mod attention;

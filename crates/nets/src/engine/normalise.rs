@@ -1,7 +1,7 @@
 //! Normalisations, all with the population (biased) variance: `(x − mean) / √(variance + ε)`.
 //!
-//! Means and variances are f64 sums in a fixed order, in two passes, so that nearly constant maps keep their
-//! digits.
+//! Means and variances are f64 sums in a fixed order, in two passes, so that nearly constant maps do not lose
+//! precision.
 
 use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
@@ -32,7 +32,7 @@ fn moments(level: Level, values: &[f32], epsilon: f64) -> (f32, f32) {
     (mean as f32, (1.0 / (variance + epsilon).sqrt()) as f32)
 }
 
-/// Every plane on its own over all its pixels, without learned scale, then an activation.
+/// Normalises every plane over all its pixels, without learned scale, then applies an activation.
 pub(crate) fn instance(planes: &mut Planes, epsilon: f64, activation: Activation) {
     let (level, area) = (Level::new(), planes.area());
     planes.data.par_chunks_mut(area).for_each(|plane| {
@@ -41,7 +41,7 @@ pub(crate) fn instance(planes: &mut Planes, epsilon: f64, activation: Activation
     });
 }
 
-/// Groups of neighbouring channels together, with a learned scale and shift per channel.
+/// Normalises groups of neighbouring channels, with a learned scale and shift per channel.
 pub(crate) fn group(
     planes: &mut Planes,
     groups: usize,
@@ -67,7 +67,7 @@ pub(crate) struct Affine {
     pub(crate) shift: Vec<f32>,
 }
 
-/// Every token (column) on its own over its channels, with a learned scale and shift.
+/// Normalises every token (column) over its channels, with a learned scale and shift.
 pub(crate) fn layer(tokens: &Planes, epsilon: f64, affine: &Affine) -> Planes {
     const BLOCK: usize = 128;
     let (level, columns, channels) = (Level::new(), tokens.area(), tokens.channels);
@@ -157,7 +157,7 @@ mod tests {
         let affine = Affine { scale: noise(3, channels), shift: noise(4, channels) };
         let out = layer(&tokens, 1e-6, &affine);
         for t in 0..columns {
-            // A column as one group of `channels` planes of one pixel is the same thing.
+            // A column as one group of `channels` planes of one pixel must give the same result.
             let column = (0..channels).map(|c| tokens.plane(c)[t]).collect();
             let mut one = Planes::from_data(channels, 1, 1, column);
             group(&mut one, 1, 1e-6, &affine, Activation::Identity);

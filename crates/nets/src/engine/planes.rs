@@ -1,6 +1,6 @@
-//! What flows between layers: planes of `height × width`, one per channel, row-major. Tokens of a transformer
-//! are the columns of planes of height 1, so that one matrix product serves convolutions and transformers
-//! alike.
+//! The data between layers: planes of `height × width`, one per channel, row-major. Tokens of a transformer
+//! are the columns of planes of height 1, so that one matrix product serves both convolutions and
+//! transformers.
 
 /// Feature maps `[channels, height, width]`.
 #[derive(Clone, Debug, PartialEq)]

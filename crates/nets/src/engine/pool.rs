@@ -4,8 +4,8 @@ use rayon::prelude::*;
 
 use super::planes::Planes;
 
-/// The largest of every `kernel × kernel` window, `stride` apart; windows lie inside the picture (the rest is
-/// dropped).
+/// The maximum of every `kernel × kernel` window, at steps of `stride`; windows are inside the picture (the
+/// rest is dropped).
 pub(crate) fn maximum(input: &Planes, kernel: usize, stride: usize) -> Planes {
     let (height, width) = ((input.height - kernel) / stride + 1, (input.width - kernel) / stride + 1);
     let mut out = Planes::new(input.channels, height, width);

@@ -1,12 +1,12 @@
-//! The matrix product under every network: `out[m, n] = bias[m] + Σ_k a[m, k] · b[k, n]`.
+//! The matrix product that all networks use: `out[m, n] = bias[m] + Σ_k a[m, k] · b[k, n]`.
 //!
 //! `a` is a weight matrix, packed once into panels of [`ROWS`] rows (`[panel][k][row]`). `b` is never stored
-//! whole: a closure fills panels of [`LANES`] columns (`[k][column]`) where they are needed, so a convolution
-//! gathers its windows straight into the panel and no unrolled copy of the picture exists. One [`ROWS`] ×
-//! [`LANES`] tile of the result is held in registers while `k` runs.
+//! as a whole: a closure fills panels of [`LANES`] columns (`[k][column]`) when they are needed. So a
+//! convolution gathers its windows directly into the panel, and no unrolled copy of the picture exists. One
+//! [`ROWS`] × [`LANES`] tile of the result stays in registers during the loop over `k`.
 //!
-//! Every element is one chain of fused multiply-adds, from 0 over `k` ascending, whatever the tiling: the
-//! same bits for any number of threads, any block size, and any instruction set that has a fused
+//! Every element is one chain of fused multiply-adds, from 0 over `k` ascending, independent of the tiling.
+//! It has the same bits for any number of threads, any block size, and any instruction set that has a fused
 //! multiply-add. The bias is added at the end. [`plain`] is the scalar twin.
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
@@ -72,7 +72,7 @@ impl Packed {
     }
 }
 
-/// What happens to an element after its sum.
+/// The operations on an element after its sum.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Finish<'a> {
     /// One value per row, or none.
@@ -81,7 +81,7 @@ pub(crate) struct Finish<'a> {
     pub(crate) addend: Option<&'a [f32]>,
     /// Applied to the sum with its bias and addend.
     pub(crate) activation: Activation,
-    /// Add to what `out` holds instead of replacing it.
+    /// Add to the values in `out` instead of replacing them.
     pub(crate) accumulate: bool,
 }
 
@@ -139,7 +139,7 @@ fn multiply_panels(level: Level, a: &Packed, b: &[f32], tiles: &mut [f32], count
     }
 }
 
-/// Columns per job: a number of panels such that the job's share of `b` fits the second-level cache.
+/// Number of panels of columns per task, chosen so that the task's share of `b` fits the second-level cache.
 fn panels_per_job(inner: usize) -> usize {
     (1usize << 18).div_ceil(inner.max(1) * LANES).clamp(1, 8)
 }

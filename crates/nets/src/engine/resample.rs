@@ -2,7 +2,8 @@
 //!
 //! Every rule is separable: one output coordinate is a weighted sum of a short run of input coordinates.
 //! [`Axis`] holds the runs and weights of one direction (computed in f64); [`resize`] applies two of them.
-//! Pillow's 8-bit bilinear is apart because it rounds to whole levels after each pass, in fixed point.
+//! Pillow's 8-bit bilinear is a separate function because it rounds to whole levels after each pass, in fixed
+//! point.
 
 use rayon::prelude::*;
 use use3d_capture::Image8;
@@ -12,22 +13,22 @@ use super::planes::Planes;
 /// A resampling rule for one direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Rule {
-    /// Linear between pixel centres: source = (i + ½)·in/out − ½, held at the first centre.
+    /// Linear between pixel centres: source = (i + ½)·in/out − ½, clamped at the first centre.
     Bilinear,
-    /// Linear with the corner pixels on the corners: source = i·(in − 1)/(out − 1).
+    /// Linear with the corner pixels at the corners: source = i·(in − 1)/(out − 1).
     BilinearCorners,
-    /// A triangle filter as wide as the shrink factor (plain [`Rule::Bilinear`] when growing).
+    /// A triangle filter as wide as the shrink factor (plain [`Rule::Bilinear`] when enlarging).
     BilinearAntialiased,
     /// Keys' cubic with a = −¾ between pixel centres, border pixels repeated.
     Bicubic,
-    /// As [`Rule::Bicubic`], but with a given step between source coordinates instead of in/out.
+    /// Like [`Rule::Bicubic`], but with a given step between source coordinates instead of in/out.
     BicubicStep(f64),
 }
 
-/// For each output coordinate the first input coordinate and the weights from there on.
+/// For each output coordinate, the first input coordinate and the weights from there on.
 pub(crate) struct Axis {
     first: Vec<usize>,
-    /// Start of each output's weights in `weights`, with one more at the end.
+    /// The start of each output's weights in `weights`, with one more entry at the end.
     offsets: Vec<usize>,
     weights: Vec<f32>,
 }
@@ -38,7 +39,7 @@ impl Axis {
         for i in 0..output {
             let mut taps = rule.taps(i, input, output);
             let last = input as isize - 1;
-            // Coordinates outside are those of the border pixel.
+            // Coordinates outside the picture use the border pixel.
             let first = taps.0.clamp(0, last);
             let end = (taps.0 + taps.1.len() as isize - 1).clamp(0, last);
             let mut merged = vec![0.0f64; (end - first + 1) as usize];

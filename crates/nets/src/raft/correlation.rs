@@ -1,10 +1,11 @@
-//! The correlation of all pairs, looked up without ever being stored.
+//! The correlation of all pairs of pixels, evaluated without storing the full volume.
 //!
-//! The correlation of pixel p of the first picture with pixel q of the second is ⟨f₁(p), f₂(q)⟩/√256; the
+//! The correlation of pixel p of the first picture with pixel q of the second is ⟨f₁(p), f₂(q)⟩/√256. The
 //! pyramid halves the second picture's axes by 2×2 means, which by linearity is the correlation with the
-//! halved features f₂. A lookup at (x, y) of level l reads, at (x/2ˡ + i − 4, y/2ˡ + j − 4) for i, j in 0..9,
-//! bilinear with zeros outside: all 81 samples share their fractions, so 10 × 10 products at whole positions
-//! suffice. The full volume at 1400×933 would take 2.2 GB; this takes the features alone.
+//! halved features f₂. A lookup at (x, y) in level l reads the values at (x/2ˡ + i − 4, y/2ˡ + j − 4) for i,
+//! j in 0..9, bilinear with zeros outside. All 81 samples have the same fractional parts, so 10 × 10 products
+//! at whole positions are enough. The full volume at 1400×933 would take 2.2 GB; this code stores only the
+//! features.
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 use rayon::prelude::*;
@@ -17,10 +18,10 @@ const RADIUS: isize = 4;
 const WINDOW: usize = 9;
 const CORNERS: usize = WINDOW + 1;
 const FEATURES: usize = 256;
-/// Channels of a lookup.
+/// Number of channels of a lookup.
 pub(crate) const CHANNELS: usize = LEVELS * WINDOW * WINDOW;
 
-/// Features of both pictures, `[pixel][feature]`, the second's at four sizes.
+/// Features of both pictures, `[pixel][feature]`; those of the second at four sizes.
 #[derive(Clone, Debug)]
 pub(crate) struct Correlation {
     height: usize,
@@ -86,7 +87,7 @@ impl Correlation {
 fn sample<S: Simd>(simd: S, first: &[f32], second: &LevelFeatures, x: f32, y: f32, out: &mut [f32]) {
     let (x0, y0) = (x.floor(), y.floor());
     let (tx, ty) = (x - x0, y - y0);
-    // Casts saturate, so that even an absurd flow only leads outside the picture.
+    // Casts saturate, so that even an extreme flow only gives a position outside the picture.
     let (left, top) = ((x0 as isize).saturating_sub(RADIUS), (y0 as isize).saturating_sub(RADIUS));
     // corners[i][j] is the product at column left + i, row top + j.
     let mut corners = [[0.0f32; CORNERS]; CORNERS];
@@ -111,7 +112,7 @@ fn sample<S: Simd>(simd: S, first: &[f32], second: &LevelFeatures, x: f32, y: f3
     }
 }
 
-/// A product of two feature vectors, in 64 interleaved partial sums.
+/// The product of two feature vectors, in 64 interleaved partial sums.
 #[inline(always)]
 fn dot<S: Simd>(simd: S, a: &[f32], b: &[f32]) -> f32 {
     let mut sums = [f32x16::splat(simd, 0.0); 4];
@@ -133,7 +134,7 @@ fn dot<S: Simd>(simd: S, a: &[f32], b: &[f32]) -> f32 {
     lanes[0]
 }
 
-/// `[feature][pixel]` to `[pixel][feature]`, scaled.
+/// Converts `[feature][pixel]` to `[pixel][feature]`, scaled.
 fn features_last(planes: &Planes, scale: f32) -> Vec<f32> {
     let area = planes.area();
     let mut out = vec![0.0; area * planes.channels];
@@ -162,7 +163,7 @@ mod tests {
         flow.data[area + 6] = -1e30;
         let found = Correlation::new(&a, b.clone()).lookup(&flow);
         for p in (0..area).step_by(7).chain([5, 6]) {
-            // The volume's row of p, pooled level by level.
+            // The volume's row for p, pooled level by level.
             let volume: Vec<f32> = (0..area)
                 .map(|q| {
                     let sum: f64 = (0..FEATURES)

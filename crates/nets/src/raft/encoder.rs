@@ -1,9 +1,9 @@
-//! RAFT's encoder: a picture to 256 features at ⅛ resolution.
+//! RAFT's encoder: maps a picture to 256 features at ⅛ resolution.
 //!
-//! 7×7 convolution with stride 2, then three stages of two residual blocks (64, 96, 128 channels; the second
-//! and third stage halve the size), then a 1×1 convolution. A block is `ReLU(shortcut(x) +
-//! ReLU(norm(conv(ReLU(norm(conv(x)))))))`. The feature encoder normalises each picture and channel on its
-//! own; the context encoder has batch norms with fixed statistics, folded into the convolutions.
+//! A 7×7 convolution with stride 2, then three stages of two residual blocks (64, 96, 128 channels; the
+//! second and third stage halve the size), then a 1×1 convolution. A block is `ReLU(shortcut(x) +
+//! ReLU(norm(conv(ReLU(norm(conv(x)))))))`. The feature encoder normalises each picture and channel
+//! separately; the context encoder has batch norms with fixed statistics, folded into the convolutions.
 
 use crate::engine::activation::{self, Activation};
 use crate::engine::convolution::{Convolution, Padding};
@@ -14,7 +14,7 @@ use crate::weights::{Layers, Weights};
 
 const EPSILON: f64 = 1e-5;
 
-/// The normalisation behind every convolution.
+/// The normalisation after every convolution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Norm {
     Instance,

@@ -1,10 +1,10 @@
 //! RAFT-Large: optical flow by recurrent refinement of an all-pairs correlation.
 //!
-//! Features of both pictures at ⅛ resolution are correlated; a recurrent unit looks the correlation up around
-//! the current estimate and corrects it, 12 times (torchvision's default). The last estimate is brought to
-//! full resolution as learned convex combinations of its neighbours. Teed, Deng, "RAFT: Recurrent all-pairs
-//! field transforms for optical flow", ECCV 2020; torchvision's `raft_large_*.pth` or Princeton's
-//! `raft-*.pth`.
+//! Features of both pictures at ⅛ resolution are correlated. A recurrent unit reads the correlation around
+//! the current estimate and corrects the estimate, 12 times (torchvision's default). The last estimate is
+//! upsampled to full resolution by learned convex combinations of neighbouring values. Teed, Deng, "RAFT:
+//! Recurrent all-pairs field transforms for optical flow", ECCV 2020; torchvision's `raft_large_*.pth` or
+//! Princeton's `raft-*.pth`.
 
 mod correlation;
 mod encoder;
@@ -40,7 +40,7 @@ pub struct Raft {
 }
 
 impl Raft {
-    /// Reads the network; tensors by torchvision's names.
+    /// Reads the network, with tensors by torchvision's names.
     pub fn from_weights(weights: &mut dyn Weights) -> Result<Self, NetError> {
         Ok(Self {
             features: Encoder::read("feature_encoder", Norm::Instance, weights)?,
@@ -50,13 +50,13 @@ impl Raft {
         })
     }
 
-    /// The flow from `a` to `b`: pixel p of `a` is found at p + flow(p) in `b`. Pictures of one size, at
-    /// least 128 pixels a side.
+    /// The flow from `a` to `b`: pixel p of `a` corresponds to p + flow(p) in `b`. The pictures must have one
+    /// size, at least 128 pixels a side.
     pub fn flow(&self, a: &Image, b: &Image) -> Result<Flow, NetError> {
         self.flow_with(a, b, UPDATES)
     }
 
-    /// As [`flow`](Self::flow) with another number of updates than 12.
+    /// Like [`flow`](Self::flow), with another number of updates than 12.
     pub fn flow_with(&self, a: &Image, b: &Image, updates: usize) -> Result<Flow, NetError> {
         images::check_pair(NAME, a, b, SMALLEST)?;
         if updates == 0 {

@@ -1,7 +1,7 @@
 //! RAFT's recurrent update and the upsampling of its result.
 //!
-//! Motion: correlation and flow, each through two convolutions, joined and reduced; the flow itself is kept
-//! beside them. Two gated units follow, one along rows (1×5), one along columns (5×1): `z, r = σ(conv[h,
+//! Motion: correlation and flow, each after two convolutions, are concatenated and reduced; the flow itself
+//! is appended. Two gated units follow, one along rows (1×5), one along columns (5×1): `z, r = σ(conv[h,
 //! x])`, `q = tanh(conv[r·h, x])`, `h ← (1 − z)·h + z·q`. Two convolutions turn h into a correction of the
 //! flow in pixels of the ⅛ grid.
 
@@ -26,16 +26,16 @@ pub(crate) struct Update {
     head: [Convolution; 2],
 }
 
-/// One gated recurrent unit. The context is the same at every update, so its part of the sums is computed
+/// One gated recurrent unit. The context is the same in every update, so its part of the sums is computed
 /// once.
 #[derive(Clone, Debug)]
 struct Gated {
-    /// z and r in one convolution: they see the same input.
+    /// z and r in one convolution, because they have the same input.
     gates: Split,
     candidate: Split,
 }
 
-/// A convolution of `[h, context, motion]`, split into the part of the context and the rest.
+/// A convolution of `[h, context, motion]`, split into the context's part and the rest.
 #[derive(Clone, Debug)]
 struct Split {
     context: Convolution,
@@ -63,7 +63,7 @@ impl Update {
         Ok(Self { correlation, flow, motion, units, head })
     }
 
-    /// The motion features, 126 channels and the flow.
+    /// The motion features: 126 channels and the flow.
     pub(crate) fn motion(&self, found: &Planes, flow: &Planes) -> Planes {
         let relu = Activation::Relu;
         let correlation = self.correlation[1].forward(&self.correlation[0].forward(found, relu), relu);
@@ -74,7 +74,7 @@ impl Update {
         motion
     }
 
-    /// What the context adds to every update.
+    /// The context's contribution to every update.
     pub(crate) fn context_part(&self, context: &Planes) -> ContextPart {
         ContextPart([0, 1].map(|i| {
             let unit = &self.units[i];
@@ -113,7 +113,7 @@ impl Gated {
 }
 
 impl Split {
-    /// Reads convolutions of the same inputs as one.
+    /// Reads several convolutions of the same inputs as one.
     fn read(names: &[String], kernel: (usize, usize), weights: &mut dyn Weights) -> Result<Self, NetError> {
         let area = kernel.0 * kernel.1;
         let padding = Padding::of(kernel.0 / 2, kernel.1 / 2);

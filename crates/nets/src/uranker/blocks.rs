@@ -1,8 +1,8 @@
 //! The parts of URanker's blocks: factorised attention with convolutional relative positions, and the
 //! perceptron.
 //!
-//! Factorised attention is linear in the number of tokens: `A = d^−½ · q (softmax(k)ᵀ v)`, the softmax over
-//! the tokens. To it comes `q ⊙ (w ∗ v)` on the patches, with one depthwise convolution for each group of
+//! Factorised attention is linear in the number of tokens: `A = d^−½ · q (softmax(k)ᵀ v)`, with the softmax
+//! over the tokens. On the patches, `q ⊙ (w ∗ v)` is added, with one depthwise convolution for each group of
 //! heads (3×3 for two heads, 5×5 and 7×7 for three each).
 
 use rayon::prelude::*;
@@ -21,7 +21,7 @@ const HEADS: usize = 8;
 /// Heads and kernel of each relative-position convolution.
 const GROUPS: [(usize, usize); 3] = [(2, 3), (3, 5), (3, 7)];
 
-/// A depthwise convolution added to the patches, which tells tokens where they are.
+/// A depthwise convolution added to the patches; it encodes the positions of the tokens.
 #[derive(Clone, Debug)]
 pub(crate) struct PositionEncoding(Depthwise);
 
@@ -128,7 +128,7 @@ fn softmax(row: &mut [f32]) {
     row.iter_mut().for_each(|v| *v *= scale);
 }
 
-/// `d^−½ · q (kᵀ v)` head by head.
+/// Computes `d^−½ · q (kᵀ v)`, head by head.
 fn factorised(q: &[f32], k: &[f32], v: &[f32], width: usize, n: usize) -> Planes {
     const BLOCK: usize = 1024;
     let depth = width / HEADS;
@@ -137,7 +137,7 @@ fn factorised(q: &[f32], k: &[f32], v: &[f32], width: usize, n: usize) -> Planes
     for (head, out) in out.data.chunks_exact_mut(depth * n).enumerate() {
         let part = head * depth * n..(head + 1) * depth * n;
         let (q, k, v) = (&q[part.clone()], &k[part.clone()], &v[part]);
-        // factor[d][c] = Σ_t k[c][t] v[d][t], in blocks of tokens with f64 between them.
+        // factor[d][c] = Σ_t k[c][t] v[d][t], in blocks of tokens whose sums are added in f64.
         let mut factor = vec![0.0f64; depth * depth];
         factor.par_chunks_mut(depth).zip(v.par_chunks(n)).for_each(|(row, v)| {
             for start in (0..n).step_by(BLOCK) {
@@ -153,7 +153,7 @@ fn factorised(q: &[f32], k: &[f32], v: &[f32], width: usize, n: usize) -> Planes
     out
 }
 
-/// A product of two vectors in 16 interleaved partial sums.
+/// The product of two vectors, in 16 interleaved partial sums.
 fn dot(a: &[f32], b: &[f32]) -> f32 {
     let mut sums = [0.0f32; 16];
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<16>(), b.as_chunks::<16>());
@@ -165,7 +165,7 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
     sums.iter().sum::<f32>() + a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum::<f32>()
 }
 
-/// Linear, GELU, linear, four times as wide inside.
+/// Linear, GELU, linear; the hidden layer is four times as wide.
 #[derive(Clone, Debug)]
 pub(crate) struct Mlp {
     hidden: Convolution,

@@ -1,11 +1,12 @@
 //! URanker: a score of underwater image quality without reference, from a co-scale transformer with a
 //! histogram token.
 //!
-//! Four stages at 1/4, 1/8, 1/16, 1/32 of the size; the tokens of a stage are `[class, histogram, patches…]`,
-//! the histogram token a linear map of the 3 × 64 counts of the padded picture. Two serial blocks per stage,
-//! then six parallel blocks in which stages 2 to 4 exchange resized tokens; the score is the mean of three
-//! linear heads on the class tokens. Guo et al., "Underwater Ranker: learn which is better and how to be
-//! better", AAAI 2023; file `URanker_ckpt.pth`. Higher is better; the scale is arbitrary.
+//! There are four stages at 1/4, 1/8, 1/16, 1/32 of the size. The tokens of a stage are `[class, histogram,
+//! patches…]`; the histogram token is a linear map of the 3 × 64 counts of the padded picture. Each stage has
+//! two serial blocks. Then come six parallel blocks in which stages 2 to 4 exchange resized tokens. The score
+//! is the mean of three linear heads on the class tokens. Guo et al., "Underwater Ranker: learn which is
+//! better and how to be better", AAAI 2023; file `URanker_ckpt.pth`. Higher is better; the scale is
+//! arbitrary.
 
 mod blocks;
 
@@ -23,20 +24,20 @@ use blocks::{Attention, Mlp, PositionEncoding, RelativePosition, SerialBlock};
 
 const NAME: &str = "URanker";
 const WIDTHS: [usize; 4] = [152, 320, 320, 320];
-/// Of every norm but those of the patch embeddings, which have 1e-5.
+/// ε of every norm except those of the patch embeddings, which have 1e-5.
 const EPSILON: f64 = 1e-6;
 const PATCH_EPSILON: f64 = 1e-5;
 const BINS: usize = 64;
 /// Tokens in front of the patches: class and histogram.
 const EXTRA: usize = 2;
 
-/// The size at which the network sees a picture; scores of different choices must not be mixed.
+/// The size of the network's input; scores of different choices must not be mixed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RankerInput {
-    /// The picture as it is (as pyiqa does).
+    /// The picture at its own size (as in pyiqa).
     #[default]
     Given,
-    /// Half the width and height, 8 bits, Pillow's bilinear (as the authors' demo does).
+    /// Half the width and height, 8 bits, Pillow's bilinear (as in the authors' demo).
     Half,
 }
 
@@ -79,7 +80,7 @@ struct Tokens {
 }
 
 impl URanker {
-    /// Reads the network; shared tensors by their canonical names.
+    /// Reads the network, with shared tensors by their canonical names.
     pub fn from_weights(weights: &mut dyn Weights) -> Result<Self, NetError> {
         let stages = (0..4).map(|i| Stage::read(i, weights)).collect::<Result<_, _>>()?;
         let parallel = (0..6).map(|i| ParallelBlock::read(i, weights)).collect::<Result<_, _>>()?;
@@ -92,12 +93,13 @@ impl URanker {
         Ok(Self { stages, parallel, norms, heads })
     }
 
-    /// The score of a picture as it is, display RGB in [0, 1], at least 32 pixels a side. Higher is better.
+    /// The score of a picture at its own size, display RGB in [0, 1], at least 32 pixels a side. Higher is
+    /// better.
     pub fn score(&self, image: &Image) -> Result<f64, NetError> {
         self.score_with(image, RankerInput::Given)
     }
 
-    /// The score of a picture at the size that `input` names.
+    /// The score of a picture at the size that `input` selects.
     pub fn score_with(&self, image: &Image, input: RankerInput) -> Result<f64, NetError> {
         match input {
             RankerInput::Given => {
@@ -112,7 +114,7 @@ impl URanker {
         }
     }
 
-    /// The network alone: sides multiples of 32.
+    /// The network alone; the sides are multiples of 32.
     fn forward(&self, x: &Planes, probe: &mut dyn FnMut(&str, &Planes)) -> f64 {
         let histogram = histogram(x);
         probe("histogram", &histogram);
@@ -124,7 +126,7 @@ impl URanker {
                 stages[i - 1].planes.data.shrink_to_fit();
             }
         }
-        // The first stage has no part in the exchange.
+        // The first stage takes no part in the exchange.
         let mut coarse = stages.split_off(1);
         drop(stages);
         for (i, block) in self.parallel.iter().enumerate() {
@@ -159,7 +161,7 @@ impl Stage {
             )?,
             embedding_norm: weights.affine(&format!("patch_embed{n}.norm"), width)?,
             class_token: weights.tensor(&format!("cls_token{n}"), &[1, 1, width])?,
-            // The spelling is the checkpoint's.
+            // The spelling is that of the checkpoint.
             histogram: weights.linear(&format!("historgram_embed{n}"), width, 3 * BINS)?,
             position: PositionEncoding::read(n, width, weights)?,
             relative: RelativePosition::read(n, width, weights)?,
@@ -255,7 +257,7 @@ impl Tokens {
         patches_of(&self.planes.data, self.planes.channels, self.height, self.width)
     }
 
-    /// The patches resized (bilinear), the other tokens as they are.
+    /// The patches resized (bilinear), the other tokens unchanged.
     fn resized(&self, height: usize, width: usize) -> Planes {
         let patches = resize(&self.patches(), height, width, Rule::Bilinear);
         let extra: [Vec<f32>; EXTRA] =
@@ -274,15 +276,15 @@ fn patches_of(rows: &[f32], channels: usize, height: usize, width: usize) -> Pla
     out
 }
 
-/// Zeros around the picture up to multiples of 32, as evenly as possible.
+/// Pads the picture with zeros to multiples of 32, as evenly as possible.
 fn pad(image: &Image) -> Planes {
     let (height, width) = (image.height().next_multiple_of(32), image.width().next_multiple_of(32));
     let (top, left) = ((height - image.height()) / 2, (width - image.width()) / 2);
     images::pad_zeros(&images::planes(image), top, left, height, width)
 }
 
-/// Counts of 64 bins over [0, 1] per channel, as one token; 1 falls into the last bin, values outside are not
-/// counted.
+/// Counts of 64 bins over [0, 1] per channel, as one token; the value 1 is in the last bin, values outside
+/// are not counted.
 fn histogram(x: &Planes) -> Planes {
     let mut counts = vec![0u32; 3 * BINS];
     for c in 0..3 {

@@ -1,4 +1,4 @@
-//! Checkpoints of the networks with stand-in weights, in every container.
+//! Checkpoints of the networks with stand-in weights, in every container format.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ pub(crate) use use3d_golden::torch::{
 use use3d_nets::weights::{StandIn, Weights};
 use use3d_nets::{Checkpoint, Lpips, NetError};
 
-/// Notes every tensor that a network asks for, with stand-in values.
+/// Records every tensor that a network reads, with stand-in values.
 #[derive(Default)]
 pub(crate) struct Recorder(Tensors);
 
@@ -38,7 +38,7 @@ pub(crate) fn open(dir: &Path, bytes: &[u8]) -> Result<Checkpoint, NetError> {
     Checkpoint::open(&path)
 }
 
-/// Opens a file and reads everything that `tensors` names.
+/// Opens a file and reads all tensors named in `tensors`.
 pub(crate) fn read_all(dir: &Path, bytes: &[u8], tensors: &Tensors) -> Result<Tensors, NetError> {
     let mut checkpoint = open(dir, bytes)?;
     let mut out = Tensors::new();

@@ -1,28 +1,28 @@
-//! The captures with truth, by name.
+//! The captures with known truth, by name.
 //!
 //! Five follow the method's own formation in waters from clear ocean to turbid coast, a sixth in a tiled
-//! pool, a seventh in one whose tiles have the colour of open water; three follow physics that is not the
-//! method's (wavelengths in linear light, a camera that exposes and balances every view on its own):
-//! daylight, lamps, air; a fourth is air against the light. Three more are taken with a camera that
-//! develops as action cameras do, with reef spectra and grey boards near and far. None has depth priors,
-//! since those of synthetic captures are made from the true depth.
+//! pool, a seventh in a pool whose tiles have the colour of open water. Three follow physics that differ from
+//! the method's (wavelengths in linear light, a camera that exposes and balances every view on its own):
+//! daylight, lamps, air; a fourth is air against the light. Three more are taken with a camera that develops
+//! as action cameras do, with reef spectra and grey boards near and far. None has depth priors, since those
+//! of synthetic captures are made from the true depth.
 
 use use3d_synth::{CaptureParams, Development, Physics, Place, WaterType};
 
-/// A capture that is made, not taken.
+/// The description of a synthetic capture.
 #[derive(Clone, Copy, Debug)]
 pub struct Capture {
-    /// What tables, scenes and `--captures` call it.
+    /// Its name in tables, in scenes and in `--captures`.
     pub name: &'static str,
-    /// What it is, for a reader of the table.
+    /// A description for readers of the table.
     pub about: &'static str,
-    /// Water; air where there is none.
+    /// Water type; `None` for air.
     water: Option<WaterType>,
     physics: Physics,
     place: Place,
     /// Light of the lamps, see [`CaptureParams::lamps`].
     lamps: f32,
-    /// The camera's development; with [`Development::Action`] boards of greys stand in the scene.
+    /// The camera's development; with [`Development::Action`] the scene contains boards of greys.
     camera: Development,
     /// See [`CaptureParams::backlight`].
     backlight: f32,
@@ -50,7 +50,7 @@ const fn action(name: &'static str, about: &'static str, water: WaterType) -> Ca
     Capture { camera: Development::Action, ..spectral(name, about, Some(water), 0.0) }
 }
 
-/// All of them.
+/// All captures.
 pub const CAPTURES: [Capture; 14] = [
     display("display-I", "The method's own formation, clear ocean (Jerlov I)", WaterType::I),
     display("display-II", "The method's own formation, ocean (Jerlov II)", WaterType::Ii),
@@ -86,11 +86,11 @@ pub const CAPTURES: [Capture; 14] = [
     action("camera-1C", "The same at a clear coast (Jerlov 1C)", WaterType::Coastal1),
 ];
 
-/// The captures of these names, in the order of [`CAPTURES`]; letter case is
-/// forgiven. All where none is named.
+/// The captures of these names, in the order of [`CAPTURES`]; upper and lower case are not distinguished. All
+/// captures if the list is empty.
 ///
 /// # Errors
-/// A name that is none of theirs; the message lists them.
+/// Returns a message that lists the known names if one is unknown.
 pub fn named(names: &[String]) -> Result<Vec<Capture>, String> {
     let known = || CAPTURES.map(|c| c.name).join(", ");
     if let Some(wrong) = names.iter().find(|n| !CAPTURES.iter().any(|c| c.name.eq_ignore_ascii_case(n))) {
@@ -101,7 +101,7 @@ pub fn named(names: &[String]) -> Result<Vec<Capture>, String> {
 }
 
 impl Capture {
-    /// What `synth` is asked for.
+    /// The parameters for `synth` that make this capture.
     pub fn parameters(&self, seed: u64, views: usize, (width, height): (usize, usize)) -> CaptureParams {
         let plain = CaptureParams {
             seed,
@@ -121,12 +121,12 @@ impl Capture {
         let wet = CaptureParams { water: self.water.unwrap_or(plain.water), ..plain };
         match self.physics {
             Physics::Display => wet,
-            // What cameras do under water unless somebody tells them otherwise.
+            // Typical settings of cameras under water.
             Physics::Spectral => CaptureParams { auto_exposure: 1.0, white_balance: 0.5, ..wet },
         }
     }
 
-    /// The folder of its photographs with a seed, below that of all captures.
+    /// The folder of its photographs for a seed, below the folder of all captures.
     pub fn folder(&self, seed: u64) -> String {
         format!("{}-seed-{seed}", self.name)
     }

@@ -1,8 +1,8 @@
-//! What came out: every figure of every capture, as a mean over seeds with its spread.
+//! The results: every figure of every capture, as a mean over seeds with its spread.
 //!
-//! A figure is `x̄ ± s` over the n seeds that have one, `s² = Σ (x - x̄)² / (n - 1)`: what another seed
-//! would move a single run by, not the error of the mean. One seed has no spread. Where a seed has no
-//! figure, its reason stands in its place.
+//! A figure is `x̄ ± s` over the n seeds that have one, `s² = Σ (x - x̄)² / (n - 1)`. It shows how far
+//! another seed would move a single run, and is not the error of the mean. One seed has no spread. If a seed
+//! has no figure, its reason is stored instead.
 //!
 //! The errors of the water are those of the coefficients that `evaluate` gives (means over all rays
 //! of the held-out views, 1/metre) against the true ones, `|β / β* - 1|` per channel; the median of
@@ -17,19 +17,19 @@ use super::runs::{DEFAULT, ENHANCE_FIRST, PRIOR_OFF, PSEUDO_LABELS, Recipe};
 use crate::judge::scores::{Finite, Method, SceneScores, Score};
 use crate::judge::truth::WaterScores;
 
-/// What `truth.json` calls itself.
+/// The format name in `truth.json`.
 pub const FORMAT: &str = "3d-use bench truth";
 
 /// One figure over seeds.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Figure {
-    /// The mean over the seeds that have one; absent where none has.
+    /// The mean over the seeds that have one; absent if none has.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mean: Option<Finite>,
-    /// The standard deviation over them; absent for fewer than two.
+    /// The standard deviation over these seeds; absent for fewer than two.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spread: Option<Finite>,
-    /// Each seed's.
+    /// The score of each seed.
     pub of: BTreeMap<u64, Score>,
 }
 
@@ -37,7 +37,7 @@ pub struct Figure {
 pub type Figures = BTreeMap<String, Figure>;
 
 impl Figure {
-    /// Of each seed's score.
+    /// The figure of these scores by seed.
     pub fn new(of: BTreeMap<u64, Score>) -> Self {
         let values: Vec<f64> = of.values().filter_map(Score::value).collect();
         let n = values.len() as f64;
@@ -56,22 +56,22 @@ impl Figure {
 /// One row of a capture's table.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RowFigures {
-    /// What a reader calls it.
+    /// The name shown to readers.
     pub label: String,
     /// The variant it comes from.
     pub variant: String,
-    /// What was scored of it.
+    /// The method that was scored.
     pub method: Method,
     /// Means over the held-out views, pairs of neighbours and pairs of path frames.
     pub figures: Figures,
 }
 
-/// A stage 1 of a capture: `held_out_psnr` (dB), `held_out_ssim`, `depth_error`, `holes`,
-/// `gaussians`, and where the truth is one of coefficients
-/// `attenuation_error_{red,green,blue,median,worst}`, `backscatter_error_…`.
+/// The figures of a stage 1 of a capture: `held_out_psnr` (dB), `held_out_ssim`, `depth_error`, `holes`,
+/// `gaussians`, and if the truth consists of coefficients `attenuation_error_{red,green,blue,median,worst}`,
+/// `backscatter_error_…`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SceneFigures {
-    /// What a reader calls it.
+    /// The name shown to readers.
     pub label: String,
     /// The variant it comes from.
     pub variant: String,
@@ -84,15 +84,15 @@ pub struct SceneFigures {
 pub struct CaptureFigures {
     /// Its name.
     pub name: String,
-    /// What it is.
+    /// A description of the capture.
     pub about: String,
-    /// What is compared, ours last.
+    /// The compared methods; this program's own come last.
     pub rows: Vec<RowFigures>,
     /// The trainings of stage 1.
     pub scenes: Vec<SceneFigures>,
 }
 
-/// Everything: the file `truth.json`.
+/// All results: the file `truth.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TruthFigures {
     /// Always [`FORMAT`].
@@ -101,15 +101,15 @@ pub struct TruthFigures {
     pub version: u32,
     /// The program's version.
     pub program: String,
-    /// The command that makes it again.
+    /// The command that reproduces it.
     pub command: String,
-    /// How it was made.
+    /// The settings that it was made with.
     pub recipe: Recipe,
     /// The seeds that are in it.
     pub seeds: Vec<u64>,
-    /// The pipeline file of each of them.
+    /// The pipeline file of each seed.
     pub pipelines: BTreeMap<u64, String>,
-    /// What failed, in words: figures are without it.
+    /// Messages about failed runs: the figures do not include these.
     pub failed: Vec<String>,
     /// The captures.
     pub captures: Vec<CaptureFigures>,
@@ -128,7 +128,7 @@ pub struct Scored {
     pub scores: SceneScores,
 }
 
-/// The simple ways, each with its variant, in the order of tables.
+/// The simple methods, each with its variant, in the order of tables.
 const SIMPLE: [(&str, Method, &str); 5] = [
     (DEFAULT, Method::Captured, "photographs"),
     (DEFAULT, Method::Proposal, "2D enhancer on photographs"),
@@ -137,8 +137,8 @@ const SIMPLE: [(&str, Method, &str); 5] = [
     (PSEUDO_LABELS, Method::Enhanced, "pseudo-labels"),
 ];
 
-/// The rows that a table may have: the simple ways, then what the scene itself shows without its water or
-/// enhanced, with the paper's start of the water and as this program does it.
+/// The rows that a table may have: first the simple methods, then the looks of the scene itself without its
+/// water or enhanced, once with the paper's start of the water and once with this program's default.
 fn rows() -> Vec<(&'static str, Method, String)> {
     let shown = |method: &Method| {
         *method != Method::Reconstruction
@@ -154,7 +154,7 @@ fn rows() -> Vec<(&'static str, Method, String)> {
     simple.chain(ours).collect()
 }
 
-/// Joins what each seed says into figures.
+/// Joins the scores of all seeds into figures.
 fn over_seeds(of: BTreeMap<u64, BTreeMap<String, Score>>) -> Figures {
     let mut names: BTreeMap<String, BTreeMap<u64, Score>> = BTreeMap::new();
     for (seed, scores) in of {
@@ -165,7 +165,7 @@ fn over_seeds(of: BTreeMap<u64, BTreeMap<String, Score>>) -> Figures {
     names.into_iter().map(|(name, of)| (name, Figure::new(of))).collect()
 }
 
-/// Errors of one of the water's coefficients.
+/// Errors of one coefficient of the water.
 fn coefficient(name: &str, found: [f64; 3], truth: [f64; 3]) -> Vec<(String, Score)> {
     let errors: [f64; 3] = std::array::from_fn(|c| (found[c] / truth[c] - 1.0).abs());
     let mut sorted = errors;
@@ -175,7 +175,7 @@ fn coefficient(name: &str, found: [f64; 3], truth: [f64; 3]) -> Vec<(String, Sco
     named.chain(summary).map(|(what, error)| (format!("{name}_error_{what}"), Score::of(error))).collect()
 }
 
-/// What is said of a stage 1.
+/// The figures of a stage 1.
 fn scene(scores: &SceneScores) -> BTreeMap<String, Score> {
     let mut out = BTreeMap::from([("gaussians".to_string(), Score::of(scores.gaussians as f64))]);
     let mut take = |name: &str, method: Method, metric: &str| {
@@ -185,7 +185,7 @@ fn scene(scores: &SceneScores) -> BTreeMap<String, Score> {
     };
     take("held_out_psnr", Method::Reconstruction, "psnr");
     take("held_out_ssim", Method::Reconstruction, "ssim");
-    // Of a scene that was learnt from proposals the geometry alone is comparable.
+    // For a scene that was learnt from proposals, only the geometry is comparable.
     for geometry in ["depth_error", "holes"] {
         take(geometry, Method::EnhanceThenReconstruct, geometry);
         take(geometry, Method::Reconstruction, geometry);

@@ -1,10 +1,10 @@
-//! The judge: synthetic captures whose truth is known, the whole pipeline on each, and one table of
-//! how far everything is from it.
+//! The benchmark: synthetic captures whose truth is known, the whole pipeline on each of them, and one table
+//! of the distances from the truth.
 //!
-//! [`captures`] are the captures, [`runs`] the pipeline that every one of them goes through, with the
-//! baselines as variants, [`figures`] what came out, gathered over seeds, [`page`] the table for people,
-//! [`picture`] one held-out view of a capture side by side, [`output`] the folder that all of it goes to.
-//! Nothing here computes a score: those are `evaluate`'s, kept in the cache like any other.
+//! [`captures`] lists the captures. [`runs`] is the pipeline that runs on each of them, with the baselines as
+//! variants. [`figures`] gathers the results over seeds, [`page`] writes the table for readers, [`picture`]
+//! shows one held-out view of a capture side by side, and [`output`] writes the folder with all of it. No
+//! scores are computed here: the stage `evaluate` computes them, and the cache keeps them like any other.
 
 pub mod captures;
 pub mod figures;

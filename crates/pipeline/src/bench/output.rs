@@ -1,8 +1,9 @@
-//! The folder of a bench: `truth.md`, `truth.json`, `pictures/`.
+//! The folder of a benchmark: `truth.md`, `truth.json`, `pictures/`.
 //!
-//! `captures/` and `cache/` may lie beside them, so the folder as a whole is nobody's result. Both files
-//! carry the digest of their own text, by which they are known to be ours and unchanged; the pictures have a
-//! record like any result folder ([`use3d_build::place`]). Whatever is not ours is refused.
+//! `captures/` and `cache/` may be in the same folder, so the folder as a whole has no record. Each of the
+//! two files carries the digest of its own text, which proves that this program wrote it and that it is
+//! unchanged. The pictures have a record like any result folder ([`use3d_build::place`]). Anything that this
+//! program did not write is refused.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -17,10 +18,10 @@ use super::picture::Sheet;
 
 const PICTURES: &str = "pictures";
 
-/// A file that ends with the digest of what stands before it.
+/// A file that ends with the digest of the text before it.
 struct Sealed {
     name: &'static str,
-    /// Before and after the digest.
+    /// The text before and after the digest.
     around: [&'static str; 2],
 }
 
@@ -37,7 +38,7 @@ impl Sealed {
         text.rfind(self.around[0]).is_some_and(|end| self.seal(&text[..end]) == text)
     }
 
-    /// Refuses to replace a file that is not ours, or that somebody changed.
+    /// Refuses to replace a file that this program did not write, or that was changed since.
     fn check(&self, out: &Path) -> Result<PathBuf, PlaceError> {
         let path = out.join(self.name);
         let found = match std::fs::symlink_metadata(&path) {
@@ -67,10 +68,11 @@ fn at<T>(path: &Path, doing: &'static str, result: io::Result<T>) -> Result<T, P
     result.map_err(|source| PlaceError::Io { path: path.to_path_buf(), doing, source })
 }
 
-/// Looks, before anything is computed, whether a bench may go to `out`.
+/// Checks, before anything is computed, that a benchmark can be written to `out`.
 ///
 /// # Errors
-/// The first thing there that is not ours, or a folder that cannot be written. Nothing is touched.
+/// Returns the first thing there that this program did not write, or a folder that cannot be written. Nothing
+/// is changed.
 pub fn check(out: &Path) -> Result<(), PlaceError> {
     place::check_writable(out)?;
     PAGE.check(out)?;
@@ -79,13 +81,14 @@ pub fn check(out: &Path) -> Result<(), PlaceError> {
     place::check(&out.join(PICTURES), true)
 }
 
-/// Fills `out` and says what is where; pictures are named after their captures.
+/// Fills `out` and returns the paths written; pictures are named after their captures.
 ///
 /// # Errors
-/// A place that was taken meanwhile by something that is not ours, or that cannot be written.
+/// Fails if a place was meanwhile occupied by something that this program did not write, or cannot be
+/// written.
 pub fn deliver(figures: &TruthFigures, pictures: &[Sheet], out: &Path) -> Result<Vec<PathBuf>, PlaceError> {
     at(out, "create", std::fs::create_dir_all(out))?;
-    // Nothing is touched where one of them cannot be replaced.
+    // Nothing is changed if one of the files cannot be replaced.
     PAGE.check(out)?;
     FIGURES.check(out)?;
     let folder = out.join(PICTURES);
@@ -100,7 +103,7 @@ pub fn deliver(figures: &TruthFigures, pictures: &[Sheet], out: &Path) -> Result
     };
     let placed = fill().and_then(|()| place::put(&made, &folder, true));
     if placed.is_err() {
-        let _ = std::fs::remove_dir_all(&made); // ours alone; the first error is the one to report
+        let _ = std::fs::remove_dir_all(&made); // it belongs to this process alone; the first error is the one to report
     }
     placed?;
     let page = PAGE.write(out, &markdown(figures, pictures))?;

@@ -1,8 +1,8 @@
-//! The table for people, as Markdown: a summary over all captures, stage 1 and its
-//! water, then each capture by itself.
+//! The table for readers, as Markdown: a summary over all captures, stage 1 and its water, then each capture
+//! by itself.
 //!
-//! The best mean of a column is bold. Everything on the page follows from the figures; it
-//! names no time, place or machine.
+//! The best mean of a column is bold. Everything on the page follows from the figures; it contains no time,
+//! place or machine.
 
 use std::fmt::Write;
 
@@ -10,7 +10,7 @@ use super::figures::{CaptureFigures, Figure, Figures, TruthFigures};
 use super::picture::Sheet;
 use crate::judge::tables::Better;
 
-/// A column: metric, head, decimals, factor, which direction is good.
+/// A column: metric, head, decimals, factor, and the better direction.
 struct Column {
     metric: &'static str,
     head: &'static str,
@@ -27,7 +27,7 @@ const fn percent(metric: &'static str, head: &'static str) -> Column {
     Column { metric, head, decimals: 1, factor: 100.0, better: Better::Lower }
 }
 
-/// A capture's table.
+/// The columns of a capture's table.
 const ROWS: [Column; 11] = [
     column("truth_psnr_raw", "PSNR", 2, Better::Higher),
     column("truth_psnr_channel", "PSNR, gain per channel", 2, Better::Higher),
@@ -64,7 +64,7 @@ const SUMMARIES: [(&str, [Column; 2]); 3] = [
     ),
 ];
 
-/// The table of stage 1.
+/// The columns of the table of stage 1.
 const SCENES: [Column; 8] = [
     column("held_out_psnr", "held-out PSNR", 2, Better::Higher),
     percent("depth_error", "depth, %"),
@@ -77,7 +77,8 @@ const SCENES: [Column; 8] = [
 ];
 
 impl Column {
-    /// `18.42 ± 0.31`; with how many of the seeds, where not all have one; a dash where none has.
+    /// A text like `18.42 ± 0.31`, followed by the number of seeds if some have no figure; a dash if none has
+    /// one.
     fn text(&self, figure: Option<&Figure>, seeds: usize) -> String {
         let Some((figure, mean)) = figure.and_then(|f| Some((f, f.value()?))) else { return "–".into() };
         let number = |v: f64| format!("{:.*}", self.decimals, v * self.factor);
@@ -92,7 +93,7 @@ impl Column {
         text
     }
 
-    /// The best mean of rows.
+    /// The best mean among some rows.
     fn best<'f>(&self, rows: impl Iterator<Item = Option<&'f Figures>>) -> Option<f64> {
         let means = rows.filter_map(|figures| figures?.get(self.metric)?.value());
         match self.better {
@@ -102,7 +103,7 @@ impl Column {
         }
     }
 
-    /// The cell, bold where it is the best.
+    /// The cell, bold if it is the best.
     fn cell(&self, figures: Option<&Figures>, seeds: usize, best: Option<f64>) -> String {
         let figure = figures.and_then(|f| f.get(self.metric));
         let text = self.text(figure, seeds);
@@ -122,7 +123,7 @@ fn table(heads: &[String], rows: &[Vec<String>]) -> String {
     format!("{}|---|{rule}\n{body}", line(heads))
 }
 
-/// Rows with cells under columns.
+/// A table of labelled rows, with the best cell of each column in bold.
 fn ranked(first: &str, columns: &[Column], rows: &[(String, &Figures)], seeds: usize) -> String {
     let heads: Vec<String> =
         std::iter::once(first).chain(columns.iter().map(|c| c.head)).map(String::from).collect();
@@ -149,7 +150,7 @@ fn row<'f>(capture: &'f CaptureFigures, label: &str) -> Option<&'f Figures> {
     capture.rows.iter().find(|r| r.label == label).map(|r| &r.figures)
 }
 
-/// One summary: rows are what is compared, columns the captures.
+/// One summary: a row per compared method, a column per capture.
 fn summary(columns: &[Column; 2], captures: &[CaptureFigures], seeds: usize) -> String {
     let heads: Vec<String> =
         std::iter::once(String::new()).chain(captures.iter().map(|c| c.name.clone())).collect();
@@ -198,7 +199,7 @@ pub fn markdown(figures: &TruthFigures, pictures: &[Sheet]) -> String {
         .iter()
         .flat_map(|c| c.scenes.iter().map(move |s| (format!("{}: {}", c.name, s.label), &s.figures)))
         .collect();
-    // No best: the captures differ.
+    // No best cell is marked, because the captures differ.
     let plain = SCENES.map(|c| Column { better: Better::Neither, ..c });
     let _ = write!(out, "\n## Stage 1 and its water\n\n{}", ranked("", &plain, &scenes, seeds));
     for capture in captures {

@@ -1,7 +1,7 @@
 //! One held-out view of a capture side by side: photograph, 2D enhancer, `clear`, `enhanced-clear`, truth.
 //!
-//! Photograph and renderings are those of the `render` stage; the 2D enhancer is run here on the photograph,
-//! as `evaluate` runs it. The view is the middle one of those held out.
+//! Photograph and renderings are those of the `render` stage; the 2D enhancer runs here on the photograph, as
+//! in `evaluate`. The view is the middle one of the held-out views.
 
 use std::path::Path;
 
@@ -19,14 +19,15 @@ pub struct Sheet {
     pub capture: String,
     /// The pictures in a row.
     pub image: Image,
-    /// What they are, from left to right.
+    /// The names of the pictures, from left to right.
     pub shows: Vec<&'static str>,
 }
 
-/// Gives the true clean image of a view, by its stem, width and height; `None` where it is not known.
+/// Returns the true clean image of a view, given its stem and its width and height; `None` if it is not
+/// known.
 pub type Clean<'a> = dyn FnMut(&str, (usize, usize)) -> Option<Image> + 'a;
 
-/// Why there is no picture.
+/// The reason why there is no picture.
 #[derive(Debug, thiserror::Error)]
 pub enum PictureError {
     /// A picture of the run cannot be read.
@@ -46,7 +47,7 @@ pub enum PictureError {
     Heights(Vec<usize>),
 }
 
-/// Pictures of one height beside each other, white between.
+/// Pictures of one height side by side, with white between them.
 fn beside(images: &[Image]) -> Result<Image, PictureError> {
     let heights: Vec<usize> = images.iter().map(Image::height).collect();
     let height = heights.first().copied().unwrap_or(0);
@@ -70,7 +71,7 @@ fn beside(images: &[Image]) -> Result<Image, PictureError> {
 /// The sheet of a capture from the artifact of its `render` stage.
 ///
 /// # Errors
-/// Renderings that are not there or cannot be read, or a failure of the 2D enhancer.
+/// Fails if renderings are missing or cannot be read, or if the 2D enhancer fails.
 pub fn sheet(
     capture: &str,
     renders: &Path,
@@ -89,7 +90,7 @@ pub fn sheet(
     let size = (photograph.width(), photograph.height());
     let enhanced = proposer.enhance(&photograph)?;
     let mut shown = vec![("photograph", photograph), ("2D enhancer on the photograph", enhanced)];
-    // A scene without a second stage shows what it has.
+    // A scene without a second stage has fewer pictures.
     for modes in [["clear"].as_slice(), &["enhanced-clear", "enhanced"]] {
         let there = |mode: &&&str| renders.join(mode).join(name).is_file();
         if let Some(mode) = modes.iter().find(there) {

@@ -1,32 +1,32 @@
 //! The pipeline that every capture goes through, as the text of a pipeline file.
 //!
-//! One pipeline per seed, from which captures and trainings both follow. The variant [`DEFAULT`]
-//! is this program as it comes; it stands first, so that its stage 1 gives the depth by which
-//! all variants are compared. The others are the simple ways and the paper's start of the water;
-//! each needs a training of its own.
+//! There is one pipeline per seed; the seed determines both captures and trainings. The variant [`DEFAULT`]
+//! is this program with its default settings. It comes first, so that its stage 1 supplies the depth by which
+//! all variants are compared. The others are the simple methods and the paper's start of the water; each
+//! needs a training of its own.
 
 use std::fmt::Write;
 
 use super::captures::Capture;
 
-/// This program as it comes.
+/// This program with its default settings.
 pub const DEFAULT: &str = "default";
-/// Nothing is known of the water beforehand: the paper's start.
+/// Nothing is known of the water at the start, as in the paper.
 pub const PRIOR_OFF: &str = "medium-prior-off";
-/// Every photograph enhanced on its own, then reconstructed from.
+/// Every photograph is enhanced on its own, and the scene is reconstructed from these images.
 pub const ENHANCE_FIRST: &str = "enhance-then-reconstruct";
-/// The scene's appearance fitted to the 2D enhancer's images.
+/// The scene's appearance is fitted to the 2D enhancer's images.
 pub const PSEUDO_LABELS: &str = "pseudo-labels";
 
-/// The variants that need trainings of their own, and what they change.
+/// The variants that need trainings of their own, and the parameters that they change.
 const BASELINES: [(&str, &str); 3] = [
     (PRIOR_OFF, "reconstruct = { medium_prior = \"off\" }"),
     (ENHANCE_FIRST, "reconstruct = { images = \"proposed\", medium = \"none\", medium_prior = \"off\" }"),
-    // Its labels are images of photographs, whatever proposes for the scene.
+    // Its labels are enhanced photographs, whatever the proposer of the scene.
     (PSEUDO_LABELS, "targets = { proposer = \"auto\" }\nenhance = { objective = \"pseudo-labels\" }"),
 ];
 
-/// Parameters that tell the variants apart: a setting for all variants would make them one.
+/// Parameters that distinguish the variants: a setting for all variants would make them equal.
 const APART: [&str; 5] = [
     "reconstruct.medium_prior",
     "reconstruct.images",
@@ -38,7 +38,7 @@ const APART: [&str; 5] = [
 /// The stages whose results the table is made of.
 pub const STAGES: [&str; 2] = ["evaluate", "render"];
 
-/// How a table is made.
+/// The settings of a table.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Recipe {
     /// Photographs per capture.
@@ -47,19 +47,19 @@ pub struct Recipe {
     pub size: (usize, usize),
     /// Steps of stage 1.
     pub iterations: u64,
-    /// Whether the baselines that need trainings of their own are run.
+    /// True if the baselines that need trainings of their own are run.
     pub baselines: bool,
-    /// Further settings, as `--set` takes them.
+    /// Further settings, in the form of `--set`.
     pub sets: Vec<String>,
-    /// What "enhanced" is learnt from.
+    /// The source of the meaning of "enhanced".
     pub learnt_from: LearntFrom,
 }
 
-/// What "enhanced" is learnt from. Where the files lie is nobody's business.
+/// The source of the meaning of "enhanced". The paths of the files are not recorded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LearntFrom {
-    /// What the program does without being told.
+    /// The program's default.
     #[default]
     Nothing,
     /// Given pairs.
@@ -68,7 +68,7 @@ pub enum LearntFrom {
     Calibrator,
 }
 
-/// A setting as a word of a command line.
+/// A setting as a word of a command line, quoted if needed.
 fn word(text: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "._-+=,:/".contains(c);
     if text.chars().all(plain) { text.into() } else { format!("'{}'", text.replace('\'', r"'\''")) }
@@ -86,10 +86,10 @@ impl Recipe {
         std::iter::once(DEFAULT).chain(baselines).collect()
     }
 
-    /// Checks the settings that would be legal in any other pipeline.
+    /// Refuses settings that any other pipeline would accept, but that conflict with the table.
     ///
     /// # Errors
-    /// One that says what the table itself decides, with what to do instead.
+    /// Returns a message with the remedy if a setting is decided by the table itself.
     pub fn check(&self) -> Result<(), String> {
         for setting in &self.sets {
             let key = setting.split('=').next().unwrap_or_default().trim();
@@ -107,7 +107,7 @@ impl Recipe {
         Ok(())
     }
 
-    /// The pipeline of one seed, as if it stood in the folder that holds `captures/`.
+    /// The pipeline file of one seed, as if it were in the folder that holds `captures/`.
     pub fn pipeline(&self, captures: &[Capture], seed: u64) -> String {
         let mut text = format!(
             "name = \"truth-seed-{seed}\"\nseed = {seed}\n\n[defaults.reconstruct]\niterations = {}\n\n[defaults.enhance]\niterations = {}\n",
@@ -128,7 +128,7 @@ impl Recipe {
         text
     }
 
-    /// The command that makes the table again.
+    /// The command that reproduces the table.
     pub fn command(&self, captures: &[&str], seeds: &[u64]) -> String {
         let seeds: Vec<String> = seeds.iter().map(u64::to_string).collect();
         let (width, height) = self.size;
@@ -171,7 +171,7 @@ mod tests {
         }
     }
 
-    /// The nodes that compute something of their own, by stage.
+    /// The nodes that are computed and not shared with another node, by stage.
     fn own(recipe: &Recipe, stage: &str) -> Vec<String> {
         let registry = registry().unwrap();
         let text = recipe.pipeline(&CAPTURES[..2], 5);

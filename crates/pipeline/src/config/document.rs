@@ -1,4 +1,4 @@
-//! A TOML text as a JSON value that knows where each key and value stands.
+//! A TOML text as a JSON value, together with the position of each key and value in the text.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -17,20 +17,20 @@ pub(crate) struct Document {
     file: PathBuf,
     text: String,
     pub(crate) value: Value,
-    /// Path (`scene[0].reconstruct.iterations`) to the key's and the value's bytes.
+    /// Maps a path (`scene[0].reconstruct.iterations`) to the byte ranges of its key and of its value.
     spans: BTreeMap<String, (Range<usize>, Range<usize>)>,
 }
 
-/// Something wrong in a pipeline file or on the command line that extends it.
+/// An error in a pipeline file, or in the command-line options that extend it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ConfigError {
     /// The file; `None` for the command line.
     pub file: Option<PathBuf>,
     /// Line and column, from 1.
     pub place: Option<(usize, usize)>,
-    /// What is wrong, what is expected, what to do.
+    /// The problem, the expected value and the remedy.
     pub message: String,
-    /// The line with a mark below what is wrong.
+    /// The line of the file, with a mark below the faulty part.
     excerpt: Option<String>,
 }
 
@@ -89,7 +89,7 @@ impl Document {
         Ok(Self { text, value, ..this })
     }
 
-    /// An error about the value at a path (or what is nearest above it).
+    /// An error about the value at a path, or about the nearest value above it if there is none at the path.
     pub(crate) fn error(&self, path: &str, message: impl Into<String>) -> ConfigError {
         self.at(path, message.into(), false)
     }
@@ -99,8 +99,7 @@ impl Document {
         self.at(path, message.into(), true)
     }
 
-    /// A parameter's error, the parameters standing in the table at `base`; `more` are
-    /// names that are also known there.
+    /// An error about a parameter of the table at `base`. `more` lists further names that are valid there.
     pub(crate) fn parameter_error(&self, base: &str, error: &ParameterError, more: &[&str]) -> ConfigError {
         let path = join(base, &error.path);
         match &error.unknown {
@@ -146,7 +145,7 @@ impl Document {
     }
 }
 
-/// "unknown key `x`; did you mean `y`?", or the keys there are.
+/// The message "unknown key `x`; did you mean `y`?", or the list of valid keys if none is similar.
 pub(crate) fn unknown_key(unknown: &str, known: &[&str]) -> String {
     match nearest(unknown, known.iter().copied()) {
         Some(near) => format!("unknown key `{unknown}`; did you mean `{near}`?"),
@@ -205,7 +204,7 @@ fn value(path: &str, item: &Spanned<DeValue<'_>>, spans: &mut Spans) -> Result<V
     })
 }
 
-/// A value of the command line: TOML if it is, else the text itself (`rbf`, `1400x933`).
+/// A value from the command line: parsed as TOML if possible, else the text itself (`rbf`, `1400x933`).
 pub(crate) fn loose_value(text: &str) -> Value {
     let parsed = DeValue::parse(text).ok().and_then(|v| value("", &v, &mut Spans::new()).ok());
     parsed.unwrap_or_else(|| Value::String(text.to_string()))

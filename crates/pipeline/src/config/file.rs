@@ -1,31 +1,31 @@
-//! The pipeline file's own tables, as the JSON schema describes them. Stages add
-//! theirs, see [`super::schema`].
+//! The pipeline file's own tables, as the JSON schema describes them. The tables of the stages are added in
+//! [`super::schema`].
 
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 use super::presets::name_schema as preset_name;
 
-/// The top of a pipeline file.
+/// The top level of a pipeline file.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct PipelineFile {
-    /// The pipeline's name: results, logs and records are kept under it.
+    /// The pipeline's name. Results, logs and records are stored under it.
     pub(crate) name: String,
-    /// Everything random follows from it.
+    /// The seed of all random numbers.
     #[serde(default = "default_seed")]
     pub(crate) seed: u64,
-    /// Parameters of stages under a name; all that is said elsewhere wins over them.
+    /// A named set of stage parameters. Every other setting overrides them.
     #[serde(default)]
     #[schemars(schema_with = "preset_name")]
     pub(crate) preset: Option<String>,
-    /// The cache folder. `--cache` and USE3D_CACHE win over it.
+    /// The cache folder. `--cache` and USE3D_CACHE override it.
     #[serde(default)]
     pub(crate) cache: Option<String>,
     /// Networks trained by others.
     #[serde(default)]
     pub(crate) models: Models,
-    /// What "enhanced" is learnt from.
+    /// The source of the meaning of "enhanced".
     #[serde(default)]
     pub(crate) calibrator: Calibrator,
 }
@@ -38,30 +38,30 @@ pub(crate) fn default_seed() -> u64 {
 #[derive(Clone, Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Models {
-    /// Their folder. `--models` and USE3D_MODELS win over it.
+    /// The folder of their weights. `--models` and USE3D_MODELS override it.
     #[serde(default)]
     pub(crate) dir: Option<String>,
 }
 
-/// What "enhanced" is learnt from; without any, proposals stay as they are.
+/// The source of the meaning of "enhanced"; without any, proposals stay as they are.
 #[derive(Clone, Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Calibrator {
     /// Two folders of images with equal file stems.
     #[serde(default)]
     pub(crate) pairs: Option<Pairs>,
-    /// A calibrator that was made before, by `use3d calibrate` or by the paper's authors
-    /// (`transition_calibrator.pth`); nothing is learnt then.
+    /// A finished calibrator, made by `use3d calibrate` or by the paper's authors
+    /// (`transition_calibrator.pth`); then nothing is learnt.
     #[serde(default)]
     pub(crate) file: Option<String>,
 }
 
-/// A calibrator of a scene or a variant alone.
+/// A calibrator for a single scene or variant.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct OwnCalibrator {
-    /// A calibrator that was made before, read here in place of what the others use; a variant's wins over a
-    /// scene's. Pairs are for all scenes and variants.
+    /// A finished calibrator that replaces the common one here; a variant's overrides a scene's. Pairs apply
+    /// to all scenes and variants.
     pub(crate) file: String,
 }
 
@@ -83,7 +83,7 @@ pub(crate) struct SceneEntry {
     pub(crate) name: String,
     /// Its capture folder: images and a COLMAP model. `${NAME}` stands for an environment variable.
     pub(crate) capture: String,
-    /// The group whose mean it counts in.
+    /// The group whose mean includes this scene.
     #[serde(default)]
     pub(crate) group: String,
     /// A finished calibrator for this scene only.
@@ -91,7 +91,7 @@ pub(crate) struct SceneEntry {
     pub(crate) calibrator: Option<OwnCalibrator>,
 }
 
-/// A named set of changes that every scene is computed with; what it does not change is shared.
+/// A named set of changes. Every scene is also computed with them; stages that do not change are shared.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct VariantEntry {

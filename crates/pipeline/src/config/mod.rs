@@ -1,4 +1,4 @@
-//! The pipeline file: which scenes, with which parameters, in which variants.
+//! The pipeline file: the scenes, their parameters and their variants.
 //!
 //! ```toml
 //! name = "seathru4"
@@ -19,13 +19,13 @@
 //! reconstruct = { medium = "mlp" }
 //! ```
 //!
-//! A calibrator corrects the proposals (`targets.calibrated = true`) as soon as pairs, a calibrator or a
-//! parameter of its fit is named.
+//! A calibrator corrects the proposals (`targets.calibrated = true`) as soon as the file names pairs, a
+//! calibrator or a parameter of its fit.
 //!
-//! Later ones win: a stage's defaults, the preset, `[defaults.<stage>]`, the scene's, the variant's,
-//! `--set`. Unknown and ill-typed keys are errors that point at line and column and name the nearest
-//! known key. Relative paths start at the file's folder. An environment variable that is not set only
-//! hurts the scenes that need it.
+//! Later entries of this list override earlier ones: a stage's defaults, the preset, `[defaults.<stage>]`,
+//! the scene's, the variant's, `--set`. Unknown keys and values of a wrong type are errors; they give the
+//! line and column and name the most similar known key. Relative paths start at the file's folder. A missing
+//! environment variable is an error only for the scenes that need it.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -57,7 +57,7 @@ pub use presets::{preset_values, presets};
 pub use schema::{schema, schema_text};
 pub use set::stage_parameters;
 
-/// What the command line adds to a pipeline file.
+/// Settings that the command line adds to a pipeline file.
 #[derive(Clone, Debug, Default)]
 pub struct LoadOptions {
     /// `KEY=VALUE` of `--set`, in order.
@@ -66,19 +66,19 @@ pub struct LoadOptions {
     pub cache: Option<PathBuf>,
     /// `--models` or USE3D_MODELS.
     pub models: Option<PathBuf>,
-    /// Only these scenes; all without.
+    /// The scenes to compute; all if the list is empty.
     pub scenes: Vec<String>,
-    /// Two folders of pairs, `--pairs INPUT TARGET`; they win over the file's, and
-    /// over a finished calibrator there.
+    /// The two folders of pairs given by `--pairs INPUT TARGET`. They override the pairs of the file and a
+    /// finished calibrator named there.
     pub pairs: Option<(PathBuf, PathBuf)>,
-    /// A finished calibrator, `--calibrator`; it wins over those of the file and over its pairs.
+    /// A finished calibrator, `--calibrator`. It overrides the calibrators and the pairs of the file.
     pub calibrator: Option<PathBuf>,
 }
 
 /// A pipeline that is ready to be planned.
 #[derive(Clone, Debug)]
 pub struct Pipeline {
-    /// What is to be computed.
+    /// The scenes, variants and parameters to compute.
     pub batch: Batch,
     /// The cache folder.
     pub cache: PathBuf,
@@ -91,7 +91,7 @@ pub fn load(registry: &Registry, file: &Path, options: &LoadOptions) -> Result<P
     parse(registry, Document::read(file)?, file, options)
 }
 
-/// The whole pipeline with defaults on one capture folder.
+/// The whole pipeline with default parameters on one capture folder.
 pub fn for_capture(
     registry: &Registry,
     folder: &Path,
@@ -106,7 +106,8 @@ pub fn for_capture(
         )));
     }
     let name = whole.file_name().map_or_else(|| "capture".into(), |n| n.to_string_lossy());
-    // It names folders and is printed; a pipeline file could not say it either.
+    // The name is used for folders and is printed, so it gets no control characters; a pipeline file could
+    // not contain them either.
     let name = name.replace(char::is_control, "_");
     let mut scene = BatchScene { name: name.clone(), ..BatchScene::default() };
     scene.name_external("capture", Ok(whole), "the command line");
@@ -200,8 +201,8 @@ fn parse(
     Ok(pipeline)
 }
 
-/// What files and single captures have in common: the command line, the cache,
-/// the models, the choice of scenes.
+/// The common end of loading a file and loading a single capture: applies the command line, and sets the
+/// cache, the models and the choice of scenes.
 fn finish(
     registry: &Registry,
     mut batch: Batch,
@@ -243,7 +244,7 @@ fn finish(
     Ok(Pipeline { batch, cache, variables: places::variables(&Value::Array(sets)) })
 }
 
-/// Where the cache is unless somebody says otherwise: `$XDG_CACHE_HOME/use3d` or `~/.cache/use3d`.
+/// The default cache folder: `$XDG_CACHE_HOME/use3d` or `~/.cache/use3d`.
 pub fn default_cache() -> Result<PathBuf, ConfigError> {
     let set = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
     let base = set("XDG_CACHE_HOME").or_else(|| home().map(|h| h.join(".cache")));
@@ -254,7 +255,7 @@ pub fn default_cache() -> Result<PathBuf, ConfigError> {
     })
 }
 
-/// The stages that a finished calibrator leaves out.
+/// The stages that are skipped when a finished calibrator is given.
 const LEARNING: [&str; 2] = ["pairs", "calibrate"];
 
 struct Reader<'r> {
@@ -279,7 +280,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Tables of stages, each checked by its stage.
+    /// Tables of stage parameters, each checked by its stage.
     fn stages(&self, base: &str, tables: Map<String, Value>) -> Result<Overrides, ConfigError> {
         for (name, given) in &tables {
             let path = join(base, name);
@@ -295,7 +296,7 @@ impl Reader<'_> {
         Ok(tables)
     }
 
-    /// Moves the shorthands of a place out of `value` to the parameters they stand for.
+    /// Moves the shorthand keys of a place from `value` to the parameters that they stand for.
     fn shorthands(
         &self,
         place: &str,
@@ -322,7 +323,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// A scene's or variant's table: its own keys, and the parameters of stages.
+    /// A scene's or variant's table, split into its own keys and the parameters of stages.
     fn entry(&self, base: &str, place: &str, value: Value) -> Result<(Value, Overrides), ConfigError> {
         let fields = self.table(base, value)?;
         let is_stage = |name: &String| self.registry.stage(name).is_ok();
@@ -333,7 +334,7 @@ impl Reader<'_> {
         Ok((own, overrides))
     }
 
-    /// The words that a place knows beside its own keys.
+    /// The key words that a place accepts in addition to its own keys.
     fn words(&self, place: &str) -> Vec<&'static str> {
         let stages = self.registry.stages().iter().map(|s| s.name());
         let short = self.registry.shorthands().iter().filter(|s| s.place == place).map(|s| s.key);
@@ -357,7 +358,7 @@ impl Reader<'_> {
                     "`preset` stands at the top of the file or in a [[variant]], not in a [[scene]]";
                 return self.document.key_error(&join(base, &error.path), message);
             }
-            // Tables below have words of their own.
+            // Nested tables have key words of their own.
             let unknown = unknown.filter(|_| !error.path.contains('.'));
             let known = || more.iter().copied().chain(error.known.iter().map(String::as_str));
             if let Some((stage, name)) = unknown.and_then(|u| parameters::meant(self.registry, u, known())) {
@@ -378,7 +379,7 @@ impl Reader<'_> {
         })
     }
 
-    /// Refuses words about how a calibrator is learnt beside a finished one: they would do nothing.
+    /// Refuses settings for learning a calibrator together with a finished one: they would have no effect.
     fn finished(&self, calibrator: &Value, defaults: &Overrides) -> Result<(), ConfigError> {
         if calibrator.get("file").is_none() {
             return Ok(());
@@ -424,7 +425,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// The parameters of the preset that is named in the table at `base`.
+    /// The parameters of the preset named in the table at `base`.
     fn preset(&self, base: &str, name: Option<&str>) -> Result<Option<Overrides>, ConfigError> {
         let found = name.map(preset_values).transpose();
         found.map_err(|message| self.document.error(&join(base, "preset"), message))
@@ -460,7 +461,7 @@ fn stem(base: &str) -> &str {
     base.split('[').next().unwrap_or(base)
 }
 
-/// Lays parameters onto those of a stage; `wins` says whether they win over what is there.
+/// Merges parameters into those of a stage. With `wins`, the new values override the existing ones.
 fn merge_into(into: &mut Overrides, stage: &str, given: &Value, wins: bool) {
     match into.get_mut(stage) {
         Some(there) if wins => canonical::merge(there, given),
@@ -475,7 +476,7 @@ fn merge_into(into: &mut Overrides, stage: &str, given: &Value, wins: bool) {
     }
 }
 
-/// The nearest of some names, as a question.
+/// A question that suggests the most similar of some names; empty if none is similar.
 fn did_you_mean<'n>(wrong: &str, names: impl IntoIterator<Item = &'n str>) -> String {
     nearest(wrong, names).map(|n| format!("; did you mean `{n}`?")).unwrap_or_default()
 }

@@ -1,5 +1,5 @@
-//! Every parameter of the stages for people: name, kind, default, meaning, from the same
-//! schema that checks pipeline files.
+//! The list of all stage parameters for users: name, kind, default and meaning. It comes from the schema that
+//! checks pipeline files.
 
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -13,7 +13,7 @@ use super::schema::{resolved, schema, shortest};
 pub struct StageParameters {
     /// The stage.
     pub stage: &'static str,
-    /// One line about it.
+    /// A description of one line.
     pub about: &'static str,
     /// Its parameters, by name.
     pub parameters: Vec<Parameter>,
@@ -22,22 +22,22 @@ pub struct StageParameters {
 /// One parameter.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Parameter {
-    /// Its name below the stage, dots between levels: `split.every`.
+    /// Its name within the stage, with dots between levels: `split.every`.
     pub name: String,
-    /// What may be given: `whole number`, `number`, `true or false`, `text`, `list`, or the choices.
+    /// The accepted values: `whole number`, `number`, `true or false`, `text`, `list`, or the choices.
     pub kind: String,
-    /// Its value unless something is said.
+    /// Its value if nothing is set.
     pub default: Value,
-    /// Its value with the preset that was asked for; the default without one.
+    /// Its value with the requested preset; the default value without a preset.
     pub value: Value,
-    /// What it does, and its range.
+    /// Its effect, and its range.
     pub meaning: String,
 }
 
-/// The parameters of all stages, or of one, with the values of a preset where one is named.
+/// The parameters of all stages or of one stage, with the values of a preset if one is named.
 ///
 /// # Errors
-/// A stage or a preset that is not known, in words.
+/// Returns a message if the stage or the preset is unknown.
 pub fn parameters(
     registry: &Registry,
     stage: Option<&str>,
@@ -62,8 +62,8 @@ pub fn parameters(
         .collect())
 }
 
-/// The stage's parameters that a name without a stage may mean, as `STAGE.PARAMETER`: those of that very
-/// name, else of the nearest ones.
+/// The stage parameters that a name without a stage may mean, as (stage, parameter) pairs: the parameters of
+/// exactly that name, else those with the most similar name.
 pub(super) fn homes(registry: &Registry, name: &str) -> Vec<(&'static str, String)> {
     let all: Vec<(&'static str, String)> = parameters(registry, None, None)
         .unwrap_or_default()
@@ -79,8 +79,8 @@ pub(super) fn homes(registry: &Registry, name: &str) -> Vec<(&'static str, Strin
     all.into_iter().filter(|(_, p)| near.as_ref() == Some(p)).collect()
 }
 
-/// The stage and parameter that a key without a stage most likely means, unless one of
-/// the names known there is as near.
+/// The stage and the parameter that a key without a stage most likely means. `None` if one of the names that
+/// are valid at this place is as similar.
 pub(super) fn meant<'k>(
     registry: &Registry,
     key: &str,
@@ -107,14 +107,14 @@ fn list(schema: &Value, table: &Value, values: [&Value; 2], base: &str, into: &m
     }
 }
 
-/// What may be given, in words.
+/// The accepted values of a parameter, as text.
 fn kind(entry: &Value) -> String {
     let choices = |list: &Value, of: fn(&Value) -> &Value| -> Vec<String> {
         let list = list.as_array().map(Vec::as_slice).unwrap_or_default();
         list.iter().filter_map(|c| of(c).as_str().map(String::from)).collect()
     };
     let mut named = choices(&entry["oneOf"], |c| &c["const"]);
-    // Choices without a comment of their own stand together.
+    // Choices without a comment of their own are listed together in an `enum`.
     for group in entry["oneOf"].as_array().map(Vec::as_slice).unwrap_or_default() {
         named.extend(choices(&group["enum"], |c| c));
     }

@@ -1,4 +1,4 @@
-//! Files and folders that a pipeline names: which key names which input, and how a path is written there.
+//! Files and folders that a pipeline names: the key that names each input, and the notation of paths.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use use3d_build::graph::{External, Overrides};
 use super::LEARNING;
 use super::document::ConfigError;
 
-/// The inputs from outside that hold for all scenes, with the key of the pipeline file that names each.
+/// The external inputs that apply to all scenes, each with the key of the pipeline file that names it.
 const KEYS: [(&str, &str); 4] = [
     ("models", "models.dir"),
     ("pairs.input", "calibrator.pairs.input"),
@@ -18,25 +18,26 @@ const KEYS: [(&str, &str); 4] = [
     ("calibrator", "calibrator.file"),
 ];
 
-/// The key that names an input from outside.
+/// The key that names an external input.
 pub(super) fn key_of(external: &str) -> &str {
     KEYS.iter().find(|(name, _)| *name == external).map_or(external, |(_, key)| key)
 }
 
-/// The input from outside that a key names for all scenes.
+/// The external input that a key names for all scenes.
 pub(super) fn external_of(key: &str) -> Option<&'static str> {
     KEYS.iter().find(|(_, known)| *known == key).map(|(name, _)| *name)
 }
 
-/// Names a finished calibrator for all scenes in place of pairs, or one of the pairs' folders in place of a
-/// finished calibrator: what is said last is meant.
+/// Sets an external input for all scenes. A finished calibrator replaces pairs, and a folder of pairs
+/// replaces a finished calibrator: the last setting counts.
 pub(super) fn say_instead(batch: &mut Batch, external: &str, place: External, by: &str) {
     let others: &[&str] = match external {
         "calibrator" => &["pairs.input", "pairs.target"],
         "pairs.input" | "pairs.target" => &["calibrator"],
         _ => &[],
     };
-    // What the command line says of all holds for a scene or a variant with a file of its own, too.
+    // A calibrator given on the command line for all scenes also replaces the own calibrators of scenes and
+    // variants.
     let own = ["calibrator"].into_iter().filter(|name| *name == external);
     for name in others.iter().copied().chain(own) {
         batch.externals.remove(name);
@@ -50,10 +51,10 @@ pub(super) fn say_instead(batch: &mut Batch, external: &str, place: External, by
     batch.name_external(external, place, by);
 }
 
-/// A calibrator corrects the proposals where pairs, a calibrator or a parameter of its fit is named, unless
-/// `targets.calibrated` is given.
+/// Sets `targets.calibrated` to true where pairs, a calibrator or a parameter of its fit is given, unless
+/// `targets.calibrated` itself is given.
 ///
-/// The value goes into the weakest layer, so that everything a file or a command says counts first.
+/// The value goes into the weakest layer, so that every setting of a file or a command overrides it.
 pub(super) fn calibrate_where_named(batch: &mut Batch) {
     if gives_calibrated(&batch.defaults) {
         return;
@@ -82,7 +83,7 @@ pub(super) fn calibrate_where_named(batch: &mut Batch) {
     }
 }
 
-/// Whether parameters of the stages that learn a calibrator are given.
+/// True if parameters of the stages that learn a calibrator are given.
 fn learns(overrides: &Overrides) -> bool {
     LEARNING
         .iter()
@@ -97,7 +98,7 @@ fn gives_calibrated(overrides: &Overrides) -> bool {
     overrides.get("targets").is_some_and(|targets| targets.get("calibrated").is_some())
 }
 
-/// `targets.calibrated = true` where nothing else is given.
+/// Sets `targets.calibrated = true` if it has no value yet.
 fn set_calibrated(overrides: &mut Overrides) {
     let targets = overrides.entry("targets").or_insert_with(|| Value::Object(Map::new()));
     if let Some(targets) = targets.as_object_mut() {
@@ -105,8 +106,7 @@ fn set_calibrated(overrides: &mut Overrides) {
     }
 }
 
-/// Refuses settings of the command line about how a calibrator is learnt where a
-/// finished one is read everywhere.
+/// Refuses command-line settings for learning a calibrator when a finished one is used everywhere.
 pub(super) fn check_learning(batch: &Batch) -> Result<(), ConfigError> {
     if !batch.externals.contains_key("calibrator") {
         return Ok(());
@@ -114,7 +114,7 @@ pub(super) fn check_learning(batch: &Batch) -> Result<(), ConfigError> {
     let by = batch.named.get("calibrator").map_or("", String::as_str);
     for stage in LEARNING {
         let Some(Value::Object(given)) = batch.forced.get(stage) else { continue };
-        // `calibrator.proposer` says what proposes for the targets, too.
+        // `calibrator.proposer` also sets the proposer of the targets.
         let of_both = says_proposer(&batch.forced);
         if let Some(name) = given.keys().find(|name| !(of_both && *name == "proposer")) {
             return Err(ConfigError::plain(format!(
@@ -125,8 +125,8 @@ pub(super) fn check_learning(batch: &Batch) -> Result<(), ConfigError> {
     Ok(())
 }
 
-/// The 2D enhancer that is said of the targets is that of the pairs, of the comparison that reconstructs from
-/// proposals, and of the reference rows, too, wherever nothing else is said of these in the same place: one
+/// Applies the 2D enhancer of the targets also to the pairs, to the comparison that reconstructs from
+/// proposals, and to the reference rows, unless these have a setting of their own in the same layer. So one
 /// setting changes the 2D enhancer of a whole pipeline.
 pub(super) fn one_proposer_for_all(batch: &mut Batch) {
     const FOLLOW: [&str; 3] = ["pairs", "propose", "evaluate"];
@@ -146,7 +146,7 @@ pub(super) fn one_proposer_for_all(batch: &mut Batch) {
         follow(&mut variant.overrides, &FOLLOW);
         follow(&mut variant.forced, &FOLLOW);
     }
-    // Pairs are for all scenes.
+    // Pairs are shared by all scenes.
     for scene in &mut batch.scenes {
         follow(&mut scene.overrides, &FOLLOW[1..]);
         follow(&mut scene.forced, &FOLLOW[1..]);
@@ -175,7 +175,7 @@ pub(super) fn home() -> Option<PathBuf> {
         .map(PathBuf::from)
 }
 
-/// The environment variables that texts of a document or of the command line name.
+/// The environment variables that the texts of a document or of the command line refer to.
 pub(super) fn variables(value: &Value) -> BTreeSet<String> {
     match value {
         Value::String(text) => {
@@ -188,8 +188,8 @@ pub(super) fn variables(value: &Value) -> BTreeSet<String> {
     }
 }
 
-/// A path of the file: `${NAME}` is an environment variable, `~` the home folder,
-/// relative ones start at `folder`.
+/// Expands a path of the file: `${NAME}` is an environment variable, `~` is the home folder, and relative
+/// paths start at `folder`.
 pub(super) fn expand(text: &str, folder: &Path) -> External {
     let mut out = String::new();
     let mut rest = text;

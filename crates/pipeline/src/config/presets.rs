@@ -1,8 +1,8 @@
-//! Presets: parameters of stages under a name, each a file of this folder and a row of the table.
+//! Presets: named sets of stage parameters. Each is a file of this folder and a row of the table.
 //!
-//! A preset is the weakest layer of parameters, below `[defaults]`. It is its values and nothing else: no
-//! key, artifact or stage knows its name, so a file that writes them out is the same pipeline. Results only
-//! say which preset was named, and what was changed of it.
+//! A preset is the weakest layer of parameters, below `[defaults]`. Only its values count: no key, artifact
+//! or stage contains its name, so a file that writes the values out is the same pipeline. Only the results
+//! record the name of the preset and the changes made to it.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use use3d_build::graph::Overrides;
 use super::did_you_mean;
 use super::document::{ConfigError, Document};
 
-/// Names and files.
+/// Names and file contents of the presets.
 const PRESETS: &[(&str, &str)] = &[
     ("paper", include_str!("presets/paper.toml")),
     ("vanilla", include_str!("presets/vanilla.toml")),
@@ -20,12 +20,12 @@ const PRESETS: &[(&str, &str)] = &[
     ("plenodium", include_str!("presets/plenodium.toml")),
 ];
 
-/// Names of all presets.
+/// The names of all presets.
 pub fn presets() -> impl Iterator<Item = &'static str> + Clone {
     PRESETS.iter().map(|(name, _)| *name)
 }
 
-/// The parameters of a preset, by stage; the error is for a person to read.
+/// The parameters of a preset, by stage. The error is a message for the user.
 pub fn preset_values(name: &str) -> Result<Overrides, String> {
     let Some((_, text)) = PRESETS.iter().find(|(known, _)| *known == name) else {
         let known: Vec<&str> = presets().collect();

@@ -62,8 +62,8 @@ pub fn schema(registry: &Registry) -> Value {
     top
 }
 
-/// A default as people write it: a number of 32 bits with the fewest digits that give it back, where JSON
-/// has those of the same number in 64 bits. `entry` is what `schema` says of the value.
+/// A default value as people write it. A 32-bit number gets the fewest digits that restore it; JSON would
+/// print the digits of the same number in 64 bits. `entry` is the part of `schema` that describes the value.
 pub(super) fn shortest(schema: &Value, entry: &Value, default: &Value) -> Value {
     let entry = resolved(schema, entry);
     match default {
@@ -95,7 +95,7 @@ fn shorten_defaults(schema: &Value, entry: &mut Value) {
     }
 }
 
-/// The schema that a reference leads to, through options that may be left out.
+/// The schema that a reference leads to; for an optional value, the schema of the value that is not null.
 pub(super) fn resolved<'s>(schema: &'s Value, entry: &'s Value) -> &'s Value {
     if let Some(name) = entry["$ref"].as_str().and_then(|r| r.strip_prefix("#/$defs/")) {
         return resolved(schema, &schema["$defs"][name]);
@@ -107,7 +107,7 @@ pub(super) fn resolved<'s>(schema: &'s Value, entry: &'s Value) -> &'s Value {
     }
 }
 
-/// The schema as the file `pipelines/schema.json` holds it.
+/// The text of the schema, as stored in the file `pipelines/schema.json`.
 pub fn schema_text(registry: &Registry) -> String {
     let mut text = serde_json::to_string_pretty(&schema(registry)).unwrap_or_default();
     text.push('\n');

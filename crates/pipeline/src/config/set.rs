@@ -1,4 +1,4 @@
-//! `--set KEY=VALUE`.
+//! Applies the option `--set KEY=VALUE`.
 
 use std::path::Path;
 
@@ -12,8 +12,8 @@ use super::parameters::homes;
 use super::places::{expand, external_of, key_of, say_instead};
 use super::{did_you_mean, merge_into, preset_values};
 
-/// A value of the command line as a stage's parameter expects it: `size=640` and `size=0x0` are numbers
-/// to TOML and texts to the stage.
+/// A value from the command line in the type that a stage's parameter expects. For example, TOML reads
+/// `size=640` and `size=0x0` as numbers, but the stage expects text.
 fn typed(stage: &Stage, key: &str, value: &Value, text: &str) -> Result<Value, ParameterError> {
     let first = nested(key, value.clone());
     let Err(error) = stage.parameters(&first) else { return Ok(first) };
@@ -29,7 +29,7 @@ fn typed(stage: &Stage, key: &str, value: &Value, text: &str) -> Result<Value, P
 pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Result<(), ConfigError> {
     let (key, text, value) = split(setting)?;
     let wrong = |message: String| ConfigError::plain(format!("--set {setting}: {message}"));
-    // Paths of the command line start where the command was given.
+    // Paths on the command line are relative to the current folder.
     let path = || match &value {
         Value::String(text) => expand(text, Path::new("")),
         other => expand(&other.to_string(), Path::new("")),
@@ -94,8 +94,8 @@ pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Re
     }
 }
 
-/// The parameters of one stage by itself: its defaults with `KEY=VALUE` settings,
-/// whose keys are the stage's own.
+/// The parameters of a single stage: its defaults, changed by `KEY=VALUE` settings whose keys are the stage's
+/// own.
 pub fn stage_parameters(stage: &Stage, sets: &[String]) -> Result<Value, ConfigError> {
     let mut given = Overrides::new();
     for setting in sets {
@@ -109,7 +109,7 @@ pub fn stage_parameters(stage: &Stage, sets: &[String]) -> Result<Value, ConfigE
     stage.parameters(&given).map_err(|e| ConfigError::plain(words(&e)))
 }
 
-/// Key, value as written, value as TOML reads it.
+/// Splits a setting into the key, the value as written, and the value as TOML reads it.
 fn split(setting: &str) -> Result<(&str, &str, Value), ConfigError> {
     let (key, value) = setting.split_once('=').ok_or_else(|| {
         ConfigError::plain(format!(
@@ -119,8 +119,8 @@ fn split(setting: &str) -> Result<(&str, &str, Value), ConfigError> {
     Ok((key.trim(), value.trim(), loose_value(value.trim())))
 }
 
-/// The scene or variant that `rest` starts with (its name may hold dots; letter case
-/// is forgiven), and what follows.
+/// The index of the scene or variant whose name `rest` starts with, and the remaining text. The name may
+/// contain dots, and upper and lower case are not distinguished.
 fn named<'k>(kind: &str, rest: &'k str, names: &[String]) -> Result<(usize, &'k str), String> {
     let after = |name: &String, exact: bool| {
         let head = rest.get(..name.len())?;
@@ -178,8 +178,8 @@ fn place(
     Ok(())
 }
 
-/// Where a name that was taken for a parameter is a file or folder that the
-/// stage reads: the key that names it.
+/// A hint that gives the right key if an unknown parameter name is in fact the name of a file or folder that
+/// the stage reads.
 fn folder_key(stage: &Stage, error: &ParameterError) -> Option<String> {
     let unknown = error.unknown.as_deref().filter(|_| error.message.starts_with("unknown field"))?;
     let input = stage.inputs().iter().find(|i| i.role == unknown)?;
@@ -202,7 +202,7 @@ fn words(error: &ParameterError) -> String {
     }
 }
 
-/// `split.every`, 8 → `{split: {every: 8}}`.
+/// Nests a value: `split.every`, 8 → `{split: {every: 8}}`.
 pub(super) fn nested(path: &str, value: Value) -> Value {
     path.rsplit('.').fold(value, |inner, name| Value::Object(Map::from_iter([(name.to_string(), inner)])))
 }

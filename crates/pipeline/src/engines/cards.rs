@@ -1,4 +1,4 @@
-//! Cards that were opened, each checked once.
+//! Graphics cards that were opened. Each is checked once.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -22,7 +22,8 @@ use crate::code;
 #[derive(Clone)]
 pub(super) struct Card(Gpu);
 
-/// The card whose name contains `name`, without a name the best that is no software; why there is none.
+/// Opens the best card whose name contains `name`; without a name, the best hardware card. Returns the reason
+/// if there is none.
 pub(super) fn open(name: Option<&str>) -> Result<Card, String> {
     static OPENED: Mutex<BTreeMap<Option<String>, Result<Gpu, String>>> = Mutex::new(BTreeMap::new());
     let mut opened = OPENED.lock().unwrap_or_else(PoisonError::into_inner);
@@ -33,8 +34,8 @@ pub(super) fn open(name: Option<&str>) -> Result<Card, String> {
 }
 
 impl Card {
-    /// What results depend on: the adapter, its driver, how kernels add up, and the code of the crate
-    /// with its kernels and all below it.
+    /// The class of arithmetic of its results: the adapter, its driver, the way its kernels add up, and the
+    /// code of the GPU crate with its kernels and all crates below it.
     pub(super) fn class(&self) -> DeviceClass {
         let adapter = self.0.adapter();
         let host = code::built_in().stage(&["use3d-gpu"], &[]).map(|code| code.digest().to_string());
@@ -52,7 +53,8 @@ impl Card {
         self.0.adapter().name.clone()
     }
 
-    /// The adapter as a person is told of it: how its kernels add up, and why others were not taken.
+    /// A description of the adapter for the user: its kernels, and the reasons why other cards were passed
+    /// over.
     pub(super) fn told(&self) -> String {
         let passed_over = match self.0.refused_before() {
             [] => String::new(),
@@ -61,17 +63,17 @@ impl Card {
         format!("{} (kernels: {}){passed_over}", self.name(), self.0.kernels())
     }
 
-    /// Most Gaussians that it can hold.
+    /// Largest number of Gaussians that it can hold.
     pub(super) fn most_gaussians(&self) -> usize {
         self.0.most_gaussians()
     }
 
-    /// The engine of stage 1 on it.
+    /// The engine of stage 1 on this card.
     pub(super) fn stage1(&self) -> Result<Box<dyn Engine>, EngineError> {
         Ok(Box::new(Stage1::new(&self.0)?))
     }
 
-    /// The engine of stage 2 on it.
+    /// The engine of stage 2 on this card.
     pub(super) fn stage2<'a>(
         &self,
         scene: &'a Scene,
@@ -83,20 +85,20 @@ impl Card {
         Ok(Box::new(Stage2::new(&self.0, scene, views, guidance, params, observer)?))
     }
 
-    /// A scene's Gaussians on it, to be drawn.
+    /// A scene's Gaussians on this card, for drawing.
     pub(super) fn painter<'s>(&self, gaussians: &'s Gaussians) -> Result<Painter<'s>, EngineError> {
         let drawing = Arc::new(Mutex::new(Drawing::new(&self.0, gaussians)?));
         Ok(Painter { device: self.name(), gaussians, drawing, colors: Vec::new() })
     }
 
-    /// The adjoint of a scene's linear splat on it.
+    /// The adjoint of a scene's linear splat on this card.
     pub(super) fn adjoint(&self, gaussians: &Gaussians) -> Result<Box<dyn Adjoint>, EngineError> {
         let splat = LinearSplat::new(&self.0, gaussians)?;
         Ok(Box::new(Lifting { device: self.name(), gaussians: gaussians.len(), splat }))
     }
 }
 
-/// Lifts views to Gaussians that lie on a card.
+/// Lifts views to Gaussians that are stored on a card.
 struct Lifting {
     device: String,
     gaussians: usize,
@@ -122,7 +124,7 @@ impl Adjoint for Lifting {
     }
 }
 
-/// Draws Gaussians that lie on a card. Clones share them.
+/// Draws Gaussians that are stored on a card. Clones share them.
 #[derive(Clone)]
 pub(super) struct Painter<'s> {
     device: String,
@@ -132,7 +134,8 @@ pub(super) struct Painter<'s> {
 }
 
 impl Composer for Painter<'_> {
-    /// Colours that go through a look are the processor's, one per Gaussian; the rest is the card's.
+    /// Colours that are changed by a look are computed on the processor, one per Gaussian; the card does the
+    /// rest.
     fn compose(&mut self, view: &Composition<'_>, out: &mut Rendered) -> Result<(), RenderError> {
         let Composition { camera, lattice, recolor, medium, layers } = *view;
         let colors = recolor.map(|recolor| {

@@ -1,4 +1,5 @@
-//! What draws a scene's pictures: the processor, or a graphics card that holds the scene.
+//! The choice of the engine that draws a scene's pictures: the processor, or a graphics card that holds the
+//! scene.
 
 use use3d_capture::Formation;
 use use3d_reconstruct::EngineChoice;
@@ -7,7 +8,7 @@ use use3d_scene::Scene;
 
 use super::cards::{Card, Painter, open};
 
-/// A scene where it is drawn. Renderers made from it share what is on the card.
+/// A scene on the engine that draws it. Renderers made from it share the data on the card.
 pub struct Drawn<'s> {
     scene: &'s Scene,
     painter: Option<Painter<'s>>,
@@ -16,10 +17,10 @@ pub struct Drawn<'s> {
 }
 
 impl<'s> Drawn<'s> {
-    /// Takes a scene to where it will be drawn. `auto` is the processor where there is no card.
+    /// Loads a scene into the engine that will draw it. `auto` is the processor if there is no card.
     ///
     /// # Errors
-    /// A card that is not there, fails its check or cannot hold the scene, in words.
+    /// Returns a message if a card is missing, fails its check or cannot hold the scene.
     pub fn new(scene: &'s Scene, engine: &EngineChoice) -> Result<Self, String> {
         let kind = scene.medium.kind();
         let processors = (kind.formation() == Formation::PerImage).then(|| {
@@ -53,20 +54,20 @@ impl<'s> Drawn<'s> {
         self.scene
     }
 
-    /// Which engine draws, and why the processor where `auto` found no card.
+    /// A description of the engine that draws, with the reason if `auto` found no card.
     pub fn told(&self) -> &str {
         &self.told
     }
 
-    /// The name of the card that draws; `None`: the processor does.
+    /// The name of the card that draws; `None` for the processor.
     pub fn card(&self) -> Option<&str> {
         self.card.as_deref()
     }
 
-    /// A renderer of every mode, with so much of the enhancement.
+    /// A renderer of every mode, with this strength of the enhancement.
     ///
     /// # Errors
-    /// A strength outside `[0, 1]`.
+    /// Fails for a strength outside `[0, 1]`.
     pub fn renderer(&self, strength: f32) -> Result<SceneRenderer<'s>, RenderError> {
         let Some(painter) = &self.painter else { return SceneRenderer::new(self.scene, strength) };
         let on = |look| -> Result<Renderer<'s>, RenderError> {
@@ -91,7 +92,7 @@ mod tests {
 
     use super::*;
 
-    /// Gaussians in water, with an enhancement that somebody made up.
+    /// Gaussians in water, with an invented enhancement.
     fn scene() -> Scene {
         let draw = Stream::new(5, Purpose::new("a scene to draw"), 0);
         let normal = |i: usize, k: u64| draw.normal(64 * i as u64 + k) as f32;

@@ -1,11 +1,11 @@
-//! Which engine does a training's steps: the processor's, or a graphics card's; which one draws a finished
-//! scene ([`Drawn`]), and which one lifts views to its Gaussians.
+//! The choice of engines: for the steps of a training (the processor or a graphics card), for drawing a
+//! finished scene ([`Drawn`]), and for lifting views to a scene's Gaussians.
 //!
-//! A card is opened and checked once in a process, when its name first matters: where a key is made of it, or
-//! a stage starts. A choice that names a card which is not there, fails its check or cannot do what is asked
-//! is refused with the parameters, before anything runs; `auto` takes the processor then. What the card and
-//! its kernels are is told by the stage's numeric class and by nothing else of its key, so an edit of a
-//! kernel makes nothing stale that the processor computed.
+//! A card is opened and checked once per process, when its name is first needed: for a key, or at the start
+//! of a stage. If a choice names a card that is missing, fails its check or cannot do the work, the
+//! parameters are refused before anything runs; `auto` then takes the processor. A key describes the card and
+//! its kernels only by the stage's numeric class. So an edit of a kernel makes no result of the processor
+//! stale.
 
 #[cfg(feature = "gpu")]
 mod cards;
@@ -39,7 +39,7 @@ mod cards {
         Observer, Scene,
     };
 
-    /// None is ever made.
+    /// A type without values.
     pub(super) enum Card {}
 
     pub(super) fn open(_name: Option<&str>) -> Result<Card, String> {
@@ -88,7 +88,7 @@ mod cards {
         }
     }
 
-    /// None is ever made.
+    /// A type without values.
     #[derive(Clone)]
     pub(super) struct Painter<'s>(Infallible, PhantomData<&'s Gaussians>);
 
@@ -101,23 +101,23 @@ mod cards {
 
 use cards::{Card, open};
 
-/// Whether cards have kernels for a water: one made of spherical harmonics and in
-/// front of every Gaussian, or none.
+/// True if cards have kernels for a water: one that is made of spherical harmonics and formed in front of
+/// every Gaussian, or no water.
 fn on_cards(medium: Medium) -> bool {
     medium == Medium::None || (medium.starts_from_harmonics() && medium.formation() == Formation::PerGaussian)
 }
 
 /// The parameters of a stage that choose an engine.
 pub(crate) trait ChoosesEngine {
-    /// What is to compute.
+    /// The requested engine.
     fn engine(&self) -> &EngineChoice;
 
-    /// What is expected instead, where no card can do what these parameters ask for.
+    /// The values expected instead, if no card can do what these parameters request.
     fn beyond_cards(&self) -> Option<String> {
         None
     }
 
-    /// Most Gaussians that these parameters ask for; `None` where they leave it to the capture.
+    /// Largest number of Gaussians that these parameters request; `None` if it depends on the capture.
     fn most_gaussians(&self) -> Option<usize> {
         None
     }
@@ -143,14 +143,14 @@ impl ChoosesEngine for ReconstructParams {
     }
 }
 
-/// Its water is frozen, so any will do.
+/// The water is frozen in stage 2, so every kind is possible.
 impl ChoosesEngine for EnhanceParams {
     fn engine(&self) -> &EngineChoice {
         &self.engine
     }
 }
 
-/// The card of a name, if it can do what is asked.
+/// Opens the card of a name if it can do what the parameters request.
 fn able(params: &impl ChoosesEngine, name: Option<&str>) -> Result<Card, String> {
     if let Some(expected) = params.beyond_cards() {
         return Err(expected);
@@ -166,7 +166,7 @@ fn able(params: &impl ChoosesEngine, name: Option<&str>) -> Result<Card, String>
     }
 }
 
-/// The card that a stage takes; `None`: the processor.
+/// The card that a stage uses; `None` for the processor.
 fn card(params: &impl ChoosesEngine) -> Result<Option<Card>, String> {
     match params.engine() {
         EngineChoice::Cpu => Ok(None),
@@ -175,7 +175,7 @@ fn card(params: &impl ChoosesEngine) -> Result<Option<Card>, String> {
     }
 }
 
-/// The same when a training starts, and what a person is told of the choice, if there was one.
+/// Chooses the card at the start of a training; also returns the message to show.
 fn chosen(params: &impl ChoosesEngine) -> Result<(Option<Card>, Option<String>), EngineError> {
     let card = card(params).map_err(|what| EngineError::Request { engine: "gpu", what })?;
     let said = match &card {
@@ -189,24 +189,25 @@ fn chosen(params: &impl ChoosesEngine) -> Result<(Option<Card>, Option<String>),
     Ok((card, said))
 }
 
-/// Refuses a choice of engine that cannot be kept on this machine: the parameter, and what is wrong.
+/// Refuses an engine that this machine does not offer: returns the parameter and the problem.
 pub(crate) fn check<T: ChoosesEngine>(params: &T) -> Result<(), (String, String)> {
     card(params).map(|_| ()).map_err(|what| ("engine".to_string(), what))
 }
 
-/// The device that a stage computes on; `None`: the processor alone.
+/// The device that a stage computes on; `None` for the processor alone.
 pub(crate) fn class<T: ChoosesEngine>(params: &T) -> Option<DeviceClass> {
     card(params).ok().flatten().map(|card| card.class())
 }
 
-/// The engine of stage 1 for a capture that may come to `most` Gaussians, and what a person is told of the
+/// The engine of stage 1 for a capture that may grow to `most` Gaussians, and the message to show about the
 /// choice.
 pub(crate) fn stage1(
     params: &ReconstructParams,
     most: usize,
 ) -> Result<(Box<dyn Engine>, Option<String>), EngineError> {
     let (card, said) = chosen(params)?;
-    // What a capture comes to is found out on the way, and the key was made with the card: so it is said here.
+    // The number of Gaussians is known only during the training, and the key already names the card. So a
+    // card that may be too small is only reported here.
     let room = card.as_ref().map_or(usize::MAX, Card::most_gaussians);
     let said = said.map(|said| said + &narrow(most, room));
     let engine = match card {
@@ -216,7 +217,7 @@ pub(crate) fn stage1(
     Ok((engine, said))
 }
 
-/// What is told where a training may grow beyond the Gaussians that a card has room for.
+/// The message if a training may grow beyond the number of Gaussians that a card can hold.
 fn narrow(most: usize, room: usize) -> String {
     if most <= room {
         return String::new();
@@ -226,7 +227,7 @@ fn narrow(most: usize, room: usize) -> String {
     )
 }
 
-/// The engine of stage 2, and what a person is told of the choice.
+/// The engine of stage 2, and the message to show about the choice.
 pub(crate) fn stage2<'a>(
     scene: &'a Scene,
     views: &[EnhanceView],
@@ -242,7 +243,7 @@ pub(crate) fn stage2<'a>(
     Ok((engine, said))
 }
 
-/// What lifts views to a scene's Gaussians, and what a person is told of the choice.
+/// The lift from views to a scene's Gaussians, and the message to show about the choice.
 pub(crate) fn lift<'s>(
     gaussians: &'s Gaussians,
     params: &impl ChoosesEngine,

@@ -1,17 +1,17 @@
-//! The configuration behind a scene's numbers: the preset and what was changed of it, the 2D enhancer, the calibrator, the
-//! depth prior, the water, the steps, the split, the views, the seed.
+//! The configuration behind a scene's numbers: the preset and the changes to it, the 2D enhancer, the
+//! calibrator, the depth prior, the water, the steps, the split, the views, the seed.
 //!
-//! It stands beside every row of the tables, on the first screen of the report and in `scores.json`. It is
-//! part of no artifact: results are given it when they are delivered.
+//! It is shown for every row of the tables, at the top of the report, and in `scores.json`. It is part of no
+//! artifact: it is added when results are delivered.
 
 use serde::{Deserialize, Serialize};
 
-/// Preset whose results may stand beside the published ones.
+/// The preset whose results may be shown next to the published ones.
 const PAPER: &str = "paper";
-/// Different values of one field that are said one by one.
+/// Up to this many different values of one field are listed one by one.
 const SHOWN: usize = 3;
 
-/// The configuration behind the numbers of one scene in one variant, in words.
+/// The configuration behind the numbers of one scene in one variant, as text.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Configuration {
     /// The preset's name; empty for none.
@@ -39,12 +39,12 @@ pub struct Configuration {
 }
 
 impl Configuration {
-    /// True if everything is the paper's, so that published numbers may stand beside these.
+    /// True if everything is the paper's, so that published numbers may be shown next to these.
     pub fn is_the_papers(&self) -> bool {
         self.preset == PAPER && self.changed.is_empty() && self.data_of_the_paper
     }
 
-    /// The preset, or what was changed of it.
+    /// The preset and the changes to it.
     pub fn base(&self) -> String {
         let base = match self.preset.as_str() {
             "" => "defaults".to_string(),
@@ -67,7 +67,7 @@ impl Configuration {
         ]
     }
 
-    /// The configurations of several scenes in one line; a value that they share stands once.
+    /// The configurations of several scenes in one line; a value that they share is listed once.
     pub fn told(all: &[&Self]) -> String {
         let Some(first) = all.first() else { return String::new() };
         let each: Vec<_> = all.iter().map(|c| c.fields()).collect();

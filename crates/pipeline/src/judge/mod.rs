@@ -1,8 +1,9 @@
-//! What judges results, and lays out what it found. Knows nothing of stages, keys or caches.
+//! Judges results, and lays out the findings. This module does not depend on stages, keys or caches.
 //!
-//! [`scoring`] compares pictures and [`truth`] scenes with what is known of them, [`speed`] times drawing,
-//! [`strip`] shows a spot in neighbouring views; [`scores`] is what is written down of one scene, [`tables`]
-//! of many, [`configuration`] what made them, [`verdict`] puts it into sentences, [`report`] is the page.
+//! [`scoring`] compares pictures, [`truth`] compares scenes with their known truth, [`speed`] times drawing,
+//! and [`strip`] shows a spot in neighbouring views. [`scores`] is the record of one scene, [`tables`] are
+//! the tables of many scenes, [`configuration`] describes the settings behind them, [`verdict`] writes
+//! sentences about them, and [`report`] is the page.
 
 pub mod configuration;
 pub mod report;

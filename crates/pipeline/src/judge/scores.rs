@@ -1,5 +1,5 @@
-//! What `evaluate` writes and tables are made from: scores per view, per pair of neighbouring views, per
-//! scene.
+//! The scores that `evaluate` writes and tables are made from: per view, per pair of neighbouring views, and
+//! per scene.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -14,7 +14,7 @@ use crate::judge::truth::WaterScores;
 /// `w_delta_e`, `w_ssim`, `coverage`, `path_wlpips`, …, `truth_psnr`, `truth_delta_e`, `depth_error`, …).
 pub type Scores = BTreeMap<String, Score>;
 
-/// What is scored.
+/// The methods whose images are scored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
@@ -22,8 +22,8 @@ pub enum Method {
     Captured,
     /// The 2D enhancer applied to each photograph on its own.
     Proposal,
-    /// The 2D enhancer applied to each rendering of stage 1 on its own: what can be had at any camera without
-    /// a second stage.
+    /// The 2D enhancer applied to each rendering of stage 1 on its own: possible at any camera without a
+    /// second stage.
     ProposalOfRender,
     /// Stage 1 with its water.
     Reconstruction,
@@ -38,7 +38,7 @@ pub enum Method {
 }
 
 impl Method {
-    /// All, in the order of tables.
+    /// All methods, in the order of tables.
     pub const ALL: [Self; 8] = [
         Self::Captured,
         Self::Proposal,
@@ -50,7 +50,7 @@ impl Method {
         Self::EnhancedClear,
     ];
 
-    /// As tables call it.
+    /// The name in tables.
     pub fn label(self) -> &'static str {
         match self {
             Self::Captured => "Captured (raw input)",
@@ -64,7 +64,7 @@ impl Method {
         }
     }
 
-    /// As folders and report pictures call it.
+    /// The name of its folders and report pictures.
     pub fn name(self) -> &'static str {
         match self {
             Self::Captured => "captured",
@@ -102,7 +102,7 @@ pub struct PairScores {
 /// All scores of one method on one scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MethodScores {
-    /// What was scored.
+    /// The method.
     pub method: Method,
     /// Per held-out view.
     pub views: Vec<ViewScores>,
@@ -112,7 +112,8 @@ pub struct MethodScores {
     pub path: Vec<PairScores>,
     /// Means over views, neighbours and path, without the scores that are undefined.
     pub mean: Scores,
-    /// How many scores each mean leaves out because they are undefined, where there are any.
+    /// Number of scores that each mean leaves out because they are undefined; metrics without such scores are
+    /// absent.
     pub left_out: BTreeMap<String, usize>,
 }
 
@@ -146,7 +147,7 @@ impl MethodScores {
         Self { method, views, neighbours, path, mean, left_out }
     }
 
-    /// How many scores a mean is over.
+    /// Number of scores that a mean is over.
     pub fn counted(&self, metric: &str) -> usize {
         let views = self.views.iter().map(|v| &v.scores);
         let pairs = self.neighbours.iter().chain(&self.path).map(|p| &p.scores);
@@ -154,18 +155,18 @@ impl MethodScores {
     }
 }
 
-/// By whose depth and masks neighbouring views are compared.
+/// The source of the depth and masks for comparing neighbouring views.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Warp {
     /// Those of the reference variant's stage 1: the same for all variants of a scene.
     Reference,
-    /// The scene's own, where no reference was given: not comparable with another scene's.
+    /// The scene's own, if no reference was given: not comparable with another scene's.
     #[default]
     Own,
 }
 
-/// What `scores.json` calls itself.
+/// The format name in `scores.json`.
 pub const FORMAT: &str = "3d-use scores";
 /// Version of `scores.json`: 2 has finite scores or reasons, neighbouring captured views and the rendered
 /// path.
@@ -186,13 +187,12 @@ pub struct SceneScores {
     pub size: (usize, usize),
     /// Number of Gaussians.
     pub gaussians: usize,
-    /// By whose depth and masks neighbouring views are compared.
+    /// The source of the depth and masks for comparing neighbouring views.
     pub warp: Warp,
-    /// The look that the enhancement was learnt in, which is the result: `enhanced` or `enhanced-clear`.
+    /// The look that the enhancement was learnt in; it is the result: `enhanced` or `enhanced-clear`.
     #[serde(default = "enhanced")]
     pub result: Method,
-    /// The recovered water beside the true one; only for synthetic captures with their truth, and scenes
-    /// with water.
+    /// The recovered and the true water; only for scenes with water, of synthetic captures with their truth.
     pub water: Option<WaterScores>,
     /// The methods that were scored.
     pub methods: Vec<MethodScores>,
@@ -206,7 +206,7 @@ impl SceneScores {
     /// Reads `scores.json`.
     ///
     /// # Errors
-    /// A file of another format or version, or one that is damaged; the text names what is wrong.
+    /// Returns a message that names the problem if the file has another format or version, or is damaged.
     pub fn parse(bytes: &[u8]) -> Result<Self, String> {
         let value: serde_json::Value = serde_json::from_slice(bytes).map_err(|e| e.to_string())?;
         let (format, version) = (value["format"].as_str(), value["version"].as_u64());
@@ -230,7 +230,7 @@ impl SceneScores {
     }
 }
 
-/// A scene's scores with what a batch knows about the scene.
+/// A scene's scores with the batch's data about the scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ScoredScene {
     /// The scene's name.
@@ -239,29 +239,29 @@ pub struct ScoredScene {
     pub group: String,
     /// The variant, empty for the main run.
     pub variant: String,
-    /// The artifact the scores came from.
+    /// The artifact that the scores came from.
     pub source: String,
     /// The scores.
     pub scores: SceneScores,
-    /// The configuration behind them. It is never part of an artifact; delivery fills it in.
+    /// The configuration behind the scores. It is never part of an artifact; delivery fills it in.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub configuration: Option<Configuration>,
-    /// How fast the scene is drawn on the machine that evaluated it; never part of an artifact, filled in
-    /// when results are shown.
+    /// The speed of drawing the scene on the machine that evaluated it. It is never part of an artifact, and
+    /// is filled in when results are shown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed: Option<SceneSpeed>,
 }
 
-/// How fast a scene is drawn, and by what.
+/// The speed of drawing a scene, and the processor or card.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SceneSpeed {
-    /// Frames per second of `enhanced`, or of `reconstruction` where there is no enhanced scene.
+    /// Frames per second of `enhanced`, or of `reconstruction` if there is no enhanced scene.
     pub fps: Finite,
-    /// Pixels across and down.
+    /// Width and height, pixels.
     pub size: (usize, usize),
     /// The processor's name, or the graphics card's.
     pub processor: String,
-    /// Threads of the processor; 0: a graphics card draws.
+    /// Threads of the processor; 0 if a graphics card draws.
     pub threads: usize,
 }
 

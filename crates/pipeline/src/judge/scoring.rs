@@ -1,9 +1,10 @@
-//! Scores of images: formulas always, networks where their weights are there; what is missing says so.
+//! Scores of images: formulas always, networks if their weights are present; a missing network gives its
+//! reason.
 //!
-//! With a mask, only pixels that count count ([`use3d_metrics::Mask`]): PSNR and UCIQE are over those pixels,
-//! SSIM over the windows that hold no other. UIQM, URanker and MUSIQ judge whole pictures; they see black
-//! where nothing counts, in every method's picture alike. LPIPS sees the same and is divided by the share of
-//! pixels that count, as its mean runs over all of them.
+//! With a mask, only the pixels inside it count ([`use3d_metrics::Mask`]): PSNR and UCIQE use these pixels,
+//! SSIM the windows that contain no others. UIQM, URanker and MUSIQ judge whole pictures; the pixels outside
+//! the mask are black, in the pictures of all methods alike. LPIPS gets the same pictures and is divided by
+//! the share of pixels inside the mask, because its mean runs over all pixels.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -18,11 +19,11 @@ use crate::judge::scores::{Score, Scores};
 
 /// Relative difference of depths that counts as the same surface when warping by geometry.
 const SAME_SURFACE: f64 = 0.02;
-/// Inputs of the quality networks whose long side is longer are scaled down to it, as in the paper.
+/// Inputs of the quality networks are scaled down to this long side if theirs is longer, as in the paper.
 #[cfg(feature = "nets")]
 const LONGEST_SIDE: usize = 1024;
 
-/// The quality networks, each opened once, or why it is not there.
+/// The quality networks, each opened once, or the reason why it is missing.
 pub struct Judges {
     #[cfg(feature = "nets")]
     lpips: Result<use3d_nets::Lpips, String>,
@@ -38,7 +39,7 @@ pub struct Judges {
 const WITHOUT: &str = "not available: this program was built without networks (cargo feature `nets`)";
 
 impl Judges {
-    /// Opens what lies in the models folder.
+    /// Opens the networks that are in the models folder.
     #[cfg(feature = "nets")]
     pub fn open(models: Option<&Path>) -> Self {
         let Some(dir) = models else {
@@ -55,16 +56,16 @@ impl Judges {
         }
     }
 
-    /// A build without networks has none.
+    /// A build without networks opens none.
     #[cfg(not(feature = "nets"))]
     pub fn open(_: Option<&Path>) -> Self {
         Self {}
     }
 
-    /// Refuses where a network is missing, with its reason.
+    /// Fails if a network is missing, with its reason.
     ///
     /// # Errors
-    /// Why the first of them is not there.
+    /// Returns the reason why the first missing network is missing.
     #[cfg(feature = "nets")]
     pub fn complete(&self) -> Result<(), String> {
         let missing = [
@@ -76,19 +77,19 @@ impl Judges {
         missing.into_iter().flatten().next().map_or(Ok(()), |reason| Err(reason.clone()))
     }
 
-    /// A build without networks has none.
+    /// A build without networks is never complete.
     ///
     /// # Errors
-    /// Always.
+    /// Always fails.
     #[cfg(not(feature = "nets"))]
     pub fn complete(&self) -> Result<(), String> {
         Err(WITHOUT.into())
     }
 
-    /// About how much memory [`alone`](Self::alone), or with `compared` [`against`](Self::against), takes
-    /// beside the images, bytes per pixel; without masks, and for images within display range. Networks
-    /// that look at a picture scaled down to at most 1024 pixels take the same for any size, which is not
-    /// in it.
+    /// Approximate memory, in bytes per pixel, that [`alone`](Self::alone) or (with `compared`)
+    /// [`against`](Self::against) needs in addition to the images. It holds without masks, and for images
+    /// within display range. The memory of networks that scale a picture down to at most 1024 pixels is the
+    /// same for any size, and is not included.
     pub fn bytes_per_pixel(&self, compared: bool) -> u64 {
         /// Eight bits of every channel, and of its CIELAB (UCIQE).
         const COLOURS: u64 = 6;
@@ -139,7 +140,7 @@ impl Judges {
         scores
     }
 
-    /// Memory that LPIPS keeps for two images, measured (docs/science/networks.md).
+    /// Measured memory that LPIPS needs for two images (docs/science/networks.md).
     #[cfg(feature = "nets")]
     fn lpips_bytes_per_pixel(&self) -> u64 {
         if self.lpips.is_ok() { 92 } else { 0 }
@@ -190,7 +191,7 @@ fn network<N>(net: &Result<N, String>, score: impl FnOnce(&N) -> Result<f64, use
     }
 }
 
-/// The picture in display range; copied only where it leaves it.
+/// The picture clamped to the display range; copied only if a value is outside.
 fn clamped(image: &Image) -> Cow<'_, Image> {
     if image.data().iter().any(|v| *v < 0.0 || *v > 1.0) {
         Cow::Owned(image.map(|v| v.clamp(0.0, 1.0)))
@@ -199,7 +200,7 @@ fn clamped(image: &Image) -> Cow<'_, Image> {
     }
 }
 
-/// The picture, black where nothing counts.
+/// The picture, black outside the mask.
 fn whole<'a>(image: &'a Image, mask: Option<&Mask>) -> Result<Cow<'a, Image>, MetricError> {
     match mask {
         None => Ok(Cow::Borrowed(image)),
@@ -207,18 +208,18 @@ fn whole<'a>(image: &'a Image, mask: Option<&Mask>) -> Result<Cow<'a, Image>, Me
     }
 }
 
-/// A flow to the next view with where it holds, or why there is none.
+/// A flow to the next view with the mask of its valid pixels, or the reason why there is none.
 type Correspondence = Result<(Flow, Mask), String>;
 
-/// What a view is compared by: nothing of it belongs to a method.
+/// The data by which a view is compared; none of it belongs to a method.
 pub struct Seen<'a> {
     /// The camera.
     pub camera: &'a Camera,
     /// Depth along the optical axis; 0 where unknown.
     pub depth: &'a Map,
-    /// The raw input there: the photograph, or stage 1's rendering where there is none.
+    /// The raw input of this view: the photograph, or stage 1's rendering if there is none.
     pub raw: &'a Image,
-    /// Which pixels count.
+    /// Mask of the pixels that count.
     pub mask: Option<&'a Mask>,
 }
 
@@ -228,15 +229,15 @@ impl<'a> Seen<'a> {
     }
 }
 
-/// How one view's pixels are found in the next: by depth, and by optical flow of the raw inputs where the
-/// network for it is there. Shared by all methods.
+/// The correspondence of pixels between one view and the next: by depth, and by optical flow of the raw
+/// inputs if its network is present. All methods share it.
 pub struct Pairing {
     geometry: Correspondence,
     flow: Correspondence,
 }
 
 impl Pairing {
-    /// Of two views.
+    /// The correspondence of two views.
     pub fn new(judges: &Judges, first: &Seen<'_>, second: &Seen<'_>) -> Self {
         let geometry =
             geometric_warp(first.geometry(), second.geometry(), SAME_SURFACE).map_err(|e| e.to_string());
@@ -250,7 +251,7 @@ impl Pairing {
     }
 
     /// `wlpips`, `w_delta_e` and `w_ssim` of one method's images of the two views, with the shares of pixels
-    /// they compare: `coverage` (by depth) and `flow_coverage`. `prefix` comes before each name.
+    /// that they compare: `coverage` (by depth) and `flow_coverage`. `prefix` is put before each name.
     pub fn scores(&self, judges: &Judges, first: &Image, second: &Image, prefix: &str) -> Scores {
         let (first, second) = (clamped(first), clamped(second));
         let mut scores = Scores::new();
@@ -290,7 +291,7 @@ impl Pairing {
     }
 }
 
-/// The correspondences between pixels that count in both views.
+/// Limits the correspondences to pixels that count in both views.
 fn counting(flow: &Flow, mut mask: Mask, first: Option<&Mask>, second: Option<&Mask>) -> Mask {
     let (width, height) = (mask.width(), mask.height());
     if first.is_none() && second.is_none() {
@@ -348,7 +349,7 @@ impl Judges {
     }
 }
 
-/// An error as its message, whichever crate it came from.
+/// The message of an error, from any crate.
 #[cfg(feature = "nets")]
 struct Reason(String);
 

@@ -1,12 +1,12 @@
-//! How fast a scene is drawn.
+//! Measures the speed of drawing a scene.
 //!
 //! Protocol: all views are drawn at their full size, one at a time, on all threads of the pool. Two passes
-//! over the views warm caches and buffers up and do not count. Then whole passes are timed until there are
-//! three and five seconds have gone by. The figure is the median over all timed views; frames per second are
-//! 1000 over its milliseconds. Drawing is everything from the camera to an image in memory (projection,
+//! over the views fill caches and buffers and do not count. Then whole passes are timed, until there are at
+//! least three and five seconds have passed. The figure is the median over all timed views; frames per second
+//! are 1000 over its milliseconds. Drawing is everything from the camera to an image in memory (projection,
 //! sorting, water, compositing); loading the scene and writing files are not part of it.
 //!
-//! Times depend on the machine and the hour, so they never become part of an artifact.
+//! Times depend on the machine and its load, so they never become part of an artifact.
 
 use std::time::{Duration, Instant};
 
@@ -14,14 +14,14 @@ use serde::Serialize;
 use use3d_capture::Camera;
 use use3d_render::{Mode, RenderError, SceneRenderer};
 
-/// Passes that do not count.
+/// Number of passes that do not count.
 const WARM_UP: usize = 2;
-/// Fewest passes that do.
+/// Fewest passes that count.
 const PASSES: usize = 3;
-/// Shortest time they take together.
+/// Shortest total time of the passes that count.
 const SHORTEST: Duration = Duration::from_secs(5);
 
-/// What was measured.
+/// The measured times.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Speed {
     /// `reconstruction`, `clear`, `enhanced` or `enhanced-clear`.
@@ -38,10 +38,10 @@ pub struct Speed {
     pub passes: usize,
 }
 
-/// Times the drawing of every camera's view. `None` without cameras, or when `stop` said so.
+/// Times the drawing of every camera's view. `None` without cameras, or when `stop` returned true.
 ///
 /// # Errors
-/// What the renderer's device says.
+/// Returns the errors of the renderer's device.
 pub fn measure(
     renderer: &mut SceneRenderer<'_>,
     cameras: &[Camera],
@@ -51,10 +51,10 @@ pub fn measure(
     measure_for(renderer, cameras, mode, SHORTEST, stop)
 }
 
-/// As [`measure`], but no longer than the passes take: for a figure beside a table rather than a benchmark.
+/// As [`measure`], but without the minimum time: for a figure in a table rather than a benchmark.
 ///
 /// # Errors
-/// What the renderer's device says.
+/// Returns the errors of the renderer's device.
 pub fn measure_briefly(
     renderer: &mut SceneRenderer<'_>,
     cameras: &[Camera],

@@ -1,12 +1,12 @@
-//! The same spot of the scene in neighbouring views, cropped and enlarged: does an appearance flicker, or
-//! does it stay?
+//! The same spot of the scene in neighbouring views, cropped and enlarged. It shows if an appearance flickers
+//! or stays the same.
 //!
-//! The spot is chosen by geometry and by the photographs alone, never by an enhancement: among points on a
-//! grid over the middle view, lifted by its rendered depth, those that all views see (inside by half a crop,
-//! depths agreeing within 5 %) and of these the one whose surroundings have the most contrast in the
-//! photograph.
+//! The spot is chosen by geometry and by the photographs alone, never by an enhancement. The candidates are
+//! points on a grid over the middle view, lifted by its rendered depth, that all views see (inside by half a
+//! crop, depths agreeing within 5 %). The candidate whose surroundings have the most contrast in the
+//! photograph is chosen.
 //!
-//! How far a spot's mean colour moves from view to view is given as CIEDE2000, the largest over pairs of
+//! The movement of a spot's mean colour from view to view is given as CIEDE2000, the largest over pairs of
 //! views.
 
 use serde::{Deserialize, Serialize};
@@ -16,19 +16,19 @@ use use3d_numerics::math;
 
 /// Longest side of a crop, pixels.
 const SIDE: usize = 96;
-/// How much crops are enlarged.
+/// Factor by which crops are enlarged.
 const ZOOM: usize = 2;
 /// White between crops, pixels of the sheet.
 const GAP: usize = 6;
 /// Relative difference of depths that counts as the same surface.
 const SAME_SURFACE: f64 = 0.05;
 
-/// What a strip's picture shows.
+/// The description of a strip's picture.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Strip {
     /// Columns: the views' names.
     pub views: Vec<String>,
-    /// Rows: appearances, with how far the mean colour moves between views, CIEDE2000.
+    /// Rows: appearances, with the movement of the mean colour between views, CIEDE2000.
     pub rows: Vec<(String, f64)>,
     /// Side of the crops before they are enlarged, pixels.
     pub side: usize,
@@ -58,7 +58,8 @@ fn corner(u: f64, v: f64, side: usize, (width, height): (usize, usize)) -> Optio
     inside.then_some((x as usize, y as usize))
 }
 
-/// Where the spot under pixel `(x, y)` of the middle view lies in every view.
+/// The upper left corner of the crop in every view, around the spot under pixel `(x, y)` of the middle view;
+/// `None` if a view does not see it.
 fn track(
     views: &[Seen<'_>],
     middle: usize,
@@ -98,7 +99,8 @@ fn contrast(image: &Image, (left, top): (usize, usize), side: usize) -> f64 {
     square / n - math::powi(sum / n, 2)
 }
 
-/// The side of the crops, and the upper left corner of each view's; `None` if no spot is seen by all.
+/// The side of the crops, and the upper left corner of each view's crop; `None` if no spot is seen by all
+/// views.
 pub fn choose(views: &[Seen<'_>]) -> Option<(usize, Vec<(usize, usize)>)> {
     let middle = views.len() / 2;
     let photograph = views.get(middle)?.photograph;
@@ -143,8 +145,8 @@ fn movement(images: &[&Image], corners: &[(usize, usize)], side: usize) -> f64 {
     pairs.fold(0.0, f64::max)
 }
 
-/// Lays crops out, one row per appearance, one column per view, each enlarged by whole pixels; and says how
-/// far colours move.
+/// Arranges crops, one row per appearance and one column per view, each enlarged by whole pixels. Also
+/// returns the movement of the mean colour of each row.
 pub fn sheet(rows: &[Vec<&Image>], corners: &[(usize, usize)], side: usize) -> (Image, Vec<f64>) {
     let pitch = side * ZOOM + GAP;
     let mut out = Image::filled(

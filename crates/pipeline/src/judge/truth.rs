@@ -1,32 +1,33 @@
-//! The truth beside a capture, and how far a scene is from it.
+//! The truth that comes with a capture, and the distance of a scene from it.
 //!
-//! `use3d synth capture` leaves `truth/clean/` (the same views without water), `truth/depth/` (z-depth) and
-//! `truth/water.json` beside the images. Any other capture may bring the same: `truth/clean/` with images of
-//! the views' names is enough, depth and water are measured where they are there too. A `truth/` folder of
-//! another form belongs to somebody else: it is left alone, and said. Truth is for judging only: it is read
-//! when a finished scene is scored and never reaches training.
+//! `use3d synth capture` writes `truth/clean/` (the same views without water), `truth/depth/` (z-depth) and
+//! `truth/water.json` next to the images. Any other capture may bring the same: `truth/clean/` with images of
+//! the views' names is enough; depth and water are also measured if they are present. A `truth/` folder of
+//! another form belongs to other software: it is ignored, with a notice. Truth is for judging only: it is
+//! read when a finished scene is scored and never reaches training.
 //!
-//! Everything is measured where the truth shows a surface; open water has no clean colour and no depth. Where
-//! no depth is known, open water is what the clean image leaves black.
+//! Everything is measured where the truth shows a surface; open water has no clean colour and no depth. If no
+//! depth is known, open water is where the clean image is black.
 //!
 //! * `truth_psnr`, `truth_delta_e`: PSNR and mean CIEDE2000 of `clip(g x)` against the true clean image, `g =
 //!   Σ x y / Σ x²`: one gain for the whole image, since the absolute brightness of a scene without its water
 //!   is not determined.
 //! * `truth_delta_e_1976`: likewise with the colour difference of 1976, which older work gives.
-//! * `truth_psnr_raw`, `truth_delta_e_raw`: the same of `clip(x)`, nothing fitted. `…_channel`: after one
-//!   such gain per channel, as a camera that balances its white differently would see it. `…_affine`: after
-//!   the affine map of colours (3×4) of least squares per image: what no adjustment of a whole picture mends
-//!   is left. Gains and maps are fitted to values in `[0, 1]` before they are clipped.
-//! * `grey_near`, `grey_far`: where `truth/greys/` marks grey patches, the angle in degrees between grey
-//!   and the sum of their colours (linear light, each of length 1): nearer than 3 m, and from 4 m on.
-//!   Clipped and nearly black pixels do not count.
+//! * `truth_psnr_raw`, `truth_delta_e_raw`: the same of `clip(x)`, with nothing fitted. `…_channel`: after
+//!   one such gain per channel, as for a camera with another white balance. `…_affine`: after the
+//!   least-squares affine map of colours (3×4) per image; it leaves only errors that no
+//!   adjustment of a whole picture can correct. Gains and maps are fitted to values in `[0, 1]` before they
+//!   are clipped.
+//! * `grey_near`, `grey_far`: if `truth/greys/` marks grey patches, the angle in degrees between grey and the
+//!   sum of their colours (linear light, each of length 1): nearer than 3 m, and from 4 m on. Clipped and
+//!   nearly black pixels do not count.
 //! * `depth_error`: the median of `|z - z*| / z*` of the expected depth, `z*` the true depth times the scale
 //!   of the recorded frame.
-//! * `holes`: the share of surface where the accumulation is below one half: what is seen there is mostly
+//! * `holes`: the share of surface where the accumulation is below one half: there the image shows mostly
 //!   water.
 //! * Water: the mean of a coefficient over all rays of the held-out views, in 1/metre. A length in the
-//!   normalised frame is `scale` times that in COLMAP's, which is `units_per_metre` times metres; a
-//!   coefficient per length goes the other way.
+//!   normalised frame is `scale` times the length in COLMAP's frame, which is `units_per_metre` times metres;
+//!   a coefficient per length is converted the other way.
 
 use std::path::{Path, PathBuf};
 
@@ -46,29 +47,30 @@ use crate::judge::scores::{Score, Scores};
 const CLEAN: &str = "truth/clean";
 /// The folder with the maps of grey patches.
 const GREYS: &str = "truth/greys";
-/// Grey patches are near up to the first and far from the second, metres.
+/// Grey patches up to the first distance are near, those from the second on are far, metres.
 const NEAR_AND_FAR: [f64; 2] = [3.0, 4.0];
-/// Fewer pixels of grey patches than this say nothing.
+/// Fewest pixels of grey patches for a score.
 const FEWEST_GREYS: usize = 12;
-/// Display values of a grey patch that count in all channels: neither clipped nor nearly black.
+/// Range of display values in which a grey patch counts, in all channels: neither clipped nor nearly black.
 const READABLE: [f32; 2] = [0.04, 0.96];
 /// The true depths.
 const DEPTH: &str = "truth/depth";
 /// The true water.
 const WATER: &str = "truth/water.json";
 
-/// Accumulation from which on a surface is seen rather than the water before it.
+/// Accumulation from which a pixel shows a surface rather than the water in front of it.
 const SEEN: f32 = 0.5;
 
-/// What a clean image leaves black, display range: two steps of eight bits, which lossy files are off by.
+/// Largest value of a black pixel of a clean image, display range: two steps of eight bits, to allow for
+/// lossy files.
 const BLACK: f32 = 2.5 / 255.0;
 
-/// Truth of which a file cannot be read.
+/// A file of the truth cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[error("the truth beside the capture: {0}; make that file again, or rename its truth/ folder")]
 pub struct TruthError(#[from] ImportError);
 
-/// How the true images are read: as the capture's images are, lenses, sizes and all.
+/// The parameters for reading the true images: like the capture's images, with lenses and sizes.
 fn parameters(capture: &Path, size: Option<ImageSize>) -> ImportParams {
     ImportParams {
         image_dir: Some(CLEAN.into()),
@@ -80,12 +82,12 @@ fn parameters(capture: &Path, size: Option<ImageSize>) -> ImportParams {
     }
 }
 
-/// Whether a capture folder has its truth beside it.
+/// True if a capture folder contains its truth.
 fn is_there(capture: &Path) -> bool {
     capture.join(CLEAN).is_dir() && !is_prepared(capture)
 }
 
-/// The files of a capture that hold its truth, relative to it: none for a real capture.
+/// The files of a capture that hold its truth, relative to it; none for a real capture.
 pub fn files(capture: &Path) -> Vec<PathBuf> {
     if !is_there(capture) {
         return Vec::new();
@@ -96,8 +98,8 @@ pub fn files(capture: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// The first file of a capture's truth that cannot be read, and why. Truth of another form than this program's
-/// is no truth of a capture, and is left alone.
+/// The first file of a capture's truth that cannot be read, and the reason. A truth of another form than this
+/// program's does not count as the truth of a capture, and is ignored.
 pub fn unreadable(capture: &Path) -> Option<String> {
     if !is_there(capture) {
         return None;
@@ -110,15 +112,15 @@ pub fn unreadable(capture: &Path) -> Option<String> {
 pub struct Truth {
     imported: Imported,
     water: Option<CaptureTruth>,
-    /// Whether there are true depths.
+    /// True if there are true depths.
     pub knows_depth: bool,
-    /// Grey patches are marked; masks are the capture's own else.
+    /// True if grey patches are marked; otherwise the masks are the capture's own.
     knows_greys: bool,
 }
 
 impl Truth {
-    /// Opens the truth of a capture folder whose views are scored at `size`; `None` where there is none of
-    /// the form above. `say` hears what is there and left alone.
+    /// Opens the truth of a capture folder whose views are scored at `size`; `None` if there is none of the
+    /// form above. `say` is called with a notice for each part that is ignored.
     pub fn open(
         capture: &Path,
         (width, height): (usize, usize),
@@ -150,21 +152,21 @@ impl Truth {
         Some(Self { imported, water, knows_depth, knows_greys })
     }
 
-    /// The truth of the view whose name has this stem; `None` where it was not kept.
+    /// The truth of the view whose name has this stem; `None` if there is none.
     pub fn view(&self, stem: &str) -> Result<Option<TrueView>, TruthError> {
         let views = &self.imported.capture.views;
         let Some(index) = views.iter().position(|v| v.stem() == stem) else { return Ok(None) };
         let prepared = self.imported.view(index)?;
-        // Where the truth has no depths, what was found is the capture's own priors.
+        // If the truth has no depths, the depth found here is the capture's own prior, and is dropped.
         let depth = prepared.depth_prior.filter(|_| self.knows_depth);
         let greys = prepared.mask.filter(|_| self.knows_greys);
         let metres = self.water.as_ref().map(|water| 1.0 / water.units_per_metre);
         Ok(Some(TrueView { clean: prepared.pixels.to_image(), depth, greys, metres }))
     }
 
-    /// The recovered water beside the true one, where that is known (spectral water has no single true
-    /// coefficient). `attenuation` and `backscatter` are means in 1/normalised unit, `scale` is the
-    /// recorded frame's.
+    /// The recovered and the true water, if the truth is known (spectral water has no single true
+    /// coefficient). `attenuation` and `backscatter` are means in 1/normalised unit, `scale` is the recorded
+    /// frame's.
     pub fn water(&self, attenuation: [f64; 3], backscatter: [f64; 3], scale: f64) -> Option<WaterScores> {
         let truth = self.water.as_ref()?;
         let per_metre = |means: [f64; 3]| means.map(|v| v * scale * truth.units_per_metre);
@@ -179,7 +181,7 @@ impl Truth {
     }
 }
 
-/// The description of the water, if the file is there.
+/// Reads the description of the water, if the file exists.
 fn read_water(path: &Path) -> Result<Option<CaptureTruth>, String> {
     let text = match std::fs::read(path) {
         Ok(text) => text,
@@ -200,24 +202,24 @@ pub struct WaterScores {
     pub attenuation: [f64; 3],
     /// Mean `β_bs` over the rays of the held-out views.
     pub backscatter: [f64; 3],
-    /// `β_attn` as it was.
+    /// The true `β_attn`.
     pub true_attenuation: [f64; 3],
-    /// `β_bs` as it was.
+    /// The true `β_bs`.
     pub true_backscatter: [f64; 3],
 }
 
-/// What is fitted to the true image before another is compared with it.
+/// The correction that is fitted to the true image before an image is compared with it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fit {
-    /// Nothing.
+    /// No correction.
     Raw,
-    /// Gains.
+    /// Exposure gains.
     Gain(ExposureFit),
     /// An affine map of colours.
     Affine,
 }
 
-/// The ends of the scores' names, and what they are after.
+/// The suffixes of the scores' names, each with the fit before the comparison.
 pub const FITS: [(&str, Fit); 4] = [
     ("_raw", Fit::Raw),
     ("", Fit::Gain(ExposureFit::Global)),
@@ -272,7 +274,7 @@ impl TrueView {
         }
     }
 
-    /// The pixels of an image that count and where the truth shows a surface, in a row, clamped to the
+    /// The pixels of an image inside the mask where the truth shows a surface, in one row, clamped to the
     /// display range.
     fn surface(&self, image: &Image, mask: Option<&Mask>) -> Image {
         let counts = |p: &usize| self.shows_surface(*p) && mask.is_none_or(|m| m.data().get(*p) != Some(&0));
@@ -313,7 +315,7 @@ impl TrueView {
         scores
     }
 
-    /// `grey_near` and `grey_far` of an image; none where the truth marks no grey patches.
+    /// `grey_near` and `grey_far` of an image; empty if the truth marks no grey patches.
     pub fn greys(&self, image: &Image) -> Scores {
         let mut scores = Scores::new();
         let (Some(greys), Some(depth), Some(metres)) = (&self.greys, &self.depth, self.metres) else {
@@ -337,7 +339,7 @@ impl TrueView {
         scores
     }
 
-    /// The true depth, where it is known and as large as `map`.
+    /// The true depth, if it is known and has the size of `map`.
     fn depth_as(&self, map: &Map) -> Result<&Map, Score> {
         match &self.depth {
             Some(truth) if (truth.width(), truth.height()) == (map.width(), map.height()) => Ok(truth),
@@ -383,7 +385,8 @@ impl TrueView {
     }
 }
 
-/// Degrees between grey and the sum of display colours, each taken in linear light at length 1.
+/// Angle in degrees between grey and the sum of display colours, each converted to linear light and to length
+/// 1.
 fn angle_to_grey(colors: impl Iterator<Item = [f32; 3]>) -> Score {
     let readable = |color: &[f32; 3]| color.iter().all(|v| (READABLE[0]..=READABLE[1]).contains(v));
     let (mut sum, mut count) = ([0.0f64; 3], 0);
@@ -454,12 +457,12 @@ mod tests {
         depth.set_pixel(0, 0, [0.0]);
         let truth = TrueView { clean: ramp(1.0), depth: Some(depth), greys: None, metres: None };
         let mut darker = ramp(0.5);
-        darker.set_pixel(0, 0, [1.0, 0.0, 1.0]); // open water: whatever is there does not count
+        darker.set_pixel(0, 0, [1.0, 0.0, 1.0]); // open water does not count, whatever its colour
         let scores = truth.scores(&darker, None);
-        // Half as bright is equal after the gain.
+        // Half the brightness is equal after the gain.
         assert!(scores["truth_psnr"].value().is_none_or(|psnr| psnr > 100.0), "{scores:?}");
         close(&scores["truth_delta_e"], 0.0, 1e-2);
-        // Another hue is not an exposure.
+        // Another hue cannot be corrected by an exposure.
         let mut tinted = ramp(0.5);
         tinted.plane_mut(0).fill(0.3);
         let scores = truth.scores(&tinted, None);
@@ -475,7 +478,7 @@ mod tests {
     fn each_fit_forgives_what_it_can_and_nothing_else() {
         let clean = {
             let mut image = ramp(1.0);
-            // Colours in three dimensions, away from the ends of the range.
+            // Colours that vary in three dimensions, away from the ends of the range.
             for (i, v) in image.data_mut().iter_mut().enumerate() {
                 *v = 0.3 + 0.4 * ((7 * i + i * i / 3) % 32) as f32 / 32.0;
             }
@@ -509,7 +512,7 @@ mod tests {
                 assert_eq!(delta_e < 0.02, undone.contains(&suffix), "{suffix}: {scores:?}");
             }
         }
-        // Another scene is none of them; what may do more comes closer.
+        // A different image cannot be corrected by any fit, but a fit with more freedom comes closer.
         let scores = truth.scores(&ramp(1.0), None);
         let psnr = |suffix: &str| scores[&format!("truth_psnr{suffix}")].value().unwrap();
         assert!(psnr("_affine") > psnr("_channel") && psnr("_channel") > psnr("") && psnr("") > psnr("_raw"));
@@ -533,7 +536,7 @@ mod tests {
         assert!(truth.view("frame_0099").unwrap().is_none());
         assert!(view.scores(&view.clean, None)["truth_delta_e"].value().unwrap() < 1e-2);
 
-        // A coefficient of 1/m is 1/(scale · units) per normalised unit; going back gives the truth.
+        // A coefficient of 1/m is 1/(scale · units) per normalised unit; the conversion back gives the truth.
         let scale = 0.37;
         let per_metre = made.attenuation_per_metre.expect("the method's own water");
         let normalised = per_metre.map(|k| f64::from(k) / (scale * made.units_per_metre));
@@ -573,7 +576,7 @@ mod tests {
         assert!(view.scores(&Image::filled(24, 16, 0.3), None)["truth_delta_e"].value().is_some());
         assert!(view.depth_error(&Map::filled(24, 16, 1.0), 1.0).value().is_none());
 
-        // Somebody else's folders of the same name: poses, or images of other names.
+        // Folders of other software with the same name: poses, or images of other names.
         std::fs::rename(capture.join(CLEAN), capture.join("truth/poses")).unwrap();
         let (truth, notices) = open(&capture);
         assert!(truth.is_none() && notices[0].contains("truth/"), "{notices:?}");
@@ -596,14 +599,14 @@ mod tests {
             metres: Some(2.5),
         };
         let mut image = Image::filled(8, 4, 0.5);
-        // Far, red has twice the light: linear (2, 1, 1) / √6 is acos(4 / √18) from grey.
+        // The far patches have twice the red light: linear (2, 1, 1) / √6 is at acos(4 / √18) from grey.
         let red = 1.055 * math::powf(2.0 * math::powf((0.5f32 + 0.055) / 1.055, 2.4), 1.0 / 2.4) - 0.055;
         image.plane_mut(0)[16..].fill(red);
         let scores = truth.greys(&image);
         assert!(scores["grey_near"].value().unwrap() < 0.01);
         let far = math::acos(4.0 / 18f64.sqrt()).to_degrees();
         assert!((scores["grey_far"].value().unwrap() - far).abs() < 1e-3, "{scores:?}");
-        // Clipped pixels say nothing, and neither does a truth without patches.
+        // Clipped pixels give no score, and neither does a truth without patches.
         image.plane_mut(2)[16..].fill(1.0);
         assert!(truth.greys(&image)["grey_far"].value().is_none());
         assert!(TrueView { greys: None, ..truth }.greys(&image).is_empty());

@@ -1,14 +1,14 @@
-//! What the scores of a scene say, in sentences: what is better than what and by how much, what
-//! is worse, what was not measured.
+//! Sentences about the scores of a scene: what is better than what and by how much, what is worse, and what
+//! was not measured.
 //!
-//! Every sentence is made from the figures that stand in the tables; where a comparison turns out against
-//! the enhanced scene, it says so.
+//! Every sentence is made from the figures in the tables. If a comparison is unfavourable to the enhanced
+//! scene, the sentence says so.
 
 use use3d_capture::flat_stem;
 
 use super::scores::{Method, SceneScores};
 
-/// How a sentence reads.
+/// The tone of a sentence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tone {
     /// Good news.
@@ -22,13 +22,13 @@ pub enum Tone {
 /// One sentence.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Sentence {
-    /// How it reads.
+    /// Its tone.
     pub tone: Tone,
-    /// What it says.
+    /// Its text.
     pub text: String,
 }
 
-/// A weakest view is named if it is so many dB below the mean.
+/// The weakest view is named if it is this many dB below the mean.
 const WEAK: f64 = 2.0;
 /// PSNR from which a reconstruction is good, and below which it is bad, dB.
 const PSNR: [f64; 2] = [30.0, 22.0];
@@ -71,7 +71,7 @@ fn reconstruction(scores: &SceneScores) -> Option<Sentence> {
     let (tone, meaning) = if psnr >= PSNR[0] {
         (Tone::Good, "a difference that is hard to see")
     } else if psnr >= PSNR[1] {
-        // Pictures with their water are met: that says nothing about colours without it.
+        // Pictures with their water are reproduced well; that proves nothing about colours without water.
         (Tone::Plain, "recognisable, with details missing")
     } else {
         (Tone::Bad, "something is wrong: look at the pictures below")
@@ -86,7 +86,7 @@ fn reconstruction(scores: &SceneScores) -> Option<Sentence> {
     ))
 }
 
-/// `1.2 dB more than the photographs`.
+/// A comparison such as `1.2 dB more than the photographs`.
 fn compared(ours: f64, other: f64, unit: &str, decimals: usize, whom: &str, words: [&str; 2]) -> String {
     let apart = format!("{:.decimals$}", (ours - other).abs());
     if apart.parse() == Ok(0.0) {
@@ -95,7 +95,7 @@ fn compared(ours: f64, other: f64, unit: &str, decimals: usize, whom: &str, word
     format!("{apart}{unit} {} than {whom}", words[usize::from(ours < other)])
 }
 
-/// What an enhanced scene is compared with.
+/// The methods that an enhanced scene is compared with.
 const OTHERS: [(Method, &str); 2] =
     [(Method::Captured, "the photographs"), (Method::Proposal, "the 2D enhancer on each photograph")];
 
@@ -127,7 +127,8 @@ fn consistency(scores: &SceneScores, best: Method) -> Option<Sentence> {
     let others: Vec<(f64, &str)> =
         OTHERS.iter().filter_map(|(method, name)| Some((mean(scores, *method, metric)?, *name))).collect();
     let texts: Vec<String> = others.iter().map(|(other, name)| format!("{name} by {other:.1}")).collect();
-    // A stronger picture also moves more; what counts is the enhancer that knows one picture at a time.
+    // A picture with stronger colours also varies more; so the tone depends on the comparison with the 2D
+    // enhancer, which sees one picture at a time.
     let rival = mean(scores, Method::Proposal, metric);
     let tone = match rival {
         Some(rival) if ours > rival => Tone::Bad,
@@ -165,7 +166,8 @@ fn not_measured(scores: &SceneScores) -> Option<Sentence> {
     let mut reason = None;
     for (metric, score) in scores.methods.iter().flat_map(|m| &m.mean) {
         if let use3d_metrics::Score::NotAvailable(why) = score {
-            // The share of pixels that flow covers is no score of its own: wLPIPS is missing with it.
+            // The share of pixels that flow covers is not a score by itself: it is missing together with
+            // wLPIPS.
             let name = match metric.strip_prefix("path_").unwrap_or(metric) {
                 "flow_coverage" => "wLPIPS",
                 "lpips" => "LPIPS",

@@ -1,4 +1,4 @@
-//! The calibrator: from proposed transitions towards those of paired data.
+//! The stage that learns the calibrator: it maps proposed transitions towards those of the paired data.
 
 use use3d_atc::calibrator::{Calibrator, CalibratorParams, Dataset, METHOD_PAIRS, train};
 use use3d_atc::progress::Progress;
@@ -16,13 +16,13 @@ pub(super) fn stage() -> Stage {
         .input("pairs", "pairs")
         .when_named(|all, named| is_calibrated(all) && !named.has("calibrator"))
         .seeded()
-        // The pairs bring theirs.
+        // The extractor's settings come with the pairs.
         .without_effect(&["extractor"])
 }
 
 fn run(context: &StageContext, params: &CalibratorParams) -> Result<(), StageError> {
     let dataset: Dataset = read_json(&context.input("pairs")?.join(DATASET))?;
-    // The pairs were extracted with their own settings; a calibrator cannot have others.
+    // The pairs were extracted with their own settings, and the calibrator must use the same ones.
     let extractor = dataset.extractor.clone();
     let params = CalibratorParams { extractor, seed: context.seed(), ..params.clone() };
     let data = format!("{} pairs, {} left out", dataset.examples.len(), dataset.skipped.len());
@@ -49,7 +49,7 @@ fn run(context: &StageContext, params: &CalibratorParams) -> Result<(), StageErr
     write_json(&context.output().join("report.json"), &calibrator.provenance)
 }
 
-/// Says what became of the proposals, and what is to be thought of it.
+/// Reports how much of the proposals the calibrator corrects, and how reliable that is.
 fn tell(context: &StageContext, calibrator: &Calibrator, params: &CalibratorParams, dataset: &Dataset) {
     let (trust, pairs) = (params.trust_in(dataset), dataset.examples.len());
     if !dataset.stand_in && CalibratorParams::few(pairs) {

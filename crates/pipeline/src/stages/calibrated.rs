@@ -1,6 +1,6 @@
-//! If targets need a calibrator.
+//! Tests whether targets need a calibrator.
 //!
-//! Apart from what proposes, so that the calibrator is not made of the proposers' code.
+//! This is a file of its own, so that the code of the proposers is not part of the calibrator's key.
 
 use use3d_build::AllParameters;
 

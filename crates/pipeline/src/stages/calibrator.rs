@@ -1,4 +1,4 @@
-//! A calibrator from wherever it lies: the artifact of `calibrate`, its file elsewhere, or the file
+//! Reads a calibrator from any of its places: the artifact of `calibrate`, its file elsewhere, or the file
 //! that the paper's authors released.
 
 use std::path::Path;
@@ -8,11 +8,11 @@ use use3d_build::StageError;
 
 use super::names::CALIBRATOR;
 
-/// Far more than any calibrator holds; a larger file is another thing.
+/// Far more bytes than any calibrator has; a larger file must be something else.
 const LARGEST_FILE: u64 = 1 << 30;
 
-/// Reads a calibrator from its file, of this program's form or of the authors', or
-/// from the folder that holds it.
+/// Reads a calibrator from its file, in this program's format or in the authors', or from the folder that
+/// holds the file.
 pub(super) fn read_calibrator(path: &Path) -> Result<Calibrator, StageError> {
     let file = if path.is_dir() { path.join(CALIBRATOR) } else { path.to_path_buf() };
     let wrong = |problem: String| StageError::bad_input_message(format!("{}: {problem}", file.display()));
@@ -27,20 +27,20 @@ pub(super) fn read_calibrator(path: &Path) -> Result<Calibrator, StageError> {
     released(&file, &wrong)
 }
 
-/// The authors' `transition_calibrator.pth`, or the same tensors as safetensors.
+/// Reads the authors' `transition_calibrator.pth`, or the same tensors as safetensors.
 #[cfg(feature = "nets")]
 fn released(file: &Path, wrong: &dyn Fn(String) -> StageError) -> Result<Calibrator, StageError> {
     use use3d_atc::calibrator::ReleasedConfig;
     use use3d_nets::Archive;
 
-    /// A hundred times what the authors' has.
+    /// A hundred times the number of values in the authors' file.
     const MOST_VALUES: usize = 10_000_000;
     let expected = "expected a calibrator of `use3d calibrate` or the authors' transition_calibrator.pth";
     let unneeded = |name: &str| name.contains("support_");
     let archive = Archive::read(file, "global_head.0.bias", &unneeded, MOST_VALUES)
         .map_err(|e| StageError::bad_input_message(format!("{e}; {expected}")))?;
     let mut config = ReleasedConfig::default();
-    // Where the file does not say, its tensors have to: names and shapes are checked one by one.
+    // A missing label is no error: the tensors' names and shapes are checked one by one anyway.
     if let Some(schema) = archive.labels.get("schema") {
         config.schema.clone_from(schema);
     }

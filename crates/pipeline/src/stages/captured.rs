@@ -9,7 +9,7 @@ use use3d_import::camera_list;
 use super::common::write_json;
 use super::names::CAMERAS;
 
-/// A capture as the import stage left it.
+/// Loads the capture that the import stage prepared, and checks it.
 pub(super) fn capture(context: &StageContext) -> Result<Capture, StageError> {
     let imported = use3d_import::load_prepared(context.input("import")?).map_err(StageError::bad_input)?;
     imported.capture.validate().map_err(StageError::bad_input)?;

@@ -1,4 +1,4 @@
-//! What every stage does with files.
+//! File operations that every stage needs.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use serde::de::DeserializeOwned;
 use use3d_build::StageError;
 use use3d_numerics::range::OutOfRange;
 
-/// A bad parameter as a stage's check says it: path and words.
+/// A value out of range as the error of a stage's parameter check: the path and a message.
 pub(super) fn out_of_range(wrong: OutOfRange) -> (String, String) {
     let words = wrong.words();
     (wrong.path, words)
@@ -32,7 +32,7 @@ pub(super) fn write_text(path: &Path, text: &str) -> Result<(), StageError> {
     std::fs::write(path, text).map_err(|e| StageError::io(path, e))
 }
 
-/// Makes a folder in the output.
+/// Creates a folder in the output, with its parents.
 pub(super) fn folder(path: &Path) -> Result<(), StageError> {
     std::fs::create_dir_all(path).map_err(|e| StageError::io(path, e))
 }

@@ -1,7 +1,7 @@
-//! A contact sheet of stage 1: photographs beside what the scene shows from the same places.
+//! A contact sheet of stage 1: photographs next to renderings of the scene from the same cameras.
 //!
-//! Drawn with the scene's own compositor, so that stage 1's artifact depends neither on stage 2
-//! nor on how pictures are shown.
+//! It is drawn with the scene's own compositor, so that stage 1's artifact depends neither on stage 2 nor on
+//! the code that shows pictures.
 
 use use3d_capture::{Camera, Capture, Image, Lattice, MediumMaps, View};
 use use3d_import::{ImportError, load_pixels};
@@ -14,12 +14,12 @@ const MOST: usize = 8;
 const SIDE: usize = 400;
 /// White between pictures, pixels.
 const GAP: usize = 8;
-/// Pairs beside each other when there are more than [`ONE_COLUMN`].
+/// Number of columns of pairs when there are more than [`ONE_COLUMN`] pairs.
 const COLUMNS: usize = 2;
-/// Up to this many pairs stand below each other.
+/// Up to this many pairs are stacked in one column.
 const ONE_COLUMN: usize = 3;
 
-/// The views on the sheet: held-out ones, training ones where none are held out; evenly chosen from many.
+/// The views on the sheet, evenly chosen: the held-out views, or the training views if none is held out.
 pub(super) fn chosen(capture: &Capture) -> Vec<&View> {
     let mut views: Vec<&View> = capture.test_views().collect();
     if views.is_empty() {
@@ -29,7 +29,7 @@ pub(super) fn chosen(capture: &Capture) -> Vec<&View> {
     (0..count).map(|k| views[k * views.len() / count]).collect()
 }
 
-/// What the scene shows from a camera, with its water.
+/// Renders the scene from a camera, with its water.
 fn draw(compositor: &mut Compositor, scene: &Scene, camera: &Camera) -> Image {
     let lattice = Lattice::full(&camera.intrinsics);
     let mut maps = MediumMaps::zeros(0, 0);
@@ -40,8 +40,8 @@ fn draw(compositor: &mut Compositor, scene: &Scene, camera: &Camera) -> Image {
     rendered.image
 }
 
-/// Means of whole blocks of pixels, so that the longer side is at most
-/// [`SIDE`]; clamped to the display range.
+/// Scales an image down by the mean of whole blocks of pixels, so that the longer side is at most [`SIDE`].
+/// Values are clamped to the display range.
 fn thumbnail(image: &Image) -> Image {
     let block = image.width().max(image.height()).div_ceil(SIDE).max(1);
     let (width, height) = ((image.width() / block).max(1), (image.height() / block).max(1));
@@ -61,7 +61,8 @@ fn thumbnail(image: &Image) -> Image {
     small
 }
 
-/// Pairs of thumbnails in rows, photographs on the left. Rows are as high as their highest picture.
+/// Arranges pairs of thumbnails in rows, photographs on the left. The highest picture gives the height of a
+/// row.
 fn lay_out(pairs: &[[Image; 2]]) -> Image {
     let columns = if pairs.len() > ONE_COLUMN { COLUMNS } else { 1 };
     let cell = pairs.iter().flatten().map(Image::width).max().unwrap_or(0) + GAP;
@@ -85,7 +86,7 @@ fn lay_out(pairs: &[[Image; 2]]) -> Image {
     sheet
 }
 
-/// The sheet of a capture and the scene made from it; `None` without views.
+/// The contact sheet of a capture and the scene made from it; `None` without views.
 pub(super) fn sheet(capture: &Capture, scene: &Scene) -> Result<Option<Image>, ImportError> {
     let mut compositor = Compositor::new();
     let pair = |view: &View| -> Result<[Image; 2], ImportError> {

@@ -1,5 +1,5 @@
-//! Depth priors by Depth Anything V2 (R14): where they are asked for, and, left to choose, where the capture
-//! has none of its own and the weights are in the models folder.
+//! Depth priors by Depth Anything V2 (R14). They are made if the parameters request them; with `auto`, if the
+//! capture has none of its own and the weights are in the models folder.
 
 use std::path::Path;
 
@@ -13,11 +13,11 @@ use use3d_nets::{DepthAnythingSize, Models, Network};
 
 use super::captured::capture;
 
-/// Which network.
+/// The size of the network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Encoder {
-    /// The largest whose weights are in the models folder; the run says which.
+    /// The largest whose weights are in the models folder; the run reports the choice.
     #[default]
     Auto,
     /// 25 M parameters.
@@ -29,7 +29,7 @@ pub(super) enum Encoder {
 }
 
 impl Encoder {
-    /// The networks that would do, the best first.
+    /// The networks that fit this choice, the best first.
     fn candidates(self) -> &'static [(Network, DepthAnythingSize)] {
         const ALL: [(Network, DepthAnythingSize); 3] = [
             (Network::DepthAnythingV2Large, DepthAnythingSize::Large),
@@ -44,7 +44,8 @@ impl Encoder {
         }
     }
 
-    /// The network whose weights are in the models folder, or what to put there.
+    /// The best network whose weights are in the models folder, or a message that names the files to put
+    /// there.
     fn found(self, models: &Path) -> Result<(Network, DepthAnythingSize), String> {
         let folder = Models::open(models);
         let found = self.candidates().iter().find(|(network, _)| folder.has(*network));
@@ -59,11 +60,11 @@ impl Encoder {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct Params {
-    /// Which network.
+    /// The size of the network.
     pub(super) encoder: Encoder,
 }
 
-/// The networks that would do for these parameters, the best first.
+/// The networks that fit these parameters, the best first.
 pub(super) fn networks(parameters: &Value) -> Vec<Network> {
     let params: Params = serde_json::from_value(parameters.clone()).unwrap_or_default();
     params.encoder.candidates().iter().map(|(network, _)| *network).collect()
@@ -83,8 +84,8 @@ pub(super) fn stage() -> Stage {
         .cost(0, 4 << 30)
 }
 
-/// Whether a scene's priors are to be made, from its parameters and from what lies in its
-/// capture and in the models folder.
+/// True if a scene's priors are to be made, from its parameters and from the files in its capture and in the
+/// models folder.
 fn asked_for(all: &AllParameters, named: &Named) -> bool {
     let of = |stage: &str| all.get(stage).cloned().unwrap_or_default();
     let import = serde_json::from_value(of("import")).unwrap_or_default();
@@ -96,8 +97,8 @@ fn asked_for(all: &AllParameters, named: &Named) -> bool {
     )
 }
 
-/// Whether priors are to be made for a capture (with the parameters of its import), by the
-/// parameters of `reconstruct` and `depth`.
+/// True if priors are to be made for a capture (with the parameters of its import), by the parameters of
+/// `reconstruct` and `depth`.
 pub fn wanted(
     reconstruct: &Value,
     depth: &Value,
@@ -126,8 +127,8 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         context.alive()?;
         context.progress(i as u64, views.len() as u64, "views");
         let mut disparity = network.disparity(&load_pixels(view)?.to_image())?;
-        // The scale is arbitrary; 16 bits of the range between the 1 % and 99 % quantiles,
-        // larger is nearer, 0 is unknown.
+        // The scale is arbitrary: the range between the 1 % and 99 % quantiles is stored in 16 bits. Larger
+        // is nearer, 0 is unknown.
         let mut sorted: Vec<f32> =
             disparity.data().iter().copied().filter(|v| v.is_finite() && *v > 1e-8).collect();
         sorted.sort_unstable_by(f32::total_cmp);

@@ -1,12 +1,12 @@
-//! The scene of a stage where it is drawn: on the processor or on a card.
+//! Prepares a stage's scene for drawing on the processor or on a graphics card.
 
 use use3d_build::{StageContext, StageError};
 use use3d_scene::Scene;
 
 use crate::engines::{Drawn, EngineChoice};
 
-/// Takes a scene to what draws it, and tells a person which that is unless it is
-/// the processor that was asked for.
+/// Loads a scene into the engine that draws it, and reports the engine unless the parameters request the
+/// processor.
 pub(super) fn drawn<'s>(
     context: &StageContext,
     scene: &'s Scene,

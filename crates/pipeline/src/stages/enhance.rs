@@ -1,4 +1,4 @@
-//! Stage 2: the enhancement moves into the scene.
+//! Stage 2: stores the enhancement in the scene.
 
 use std::path::Path;
 
@@ -23,11 +23,11 @@ use super::watch::Watch;
 use crate::engines;
 use crate::judge::report::plot::{Plot, Series};
 
-/// What a scene says of its training, beside its log.
+/// The report on a scene's training, next to its log.
 const REPORT: &str = "report.json";
 
-/// How near two trainings in two classes of arithmetic are: means over views of what is
-/// left of the normalised errors.
+/// The largest difference between two trainings in two classes of arithmetic: in the means over views of the
+/// normalised errors that remain.
 const FIGURES: [Figure; 3] = [
     Figure { file: REPORT, at: "/views/*/after/global/error", within: 0.05 },
     Figure { file: REPORT, at: "/views/*/after/local/error", within: 0.05 },
@@ -61,7 +61,7 @@ fn read_targets(path: &Path) -> Result<Targets, StageError> {
     Targets::from_bytes(&bytes).map_err(|e| StageError::bad_input_message(format!("{}: {e}", file.display())))
 }
 
-/// The proposer's images of the training views.
+/// The 2D enhancer's images of the training views.
 struct Proposals<'a> {
     views: Vec<&'a View>,
     proposer: Box<dyn use3d_atc::proposers::Proposer>,
@@ -74,7 +74,7 @@ impl LabelSource for Proposals<'_> {
     }
 }
 
-/// What stage 2 reached, for a person to read; an error that grew although it was to shrink is a warning.
+/// Messages on the errors before and after stage 2. An error that grew although it was weighted is a warning.
 fn reached(report: &Report, params: &EnhanceParams) -> Vec<String> {
     let measuring = TERMS.iter().filter(|row| row.measures_errors());
     let errors: Option<Vec<_>> = measuring.map(|row| Some((row, report.errors(row.name)?))).collect();
@@ -89,7 +89,7 @@ fn reached(report: &Report, params: &EnhanceParams) -> Vec<String> {
         vec![format!("realised transition, normalised error before → after: {}", each.join(", "))];
     for (row, (before, after)) in errors {
         let name = row.name;
-        // As printed: what looks the same did not grow, and a thousandth of a scale is no growth.
+        // The growth must be visible in the printed decimals: a thousandth of a scale is no growth.
         if (row.weight)(params) > 0.0 && after > before + GROWTH {
             lines.push(format!(
                 "warning: the {name} error grew in stage 2, from {before:.3} to {after:.3}: the scene is farther from its {name} targets than it was without enhancement; try more `iterations`, or leave this term out with `objective`"
@@ -99,14 +99,14 @@ fn reached(report: &Report, params: &EnhanceParams) -> Vec<String> {
     lines
 }
 
-/// An error that grows by more than this, in its scale, is a warning: it can be seen in three decimals, and is more
-/// than the noise of a fit that has nothing to do.
+/// Growth of an error, in its scale, above which there is a warning. It is visible in three decimals, and
+/// more than the noise of a fit that has nothing to do.
 const GROWTH: f64 = 2e-3;
 
 /// Colours of the curves of a plot, in the order of terms.
 const CURVES: [&str; 4] = ["#0b7285", "#e8590c", "#845ef7", "#2b8a3e"];
 
-/// The curves of the terms that say how far views are from what was aimed at.
+/// The curves of the terms that measure the distance of views from their targets.
 fn curves(log: &[LogEntry]) -> Vec<Series> {
     let terms = TERMS.iter().enumerate().filter(|(_, row)| row.is_of_views());
     terms
@@ -145,7 +145,7 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
     };
     let watch = &mut Watch::new(context);
     let outcome = {
-        // It goes with this block, and the views' constants with it.
+        // The engine and the constants of the views are dropped at the end of this block.
         let (mut engine, chosen) = engines::stage2(&scene, &views, guidance, &params, watch)?;
         if let Some(chosen) = chosen {
             context.say(chosen);
@@ -223,7 +223,7 @@ mod tests {
             "that objective does not ask for it"
         );
         assert_eq!(reached(&report(Some([0.6, 0.3, 0.08, 0.2])), &asked(Objective::Full)).len(), 1);
-        // An even grey capture has nothing to enhance, and its errors are those of arithmetic.
+        // A uniform grey capture has nothing to enhance, and its errors are those of arithmetic.
         let nothing = reached(&report(Some([0.0, 0.0, 0.0012, 0.0003])), &asked(Objective::Full));
         assert_eq!(nothing.len(), 1, "{nothing:?}");
     }

@@ -1,18 +1,18 @@
-//! Held-out views scored: stage 1 against the photographs, every appearance for itself; and
-//! neighbouring views for consistency.
+//! Scores the held-out views: stage 1 against the photographs, and every appearance by itself. Also scores
+//! the consistency of neighbouring views.
 //!
-//! The 2D enhancer's images of the held-out photographs are kept, for the report to show beside the scene's.
+//! The 2D enhancer's images of the held-out photographs are kept; the report shows them next to the scene's.
 //!
-//! Rendered images are scored as they are rendered (f32, clamped to the display range), not from
-//! files; the `render` stage shows the same images, and both are functions of the same artifacts.
-//! Where the capture has its truth beside it, appearances, depth and water are also measured against
-//! that ([`crate::judge::truth`]).
+//! Rendered images are scored as they are rendered (f32, clamped to the display range) and not read from
+//! files. The `render` stage shows the same images; both stages are functions of the same artifacts. If the
+//! capture comes with its truth, appearances, depth and water are also measured against the truth
+//! ([`crate::judge::truth`]).
 //!
-//! Consistency has two forms, both over views that lie next to each other. *Neighbours* are captured views
-//! that follow one another in the capture: only there are photographs, so only there can the 2D enhancer be
-//! tried on photographs. The *path* swims through the training cameras with several frames from one to the
-//! next: what a film of the scene shows. Depth, masks and raw inputs come from the reference variant's stage
-//! 1, the same for all variants of a scene, so that no variant is judged by its own geometry.
+//! Consistency has two forms, both over pairs of adjacent views. *Neighbours* are captured views that follow
+//! one another in the capture. Only they have photographs, so only there can the 2D enhancer be tested on
+//! photographs. The *path* moves through the training cameras with several frames from one to the next, like
+//! a film of the scene. Depth, masks and raw inputs come from the reference variant's stage 1. They are the
+//! same for all variants of a scene, so that no variant is judged by its own geometry.
 
 use std::path::Path;
 
@@ -48,7 +48,7 @@ use crate::judge::truth::{Truth, files};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Wanted {
-    /// Those whose networks are in the models folder; the others say what is missing.
+    /// Those whose networks are in the models folder; for each other score, the missing files are reported.
     #[default]
     Available,
     /// All of the paper: LPIPS, URanker, MUSIQ and wLPIPS. A network that is missing is an error.
@@ -69,7 +69,7 @@ pub(super) struct Params {
     pub(super) path_pairs: usize,
     /// Frames of that path from one training view to the next.
     pub(super) path_steps: usize,
-    /// What draws the scenes: `cpu`; `auto` (a graphics card that passed its check, else the
+    /// The engine that draws the scenes: `cpu`; `auto` (a graphics card that passed its check, else the
     /// processor); `gpu`; `gpu:NAME`.
     #[schemars(with = "String")]
     pub(super) engine: EngineChoice,
@@ -94,7 +94,8 @@ impl ChoosesEngine for Params {
     }
 }
 
-/// How near the scores of one scene are that two classes of arithmetic drew: the same to what is printed.
+/// The largest difference between the scores of one scene drawn in two classes of arithmetic: below the
+/// printed decimals.
 const FIGURES: [Figure; 2] = [
     Figure { file: SCORES, at: "/methods/*/mean/psnr/value", within: 0.005 },
     Figure { file: SCORES, at: "/methods/*/mean/ssim/value", within: 0.0005 },
@@ -143,7 +144,7 @@ struct Appearances {
     images: Vec<(Method, Image)>,
     depth: Map,
     accumulation: Map,
-    /// Attenuation and backscatter of every ray, where the scene has water.
+    /// Attenuation and backscatter of every ray, if the scene has water.
     water: Option<[Image; 2]>,
 }
 
@@ -158,16 +159,16 @@ fn channel_means(image: &Image) -> [f64; 3] {
     image.planes().map(|plane| plane.iter().map(|v| f64::from(*v)).sum::<f64>() / plane.len().max(1) as f64)
 }
 
-/// A scene and the 2D enhancer, ready to be looked at.
+/// A scene's renderer and the 2D enhancer: produces all appearances of a view.
 struct Looker<'a> {
     renderer: SceneRenderer<'a>,
     proposer: &'a dyn Proposer,
-    /// What the scene shows as it was learnt: photographs, or proposals.
+    /// The method that the scene was learnt with: from photographs, or from proposals.
     learnt: Method,
 }
 
 impl Looker<'_> {
-    /// All appearances at a camera; those made of a photograph where there is one.
+    /// All appearances at a camera, with those made of a photograph if there is one.
     fn look(&mut self, camera: &Camera, photograph: Option<Image>) -> Result<Appearances, StageError> {
         let mut modes =
             vec![Mode::Reconstruction, Mode::Depth, Mode::Alpha, Mode::Attenuation, Mode::Backscatter];
@@ -210,7 +211,7 @@ impl Looker<'_> {
     }
 }
 
-/// The pixels of a view that count; `None` where all do.
+/// The mask of the valid pixels of a view; `None` if all are valid.
 fn mask(view: &View) -> Result<Option<Mask>, StageError> {
     Ok(load_mask(view)?.map(|weights| mask_of(&weights)).filter(|m| m.data().contains(&0)))
 }
@@ -218,18 +219,18 @@ fn mask(view: &View) -> Result<Option<Mask>, StageError> {
 /// Lists by method, in the order in which methods appear.
 type Lists<T> = Vec<(Method, Vec<T>)>;
 
-/// What the parts of an evaluation share.
+/// Data that all parts of an evaluation use.
 struct Evaluation<'a> {
     context: &'a StageContext,
     capture: &'a Capture,
     judges: Judges,
     looker: Looker<'a>,
-    /// The reference variant's stage 1; the scene's own is taken where there is none.
+    /// The reference variant's stage 1; if there is none, the scene's own is used.
     reference: Option<Reference<'a>>,
 }
 
 impl Evaluation<'_> {
-    /// The methods' images at a camera, with what they are compared by.
+    /// The methods' images at a camera, with the depth, the raw image and the mask for comparing them.
     fn station(&mut self, camera: &Camera, view: Option<&View>) -> Result<Station, StageError> {
         self.context.alive()?;
         let (photograph, mask) = match view {
@@ -246,7 +247,7 @@ impl Evaluation<'_> {
         Ok(Station { camera: *camera, raw: raw.map(|v| v.clamp(0.0, 1.0)), depth, mask, looks })
     }
 
-    /// One pair's scores of every method, into `lists`.
+    /// Adds the scores of every method on one pair to `lists`.
     fn pair(&self, ends: &[Station; 2], names: &[String; 2], prefix: &str, lists: &mut Lists<PairScores>) {
         let [first, second] = ends;
         let pairing = Pairing::new(&self.judges, &first.compared(), &second.compared());
@@ -260,7 +261,7 @@ impl Evaluation<'_> {
         }
     }
 
-    /// Captured views that follow one another.
+    /// Scores of pairs of captured views that follow one another.
     fn neighbours(&mut self, most: usize) -> Result<Lists<PairScores>, StageError> {
         let mut lists = Lists::new();
         let views = &self.capture.views;
@@ -279,7 +280,7 @@ impl Evaluation<'_> {
         Ok(lists)
     }
 
-    /// Adjacent frames of a path through the training cameras.
+    /// Scores of pairs of adjacent frames of a path through the training cameras.
     fn path(&mut self, most: usize, steps: usize) -> Result<Lists<PairScores>, StageError> {
         let mut lists = Lists::new();
         let keys: Vec<Camera> = self.capture.training_views().map(|v| v.camera).collect();
@@ -294,7 +295,7 @@ impl Evaluation<'_> {
     }
 }
 
-/// A camera with everything seen from there.
+/// A camera with all images from its position.
 struct Station {
     camera: Camera,
     raw: Image,
@@ -315,7 +316,8 @@ fn evenly(n: usize, most: usize) -> Vec<usize> {
     (0..count).map(|k| (2 * k + 1) * n / (2 * count)).collect()
 }
 
-/// What a scene was learnt from: as its inputs say, or, by hand, as its stage 1 wrote it down.
+/// The method that a scene was learnt with. It follows from the stage's inputs or, if the stage is run by
+/// hand, from the record that stage 1 wrote.
 fn learnt_from(context: &StageContext) -> Method {
     let written = |folder: &Path| read_json::<serde_json::Value>(&folder.join(EVALUATION)).ok();
     let by_hand =
@@ -327,11 +329,11 @@ fn learnt_from(context: &StageContext) -> Method {
     }
 }
 
-/// The reference variant's stage 1, seen from cameras of the scene that is scored. A variant that is imported
-/// in another way lies in another frame; both frames come from the same model.
+/// The reference variant's stage 1, rendered from cameras of the scene that is scored. A variant that is
+/// imported with other parameters may have another frame; both frames come from the same model.
 struct Reference<'a> {
     renderer: SceneRenderer<'a>,
-    /// The scored scene's frame and the reference's, where they differ.
+    /// The frame of the scored scene and that of the reference, if they differ.
     between: Option<[Frame; 2]>,
 }
 
@@ -341,7 +343,7 @@ impl<'a> Reference<'a> {
         Ok(Self { renderer: reference.renderer(1.0)?, between: (from != to).then_some([from, to]) })
     }
 
-    /// Depth, in units of the scored scene, and rendering at one of its cameras.
+    /// Depth, in units of the scored scene, and the rendering at one of the scored scene's cameras.
     fn look(&mut self, camera: &Camera) -> Result<(Map, Image), StageError> {
         let mut camera = *camera;
         let mut unit = None;
@@ -428,7 +430,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
                     scores.insert("depth_error".into(), truth.depth_error(&now.depth, scale));
                     scores.insert("holes".into(), truth.holes(&now.accumulation));
                 }
-                // The water is still in stage 1's images.
+                // Stage 1's images still contain the water.
                 if *method != Method::Reconstruction {
                     scores.extend(truth.scores(image, mask.as_ref()));
                     scores.extend(truth.greys(image));
@@ -478,7 +480,8 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     write_json(&context.output().join(SCORES), &scores)
 }
 
-/// Notes how fast the scene is drawn at the held-out views' own size. A time is never part of an artifact.
+/// Notes the speed of drawing the scene, at the held-out views' own size. A time is never part of an
+/// artifact.
 fn time(
     context: &StageContext,
     views: &[&View],

@@ -1,5 +1,5 @@
-//! A COLMAP folder becomes a prepared capture: pinhole cameras, pixels at their
-//! size, a normalised frame, a split.
+//! Converts a COLMAP folder into a prepared capture: pinhole cameras, pixels at their size, a normalised
+//! frame and a split.
 
 use std::path::{Path, PathBuf};
 
@@ -22,8 +22,8 @@ pub(super) fn stage() -> Stage {
         .cost(0, 1 << 30)
 }
 
-/// What of a capture folder counts: the folders that the import would read, not everything beside them; and
-/// the hidden files among the views', which folders do not count.
+/// The files of a capture folder that count in the key: those that the import would read, and no others in
+/// the folder. Hidden files among the views are listed by name, because a folder's digest skips them.
 fn files(parameters: &Value, capture: &Path) -> Result<Vec<PathBuf>, String> {
     let params: ImportParams = serde_json::from_value(parameters.clone()).map_err(|e| e.to_string())?;
     let imported = import(capture, &params).map_err(|e| e.to_string())?;
@@ -39,7 +39,8 @@ fn files(parameters: &Value, capture: &Path) -> Result<Vec<PathBuf>, String> {
     let masks = params.mask_dir.unwrap_or_else(|| "masks".into());
     let mut paths = vec![PathBuf::from(report.model)];
     let folders = [Some(&report.image_folder), Some(&masks), report.depth_folder.as_ref()];
-    // File by file: what lies beside them, and the model does not name, is no part of the capture.
+    // The files are listed one by one: other files of these folders, which the model does not name, are not
+    // part of the capture.
     for folder in folders.into_iter().flatten() {
         let read = views.iter().flat_map(|v| [Some(&v.image), v.mask.as_ref(), v.depth_prior.as_ref()]);
         paths.extend(below(read.flatten(), capture, folder));
@@ -49,7 +50,7 @@ fn files(parameters: &Value, capture: &Path) -> Result<Vec<PathBuf>, String> {
     Ok(paths)
 }
 
-/// Those of some files that lie below a folder of the capture, relative to the capture.
+/// Those of `files` that are below a folder of the capture, as paths relative to the capture.
 fn below<'f>(files: impl Iterator<Item = &'f PathBuf>, capture: &Path, folder: &str) -> Vec<PathBuf> {
     let Ok(real) = capture.join(folder).canonicalize() else { return Vec::new() };
     let name = |file: &PathBuf| {
@@ -78,7 +79,7 @@ fn run(context: &StageContext, params: &ImportParams) -> Result<(), StageError> 
         return Err(StageError::Cancelled);
     }
     let prepared = prepared.map_err(|error| match error {
-        // What cannot be written is no fault of the capture.
+        // A failed write is not an error of the capture.
         ImportError::File { .. } | ImportError::Image(ImageError::Write { .. }) => StageError::failed(error),
         ImportError::Model(ModelError::Write { .. }) => StageError::failed(error),
         error => StageError::bad_input(error),
@@ -88,8 +89,8 @@ fn run(context: &StageContext, params: &ImportParams) -> Result<(), StageError> 
     write_json(&out.join("report.json"), &prepared.report)
 }
 
-/// Keeps the files' account of the capture's water: scenes may be learnt at another size. An import of an
-/// import keeps what the first one saw.
+/// Keeps the measurements of the water in the photographs at their full size, because scenes may be learnt at
+/// another size. An import of an import keeps the measurements of the first one.
 fn keep_sights(
     context: &StageContext,
     imported: &Imported,

@@ -1,4 +1,4 @@
-//! The share of the water that an enhanced scene keeps, chosen from what is known of the scene.
+//! Chooses the share of the water that an enhanced scene keeps, from what is known of the scene.
 
 use std::path::Path;
 
@@ -55,10 +55,10 @@ impl KeptWaterChoice {
     }
 }
 
-/// Longest side at which a view's optical depths are looked at, pixels.
+/// Longest side at which a view's optical depths are sampled, pixels.
 const SIDE: usize = 160;
 
-/// Chooses the shares: optical depths of all training views, and how well the water is known.
+/// Chooses the shares from the optical depths of all training views and from the reliability of the water.
 pub(super) fn choose(
     context: &StageContext,
     scene: &Scene,
@@ -83,7 +83,7 @@ pub(super) fn choose(
     Ok(shares(&depths, trust(context.input("scene")?)))
 }
 
-/// Stage 1's knowledge of the water when it began, by its own record.
+/// The reliability of the water: measured before training, or only learnt. It is read from stage 1's record.
 fn trust(scene: &Path) -> Trust {
     let Ok(report) = read_json::<serde_json::Value>(&scene.join(WATER)) else { return Trust::Learnt };
     let measured = |channel: &serde_json::Value| {

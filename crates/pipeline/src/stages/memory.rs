@@ -1,20 +1,20 @@
-//! How much memory a stage will take, forecast from the size of the pictures.
+//! A forecast of the memory that a stage needs, from the size of the pictures.
 //!
-//! It decides what runs side by side and what a plan says, never what comes out: it is part of no
-//! stage's code and of no key, and is laid over the table of stages from outside. Where the
-//! prepared capture is there already,
+//! It decides which stages run in parallel and what a plan prints, never a result. So it is part of no
+//! stage's code and of no key, and is added to the table of stages from outside. If the prepared capture
+//! exists already,
 //!
 //! ```text
 //! memory = program + a × pixels of the largest view + b × Gaussians + networks
 //! ```
 //!
-//! with the Gaussians of the scene where that is there (from the size of its file), else as many as a scene
-//! of that size comes to. Stage 1 says its own need ([`memory_need`]). Without the capture a forecast is the
-//! fixed figure of the stage's `cost`.
+//! with the number of Gaussians from the size of the scene's file if it exists, else the likely number for a
+//! scene of that size. Stage 1 computes its own need ([`memory_need`]). Without the capture, the forecast is
+//! the fixed figure of the stage's `cost`.
 //!
-//! `a` and `b` are from the largest resident set of each stage by hand (two threads; ten views of
-//! 320x180, 640x360 and 1280x720; eight and two hundred thousand Gaussians). Stage 2 keeps something
-//! of each view, up to `cache_mib`.
+//! `a` and `b` come from the largest resident set of each stage, run by itself (two threads; ten views of
+//! 320x180, 640x360 and 1280x720; eight and two hundred thousand Gaussians). Stage 2 keeps some data of each
+//! view, up to `cache_mib`.
 
 use std::path::Path;
 
@@ -25,16 +25,16 @@ use use3d_reconstruct::{CaptureSize, ReconstructParams, memory_need};
 
 use super::weights::{judge_files, proposer_files};
 
-/// The program with its threads and tables.
+/// Memory of the program with its threads and tables, bytes.
 const PROGRAM: u64 = 40 << 20;
-/// A Gaussian of degree 3 in a scene's PLY.
+/// Bytes of a Gaussian of degree 3 in a scene's PLY file.
 const STORED_GAUSSIAN: u64 = 248;
-/// Nu2Net at full detail, the greediest of the networks, per pixel (docs/science/networks.md).
+/// Bytes per pixel of Nu2Net at full detail, the largest need of all networks (docs/science/networks.md).
 const NETWORK_PER_PIXEL: u64 = 771;
-/// The same at 384 pixels, whatever the picture's size.
+/// Bytes of Nu2Net at 384 pixels, independent of the picture's size.
 const NETWORK_AT_384: u64 = 150 << 20;
 
-/// The stage with its forecast, where it follows from the size of the pictures.
+/// Adds a forecast to a stage whose memory follows from the size of the pictures.
 pub(super) fn with_forecast(stage: Stage) -> Stage {
     match stage.name() {
         "reconstruct" => stage.memory(|p: &ReconstructParams, inputs| {
@@ -60,13 +60,13 @@ pub(super) fn with_forecast(stage: Stage) -> Stage {
         }),
         "render" => stage
             .memory(|_: &Value, inputs| Some(PROGRAM + 270 * largest(inputs)? + 600 * gaussians(inputs)?)),
-        // A scene and the reference's, and three views in all their appearances side by side.
+        // The memory holds the scene, the reference's scene, and three views in all their appearances.
         "evaluate" => stage.memory(|_: &Value, inputs| {
             let network = networks(inputs, judge_files, NETWORK_PER_PIXEL);
             let pixels = largest(inputs)?;
             Some(PROGRAM + 650 * pixels + 1200 * gaussians(inputs)? + network.on(pixels))
         }),
-        // The import keeps a budget of its own, whatever the size; the others look at no scene.
+        // The import has a memory budget of its own, independent of the size. The other stages use no scene.
         _ => stage,
     }
 }
@@ -89,7 +89,7 @@ fn size(extent: &Extent) -> CaptureSize {
     CaptureSize::new(views, extent.points)
 }
 
-/// Gaussians of the scene that is read, else as many as one of this capture comes to.
+/// The number of Gaussians of the scene that is read; else the likely number for this capture.
 fn gaussians(inputs: &[StageInput]) -> Option<u64> {
     let scene = ["enhanced", "scene"].into_iter().find_map(|role| input(inputs, role));
     let file = scene.and_then(|scene| std::fs::metadata(scene.join("gaussians.ply")).ok());
@@ -99,14 +99,14 @@ fn gaussians(inputs: &[StageInput]) -> Option<u64> {
     }
 }
 
-/// Networks whose weights are in the models folder.
+/// The memory of the networks whose weights are in the models folder.
 struct Networks {
     weights: u64,
     per_pixel: u64,
 }
 
 impl Networks {
-    /// Bytes on a picture of so many pixels.
+    /// Bytes needed for a picture of this many pixels.
     fn on(&self, pixels: u64) -> u64 {
         match self.weights {
             0 => 0,
@@ -127,7 +127,7 @@ fn networks(
     Networks { weights: input(inputs, "models").map_or(0, length), per_pixel }
 }
 
-/// The largest file of a models folder: which of several sizes of a network is taken is decided later.
+/// The largest file of a models folder. It is an upper bound: the size of the network is chosen later.
 fn heaviest(models: &Path) -> u64 {
     let entries = std::fs::read_dir(models).into_iter().flatten().flatten();
     entries.filter_map(|e| e.metadata().ok()).filter(|m| m.is_file()).map(|m| m.len()).max().unwrap_or(0)

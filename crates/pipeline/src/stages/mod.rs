@@ -1,4 +1,4 @@
-//! The stages: each a pure function from artifacts and parameters to one artifact.
+//! The stages. Each is a pure function from artifacts and parameters to one artifact.
 //!
 //! ```text
 //! import ─┬───────────────▶ reconstruct ─┬─▶ targets ─▶ enhance ─┬─▶ render ──┐
@@ -6,12 +6,12 @@
 //! pairs ─▶ calibrate ────────────────────┴──────┘                             ┘
 //! ```
 //!
-//! Targets need a calibrator only where `targets.calibrated` says so; `pairs` and `calibrate` are left out
-//! where no scene asks for one.
+//! Targets need a calibrator only if `targets.calibrated` is true; `pairs` and `calibrate` are left out if no
+//! scene needs one.
 //!
-//! For comparison, `propose` can stand before `reconstruct`, which then learns from photographs enhanced one
-//! by one; `targets` and `enhance` are left out then. `pairs` and `calibrate` are made once for all scenes,
-//! and not at all where every scene is given a finished calibrator; `report` once from everything.
+//! For comparison, `propose` can precede `reconstruct`, which then learns from photographs that were enhanced
+//! one by one; `targets` and `enhance` are left out in that case. `pairs` and `calibrate` run once for all
+//! scenes, and not at all if every scene has a finished calibrator. `report` runs once, on all results.
 
 mod calibrate;
 mod calibrated;
@@ -53,7 +53,7 @@ use use3d_build::{BuildError, Registry};
 
 use crate::code::built_in;
 
-/// The table of stages with the short words of the pipeline file.
+/// The table of stages, with the shorthand keys of the pipeline file.
 pub fn registry() -> Result<Registry, BuildError> {
     let stages = vec![
         import::stage(),

@@ -1,6 +1,6 @@
-//! Names of files that one stage leaves in its artifact and another reads.
+//! Names of files that one stage writes into its artifact and another stage reads.
 //!
-//! Apart from the stages that write them, so that a reader is not made of the writer's code.
+//! They are in a file of their own, so that the code of a writer is not part of its readers' keys.
 
 /// The paired data in `pairs`.
 pub(super) const DATASET: &str = "dataset.json";
@@ -12,21 +12,21 @@ pub(super) const CONTACT: &str = "contact.png";
 pub const TARGETS: &str = "targets.safetensors";
 /// The scores in `evaluate`.
 pub const SCORES: &str = "scores.json";
-/// The consistency strip in `evaluate`, and what it shows.
+/// The consistency strip in `evaluate`, and its description.
 pub const STRIP: (&str, &str) = ("strip.png", "strip.json");
 /// The folder in `evaluate` with the held-out photographs enhanced in 2D, by stem.
 pub(super) const ENHANCED_IN_2D: &str = "proposal";
-/// Held-out views without water, of captures that bring their truth.
+/// The folder in `evaluate` with held-out views without water, for captures that come with their truth.
 pub(super) const TRUE_VIEWS: &str = "truth";
-/// The note of `evaluate` with how fast the scene is drawn.
+/// The note of `evaluate` with the speed of drawing the scene.
 pub const SPEED: &str = "speed";
-/// In `reconstruct`: what its parameters left open and the run chose.
+/// In `reconstruct`: the choices that its parameters left open and the run made.
 pub const CHOICES: &str = "choices.json";
-/// In `targets`: where the calibrator that corrected the proposals came from.
+/// In `targets`: the origin of the calibrator that corrected the proposals.
 pub const CALIBRATED: &str = "calibrator.json";
 /// In `reconstruct` and `enhance`: the training cameras, as a list that `use3d render --cameras` reads.
 pub const CAMERAS: &str = "cameras.json";
-/// In `reconstruct`: which images the scene was learnt from, and how held-out ones came out.
+/// In `reconstruct`: the images that the scene was learnt from, and the scores of the held-out views.
 pub(super) const EVALUATION: &str = "evaluation.json";
-/// In `reconstruct`: what the capture's tracks told of its water.
+/// In `reconstruct`: the water estimated from the capture's tracks.
 pub(super) const WATER: &str = "water.json";

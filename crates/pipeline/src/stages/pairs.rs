@@ -1,5 +1,5 @@
-//! The paired images in operator space: what the extractor says about each pair
-//! and about the proposal for it.
+//! The paired images in operator space: the extractor's operators for each pair and for the proposal for its
+//! input image.
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -21,13 +21,13 @@ use super::proposer::{ProposerChoice, open};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct PairsParams {
-    /// The 2D enhancer that proposes.
+    /// The 2D enhancer.
     pub(super) proposer: ProposerChoice,
-    /// The extractor; scenes follow it.
+    /// The settings of the extractor; scenes use the same ones.
     pub(super) extractor: ExtractorSettings,
-    /// Let synthetic pairs stand in where the pipeline names none; `false` makes that an error.
+    /// Use synthetic pairs if the pipeline names none; `false` makes that an error.
     pub(super) stand_in: bool,
-    /// The synthetic pairs that stand in when the pipeline names no pairs.
+    /// The synthetic pairs that are used if the pipeline names none.
     pub(super) synthetic: use3d_synth::PairsParams,
 }
 
@@ -117,7 +117,7 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
     write_json(&context.output().join(DATASET), &dataset)
 }
 
-/// Pairs of files with equal stems, in name order.
+/// Pairs of image files with equal stems, in name order.
 pub(super) fn list(input: &Path, target: &Path) -> Result<Vec<(String, PathBuf, PathBuf)>, StageError> {
     let images = |dir: &Path| -> Result<std::collections::BTreeMap<String, PathBuf>, StageError> {
         let mut found = std::collections::BTreeMap::new();

@@ -1,6 +1,6 @@
-//! When stage 1 learns from proposals, and where they are.
+//! The test for learning from proposals in stage 1, and the paths of the proposals.
 //!
-//! Apart from the stage that makes them, so that stage 1 is not made of the proposers' code.
+//! This is a file of its own, so that the code of the proposers is not part of stage 1's key.
 
 use std::path::{Path, PathBuf};
 
@@ -8,12 +8,12 @@ use use3d_capture::View;
 
 use use3d_build::AllParameters;
 
-/// Whether stage 1 learns from proposals.
+/// True if stage 1 learns from proposals.
 pub(super) fn asked_for(all: &AllParameters) -> bool {
     all.get("reconstruct").is_some_and(|r| r["images"] == "proposed")
 }
 
-/// A view's proposal in the artifact of `propose`.
+/// The file of a view's proposal in the artifact of `propose`.
 pub(super) fn file(proposals: &Path, view: &View) -> PathBuf {
     proposals.join(format!("{}.png", view.flat_stem()))
 }

@@ -1,8 +1,8 @@
-//! The proposals of all views as images, for the comparison that enhances every photograph
-//! and then reconstructs from those.
+//! The proposals of all views as images, for the comparison that enhances every photograph and then
+//! reconstructs a scene from the enhanced images.
 //!
-//! Only asked for when stage 1 is to learn from them (`reconstruct.images = "proposed"`); such
-//! a scene needs no second stage.
+//! It runs only if stage 1 learns from proposals (`reconstruct.images = "proposed"`); such a scene needs no
+//! second stage.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

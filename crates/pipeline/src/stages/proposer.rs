@@ -1,4 +1,4 @@
-//! What proposes, and how a 2D enhancer is opened.
+//! The choice of a proposer, and the opening of a 2D enhancer.
 
 use std::path::Path;
 
@@ -6,27 +6,28 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::proposers::{Fusion, Proposer};
 
-/// What proposes (R25).
+/// The proposer (R25).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ProposerChoice {
-    /// `nu2net` when its weights are in the models folder, else `fusion`; the run says which.
+    /// `nu2net` if its weights are in the models folder, else `fusion`; the run reports the choice.
     #[default]
     Auto,
-    /// Nu2Net; an error when its weights are not there.
+    /// Nu2Net; an error if its weights are missing.
     Nu2net,
     /// The classical fusion enhancer; needs no weights.
     Fusion,
-    /// What stage 1 knows of the scene, in clear radiance; no 2D enhancer, so for `targets` only.
+    /// A grade by rule from what stage 1 knows of the scene, in clear radiance; no 2D enhancer, so for
+    /// `targets` only.
     Scene,
 }
 
-/// What is said where a 2D enhancer is needed.
+/// The error for `scene` as the proposer where a 2D enhancer is needed.
 const NO_PHOTOGRAPHS: &str = "`scene` proposes for what stage 1 knows of a scene, not for photographs: it is for `targets` only; choose auto, \
     nu2net or fusion here";
 
 impl ProposerChoice {
-    /// Refuses what does not enhance photographs, as the error of the parameter `proposer`.
+    /// Refuses a proposer that does not enhance photographs, as the error of the parameter `proposer`.
     pub(super) fn for_photographs(self) -> Result<(), (String, String)> {
         if self == Self::Scene { Err(("proposer".into(), NO_PHOTOGRAPHS.into())) } else { Ok(()) }
     }
@@ -44,10 +45,10 @@ mod network {
         pub(super) digest: String,
     }
 
-    /// Long side of proposals, pixels, as 3D-USE makes them.
+    /// Long side of proposals, pixels, as in 3D-USE.
     const PROPOSAL: usize = 384;
-    /// Longest side at which pictures are enhanced at full detail, pixels: about 5 GB of memory. Larger ones
-    /// are enhanced at this size and brought back to their own.
+    /// Longest side at which pictures are enhanced at full detail, pixels: this needs about 5 GB of memory.
+    /// Larger pictures are enhanced at this size and scaled back to their own.
     const LONGEST: usize = 2048;
 
     impl Network {
@@ -82,8 +83,8 @@ mod network {
     }
 }
 
-/// Opens a proposer. `models` is the models folder, if there is one; `say` hears which was taken
-/// when the choice was left open.
+/// Opens a proposer. `models` is the models folder, if there is one. `say` reports the proposer that was
+/// chosen if the choice was left open.
 pub fn open(
     choice: ProposerChoice,
     models: Option<&Path>,
@@ -107,8 +108,8 @@ pub fn open(
     }
 }
 
-/// The proposer that a calibrator was fitted for, by the name it records; another one that is asked
-/// for by name is an error (R25).
+/// Opens the proposer that a calibrator was fitted for, by its recorded name. Requesting another one by name
+/// is an error (R25).
 pub(super) fn of_calibrator(
     choice: ProposerChoice,
     recorded: &str,
@@ -129,7 +130,7 @@ pub(super) fn of_calibrator(
     by_name(recorded, models)
 }
 
-/// The proposer of that name, as a calibrator records it.
+/// Opens a proposer by the name that a calibrator records.
 pub(super) fn by_name(name: &str, models: Option<&Path>) -> Result<Box<dyn Proposer>, String> {
     match name {
         "fusion" => Ok(Box::new(Fusion)),
@@ -170,7 +171,7 @@ mod tests {
     fn the_network_looks_at_full_detail_where_its_images_are_compared() {
         let net = Nu2Net::from_weights(&mut StandIn).unwrap();
         let proposer = network::Network { net, digest: String::new() };
-        // Stripes of one pixel, finer than 384 pixels can hold.
+        // Stripes one pixel wide, finer than an image of 384 pixels can show.
         let mut image = Image::new(800, 32);
         for y in 0..32 {
             for x in 0..800 {

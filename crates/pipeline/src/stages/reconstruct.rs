@@ -1,4 +1,4 @@
-//! Stage 1: the scene with its water.
+//! Stage 1: reconstructs the scene with its water.
 
 use serde::{Deserialize, Serialize};
 use use3d_build::{Figure, Scope, Stage, StageContext, StageError};
@@ -22,16 +22,17 @@ use super::watch::Watch;
 use crate::engines;
 use crate::water::{Judgement, WaterReport, found_water, from_tracks};
 
-/// The training views' gains.
+/// The file with the training views' gains.
 const EXPOSURES: &str = "exposures.json";
 
-/// How near two trainings in two classes of arithmetic are: as good a scene, not the same one.
+/// The largest difference between two trainings in two classes of arithmetic: the scenes differ, but they are
+/// equally good.
 const FIGURES: [Figure; 2] = [
     Figure { file: EVALUATION, at: "/held_out/psnr/value", within: 0.25 },
     Figure { file: EVALUATION, at: "/held_out/ssim/value", within: 0.01 },
 ];
 
-/// `choices.json`: what the parameters left open and the run chose, in words.
+/// `choices.json`: the choices that the parameters left open and the run made, as text.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Choices {
     /// The depth prior in force.
@@ -43,9 +44,9 @@ pub struct Choices {
 /// `evaluation.json`.
 #[derive(Serialize)]
 struct HeldOut<'a> {
-    /// Which images the scene was learnt from, and is compared with here.
+    /// The images that the scene was learnt from, and is compared with here.
     learnt_from: Images,
-    /// Scores against those images; none where no view is held out.
+    /// Scores against those images; none if no view is held out.
     held_out: &'a Option<Evaluation>,
 }
 
@@ -67,8 +68,8 @@ pub(super) fn stage() -> Stage {
         .cost(0, 4 << 30)
 }
 
-/// A view's files, at the size of its camera; its pixels are those of `pixels`,
-/// another image of the same view.
+/// Loads a view's files at the size of its camera. The pixels are those of `pixels`, another image of the
+/// same view.
 fn load(view: &View, pixels: &View) -> Result<LoadedView, String> {
     let mask = load_mask(view).map_err(|e| e.to_string())?;
     Ok(LoadedView {
@@ -79,7 +80,7 @@ fn load(view: &View, pixels: &View) -> Result<LoadedView, String> {
     })
 }
 
-/// Which depth prior is in force, and why (R14).
+/// A sentence on the depth prior in force, with the reason (R14).
 fn prior_in_force(params: &ReconstructParams, capture: &Capture, made: bool) -> String {
     let total = capture.training_views().count();
     let with = capture.training_views().filter(|view| view.depth_prior.is_some()).count();
@@ -112,14 +113,15 @@ fn imported(context: &StageContext) -> Result<Imported, StageError> {
     use3d_import::load_prepared(context.input("import")?).map_err(StageError::bad_input)
 }
 
-/// What the capture's tracks tell of the water and of the views' gains, said and written beside the scene;
-/// and whether they tell that there is no water.
+/// The water and the views' gains estimated from the capture's tracks. They are reported and written next to
+/// the scene. The flag is true if the tracks show that there is no water; the text is the sentence that was
+/// reported.
 fn known_from_tracks(context: &StageContext) -> Result<(Known, bool, String), StageError> {
     let folder = context.input("import")?;
     let imported = imported(context)?;
     let (water, judgement) =
         from_tracks(folder, &imported, &WaterParams::default()).map_err(StageError::bad_input)?;
-    // Without a name: the folder that an import lies in is not part of it.
+    // The report has no capture name: the name of an import's folder is not part of its content.
     let report = WaterReport { capture: "capture".into(), ..WaterReport::new(&imported, &water, judgement) };
     write_json(&context.output().join(WATER), &report)?;
     context.log(report.to_string().trim_end());
@@ -137,13 +139,13 @@ fn known_from_tracks(context: &StageContext) -> Result<(Known, bool, String), St
     Ok((known, judgement.no_water(), said))
 }
 
-/// The start of the water if no track is asked.
+/// The start of the water if tracks are not used.
 fn water_learnt(params: &ReconstructParams) -> &'static str {
     if params.medium == Medium::None { "none" } else { "learnt from the first step on" }
 }
 
-/// `exposures.json`: the gain of every training view that was learnt with the scene.
-/// Renders show the scene without them.
+/// `exposures.json`: the gain of every training view, learnt with the scene. Renders show the scene without
+/// the gains.
 #[derive(Serialize)]
 struct Exposures {
     format: &'static str,
@@ -151,7 +153,7 @@ struct Exposures {
     views: Vec<ViewExposure>,
 }
 
-/// One view's gain, red, green, blue; their geometric mean over the views is 1.
+/// One view's gain for red, green and blue. The geometric mean of the gains over the views is 1.
 #[derive(Serialize)]
 struct ViewExposure {
     view: String,
@@ -169,7 +171,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     let prior = prior_in_force(params, &capture, context.optional_input("depth").is_some());
     context.say(&prior);
     let mut params = ReconstructParams { seed: context.seed(), ..params.clone() };
-    // Masks and priors are the photographs' in any case.
+    // Masks and depth priors always belong to the photographs.
     let mut learnt_from = capture.clone();
     if params.images == Images::Proposed {
         let folder = context.input("proposals")?;
@@ -199,8 +201,8 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     }
     let watch = &mut Watch::new(context);
     let outcome = {
-        // It goes with this block: what is drawn and written below needs no
-        // moments, views or buffers beside it.
+        // The engine is dropped at the end of this block: the drawing and writing below needs no moments,
+        // views or buffers.
         let (mut engine, chosen) =
             engines::stage1(&params, most_gaussians(&capture, &params)).map_err(StageError::failed)?;
         if let Some(chosen) = chosen {
@@ -218,7 +220,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         ) => {
             return Err(StageError::failed(error));
         }
-        // Every other one lies in the capture or the parameters.
+        // Every other error is caused by the capture or the parameters.
         Err(error) => return Err(StageError::bad_input(error)),
     };
     if let Some(evaluation) = &outcome.evaluation {
@@ -244,7 +246,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
             ));
         }
     }
-    // Times are told, not stored: the artifact is the same on every machine.
+    // Times are printed, not stored, so that the artifact is the same on every machine.
     context.profile(&(outcome.profile.table() + &growth(&outcome.growth)));
     let out = context.output();
     outcome.scene.save(out)?;

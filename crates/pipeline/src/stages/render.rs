@@ -1,5 +1,5 @@
-//! The held-out views as pictures: captured, reconstruction, clear, enhanced,
-//! enhanced-clear, depth, and the water's maps.
+//! The held-out views as pictures: captured, reconstruction, clear, enhanced, enhanced-clear, depth, and the
+//! water's maps.
 
 use std::path::Path;
 
@@ -17,8 +17,8 @@ use super::drawn::drawn;
 use super::scenes::scene;
 use crate::engines::{self, ChoosesEngine, EngineChoice};
 
-/// How near two drawings of one scene in two classes of arithmetic are: last bits of a kernel, and now and
-/// then a pixel on an edge.
+/// The largest difference between two drawings of one scene in two classes of arithmetic: the last bits of a
+/// kernel's results, and occasionally a pixel on an edge.
 const ALIKE: [AlikeFiles; 2] = [
     AlikeFiles { ending: ".png", distance: apart, unit: "in the mean of display values", within: 1e-3 },
     AlikeFiles { ending: ".exr", distance: depths_apart, unit: "of the mean depth", within: 1e-3 },
@@ -28,15 +28,15 @@ const ALIKE: [AlikeFiles; 2] = [
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct Params {
-    /// How much of the enhancement is shown, 0 to 1.
+    /// Strength of the enhancement that is shown, 0 to 1.
     pub(super) strength: f32,
-    /// How much of the water is left in `reconstruction` and `enhanced`, 0 (none: they are
-    /// `clear` and `enhanced-clear`) to 1.
+    /// Share of the water left in `reconstruction` and `enhanced`, 0 (none: they are `clear` and
+    /// `enhanced-clear`) to 1.
     pub(super) water: f32,
-    /// Whether depth is also written as EXR, in normalised scene units.
+    /// Also write depth as EXR, in normalised scene units.
     pub(super) depth_exr: bool,
-    /// What draws: `cpu`; `auto` (a graphics card that passed its check, else the
-    /// processor); `gpu`; `gpu:NAME`.
+    /// The engine that draws: `cpu`; `auto` (a graphics card that passed its check, else the processor);
+    /// `gpu`; `gpu:NAME`.
     #[schemars(with = "String")]
     pub(super) engine: EngineChoice,
 }
@@ -85,7 +85,7 @@ fn apart(a: &Path, b: &Path) -> Result<f64, String> {
 fn depths_apart(a: &Path, b: &Path) -> Result<f64, String> {
     let read = |path| read_map(path).map_err(|e| e.to_string());
     let (a, b) = (read(a)?, read(b)?);
-    // Where nothing is seen, both are 0.
+    // Both means are 0 if the maps show nothing.
     Ok(difference(&a, &b)? / mean(a.data().iter().map(|v| f64::from(v.abs()))).max(f64::MIN_POSITIVE))
 }
 
@@ -121,7 +121,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     for name in modes.iter().map(|m| m.name()).chain(["captured"]) {
         folder(&out.join(name))?;
     }
-    // With no held-out view there is still something to look at.
+    // Without held-out views, one training view is drawn.
     let views: Vec<_> = if capture.split.test.is_empty() {
         capture.training_views().take(1).collect()
     } else {

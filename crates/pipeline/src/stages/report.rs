@@ -41,7 +41,7 @@ impl Default for Params {
 pub(super) fn stage() -> Stage {
     Stage::new("report", Scope::Batch, run)
         .about("tables and one page about the whole batch")
-        // Its digests of score files are shown in the tables.
+        // The tables show the digests of the score files.
         .made_of(&[], &["src/stages/report.rs"])
         .input("calibrator", "calibrate")
         .or_external("calibrator")
@@ -121,7 +121,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     };
     let page = Page {
         title: match &all[..] {
-            // What it is about, unless somebody gave it a name.
+            // The title names the only scene, unless the user set a title.
             [only] if params.title == Params::default().title => {
                 format!("{} · {}", only.name(), params.title)
             }
@@ -157,8 +157,8 @@ fn head(all: &[Parts<'_>], cells: usize, scored: usize) -> String {
     format!("{scenes}{variants}{scored}")
 }
 
-/// What a batch comes to: the sentences of a scene that is alone, else how many scenes
-/// turn out how; and what is missing.
+/// The verdict on a batch: the sentences of a single scene, else the numbers of scored scenes and of bad
+/// ones; and the list of what is missing.
 fn overall(scenes: &[SceneSection], missing: &[String]) -> Vec<Sentence> {
     let mut out = Vec::new();
     if scenes.len() > 1 {
@@ -200,7 +200,7 @@ fn read_scores(folder: &Path) -> Result<SceneScores, StageError> {
     SceneScores::parse(&bytes).map_err(|e| StageError::message(format!("{}: {e}", path.display())))
 }
 
-/// The tables in all their forms, into a folder.
+/// Writes the tables in all their formats into a folder.
 pub fn write_tables(dir: &Path, tables: &[Table]) -> Result<(), StageError> {
     folder(dir)?;
     for table in tables {
@@ -223,7 +223,7 @@ fn calibrator(calibrator: &Calibrator) -> CalibratorSection {
         return CalibratorSection { summary, rows: Vec::new() };
     }
     if provenance.pairs == 0 {
-        // A file that records no fit: the authors'.
+        // A calibrator that records no fit is the authors' file.
         return CalibratorSection {
             summary: format!("A finished calibrator: {}.", provenance.data),
             rows: Vec::new(),
@@ -294,7 +294,8 @@ fn section(
     Ok(section)
 }
 
-/// The tracks' account of the water, in the words of `use3d water`; none where stage 1 did not ask them.
+/// The water estimated from the tracks, in the same words as `use3d water`; `None` if stage 1 did not use the
+/// tracks.
 fn water_note(scene: &Path) -> Option<String> {
     let told: serde_json::Value = read_json(&scene.join(WATER)).ok()?;
     let channel = |c: &serde_json::Value| {
@@ -308,7 +309,7 @@ fn water_note(scene: &Path) -> Option<String> {
     Some(format!("Water from tracks: {}. Attenuation: {}.", told["told"].as_str()?, channels.join(", ")))
 }
 
-/// The course of stage 1, out of its log.
+/// The plots of stage 1's training, from its log.
 fn stage_1(log: &str) -> Vec<PlotFigure> {
     let entries: Vec<serde_json::Value> =
         log.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
@@ -347,7 +348,7 @@ fn stage_1(log: &str) -> Vec<PlotFigure> {
     ]
 }
 
-/// What the means leave out: images and pairs of which there is no such number.
+/// Notes on images and pairs that a mean leaves out because they have no such score.
 fn left_out(scores: &SceneScores) -> Vec<String> {
     let of = |m: &MethodScores| {
         let counts: Vec<String> = (m.left_out.iter())
@@ -369,8 +370,8 @@ fn inline(svg: &str) -> String {
     svg.find("<svg").map_or_else(String::new, |start| svg[start..].to_string())
 }
 
-/// The look that the report of a scene leads with: the one that it opens with, and without an enhancement the
-/// scene without its water.
+/// The look that the report of a scene shows first: the look that viewers open the scene with, or the scene
+/// without its water if it has no enhancement.
 fn best_look(enhanced: Option<&Path>) -> Result<Mode, StageError> {
     let Some(folder) = enhanced else { return Ok(Mode::Clear) };
     Ok(match Mode::opening(&Scene::load(folder)?) {
@@ -379,7 +380,7 @@ fn best_look(enhanced: Option<&Path>) -> Result<Mode, StageError> {
     })
 }
 
-/// That look among what is scored.
+/// The scored method that corresponds to that look.
 fn scored_as(best: Mode) -> Method {
     match best {
         Mode::Enhanced => Method::Enhanced,
@@ -388,16 +389,16 @@ fn scored_as(best: Mode) -> Method {
     }
 }
 
-/// By which scores a scene is told of: those of the look that its report leads with.
+/// The method whose scores head the scene's report.
 ///
 /// # Errors
-/// An enhanced scene that cannot be read.
+/// Fails if the enhanced scene cannot be read.
 pub fn best_method(enhanced: Option<&Path>) -> Result<Method, StageError> {
     best_look(enhanced).map(scored_as)
 }
 
-/// The held-out views: what was captured, what a 2D enhancer makes of it and what the scene makes of it
-/// lead, the other pictures follow.
+/// The held-out views. The captured photograph, the 2D enhancer's image and the scene's best look come first,
+/// the other pictures follow.
 fn views(
     renders: &Path,
     evaluated: Option<&Path>,
@@ -428,7 +429,7 @@ fn views(
             Some(evaluated) => picture("2D enhancer", &evaluated.join(ENHANCED_IN_2D))?,
             None => None,
         };
-        // Of a synthetic capture it is known what the scene looks like without water.
+        // A synthetic capture knows the true appearance without water.
         let truth = match evaluated {
             Some(evaluated) => picture("truth", &evaluated.join(TRUE_VIEWS))?,
             None => None,
@@ -475,8 +476,8 @@ fn view_scores(stem: &str, scores: Option<&SceneScores>, best: Method) -> Vec<St
     wanted.into_iter().filter_map(text).collect()
 }
 
-/// The water by direction (along the horizontal of the first training view) and by position (along the
-/// training cameras, looking one way).
+/// The water by direction (along the horizontal axis of the first training view) and by position (along the
+/// training cameras, in one direction).
 fn water(parts: &Parts<'_>) -> Result<Vec<PlotFigure>, StageError> {
     let (Some(scene), Some(import)) = (parts.path("scene"), parts.path("import")) else {
         return Ok(Vec::new());
@@ -518,7 +519,7 @@ fn water(parts: &Parts<'_>) -> Result<Vec<PlotFigure>, StageError> {
     Ok(figures.collect())
 }
 
-/// Which of the water's three quantities is drawn.
+/// Selects the one of the water's three quantities that is drawn.
 type Pick = fn(&WaterSample) -> [f32; 3];
 
 /// The contact sheet of stage 1.
@@ -533,19 +534,19 @@ fn contact(scene: &Path) -> Result<Option<Picture>, StageError> {
     Ok(Some(Picture { blank: blank_corner(&sheet), ..picture }))
 }
 
-/// Where the last row of a sheet ends before its right edge: left and top edge of the white corner, in percent.
+/// The white corner at the end of the last row of a sheet: its left and top edge, in percent.
 fn blank_corner(sheet: &Image) -> Option<(f64, f64)> {
     let (width, height) = (sheet.width(), sheet.height());
     let white = |x: usize, y: usize| sheet.pixel(x, y) == [1.0; 3];
     let left = (0..width).rev().find(|&x| !white(x, height - 1))? + 1;
     let top = (0..height).rev().find(|&y| (left..width).any(|x| !white(x, y))).map_or(0, |y| y + 1);
-    // Less is a gap, or the edge of a bright picture.
+    // A smaller corner is only a gap, or the edge of a bright picture.
     let share = |at: usize, of: usize| 100.0 * at as f64 / of as f64;
     let corner = (share(left, width), share(top, height));
     (corner.0 < 90.0 && corner.1 < 90.0).then_some(corner)
 }
 
-/// The consistency strip of the scores, if there was a spot to show.
+/// The consistency strip of the scores, if there is one.
 fn strip(scores: &Path) -> Result<Option<Picture>, StageError> {
     let (picture, description) = (scores.join(STRIP.0), scores.join(STRIP.1));
     if !picture.is_file() {
@@ -626,7 +627,7 @@ mod tests {
     fn only_a_sheet_whose_last_row_ends_early_has_a_blank_corner() {
         let mut sheet = Image::filled(20, 10, 0.4);
         assert_eq!(blank_corner(&sheet), None);
-        // A gap of white between pictures is no corner.
+        // A white gap between pictures does not count as a corner.
         (0..20).for_each(|x| sheet.set_pixel(x, 4, [1.0; 3]));
         assert_eq!(blank_corner(&sheet), None);
         for y in 4..10 {

@@ -1,9 +1,9 @@
-//! The requirements of each stage before anything runs: weights, pairs, calibrators, objectives that go
-//! together, truth that can be read.
+//! The requirements of each stage, checked before anything runs: weights, pairs, calibrators, compatible
+//! objectives, readable truth.
 //!
-//! The list is laid over the table of stages from outside, as the forecasts of memory are: it decides
-//! whether a run begins, never what comes out, and is part of no stage's code and of no key. Captures are
-//! not in it: one that is missing fails its own scene, and the others run.
+//! The list is added to the table of stages from outside, like the forecasts of memory. It decides whether a
+//! run begins, never a result, and is part of no stage's code and of no key. Captures are not in it: a
+//! missing capture fails only its own scene, and the others run.
 
 use std::path::Path;
 
@@ -19,7 +19,7 @@ use super::proposer::{ProposerChoice, of_calibrator};
 use super::targets;
 use crate::judge::truth;
 
-/// Fewest pairs that say how transitions vary.
+/// Fewest pairs that show how transitions vary.
 const FEWEST_PAIRS: usize = 2;
 /// The places where pairs are published.
 const PAIRS: &str = "UIEB, LSUI or EUVP, docs/guide/datasets.md says where they are published";
@@ -52,14 +52,14 @@ fn text<'a>(all: &'a AllParameters, stage: &str, parameter: &str) -> &'a str {
     all.get(stage).and_then(|p| p[parameter].as_str()).unwrap_or_default()
 }
 
-/// The setting that has the classical enhancer propose in place of Nu2Net.
+/// The setting that uses the classical enhancer in place of Nu2Net.
 fn without_nu2net(all: &AllParameters, stage: &str) -> String {
-    // One said of the targets holds for the other stages, too.
+    // A proposer that is set for the targets applies to the other stages, too.
     let stage = if text(all, "targets", "proposer") == "nu2net" { "targets" } else { stage };
     format!("--set {stage}.proposer=fusion")
 }
 
-/// Nu2Net's weights, where the parameters of a stage ask for them by name.
+/// Nu2Net's weights if they are missing and the parameters of a stage name the network.
 fn weights(all: &AllParameters, named: &Named, stage: &str) -> Option<Lacking> {
     (text(all, stage, "proposer") == "nu2net").then(|| nu2net(all, named, stage)).flatten()
 }
@@ -82,7 +82,7 @@ fn no_networks(what: &str, without: String) -> Lacking {
     Lacking { what: what.into(), remedy, without }
 }
 
-/// The weights of a network of which one of some files would do, unless one is there.
+/// The missing weights of a network that is available in several files; `None` if one of them is present.
 #[cfg(feature = "nets")]
 fn network(named: &Named, what: &str, networks: &[use3d_nets::Network], without: String) -> Option<Lacking> {
     let models = named.path("models");
@@ -103,7 +103,7 @@ fn network(named: &Named, what: &str, networks: &[use3d_nets::Network], without:
     Some(Lacking { what: what.into(), remedy, without })
 }
 
-/// The reason why a named file cannot be used; `None` if it is there.
+/// The reason why a named file cannot be used; `None` if it exists.
 fn unfound(named: &Named, external: &str) -> Option<String> {
     let by = named.by(external);
     let by = if by.is_empty() { String::new() } else { format!(", named by {by}") };
@@ -169,7 +169,7 @@ fn of_reconstruct(_: &AllParameters) -> Option<Lacking> {
     None
 }
 
-/// A build without networks has no stage that would make the priors.
+/// A build without networks has no stage that makes the priors.
 #[cfg(not(feature = "nets"))]
 fn of_reconstruct(all: &AllParameters) -> Option<Lacking> {
     let asked = text(all, "reconstruct", "depth_prior") == "depth-anything-v2";
@@ -177,7 +177,7 @@ fn of_reconstruct(all: &AllParameters) -> Option<Lacking> {
     asked.then(|| no_networks("Depth Anything V2, the depth prior of the paper", without))
 }
 
-/// Checks that the calibrator of the targets is fitted for the proposer that is asked for.
+/// Checks that the calibrator of the targets was fitted for the requested proposer.
 fn of_targets(all: &AllParameters, named: &Named) -> Option<Lacking> {
     let choice = all.get("targets").map(|p| p["proposer"].clone()).unwrap_or_default();
     let choice: ProposerChoice = serde_json::from_value(choice).unwrap_or_default();
@@ -204,7 +204,7 @@ fn of_targets(all: &AllParameters, named: &Named) -> Option<Lacking> {
             && matches!(choice, ProposerChoice::Auto | ProposerChoice::Nu2net)
             && let Some(missing) = nu2net(all, named, "targets")
         {
-            // Only the enhancer that it was fitted for goes with a calibrator.
+            // A calibrator works only with the enhancer that it was fitted for.
             return Some(Lacking { without: String::new(), ..missing });
         }
         let opened = of_calibrator(choice, &calibrator.proposer.name, models)
@@ -247,7 +247,7 @@ fn of_enhance(all: &AllParameters) -> Option<Lacking> {
     })
 }
 
-/// The networks of the paper's scores, where all of them are wanted.
+/// The missing networks of the paper's scores, if all scores are required.
 #[cfg(feature = "nets")]
 fn of_scores(all: &AllParameters, named: &Named) -> Vec<Lacking> {
     use use3d_nets::Network::{AlexNet, LpipsHeads, Musiq, RaftLarge, URanker};
@@ -270,7 +270,7 @@ fn of_scores(all: &AllParameters, _: &Named) -> Vec<Lacking> {
     wanted.then(networks).into_iter().collect()
 }
 
-/// Truth beside a capture that is there and cannot be read.
+/// Truth that exists next to a capture and cannot be read.
 fn of_truth(named: &Named) -> Option<Lacking> {
     let capture: &Path = named.path("capture")?;
     truth::unreadable(capture).map(|reason| Lacking {

@@ -4,7 +4,7 @@ use use3d_scene::Scene;
 
 use use3d_build::{StageContext, StageError};
 
-/// The scene of a role.
+/// Loads the scene of an input role.
 pub(super) fn scene(context: &StageContext, role: &str) -> Result<Scene, StageError> {
     Scene::load(context.input(role)?).map_err(StageError::bad_input)
 }

@@ -1,5 +1,5 @@
-//! The pictures that transitions start from: photographs, stage-1 renders in thinner water, or stage-1 renders
-//! without water; and what proposes for them.
+//! The pictures that transitions start from: photographs, stage-1 renders in thinner water, or stage-1
+//! renders without water; and the proposer for them.
 
 use use3d_atc::AtcError;
 use use3d_atc::calibrator::Calibrator;
@@ -20,23 +20,23 @@ use super::targets::{Params, Source};
 enum Pictures<'s> {
     /// The photographs, and proposals for them.
     Photographs(Box<dyn Proposer>),
-    /// Stage-1 renders that show this much of the water (`None`: clear radiance), and proposals for them.
+    /// Stage-1 renders that show this share of the water (`None`: clear radiance), and proposals for them.
     Renders { views: Box<KnownViews<'s>>, shown: Option<KeptWater>, proposer: Box<dyn Proposer> },
     /// Clear radiance, and the grade of the whole scene by rule.
     Known(Box<(KnownViews<'s>, SceneProposer)>),
 }
 
-/// Where transitions start from, and what corrects them.
+/// The pictures that transitions start from, and the calibrator that corrects the proposals.
 pub(super) struct Starts<'s> {
     pictures: Pictures<'s>,
-    /// The calibrator; without one, a calibrator that corrects nothing.
+    /// The calibrator. If none is given, it corrects nothing.
     pub(super) calibrator: Calibrator,
-    /// The proposer.
+    /// The proposer's name and version.
     pub(super) proposer: ProposerId,
 }
 
 impl<'s> Starts<'s> {
-    /// As the parameters ask.
+    /// Opens the pictures, the proposer and the calibrator that the parameters request.
     pub(super) fn open(
         context: &StageContext,
         params: &Params,
@@ -74,7 +74,8 @@ impl<'s> Starts<'s> {
         Ok(starts)
     }
 
-    /// A 2D enhancer, and the calibrator that was fitted for it if one is given.
+    /// The 2D enhancer, and the calibrator that was fitted for it; without a given one, a calibrator that
+    /// corrects nothing.
     fn two_dimensional(
         context: &StageContext,
         params: &Params,
@@ -97,7 +98,7 @@ impl<'s> Starts<'s> {
         Ok((calibrator, proposer))
     }
 
-    /// The choice in one sentence.
+    /// A sentence that describes the choice.
     fn message(&self, context: &StageContext) -> String {
         let calibrated = match context.optional_input("calibrator") {
             Some(_) => "corrected by the calibrator",
@@ -137,7 +138,7 @@ impl<'s> Starts<'s> {
         Ok(Self { pictures: Pictures::Known(Box::new((known, proposer))), calibrator, proposer: id })
     }
 
-    /// The appearance that the pictures have, and the share of the water in them.
+    /// The appearance of the pictures, and the share of the water in them.
     pub(super) fn shown(&self) -> (Appearance, KeptWater) {
         match &self.pictures {
             Pictures::Photographs(_) => (Appearance::Water, KeptWater::ALL),
@@ -146,7 +147,7 @@ impl<'s> Starts<'s> {
         }
     }
 
-    /// The survey of the scene, where there was one.
+    /// The findings of the survey of the scene, if there was one.
     pub(super) fn findings(&self) -> Option<&SceneFindings> {
         match &self.pictures {
             Pictures::Known(known) => Some(known.1.findings()),
@@ -154,7 +155,7 @@ impl<'s> Starts<'s> {
         }
     }
 
-    /// Where proposals come from, for the consensus.
+    /// The source of the proposals, for the consensus.
     pub(super) fn proposals(&self) -> Proposals<'_> {
         match &self.pictures {
             Pictures::Photographs(proposer) => Proposals::From(proposer.as_ref()),
@@ -162,7 +163,7 @@ impl<'s> Starts<'s> {
         }
     }
 
-    /// A training view on its way into the consensus.
+    /// Prepares a training view for the consensus.
     pub(super) fn view(&mut self, view: &View) -> Result<ViewInput, AtcError> {
         let (image, proposal) = match &mut self.pictures {
             Pictures::Photographs(_) => {
@@ -189,13 +190,13 @@ impl<'s> Starts<'s> {
     }
 }
 
-/// A view as the proposer `scene` takes it.
+/// A view in the form that the proposer `scene` needs.
 fn scene_view(known: &mut KnownViews<'_>, view: &View) -> SceneView {
     let KnownView { clear, accumulation, arriving } = known.view(&view.camera);
     SceneView { clear, accumulation, arriving }
 }
 
-/// The grade of the proposer `scene`, in words.
+/// A sentence that describes the grade of the proposer `scene`.
 fn grade_message(found: &SceneFindings) -> String {
     let [r, g, b] = found.balance;
     let cast = if found.trusted > 0.0 {

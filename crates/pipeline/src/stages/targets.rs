@@ -1,5 +1,5 @@
-//! The scene's targets: one global operator and one local operator per
-//! Gaussian, agreed by all training views.
+//! The scene's targets: one global operator, and one local operator per Gaussian. All training views
+//! contribute to them.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -25,7 +25,7 @@ use crate::engines::{self, ChoosesEngine, EngineChoice};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Source {
-    /// The photographs: the paper.
+    /// The photographs, as in the paper.
     Photographs,
     /// Stage 1's renders with part of the water taken away; the photographs where all of it is kept.
     #[default]
@@ -38,7 +38,7 @@ pub(super) enum Source {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct Params {
-    /// The proposer. A 2D enhancer: `auto` is the one that the calibrator was fitted for (another one is
+    /// The proposer. For 2D enhancers, `auto` is the one that the calibrator was fitted for (another one is
     /// refused), or without a calibrator as in `pairs`. `scene`: a grade by rule from what stage 1 knows, for
     /// `source = "clear"` only.
     pub(super) proposer: ProposerChoice,
@@ -47,15 +47,15 @@ pub(super) struct Params {
     /// The share of the water in renders that transitions start from, which the enhanced scene then keeps:
     /// `"auto"`, one number from 0 to 1, or three (red, green, blue). For `source = "renders"`.
     pub(super) kept_water: KeptWaterChoice,
-    /// Correct the proposals with a calibrator that was fitted to pairs of images. On as soon as pairs, a
-    /// calibrator or a parameter of its fit is named.
+    /// Correct the proposals with a calibrator that was fitted to pairs of images. On as soon as the pipeline
+    /// names pairs, a calibrator or a parameter of its fit.
     pub(super) calibrated: bool,
-    /// The consensus.
+    /// Parameters of the consensus.
     pub(super) consensus: TargetsParams,
-    /// Views shown side by side: captured (or clear), proposal, calibrated on its own, consensus.
+    /// Number of views shown side by side: captured (or clear), proposal, calibrated on its own, consensus.
     pub(super) previews: usize,
-    /// What lifts views to the Gaussians: `cpu`; `auto` (a graphics card that passed its check, else the
-    /// processor); `gpu`; `gpu:NAME`.
+    /// The engine that lifts views to the Gaussians: `cpu`; `auto` (a graphics card that passed its check,
+    /// else the processor); `gpu`; `gpu:NAME`.
     #[schemars(with = "String")]
     pub(super) engine: EngineChoice,
 }
@@ -79,7 +79,7 @@ impl Params {
         self.kept_water.check()
     }
 
-    /// Parameters that do not go together, and the setting that mends it.
+    /// The problem of parameters that contradict each other, and the setting that solves it.
     pub(super) fn conflict(&self) -> Option<(String, &'static str)> {
         if self.proposer == ProposerChoice::Scene && self.source != Source::Clear {
             let problem =
@@ -105,8 +105,8 @@ impl ChoosesEngine for Params {
     }
 }
 
-/// How near two classes of arithmetic are: a Gaussian at the edge of what is seen
-/// may be seen by one of them only.
+/// The largest difference between two classes of arithmetic: a Gaussian at the edge of the visible region may
+/// be visible in only one of them.
 const FIGURES: [Figure; 1] = [Figure { file: "report.json", at: "/supported", within: 20.0 }];
 
 pub(super) fn stage() -> Stage {

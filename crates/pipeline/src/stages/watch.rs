@@ -1,10 +1,10 @@
-//! A training loop heard by the engine.
+//! Forwards a training loop's progress to its stage.
 
 use use3d_training::{Observer, Progress, Snapshot};
 
 use use3d_build::StageContext;
 
-/// A training loop's observer that speaks to the engine.
+/// A training loop's observer that reports to the stage's context.
 pub(super) struct Watch<'a> {
     context: &'a StageContext,
 }

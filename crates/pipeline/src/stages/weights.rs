@@ -1,4 +1,4 @@
-//! Which files of a models folder a stage reads: those count in its key, the others beside them do not.
+//! The files of a models folder that a stage reads. Only these count in its key, not the other files there.
 
 use std::path::{Path, PathBuf};
 
@@ -15,8 +15,8 @@ pub(super) fn proposer_files(models: &Path) -> Vec<PathBuf> {
     no_files(models)
 }
 
-/// The files in a models folder that the proposer of these parameters reads, relative to it; says what to put
-/// there where it is asked for by name and its weights are not there.
+/// The files in a models folder that the proposer of these parameters reads, relative to it. If the
+/// parameters name a proposer whose weights are missing, the error lists the files to put there.
 pub(super) fn files_of_proposer(parameters: &Value, models: &Path) -> Result<Vec<PathBuf>, String> {
     if parameters["proposer"] == "fusion" || parameters["proposer"] == "scene" {
         return Ok(Vec::new());
@@ -29,7 +29,7 @@ pub(super) fn files_of_proposer(parameters: &Value, models: &Path) -> Result<Vec
     Ok(files)
 }
 
-/// Weights that are asked for and not there: which files would do.
+/// The message for requested weights that are missing: it names the files that would do.
 #[cfg(feature = "nets")]
 pub(super) fn not_there(what: &str, networks: &[Network], models: &Path) -> String {
     let files: Vec<&str> = networks.iter().map(|network| network.known().files[0]).collect();

@@ -1,4 +1,4 @@
-//! Pipeline files: what they mean, and where their mistakes are.
+//! Pipeline files: their meaning, and the places of their errors.
 
 use std::path::Path;
 
@@ -88,7 +88,7 @@ fn settings_of_the_command_line_win() {
     let shorthand = parameters(FILE, &["calibrator.proposer=fusion"], "Curasao", "full", "targets");
     assert_eq!(shorthand["proposer"], "fusion");
     assert_eq!(parameters(FILE, &["size=64x48"], "Curasao", "full", "import")["size"], "64x48");
-    // A number to TOML, a text to the stage.
+    // The value is a number in TOML and a text for the stage.
     for text in ["640", "0x0"] {
         let set = format!("size={text}");
         assert_eq!(parameters(FILE, &[set.as_str()], "Curasao", "full", "import")["size"], text);

@@ -1,5 +1,5 @@
-//! What a pipeline names has to be there: an input that is named and missing fails those who
-//! need it, and is never left out.
+//! Every input that a pipeline names must exist: a named input that is missing fails the stages that need it,
+//! and is never skipped.
 
 use std::fs;
 use std::path::Path;
@@ -37,7 +37,7 @@ fn an_optional_input_that_is_named_and_missing_fails_what_needs_it_and_nothing_e
         assert_eq!(became("targets"), Became::Blocked("calibrate".to_string()));
         assert!(matches!(became("reconstruct"), Became::Done | Became::Cached), "{summary}");
     }
-    // Not named at all: done without. There: read.
+    // An input that is not named is skipped. An input that exists is read.
     batch.externals.remove("pairs.input");
     assert_eq!(run(&builder, &batch).0.exit_code(), 0);
     fs::create_dir_all(dir.path().join("raw")).expect("folder");
@@ -69,8 +69,8 @@ fn each_input_from_outside_is_named_by_its_key_and_its_file() {
     assert_eq!(batch.variants[1].named["calibrator"], "`calibrator.file` of variant theirs in dir/p.toml");
     assert!(batch.variants[0].externals.is_empty());
 
-    // The command line wins as a whole: pairs over a file, a file over pairs; its
-    // paths start where it is given.
+    // The command line overrides the file as a whole: pairs replace a calibrator file, and a file replaces
+    // pairs. Its paths are relative to the current folder.
     let set = load(&["calibrator.file=f.pth"], LoadOptions::default()).expect("loaded");
     assert_eq!(
         (set.externals["calibrator"].clone(), set.externals.get("pairs.input")),
@@ -156,7 +156,7 @@ fn words_about_learning_beside_a_finished_calibrator_are_refused() {
     let error = load("file = \"c\"\n[defaults.calibrate]\nstrength = 3", &[], None).expect_err("no effect");
     assert!(error.contains("[defaults.calibrate] has no effect"), "{error}");
     assert_eq!(load(&format!("{pairs}\n[defaults.calibrate]\nstrength = 3"), &[], None), Ok(()));
-    // What is said of the file's own pairs stands there for other runs; a proposer is asked for in any case.
+    // Settings for the file's own pairs are kept for other runs; the proposer is needed in any case.
     assert_eq!(load(&format!("{pairs}\nstrength = 3"), &[], Some("d")), Ok(()));
     assert_eq!(load(&format!("{pairs}\nstrength = 3"), &["calibrator.strength=4"], None), Ok(()));
     assert_eq!(load("file = \"c\"\nproposer = \"fusion\"", &[], None), Ok(()));
@@ -174,7 +174,7 @@ fn nothing_is_computed_for_scenes_that_have_failed() {
     let (summary, ran, ..) = run_with(&builder, &batch, &options);
     assert_eq!(summary.exit_code(), 1);
     assert!(!ran.contains(&"calibrate".to_string()), "{ran:?}");
-    // One scene that can be computed is reason enough.
+    // A single scene that can be computed is enough to run the shared stage.
     batch.scenes[1].name_external("capture", Ok(dir.path().join("data/wall")), "the command line");
     let (summary, ran, ..) = run_with(&builder, &batch, &options);
     assert_eq!(summary.exit_code(), 1);
@@ -193,13 +193,14 @@ fn a_finished_artifact_stands_in_for_its_stage_where_it_is_named() {
         assert_eq!(summary.exit_code(), 0, "{summary}");
         started
     };
-    // One scene has its own: the stage is still needed by the other.
+    // One scene has its own calibrator: the other one still needs the stage.
     batch.scenes[0].name_external("calibrator", Ok(file.clone()), "`calibrator.file` of scene a");
     assert_eq!(started(&batch), ["a · targets", "b · targets", "calibrate", "report"]);
-    // Both have: nobody asks for it, and what the first made of the file counts.
+    // Both scenes have their own: the stage is not needed, and the result for the first one is reused because
+    // the file's content is the same.
     batch.scenes[1].name_external("calibrator", Ok(file.clone()), "`calibrator.file` of scene b");
     assert_eq!(started(&batch), ["b · targets", "report"]);
-    // Named for all of them, it is the report's, too. Content counts, not the place.
+    // A calibrator named for all scenes also serves the report. Its content counts, not its path.
     batch.scenes.iter_mut().for_each(|s| s.externals.retain(|name, _| name == "capture"));
     fs::rename(&file, dir.path().join("moved.bin")).expect("moved");
     batch.name_external("calibrator", Ok(dir.path().join("moved.bin")), "--calibrator");
@@ -227,19 +228,19 @@ fn a_variant_may_read_a_finished_calibrator_of_its_own() {
         let plan = builder.plan(graph, None);
         (plan.nodes[node].state.clone(), plan.nodes[node].key)
     };
-    // Only the variant that learns asks for it.
+    // Only the variant that learns needs the stage.
     let made = graph.nodes.iter().filter(|n| n.stage_name == "calibrate").map(|n| n.variant.as_str());
     assert_eq!(made.collect::<Vec<_>>(), ["made"]);
     let (summary, started, _) = run(&builder, &batch);
     assert_eq!(summary.exit_code(), 0, "{summary}");
     assert!(started.contains(&"a · made · targets".into()) && started.contains(&"a · read · targets".into()));
-    // Its file wins over a scene's.
+    // The variant's file overrides a scene's.
     let before = reads(&graph, "a", "read");
     batch.scenes[0].name_external("calibrator", Ok(own), "`calibrator.file` of scene a");
     let graph = Graph::new(&builder.registry, &batch).expect("graph");
     assert_eq!(reads(&graph, "a", "read"), before);
     assert!(matches!(reads(&graph, "a", "made").0, State::Run(_)), "it reads the scene's now");
-    // One that is missing is said with the variant's name.
+    // The message for a missing file contains the variant's name.
     batch.variants[1].name_external(
         "calibrator",
         Ok(dir.path().join("gone")),

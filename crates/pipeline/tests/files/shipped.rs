@@ -7,7 +7,8 @@ use serde_json::{Map, Value};
 use use3d_build::{Graph, Registry, Scope, Stage};
 use use3d_pipeline::config::{LoadOptions, Pipeline, load};
 
-/// Stages with the names of the real ones that accept any parameter; the real ones check theirs elsewhere.
+/// Stages with the names of the real ones that accept any parameter; the real ones check theirs in another
+/// test.
 fn registry() -> Registry {
     let stage = |name, scope| Stage::new(name, scope, |_, _: &Map<String, Value>| Ok(()));
     let stages = vec![
@@ -29,7 +30,7 @@ fn shipped(name: &str) -> Pipeline {
     load(&registry(), &file, &LoadOptions::default()).unwrap_or_else(|e| panic!("{e}"))
 }
 
-/// Group and size to number of scenes.
+/// The number of scenes for each group and size.
 fn census(pipeline: &Pipeline) -> BTreeMap<(String, String), usize> {
     let mut census = BTreeMap::new();
     for scene in &pipeline.batch.scenes {
@@ -81,7 +82,7 @@ fn ablations_share_what_they_do_not_change() {
     assert_eq!(own("ablation-stage1.toml", "calibrate"), 1);
     assert_eq!(own("ablation-stage1.toml", "reconstruct"), 20);
     let counts = ["import", "reconstruct", "enhance"].map(|stage| own("ablation-stage2.toml", stage));
-    // Learning from proposals is another first stage; these stand-ins for stages do not
-    // know that it needs no second one.
+    // Learning from proposals is a different first stage. These replacements for the stages do not implement
+    // that it needs no second stage.
     assert_eq!(counts, [4, 8, 20]);
 }

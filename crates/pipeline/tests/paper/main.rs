@@ -1,5 +1,5 @@
-//! The preset `paper` against a table written from the paper: every parameter of every stage, its value and
-//! where it stands.
+//! Compares the preset `paper` with a table written from the paper: every parameter of every stage, its value
+//! and its source.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ use use3d_pipeline::stages::registry;
 
 /// A parameter in the paper's configuration.
 struct Entry {
-    /// The value; `None` where the preset leaves it to the pipeline.
+    /// The value; `None` if the preset leaves it to the pipeline.
     value: Option<Value>,
     /// `paper`, `authors`, `ours` or `pipeline`.
     by: String,
@@ -108,7 +108,7 @@ fn the_preset_is_the_paper_value_by_value() {
     assert!(wrong.is_empty(), "{}\n\n{HELP}.", wrong.join("\n"));
 }
 
-/// `use3d params --preset paper --json` prints what this gives.
+/// `use3d params --preset paper --json` prints this list.
 #[test]
 fn the_listed_parameters_of_the_preset_equal_the_table() {
     if cfg!(not(feature = "nets")) {
@@ -120,7 +120,7 @@ fn the_listed_parameters_of_the_preset_equal_the_table() {
     for stage in &listed {
         for parameter in &stage.parameters {
             let name = format!("{}.{}", stage.stage, parameter.name);
-            // A parameter that may be absent, and is, has no value to compare.
+            // An optional parameter without a value has nothing to compare.
             if parameter.value.is_null() && !table.contains_key(&name) {
                 continue;
             }
@@ -136,7 +136,7 @@ fn the_listed_parameters_of_the_preset_equal_the_table() {
     assert!(unknown.contains("did you mean `paper`?"), "{unknown}");
 }
 
-/// The table is written from the paper, so the paper's own numbers must be in it under its own name.
+/// The table is written from the paper, so the paper's own numbers must be marked in it as the paper's.
 #[test]
 fn what_the_paper_states_is_marked_as_the_papers() {
     let table = table();

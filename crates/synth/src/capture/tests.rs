@@ -93,15 +93,15 @@ fn a_pool_is_even_and_has_points_where_its_joints_are() {
     let clean = read_image(&out.join("truth/clean/frame_0003.png")).unwrap();
     let depth = read_map(&out.join("truth/depth/frame_0003.exr")).unwrap();
     assert!(depth.data().iter().filter(|z| **z > 0.0).count() > 160 * 80, "floor and walls all around");
-    // Neighbouring pixels of the floor hardly differ: more than half of all.
+    // For more than half of the pixels, neighbouring pixels of the floor hardly differ.
     let even = |x: usize, y: usize| (clean.pixel(x, y)[1] - clean.pixel(x + 1, y)[1]).abs() < 0.02;
     let pixels = (0..90).flat_map(|y| (0..159).map(move |x| (x, y)));
     let share = pixels.filter(|(x, y)| even(*x, *y)).count() as f64 / (90.0 * 159.0);
     assert!(share > 0.5, "{share}");
 }
 
-/// I = J e^{-β_attn s} + c_m (1 - e^{-β_bs s}) from the written files alone, away from edges, within noise
-/// and quantisation.
+/// Checks I = J e^{-β_attn s} + c_m (1 - e^{-β_bs s}) from the written files alone, away from edges, within
+/// noise and quantisation.
 fn the_formation_equation_holds(
     dir: &Path,
     truth: &CaptureTruth,
@@ -141,7 +141,7 @@ fn the_formation_equation_holds(
     assert!(rms < 2.0 * f64::from(noise), "formation equation is off by {rms}");
 }
 
-/// A surface point of one view lies at the depth that another view sees there, unless it is hidden.
+/// Checks that a surface point of one view has the depth that another view sees there, unless it is hidden.
 fn depths_agree_between_views(cameras: &[Camera], depths: &[Map]) {
     let (mut agree, mut nearer_than_seen, mut tested) = (0, 0, 0);
     for i in 0..cameras.len() - 1 {
@@ -166,7 +166,7 @@ fn depths_agree_between_views(cameras: &[Camera], depths: &[Map]) {
         }
     }
     assert!(tested > 1000 && agree * 10 > tested * 6, "{agree} of {tested} agree");
-    // A point can be hidden, but never be seen through.
+    // A point can be hidden, but a view never sees a surface behind it.
     assert!(nearer_than_seen * 25 < tested, "{nearer_than_seen} of {tested} are in front of what is seen");
 }
 
@@ -191,7 +191,7 @@ fn points_reproject(model: &use3d_io_colmap::Model, cameras: &[Camera]) {
     assert!(cameras.iter().all(|c| c.pose.validate().is_ok() && c.pose != registered));
 }
 
-/// Nearer is larger, nearly everywhere; unknown where there is no surface.
+/// Checks that priors are larger for nearer pixels, nearly everywhere, and unknown where there is no surface.
 fn priors_follow_disparity(dir: &Path, depths: &[Map]) {
     let prior = read_map(&dir.join(format!("depth/{}.png", stem(0)))).unwrap();
     let pixels: Vec<(f32, f32)> = depths[0].data().iter().zip(prior.data()).map(|(&z, &p)| (z, p)).collect();
@@ -267,7 +267,7 @@ fn a_spectral_capture_is_deterministic_sets_each_view_and_hides_its_fish() {
     let red: Vec<f32> = truth.gains.iter().map(|g| g.gains[0]).collect();
     assert!(red.iter().any(|g| (g / red[0] - 1.0).abs() > 0.01), "{red:?}");
 
-    // Masks are there, and nothing of the scene is tracked on a fish.
+    // The masks exist, and no feature of the scene is tracked on a fish.
     let model = use3d_io_colmap::read_model(&a.join("sparse/0")).unwrap();
     let mut hidden = 0;
     for (i, image) in model.images.iter().enumerate() {
@@ -299,7 +299,7 @@ fn one_setting_for_all_views_is_one_gain_and_noise_is_the_sensors() {
     let (photograph, clean) = (view("images"), view("truth/clean"));
     assert!(photograph.iter().chain(&clean).all(|v| (0.05..0.95).contains(v)), "{photograph:?} {clean:?}");
     assert_eq!(truth.effective_attenuation_per_metre.map(|k| k.map(|v| v.abs() < 1e-5)), Some([true; 3]));
-    // Under water red is what is missing.
+    // Under water, red is missing.
     let (_, out) = write("water", &CaptureParams { white_balance: 0.0, ..spectral() });
     let [red, green, _] = means(&out.join("images").join(file(0)));
     assert!(red < green, "{red} {green}");

@@ -1,19 +1,20 @@
-//! A four-wide tree of bounding boxes over triangles: nearest hit along a ray.
+//! A four-wide tree of bounding boxes over triangles, to find the nearest hit along a ray.
 //!
-//! Built by the binned surface-area heuristic, then collapsed to four children per node, so that the slab
-//! tests of four boxes and the intersection tests of four triangles (Möller and Trumbore) run side by side in
-//! vector registers.
+//! It is built by the binned surface-area heuristic, then collapsed to four children per node, so that the
+//! slab tests of four boxes and the intersection tests of four triangles (Möller and Trumbore) run in
+//! parallel in vector registers.
 
 use glam::Vec3;
 
-/// A half-line. `direction` need not be a unit vector; distances are in its lengths.
+/// A half-line. `direction` need not be a unit vector; distances are in multiples of its length.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Ray {
     pub(crate) origin: Vec3,
     pub(crate) direction: Vec3,
 }
 
-/// Where a ray meets a triangle: `t` along the ray, barycentric weights of its second and third vertex.
+/// The hit of a ray on a triangle: `t` along the ray, and the barycentric weights of its second and third
+/// vertex.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Hit {
     pub(crate) t: f32,
@@ -28,7 +29,7 @@ type Four = [f32; 4];
 struct Node {
     min: [Four; 3],
     max: [Four; 3],
-    /// Index of a node, or of a pack where the high bit is set, or `EMPTY`.
+    /// Index of a node; of a pack if the high bit is set; or `EMPTY`.
     child: [u32; 4],
 }
 
@@ -44,8 +45,7 @@ struct Pack {
 const EMPTY: u32 = u32::MAX;
 const LEAF: u32 = 1 << 31;
 const BINS: usize = 12;
-/// Triangles reach this share of an edge beyond themselves: rounding must not let a ray slip between two of
-/// them.
+/// Triangles are extended by this share of an edge: rounding must not let a ray pass between two of them.
 const SLACK: f32 = 5e-5;
 
 /// The tree.
@@ -114,7 +114,8 @@ fn build(items: &mut [Item]) -> Tree {
     Tree::Inner(bounds, Box::new([left, right]))
 }
 
-/// Partitions at the cheapest of a few planes and returns where the second part begins (never an empty part).
+/// Partitions at the cheapest of a few planes and returns the start of the second part (neither part is
+/// empty).
 fn split(items: &mut [Item]) -> usize {
     let centers = items
         .iter()
@@ -253,7 +254,8 @@ impl Bvh {
         if self.nodes.is_empty() {
             return None;
         }
-        // A zero component becomes a tiny one: its reciprocal stays finite and 0 * infinity cannot arise.
+        // A zero component is replaced by a tiny one: its reciprocal stays finite and 0 * infinity cannot
+        // occur.
         let safe = |d: f32| if d.abs() < 1e-20 { 1e-20f32.copysign(d) } else { d };
         let inverse = [1.0 / safe(ray.direction.x), 1.0 / safe(ray.direction.y), 1.0 / safe(ray.direction.z)];
         let origin = ray.origin.to_array();
@@ -295,7 +297,8 @@ impl Bvh {
             // Insertion by distance: the nearest child ends on top of the stack.
             let first = top;
             for k in 0..4 {
-                // A few units in the last place of tolerance: a flat box must not be missed by rounding.
+                // The tolerance is a few units in the last place: a flat box must not be missed because of
+                // rounding.
                 if entry[k] <= exit[k] * 1.000_000_5 && node.child[k] != EMPTY && top < stack.len() {
                     let mut slot = top;
                     while slot > first && stack[slot - 1].1 < entry[k] {
@@ -397,7 +400,7 @@ mod tests {
 
     #[test]
     fn no_ray_slips_between_triangles() {
-        // A fine sheet far from the origin, where rounding is worst.
+        // A fine sheet far from the origin, where rounding errors are largest.
         let (n, step) = (60usize, 0.05f32);
         let positions: Vec<Vec3> = (0..=n * (n + 2))
             .map(|i| Vec3::new(7.0 + step * (i % (n + 1)) as f32, 9.0 + step * (i / (n + 1)) as f32, 0.1))
@@ -413,7 +416,7 @@ mod tests {
         let bvh = Bvh::build(&positions, &triangles);
         let eye = Vec3::new(0.3, -0.7, 1.7);
         for i in 0..60_000usize {
-            // Through the diagonals and the edges, on purpose.
+            // The rays deliberately pass through the diagonals and the edges.
             let along = 0.1 + 2.8 * (i as f32 / 60_000.0);
             let across = step * (1 + i % 58) as f32;
             let target =

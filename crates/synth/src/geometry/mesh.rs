@@ -11,7 +11,7 @@ pub(crate) struct Mesh {
     pub(crate) positions: Vec<Vec3>,
     /// Unit vertex normals, outwards.
     pub(crate) normals: Vec<Vec3>,
-    /// Two numbers per vertex whose meaning is the surface's (e.g. how near to a branch's tip).
+    /// Two numbers per vertex; their meaning depends on the surface (e.g. the distance along a branch).
     pub(crate) parameters: Vec<Vec2>,
     /// Vertex indices.
     pub(crate) triangles: Vec<[u32; 3]>,
@@ -26,7 +26,7 @@ pub(crate) struct Ring {
     /// The plane of the ring.
     pub(crate) axes: [Vec3; 2],
     pub(crate) radius: f32,
-    /// Second texture parameter (the first is the angle over 2π) unless a branch wants its own.
+    /// Second texture parameter (the first is the angle over 2π).
     pub(crate) parameter: f32,
 }
 
@@ -48,9 +48,9 @@ impl Mesh {
         self.triangle(a, c, d, surface);
     }
 
-    /// A closed surface `shape(direction)` over the unit sphere, as a cube's faces of `n × n` cells bulged
-    /// out. `shape` must be defined a little off the sphere's points; normals are its differences, so
-    /// seams do not show.
+    /// A closed surface `shape(direction)` over the unit sphere, made from a cube whose faces of `n × n`
+    /// cells are projected onto the sphere. `shape` must also be defined slightly off the sphere's points;
+    /// normals are computed from differences of it, so that seams are invisible.
     pub(crate) fn displaced_sphere(&mut self, n: usize, surface: u16, shape: impl Fn(Vec3) -> (Vec3, Vec2)) {
         let faces = [
             (Vec3::X, Vec3::Y, Vec3::Z),
@@ -85,8 +85,8 @@ impl Mesh {
         }
     }
 
-    /// A surface through rings, `sides` vertices each; `bulge(angle, ring)` multiplies the radius. Normals
-    /// follow from the neighbours.
+    /// A surface through rings with `sides` vertices each; `bulge(angle, ring)` multiplies the radius.
+    /// Normals are computed from the neighbouring vertices.
     pub(crate) fn sweep(
         &mut self,
         rings: &[Ring],
@@ -122,7 +122,7 @@ impl Mesh {
         }
     }
 
-    /// A round tube along a path, closed by a rounded tip; `radii` and `parameters` per path point.
+    /// A round tube along a path, closed by a rounded tip; `radii` and `parameters` are per path point.
     pub(crate) fn tube(
         &mut self,
         path: &[Vec3],
@@ -143,8 +143,8 @@ impl Mesh {
     }
 
     /// A bar of rectangular section along a path: flat faces with sharp edges, closed at both ends. `half` is
-    /// half the width (along `across`) and half the height; the first texture parameter runs along the
-    /// bar in metres.
+    /// half the width (along `across`) and half the height; the first texture parameter is the distance along
+    /// the bar in metres.
     pub(crate) fn beam(&mut self, path: &[Vec3], across: Vec3, half: [f32; 2], surface: u16) {
         let Some(last) = path.len().checked_sub(1).filter(|&n| n > 0) else { return };
         let frame = |k: usize| {
@@ -180,8 +180,8 @@ impl Mesh {
         }
     }
 
-    /// A flat rectangle from `origin` over `across` and `up`, with vertices at most `spacing` apart; its
-    /// normal is `across × up`. Texture parameters are metres along both sides, counted from `start`.
+    /// A flat rectangle from `origin` along `across` and `up`, with vertices at most `spacing` apart; its
+    /// normal is `across × up`. Texture parameters are metres along both sides, starting at `start`.
     pub(crate) fn panel(
         &mut self,
         origin: Vec3,
@@ -210,8 +210,9 @@ impl Mesh {
         }
     }
 
-    /// A height field over the product of two ascending coordinate lists; `shape` gives height and texture
-    /// parameters, `smooth` the height whose slope the normals show (the surface adds the rest as bumps).
+    /// A height field over the product of two ascending coordinate lists. `shape` gives height and texture
+    /// parameters. `smooth` gives the height from which the normals are computed (the surface adds the rest
+    /// as bumps).
     pub(crate) fn height_field(
         &mut self,
         xs: &[f32],
@@ -254,7 +255,7 @@ fn end_direction(path: &[Vec3]) -> Option<Vec3> {
     (n >= 2).then(|| (path[n - 1] - path[n - 2]).normalize_or(Vec3::Z))
 }
 
-/// Rings along a path whose axes turn as little as possible from one to the next.
+/// Rings along a path, with axes that rotate as little as possible from one ring to the next.
 pub(crate) fn rings_along(path: &[Vec3], radii: &[f32], parameters: &[f32]) -> Vec<Ring> {
     let mut rings: Vec<Ring> = Vec::with_capacity(path.len() + 2);
     let last = path.len() - 1;

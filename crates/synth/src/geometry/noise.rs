@@ -1,9 +1,10 @@
 //! Seeded lattice noise with derivatives, limited to the wavelengths that a pixel can resolve.
 //!
-//! Gradient noise (Perlin's construction with a quintic blend) in three dimensions: at every integer point a
-//! pseudo-random gradient, blended between the eight corners of a cell. Value range about `[-1, 1]`. The
-//! derivative is exact, so bumps need no finite differences. Octaves whose wavelength is below twice the
-//! `footprint` (the size of a pixel on the surface, metres) fade out: textures do not alias at any distance.
+//! Gradient noise (Perlin's construction with a quintic blend) in three dimensions: every integer point has a
+//! pseudo-random gradient, and the gradients of the eight corners of a cell are blended. The value range is
+//! about `[-1, 1]`. The derivative is exact, so bumps need no finite differences. Octaves whose wavelength is
+//! below twice the `footprint` (the size of a pixel on the surface, metres) fade out, so that textures do not
+//! alias at any distance.
 
 use glam::{IVec3, Vec3};
 
@@ -37,7 +38,7 @@ const CORNER_X: [f32; 8] = [0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0];
 const CORNER_Y: [f32; 8] = [0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0];
 const CORNER_Z: [f32; 8] = [0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0];
 
-/// The sum of eight values in a tree, as lanes add.
+/// The sum of eight values in a tree, in the order in which SIMD lanes are added.
 #[inline]
 fn sum8(v: &[f32; 8]) -> f32 {
     let four = [v[0] + v[4], v[1] + v[5], v[2] + v[6], v[3] + v[7]];
@@ -76,7 +77,7 @@ impl Noise {
         let f = p - cell.as_vec3();
         let blend = f * f * f * (f * (f * 6.0 - 15.0) + 10.0);
         let slope = 30.0 * f * f * (f * (f - 2.0) + 1.0);
-        // Corner k is at offset (k & 1, k >> 1 & 1, k >> 2); arrays of eight so that lanes run over the
+        // Corner k is at offset (k & 1, k >> 1 & 1, k >> 2); arrays of eight so that SIMD lanes correspond to
         // corners.
         let (mut gx, mut gy, mut gz) = ([0.0f32; 8], [0.0f32; 8], [0.0f32; 8]);
         for k in 0..8 {
@@ -126,8 +127,8 @@ impl Noise {
     }
 }
 
-/// How much of a pattern of `frequency` (cycles per metre) survives in a pixel of size `footprint` (metres):
-/// 1 above three pixels per cycle, 0 below one and a half.
+/// The share of a pattern of `frequency` (cycles per metre) that remains in a pixel of size `footprint`
+/// (metres): 1 above three pixels per cycle, 0 below one and a half.
 #[inline]
 pub(crate) fn resolvable(frequency: f32, footprint: f32) -> f32 {
     smooth_step(0.66, 0.33, frequency * footprint)

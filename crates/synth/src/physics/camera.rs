@@ -1,23 +1,24 @@
-//! A camera that exposes and balances every view on its own, and its sensor.
+//! A camera that exposes and balances every view separately, and its sensor.
 //!
-//! The gains of a view follow its own mean light m (per channel, linear, over a coarse grid of rays), as
-//! automatic cameras do:
+//! The gains of a view follow its own mean light m (per channel, linear, over a coarse grid of rays), as in
+//! automatic cameras:
 //!
 //! ```text
 //! balance_c  = (mean(m) / m_c)^w                        w the share of the grey-world balance
 //! exposure   = 0.14 / luminance(balance m) · e^{0.06 n}  n normal: metering is never quite the same
 //! g_c        = (view's exposure balance_c)^a (capture's)^{1-a}
-//! display    = sRGB(g_c L_c + noise),  noise deviation σ sqrt(g_c / g₀ · (x + 0.004) / 0.222)  for x = g_c L_c
+//! display    = sRGB(g_c L_c + noise)
+//!              noise deviation σ sqrt(g_c / g₀ · (x + 0.004) / 0.222)  for x = g_c L_c
 //! ```
 //!
 //! A camera that develops as action cameras do ([`Development::Action`]) bounds the balance (a channel's gain
-//! over green's is 1/3 to 3), and after the gains clips, mixes its sensor's colours into sRGB by a matrix,
-//! takes colours 1.2 times as far from grey, applies sRGB and a contrast curve, and clips again. Linear light
-//! and the equation of the method both end here, as they do in most real captures.
+//! over green's is 1/3 to 3). After the gains it clips, converts its sensor's colours to sRGB by a matrix,
+//! increases the distance of colours from grey by 1.2, applies sRGB and a contrast curve, and clips again.
+//! Linear light and the method's equation no longer hold after this, as in most real captures.
 //!
-//! a = 0 is one setting for the whole capture (geometric means over its views), a = 1 each view for itself.
-//! Noise grows as that of photons: a channel that is amplified is noisy. g₀ is the capture's middle green
-//! gain; σ is then the deviation of a middle tone of green in display range. Gains are at most 40.
+//! a = 0 is one setting for the whole capture (geometric means over its views), a = 1 a separate setting for
+//! each view. Noise grows like that of photons: an amplified channel is noisy. g₀ is the capture's middle
+//! green gain; σ is then the deviation of a middle tone of green in display range. Gains are at most 40.
 
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
@@ -32,32 +33,32 @@ use crate::scene::{Caustics, MeshScene, display};
 
 /// Rec. 601 luminance.
 const LUMINANCE: Vec3 = Vec3::new(0.299, 0.587, 0.114);
-/// Linear luminance that a view is exposed to.
+/// Linear luminance to which a view is exposed.
 const MIDDLE: f32 = 0.14;
-/// Gains are bounded: no camera amplifies without limit.
+/// Largest gain: no camera amplifies without limit.
 const HIGHEST_GAIN: f32 = 40.0;
 
 /// The development of a sensor's light.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Development {
-    /// sRGB with a soft shoulder: what a raw developer does at its plainest.
+    /// sRGB with a soft shoulder, like a simple raw developer.
     #[default]
     Plain,
-    /// As action cameras do, see [`crate::physics`].
+    /// Like action cameras, see [`crate::physics`].
     Action,
 }
 
 impl Development {
-    /// All of them.
+    /// All developments.
     pub const ALL: [Self; 2] = [Self::Plain, Self::Action];
 
-    /// As in parameter files.
+    /// Its name in parameter files.
     pub fn name(self) -> &'static str {
         ["plain", "action"][self as usize]
     }
 
-    /// The largest gain of a channel over green's that white balance sets, and one over the smallest.
+    /// The largest gain of a channel over green's that white balance sets; its reciprocal is the smallest.
     fn most_balance(self) -> f32 {
         match self {
             Self::Plain => f32::INFINITY,
@@ -83,23 +84,23 @@ impl Development {
     }
 }
 
-/// From the sensor's colours to sRGB, by columns; rows sum to 1, so that grey stays grey.
+/// Converts the sensor's colours to sRGB, by columns; rows sum to 1, so that grey stays grey.
 const MATRIX: Mat3 = Mat3::from_cols(
     Vec3::new(1.62, -0.18, 0.02),
     Vec3::new(-0.48, 1.50, -0.52),
     Vec3::new(-0.14, -0.32, 1.50),
 );
-/// Colours are this much further from grey.
+/// Factor by which the distance of colours from grey is increased.
 const SATURATION: f32 = 1.2;
 /// Share of a smooth step in the curve of display values.
 const CONTRAST: f32 = 0.35;
 
-/// How a camera behaves.
+/// The settings of an automatic camera.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Automatic {
     /// Share of the grey-world balance, 0 to 1.
     pub(crate) white_balance: f32,
-    /// How far each view is set for itself, 0 to 1.
+    /// Degree to which each view is set separately, 0 to 1.
     pub(crate) per_view: f32,
     /// The capture's seed.
     pub(crate) seed: u64,
@@ -115,7 +116,7 @@ fn mean_light(scene: &MeshScene, camera: &Camera, look: &dyn Look) -> Vec3 {
     sum / rays.len().max(1) as f32
 }
 
-/// The gains (red, green, blue) of every view; `look` is what each camera sees the scene through.
+/// The gains (red, green, blue) of every view; `look` returns the formation for each camera.
 pub(crate) fn gains(
     scene: &MeshScene,
     cameras: &[Camera],
@@ -145,7 +146,7 @@ pub(crate) fn gains(
         .collect()
 }
 
-/// The middle green gain of a capture, to which noise is relative.
+/// The median green gain of a capture, to which noise is relative.
 pub(crate) fn middle_gain(gains: &[Vec3]) -> f32 {
     let mut green: Vec<f32> = gains.iter().map(|g| g.y).collect();
     green.sort_unstable_by(f32::total_cmp);
@@ -161,11 +162,11 @@ pub(crate) struct Settings {
     pub(crate) middle: f32,
     /// Deviation of the photon noise.
     pub(crate) sigma: f32,
-    /// The way from light to a picture.
+    /// The development from light to a picture.
     pub(crate) development: Development,
 }
 
-/// Turns linear light into display values in place: gains, photon noise, development. Noise is keyed by
+/// Converts linear light to display values in place: gains, photon noise, development. Noise is keyed by
 /// (seed, view, pixel).
 pub(crate) fn develop(image: &mut Image, settings: Settings, seed: u64, view: u64) {
     let Settings { gains, middle, sigma, development } = settings;
@@ -228,7 +229,7 @@ mod tests {
             let [r, g, b] = action.display(Vec3::splat(v)).to_array();
             assert!((r - g).abs() < 1e-5 && (b - g).abs() < 1e-5, "{v}: {r} {g} {b}");
         }
-        // Blue water: red falls below nothing and is clipped.
+        // In blue water, red becomes negative and is clipped.
         assert_eq!(action.display(Vec3::new(0.01, 0.2, 0.4)).x, 0.0);
         assert!(action.display(Vec3::splat(3.0)).min_element() > 0.9999);
         // Darks are darker and brights brighter than without its curve.

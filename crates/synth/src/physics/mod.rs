@@ -1,12 +1,12 @@
-//! How a scene becomes a picture under water: the method's own formation, or one that is none of its
+//! The formation of a picture under water: the method's own formation, or one that is independent of its
 //! assumptions.
 //!
 //! [`Physics::Display`] applies `I = J e^{-β_attn s} + c_m(d) (1 - e^{-β_bs s})` to display values, exactly
 //! as the method models it ([`crate::water`]). [`Physics::Spectral`] works in linear light and ten
 //! wavelengths ([`spectral`]), with daylight that fades with depth, optional lamps ([`spectral::Lamps`]), a
-//! camera that exposes and balances every view on its own ([`camera`]) and animals and particles that pass by
-//! ([`passers`]). A method that only recovers what the first writes has learnt its own assumptions; the
-//! second tells.
+//! camera that exposes and balances every view separately ([`camera`]), and animals and particles in front of
+//! the scene ([`passers`]). A method that succeeds only with the first has learnt its own assumptions; the
+//! second shows this.
 
 pub(crate) mod camera;
 pub(crate) mod passers;
@@ -19,14 +19,14 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_capture::Camera;
 
-/// Which image formation a synthetic capture follows.
+/// The image formation of a synthetic capture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Physics {
     /// The method's formation, on display values.
     #[default]
     Display,
-    /// Spectral transport in linear light, with a camera of its own mind.
+    /// Spectral transport in linear light, with a camera that sets itself automatically.
     Spectral,
 }
 

@@ -1,8 +1,8 @@
-//! What passes between camera and scene: fish, which a mask hides, and marine snow, which nothing does.
+//! Objects between camera and scene: fish, which a mask hides, and marine snow, which no mask hides.
 //!
-//! Both are drawn over the finished linear picture at a place and distance of their own in every view, behind
-//! whatever is nearer, with the light that the water leaves of them. A fish is an ellipse with a tail; a
-//! particle is a soft disc, larger when near and out of focus.
+//! Both are drawn over the finished linear picture, at a different position and distance in every view. They
+//! are hidden by nearer surfaces, and their light is attenuated by the water. A fish is an ellipse with a
+//! tail; a particle is a soft disc, larger if it is near and out of focus.
 
 use glam::{Vec2, Vec3};
 use use3d_capture::{Camera, Image, Map};
@@ -12,12 +12,12 @@ use super::spectral::Spectral;
 use crate::render::Rays;
 use crate::scene::Draws;
 
-/// Particles in a view of `snow = 1`.
+/// Number of particles in a view with `snow = 1`.
 const PARTICLES: f32 = 160.0;
-/// Masks reach this far beyond a fish, pixels.
+/// Margin of the masks around a fish, pixels.
 const MARGIN: f32 = 1.5;
 
-/// A view being painted over.
+/// A view to paint on.
 pub(crate) struct Canvas<'a> {
     /// Linear light.
     pub(crate) image: &'a mut Image,
@@ -28,7 +28,7 @@ pub(crate) struct Canvas<'a> {
 }
 
 impl Canvas<'_> {
-    /// Covers pixels around `centre` (pixels): `cover` gives a pixel's share from its offset, 0 to 1.
+    /// Paints pixels around `centre` (pixels): `cover` gives a pixel's share from its offset, 0 to 1.
     fn paint(&mut self, centre: Vec2, reach: f32, z: f32, albedo: Vec3, cover: &dyn Fn(Vec2) -> f32) {
         let (w, h) = (self.image.width(), self.image.height());
         let bounds = |c: f32, n: usize| span(c, reach, n);
@@ -54,15 +54,15 @@ impl Canvas<'_> {
     }
 }
 
-/// Soft discs near the camera: `amount` 0 to 1.
+/// Paints soft discs near the camera: `amount` 0 to 1.
 pub(crate) fn snow(canvas: &mut Canvas<'_>, amount: f32, seed: u64, view: usize) {
     let mut draws = Draws::new(seed, "marine snow", view as u64);
     let size = Vec2::new(canvas.image.width() as f32, canvas.image.height() as f32);
     for _ in 0..(amount * PARTICLES) as usize {
-        // Evenly over the volume seen up to 2.4 m: most are far and small.
+        // Uniform over the visible volume up to 2.4 m: most particles are far and small.
         let z = 2.4 * math::cbrt(draws.range(0.0, 1.0)) + 0.12;
         let centre = Vec2::new(draws.range(0.0, size.x), draws.range(0.0, size.y));
-        // Half a millimetre, and what is out of focus.
+        // Half a millimetre, plus the blur out of focus.
         let radius = size.x * (0.000_6 + 0.000_9 / z);
         let strength = draws.range(0.25, 0.8);
         let tone = draws.range(0.5, 1.0);
@@ -71,7 +71,7 @@ pub(crate) fn snow(canvas: &mut Canvas<'_>, amount: f32, seed: u64, view: usize)
     }
 }
 
-/// `count` fish, each somewhere else in every view; the mask is 0 where they are, 1 elsewhere.
+/// Paints `count` fish, at a different place in every view; the mask is 0 on them, 1 elsewhere.
 pub(crate) fn fish(canvas: &mut Canvas<'_>, count: usize, seed: u64, view: usize) -> Map {
     let (w, h) = (canvas.image.width(), canvas.image.height());
     let mut mask = Map::filled(w, h, 1.0);
@@ -95,7 +95,7 @@ pub(crate) fn fish(canvas: &mut Canvas<'_>, count: usize, seed: u64, view: usize
             body || ((0.0..1.0).contains(&behind) && p.y.abs() < 0.7 * half.y * (0.2 + behind))
         };
         let reach = 0.8 * length + MARGIN + 1.0;
-        // The margin first: it belongs to the mask alone.
+        // The margin comes first: it belongs only to the mask.
         let near = [Vec2::X, Vec2::Y, Vec2::NEG_X, Vec2::NEG_Y];
         let margin = |d: Vec2| near.iter().any(|n| inside(d + MARGIN * *n)) || inside(d);
         hide(&mut mask, centre, reach, &margin);
@@ -105,7 +105,7 @@ pub(crate) fn fish(canvas: &mut Canvas<'_>, count: usize, seed: u64, view: usize
     mask
 }
 
-/// Pixels within `reach` of a coordinate, of `n`.
+/// The pixels within `reach` of a coordinate, out of `n`.
 fn span(centre: f32, reach: f32, n: usize) -> std::ops::Range<usize> {
     let within = |v: f32| v.clamp(0.0, n as f32) as usize;
     within((centre - reach).floor())..within((centre + reach).ceil())

@@ -1,25 +1,26 @@
 //! Transport of light through water by wavelength, as single scattering in a homogeneous body of water.
 //!
-//! Ten wavelengths λ from 425 to 650 nm. With `K(λ)` Jerlov's diffuse attenuation (1/m), `z` depths below the
-//! surface, s the distance along the ray (m) and `d_z` the ray's upward component, the light of λ that
-//! reaches the camera is
+//! There are ten wavelengths λ from 425 to 650 nm. `K(λ)` is Jerlov's diffuse attenuation (1/m), `z` are
+//! depths below the surface, s is the distance along the ray (m) and `d_z` the ray's upward component. The
+//! light of λ that reaches the camera is
 //!
 //! ```text
-//! L(λ) = ρ(λ) [E₀ e^{-K z_point} σ + lamps(point)] e^{-c s}  +  v(λ, d) E₀ e^{-K z_camera} (1 - e^{-m s}) / m  +  lamp haze
-//! m    = c - K d_z                     daylight grows along a rising ray, so that haze builds up with m, not c
-//! c    = 0.75 K + 0.5 b                image-forming attenuation: absorption, and the scattering that leaves the image
-//! b    = b₅₅₀ (550 nm / λ)             scattering by particles, b₅₅₀ = 0.04 + 1.5 (K(550 nm) - 0.0565) 1/m
-//! v    = 0.16 b (1 + 0.35 d·sun)       daylight scattered towards the camera, a little more with the sun ahead
+//! L(λ) = ρ(λ) [E₀ e^{-K z_point} σ + lamps(point)] e^{-c s}
+//!        + v(λ, d) E₀ e^{-K z_camera} (1 - e^{-m s}) / m  +  lamp haze
+//! m    = c - K d_z                 daylight grows along a rising ray, so that haze builds up with m, not c
+//! c    = 0.75 K + 0.5 b            image-forming attenuation: absorption, and scattering out of the image
+//! b    = b₅₅₀ (550 nm / λ)         scattering by particles, b₅₅₀ = 0.04 + 1.5 (K(550 nm) - 0.0565) 1/m
+//! v    = 0.16 b (1 + 0.35 d·sun)   daylight scattered towards the camera, a little more with the sun ahead
 //! ```
 //!
 //! with ρ the reflectance, σ the neutral shading of the scene under its soft daylight and `E₀ = 1` for every
 //! wavelength. The camera integrates with bell-shaped responses around 465, 532 and 605 nm; a white surface
-//! in air under E₀ reads 1 in every channel. The sum over wavelengths of one channel is no exponential: what
-//! a single β per channel can express ends here, on purpose.
+//! in air under E₀ reads 1 in every channel. The sum over wavelengths of one channel is not an exponential:
+//! by design, a single β per channel cannot express it.
 //!
 //! Approximations: reflectances have three degrees of freedom (those of the scene's albedo); scattering is
 //! single and does not blur; b and its share towards the camera are plausible, not measured; E₀ is flat. The
-//! table of K is that of N. G. Jerlov, *Marine Optics*, 2nd edition, 1976, table XXVII.
+//! table of K is from N. G. Jerlov, *Marine Optics*, 2nd edition, 1976, table XXVII.
 
 use glam::Vec3;
 use use3d_numerics::math;
@@ -62,16 +63,16 @@ fn response(channel: usize) -> Spectrum {
     bell.map(|v| v / sum)
 }
 
-/// How much of each channel's albedo a wavelength reflects: smooth steps at 495 and 580 nm that sum to 1, so
-/// that grey is grey at every wavelength.
+/// The share of each channel's albedo that a wavelength reflects: smooth steps at 495 and 580 nm that sum to
+/// 1, so that grey is grey at every wavelength.
 fn reflectance(band: usize) -> [f32; 3] {
     let step = |at: f32| 1.0 / (1.0 + math::exp(-(WAVELENGTHS[band] - at) / 12.0));
     let (above_blue, above_green) = (step(495.0), step(580.0));
     [above_blue * above_green, above_blue * (1.0 - above_green), 1.0 - above_blue]
 }
 
-/// Deviation of reef animals and algae from smooth spectra, at [`WAVELENGTHS`], for a colour furthest from
-/// grey: pigments absorb below 520 nm, three peaks stand between 570 and 650 nm.
+/// Deviation of reef animals and algae from smooth spectra, at [`WAVELENGTHS`], for a colour at the greatest
+/// distance from grey: pigments absorb below 520 nm, and there are three peaks between 570 and 650 nm.
 const REEF: Spectrum = [-0.20, -0.25, -0.25, -0.15, -0.02, 0.08, 0.32, 0.15, 0.12, 0.30];
 
 /// `(1 - e^{-m s}) / m`, for m of any sign and near zero; `s` at most a few hundred metres.
@@ -87,38 +88,38 @@ pub(crate) struct Lamps {
     pub(crate) strength: f32,
 }
 
-/// Share of scattered daylight that turns into the view, in units of a white surface's light. Higher orders
-/// of scattering are in it.
+/// Share of scattered daylight that turns into the view, in units of a white surface's light. It includes
+/// higher orders of scattering.
 const DAYLIGHT_HAZE: f32 = 0.16;
-/// The same of lamp light, which has to turn back.
+/// The same share for lamp light, which has to be scattered back.
 const LAMP_HAZE: f32 = 0.02;
 /// Light of the sky above a scene in air, per channel, in units of a white surface's light.
 const SKY: Vec3 = Vec3::new(0.55, 0.68, 0.85);
 
-/// How far each lamp is from the camera's axis, metres: along the picture's rows, both sides.
+/// Distance of each lamp from the camera's axis, metres: along the picture's rows, on both sides.
 const LAMP_ARM: f32 = 0.45;
-/// Points along a ray at which the lamps' haze is summed, metres; weights are the distances between them.
+/// Points along a ray at which the lamps' haze is summed, metres; the weights are the distances between them.
 const HAZE_STEPS: [(f32, f32); 8] =
     [(0.3, 0.25), (0.6, 0.3), (0.9, 0.35), (1.3, 0.5), (1.9, 0.7), (2.7, 0.9), (3.8, 1.3), (5.4, 1.9)];
 
-/// A body of water with its daylight, seen by a camera at one place.
+/// A body of water with its daylight, seen by a camera.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Spectral {
     /// Diffuse attenuation K, image-forming attenuation c, scattering b, 1/m.
     diffuse: Spectrum,
     beam: Spectrum,
     scattering: Spectrum,
-    /// Depth of the height 0 below the surface, metres.
+    /// Depth below the surface of the height 0, metres.
     depth: f32,
     sun: Vec3,
     lamps: Option<Lamps>,
-    /// The picture's x axis, along which the lamps' arms reach.
+    /// The picture's x axis, along which the lamps' arms extend.
     sideways: Vec3,
-    /// What is seen where nothing else is: sky, or nothing (haze then).
+    /// The colour where no surface is seen: sky, or black (then only haze is seen).
     background: Vec3,
     /// True if surfaces have the spectra of reefs.
     reef: bool,
-    /// Light of the sky ahead that the lens spreads over the picture, as a share of the sky's.
+    /// Light of the sky ahead that the lens spreads over the picture, as a share of the sky's light.
     glare: f32,
     responses: [Spectrum; 3],
     reflectances: [[f32; 3]; BANDS],
@@ -146,30 +147,30 @@ impl Spectral {
         }
     }
 
-    /// No water at all: the scene in air, under the sky.
+    /// No water: the scene in air, under the sky.
     pub(crate) fn air(sun: Vec3) -> Self {
         let none = [0.0; BANDS];
         let water = Self::new(WaterType::I, 0.0, sun, None);
         Self { diffuse: none, beam: none, scattering: none, background: SKY, ..water }
     }
 
-    /// The same with surfaces that have the spectra of reefs, smooth ones in grey.
+    /// The same, with surfaces that have the spectra of reefs; grey ones keep smooth spectra.
     pub(crate) fn with_reef_spectra(self, reef: bool) -> Self {
         Self { reef, ..self }
     }
 
-    /// The same against the light: the sky is 1 + 3 `strength` times as bright, and the lens spreads a
-    /// share of the sky that is in the picture over all of it.
+    /// The same against the light: the sky is 1 + 3 `strength` times as bright, and the lens spreads a share
+    /// of the visible sky's light over the whole picture.
     pub(crate) fn against_light(self, strength: f32) -> Self {
         Self { background: (1.0 + 3.0 * strength) * self.background, glare: 0.06 * strength, ..self }
     }
 
-    /// No sky: nothing is seen where no surface is.
+    /// The same without sky: black where there is no surface.
     pub(crate) fn without_sky(self) -> Self {
         Self { background: Vec3::ZERO, ..self }
     }
 
-    /// The light that the lens spreads over a picture of which the sky fills a `share`.
+    /// The light that the lens spreads over a picture in which the sky fills this `share`.
     pub(crate) fn glare(&self, share: f32) -> Vec3 {
         self.glare * share * self.background
     }
@@ -179,12 +180,12 @@ impl Spectral {
         Self { sideways, ..*self }
     }
 
-    /// Daylight of a wavelength at a height; at the surface and above, all of it.
+    /// Daylight of a wavelength at a height; at the surface and above it is complete.
     fn daylight(&self, band: usize, height: f32) -> f32 {
         math::exp(-self.diffuse[band] * (self.depth - height).max(0.0))
     }
 
-    /// Lamp light of a wavelength at a point, from both lamps: inverse square, attenuated on its way.
+    /// Light of both lamps of a wavelength at a point: inverse square, attenuated on its way.
     fn lamp_light(&self, band: usize, eye: Vec3, point: Vec3) -> f32 {
         let Some(lamps) = self.lamps else { return 0.0 };
         [-LAMP_ARM, LAMP_ARM]
@@ -199,7 +200,7 @@ impl Spectral {
     /// Light scattered into the camera along the way to `s` (infinite in open water).
     fn haze(&self, band: usize, eye: Vec3, direction: Vec3, s: f32) -> f32 {
         let towards = DAYLIGHT_HAZE * self.scattering[band] * (1.0 + 0.35 * direction.dot(self.sun));
-        // A rising ray leaves the water where it meets the surface.
+        // A rising ray leaves the water at the surface.
         let to_surface =
             if direction.z > 1e-4 { (self.depth - eye.z).max(0.0) / direction.z } else { f32::INFINITY };
         let way = s.min(to_surface).min(200.0);
@@ -217,8 +218,8 @@ impl Spectral {
         haze
     }
 
-    /// What the camera's channels read, linear: a surface of this shaded albedo at `s` metres along a unit
-    /// ray, or open water. A white surface in air under daylight reads 1.
+    /// The values of the camera's channels, linear, for a surface of this shaded albedo at `s` metres along a
+    /// unit ray, or for open water. A white surface in air under daylight gives 1.
     pub(crate) fn light(&self, surface: Option<Vec3>, eye: Vec3, direction: Vec3, s: f32) -> Vec3 {
         let mut channels = if surface.is_none() { self.background } else { Vec3::ZERO };
         for band in 0..BANDS {
@@ -241,7 +242,7 @@ impl Spectral {
         channels
     }
 
-    /// Light of a white surface at height 0 under daylight alone, per channel, seen from `s` metres away
+    /// Light of a white surface at height 0 under daylight alone, per channel, seen from `s` metres away,
     /// without haze.
     pub(crate) fn white(&self, s: f32) -> [f32; 3] {
         std::array::from_fn(|c| {
@@ -290,7 +291,8 @@ mod tests {
 
     #[test]
     fn no_single_exponential_describes_a_channel() {
-        // The apparent coefficient of red falls with distance: its longest wavelengths are gone.
+        // The apparent coefficient of red falls with distance, because its longest wavelengths are absorbed
+        // first.
         let water = water(WaterType::I, 5.0);
         let apparent = |s: f32| math::ln(water.white(s)[0] / water.white(s + 1.0)[0]);
         assert!(apparent(8.0) < 0.93 * apparent(0.0), "{} {}", apparent(0.0), apparent(8.0));

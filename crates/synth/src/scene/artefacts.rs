@@ -1,4 +1,4 @@
-//! What people left on the sea floor: a colour chart, a rope on a concrete block, the ribs of a wreck, a
+//! Human-made objects on the sea floor: a colour chart, a rope on a concrete block, the ribs of a wreck, a
 //! drum, a jar.
 
 use glam::{Mat3, Vec2, Vec3};
@@ -70,7 +70,7 @@ pub(crate) fn chart(mesh: &mut Mesh, palette: &mut Palette, base: Vec3, turn: f3
 /// Reflectances of a board's patches, left to right, top to bottom.
 const GREYS: [f32; 6] = [0.60, 0.42, 0.29, 0.20, 0.13, 0.08];
 
-/// A board with six grey patches, `width` metres wide, that leans back and looks at whoever swims in.
+/// A board with six grey patches, `width` metres wide, leaning back and facing an approaching swimmer.
 pub(crate) fn greys(mesh: &mut Mesh, palette: &mut Palette, base: Vec3, width: f32) {
     let (right, up) = (Vec3::X, Vec3::new(0.0, 0.6, 0.8));
     let normal = right.cross(up);
@@ -118,7 +118,7 @@ pub(crate) fn rope(
             let xy = start.lerp(end.truncate(), t)
                 + Vec2::new(swing * math::sin(std::f32::consts::TAU * t) * (1.0 - t), 0.0);
             let floor = terrain.height(xy.x, xy.y) + 0.8 * radius;
-            // Lies on the floor, then rises in a curve to its end.
+            // The rope lies on the floor, then rises in a curve to its end.
             let rise = ((t - 0.62) / 0.38).max(0.0);
             let lifted = floor + (end.z - floor) * rise * rise;
             let knot = ground + 0.17;
@@ -139,7 +139,7 @@ pub(crate) fn rope(
     mesh.sweep(&rings, 14, surface, |angle, k| 1.0 + 0.16 * math::cos(3.0 * angle - 70.0 * lengths[k]));
 }
 
-/// The ribs, keel and a few planks of a wooden wreck that lies along direction `turn`, keel at `base`.
+/// The ribs, keel and a few planks of a wooden wreck in direction `turn`, with its keel at `base`.
 pub(crate) fn wreck(
     mesh: &mut Mesh,
     palette: &mut Palette,

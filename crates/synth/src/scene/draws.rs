@@ -1,9 +1,9 @@
-//! Random numbers drawn one after another from a counter-based stream, for building things.
+//! Random numbers drawn one after another from a counter-based stream, for building objects.
 
 use use3d_numerics::random::{Purpose, Stream};
 
-/// Draws of one object: a function of the scene's seed, the kind of object and its number, whatever else was
-/// built before.
+/// The draws of one object: a function of the scene's seed, the kind of object and its number, independent of
+/// other objects.
 pub(crate) struct Draws {
     stream: Stream,
     next: u64,
@@ -20,12 +20,12 @@ impl Draws {
         low + (high - low) * self.stream.uniform(self.next) as f32
     }
 
-    /// Symmetric about zero, of at most `amount`.
+    /// Uniform, symmetric about zero, at most `amount` in magnitude.
     pub(crate) fn about(&mut self, amount: f32) -> f32 {
         self.range(-amount, amount)
     }
 
-    /// One of `0..n`.
+    /// A uniform choice from `0..n`.
     pub(crate) fn below(&mut self, n: usize) -> usize {
         self.next += 1;
         self.stream.below(self.next, n)

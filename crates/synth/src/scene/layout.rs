@@ -1,4 +1,4 @@
-//! Where things stand: the reef is planted, the sand is littered, and a corridor stays free for the swimmer.
+//! The positions of objects: organisms on the reef, objects on the sand, and a free corridor for the swimmer.
 
 use glam::{Vec2, Vec3};
 use schemars::JsonSchema;
@@ -13,7 +13,7 @@ use super::terrain::Terrain;
 use crate::geometry::mesh::Mesh;
 use crate::geometry::noise::Noise;
 
-/// Where photographs are taken.
+/// The place of the photographs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Place {
@@ -22,15 +22,16 @@ pub enum Place {
     Reef,
     /// A tiled pool: flat, even surfaces of nearly one colour.
     Pool,
-    /// The same with tiles of the colour that open water has: surfaces and water cannot be told apart by it.
+    /// The same pool with tiles of the colour of open water: surfaces and water cannot be distinguished by
+    /// colour.
     VeilPool,
 }
 
 impl Place {
-    /// All of them.
+    /// All places.
     pub const ALL: [Self; 3] = [Self::Reef, Self::Pool, Self::VeilPool];
 
-    /// As in parameter files.
+    /// Its name in parameter files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Reef => "reef",
@@ -40,26 +41,26 @@ impl Place {
     }
 }
 
-/// What to build.
+/// The description of a scene to build.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Layout {
-    /// Which scene it is.
+    /// The kind of scene.
     pub(crate) place: Place,
-    /// Where and how things stand.
+    /// The seed of positions and shapes.
     pub(crate) seed: u64,
     /// Triangle density, in (0, 1]; a coarse scene is also less crowded.
     pub(crate) detail: f32,
-    /// How many organisms, relative to the default.
+    /// Number of organisms, relative to the default.
     pub(crate) density: f32,
-    /// Whether the wreck with its rope is there.
+    /// True if the scene contains the wreck with its rope.
     pub(crate) wreck: bool,
-    /// True if boards with grey patches stand near and far.
+    /// True if there are boards with grey patches near and far.
     pub(crate) greys: bool,
-    /// Colour of the tiles of a pool that has the veil's, linear.
+    /// Colour of the tiles of the pool with the veil's colour, linear.
     pub(crate) veil: Vec3,
 }
 
-/// The tallest thing that may stand under the swimmer's path, metres above the sand.
+/// Largest height of an object under the swimmer's path, metres above the sand.
 const LOW: f32 = 0.55;
 
 /// Foot and tip colours of staghorn corals.
@@ -101,12 +102,12 @@ pub(crate) fn build(layout: &Layout) -> (Mesh, Palette, Terrain) {
     let mut taken: Vec<(Vec2, f32)> = Vec::new();
     let on_ground = |xy: Vec2| xy.extend(terrain.height(xy.x, xy.y));
 
-    // The chart where the swim begins, the wreck where it ends.
+    // The chart is at the start of the swim, the wreck at its end.
     let chart = Vec2::new(terrain.channel_center(2.5) + draws.about(0.2), 2.5);
     artefacts::chart(&mut mesh, &mut palette, on_ground(chart), draws.about(0.25), 0.46);
     taken.push((chart, 0.45));
     if greys {
-        // One board where the swim begins, one that it never reaches.
+        // One board is at the start of the swim; the swim never reaches the other one.
         for (y, aside, width) in [(1.7, 0.55, 0.42), (6.4, -0.5, 0.9)] {
             let board = Vec2::new(terrain.channel_center(y) + aside, y);
             artefacts::greys(&mut mesh, &mut palette, on_ground(board), width);
@@ -141,7 +142,7 @@ pub(crate) fn build(layout: &Layout) -> (Mesh, Palette, Terrain) {
     (mesh, palette, terrain)
 }
 
-/// How the wreck lies.
+/// The direction of the wreck.
 fn wreck_heading(seed: u64) -> f32 {
     Draws::new(seed, "wreck", 0).range(-0.35, 0.05)
 }
@@ -150,7 +151,7 @@ struct Planter<'a> {
     mesh: &'a mut Mesh,
     palette: &'a mut Palette,
     terrain: &'a Terrain,
-    /// Circles that are occupied.
+    /// Occupied circles.
     taken: Vec<(Vec2, f32)>,
     seed: u64,
     detail: f32,
@@ -161,7 +162,7 @@ impl Planter<'_> {
         self.taken.iter().all(|(other, r)| other.distance(at) > 0.8 * (r + radius))
     }
 
-    /// Whether something of this height may stand here without touching the swimmer.
+    /// True if an object of this height can be placed here without touching the swimmer.
     fn clears_path(&self, at: Vec2, height: f32) -> bool {
         let top = self.terrain.height(at.x, at.y) + height;
         let sand = self.terrain.height(self.terrain.channel_center(at.y), at.y);
@@ -170,7 +171,7 @@ impl Planter<'_> {
     }
 
     fn spot(&self, draws: &mut Draws) -> (Vec2, f32) {
-        // Denser along the channel's edges, where the swimmer sees them from near.
+        // Denser along the channel's edges, which the swimmer sees from near.
         let y = draws.range(-0.6, 13.5);
         let side = if draws.below(2) == 0 { -1.0 } else { 1.0 };
         let off = 4.6 * math::powf(draws.range(0.0, 1.0), 1.2);
@@ -190,7 +191,7 @@ impl Planter<'_> {
                 k if k < 0.86 => draws.range(0.35, 0.7),
                 _ => draws.range(0.4, 1.1),
             };
-            // A few tries for a place on the reef.
+            // Tries a few times to find a place on the reef.
             let place = (0..12).find_map(|_| {
                 let (at, reef) = self.spot(draws);
                 (reef > 0.45 && self.is_free(at, 0.4 * size) && self.clears_path(at, 0.8 * size))

@@ -1,14 +1,14 @@
-//! Daylight under water: a soft sun from above, light from the whole upper half, a little light back from the
-//! sand.
+//! Daylight under water: a soft sun from above, light from the whole upper half space, and a little light
+//! reflected by the sand.
 //!
 //! Linear light per unit albedo at a point with normal n, sun direction l, openness a (0 enclosed to 1 free)
 //! and sun visibility v:
 //!
 //! `E = v max(n·l, 0) E_sun + a (1 + n_z)/2 E_sky + a (1 - n_z)/2 E_sand`
 //!
-//! Openness and visibility are computed once per vertex by casting rays and are interpolated. Approximations:
-//! no light reaches one object from another except the sand's, and no light is absorbed on its way along the
-//! sea floor.
+//! Openness and visibility are computed once per vertex by casting rays, and are interpolated.
+//! Approximations: no light is reflected from one object to another except by the sand, and no light is
+//! absorbed on its way along the sea floor.
 
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -19,7 +19,7 @@ use crate::geometry::bvh::{Bvh, Ray};
 use crate::geometry::mesh::Mesh;
 use crate::geometry::noise::Noise;
 
-/// The light of a scene (linear, neutral; the water's tint comes later).
+/// The light of a scene (linear, neutral; the water's tint is applied later).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Daylight {
     /// Unit vector towards the sun.
@@ -39,7 +39,7 @@ impl Daylight {
 
 const SKY_RAYS: usize = 9;
 const SUN_RAYS: usize = 4;
-/// Beyond this distance nothing shades the sky, metres.
+/// Objects beyond this distance do not shade the sky, metres.
 const REACH: f32 = 0.9;
 
 /// Openness and sun visibility of every vertex.
@@ -80,7 +80,7 @@ pub(crate) fn bake(mesh: &Mesh, bvh: &Bvh, sun: Vec3, seed: u64) -> Vec<Vec2> {
         .collect()
 }
 
-/// The pattern that waves focus onto the floor: bright curved lines around 1 on average; `time` in seconds.
+/// The pattern of light focused by waves on the floor: bright curved lines, 1 on average; `time` in seconds.
 pub(crate) fn caustics(noise: Noise, p: Vec3, time: f32) -> f32 {
     let q = Vec3::new(1.7 * p.x, 1.7 * p.y, 0.35 * time + 0.3 * p.z);
     let bend = noise.value(0.7 * q);

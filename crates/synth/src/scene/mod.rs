@@ -1,8 +1,8 @@
-//! The scene: a reef or a tiled pool and what lies on it, as triangles with procedural textures under soft
+//! The scene: a reef or a tiled pool with the objects on it, as triangles with procedural textures under soft
 //! daylight.
 //!
-//! Nothing here is a Gaussian: the scene is opaque geometry, seen by casting rays. Coordinates are metres, x
-//! to the right of the swim, y ahead, z up.
+//! Nothing here is a Gaussian: the scene is opaque geometry, rendered by casting rays. Coordinates are
+//! metres, x to the right of the swim, y ahead, z up.
 
 mod artefacts;
 mod draws;
@@ -28,7 +28,7 @@ use crate::geometry::mesh::Mesh;
 use crate::geometry::noise::Noise;
 use light::Daylight;
 
-/// A scene ready to be looked at.
+/// A scene that is ready to be rendered.
 pub(crate) struct MeshScene {
     mesh: Mesh,
     surfaces: Vec<Surface>,
@@ -37,29 +37,29 @@ pub(crate) struct MeshScene {
     baked: Vec<Vec2>,
     daylight: Daylight,
     noise: Noise,
-    /// The sea floor's shape, for whoever swims over it.
+    /// The sea floor's shape, for the path of the swimmer.
     pub(crate) terrain: Terrain,
 }
 
-/// What a ray sees.
+/// The surface point that a ray hits.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Seen {
-    /// Along the ray, in lengths of its direction.
+    /// Position along the ray, in lengths of its direction.
     pub(crate) t: f32,
-    /// Light towards the eye, linear, under neutral daylight of unit exposure.
+    /// Light towards the camera, linear, under neutral daylight of unit exposure.
     pub(crate) light: Vec3,
-    /// Surface index, to tell objects apart.
+    /// Surface index, to distinguish objects.
     pub(crate) surface: u16,
 }
 
-/// Caustics: how strong (0 is off) and at what time.
+/// Caustics: their strength (0 is off) and time.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Caustics {
     pub(crate) strength: f32,
     pub(crate) time: f32,
 }
 
-/// Nothing is looked for beyond this distance, metres: no water lets it be seen.
+/// Surfaces beyond this distance are ignored, metres: no water is clear enough to show them.
 const FAR: f32 = 70.0;
 
 impl MeshScene {
@@ -90,12 +90,12 @@ impl MeshScene {
         self.daylight.sun
     }
 
-    /// Triangles in the scene.
+    /// Number of triangles in the scene.
     pub(crate) fn triangles(&self) -> usize {
         self.mesh.triangles.len()
     }
 
-    /// Looks along a ray; `spread` is the width of a pixel at unit `t`, metres. `None` is open water.
+    /// Casts a ray; `spread` is the width of a pixel at unit `t`, metres. `None` is open water.
     pub(crate) fn look(&self, ray: &Ray, spread: f32, caustics: Caustics) -> Option<Seen> {
         let hit = self.bvh.nearest(ray, FAR)?;
         let triangle = hit.triangle as usize;
@@ -120,7 +120,7 @@ impl MeshScene {
         }
         let grey = self.is_grey(surface);
         let light = self.daylight.at(tilted, baked.x, sunlight);
-        // A board of greys is read in even light, whatever tint the daylight has.
+        // A board of greys is lit by neutral light, whatever tint the daylight has.
         let light = if grey { Vec3::splat(light.dot(Vec3::splat(1.0 / 3.0))) } else { light };
         Some(Seen { t: hit.t, light: albedo * light, surface })
     }

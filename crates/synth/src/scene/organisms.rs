@@ -1,9 +1,9 @@
-//! What grows on the reef: branching, brain, plate and fan corals, tube sponges, starfish, boulders and
-//! pebbles.
+//! Organisms and stones of the reef: branching, brain, plate and fan corals, tube sponges, starfish, boulders
+//! and pebbles.
 //!
-//! Every builder adds one object to the mesh, standing at `base` (metres), about `size` large. `detail` in
-//! (0, 1] scales the number of triangles. Texture parameters are documented at the surfaces that read them
-//! (`Surface`).
+//! Every builder adds one object to the mesh, with its foot at `base` (metres) and about `size` large.
+//! `detail` in (0, 1] scales the number of triangles. Texture parameters are documented at the surfaces that
+//! use them (`Surface`).
 
 use glam::{Vec2, Vec3};
 use use3d_numerics::math;
@@ -12,12 +12,12 @@ use super::draws::Draws;
 use crate::geometry::mesh::{Mesh, Ring, rings_along};
 use crate::geometry::noise::Noise;
 
-/// Subdivisions scaled by the detail, but never so few that the shape is lost.
+/// Number of subdivisions scaled by the detail, with a minimum that keeps the shape.
 fn subdivide(n: usize, detail: f32) -> usize {
     ((n as f32 * detail).round() as usize).max(3)
 }
 
-/// A stone: a sphere pushed in and out by noise, flattened, sunk a little into the ground.
+/// A stone: a sphere displaced by noise, flattened, sunk a little into the ground.
 pub(crate) fn boulder(
     mesh: &mut Mesh,
     draws: &mut Draws,
@@ -49,8 +49,8 @@ pub(crate) fn brain(mesh: &mut Mesh, draws: &mut Draws, base: Vec3, size: f32, d
     });
 }
 
-/// How far a point is from the middle of a brain coral's groove (0 in it, about 0.3 on a ridge), and the
-/// gradient of that.
+/// Distance of a point from the middle of a brain coral's groove (0 in it, about 0.3 on a ridge), and its
+/// gradient.
 pub(crate) fn groove(noise: Noise, p: Vec3) -> (f32, Vec3) {
     let (bend, turn) = noise.with_gradient(7.0 * p + Vec3::splat(5.0));
     let (value, slope) = noise.with_gradient(26.0 * p + Vec3::splat(1.3 * bend));
@@ -58,7 +58,7 @@ pub(crate) fn groove(noise: Noise, p: Vec3) -> (f32, Vec3) {
     (value.abs(), gradient * value.signum())
 }
 
-/// Staghorn coral: stems that fork again and again. Second parameter: 0 at the foot, 1 at the tips.
+/// Staghorn coral: stems that fork repeatedly. Second parameter: 0 at the foot, 1 at the tips.
 pub(crate) fn branching(
     mesh: &mut Mesh,
     draws: &mut Draws,
@@ -109,7 +109,7 @@ pub(crate) fn branching(
             let children = 2 + draws.below(2);
             let turn = draws.range(0.0, std::f32::consts::TAU);
             for c in 0..children {
-                // Children leave near the end, spread around the stem, and bend upwards.
+                // Children start near the end, spread around the stem, and bend upwards.
                 let t = if c == 0 { 1.0 } else { draws.range(0.45, 0.95) };
                 let k = (t * steps as f32) as usize;
                 let along = (path[steps] - path[steps - 1]).normalize();

@@ -1,8 +1,8 @@
-//! A tiled pool: flat blue floor and walls with hardly a feature, the hard case for telling surfaces from
-//! water.
+//! A tiled pool: a flat blue floor and walls with almost no features, the hard case for distinguishing
+//! surfaces from water.
 //!
-//! The floor is at z = 0, walls stand left, right and ahead, the swim goes along a lane line. A colour chart,
-//! a drum and a jar lie on the floor.
+//! The floor is at z = 0, walls are on the left, on the right and ahead, and the swim follows a lane line. A
+//! colour chart, a drum and a jar are on the floor.
 
 use glam::{Vec2, Vec3};
 
@@ -16,19 +16,19 @@ use crate::geometry::mesh::Mesh;
 const TILE: f32 = 0.25;
 /// Half the width of the basin, metres.
 const HALF: f32 = 3.0;
-/// Where the swim's end wall stands and where the basin begins, metres.
+/// Positions of the wall at the end of the swim and of the beginning of the basin, metres.
 const ENDS: [f32; 2] = [-9.0, 11.0];
 /// Height of the walls, metres: above every swim.
 const WALL: f32 = 4.0;
-/// Spacing of vertices, which light is computed at, metres.
+/// Spacing of the vertices, at which light is computed, metres.
 const SPACING: f32 = 0.25;
 
-/// The colour of a usual pool's tiles.
+/// The colour of the tiles of a typical pool.
 pub(crate) fn blue() -> Vec3 {
     linear([150, 196, 214])
 }
 
-/// Builds the mesh and its surfaces with tiles of a colour, linear.
+/// Builds the mesh and its surfaces, with tiles of a colour (linear).
 pub(crate) fn build(seed: u64, color: Vec3) -> (Mesh, Palette, Terrain) {
     let terrain = Terrain::flat(seed);
     let (mut mesh, mut palette) = (Mesh::default(), Palette::default());

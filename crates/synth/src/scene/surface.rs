@@ -1,5 +1,5 @@
-//! What surfaces look like: albedo (linear light) and bumps, as procedural textures that keep within a
-//! pixel's resolution.
+//! The appearance of surfaces: albedo (linear light) and bumps, as procedural textures limited to the
+//! resolution of a pixel.
 
 use glam::{Vec2, Vec3};
 use use3d_numerics::math;
@@ -15,7 +15,7 @@ pub(crate) enum Surface {
     Ground { sand: Vec3, rock: Vec3, algae: Vec3, crust: Vec3, ripples: Ripples },
     /// One colour with some grain.
     Plain { color: Vec3, grain: f32 },
-    /// A grey patch, by its reflectance.
+    /// A grey patch, given by its reflectance.
     Grey { value: f32 },
     /// Stone, clay or concrete with algae on it.
     Stone { color: Vec3 },
@@ -36,7 +36,7 @@ pub(crate) enum Surface {
     /// Starfish; first parameter 0 in the middle, 1 at the arms' ends.
     Starfish { color: Vec3 },
     /// Glazed square tiles of `side` metres with light joints; parameters are metres along the wall. A dark
-    /// line of half the width `line` runs where the first one is 0.
+    /// line of half width `line` runs where the first parameter is 0.
     Tiles { color: Vec3, side: f32, line: f32 },
 }
 
@@ -92,8 +92,8 @@ impl Palette {
 }
 
 impl Surface {
-    /// Albedo and bump gradient at a point. `footprint` is the size of a pixel there, metres. The bump is the
-    /// gradient of a height above the surface; the shader tilts the normal against it.
+    /// Albedo and bump gradient at a point. `footprint` is the size of a pixel at the point, metres. The bump
+    /// is the gradient of a height above the surface; the shader tilts the normal against it.
     pub(crate) fn look(&self, noise: Noise, p: Vec3, parameter: Vec2, footprint: f32) -> (Vec3, Vec3) {
         match self {
             Self::Ground { sand, rock, algae, crust, ripples } => {
@@ -113,7 +113,7 @@ impl Surface {
                     } else {
                         (0.0, Vec3::ZERO)
                     };
-                    // Dark grains gather in the troughs.
+                    // Dark grains collect in the troughs.
                     let trough = 1.0 + 9.0 * height.min(0.0);
                     return (*sand * (tone * trough).max(0.2), 0.004 * slope + 1.3 * across);
                 }
@@ -172,7 +172,7 @@ impl Surface {
                 let (depth, slope) = groove(*grooves, p);
                 let high = smooth_step(0.02, 0.24, depth);
                 let broad = 1.0 + 0.25 * noise.octaves(p, 3.0, 3, footprint).0;
-                // Where the grooves cannot be resolved, their mean colour.
+                // If the grooves cannot be resolved, their mean colour is used.
                 (
                     valley.lerp(*ridge, keep * high + (1.0 - keep) * 0.55) * broad,
                     keep * 0.02 * (1.0 - high) * slope,
@@ -206,7 +206,8 @@ impl Surface {
             Self::Tiles { color, side, line } => {
                 let at = parameter / *side;
                 let tile = at.floor();
-                // Half a joint's width, as a share of a tile; what cannot be resolved has its mean colour.
+                // Half a joint's width, as a share of a tile; joints that cannot be resolved are replaced by
+                // their mean colour.
                 let (joint, keep) = (0.012, resolvable(1.0 / side, footprint));
                 let off = (at - tile - Vec2::splat(0.5)).abs().max_element();
                 let edge = (footprint / side).max(0.002);

@@ -13,16 +13,16 @@ pub(crate) struct Terrain {
     noise: Noise,
     /// Half the width of the sand channel.
     channel: f32,
-    /// How far the channel meanders, and with which phase.
+    /// Amplitude of the channel's meanders, and their phase.
     meander: [f32; 2],
     /// Height of the reef above the sand.
     reef: f32,
     ripples: Ripples,
-    /// Whether the floor is that of a pool, at height 0 everywhere.
+    /// True if the floor is that of a pool, at height 0 everywhere.
     flat: bool,
 }
 
-/// Sand ripples: sharp crests, wide troughs, wandering phase, fading in patches.
+/// Sand ripples: sharp crests, wide troughs, a varying phase, fading in patches.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Ripples {
     noise: Noise,
@@ -66,12 +66,12 @@ impl Terrain {
         }
     }
 
-    /// A flat floor whose channel runs straight ahead.
+    /// A flat floor with a straight channel.
     pub(crate) fn flat(seed: u64) -> Self {
         Self { meander: [0.0; 2], flat: true, ..Self::new(seed) }
     }
 
-    /// Where the middle of the sand channel lies at `y`.
+    /// The x coordinate of the middle of the sand channel at `y`.
     pub(crate) fn channel_center(&self, y: f32) -> f32 {
         self.meander[0] * math::sin(0.42 * y + self.meander[1])
     }
@@ -81,7 +81,7 @@ impl Terrain {
         self.ripples
     }
 
-    /// Height of the floor without ripples, and 0 on sand to 1 on reef.
+    /// Height of the floor without ripples, and the share of reef: 0 on sand to 1 on reef.
     fn smooth(&self, x: f32, y: f32) -> (f32, f32) {
         let p = Vec3::new(x, y, 0.0);
         let broad = self.noise.value(0.11 * p + Vec3::splat(3.7));
@@ -93,13 +93,13 @@ impl Terrain {
         let ruggedness = self.noise.octaves(p + Vec3::splat(9.1), 0.9, 5, 0.0).0;
         let knobs = self.noise.octaves(p + Vec3::splat(4.4), 5.0, 2, 0.0).0;
         let rise = self.reef * (0.75 + 0.5 * broad) + 0.34 * ruggedness + 0.05 * knobs;
-        // The reef's shoulders keep rising gently, so that distant ground stands against the water.
+        // The reef's shoulders rise further, so that distant ground is visible against the water.
         let shoulder = 0.10 * (off_center - self.channel - 1.0).clamp(0.0, 9.0);
         let height = 0.22 * broad + reef * (rise + shoulder);
         (height, reef)
     }
 
-    /// Height of the floor, and 0 on sand to 1 on reef.
+    /// Height of the floor, and the share of reef: 0 on sand to 1 on reef.
     pub(crate) fn at(&self, x: f32, y: f32) -> (f32, f32) {
         if self.flat {
             return (0.0, 0.0);
@@ -108,13 +108,13 @@ impl Terrain {
         (height + (1.0 - reef) * self.ripples.at(Vec3::new(x, y, 0.0)).0, reef)
     }
 
-    /// Height only.
+    /// Height of the floor only.
     pub(crate) fn height(&self, x: f32, y: f32) -> f32 {
         self.at(x, y).0
     }
 
-    /// Adds the floor to a mesh: fine where the camera swims (`spacing` metres), coarse towards the distance
-    /// where water hides it.
+    /// Adds the floor to a mesh: fine in the region of the swim (`spacing` metres), and coarser towards the
+    /// distance, where water hides it.
     pub(crate) fn add_to(&self, mesh: &mut Mesh, spacing: f32, surface: u16) {
         let xs = graded(-4.5, 4.5, -45.0, 45.0, spacing);
         let ys = graded(-1.5, 11.0, -9.0, 60.0, spacing);
@@ -126,7 +126,8 @@ impl Terrain {
     }
 }
 
-/// Coordinates from `start` to `end`: `spacing` apart between `low` and `high`, ever wider outside.
+/// Coordinates from `start` to `end`: `spacing` apart between `low` and `high`, with growing distances
+/// outside.
 fn graded(low: f32, high: f32, start: f32, end: f32, spacing: f32) -> Vec<f32> {
     let n = ((high - low) / spacing).round().max(1.0) as usize;
     let step = (high - low) / n as f32;

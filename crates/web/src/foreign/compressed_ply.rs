@@ -1,9 +1,10 @@
-//! PlayCanvas's compressed PLY: 16 bytes per Gaussian and one per harmonic, for SuperSplat and its kin.
+//! PlayCanvas's compressed PLY: 16 bytes per Gaussian and one per harmonic, for SuperSplat and related
+//! viewers.
 //!
-//! Gaussians go in chunks of 256, neighbours together. A chunk holds the ranges of its positions, logarithms
-//! of sizes and colours `f C₀ + ½`; a Gaussian its place in them: positions and sizes in 11, 10, 11 bits,
-//! colour and opacity in four bytes, its turn as two bits for the largest component of wxyz and ten for each
-//! other one. Harmonics, channel by channel, are bytes over `[−4, 4]`.
+//! Gaussians are stored in chunks of 256 neighbours. A chunk holds the ranges of its positions, logarithms of
+//! sizes and colours `f C₀ + ½`. A Gaussian holds its values within these ranges: positions and sizes in 11,
+//! 10, 11 bits, colour and opacity in four bytes, its rotation as two bits for the largest component of wxyz
+//! and ten for each other one. Harmonics, channel by channel, are bytes over `[−4, 4]`.
 
 use std::io::{self, Write};
 
@@ -14,13 +15,13 @@ use super::{NO_WATER, largest, normalised, opacity};
 use crate::geometry::curve_order;
 
 const CHUNK: usize = 256;
-/// Logarithms of sizes are held to this.
+/// Logarithms of sizes are clamped to ± this.
 const LARGEST_LOG: f32 = 20.0;
 
-/// Writes Gaussians in the frame they are given in, along a space-filling curve.
+/// Writes Gaussians in their given frame, ordered along a space-filling curve.
 ///
 /// # Errors
-/// Those of the writer.
+/// Returns the errors of the writer.
 pub fn write(gaussians: &Gaussians, comments: &[String], mut writer: impl Write) -> io::Result<()> {
     let order: Vec<usize> = curve_order(gaussians).into_iter().map(|i| i as usize).collect();
     let g = gaussians.select(&order);
@@ -87,7 +88,7 @@ fn range(values: &[[f32; 3]]) -> [[f32; 3]; 2] {
     [fold(f32::min), fold(f32::max)]
 }
 
-/// Where `v` lies between its range's ends, in `[0, 1]`.
+/// The position of `v` within its range, in `[0, 1]`.
 fn share(v: [f32; 3], [low, high]: [[f32; 3]; 2]) -> [f32; 3] {
     std::array::from_fn(|k| {
         let side = high[k] - low[k];

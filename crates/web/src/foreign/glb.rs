@@ -1,8 +1,8 @@
-//! glTF in one binary file, with the extension `KHR_gaussian_splatting`: floats, nothing is lost.
+//! glTF in one binary file, with the extension `KHR_gaussian_splatting`: floats, without loss.
 //!
 //! Sizes are linear (drafts had logarithms), opacity is in `[0, 1]`, quaternions are xyzw and of unit length,
-//! every harmonic is an attribute of its own. glTF has y up: the Gaussians stay in the frame they are given
-//! in and the node turns them, which turns the harmonics, too.
+//! every harmonic is an attribute of its own. glTF has y up: the Gaussians stay in their given frame, and the
+//! node rotates them, including the harmonics.
 
 use std::io::{self, Write};
 
@@ -12,11 +12,11 @@ use use3d_splat::Gaussians;
 
 use super::{NO_WATER, normalised, opacity};
 
-/// Writes Gaussians. `turn` is the node's rotation, a quaternion xyzw: half a turn about x for
-/// COLMAP's frame, whose y points down.
+/// Writes Gaussians. `turn` is the node's rotation, a quaternion xyzw: half a turn about x for COLMAP's
+/// frame, whose y points down.
 ///
 /// # Errors
-/// Those of the writer; more than 4 GiB, which the format cannot hold.
+/// Returns the errors of the writer, and an error for more than 4 GiB, the limit of the format.
 pub fn write(gaussians: &Gaussians, comment: &str, turn: [f32; 4], mut writer: impl Write) -> io::Result<()> {
     let n = gaussians.len();
     let mut bytes: Vec<u8> = Vec::new();
@@ -45,7 +45,7 @@ pub fn write(gaussians: &Gaussians, comment: &str, turn: [f32; 4], mut writer: i
             put(name, "VEC3", &mut g.sh.iter().flat_map(|sh| sh[band]));
         }
     }
-    // Positions must say their extent.
+    // The format requires the extent of the positions.
     let extent = |pick: fn(f32, f32) -> f32| -> [f32; 3] {
         g.means.iter().copied().reduce(|a, b| std::array::from_fn(|k| pick(a[k], b[k]))).unwrap_or_default()
     };

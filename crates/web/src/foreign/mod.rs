@@ -1,12 +1,13 @@
-//! A scene's Gaussians as files that other people's viewers open. None of them can hold water: they are given
-//! Gaussians whose colours are what should be seen without it.
+//! A scene's Gaussians as files for viewers made by others. None of these formats can hold water: the colours
+//! of the Gaussians must be those that are to be seen without it.
 //!
-//! All but SPZ, which has no room for words, say so in their header ([`NO_WATER`]).
+//! Readers of SPZ assume that y is up. All formats state in their header that the water is missing
+//! ([`NO_WATER`]), except SPZ, which has no room for text.
 //!
-//! | file | up | what is lost |
+//! | file | up | losses |
 //! |---|---|---|
 //! | [`glb`]: glTF with `KHR_gaussian_splatting` | y, by the node | nothing |
-//! | [`spz`]: versions 3 and 4 | as given; readers take y for up | 8-bit colours and sizes, 24-bit positions, 4- and 5-bit harmonics |
+//! | [`spz`]: versions 3 and 4 | as given | 8-bit colours and sizes, 24-bit positions, 4/5-bit harmonics |
 //! | [`compressed_ply`]: PlayCanvas's | as given | 11 bits within chunks of 256, 8-bit harmonics |
 
 pub mod compressed_ply;
@@ -15,10 +16,10 @@ pub mod spz;
 
 use use3d_numerics::math;
 
-/// What every file says of its contents that has room for words; SPZ has none.
+/// The note in every file whose format has room for text; SPZ has none.
 pub const NO_WATER: &str = "colours alone: this format cannot hold the water itself";
 
-/// A unit quaternion from any but zero, wxyz; the identity for that one.
+/// The unit quaternion, wxyz; the identity if the quaternion is zero.
 fn normalised(q: [f32; 4]) -> [f32; 4] {
     let norm = q.iter().map(|v| v * v).sum::<f32>().sqrt();
     if norm > 0.0 && norm.is_finite() { q.map(|v| v / norm) } else { [1.0, 0.0, 0.0, 0.0] }
@@ -29,7 +30,7 @@ fn opacity(logit: f32) -> f32 {
     1.0 / (1.0 + math::exp(-logit))
 }
 
-/// Where the component of largest magnitude stands.
+/// The index of the component of largest magnitude.
 fn largest(q: &[f32; 4]) -> usize {
     (1..4).fold(0, |best, i| if q[i].abs() > q[best].abs() { i } else { best })
 }
@@ -40,7 +41,7 @@ pub(crate) mod tests {
     use use3d_numerics::random::{Purpose, Stream};
     use use3d_splat::Gaussians;
 
-    /// Gaussians with everything in them.
+    /// Gaussians in which every value varies.
     pub(crate) fn varied(count: usize, degree: usize) -> Gaussians {
         let draw = Stream::new(4, Purpose::new("foreign files"), 0);
         let mut at = 0u64;
@@ -63,8 +64,8 @@ pub(crate) mod tests {
         g
     }
 
-    /// Whether what was read is what was written, to tolerances of position, log size, turn, opacity,
-    /// constant and higher harmonics.
+    /// Asserts that the Gaussians read equal those written, within tolerances of position, log size,
+    /// rotation, opacity, constant and higher harmonics.
     pub(crate) fn assert_alike(written: &Gaussians, read: &Gaussians, tolerance: [f32; 6]) {
         assert_eq!((written.len(), written.sh_degree), (read.len(), read.sh_degree));
         let far = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0f32, f32::max);

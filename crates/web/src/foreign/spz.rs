@@ -1,16 +1,17 @@
 //! SPZ, versions 3 and 4: about a tenth of a PLY, read by phones and web viewers.
 //!
-//! Six arrays: positions as 24-bit fixed point, opacities, colours `255 (0.15 f + ½)`, sizes
-//! `16 (ln σ + 10)`, turns as two bits for the largest component and ten for each other one (sign and
-//! magnitude over `√½`), harmonics `128 f + 128` rounded to 5 bits in degree 1 and to 4 above.
-//! Coordinates: right, up, back, so y is up.
+//! Six arrays: positions as 24-bit fixed point, opacities, colours `255 (0.15 f + ½)`, sizes `16 (ln σ +
+//! 10)`, rotations as two bits for the largest component and ten for each other one (sign and magnitude over
+//! `√½`), harmonics `128 f + 128` rounded to 5 bits in degree 1 and to 4 above. Coordinates: right, up, back,
+//! so y is up.
 //!
-//! | version | bytes |
-//! |---|---|
-//! | 3 | one gzip stream: `NGSP`, version, count (u32); degree, fractional bits, flags, 0 (u8); the arrays |
-//! | 4 | `NGSP`, version, count (u32); degree, fractional bits, flags, streams (u8); where the table stands (u32); 12 zeros; the table: packed and plain size of every array (u64 each); the arrays, each a zstd frame |
+//! * Version 3 is one gzip stream: `NGSP`, version, count (u32); degree, fractional bits, flags, 0 (u8); the
+//!   arrays.
+//! * Version 4: `NGSP`, version, count (u32); degree, fractional bits, flags, streams (u8); the offset of the
+//!   table (u32); 12 zeros; the table: compressed and plain size of every array (u64 each); the arrays, each
+//!   a zstd frame.
 //!
-//! Every viewer with SPZ reads 3, and not yet every one 4.
+//! Every viewer with SPZ reads version 3, but not every one reads 4 yet.
 
 use std::io::{self, Write};
 
@@ -21,7 +22,7 @@ use use3d_splat::Gaussians;
 
 use super::{largest, normalised, opacity};
 
-/// Which of the format's versions is written.
+/// The version of the format that is written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Version {
     /// One gzip stream.
@@ -32,19 +33,19 @@ pub enum Version {
 }
 
 const MAGIC: u32 = 0x5053_474E;
-/// Most bits behind the point; fewer where the scene is large.
+/// Largest number of fractional bits; large scenes get fewer.
 const FRACTION: u32 = 12;
-/// Bits that are dropped of harmonics: degree 1, and above.
+/// Number of bits that are dropped from harmonics: in degree 1, and above.
 const DROPPED: [u32; 2] = [3, 4];
 
-/// Bytes of version 4's head, and of each row of its table.
+/// Bytes of version 4's header without its table.
 const HEAD: u32 = 32;
 
 /// Writes Gaussians whose y points up.
 ///
 /// # Errors
-/// Those of the writer; a scene with more than 2³² Gaussians or a position beyond 2²³
-/// units, which the format cannot hold.
+/// Returns the errors of the writer, and an error for more than 2³² Gaussians or a position beyond 2²³ units,
+/// the limits of the format.
 pub fn write(gaussians: &Gaussians, version: Version, writer: impl Write) -> io::Result<()> {
     let g = gaussians;
     let count = u32::try_from(g.len()).map_err(|_| io::Error::other("too many Gaussians for an SPZ file"))?;
@@ -96,7 +97,7 @@ fn framed(count: u32, shape: [u8; 3], arrays: &[Vec<u8>], mut out: impl Write) -
     out.flush()
 }
 
-/// Positions, opacities, colours, sizes, turns, harmonics; no harmonics of degree 0.
+/// Positions, opacities, colours, sizes, rotations and harmonics; degree 0 has no harmonics.
 fn arrays(g: &Gaussians, fraction: u32) -> Vec<Vec<u8>> {
     let byte = |v: f32| v.round().clamp(0.0, 255.0) as u8;
     let fixed = |v: &f32| ((v * (1u32 << fraction) as f32).round() as i32).to_le_bytes();
@@ -126,7 +127,7 @@ fn harmonic(v: f32, dropped: u32) -> u8 {
     (((128.0 * v + 128.0) / step).round() * step).clamp(0.0, 255.0) as u8
 }
 
-/// The largest component's place among xyzw, then sign and nine bits of magnitude of the others.
+/// The index of the largest component among xyzw, then the sign and nine bits of magnitude of the others.
 fn turn(q: [f32; 4]) -> u32 {
     let [w, x, y, z] = normalised(q);
     let q = [x, y, z, w];
@@ -145,7 +146,7 @@ mod tests {
     use std::io::Read;
     use use3d_numerics::math;
 
-    /// A file of version 4 as one of version 3 before it is packed.
+    /// The content of a file of version 4, in the form of a version 3 file before compression.
     fn unframed(file: &[u8]) -> Vec<u8> {
         let word = |at: usize| u32::from_le_bytes(file[at..at + 4].try_into().unwrap()) as usize;
         let long = |at: usize| u64::from_le_bytes(file[at..at + 8].try_into().unwrap()) as usize;

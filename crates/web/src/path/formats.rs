@@ -1,10 +1,10 @@
-//! Paths of other programs as ours: nerfstudio's `camera_path.json` and COLMAP's cameras. Each of their
-//! cameras is a frame, and so a key: between neighbours nothing is left to be interpolated.
+//! Reads paths of other programs: nerfstudio's `camera_path.json` and COLMAP's cameras. Each of their cameras
+//! is a frame, and so becomes a key: nothing is left to be interpolated between neighbours.
 //!
 //! nerfstudio writes camera-to-world matrices with x right, y up, z back, in the frame that its dataparser
-//! made: `x_ns = scale T x_colmap`. Beside a trained model it keeps `T` and `scale` in
-//! `dataparser_transforms.json`; with that file a path returns to COLMAP's frame. Its field of view is
-//! that of the height, in degrees.
+//! made: `x_ns = scale T x_colmap`. Next to a trained model it stores `T` and `scale` in
+//! `dataparser_transforms.json`; with that file a path is converted back to COLMAP's frame. Its field of view
+//! is that of the height, in degrees.
 
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
@@ -14,7 +14,7 @@ use use3d_numerics::math;
 use super::{CameraPath, FORMAT, Key};
 use crate::shot::Shot;
 
-/// What nerfstudio's render panel saves, as far as it is needed.
+/// The needed part of the file that nerfstudio's render panel saves.
 #[derive(Deserialize)]
 struct Nerfstudio {
     camera_path: Vec<Keyframe>,
@@ -30,29 +30,29 @@ struct Keyframe {
     fov: f64,
 }
 
-/// `dataparser_transforms.json`.
+/// The file `dataparser_transforms.json`.
 #[derive(Deserialize)]
 struct Dataparser {
     transform: [[f64; 4]; 3],
     scale: f64,
 }
 
-/// Whether a JSON text is nerfstudio's.
+/// True if a JSON value is nerfstudio's.
 pub(super) fn is_nerfstudio(value: &serde_json::Value) -> bool {
     value.get("camera_path").is_some()
 }
 
 impl CameraPath {
     /// Reads nerfstudio's `camera_path.json`; `dataparser` is the text of its model's
-    /// `dataparser_transforms.json`. Without one the path is taken to be in COLMAP's frame.
+    /// `dataparser_transforms.json`. Without it the path is assumed to be in COLMAP's frame.
     ///
     /// # Errors
-    /// In words: what is wrong with which camera.
+    /// Returns a message that names the camera and its problem.
     pub fn read_nerfstudio(text: &str, dataparser: Option<&str>) -> Result<Self, String> {
         let path: Nerfstudio =
             serde_json::from_str(text).map_err(|e| format!("it is no nerfstudio camera path: {e}"))?;
         let count = path.camera_path.len();
-        // Of the two numbers the file may lack one.
+        // The file may lack one of the two numbers.
         let by_length = path.seconds.filter(|s| *s > 0.0).map(|s| count as f64 / s);
         let rate = path.fps.or(by_length).unwrap_or(30.0);
         let (turn, shift, scale) = match dataparser {
@@ -89,7 +89,7 @@ impl CameraPath {
             ))
         });
         let keys = keys.collect::<Result<Vec<Key>, String>>()?;
-        // What may be wrong with a key is said in the words of the file.
+        // Errors in a key are reported with the names of the file's own fields.
         if let Some(i) = keys
             .iter()
             .position(|k| !(k.shot.vertical_fov_degrees > 0.0 && k.shot.vertical_fov_degrees < 180.0))
@@ -108,11 +108,11 @@ impl CameraPath {
         Self::of_keys(rate, keys)
     }
 
-    /// A path of one frame per camera, in COLMAP's frame; of their lenses the
-    /// field of view of the height stays.
+    /// A path of one frame per camera, in COLMAP's frame. Only the vertical field of view of each lens is
+    /// kept.
     ///
     /// # Errors
-    /// No cameras, more than a path may have, or a rate that is not above 0.
+    /// Fails for no cameras, more cameras than a path may have, or a rate that is not above 0.
     pub fn of_cameras(cameras: &[Camera], frames_per_second: f64) -> Result<Self, String> {
         let keys = cameras.iter().enumerate().map(|(i, camera)| {
             let k = &camera.intrinsics;
@@ -161,7 +161,7 @@ mod tests {
 
     #[test]
     fn a_path_of_nerfstudio_returns_to_the_frame_of_colmap() {
-        // As its dataparser would place and turn the world.
+        // The positions and rotations as its dataparser would write them.
         let turn = DMat3::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 0.7);
         let (shift, scale) = (DVec3::new(0.2, -0.4, 3.0), 0.25);
         let frame = |camera: &Camera| {
@@ -188,7 +188,7 @@ mod tests {
             frames.len() == 4
                 && frames.iter().zip(cameras()).all(|(frame, camera)| near(&frame.camera, &camera))
         );
-        // Told by its content, and refused with the camera that is wrong.
+        // The format is recognised by its content, and errors name the faulty camera.
         assert!(CameraPath::read(&text).is_ok());
         for (from, to, said) in [
             ("\"camera_to_world\":[", "\"camera_to_world\":[1.0,", "camera_path[0]"),

@@ -1,10 +1,10 @@
-//! Camera paths, as the page writes them: keys with a time, a pose, a field of view and a look.
+//! Camera paths in the page's format: keys with a time, a pose, a field of view and a look.
 //!
-//! Between keys the eye follows a cubic through all of them (Hermite, with the slope
-//! `(p_{i+1} − p_{i−1}) / (t_{i+1} − t_{i−1})` at key `i`), the rotation turns at constant speed on the
-//! shortest arc, field of view, strength and water change linearly, and the mode is that of the key before.
-//! The page does the same, so that what was tried there is what is drawn. Poses are in the COLMAP frame: a
-//! path outlives the scene it was made in.
+//! Between keys the camera's position follows a cubic through all of them (Hermite, with the slope `(p_{i+1}
+//! − p_{i−1}) / (t_{i+1} − t_{i−1})` at key `i`). The rotation turns at constant speed on the shortest arc.
+//! Field of view, strength and water change linearly, and the mode is that of the key before. The page does
+//! the same, so that the program draws the same path as the page. Poses are in the COLMAP frame, so that a
+//! path can be used with other scenes of the same model.
 
 mod formats;
 
@@ -38,9 +38,9 @@ fn thirty() -> f64 {
 /// A key.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Key {
-    /// Seconds.
+    /// The time, seconds.
     pub time: f64,
-    /// From where, and what is shown.
+    /// The pose and the look.
     #[serde(flatten)]
     pub shot: Shot,
 }
@@ -50,19 +50,19 @@ pub struct Key {
 pub struct PathFrame<'a> {
     /// The camera, in the COLMAP frame.
     pub camera: Camera,
-    /// What is shown.
+    /// The mode.
     pub mode: &'a str,
-    /// How much of the enhancement.
+    /// The strength of the enhancement.
     pub strength: f32,
-    /// How much of the water.
+    /// The share of the water.
     pub water: f32,
 }
 
 impl CameraPath {
-    /// Reads the text of a path file: our own, or nerfstudio's in COLMAP's frame.
+    /// Reads the text of a path file: this program's, or nerfstudio's in COLMAP's frame.
     ///
     /// # Errors
-    /// In words: what is wrong with which key.
+    /// Returns a message that names the key and its problem.
     pub fn read(text: &str) -> Result<Self, String> {
         let no_path = |e: serde_json::Error| format!("it is no camera path: {e}");
         let value: serde_json::Value = serde_json::from_str(text).map_err(no_path)?;
@@ -72,12 +72,12 @@ impl CameraPath {
         serde_json::from_value::<Self>(value).map_err(no_path)?.checked()
     }
 
-    /// Whether a text is nerfstudio's `camera_path.json`.
+    /// True if a text is nerfstudio's `camera_path.json`.
     pub fn is_nerfstudio(text: &str) -> bool {
         serde_json::from_str(text).is_ok_and(|value| formats::is_nerfstudio(&value))
     }
 
-    /// The path, if it can be followed.
+    /// Returns the path if it is valid.
     fn checked(self) -> Result<Self, String> {
         let path = self;
         if path.format != FORMAT {

@@ -1,9 +1,9 @@
-//! A real Chromium, driven over its DevTools protocol through a pair of pipes: no port,
-//! no WebSocket, no further crate.
+//! A real Chromium, controlled over its DevTools protocol through a pair of pipes: no port, no WebSocket, no
+//! further crate.
 //!
-//! With `--remote-debugging-pipe` Chromium reads commands from file descriptor 3 and writes
-//! answers and events to 4, each a JSON text that a zero byte ends. A shell turns its standard
-//! input and output into these two.
+//! With `--remote-debugging-pipe` Chromium reads commands from file descriptor 3 and writes answers and
+//! events to 4, each as a JSON text that ends with a zero byte. A shell connects its standard input and
+//! output to these two.
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
@@ -17,7 +17,7 @@ pub(crate) struct Chromium {
     answers: BufReader<ChildStdout>,
     session: String,
     next: u64,
-    /// What the page wrote to its console as errors, and exceptions that nobody caught.
+    /// The errors that the page wrote to its console, and exceptions that were not caught.
     pub(crate) complaints: Vec<String>,
     _profile: tempfile::TempDir,
 }
@@ -37,8 +37,8 @@ fn program() -> Option<String> {
 }
 
 impl Chromium {
-    /// Starts it with an empty page; `None`, with a word on why, where there is no Chromium.
-    /// With `CI=1` that is a failure.
+    /// Starts it with an empty page; `None`, with a printed reason, if there is no Chromium. With `CI=1` that
+    /// is a failure.
     pub(crate) fn start() -> Option<Self> {
         let Some(program) = program() else {
             assert!(
@@ -49,14 +49,14 @@ impl Chromium {
             return None;
         };
         let profile = tempfile::tempdir().expect("a folder");
-        // Chromium brings its own software card; one that was chosen for other
-        // programs draws a little differently.
+        // Chromium has its own software renderer; a driver that was chosen for other programs draws slightly
+        // differently.
         let mut child = Command::new("sh")
             .env_remove("VK_DRIVER_FILES")
             .env_remove("VK_ICD_FILENAMES")
             .args(["-c", "exec \"$0\" \"$@\" 3<&0 4>&1 </dev/null >/dev/null", &program])
             .args(["--headless=new", "--remote-debugging-pipe", "--no-sandbox", "--disable-gpu-watchdog"])
-            // Software drawing, the same on every machine; the network is off, but for this machine.
+            // Drawing in software is the same on every machine; the network is off except for this machine.
             .args([
                 "--use-angle=swiftshader",
                 "--enable-unsafe-swiftshader",
@@ -96,7 +96,7 @@ impl Chromium {
         Some(browser)
     }
 
-    /// Sends a command and waits for its answer; events on the way are looked at for complaints.
+    /// Sends a command and waits for its answer; complaints in the events that arrive meanwhile are stored.
     pub(crate) fn ask(&mut self, method: &str, parameters: Value) -> Value {
         self.next += 1;
         let id = self.next;
@@ -140,7 +140,7 @@ impl Chromium {
         }
     }
 
-    /// The value of an expression, a promise's once it is kept.
+    /// The value of an expression; for a promise, its value when it is fulfilled.
     pub(crate) fn evaluate(&mut self, expression: &str) -> Value {
         let parameters = json!({ "expression": expression, "awaitPromise": true, "returnByValue": true, "userGesture": true });
         let answer = self.ask("Runtime.evaluate", parameters);
@@ -148,7 +148,7 @@ impl Chromium {
         answer["result"]["value"].clone()
     }
 
-    /// Waits until an expression is true: what is put in reaches the page in its own time.
+    /// Waits until an expression is true, because input reaches the page with a delay.
     pub(crate) fn until(&mut self, expression: &str) {
         let kept = self.evaluate(&format!(
             "new Promise(done => {{ const ends = Date.now() + 20000; const look = () => (({expression}) ? done(true) : Date.now() > ends ? done(false) : setTimeout(look, 10)); look(); }})"
@@ -156,7 +156,7 @@ impl Chromium {
         assert_eq!(kept, true, "waited in vain for {expression}");
     }
 
-    /// Goes to an address.
+    /// Opens an address.
     pub(crate) fn go(&mut self, address: &str) {
         self.ask("Page.navigate", json!({ "url": address }));
     }
@@ -174,14 +174,14 @@ impl Chromium {
         );
     }
 
-    /// The size of the window in CSS pixels, and whether it is a phone.
+    /// Sets the size of the window in CSS pixels, and the emulation of a phone.
     pub(crate) fn resize(&mut self, width: u32, height: u32, phone: bool) {
         let metrics = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": phone });
         self.ask("Emulation.setDeviceMetricsOverride", metrics);
         self.ask("Emulation.setTouchEmulationEnabled", json!({ "enabled": phone }));
     }
 
-    /// Light or dark, as the system would ask for it.
+    /// Sets the light or dark scheme, as the system would.
     pub(crate) fn scheme(&mut self, scheme: &str) {
         let feature = json!({ "features": [{ "name": "prefers-color-scheme", "value": scheme }, { "name": "prefers-reduced-motion", "value": "reduce" }] });
         self.ask("Emulation.setEmulatedMedia", feature);
@@ -221,7 +221,7 @@ impl Chromium {
         self.ask("Input.dispatchMouseEvent", mouse("mouseReleased", to, 0));
     }
 
-    /// Moves fingers: per finger where it starts and where it ends.
+    /// Moves fingers: for each finger the start and the end.
     pub(crate) fn touch(&mut self, fingers: &[([f64; 2], [f64; 2])]) {
         let points = |share: f64| -> Vec<Value> {
             let at = |a: f64, b: f64| a + share * (b - a);
@@ -239,7 +239,7 @@ impl Chromium {
 
 impl Drop for Chromium {
     fn drop(&mut self) {
-        // The shell became the browser, so this is the browser.
+        // The shell was replaced by the browser, so this process is the browser.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

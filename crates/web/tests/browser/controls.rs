@@ -1,4 +1,4 @@
-//! What one does with the page: drag, press, touch, compare, measure, follow a path; and that everybody can.
+//! The controls of the page: drag, press, touch, compare, measure, follow a path; and their accessibility.
 
 use serde_json::{Value, json};
 
@@ -20,12 +20,12 @@ fn one_looks_around_by_mouse_keys_and_touch() {
     let Some((mut browser, _dir)) = opened(&scenes::scene("rbf", 3)) else { return };
     let eye = "(use3d.settled().then(() => use3d.viewer.camera.state().eye))";
     let focus = "use3d.viewer.camera.state().focus";
-    // What the camera was remembered by, and that it is no longer there.
+    // The remembered state of the camera, and the test that the camera has moved.
     let remember = "window.before = JSON.stringify(use3d.viewer.camera.state()), null";
     let moved = "JSON.stringify(use3d.viewer.camera.state()) !== window.before";
     let start = numbers(&browser.evaluate(eye));
 
-    // Orbiting keeps the point of interest where it is, and its distance.
+    // Orbiting keeps the position of the point of interest, and its distance.
     let target = numbers(&browser.evaluate("use3d.viewer.camera.target()"));
     browser.evaluate(remember);
     browser.drag([300.0, 300.0], [380.0, 320.0]);
@@ -33,13 +33,14 @@ fn one_looks_around_by_mouse_keys_and_touch() {
     let kept = numbers(&browser.evaluate("use3d.viewer.camera.target()"));
     assert!(target.iter().zip(&kept).all(|(a, b)| (a - b).abs() < 1e-9), "{target:?} {kept:?}");
 
-    // The wheel zooms in, to the pointer.
+    // The wheel zooms in, towards the pointer.
     let far = number(&browser.evaluate(focus));
     let wheel = json!({ "type": "mouseWheel", "x": 300, "y": 300, "deltaX": 0, "deltaY": -240 });
     browser.ask("Input.dispatchMouseEvent", wheel);
     browser.until(&format!("{focus} < {far}"));
 
-    // F frames all of it, R goes back, from the keyboard; looks and their strength follow keys, too.
+    // F frames the whole scene, R returns to the start, from the keyboard; keys also change looks and their
+    // strength.
     browser.key("f", "KeyF");
     browser.evaluate("use3d.settled()");
     let seen = browser.evaluate(
@@ -64,20 +65,20 @@ fn one_looks_around_by_mouse_keys_and_touch() {
     );
     browser.key("1", "Digit1");
 
-    // Flying with a held key.
+    // The camera flies while a key is pressed.
     browser.evaluate("document.getElementById('view').focus()");
     browser.evaluate(remember);
     browser.ask("Input.dispatchKeyEvent", json!({ "type": "keyDown", "key": "w", "code": "KeyW" }));
     browser.until(moved);
     browser.ask("Input.dispatchKeyEvent", json!({ "type": "keyUp", "key": "w", "code": "KeyW" }));
 
-    // A level horizon has no roll.
+    // A levelled horizon has no roll.
     browser.evaluate("use3d.viewer.camera.roll(0.4)");
     browser.key("l", "KeyL");
     browser.evaluate("use3d.settled()");
     assert!(number(&browser.evaluate("use3d.viewer.camera.state().rotation[0][2]")).abs() < 1e-9);
 
-    // One finger orbits, two that part zoom in.
+    // One finger orbits; two fingers that move apart zoom in.
     browser.resize(390, 780, true);
     browser.evaluate(remember);
     browser.touch(&[([100.0, 200.0], [180.0, 220.0])]);
@@ -101,7 +102,7 @@ fn two_looks_are_compared_and_photographs_stand_beside() {
     browser.evaluate("document.getElementById('split').focus()");
     browser.key("ArrowRight", "ArrowRight");
     assert!((number(&browser.evaluate("use3d.viewer.at")) - at - 0.02).abs() < 1e-9);
-    // Left and right of it are the two looks, to the pixel.
+    // The two looks are left and right of the divider, to the pixel.
     let same = browser.evaluate(
         "(async () => {
           const view = document.getElementById('view'), grab = async () => { await use3d.settled(); const c = document.createElement('canvas');
@@ -125,7 +126,7 @@ fn two_looks_are_compared_and_photographs_stand_beside() {
     browser.evaluate("use3d.settled()");
     assert_eq!(browser.evaluate("document.getElementById('photo').hidden"), json!(false));
     assert_eq!(browser.evaluate("document.getElementById('photo-image').alt"), json!("Photograph photo_1"));
-    // A view under a name is kept in a file that the program reads, and comes back from it.
+    // A named view is saved in a file that the program reads, and is restored from it.
     browser.evaluate("use3d.viewer.setCompare('clear', 0.25), use3d.viewer.camera.up = [0, 0.6, 0.8], use3d.measure.metresPerUnit = 2, use3d.saved.add('mine')");
     assert_eq!(browser.evaluate("document.querySelectorAll('#saved-views li').length"), json!(1));
     let text = browser.evaluate("use3d.saved.json()");
@@ -180,8 +181,8 @@ fn paths_come_back_as_they_were_and_lengths_become_metres() {
     let [center, eye] = ["center", "eye"].map(|name| glam::DVec3::from_slice(&numbers(&read[name])));
     assert!((scene.frame.apply(center) - eye).length() < 1e-9);
 
-    // What the page saves for nerfstudio, and for COLMAP, are the frames that the
-    // program draws of its own file.
+    // The files that the page saves for nerfstudio and for COLMAP contain the frames that the program draws
+    // from the page's own file.
     let saved = browser.evaluate("[use3d.path.json(), use3d.path.foreign('nerfstudio')['camera_path.json'], use3d.path.foreign('colmap')]");
     let frames = |k: usize| {
         let path = CameraPath::read(saved[k].as_str().expect("text")).expect("a path");
@@ -207,8 +208,8 @@ fn paths_come_back_as_they_were_and_lengths_become_metres() {
         }
     }
 
-    // Whatever stands in the field of seconds, times rise; a path that only the program
-    // draws is said to be one.
+    // Times increase whatever the field of seconds contains; the message for a path that only the program can
+    // draw says so.
     let times = browser.evaluate(
         "(() => { document.getElementById('key-seconds').value = -5; use3d.path.add(); use3d.path.read(use3d.path.json());
           const times = use3d.path.keys.map(key => key.time); use3d.path.keys.pop(); use3d.path.changed(); return times; })()",
@@ -225,7 +226,7 @@ fn paths_come_back_as_they_were_and_lengths_become_metres() {
     );
     assert_eq!(film, json!(["video/webm", true]));
 
-    // Two clicks measure; one true length makes metres of all.
+    // Two clicks measure a distance; one known length converts all distances to metres.
     let text = browser.evaluate(
         "(async () => { await use3d.settled(); use3d.measure.choose('distance'); use3d.measure.take([0, 0, 0]); use3d.measure.take([0, 0.8, 0]);
           const units = document.getElementById('distances').textContent;
@@ -235,10 +236,11 @@ fn paths_come_back_as_they_were_and_lengths_become_metres() {
     assert!(text[0].as_str().expect("text").contains("2.00 units"), "{text}");
     assert!(text[1].as_str().expect("text").contains("3.00 m"), "{text}");
     assert!((number(&text[2]) - 1.5).abs() < 1e-9);
-    // A click finds the surface that the depth tells of.
+    // A click finds the surface from the depth.
     let point = browser.evaluate("(() => { const v = document.getElementById('view'); use3d.viewer.camera.set(use3d.viewer.camera.home()); return use3d.settled().then(() => use3d.viewer.pointAt(v.clientWidth / 2, v.clientHeight / 2)).then(point => window.point = point); })()");
     assert_eq!(numbers(&point).len(), 3);
-    // Without a pointer Enter takes the middle: a point while one measures, else it goes there.
+    // Without a pointer, Enter uses the middle of the picture: it adds a point while measuring, else it moves
+    // the camera there.
     browser.evaluate(
         "document.getElementById('view').focus(), use3d.measure.tool ?? use3d.measure.choose('distance')",
     );
@@ -279,7 +281,7 @@ fn everything_has_a_name_and_room_on_every_screen() {
             {
                 controls += 1;
                 let name = node["name"]["value"].as_str().unwrap_or_default();
-                // Thumbnails stand inside a button that has the name.
+                // Thumbnails are inside a button that has the name.
                 assert!(
                     !name.trim().is_empty() || role == "img",
                     "a {role} without a name on the tab {tab}: {node}"
@@ -307,7 +309,8 @@ fn everything_has_a_name_and_room_on_every_screen() {
                 );
             }
         }
-        // Every button below the picture can be reached, and hides nothing; nor does the one that unfolds.
+        // Every button below the picture can be reached, and covers nothing; the same holds for the button
+        // that unfolds.
         for (width, height) in [(320, 480), (320, 640), (390, 780), (568, 320), (640, 320)] {
             browser.resize(width, height, true);
             browser.evaluate("document.getElementById('tab-path').click(), use3d.viewer.setCompare('clear')");
@@ -333,7 +336,7 @@ fn everything_has_a_name_and_room_on_every_screen() {
         }
         browser.resize(1280, 720, false);
         browser.evaluate("document.getElementById('tab-look').click(), use3d.viewer.setCompare(null)");
-        // Text against its ground, as WCAG counts.
+        // The contrast of text against its background, by the rule of WCAG.
         let faint = browser.evaluate(
             "(() => { const channel = v => { v /= 255; return v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4; };
               const light = c => 0.2126 * channel(c[0]) + 0.7152 * channel(c[1]) + 0.0722 * channel(c[2]);

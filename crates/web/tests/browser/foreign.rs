@@ -1,12 +1,12 @@
-//! Exported files in other people's hands: drawn by [Spark](https://sparkjs.dev) on three.js, glTF files by
-//! three.js itself, SPZ files read by the format's own library. All three are pinned in
+//! Exported files in other viewers: drawn by [Spark](https://sparkjs.dev) on three.js, glTF files drawn by
+//! three.js itself, SPZ files read by the format's own library. The versions of all three are fixed in
 //! `tests/foreign/package-lock.json`.
 //!
-//! `npm ci --prefix crates/web/tests/foreign` installs them, or `USE3D_FOREIGN_VIEWERS` names a folder
-//! whose `node_modules` has them. Spark widens every Gaussian a little and rounds colours, three.js cuts every
-//! Gaussian off at two deviations, so pictures are alike, not equal: upside down, mirrored or miscoloured ones
-//! are far beyond the tolerance (each picture's mirror image is compared, too, and glTF files that are wrong
-//! on purpose).
+//! `npm ci --prefix crates/web/tests/foreign` installs them, or `USE3D_FOREIGN_VIEWERS` names a folder whose
+//! `node_modules` has them. Spark widens every Gaussian a little and rounds colours, three.js cuts every
+//! Gaussian off at two deviations. So pictures are similar, not equal. Pictures that are upside down,
+//! mirrored or wrongly decoded are far beyond the tolerance (each picture's mirror image is also compared,
+//! and glTF files with deliberate mistakes).
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
@@ -110,7 +110,8 @@ window.showGltf = async (text, view) => {
 window.loaded = true;
 </script>"#;
 
-/// Where the viewers are; `None`, with a word on why, where they are not. With `CI=1` that is a failure.
+/// The folder of the viewers; `None`, with a printed reason, if they are missing. With `CI=1` that is a
+/// failure.
 fn modules() -> Option<PathBuf> {
     let named = std::env::var_os("USE3D_FOREIGN_VIEWERS").map(PathBuf::from);
     let folder = named.unwrap_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/foreign"));
@@ -124,7 +125,7 @@ fn modules() -> Option<PathBuf> {
     None
 }
 
-/// Serves the page and the modules to this machine, as long as the test runs; gives the address.
+/// Serves the page and the modules to this machine while the test runs, and returns the address.
 fn serve(modules: PathBuf) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     let address = format!("http://{}/", listener.local_addr().expect("an address"));
@@ -155,8 +156,8 @@ fn answer(mut stream: TcpStream, modules: &Path) {
     let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(&body));
 }
 
-/// What the viewer draws of a file whose y points up, from a camera of the frame with y down; interleaved
-/// RGB, and how many Gaussians it read.
+/// The viewer's picture of a file whose y points up, from a camera of the frame with y down. Returns
+/// interleaved RGB, and the number of Gaussians that the viewer read.
 fn shown(browser: &mut Chromium, name: &str, file: &[u8], camera: &Camera) -> (Vec<f32>, u64) {
     let turn = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
     // three's cameras look along −z with y up: the same half turn on both sides.
@@ -181,7 +182,7 @@ fn shown(browser: &mut Chromium, name: &str, file: &[u8], camera: &Camera) -> (V
     (bytes.into_iter().map(|b| f32::from(b) / 255.0).collect(), answer["splats"].as_u64().unwrap_or(0))
 }
 
-/// Pictures of one scene by two programs may differ by this much on average.
+/// Largest mean difference between pictures of one scene by two programs.
 const BAR: f64 = 0.03;
 
 /// Mean difference of two pictures.
@@ -190,7 +191,7 @@ fn apart(a: &[f32], b: &[f32]) -> f64 {
     a.iter().zip(b).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>() / a.len() as f64
 }
 
-/// The browser with the viewers in it.
+/// The browser with the viewers loaded.
 fn opened() -> Option<Chromium> {
     let modules = modules()?;
     let mut browser = Chromium::start()?;
@@ -203,7 +204,7 @@ fn opened() -> Option<Chromium> {
 /// A scene without water, and its Gaussians with y up.
 fn scene() -> (Scene, Gaussians) {
     let mut scene = scenes::scene("none", 3);
-    // Spark keeps mean colours between black and white: none may lie beyond.
+    // Spark keeps mean colours between black and white, so none may be outside.
     scene.gaussians.sh.iter_mut().flatten().flatten().for_each(|v| *v *= 0.4);
     let up = Frame {
         scale: 1.0,
@@ -262,7 +263,7 @@ fn another_viewer_draws_what_the_program_draws() {
     use3d_splat::ply::write_with_comments(&turned, &[], &mut files[0].1).expect("a PLY");
     compressed_ply::write(&turned, &[], &mut files[1].1).expect("a compressed PLY");
     spz::write(&turned, spz::Version::Three, &mut files[2].1).expect("an SPZ");
-    // Its node turns it.
+    // The node rotates the Gaussians.
     glb::write(&scene.gaussians, "", HALF_TURN, &mut files[3].1).expect("a GLB");
     let cameras = scenes::cameras(3, 240, 160);
     for camera in &cameras {
@@ -284,11 +285,11 @@ fn another_viewer_draws_what_the_program_draws() {
         eprintln!("{what}: mean difference {other:.4}");
         assert!(other > 1.4 * BAR, "{what}: {other:.4}");
     }
-    // Errors and warnings of the viewers: a field they do not know, a file they doubt.
+    // Errors and warnings of the viewers: unknown fields or invalid files.
     assert_eq!(browser.complaints, Vec::<String>::new());
 }
 
-/// glTF files with mistakes that exporters make, each of which the comparison has to find.
+/// glTF files with typical mistakes of exporters; the comparison must detect each of them.
 fn wrong_glbs(right: &Gaussians) -> Vec<(&'static str, Vec<u8>)> {
     let mut swapped = right.clone();
     swapped.sh.iter_mut().flatten().for_each(|rgb| rgb.swap(0, 2));

@@ -1,5 +1,4 @@
-//! The page in a real browser: its pictures against the program's own renderer, and
-//! everything that one can do with it.
+//! The page in a real browser: its pictures against the program's own renderer, and all of its controls.
 
 mod chromium;
 mod controls;
@@ -16,7 +15,7 @@ use use3d_web::{Page, PageView, Photograph};
 
 use chromium::Chromium;
 
-/// Two photographs to fly to.
+/// Two photographs with cameras.
 fn page_views() -> Vec<PageView> {
     let views = scenes::cameras(2, 160, 120).into_iter().enumerate().map(|(i, camera)| PageView {
         name: format!("photo_{i}"),
@@ -29,7 +28,7 @@ fn page_views() -> Vec<PageView> {
     views.collect()
 }
 
-/// A folder with a scene's page in it.
+/// A folder with a scene's page.
 fn exported(scene: &Scene) -> (tempfile::TempDir, PathBuf) {
     let page = Page {
         name: "reef <test>",
@@ -46,7 +45,7 @@ fn exported(scene: &Scene) -> (tempfile::TempDir, PathBuf) {
     (dir, path)
 }
 
-/// The browser with the page of a scene open; nobody moves anything by himself.
+/// The browser with the page of a scene open; reduced motion is requested, so nothing moves by itself.
 fn opened(scene: &Scene) -> Option<(Chromium, tempfile::TempDir)> {
     let (dir, path) = exported(scene);
     let mut browser = Chromium::start()?;

@@ -13,7 +13,7 @@ use use3d_splat::Rendered;
 use crate::chromium::Chromium;
 use crate::{opened, page_views, scenes};
 
-/// What the program draws, interleaved RGB in the display range; depth in units of [`DEPTH`].
+/// The program's picture, interleaved RGB in the display range; depth in units of [`DEPTH`].
 pub(crate) fn drawn(scene: &Scene, camera: &Camera, mode: &str, strength: f32, water: f32) -> Vec<f32> {
     let look = if mode.starts_with("enhanced") { Look::Enhanced { strength } } else { Look::Reconstruction };
     let share = if mode.ends_with("clear") { 0.0 } else { water };
@@ -36,7 +36,7 @@ pub(crate) fn drawn(scene: &Scene, camera: &Camera, mode: &str, strength: f32, w
 /// Depths are compared as shares of this, scene units.
 const DEPTH: f32 = 4.0;
 
-/// What the browser draws.
+/// The browser's picture.
 fn shown(browser: &mut Chromium, camera: &Camera, mode: &str, strength: f32, water: f32) -> Vec<f32> {
     let (k, pose) = (&camera.intrinsics, &camera.pose);
     let rows: [[f64; 3]; 3] = std::array::from_fn(|r| pose.rotation.row(r).to_array());
@@ -46,7 +46,7 @@ fn shown(browser: &mut Chromium, camera: &Camera, mode: &str, strength: f32, wat
     shown_as(browser, &view, &json!({ "mode": mode, "strength": strength, "water": water }))
 }
 
-/// The browser's picture of a camera and a look, both in its own words.
+/// The browser's picture of a camera and a look, both in the page's format.
 fn shown_as(browser: &mut Chromium, view: &Value, look: &Value) -> Vec<f32> {
     let mode = look["mode"].as_str().expect("a mode");
     let scale = if mode == "depth" { 1.0 / DEPTH } else { 1.0 };
@@ -75,7 +75,7 @@ fn difference(a: &[f32], b: &[f32]) -> (f64, f64) {
 }
 
 fn compare(browser: &mut Chromium, scene: &Scene, cameras: &[Camera], looks: &[(&str, f32, f32)]) {
-    // The page's own picture only costs time here.
+    // The page's own picture is not needed here and would only cost time.
     browser.resize(400, 300, false);
     browser.evaluate("use3d.viewer.held = true");
     let mut worst = vec![(0.0f64, 0.0f64); looks.len()];
@@ -136,7 +136,7 @@ fn a_click_on_something_grey_balances_what_page_and_program_draw_alike() {
     let Some((mut browser, _dir)) = opened(&scene) else { return };
     let camera = page_views()[1].camera;
     let mut renderer = SceneRenderer::new(&scene, 1.0).expect("a renderer");
-    // Some place whose colour is near enough to grey; the scene is made up.
+    // A spot whose colour is near enough to grey; the scene is artificial.
     let spots =
         (0..11).flat_map(|i| (0..8).map(move |k| (20.0 + 12.0 * f64::from(i), 18.0 + 12.0 * f64::from(k))));
     let spot = spots.into_iter().find_map(|(x, y)| {
@@ -157,7 +157,8 @@ fn a_click_on_something_grey_balances_what_page_and_program_draw_alike() {
     }
     assert!((number(&theirs["depth"]) - found.depth).abs() < 0.02 * found.depth, "{found:?} {theirs}");
 
-    // A click there, from where the photograph was taken: gains, a status line, and the line to paste.
+    // A click on the spot, from the position of the photograph, gives the gains, a status line, and the line
+    // to paste.
     browser.evaluate("use3d.viewer.camera.set(use3d.viewer.camera.atView(use3d.scene.cameras[1]))");
     browser.evaluate("document.getElementById('white-pick').click()");
     browser.evaluate(&format!(
@@ -178,7 +179,7 @@ fn a_click_on_something_grey_balances_what_page_and_program_draw_alike() {
     let told = browser.evaluate("document.getElementById('white-text').textContent");
     assert!(told.as_str().is_some_and(|told| told.contains("It holds for that distance")), "{told}");
 
-    // Pictures in these gains are the program's.
+    // Pictures with these gains equal the program's.
     browser.evaluate("use3d.viewer.held = true");
     let mut renderer = renderer.with_white(theirs);
     let (k, pose) = (&camera.intrinsics, &camera.pose);
@@ -194,7 +195,7 @@ fn a_click_on_something_grey_balances_what_page_and_program_draw_alike() {
         let (mean, far) = difference(&drawn, &shown);
         assert!(mean <= 1e-3 && far <= 2e-3, "{}: mean {mean:.2e}, {:.3} % apart", mode.name(), 100.0 * far);
     }
-    // Off is off.
+    // Switched off, there are no gains.
     browser.evaluate("document.getElementById('white-off').click()");
     assert!(browser.evaluate("use3d.viewer.look.white").is_null());
     assert_eq!(browser.complaints, Vec::<String>::new());

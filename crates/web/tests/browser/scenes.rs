@@ -1,5 +1,5 @@
-//! Small scenes for the browser: Gaussians of every shape before a camera, each kind of water, an
-//! enhancement with everything in it.
+//! Small scenes for the browser: Gaussians of every shape in front of a camera, each kind of water, and an
+//! enhancement in which every part has an effect.
 
 use glam::{DMat3, DVec3};
 use use3d_capture::{Appearance, Camera, Frame, Intrinsics, KeptWater, Pose};
@@ -9,10 +9,10 @@ use use3d_scene::Scene;
 use use3d_splat::Gaussians;
 use use3d_ubaf::{Enhancement, Field, FieldBox, ObjectPass, Shape};
 
-/// Gaussians in a scene.
+/// Number of Gaussians in a scene.
 const COUNT: usize = 700;
 
-/// Numbers one after another.
+/// A sequence of random numbers.
 pub(crate) struct Draws(Stream, u64);
 
 impl Draws {
@@ -36,7 +36,7 @@ fn gaussians() -> Gaussians {
     let mut out = Gaussians::empty(3);
     for _ in 0..COUNT {
         out.means.push([draw.normal() * 0.7, draw.normal() * 0.6, draw.normal() * 0.4]);
-        // Discs, needles and balls, one centimetre to a tenth of the scene.
+        // Discs, needles and balls, from one centimetre to a tenth of the scene.
         out.log_scales.push(std::array::from_fn(|_| -3.2 + 0.7 * draw.normal()));
         out.quaternions.push(std::array::from_fn(|_| draw.normal()));
         out.opacity_logits.push(1.5 * draw.normal());
@@ -50,7 +50,7 @@ fn gaussians() -> Gaussians {
     out
 }
 
-/// The waters by name, with coefficients such as training finds.
+/// The waters by name, with coefficients such as a training finds.
 pub(crate) fn water(kind: &str) -> MediumModel {
     let mut draw = Draws::new("web water", 5);
     let mut wild = |coefficients: &mut use3d_medium::Coefficients| {
@@ -81,7 +81,8 @@ pub(crate) fn water(kind: &str) -> MediumModel {
     }
 }
 
-/// A scene with that water, in a frame of its own, with an enhancement that turns every knob.
+/// A scene with that water, in a frame of its own, with an enhancement in which every parameter has an
+/// effect.
 pub(crate) fn scene(kind: &str, degree: usize) -> Scene {
     let mut gaussians = gaussians();
     gaussians.sh_degree = degree;
@@ -111,7 +112,8 @@ pub(crate) fn scene(kind: &str, degree: usize) -> Scene {
     Scene { gaussians, frame, medium: water(kind), medium_degree: 3, enhancement }
 }
 
-/// Cameras around the scene, near and far, level and rolled, with lenses off the middle of the picture.
+/// Cameras around the scene, near and far, level and rolled, with principal points off the middle of the
+/// picture.
 pub(crate) fn cameras(count: usize, width: usize, height: usize) -> Vec<Camera> {
     let mut draw = Draws::new("web cameras", 2);
     (0..count)

@@ -1,5 +1,5 @@
-//! The page as the program serves it: pictures drawn by the program, a training that is
-//! watched, and one who has no key.
+//! The page as the program serves it: pictures drawn by the program, a training that is watched, and a
+//! visitor without the token.
 
 use std::sync::Arc;
 
@@ -30,7 +30,7 @@ fn the_program_draws_for_the_page_and_a_training_is_watched() {
         step: Some(step),
     };
 
-    // Nothing yet: it says what it waits for, and goes on by itself.
+    // There is no scene yet: the page shows what it waits for, and continues by itself.
     browser.go(&server.address());
     browser.until("document.getElementById('waiting')?.textContent.startsWith('Waiting for the training')");
     live.show(shown(1));
@@ -42,7 +42,7 @@ fn the_program_draws_for_the_page_and_a_training_is_watched() {
         "beside its photograph"
     );
 
-    // A still picture is the program's own to the byte.
+    // A still picture equals the program's own to the byte.
     browser.evaluate("use3d.viewer.setLook({ mode: 'enhanced', strength: 0.5, water: 0.5 })");
     browser.evaluate("new Promise(done => { use3d.viewer.on('frame', () => use3d.settled().then(done)); use3d.viewer.invalidate(); }).then(() => true)");
     browser.until("document.getElementById('view').width === document.getElementById('view').clientWidth");
@@ -70,7 +70,7 @@ fn the_program_draws_for_the_page_and_a_training_is_watched() {
         truth.len()
     );
 
-    // Figures become curves; pause reaches the training; the surface under a click has a place.
+    // Figures become curves; pause reaches the training; the surface under a click has a position.
     for step in 1..60 {
         live.figures(
             "reef/reconstruct",
@@ -95,7 +95,7 @@ fn the_program_draws_for_the_page_and_a_training_is_watched() {
     browser.until(
         "document.querySelector('#chart-loss polyline').getAttribute('points').split(' ').length === 59",
     );
-    // Measured three times, told at every step.
+    // The value is measured three times, but sent with every step.
     browser.until(
         "document.querySelector('#chart-held-out polyline').getAttribute('points').split(' ').length === 3",
     );
@@ -118,14 +118,15 @@ fn the_program_draws_for_the_page_and_a_training_is_watched() {
     let bar = number(&browser.evaluate("document.getElementById('training-bar').offsetHeight"));
     assert!(bar >= 8.0, "the bar is {bar} px high");
 
-    // A picture that was refused for now is asked for again.
+    // A picture that was refused for now is requested again.
     browser.evaluate(
         "(() => { const real = window.fetch; [window.refused, window.frames] = [0, 0];
           window.fetch = (path, how) => (path === '/frame' && !window.refused++ ? Promise.resolve(new Response(null, { status: 204 })) : real(path, how));
           use3d.viewer.on('frame', () => { window.frames++; }); use3d.viewer.invalidate(); })()",
     );
     browser.until("window.refused > 1 && window.frames > 0");
-    // Cut off, the page says so in its own words; reached again, it goes on by itself.
+    // If the page is cut off, it shows a message of its own; when the server answers again, it continues by
+    // itself.
     let state = "document.getElementById('training-state').textContent";
     browser.until(&format!("{state} === 'Training'"));
     browser.offline(true);
@@ -139,7 +140,8 @@ fn the_program_draws_for_the_page_and_a_training_is_watched() {
     browser.until(&format!(
         "{state} === 'Training' && use3d.training.status.shownStep === 60 && window.frames > 0"
     ));
-    // One that was stopped and is gone is said to have stopped; how it ended stays.
+    // If the training was stopped and the server is gone, the page shows that it was stopped; the final state
+    // stays.
     browser.evaluate("document.getElementById('stop').click(), document.getElementById('do-stop').click()");
     browser.until("use3d.training.status.stopping");
     browser.offline(true);
@@ -182,7 +184,7 @@ fn a_finished_scene_is_drawn_by_the_browser_and_a_wrong_key_opens_nothing() {
     browser.evaluate("use3d.settled()");
     assert!(number(&browser.evaluate(colours)) > 50.0);
     assert_eq!(browser.evaluate("document.getElementById('tab-training').hidden"), json!(true));
-    // The program's own picture takes its place, as near as the renderers are to each other, until one moves.
+    // The program's own picture replaces the page's, as similar as the renderers are, until the camera moves.
     browser.evaluate("use3d.viewer.setLook({ mode: 'reconstruction' }), use3d.settled()");
     browser.evaluate("use3d.reference.show().then(() => true)");
     assert_eq!(browser.evaluate("document.getElementById('reference-picture').hidden"), json!(false));

@@ -1,7 +1,8 @@
-//! One self-contained HTML page per run: no network, readable without scripts, on a phone and in the dark.
+//! One self-contained HTML page per run: it needs no network, works without scripts and on a phone, and has a
+//! dark scheme.
 //!
 //! This module only lays out what the stages measured and rendered; it computes nothing. Pictures are
-//! embedded as JPEG at a bounded size, so that the page of a large batch stays a file one can send.
+//! embedded as JPEG at a bounded size, so that the page of a large batch stays small enough to send.
 
 pub mod plot;
 
@@ -22,23 +23,23 @@ const PICTURE_QUALITY: u8 = 86;
 pub struct Page {
     /// The run's name.
     pub title: String,
-    /// One line below it.
+    /// One line below the title.
     pub subtitle: String,
-    /// What the whole run comes to, in sentences.
+    /// The verdict on the whole run, in sentences.
     pub verdict: Vec<Sentence>,
     /// The tables, in order.
     pub tables: Vec<Table>,
     /// The scenes, in order.
     pub scenes: Vec<SceneSection>,
-    /// What the calibrator learnt, if one was trained.
+    /// The section on the calibrator, if one was trained.
     pub calibrator: Option<CalibratorSection>,
-    /// What could not be made and is not in it.
+    /// Results that could not be made and are not on the page.
     pub missing: Vec<String>,
     /// Last line: program and version.
     pub footer: String,
 }
 
-/// What there is to say about one scene.
+/// The section on one scene.
 #[derive(Clone, Debug, Default)]
 pub struct SceneSection {
     /// Its name.
@@ -47,9 +48,9 @@ pub struct SceneSection {
     pub group: String,
     /// One line: views, size, Gaussians.
     pub summary: String,
-    /// What its scores say, in sentences.
+    /// The verdict on its scores, in sentences.
     pub verdict: Vec<Sentence>,
-    /// Further lines: what was skipped, what is not available.
+    /// Further lines: skipped steps, results that are not available.
     pub notes: Vec<String>,
     /// Held-out views.
     pub views: Vec<ViewSection>,
@@ -64,7 +65,7 @@ pub struct SceneSection {
 pub struct ViewSection {
     /// Its name.
     pub name: String,
-    /// What stands first, side by side: captured, 2D enhancer, `enhanced-clear`.
+    /// The pictures that come first, side by side: captured, 2D enhancer, `enhanced-clear`.
     pub lead: Vec<Picture>,
     /// The other pictures: `clear`, `enhanced`, `reconstruction`, `depth`, …
     pub images: Vec<Picture>,
@@ -75,7 +76,7 @@ pub struct ViewSection {
 /// An embedded picture.
 #[derive(Clone, Debug, Default)]
 pub struct Picture {
-    /// What it shows.
+    /// A short label.
     pub label: String,
     /// A longer explanation, may be empty.
     pub caption: String,
@@ -85,8 +86,8 @@ pub struct Picture {
     pub width: usize,
     /// Height in pixels.
     pub height: usize,
-    /// Left and top edge of a lower right corner without pictures, percent of width and height: a page cuts
-    /// it away, for its white glares in the dark.
+    /// Left and top edge of a lower right corner without pictures, percent of width and height. The page cuts
+    /// this corner off, because its white is too bright in the dark scheme.
     pub blank: Option<(f64, f64)>,
 }
 
@@ -95,7 +96,7 @@ pub struct Picture {
 pub struct PlotFigure {
     /// The SVG element.
     pub svg: String,
-    /// What it shows.
+    /// The text below the plot.
     pub caption: String,
 }
 
@@ -108,22 +109,22 @@ pub struct CalibratorSection {
     pub rows: Vec<(String, String, String, String)>,
 }
 
-/// What one stage of one scene cost.
+/// The costs of one stage of one scene.
 #[derive(Clone, Debug)]
 pub struct StageRow {
-    /// The scene, or `shared`.
+    /// The scene with its variant, or `all scenes`.
     pub scene: String,
     /// The stage.
     pub stage: String,
-    /// `done`, `cached`, `failed`.
+    /// `computed` or `cached`.
     pub state: String,
-    /// Wall seconds when it was computed.
+    /// Wall-clock seconds of its computation.
     pub seconds: f64,
     /// Peak memory, MiB.
     pub memory: Option<f64>,
     /// Size of the artifact, MiB.
     pub size: f64,
-    /// Beginning of its key.
+    /// First characters of its key.
     pub key: String,
 }
 
@@ -133,9 +134,9 @@ pub enum ReportError {
     /// A picture could not be encoded.
     #[error("report picture `{label}`: {source}")]
     Picture {
-        /// Which one.
+        /// The label of the picture.
         label: String,
-        /// Why.
+        /// The encoder's error.
         source: JpegError,
     },
     /// The template could not be filled.
@@ -241,7 +242,7 @@ struct StageView {
     key: String,
 }
 
-/// The table without the columns in which nobody has a number; the reasons stay below it.
+/// The table without the columns that contain no number; the reasons for their absence are listed below it.
 fn measured(table: &Table) -> Table {
     let has = |k: usize| table.rows.iter().any(|row| matches!(row.cells.get(k), Some(Cell::Number { .. })));
     let kept: Vec<usize> = (0..table.columns.len()).filter(|k| has(*k)).collect();
@@ -255,7 +256,7 @@ fn measured(table: &Table) -> Table {
     out
 }
 
-/// Which columns nobody has a number in, and why cells are empty.
+/// The columns without any number, and the reasons for empty cells.
 fn not_measured(table: &Table) -> Vec<String> {
     let plain = |reason: &str| reason.strip_prefix("not available: ").unwrap_or(reason).to_string();
     let mut reasons: Vec<(String, Vec<&str>)> =
@@ -347,7 +348,7 @@ struct VerdictTemplate<'a> {
     sentences: Vec<(&'static str, &'static str, &'a str)>,
 }
 
-/// Sentences as a list; nothing where there are none.
+/// Sentences as a list; empty without sentences.
 fn verdict(sentences: &[Sentence]) -> Result<String, askama::Error> {
     let marked = sentences.iter().map(|sentence| {
         let (class, mark) = match sentence.tone {
@@ -360,13 +361,13 @@ fn verdict(sentences: &[Sentence]) -> Result<String, askama::Error> {
     VerdictTemplate { sentences: marked.collect() }.render()
 }
 
-/// Where a page's costs go.
+/// The place of a page's costs.
 const COSTS: &str = "<!--costs-->";
 
 /// The marks around a page's tables.
 const TABLES: (&str, &str) = ("<!--tables-->", "<!--end of tables-->");
 
-/// A page with other tables in the place of its own: those that also tell how fast scenes are drawn.
+/// A page with its tables replaced by others, which include the speed of drawing the scenes.
 pub fn with_tables(html: &str, tables: &[Table]) -> String {
     let (Some(start), Some(end)) = (html.find(TABLES.0), html.find(TABLES.1)) else { return html.into() };
     match TablesTemplate::new(tables).render() {
@@ -377,7 +378,7 @@ pub fn with_tables(html: &str, tables: &[Table]) -> String {
     }
 }
 
-/// A page that says on its first screen what made it: names of scenes, and their configuration in words.
+/// A page with the configurations at the top: pairs of a name and its configuration as text.
 pub fn with_configurations(html: &str, made: &[(String, String)]) -> String {
     const AFTER: &str = "<p class=\"lead\">";
     let Some(start) = html.find(AFTER) else { return html.into() };
@@ -388,8 +389,8 @@ pub fn with_configurations(html: &str, made: &[(String, String)]) -> String {
     format!("{}{}{}", &html[..end], lines.trim_end(), &html[end..])
 }
 
-/// A page with a link to each scene's own page, given as scene, variant and address: where results
-/// lie is no part of any artifact.
+/// A page with a link to each scene's own page, given as scene, variant and address. The location of results
+/// is part of no artifact.
 pub fn with_views<'a>(html: &str, views: impl Iterator<Item = (&'a str, &'a str, String)>) -> String {
     views.fold(html.to_string(), |html, (scene, variant, address)| {
         // The section's name, as the template escapes it.
@@ -409,13 +410,13 @@ pub fn with_views<'a>(html: &str, views: impl Iterator<Item = (&'a str, &'a str,
     })
 }
 
-/// As much of a key as tells it from others.
+/// The first characters of a key, enough to distinguish it from others.
 pub fn shortened(key: &str) -> String {
     key.chars().take(12).collect()
 }
 
-/// A page with what its stages cost, in one line what made them when and where, and with which parameters
-/// they ran, as text: known only after the run, and no part of any artifact.
+/// A page with the costs of its stages, one line about the run (`made`), and the parameters of the stages as
+/// text. All this is known only after the run, and is part of no artifact.
 pub fn with_costs(html: &str, rows: &[StageRow], made: &str, parameters: &str) -> String {
     let longest = rows.iter().map(|s| s.seconds).fold(1e-9, f64::max);
     let stages = rows.iter().map(|s| StageView {
@@ -428,7 +429,7 @@ pub fn with_costs(html: &str, rows: &[StageRow], made: &str, parameters: &str) -
         size: format!("{:.1}", s.size),
         key: shortened(&s.key),
     });
-    // A template of plain strings cannot fail to render; without its table the page is still whole.
+    // A template of plain strings cannot fail to render; without this table the page is still complete.
     let costs = CostsTemplate { stages: stages.collect(), made, parameters }.render().unwrap_or_default();
     html.replacen(COSTS, &costs, 1)
 }

@@ -1,5 +1,5 @@
-//! Small line and dot plots as SVG text: no fonts, no scripts, colours that follow
-//! the page's light or dark scheme.
+//! Small line and dot plots as SVG text: no fonts, no scripts, colours that follow the page's light or dark
+//! scheme.
 
 use std::fmt::Write;
 
@@ -8,7 +8,7 @@ use use3d_numerics::math;
 /// One curve or cloud of points.
 #[derive(Clone, Debug)]
 pub struct Series {
-    /// What it is, for the legend.
+    /// The name in the legend.
     pub label: String,
     /// Any CSS colour.
     pub color: &'static str,
@@ -16,24 +16,24 @@ pub struct Series {
     pub points: Vec<(f64, f64)>,
     /// Dots instead of a line.
     pub dots: bool,
-    /// What each dot is, in the order of the points; empty where its place says it.
+    /// The name of each dot, in the order of the points; empty if the position is enough.
     pub names: Vec<String>,
 }
 
 /// A plot.
 #[derive(Clone, Debug)]
 pub struct Plot {
-    /// Above the plot.
+    /// The title above the plot.
     pub title: String,
-    /// Below the horizontal axis.
+    /// The label below the horizontal axis.
     pub x_label: String,
     /// Logarithmic vertical axis (non-positive values are left out).
     pub log_y: bool,
-    /// What is drawn.
+    /// The curves and dots.
     pub series: Vec<Series>,
 }
 
-/// Colours of the three channels, readable on light and dark ground.
+/// Colours of the three channels, readable on light and dark backgrounds.
 pub const RGB: [&str; 3] = ["#e0525c", "#3aa76d", "#3d8fd1"];
 
 const WIDTH: f64 = 420.0;
@@ -154,8 +154,8 @@ fn ticks(low: f64, high: f64, count: usize) -> Vec<f64> {
     (first..=last.min(first + 20)).map(|i| i as f64 * step).collect()
 }
 
-/// Round values of a logarithmic axis from `10^low` to `10^high`: even ones within a
-/// decade or so, else powers of ten.
+/// Round values of a logarithmic axis from `10^low` to `10^high`: evenly spaced values if the range is about
+/// a decade or less, else powers of ten.
 fn log_ticks(low: f64, high: f64) -> Vec<f64> {
     if high - low < 1.3 {
         let even = ticks(math::powf(10f64, low), math::powf(10f64, high), 4);
@@ -184,7 +184,7 @@ fn short(value: f64) -> String {
     }
 }
 
-/// Text that may stand in XML.
+/// Text escaped for XML.
 pub(super) fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
@@ -220,7 +220,7 @@ mod tests {
     fn ticks_are_round_and_inside() {
         assert_eq!(ticks(0.0, 10.0, 5), [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]);
         assert!(ticks(0.013, 0.097, 5).iter().all(|t| (0.013..=0.097).contains(t)));
-        // 0.178 and 0.063 are nobody's numbers.
+        // Values such as 0.178 and 0.063 are not round.
         let shown = |low, high| log_ticks(low, high).into_iter().map(short).collect::<Vec<_>>();
         assert_eq!(shown(-0.76, -0.57), ["0.2", "0.25"]);
         assert_eq!(shown(-2.2, 1.1), ["0.01", "0.1", "1", "10"]);

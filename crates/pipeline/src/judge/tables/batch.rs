@@ -1,16 +1,16 @@
-//! A batch of scored scenes as a table sees it: its groups, its variants, their means, and the rows and
+//! A batch of scored scenes as the tables need it: its groups, its variants, their means, and the rows and
 //! columns made of them.
 //!
 //! A group's number is the unweighted mean over its scenes (scene-macro), as in the paper; with more than one
-//! group, that over all scenes follows. Published rows appear for a scene only when its name, its size and all
-//! that made it are the paper's, and for a group only when it holds the paper's scenes and no other.
+//! group, the mean over all scenes follows. Published rows appear for a scene only if its name, its size and
+//! its configuration are the paper's, and for a group only if it contains exactly the paper's scenes.
 
 use super::published::{self, Published};
 use super::{Better, Cell, Column, Row, Table};
 use crate::judge::configuration::Configuration;
 use crate::judge::scores::{Method, SceneScores, Score, ScoredScene};
 
-/// A quantity: its key in the scores, its name in heads, its direction, its decimals.
+/// A quantity: its key in the scores, its name in heads, its better direction, its decimals.
 pub(super) type Quantity = (&'static str, &'static str, Better, usize);
 
 /// The group of all scenes together.
@@ -36,7 +36,7 @@ pub(super) struct Batch<'a> {
     pub(super) variants: Vec<&'a str>,
 }
 
-/// The group that a scene counts in; one without forms its own.
+/// The group that a scene counts in; a scene without a group forms its own.
 pub(super) fn group_of(scene: &ScoredScene) -> &str {
     if scene.group.is_empty() { &scene.scene } else { &scene.group }
 }
@@ -64,7 +64,7 @@ impl<'a> Batch<'a> {
         self.scenes.iter().filter(fits).collect()
     }
 
-    /// Whether the paper's numbers for this group may stand beside ours.
+    /// True if the paper's numbers for this group may be shown next to ours.
     pub(super) fn is_published(&self, group: &str) -> bool {
         let wanted = match group {
             ALL => published::SCENES,
@@ -86,8 +86,9 @@ impl<'a> Batch<'a> {
         self.groups.iter().filter(|g| *g != ALL).all(|g| of(g) <= variants)
     }
 
-    /// One row per variant and method, equal ones too: a variant that comes to the numbers of another is not
-    /// left out. What photographs alone decide stands once, without a variant's name.
+    /// One row per variant and method. Rows with equal numbers stay, so that a variant with the same numbers
+    /// as another is not left out. Methods that depend on the photographs alone appear once, without a
+    /// variant's name.
     pub(super) fn rows(&self, methods: &[Method], quantities: &[Quantity]) -> Vec<Row> {
         let values = |row: &Row| row.cells.iter().map(Cell::value).collect::<Vec<_>>();
         let mut rows: Vec<Row> = Vec::new();
@@ -114,13 +115,13 @@ impl<'a> Batch<'a> {
         Configuration::told(&all)
     }
 
-    /// The look in which the enhancement of a variant was learnt: its result.
+    /// The look in which the enhancement of a variant was learnt; it is the variant's result.
     pub(super) fn result(&self, variant: &str) -> Method {
         let first = self.scenes.iter().find(|s| s.variant == variant);
         first.map_or(Method::Enhanced, |s| s.scores.result)
     }
 
-    /// Stage 1's row of the second ablation, of the first variant that learnt from photographs.
+    /// Stage 1's row of the second ablation, from the first variant that learnt from photographs.
     pub(super) fn before_stage2(&self, quantities: &[Quantity]) -> Option<Row> {
         self.variants.iter().find_map(|variant| {
             let scenes: Vec<&ScoredScene> = self.scenes.iter().filter(|s| s.variant == **variant).collect();
@@ -137,7 +138,7 @@ impl<'a> Batch<'a> {
         })
     }
 
-    /// A method's name in a variant; the look that is the variant's result has the program's.
+    /// A method's name in a variant; the look that is the variant's result gets the program's name.
     pub(super) fn label(&self, method: Method, variant: &str) -> String {
         let name = match (method, self.result(variant)) {
             (Method::EnhancedClear, Method::EnhancedClear) => "3D-USE, this program (enhanced-clear)",
@@ -147,7 +148,7 @@ impl<'a> Batch<'a> {
         if variant.is_empty() { name.into() } else { format!("{name} · {variant}") }
     }
 
-    /// The program's name in a variant, where a row is about the whole of it.
+    /// The program's name in a variant, for a row about the whole program.
     pub(super) fn program(variant: &str) -> String {
         let name = Method::Enhanced.label();
         if variant.is_empty() { name.into() } else { format!("{name} · {variant}") }
@@ -171,7 +172,7 @@ impl<'a> Batch<'a> {
         self.groups.iter().flat_map(|g| quantities.iter().map(move |q| column(g, q))).collect()
     }
 
-    /// Published rows over our groups; groups that the paper does not have stay blank.
+    /// Published rows over our groups; groups that are not in the paper stay blank.
     pub(super) fn published_rows(&self, source: &[Published], quantities: &[Quantity]) -> Vec<Row> {
         let mut methods: Vec<&str> = Vec::new();
         for row in source.iter().filter(|r| self.groups.iter().any(|g| g == r.group && self.is_published(g)))
@@ -197,7 +198,7 @@ impl<'a> Batch<'a> {
         rows.collect()
     }
 
-    /// The paper's wLPIPS of a method for one of our groups, if its numbers may stand beside ours.
+    /// The paper's wLPIPS of a method for one of our groups, if its numbers may be shown next to ours.
     pub(super) fn published_wlpips(&self, method: &str, group: &str) -> Option<f64> {
         if !self.is_published(group) {
             return None;
@@ -260,7 +261,7 @@ impl<'a> Batch<'a> {
         Table { name: name.into(), caption: caption.into(), columns: columns.collect(), rows }
     }
 
-    /// One row per variant, averaged over all scenes of the run, of the first of some methods that the
+    /// One row per variant, averaged over all scenes of the run, of the first of these methods that the
     /// variant has.
     pub(super) fn ablation(
         &self,
@@ -282,7 +283,7 @@ impl<'a> Batch<'a> {
             let scenes: Vec<&ScoredScene> = self.scenes.iter().filter(|s| s.variant == **variant).collect();
             let has =
                 |m: &&Method| quantities.iter().any(|(key, ..)| macro_mean(&scenes, **m, key) != Cell::Blank);
-            // The result of a variant first: where it was learnt without water, that is `enhanced-clear`.
+            // The result of a variant comes first; if it was learnt without water, that is `enhanced-clear`.
             let result = self.result(variant);
             let in_order = [result].into_iter().filter(|m| methods.contains(m));
             let Some(method) = in_order.chain(methods.iter().copied()).find(|m| has(&m)) else { continue };
@@ -302,7 +303,7 @@ pub(super) fn published_cell(value: Option<f64>) -> Cell {
     value.map_or(Cell::Blank, |value| Cell::Number { value, source: published::SOURCE.into() })
 }
 
-/// The unweighted mean of the scenes' means; blank when no scene has the method or the metric.
+/// The unweighted mean of the scenes' means; blank if no scene has the method or the metric.
 pub(super) fn macro_mean(scenes: &[&ScoredScene], method: Method, metric: &str) -> Cell {
     let scores: Vec<&Score> = scenes.iter().filter_map(|s| s.scores.mean(method, metric)).collect();
     if scores.is_empty() {

@@ -1,10 +1,10 @@
-//! The four forms of a table.
+//! The four formats of a table.
 
 use std::fmt::Write;
 
 use super::{Cell, Rank, Table};
 
-/// Shown where a number does not apply or is missing.
+/// The texts for a number that does not apply, and for one that is missing.
 const BLANK: &str = "–";
 const MISSING: &str = "n/a";
 
@@ -24,14 +24,14 @@ impl Table {
         if row.published { format!("{} (published)", row.label) } else { row.label.clone() }
     }
 
-    /// A row's name, and the mark of what made it.
+    /// A row's name, with the mark of its configuration.
     fn marked_label(&self, row: &super::Row) -> String {
         let mark = self.mark(row);
         if mark.is_empty() { Self::label(row) } else { format!("{} [{mark}]", Self::label(row)) }
     }
 
-    /// GitHub Markdown: best bold, second best underlined; what made each row, and reasons for missing numbers,
-    /// below.
+    /// GitHub Markdown: best bold, second best underlined. The configuration of each row and the reasons for
+    /// missing numbers are below the table.
     pub fn markdown(&self) -> String {
         let escape = |text: &str| text.replace('|', "\\|");
         let mut out = format!("**{}**\n\n| |", escape(&self.caption));
@@ -63,8 +63,8 @@ impl Table {
         out
     }
 
-    /// Comma-separated values, one head line, numbers as printed elsewhere but without marks; missing numbers
-    /// are empty. The third column says what made a row.
+    /// Comma-separated values with one head line. Numbers are printed as elsewhere but without marks; missing
+    /// numbers are empty. The third column is the configuration of a row.
     pub fn csv(&self) -> String {
         let quote = |text: &str| {
             if text.contains([',', '"', '\n']) {
@@ -98,7 +98,8 @@ impl Table {
         out
     }
 
-    /// A `booktabs` table: best bold, second best underlined; comments below it say what made the rows.
+    /// A `booktabs` table: best bold, second best underlined; comments below it describe the configurations
+    /// of the rows.
     pub fn latex(&self) -> String {
         let escape = |text: &str| {
             let mut out = String::new();

@@ -1,7 +1,7 @@
-//! Tables in the paper's own shape, as Markdown, CSV, LaTeX and JSON.
+//! Tables in the paper's own layout, as Markdown, CSV, LaTeX and JSON.
 //!
 //! A cell is a number with the artifact it came from, or the reason why there is none. Best and second best
-//! are marked per column among all rows that have a number, published ones included (they are labelled as
+//! are marked per column among all rows that have a number, including published ones (they are labelled as
 //! published).
 
 mod batch;
@@ -13,7 +13,7 @@ mod truth;
 use serde::Serialize;
 use use3d_numerics::math;
 
-/// Which direction is good.
+/// The better direction of a quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Better {
@@ -43,7 +43,7 @@ pub struct Column {
     pub group: String,
     /// The quantity.
     pub name: String,
-    /// Which direction is good.
+    /// The better direction.
     pub better: Better,
     /// Decimals printed.
     pub decimals: usize,
@@ -60,16 +60,16 @@ impl Column {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Cell {
-    /// A measured or published number and where it came from.
+    /// A measured or published number, with its source.
     Number {
         /// The value, unrounded.
         value: f64,
         /// The artifact's digest, or the publication.
         source: String,
     },
-    /// Why there is no number, e.g. which file is missing.
+    /// A missing number, with its reason.
     NotAvailable {
-        /// What to do about it.
+        /// The reason, for example a missing file, with the remedy.
         reason: String,
     },
     /// The quantity does not apply to this row.
@@ -100,7 +100,7 @@ pub struct Row {
 }
 
 impl Row {
-    /// A row of the paper's.
+    /// A row from the paper.
     pub(crate) fn published(label: &str, cells: Vec<Cell>) -> Self {
         Self { label: label.into(), published: true, made_by: String::new(), cells }
     }
@@ -111,7 +111,7 @@ impl Row {
 pub struct Table {
     /// File stem, e.g. `reconstruction`.
     pub name: String,
-    /// What it shows, one line.
+    /// A description in one line.
     pub caption: String,
     /// The columns.
     pub columns: Vec<Column>,
@@ -119,13 +119,13 @@ pub struct Table {
     pub rows: Vec<Row>,
 }
 
-/// The mark of the `place`-th of several: a to z, then a1.
+/// The mark of the item at index `place`: a to z, then a1.
 pub(crate) fn marked(place: usize) -> String {
     let letter = char::from(b'a' + (place % 26) as u8);
     if place < 26 { letter.to_string() } else { format!("{letter}{}", place / 26) }
 }
 
-/// How a number ranks in its column.
+/// The rank of a number in its column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Rank {
@@ -147,7 +147,7 @@ impl Table {
                 Better::Lower => 1.0,
                 Better::Neither => continue,
             };
-            // Compared as printed: what looks equal ranks equal.
+            // Values are compared as printed: values that look equal rank equal.
             let scale = math::powi(10f64, column.decimals as i32);
             let printed =
                 |row: &Row| row.cells.get(c).and_then(Cell::value).map(|v| (sign * v * scale).round() as i64);
@@ -181,7 +181,8 @@ impl Table {
         made
     }
 
-    /// The mark behind a row's name that points to what made it: a, b, …; empty where nobody says.
+    /// The mark after a row's name that refers to its configuration: a, b, …; empty if the configuration is
+    /// not known.
     pub fn mark(&self, row: &Row) -> String {
         let place = self.made_by().iter().position(|made| *made == row.made_by);
         place.map_or_else(String::new, marked)

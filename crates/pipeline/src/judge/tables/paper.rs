@@ -1,4 +1,4 @@
-//! The paper's tables from a batch's scores: reconstruction, enhancement, scene-wise, consistency, both
+//! The paper's tables from a batch's scores: reconstruction, enhancement, scene by scene, consistency, both
 //! ablations.
 
 use use3d_metrics::UciqeVariant;
@@ -30,10 +30,10 @@ const CONSISTENCY: [Quantity; 8] = [
     ("coverage", "share", Better::Neither, 2),
     ("path_coverage", "path share", Better::Neither, 2),
 ];
-/// Why a scene has no frames per second here.
+/// The reason why a scene has no frames per second here.
 const NOT_TIMED: &str = "times are no part of an artifact: they are kept beside it and filled in when `use3d run` writes its results";
 
-/// Every table that the scenes can fill, in the paper's order. Empty for no scenes.
+/// Every table that the scenes can fill, in the paper's order. Empty without scenes.
 pub fn tables(scenes: &[ScoredScene]) -> Vec<Table> {
     if scenes.is_empty() {
         return Vec::new();
@@ -59,7 +59,7 @@ pub fn tables(scenes: &[ScoredScene]) -> Vec<Table> {
         batch.consistency(),
     ];
     if batch.every_group_is_one_scene() {
-        // They would repeat the group tables.
+        // These tables would repeat the group tables.
         tables.retain(|t| !t.name.ends_with("-scenes"));
     }
     tables.extend(batch.truth());
@@ -79,12 +79,12 @@ pub fn tables(scenes: &[ScoredScene]) -> Vec<Table> {
             &[Method::Enhanced, Method::EnhancedClear, Method::EnhanceThenReconstruct],
             published::ABLATION_STAGE2,
         );
-        // What stage 2 starts from, as in the paper: the same for all variants that share a stage 1.
+        // The start of stage 2, as in the paper: the same for all variants that share a stage 1.
         let first = stage2.rows.iter().position(|r| !r.published).unwrap_or(stage2.rows.len());
         stage2.rows.splice(first..first, batch.before_stage2(&ENHANCEMENT));
         tables.push(stage2);
     }
-    // What a run does not have takes no room.
+    // Rows and tables without numbers are left out.
     for table in &mut tables {
         table.rows.retain(|row| row.published || row.cells.iter().any(|cell| *cell != Cell::Blank));
     }
@@ -136,7 +136,7 @@ impl Batch<'_> {
         Table { name: "reconstruction".into(), caption, columns, rows }
     }
 
-    /// What our frames per second were measured on, and at which sizes.
+    /// The processors or cards that our frames per second were measured on, with the image sizes.
     fn hardware(&self) -> String {
         let mut seen: Vec<String> = Vec::new();
         for speed in self.scenes.iter().filter_map(|s| s.speed.as_ref()) {
@@ -163,7 +163,8 @@ impl Batch<'_> {
         }
     }
 
-    /// Over how many pairs of captured views wLPIPS is, in words: all that there are as in the paper, or fewer.
+    /// A sentence on the number of pairs of captured views that wLPIPS is over: all pairs as in the paper, or
+    /// fewer.
     fn pairs_compared(&self) -> String {
         let each = self.scenes.iter().filter_map(|s| {
             let compared = s.scores.methods.iter().map(|m| m.neighbours.len()).max()?;
@@ -308,7 +309,7 @@ mod tests {
         (other_split.scores.training_views, other_split.scores.held_out_views) = (7, 3);
         let mut foreign = d3.clone();
         foreign.scene = "mine".into();
-        // A configuration of which a single thing is not the paper's, and one that nobody knows.
+        // A configuration that differs from the paper's in a single point, and an unknown one.
         let [mut changed, mut pairs, mut unknown] = [d3.clone(), d3.clone(), d3];
         let said = changed.configuration.get_or_insert_default();
         said.changed = vec!["targets.proposer = fusion".into()];
@@ -367,7 +368,7 @@ mod tests {
         assert_eq!(labels("enhancement").iter().filter(captured).count(), 1, "{:?}", labels("enhancement"));
     }
 
-    /// Two variants that come to the same numbers are two results, and both are told.
+    /// Two variants with the same numbers are two results, and both are shown.
     #[test]
     fn variants_with_equal_numbers_stay_in_every_table() {
         let same = ["with-prior", "without-prior"].map(|v| scene("reef", "", v, 20.0));

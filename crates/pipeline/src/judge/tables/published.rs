@@ -1,9 +1,9 @@
-//! Numbers as the 3D-USE paper prints them, for the rows that stand beside ours on the same scenes.
+//! Numbers as printed in the 3D-USE paper, for the rows shown next to ours on the same scenes.
 //!
 //! Source: *3D-USE: From Image-Level to Scene-Level Underwater Enhancement*, main tables and supplementary.
 //! They are the authors' measurements of all methods; nothing here was measured by this program.
 
-/// What a row's cells name as their source.
+/// The source that the cells of published rows name.
 pub const SOURCE: &str = "published: 3D-USE paper";
 
 /// A method's numbers for one data set or scene.
@@ -11,7 +11,7 @@ pub const SOURCE: &str = "published: 3D-USE paper";
 pub struct Published {
     /// The method.
     pub method: &'static str,
-    /// The data set or scene, as the paper's pipelines name it.
+    /// The data set or scene, by its name in the paper's pipelines.
     pub group: &'static str,
     /// The values, in the order of the table's quantities.
     pub values: [f64; 3],
@@ -156,10 +156,10 @@ pub const CONSISTENCY_ALL: &[(&str, f64)] = &[
 /// The order of the groups in [`CONSISTENCY`].
 pub const GROUPS: [&str; 4] = ["SeaThru-4", "DRUVA-20", "D3", "D5"];
 
-/// How many scenes the paper has.
+/// Number of scenes in the paper.
 pub const SCENES: usize = 26;
 
-/// The group and image size of a scene of the paper, by the name that pipelines give it.
+/// The group and image size of a scene of the paper, by its name in pipelines.
 pub fn scene(name: &str) -> Option<(&'static str, (usize, usize))> {
     const PHOTOGRAPH: (usize, usize) = (1400, 933);
     match name {
@@ -174,7 +174,7 @@ pub fn scene(name: &str) -> Option<(&'static str, (usize, usize))> {
     }
 }
 
-/// How many scenes a group of the paper has.
+/// Number of scenes in a group of the paper.
 pub fn scenes_of(group: &str) -> usize {
     match group {
         "SeaThru-4" => 4,

@@ -1,15 +1,15 @@
-//! Tables against the truth, for captures that bring one: appearances against the true clean images, depth
-//! and water beside the true ones.
+//! Tables against the truth, for captures that bring one: appearances against the true clean images, and
+//! depth and water next to the true ones.
 
 use super::batch::{Batch, Quantity, group_of, macro_mean};
 use super::{Better, Cell, Column, Row, Table};
 use crate::judge::scores::{Method, ScoredScene};
 
-/// Against the truth of synthetic captures.
+/// Quantities against the truth of synthetic captures.
 const TRUTH: [Quantity; 2] =
     [("truth_psnr", "PSNR", Better::Higher, 2), ("truth_delta_e", "ΔE₀₀", Better::Lower, 2)];
 
-/// What is compared with the true clean images.
+/// The methods that are compared with the true clean images.
 const CLEAN: [Method; 7] = [
     Method::Captured,
     Method::Proposal,
@@ -56,7 +56,7 @@ impl Batch<'_> {
         })
     }
 
-    /// Recovered water and depth beside the true ones, scene by scene.
+    /// Recovered and true water and the depth error, scene by scene.
     pub(super) fn recovered(&self) -> Option<Table> {
         const DEPTH: &str = "depth_error";
         let mut names: Vec<&str> = Vec::new();
