@@ -185,8 +185,8 @@ fn gradients_agree_with_finite_differences() {
                         model.maps(&camera, &lattice, degree, &mut maps);
                         dot(&maps, &d_maps)
                     };
-                    // Three steps cancel the cubic and the fifth term (Romberg), so that the smallest one is large
-                    // enough to drown the rounding of the sum.
+                    // Three steps cancel the cubic and the fifth term (Romberg), so that the smallest one can
+                    // be large enough to exceed the rounding of the sum.
                     let mut central = |h: f32| (at(h) - at(-h)) / (2.0 * f64::from(h));
                     let [fine, middle, coarse] = [1e-2, 2e-2, 4e-2].map(&mut central);
                     let (near, far) = ((4.0 * fine - middle) / 3.0, (4.0 * middle - coarse) / 3.0);
