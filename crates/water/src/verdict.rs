@@ -81,7 +81,7 @@ pub(crate) fn judge(water: &ChannelWater, wet: bool, median: f64, far: f64) -> V
         Verdict::NoWater
     } else if !(known && attenuation.value * median < THICKEST) {
         Verdict::NotObservable
-    } else if water.backscatter_alone <= APART {
+    } else if water.backscatter_alone <= APART && !water.veil_assumed {
         Verdict::Found
     } else {
         Verdict::VeilNotSeparable
