@@ -1,5 +1,7 @@
 //! The scene folder: stage 1 and stage 2 write it, and rendering and export read it.
 //!
+//! [`Scene`] loads and saves a folder. This crate trains nothing, and it writes no picture files.
+//!
 //! ```text
 //! scene.json            format, version, frame, medium, enhancement (its appearance, the water that it
 //!                       keeps), the views it was made from
