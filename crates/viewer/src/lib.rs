@@ -18,8 +18,8 @@
 //! **Pacing.** A browser requests a picture after it has shown the one before. If one page has sent several
 //! requests, only the newest counts. On a slow machine a moving picture is drawn smaller.
 //!
-//! **Safety.** The server answers only this machine. Requests must address it as loopback (no foreign
-//! `Host`), come from its own page (no foreign `Origin`) and carry a token that only the printed address
+//! **Safety.** The server answers only this machine. Requests must address it as loopback (no foreign `Host`)
+//! and come from its own page (no foreign `Origin`). They must carry a token that only the printed address
 //! contains, in the part that browsers never send. Heads, bodies, connections and waiting times are bounded.
 //! No request names a file.
 

@@ -1,6 +1,6 @@
-// One thread per Gaussian of a chunk: adds its records in the order of its tiles, carries the gradient back
-// through the projection to its parameters, and moves them with Adam. No gradient is stored. A Gaussian that
-// was not seen has gradient zero, and its moments decay.
+// One thread per Gaussian of a chunk: adds its records in the order of its tiles, and carries the gradient
+// back through the projection to its parameters. Adam then moves the parameters; no gradient is stored. A
+// Gaussian that was not seen has gradient zero, and its moments decay.
 const BLOCK: u32 = 64u;
 
 var<private> bad: u32;

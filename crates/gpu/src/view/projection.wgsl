@@ -1,9 +1,9 @@
 // Shared by the forward and the backward pass of the projection.
 //
-// The axes a, b of a Gaussian on the screen have the cross product c = a x b = (Rq)^T n times jx jy, with n =
-// r2 + sx r0 + sy r1 the direction to the Gaussian. This has no difference of nearly equal numbers, however
-// thin the Gaussian is. The determinant of its covariance is a sum of squares of c. So are the terms of the
-// inverse that the backward pass needs. So f32 suffices where the textbook's form needs f64.
+// The axes a, b of a Gaussian on the screen have the cross product c = a x b = (Rq)^T n times jx jy. Here n =
+// r2 + sx r0 + sy r1 is the direction to the Gaussian. The product has no difference of nearly equal numbers,
+// however thin the Gaussian is. The determinant of its covariance is a sum of squares of c. So are the terms
+// of the inverse that the backward pass needs. So f32 suffices where the textbook's form needs f64.
 const NEAR: f32 = 0.01f;
 const FAR: f32 = 10000.0f;
 const BLUR: f32 = 0.3f;

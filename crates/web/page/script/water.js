@@ -21,8 +21,9 @@ function aggregated(medium, eye) {
   return sum;
 }
 
-// The decoder's six outputs at field coordinates u (x, y, z, guide), each in [-1, 1]: a product of four
-// linearly interpolated factors per rank, one hidden layer of SiLU units, one linear layer.
+// The decoder's six outputs at field coordinates u (x, y, z, guide), each in [-1, 1]. The decoder is a
+// product of four linearly interpolated factors per rank, one hidden layer of SiLU units, and one linear
+// layer.
 function fieldOutputs(field, u) {
   const { resolution, rank, width } = field, z = new Float64Array(rank).fill(1);
   u.forEach((value, axis) => {
