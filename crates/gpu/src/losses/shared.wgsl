@@ -6,7 +6,7 @@ struct LossConstants {
     pixels: u32,
     // Row of the view in the array of gains.
     row: u32,
-    // Sum of flags. 1: a mask, 2: gains, 4: a depth prior with a weight above zero, 8: water.
+    // Sum of flags. 1: a mask, 2: gains, 4: a depth prior with a weight other than 0, 8: water.
     has: u32,
     // Number of levels of the structure measure; 0 if the image is too small for one.
     levels: u32,
