@@ -20,6 +20,7 @@ mod load;
 pub mod losses;
 mod params;
 mod peek;
+mod planes;
 mod profile;
 mod report;
 mod run;

@@ -48,9 +48,11 @@ pub enum StartPoints {
     #[default]
     Tracks,
     /// At these points, and between them on the triangles of each view's tracked points, where the surface
-    /// is smooth and points are sparse. So even floors and walls get no holes. Its gain was not measured
-    /// yet.
+    /// is smooth and points are sparse. So even floors and walls get no holes.
     Triangles,
+    /// At all of these, and where tracked points end, on the plane of the nearest ones. So even ground
+    /// reaches the edge of the pictures.
+    Planes,
 }
 
 /// Differences in exposure and white balance between the photographs of one scene.

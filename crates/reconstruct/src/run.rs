@@ -139,7 +139,10 @@ pub fn reconstruct_in(
     let sparse: Vec<_> = capture.points.iter().map(|p| p.position).filter(|p| p.is_finite()).collect();
     let between = match params.start_points {
         StartPoints::Tracks => Vec::new(),
-        StartPoints::Triangles => triangles::between(&views.train, &capture.split.train, known, &sparse),
+        chosen @ (StartPoints::Triangles | StartPoints::Planes) => {
+            let beyond = chosen == StartPoints::Planes;
+            triangles::between(&views.train, &capture.split.train, known, &sparse, beyond)
+        }
     };
     let gaussians =
         initialise::gaussians(capture, found, &between, params, most, |message| observer.notice(message))?;

@@ -19,6 +19,10 @@
 //! least two views have samples in it or beside it (one view if there is only one), and no tracked point
 //! and no finer voxel lies in it. Its position and colour are the means of its samples.
 //!
+//! If `beyond` is set, the cells that no triangle covers are sampled too, at the depth of the
+//! [plane of the nearest tracked points](crate::planes), and their colours are compared with those of these
+//! points.
+//!
 //! Depths are in the normalised frame, colours in display range. The points are a function of the
 //! arguments, in an order that does not depend on the number of threads.
 
@@ -31,6 +35,7 @@ use use3d_capture::{Camera, Pixels, Raster};
 use use3d_numerics::math;
 use use3d_splat::NEAR;
 
+use crate::planes::{self, Anchor};
 use crate::views::TrainingView;
 use crate::{FoundWater, Known};
 
@@ -108,14 +113,15 @@ struct SeenBy {
     views: usize,
 }
 
-/// Computes the start points between the tracked points of the training views. `views` are in the order of
-/// `indices`, which are the views' indices in the capture, as in the tracks. No start point lies in the
-/// voxel of a point in `sparse`.
+/// Computes the start points between the tracked points of the training views, and `beyond` them if that is
+/// set. `views` are in the order of `indices`, which are the views' indices in the capture, as in the
+/// tracks. No start point lies in the voxel of a point in `sparse`.
 pub(crate) fn between(
     views: &[TrainingView],
     indices: &[usize],
     known: &Known,
     sparse: &[DVec3],
+    beyond: bool,
 ) -> Vec<Between> {
     let corners = corners(views, indices, known);
     let (mut merged, mut seen) = (BTreeMap::<Voxel, Merged>::new(), BTreeMap::<Voxel, SeenBy>::new());
@@ -126,7 +132,7 @@ pub(crate) fn between(
             .into_par_iter()
             .map(|view| {
                 let gain = known.gains.get(indices[view]).copied().unwrap_or([1.0; 3]);
-                samples(&views[view], gain, &corners[view], known.water.as_ref())
+                samples(&views[view], gain, &corners[view], known.water.as_ref(), beyond)
             })
             .collect();
         for (view, samples) in some.zip(samples) {
@@ -200,12 +206,25 @@ fn samples(
     gain: [f64; 3],
     corners: &[Corner],
     water: Option<&FoundWater>,
+    beyond: bool,
 ) -> Vec<Sample> {
     let k = view.camera.intrinsics;
     let width = k.width as f64;
     let step = (width / CELLS).max(1.0);
     let points: Vec<Point> = corners.iter().map(|c| Point { x: c.at.x, y: c.at.y }).collect();
     let mut found = Vec::new();
+    // The cells inside a triangle, whether they became a sample or not.
+    let mut covered = BTreeSet::new();
+    let cell = |pixel: DVec2| ((pixel.y / step) as i64, (pixel.x / step) as i64);
+    let sample = |pixel: DVec2, inverse: f64, color: [f64; 3], sure: [f64; 3]| {
+        let ray = view.camera.ray(pixel.x, pixel.y);
+        let pose = &view.camera.pose;
+        let position = pose.rotation.transpose() * (ray / inverse - pose.translation);
+        let seen: [f64; 3] = std::array::from_fn(|i| color[i] / gain[i]);
+        let color = behind(water, &view.camera, position, seen, sure)?;
+        let level = math::log2(step / (inverse * k.fx)).round() as i32;
+        Some(Sample { position, color, voxel: Voxel::of(position, level) })
+    };
     for triangle in triangulate(&points).triangles.chunks_exact(3) {
         let three = [corners[triangle[0]], corners[triangle[1]], corners[triangle[2]]];
         if !smooth(&three, step, LONGEST * width) {
@@ -214,27 +233,40 @@ fn samples(
         let colors = three.map(|corner| shown(view, corner.at));
         for pixel in grid(&three.map(|c| c.at), step) {
             let Some(weights) = barycentric(&three.map(|c| c.at), pixel) else { continue };
+            covered.insert(cell(pixel));
             let color = shown(view, pixel);
             let (Some(color), [Some(a), Some(b), Some(c)]) = (color, colors) else { continue };
-            let alike = |i: usize| {
-                let (low, high) = (a[i].min(b[i]).min(c[i]), a[i].max(b[i]).max(c[i]));
-                color[i] >= low - UNLIKE && color[i] <= high + UNLIKE
-            };
-            if !(0..3).all(alike) {
+            if !alike(color, &[a, b, c]) {
                 continue;
             }
             let inverse: f64 = (0..3).map(|i| weights[i] / three[i].depth).sum();
-            let ray = view.camera.ray(pixel.x, pixel.y);
-            let pose = &view.camera.pose;
-            let position = pose.rotation.transpose() * (ray / inverse - pose.translation);
-            let seen: [f64; 3] = std::array::from_fn(|i| color[i] / gain[i]);
             let sure = std::array::from_fn(|c| (0..3).map(|i| weights[i] * three[i].sure[c]).sum());
-            let Some(color) = behind(water, &view.camera, position, seen, sure) else { continue };
-            let level = math::log2(step / (inverse * k.fx)).round() as i32;
-            found.push(Sample { position, color, voxel: Voxel::of(position, level) });
+            found.extend(sample(pixel, inverse, color, sure));
         }
     }
+    if !beyond {
+        return found;
+    }
+    let anchors: Vec<Anchor> = corners.iter().map(|c| Anchor { at: c.at, inverse: 1.0 / c.depth }).collect();
+    let colors: Vec<Option<[f64; 3]>> = corners.iter().map(|c| shown(view, c.at)).collect();
+    let whole = [DVec2::ZERO, DVec2::new(width, 0.0), DVec2::new(0.0, k.height as f64)];
+    for pixel in grid(&whole, step).filter(|pixel| !covered.contains(&cell(*pixel))) {
+        let Some((inverse, shares)) = planes::inverse_depth(&anchors, pixel, step, width) else { continue };
+        let beside: Vec<[f64; 3]> = shares.iter().filter_map(|(i, _)| colors[*i]).collect();
+        let Some(color) = shown(view, pixel).filter(|color| alike(*color, &beside)) else { continue };
+        let sure = std::array::from_fn(|c| shares.iter().map(|(i, share)| share * corners[*i].sure[c]).sum());
+        found.extend(sample(pixel, inverse, color, sure));
+    }
     found
+}
+
+/// True if a colour is within the range of others, or at most [`UNLIKE`] outside it.
+fn alike(color: [f64; 3], others: &[[f64; 3]]) -> bool {
+    (0..3).all(|c| {
+        let of = || others.iter().map(|other| other[c]);
+        let (low, high) = (of().fold(f64::INFINITY, f64::min), of().fold(f64::NEG_INFINITY, f64::max));
+        color[c] >= low - UNLIKE && color[c] <= high + UNLIKE
+    })
 }
 
 /// True if a triangle is neither too small nor too large nor too steep.
@@ -387,7 +419,7 @@ mod tests {
         let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
         let known = Known { tracks: tracks(&cameras, points), water, ..Known::default() };
         let indices: Vec<usize> = (0..views.len()).collect();
-        between(views, &indices, &known, points)
+        between(views, &indices, &known, points, false)
     }
 
     fn grey(_: usize, _: usize) -> [u8; 3] {
@@ -501,6 +533,28 @@ mod tests {
         assert!(photographed.iter().all(|p| p.color[0] < 0.45), "hazy and dark");
         let thick = FoundWater { attenuation: [9.0, 2.0, 2.0], ..water };
         assert_eq!(start(&views, &points, Some(thick)), []);
+    }
+
+    #[test]
+    fn the_ground_goes_on_beyond_the_last_points_and_no_further_than_views_agree() {
+        let views: Vec<TrainingView> = cameras().into_iter().map(|c| view(c, grey, false)).collect();
+        // The right third of the plane has no tracked points.
+        let points: Vec<DVec3> = plane().into_iter().filter(|p| p.x < 0.3).collect();
+        let indices: Vec<usize> = (0..views.len()).collect();
+        let known = |points: &[DVec3]| Known { tracks: tracks(&cameras(), points), ..Known::default() };
+        let right = |found: &[Between]| found.iter().filter(|p| p.position.x > 0.45).count();
+        let without = between(&views, &indices, &known(&points), &points, false);
+        let with = between(&views, &indices, &known(&points), &points, true);
+        assert_eq!(right(&without), 0);
+        assert!(right(&with) > 100, "{}", right(&with));
+        for p in &with {
+            assert!((p.position.z - 2.2 - 0.25 * p.position.y).abs() < 1e-9, "{p:?}");
+        }
+        // Two surfaces, one behind the other, have no common plane.
+        let rough: Vec<DVec3> =
+            points.iter().enumerate().map(|(i, p)| DVec3::new(p.x, p.y, p.z + (i % 2) as f64)).collect();
+        let found = between(&views, &indices, &known(&rough), &rough, true);
+        assert!(right(&found) < right(&with) / 10, "{}", right(&found));
     }
 
     #[test]
