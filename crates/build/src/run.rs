@@ -90,9 +90,7 @@ impl Builder {
         self.cache.contents().look_again();
         let swept = self.cache.sweep();
         if swept > 0 {
-            let text = format!(
-                "removed {swept} unfinished result(s) of runs that were cut off; going on from there"
-            );
+            let text = format!("removed {swept} unfinished result(s) of earlier runs that were cut off");
             listener.event(&Event::Note { label: &graph.name, text: &text });
         }
         let mut runner = Runner::new(self, graph, options, listener);

@@ -119,7 +119,7 @@ impl Display for Summary {
                 (self.failed().count(), "failed"),
                 (blocked, "not run because of these"),
                 (not_run, "not run"),
-                (self.elsewhere(), "left to others, who compute them"),
+                (self.elsewhere(), "left to other processes"),
             ] {
                 if count > 0 {
                     write!(f, ", {count} {word}")?;
@@ -127,9 +127,9 @@ impl Display for Summary {
             }
             write!(f, ", in {}", seconds(self.seconds))?;
             if self.left && not_run > 0 {
-                write!(f, "; out of time: the same command goes on from here")?;
+                write!(f, "; time limit reached: run the same command to continue")?;
             } else if self.interrupted && !self.left {
-                write!(f, "; interrupted: the same command goes on from here")?;
+                write!(f, "; interrupted: run the same command to continue")?;
             }
             writeln!(f)
         })

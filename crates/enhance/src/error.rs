@@ -49,7 +49,7 @@ pub enum EnhanceError {
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
     /// The observer asked to stop; the checkpoint is written.
-    #[error("stopped at step {step} of {steps}{}", if *saved { "; run again to go on from there" } else { "" })]
+    #[error("stopped at step {step} of {steps}{}", if *saved { "; run again to resume" } else { "" })]
     Interrupted {
         /// Steps done.
         step: u64,

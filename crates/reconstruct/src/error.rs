@@ -88,7 +88,7 @@ pub enum ReconstructError {
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
     /// The observer asked to stop; the checkpoint is written.
-    #[error("stopped at step {step} of {steps}{}", if *saved { "; run again to go on from there" } else { "" })]
+    #[error("stopped at step {step} of {steps}{}", if *saved { "; run again to resume" } else { "" })]
     Interrupted {
         /// Steps done.
         step: u64,

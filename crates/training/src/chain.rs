@@ -120,12 +120,19 @@ impl Checkpoints {
         }
         if let Some(beyond) = entries.iter().filter(|e| e.ours && e.step > self.length).map(|e| e.step).min()
         {
-            notices.push(format!("the checkpoint is of step {beyond}, beyond the {} asked for", self.length));
+            notices.push(format!(
+                "the checkpoint is of step {beyond}, and this run has only {} steps",
+                self.length
+            ));
         } else if notices.is_empty() && !entries.is_empty() {
-            notices.push("an earlier run with other inputs or other parameters left a checkpoint, which is kept for that run".to_string());
+            notices.push(
+                "found a checkpoint of an earlier run with other inputs or parameters; it is kept for that \
+                 run"
+                .to_string(),
+            );
         }
         if let Some(last) = notices.last_mut() {
-            last.push_str("; starting anew");
+            last.push_str("; starting from the beginning");
         }
         Ok(Found { state: None, notices })
     }
@@ -139,7 +146,8 @@ impl Checkpoints {
                     return Ok(Look::Found(Found { state: Some(state), notices }));
                 }
                 Ok(Some(_)) => notices.push(format!(
-                    "the checkpoint {} does not hold what its name says; it is left alone",
+                    "the checkpoint {} does not have the content that its name says; it is not used and not \
+                     changed",
                     entry.path.display()
                 )),
                 // The run that wrote it has a later file by now, which is not in this list.
@@ -182,7 +190,10 @@ impl Checkpoints {
             Ok(list) => list,
             Err(error) => {
                 if error.kind() != ErrorKind::NotFound {
-                    tracing::warn!("{}: {error}; its checkpoints are not found", self.dir.display());
+                    tracing::warn!(
+                        "{}: {error}; the checkpoints in this folder are not used",
+                        self.dir.display()
+                    );
                 }
                 return Vec::new();
             }

@@ -40,7 +40,7 @@ pub enum CheckpointError {
         source: std::io::Error,
     },
     /// The file is not a checkpoint of this version, is cut short, or was altered.
-    #[error("checkpoint {}: {reason}; delete it to start anew", path.display())]
+    #[error("checkpoint {}: {reason}; delete it to start from the beginning", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -187,7 +187,7 @@ impl CheckpointFile {
             }
         }
         tracing::warn!(
-            "the checkpoint {} is removed as soon as it is written; going on without it",
+            "the checkpoint {} was removed right after it was written; continuing without it",
             self.path.display()
         );
         Ok(())

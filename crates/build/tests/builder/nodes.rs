@@ -304,7 +304,7 @@ fn a_run_whose_time_is_over_leaves_its_checkpoints_to_the_next() {
         let (summary, _) = run_told(&east, &batch, &limited(50), |_| ());
         codes.push(summary.exit_code());
         let log = fs::read_to_string(east.cache.root().join("logs/synthetic/reef/_/reconstruct.log"));
-        resumed += usize::from(log.is_ok_and(|log| log.contains("going on from step")));
+        resumed += usize::from(log.is_ok_and(|log| log.contains("resuming from step")));
         if summary.exit_code() == 0 {
             break;
         }

@@ -52,7 +52,7 @@ impl Watched {
         self.live.end(&match result {
             Ok(_) => "Done.".to_string(),
             Err(_) if self.app.stop.load(Ordering::Relaxed) => {
-                "Stopped; the same command goes on from the checkpoint.".to_string()
+                "Stopped. Run the same command to continue from the checkpoint.".to_string()
             }
             Err(error) => format!("Failed: {}", error.text()),
         });
