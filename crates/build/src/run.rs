@@ -455,7 +455,8 @@ impl<'r> Runner<'r> {
                     let whose = self.graph.nodes[maker].label();
                     let root = self.builder.cache.root().display();
                     let reason = format!(
-                        "{whose} is damaged or removed again and again; check the disk, and what else cleans up in {root}"
+                        "{whose} was damaged or removed repeatedly; check the disk, and look for another \
+                         program that removes files in {root}"
                     );
                     self.fail(i, key, reason);
                     return;

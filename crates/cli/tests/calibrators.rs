@@ -115,7 +115,7 @@ fn a_scene_proposes_for_itself_in_clear_radiance() {
     // No pairs and no fit: import, reconstruct, targets, enhance, render, evaluate, report.
     assert!(out.contains("reef: 7 done, 0 cached"), "{out}");
     let page = std::fs::read_to_string(at.join("out/report.html")).expect("the report");
-    assert!(page.contains("without its water: not calibrated"), "the report says what was done");
+    assert!(page.contains("without its water. They are not calibrated."), "the report says what was done");
     let read = |path: &str| -> serde_json::Value {
         let bytes = std::fs::read(at.join(path)).expect("a file");
         serde_json::from_slice(&bytes).expect("JSON")
@@ -151,7 +151,7 @@ fn a_calibrator_of_our_own_serves_a_pipeline_and_a_scene_of_it() {
     expect(0, at, &["-q", "synth", "pairs", "--out", "pairs", "--views", "6", "--size", "64x48"]);
     let fit = ["calibrate", "--input", "pairs/input", "--target", "pairs/reference", "--proposer", "fusion"];
     let (_, err) = expect(0, at, &[&fit[..], &["--set", "steps=5", "--out", "own.safetensors"]].concat());
-    assert!(err.contains("6 pairs are few, the recipe is made for 800"), "{err}");
+    assert!(err.contains("6 pairs are too few (800 recommended)"), "{err}");
 
     let pipeline = |calibrator: &str, scene: &str| {
         let text = format!(

@@ -363,7 +363,7 @@ fn a_scene_is_not_scored_on_what_it_was_trained_with_nor_on_another_capture() {
         (
             &["-q", "render", &most, "--cameras", &other, "--out", &at("r"), "--size", "24x24"],
             0,
-            &["warning: none of the cameras"],
+            &["warning: no camera of"],
         ),
     ]);
     assert!(!Path::new(&target).exists());

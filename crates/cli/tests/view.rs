@@ -145,7 +145,7 @@ fn scenes_and_captures_are_looked_at_and_bad_cases_are_said() {
     let file = place.at("views.json");
     for (bytes, wrong) in [
         (None, "there is no such file"),
-        (Some(&b"\xff"[..]), "no text in UTF-8"),
+        (Some(&b"\xff"[..]), "not UTF-8 text"),
         (Some(b"{}"), "missing field"),
     ] {
         if let Some(bytes) = bytes {

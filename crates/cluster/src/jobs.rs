@@ -101,7 +101,8 @@ pub fn of(
         todo.iter().copied().filter(|n| jobs.is_empty() || scope(n.stage) == Scope::Batch).collect();
     jobs.push(Job {
         name: "finish".to_string(),
-        about: "Does what is still missing, tries once more what failed, makes the report and fills the results folder."
+        about: "Computes what is still missing, tries failed stages once more, writes the report and fills \
+             the results folder."
             .to_string(),
         tasks: None,
         cells: Vec::new(),

@@ -98,8 +98,8 @@ impl Site {
         let wrong = |reason| ClusterError::Site { file: path.display().to_string(), reason };
         let text = std::fs::read_to_string(path).map_err(|e| {
             wrong(format!(
-                "{e}; --cluster expects the file with the facts of the site (docs/guide/cluster.md shows one), without it the \
-                 defaults hold"
+                "{e}; --cluster expects a file that describes the site (docs/guide/cluster.md shows one); \
+                 without it the defaults are used"
             ))
         })?;
         Self::parse(&text, stages).map_err(wrong)
@@ -135,7 +135,7 @@ impl Site {
         positive("at_once", self.at_once)?;
         positive("largest_array", self.largest_array)?;
         let bytes = |field: &str, text: &str| match parse_bytes(text) {
-            Ok(0) => Err(format!("`{field}` is nothing; expected a size such as 8GB")),
+            Ok(0) => Err(format!("`{field}` is 0; expected a size such as 8GB")),
             Ok(_) => Ok(()),
             Err(reason) => Err(format!("`{field}`: {reason}")),
         };

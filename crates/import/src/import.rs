@@ -95,7 +95,8 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     if prepared::is_prepared(dir) {
         let mut imported = prepared::load_prepared(dir)?;
         if *params != ImportParams::default() {
-            let note = "this capture was imported before; the parameters of that import hold, not the ones given now";
+            let note = "this capture is already imported; the parameters of that import are used, not the \
+                 ones given now";
             imported.report.notes.push(note.into());
         }
         return Ok(imported);

@@ -126,9 +126,9 @@ impl Checkpoints {
             ));
         } else if notices.is_empty() && !entries.is_empty() {
             notices.push(
-                "found a checkpoint of an earlier run with other inputs or parameters; it is kept for that \
-                 run"
-                .to_string(),
+                "found a checkpoint of an earlier run with other inputs or other parameters; it is kept for \
+                 that run"
+                    .to_string(),
             );
         }
         if let Some(last) = notices.last_mut() {
@@ -243,12 +243,12 @@ mod tests {
         assert_eq!(fs::read_dir(&folder).unwrap().count(), 3, "each keeps its last only");
         // Files beyond the requested length, and files of other runs, are reported.
         let (found, notice) = Run::new(&folder, 1, 200).load();
-        assert!(found.is_none() && notice.contains("step 290, beyond the 200"), "{notice}");
+        assert!(found.is_none() && notice.contains("step 290, and this run has only 200"), "{notice}");
         let (found, notice) = Run::new(&folder, 3, 300).load();
         assert!(
             found.is_none()
-                && notice.contains("other parameters left a checkpoint")
-                && notice.ends_with("starting anew"),
+                && notice.contains("other inputs or other parameters")
+                && notice.ends_with("starting from the beginning"),
             "{notice}"
         );
     }
@@ -262,16 +262,16 @@ mod tests {
         fs::write(second.0.path(120), b"3d-use state v01 nonsense").unwrap();
         let (found, notice) = second.load();
         assert_eq!(found, Some(80));
-        assert!(notice.contains("cut short") && !notice.contains("starting anew"), "{notice}");
+        assert!(notice.contains("cut short") && !notice.contains("starting from the beginning"), "{notice}");
         // A file under another step's name is not used.
         fs::copy(first.0.path(80), first.0.path(90)).unwrap();
         let (found, notice) = first.load();
-        assert!(found == Some(80) && notice.contains("what its name says"), "{notice}");
+        assert!(found == Some(80) && notice.contains("that its name says"), "{notice}");
         for step in [80, 90] {
             fs::write(first.0.path(step), b"").unwrap();
         }
         let (found, notice) = first.load();
-        assert!(found.is_none() && notice.ends_with("starting anew"), "{notice}");
+        assert!(found.is_none() && notice.ends_with("starting from the beginning"), "{notice}");
     }
 
     #[test]

@@ -321,7 +321,9 @@ mod tests {
         };
         let said = told(of("b", 1));
         assert!(
-            said.contains("at step 4 of 10 with another engine") && said.contains("starts anew"),
+            said.contains("another engine or version")
+                && said.contains("4 of 10 steps")
+                && said.contains("starts from the beginning"),
             "{said}"
         );
         assert_eq!(told(of("b", 2)), "", "another run");
@@ -339,6 +341,6 @@ mod tests {
         let mut watcher = Watcher::default();
         assert!(session.furthest::<State>(&mut watcher).is_none());
         let told = watcher.notices.join("\n");
-        assert!(told.contains("another version") && told.contains("starting anew"), "{told}");
+        assert!(told.contains("another version") && told.contains("starting from the beginning"), "{told}");
     }
 }

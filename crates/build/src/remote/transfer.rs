@@ -100,8 +100,9 @@ impl RemoteStore {
             let _ = self.remote.remove(&name);
             let (again, there) = (again?, there?);
             if again || found == b"again" {
-                let reason = "it lets a name be created twice (it takes no notice of `If-None-Match: *`), so that two machines could \
-                    replace each other's artifacts; take a store that refuses, or a folder that all machines see";
+                let reason = "it lets a name be created twice (it ignores `If-None-Match: *`), so two \
+                     machines could replace each other's artifacts; use a store that refuses this, or a \
+                     folder that all machines can reach";
                 return Err(refused("rely on", reason));
             }
             if there && found != bytes {

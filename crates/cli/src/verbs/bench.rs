@@ -104,7 +104,7 @@ pub(crate) fn truth(app: &App, args: &BenchTruthArgs) -> Done {
     match results.failed.as_slice() {
         [] => Ok(()),
         failed => Err(CliError::Failed(format!(
-            "{}; the table is without it, the same command tries again",
+            "{}; the table is written without it; run the same command to try again",
             failed.join("; ")
         ))),
     }

@@ -101,7 +101,7 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
     if !wrong.is_empty() {
         let what = wrong.join("; ");
         return Err(CliError::Failed(format!(
-            "these differ from the processor's by more than they may: {what}"
+            "these results differ from the processor's by more than the tolerance: {what}"
         )));
     }
     if let Some(runs) = record.determinism.iter().find(|runs| !runs.same) {

@@ -201,8 +201,8 @@ pub(crate) fn keep(results: &Path, mut record: Record, quiet: bool) -> Result<()
     })?;
     if let Some((old, earlier)) = before.filter(|_| !quiet) {
         eprintln!(
-            "these results take the place of those of run {old} ({}), which stay in the cache: \
-             `use3d results {} {old}` brings them back",
+            "these results replace those of run {old} ({}), which are still in the cache: `use3d results {} \
+             {old}` restores them",
             earlier.settings(),
             word(results)
         );

@@ -30,7 +30,7 @@ pub(crate) fn run(args: &ModelsArgs) -> Done {
     let missing: Vec<&str> = missing.map(|one| one[0].known().title).collect();
     let complete = || match (missing.is_empty(), &args.preset) {
         (false, Some(preset)) => Err(CliError::Input(format!(
-            "missing for the preset {preset}: {}; the list above says which file to put where",
+            "missing for the preset {preset}: {}; the list above says where to put each file",
             missing.join(", ")
         ))),
         _ => Ok(()),

@@ -128,7 +128,9 @@ fn show(plan: &Plan, as_json: bool) -> Done {
     match plan.unavailable() {
         0 => Ok(()),
         _ => Err(CliError::Failed(
-            "inputs that the pipeline names are missing (`cannot` above); what needs them would fail".into(),
+            "inputs that the pipeline names are missing (see `cannot` above); the stages that need them \
+             would fail"
+                .into(),
         )),
     }
 }
@@ -188,7 +190,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     let choices = &args.white.choices[..];
     if !choices.is_empty() && !pipeline.target.is_dir() {
         let what =
-            "--white is for one capture folder; of a pipeline's scenes, keep one by `use3d white` each";
+            "--white works with one capture folder; for a pipeline, use `use3d white` on each of its scenes";
         return Err(CliError::Input(what.into()));
     }
     white::check(choices, &pipeline.target)?;
@@ -236,8 +238,8 @@ fn tell_why(plan: &Plan) {
     let (forecast, unknown) = plan.forecast();
     if plan.to_run() > unknown {
         let besides =
-            if unknown > 0 { format!(", and {unknown} stages that never ran before") } else { String::new() };
-        eprintln!("all of it will take about {}{besides}, judging by earlier runs", seconds(forecast));
+            if unknown > 0 { format!(" plus {unknown} stages that never ran before") } else { String::new() };
+        eprintln!("the whole run will take about {}{besides}, judging by earlier runs", seconds(forecast));
     }
 }
 
@@ -306,8 +308,8 @@ pub(crate) fn again(app: &App, record: &Record, results: &Path) -> Done {
     let missing = plan.to_run();
     if missing > 0 || plan.unavailable() > 0 {
         return Err(CliError::Input(format!(
-            "{missing} of its stages are not in the cache any more, or the program or its input has changed since; \
-             this runs it again: {}",
+            "{missing} of its stages are not in the cache any more, or the program or its input has changed \
+             since; to run it again: {}",
             record.command
         )));
     }

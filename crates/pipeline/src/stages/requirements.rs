@@ -190,7 +190,8 @@ fn of_targets(all: &AllParameters, named: &Named) -> Option<Lacking> {
         }
         if choice == ProposerChoice::Scene {
             let remedy = format!(
-                "{} names one, but `targets.proposer = \"scene\"` has none: calibrators are fitted to photographs; leave one of the two out",
+                "{} names one, but `targets.proposer = \"scene\"` uses none: calibrators are fitted to \
+                 photographs; leave one of the two out",
                 named.by("calibrator")
             );
             return lacking("no calibrator is wanted", remedy, "--set targets.proposer=auto");

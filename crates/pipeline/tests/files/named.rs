@@ -123,7 +123,7 @@ fn half_of_the_pairs_is_said_at_the_pairs() {
         "name = \"x\"\n[calibrator]\nfile = \"c\"\npairs = {{ input = \"a\", target = \"b\" }}\n{scene}"
     );
     let error = load(&both, &[]);
-    assert!(error.contains("give one of them"), "{error}");
+    assert!(error.contains("give only one of them"), "{error}");
 }
 
 #[test]

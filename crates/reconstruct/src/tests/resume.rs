@@ -75,7 +75,7 @@ fn a_lost_device_ends_the_run_with_a_word_and_its_checkpoints_are_gone_on_from()
     let lost = crate::reconstruct_in(&capture, &known, &loader, &params, &mut mortal, place, &mut told);
     let said = lost.map(|_| ()).unwrap_err().to_string();
     assert!(said.ends_with("lost its device (it was pulled out)"), "{said}");
-    assert!(told.notices.iter().any(|n| n.contains("is kept; the same command")), "{:?}", told.notices);
+    assert!(told.notices.iter().any(|n| n.contains("is kept; run the same command")), "{:?}", told.notices);
     let mut watcher = Watcher::default();
     let resumed = reconstruct(&capture, &loader, &params, place, &mut watcher).unwrap();
     let from = watcher.notices.iter().find(|notice| notice.contains("resuming from step"));
@@ -138,7 +138,11 @@ fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
     }
     let mut watcher = Watcher::default();
     reconstruct(&capture, &loader(&loaded), &other, Some(dir.path()), &mut watcher).unwrap();
-    assert!(watcher.notices.iter().any(|n| n.contains("starting anew")), "{:?}", watcher.notices);
+    assert!(
+        watcher.notices.iter().any(|n| n.contains("starting from the beginning")),
+        "{:?}",
+        watcher.notices
+    );
 }
 
 #[test]

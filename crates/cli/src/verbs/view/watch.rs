@@ -81,7 +81,7 @@ struct Watcher {
 impl Watcher {
     fn hear(self: &Arc<Self>, event: &Event<'_>) {
         match event {
-            Event::Started { label, .. } => self.live.wait_for(&format!("{label} is under way")),
+            Event::Started { label, .. } => self.live.wait_for(&format!("{label} is running")),
             Event::Progress { label, done, total, unit, .. } => {
                 self.live.wait_for(&format!("{label}: {done} of {total} {unit}"));
             }
