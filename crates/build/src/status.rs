@@ -157,7 +157,7 @@ impl Builder {
                 known.dedup();
                 if known.contains(&scene) {
                     let stages = graph.nodes.iter().filter(|n| n.scene == scene).map(|n| n.stage_name);
-                    return Err(BuildError::unknown("stage asked for by this scene", stage, stages));
+                    return Err(BuildError::unknown("stage of this scene", stage, stages));
                 }
                 return Err(BuildError::unknown("scene", scene, known));
             }

@@ -175,7 +175,7 @@ impl Site {
         for (field, options) in [("options".to_string(), &self.options)].into_iter().chain(options) {
             if let Some(option) = options.iter().find(|option| !option.starts_with('-')) {
                 return Err(format!(
-                    "`{field}`: `{option}` is no option of sbatch; expected one such as --gres=gpu:1"
+                    "`{field}`: `{option}` is not an option of sbatch; expected one such as --gres=gpu:1"
                 ));
             }
         }
@@ -323,7 +323,7 @@ mod tests {
             ("cpus = 99999999999", "expected 1024 or fewer"),
             ("account = \"\"", "`account` is empty"),
             ("[stage.import]\npartition = \" \"", "`stage.import.partition` is empty"),
-            ("options = [\"gres=gpu:1\"]", "`options`: `gres=gpu:1` is no option of sbatch"),
+            ("options = [\"gres=gpu:1\"]", "`options`: `gres=gpu:1` is not an option of sbatch"),
             ("[stage.import]\noptions = [\"gpu\"]", "`stage.import.options`"),
             (
                 "command = \"apptainer exec use3d.sif use3d\"",

@@ -193,8 +193,8 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
         .find(|(p, _)| p.position.to_array().iter().any(|v| !fits_single(*v)));
     if let Some((point, of)) = beyond {
         let reason = format!(
-            "point {} lies at {:?} once the scene is scaled by {:e}: too far for single precision; take it out of the \
-             model, or set `normalise = false`",
+            "point {} lies at {:?} after the scene is scaled by {:e}: too far for single precision; remove \
+             it from the model, or set `normalise = false`",
             of.id, point.position, frame.scale
         );
         return Err(ImportError::Parameter { field: "normalise", reason });

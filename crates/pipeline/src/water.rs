@@ -87,7 +87,7 @@ impl fmt::Display for Judgement {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Found => "water found: stage 1 starts from this estimate",
-            Self::Dry => "no water found: points look alike from near and far",
+            Self::Dry => "no water found: points look the same from near and far",
             Self::Sky => "no water found: the veil would be nearly white in all colours, like a sky",
             Self::Air => "no water found: far points are as dark and as bright as near ones, as in air",
             Self::Lamps => {

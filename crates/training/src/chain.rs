@@ -146,8 +146,7 @@ impl Checkpoints {
                     return Ok(Look::Found(Found { state: Some(state), notices }));
                 }
                 Ok(Some(_)) => notices.push(format!(
-                    "the checkpoint {} does not have the content that its name says; it is not used and not \
-                     changed",
+                    "the checkpoint {} does not have the content that its name says; it is not used",
                     entry.path.display()
                 )),
                 // The run that wrote it has a later file by now, which is not in this list.

@@ -246,7 +246,7 @@ impl CheckpointFile {
         // because arrays grow while they are read.
         match bincode::serde::decode_from_std_read::<T, _, _>(&mut body, bincode::config::standard()) {
             Ok(state) if body.fill_buf().map_err(io)?.is_empty() => Ok(Some(state)),
-            Ok(_) => Err(damaged("it holds more than this version's state")),
+            Ok(_) => Err(damaged("it contains more than the state of this version")),
             Err(DecodeError::Io { inner, .. }) if inner.kind() != ErrorKind::UnexpectedEof => Err(io(inner)),
             Err(e) => Err(damaged(&format!("its state does not decode ({e})"))),
         }

@@ -81,7 +81,7 @@ fn head(bytes: &[u8]) -> Result<Option<(usize, Request, usize)>, NoRequest> {
         Ok(httparse::Status::Partial) | Err(httparse::Error::TooManyHeaders) => {
             return Err(NoRequest::Refused(431, "the request's head is too long"));
         }
-        Err(_) => return Err(NoRequest::Refused(400, "this is no HTTP request")),
+        Err(_) => return Err(NoRequest::Refused(400, "this is not an HTTP request")),
     };
     if end > HEAD {
         return Err(NoRequest::Refused(431, "the request's head is too long"));

@@ -114,7 +114,7 @@ impl RemoteStore {
             // A client that repeats a request by itself after a lost reply gets the error that the name
             // exists: its own first request created it.
             if !(first || there) {
-                return Err(refused("create", "it says that a new name is there already"));
+                return Err(refused("create", "it reports that a new name exists already"));
             }
             if there { Ok(()) } else { Err(refused("read", "what was just written is not there")) }
         })

@@ -207,8 +207,8 @@ impl<'a> Bench<'a> {
         } else {
             let trainings = seconds(guessed);
             format!(
-                "{runs} stages to run; their trainings of stage 1 alone take about {trainings} on two idle cores, and the next seed has a \
-                 better forecast"
+                "{runs} stages to run; the trainings of stage 1 alone take about {trainings} on two idle \
+                 cores. The next seed has a better forecast"
             )
         };
         let seeds: Vec<String> = left.iter().map(|s| s.seed.to_string()).collect();

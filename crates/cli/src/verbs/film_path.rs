@@ -79,7 +79,8 @@ pub(crate) fn run(
         let shown = if given.is_empty() { vec![own] } else { given.clone() };
         if shown.iter().any(|mode| mode.is_enhanced()) && scene.enhancement.is_none() {
             return Err(wrong(
-                "it shows the enhancement, and the scene holds none; give --modes, or make one with `use3d enhance`",
+                "its keys show the enhancement, but the scene has none; give other --modes, or make one \
+                 with `use3d enhance`",
             ));
         }
         looks.push(shown);

@@ -104,12 +104,12 @@ impl Record {
     fn read(path: &Path) -> Result<Self, String> {
         let size = std::fs::metadata(path).map_err(|e| e.to_string())?.len();
         if size > MOST_BYTES {
-            return Err("it is too large for the record of a run".into());
+            return Err("it is too large to be the record of a run".into());
         }
         let bytes = std::fs::read(path).map_err(|e| e.to_string())?;
         let record: Self = serde_json::from_slice(&bytes).map_err(|e| e.to_string())?;
         if record.format != FORMAT || record.version != VERSION {
-            return Err(format!("it is no `{FORMAT}` of version {VERSION}"));
+            return Err(format!("it is not a `{FORMAT}` of version {VERSION}"));
         }
         Ok(record)
     }

@@ -75,7 +75,7 @@ fn tell(done: &Transferred, args: &TransferArgs) -> Done {
     match (done.interrupted, done.problems.len()) {
         (true, _) => Err(CliError::Interrupted),
         (false, 0) => Ok(()),
-        (false, 1) => Err(CliError::Failed("1 artifact is not as it should be, see above".into())),
-        (false, n) => Err(CliError::Failed(format!("{n} artifacts are not as they should be, see above"))),
+        (false, 1) => Err(CliError::Failed("1 artifact has a problem, see above".into())),
+        (false, n) => Err(CliError::Failed(format!("{n} artifacts have problems, see above"))),
     }
 }

@@ -36,7 +36,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     let names: Vec<&str> = modes.iter().map(|mode| mode.name()).collect();
     if let (Some(mode), None) = (modes.iter().find(|mode| mode.is_enhanced()), &scene.enhancement) {
         return Err(CliError::Input(format!(
-            "--modes {}: {} holds no enhancement; make one with `use3d enhance`",
+            "--modes {}: {} has no enhancement; make one with `use3d enhance`",
             mode.name(),
             args.scene.display()
         )));

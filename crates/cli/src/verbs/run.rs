@@ -78,11 +78,11 @@ fn no_pipeline(file: &Path) -> Option<&'static str> {
     let extension = file.extension()?.to_string_lossy().to_lowercase();
     Some(match extension.as_str() {
         "mp4" | "mov" | "avi" | "mkv" | "webm" | "m4v" => {
-            "a film is no capture yet: take frames out of it (`ffmpeg -i FILM -vf fps=2 images/%05d.png`), run COLMAP on \
-             them, and give the folder that holds images/ and sparse/"
+            "a film is not a capture yet: extract frames from it (`ffmpeg -i FILM -vf fps=2 \
+             images/%05d.png`), run COLMAP on them, and give the folder with images/ and sparse/"
         }
         "png" | "jpg" | "jpeg" | "tif" | "tiff" | "exr" | "webp" | "heic" | "bmp" | "gif" => {
-            "one picture is no capture: give the folder that holds the images and their COLMAP model"
+            "one picture is not a capture: give the folder with the images and their COLMAP model"
         }
         "json" if file.file_name().is_some_and(|name| name == "transforms.json") => {
             "transforms.json (nerfstudio) is not read: give the capture's folder; the COLMAP model that it was made from lies \
@@ -93,7 +93,8 @@ fn no_pipeline(file: &Path) -> Option<&'static str> {
              File > Export > Export Cameras > COLMAP) with undistorted images, and give that folder"
         }
         "json" => {
-            "this is no pipeline file (.toml): give the capture's folder, with images and a COLMAP model (docs/guide/captures.md)"
+            "this is not a pipeline file (.toml): give the capture's folder, with images and a COLMAP model \
+             (docs/guide/captures.md)"
         }
         _ => return None,
     })

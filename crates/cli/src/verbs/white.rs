@@ -147,7 +147,7 @@ pub(crate) fn of(
         return Ok(None);
     }
     if !app.quiet {
-        eprintln!("white balance: {place} (--white off leaves the colours as they are)");
+        eprintln!("white balance: {place} (--white off leaves the colours unchanged)");
     }
     Ok(Some(white))
 }

@@ -67,7 +67,7 @@ const BLACK: f32 = 2.5 / 255.0;
 
 /// A file of the truth cannot be read.
 #[derive(Debug, thiserror::Error)]
-#[error("the truth beside the capture: {0}; make that file again, or rename its truth/ folder")]
+#[error("the truth of the capture: {0}; write that file again, or rename the truth/ folder")]
 pub struct TruthError(#[from] ImportError);
 
 /// The parameters for reading the true images: like the capture's images, with lenses and sizes.

@@ -132,8 +132,9 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
     let guidance = if params.objective == Objective::PseudoLabels {
         if targets.appearance == Appearance::Clear {
             return Err(StageError::bad_input_message(
-                "objective = \"pseudo-labels\" learns from photographs that a 2D enhancer enhanced, and these targets are in clear radiance, of \
-                 `scene`; make targets with a 2D enhancer (`targets.proposer`), or choose another objective",
+                "objective = \"pseudo-labels\" needs photographs enhanced by a 2D enhancer, but these \
+                 targets are in clear radiance, from `scene`; make targets with a 2D enhancer \
+                 (`targets.proposer`), or choose another objective",
             ));
         }
         let proposer = by_name(&targets.proposer.name, context.optional_input("models"))

@@ -96,12 +96,12 @@ fn prior_in_force(params: &ReconstructParams, capture: &Capture, made: bool) -> 
         (DepthPrior::Auto, true, _) => {
             "depth prior: Depth Anything V2, since the capture has no depth folder".into()
         }
-        (_, true, _) => "depth prior: Depth Anything V2, as depth_prior asks for".into(),
+        (_, true, _) => "depth prior: Depth Anything V2, as depth_prior requires".into(),
         (DepthPrior::Auto, false, 0) => format!(
             "{none}: the capture has no depth files for its training views (depth/ with the photographs' stems), and {networks}"
         ),
         (_, false, 0) => format!(
-            "{none}, although depth_prior asks for files: the capture has no depth folder, or none of its \
+            "{none}, although depth_prior requires files: the capture has no depth folder, or none of its \
              files has the stem of a training view; choose `auto` to make them with Depth Anything V2, or \
              `off` to train without"
         ),
