@@ -111,7 +111,7 @@ pub(crate) fn cell(node: &PlannedNode) -> Cell {
         (State::Run(reason), None) => (before, reason.clone()),
         (State::Waiting(parents), _) => (before, format!("waits for {}", parents.join(", "))),
         (State::Blocked(by), _) => (before, format!("needs {by}")),
-        (State::Unwanted, _) => (before, "not asked for".to_string()),
+        (State::Unwanted, _) => (before, "not requested".to_string()),
     };
     let (changes, working) = (node.changes.clone(), node.working.clone());
     Cell { stage: node.stage, standing, reason, changes, working }

@@ -251,7 +251,7 @@ fn hyperqueue_is_asked_whether_the_last_job_is_over() {
         .expect("written");
     let (code, text) = submit(&many, &path, "hq", "cache", &["--cluster", "cluster.toml"]);
     assert!(code == Some(0) && text.contains("submitted many as job 12"), "{text}");
-    assert!(text.contains("HyperQueue has no place for partition, stage.run.options"), "{text}");
+    assert!(text.contains("HyperQueue has no setting for partition, stage.run.options"), "{text}");
     assert!(!text.contains("HyperQueue starts no task"), "{text}");
     fs::write(many.at("open"), "3 RUNNING\n12 WAITING\n").expect("written");
     let (code, text) = submit(&many, &path, "hq", "cache", &[]);

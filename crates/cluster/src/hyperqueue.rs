@@ -65,7 +65,7 @@ pub fn script(submission: &Submission, site: &Site) -> String {
     let mut lines = vec![
         "#!/bin/bash".to_string(),
         "# Every task of job.toml runs this script.".to_string(),
-        format!("# Written by `{}`; to be read and edited.", submission.by),
+        format!("# Written by `{}`. You may read and edit it.", submission.by),
         format!(
             "# Its first word: `{AFTER_OK}`, or `{AFTER_ANY}` if `finish` starts after the task in any case."
         ),

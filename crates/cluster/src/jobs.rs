@@ -156,8 +156,8 @@ fn workers_of(todo: &[&PlannedNode], site: &Site, cells: &[String], most: usize)
     vec![Job {
         name: "workers".to_string(),
         about: format!(
-            "{} what is missing of {}.",
-            if tasks == 1 { "One task does".to_string() } else { format!("{tasks} equal tasks share") },
+            "{} the missing stages of {}.",
+            if tasks == 1 { "One task computes".to_string() } else { format!("{tasks} equal tasks compute") },
             if cells.len() == 1 {
                 "one scene and variant".to_string()
             } else {

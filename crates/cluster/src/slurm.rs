@@ -96,7 +96,7 @@ pub fn script(job: &Job, submission: &Submission, site: &Site) -> String {
         "#!/bin/bash".to_string(),
         format!("# {}", job.about),
         format!(
-            "# Written by `{}`; to be read, edited, and submitted by hand with `sbatch` as well.",
+            "# Written by `{}`. You may read it, edit it, and submit it by hand with `sbatch`.",
             submission.by
         ),
     ];

@@ -84,7 +84,7 @@ fn calibrator(provenance: &Provenance, calibrated: bool) -> (String, bool) {
         return ("none: proposals are not corrected".into(), false);
     }
     if provenance.pairs == 0 {
-        return (format!("finished, {}", provenance.data), true);
+        return (format!("a finished file, {}", provenance.data), true);
     }
     let kept = provenance.held_out.as_ref().map_or([1.0; 2], |held_out| held_out.kept);
     let [global, local] = kept.map(|share| 100.0 * share);

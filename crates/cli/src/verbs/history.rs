@@ -153,7 +153,7 @@ pub(crate) fn records(results: &Path) -> Vec<(usize, Record)> {
             match Record::read(&path) {
                 Ok(record) => Some((number, record)),
                 Err(error) => {
-                    tracing::warn!("{}: {error}; this run is left out", path.display());
+                    tracing::warn!("{}: {error}; this run is not listed", path.display());
                     None
                 }
             }

@@ -155,7 +155,11 @@ fn site(app: &App, scheduler: Scheduler, args: &SubmitArgs, stages: &[&str]) -> 
             Scheduler::Slurm => "Slurm",
             Scheduler::HyperQueue => "HyperQueue",
         };
-        eprintln!("warning: {}: {name} has no place for {}: not used", file.display(), unused.join(", "));
+        eprintln!(
+            "warning: {}: {name} has no setting for {}, so it is not used",
+            file.display(),
+            unused.join(", ")
+        );
     }
     Ok(site)
 }

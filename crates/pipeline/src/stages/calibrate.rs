@@ -75,7 +75,8 @@ fn tell(context: &StageContext, calibrator: &Calibrator, params: &CalibratorPara
     if let Some(held_out) = &calibrator.provenance.held_out {
         let errors = &held_out.errors;
         context.say(format_args!(
-            "held-out transition error, proposal → calibrated: global {:.3} → {:.3}, local {:.3} → {:.3}",
+            "colour error on held-out pairs, proposal → calibrated: global {:.3} → {:.3}, local {:.3} → \
+             {:.3}",
             errors.global.before, errors.global.after, errors.centered.before, errors.centered.after
         ));
         for (head, share) in ["global", "local"].into_iter().zip(held_out.kept) {
