@@ -57,7 +57,9 @@ fn reconstruction(scores: &SceneScores) -> Option<Sentence> {
     let Some(psnr) = mean(scores, Method::Reconstruction, "psnr") else {
         return Some(sentence(
             Tone::Plain,
-            "No photograph was held out, so nothing says how well the scene is reconstructed.".into(),
+            "No photograph was held out, so the quality of the reconstruction is not known. Hold some out \
+             with `import.split.every`."
+                .into(),
         ));
     };
     let of =

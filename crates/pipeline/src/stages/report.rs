@@ -285,7 +285,8 @@ fn section(
     if let Some(svg) =
         parts.path("enhanced").and_then(|p| std::fs::read_to_string(p.join("training.svg")).ok())
     {
-        let caption = "Stage 2: how far the scene is from its targets, as a whole (global) and surface by surface (local). Both should fall.";
+        let caption = "Stage 2: the distance of the scene from its targets, as a whole (global) and surface \
+             by surface (local). Both should fall.";
         section.plots.push(PlotFigure { svg: inline(&svg), caption: caption.into() });
     }
     section.plots.extend(water(parts)?);
@@ -333,7 +334,8 @@ fn stage_1(log: &str) -> Vec<PlotFigure> {
             "Stage 1: loss",
             true,
             vec![curve("loss", "#0b7285", "", false)],
-            "How far pictures of the training views are from the photographs. It should fall and level out.",
+            "The difference between the photographs and pictures of the same views. It should fall and \
+             level out.",
         ),
         plot(
             "Stage 1: PSNR, dB",
@@ -348,7 +350,7 @@ fn stage_1(log: &str) -> Vec<PlotFigure> {
             "Stage 1: Gaussians",
             false,
             vec![curve("gaussians", "#845ef7", "", false)],
-            "How many Gaussians the scene has. It grows for as long as detail is added.",
+            "The number of Gaussians in the scene. It grows as long as detail is added.",
         ),
     ]
 }
@@ -507,8 +509,10 @@ fn water(parts: &Parts<'_>) -> Result<Vec<PlotFigure>, StageError> {
             PlotFigure { svg: plot.svg(), caption: format!("{meaning}, {place}.") }
         };
     let kinds: [(&str, &str, &str, Pick); 3] = [
-        ("Attenuation", "1 / scene unit", "How fast distance dims the scene", |s| s.attenuation),
-        ("Backscatter", "1 / scene unit", "How fast distance adds the water's own light", |s| s.backscatter),
+        ("Attenuation", "1 / scene unit", "The rate at which distance dims the scene", |s| s.attenuation),
+        ("Backscatter", "1 / scene unit", "The rate at which distance adds the water's own light", |s| {
+            s.backscatter
+        }),
         ("Colour of open water", "0 to 1", "The colour where there is nothing but water", |s| s.color),
     ];
     let along = format!("from the left to the right edge of {}", view.name);
@@ -579,7 +583,7 @@ fn dispersion(report: &TargetsReport) -> PlotFigure {
     let points = report.views.iter().enumerate().map(|(i, v)| (i as f64, v.distance)).collect();
     let names = report.views.iter().map(|v| v.name.clone()).collect();
     let plot = Plot {
-        title: "How far each view is from the consensus".into(),
+        title: "Distance of each view from the consensus".into(),
         x_label: "training view".into(),
         log_y: false,
         series: vec![Series { label: String::new(), color: "#0b7285", points, dots: true, names }],
